@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 from mutation_table import MUTATIONS, Mutation
-from mutations import copied, judged, mutated, outcome_of, unmutated
+from mutations import Ended, copied, judged, mutated, outcome_of, pytest_in, unmutated
 
 
 @pytest.fixture(scope="module")
@@ -34,16 +34,47 @@ def test_no_fault_is_there_twice_and_none_changes_nothing() -> None:
 
 def test_only_the_named_tests_own_failure_counts() -> None:
     fault = MUTATIONS[0]
-    name = fault.test
-    assert judged(fault, 1, f"FAILED {name} - assert 1 == 2\n") == (True, "assert 1 == 2")
-    assert judged(fault, 1, f"FAILED {name}[a-0.5] - AssertionError: off\n")[0]
-    assert judged(fault, 1, f"FAILED {name} - palmfield.errors.SceneError: no\n")[0]
-    assert not judged(fault, 1, f"FAILED {name} - ImportError: no\n")[0]
-    assert not judged(fault, 1, f"FAILED {name} - NameError: no\n")[0]
-    assert not judged(fault, 1, f"FAILED {name}_else - assert 1 == 2\n")[0]
-    assert not judged(fault, 1, f"ERROR {name} - assert 1 == 2\n")[0]
-    assert not judged(fault, 2, "ERROR tests/conftest.py - SyntaxError\n")[0]
-    assert judged(fault, 0, "1 passed") == (False, "the test passes all the same")
+
+    def red(code: int, failures: dict[str, str]) -> bool:
+        return judged(fault, Ended(code, "a last line", failures))[0]
+
+    assert judged(fault, Ended(1, "", {fault.test: "assert 1 == 2"})) == (True, "assert 1 == 2")
+    assert red(1, {f"{fault.test}[a-0.5]": "AssertionError: off"})
+    assert red(1, {fault.test: "palmfield.errors.SceneError: no"})
+    assert not red(1, {fault.test: "ImportError: no"})
+    assert not red(1, {fault.test: "NameError: no"})
+    assert not red(1, {f"{fault.test}_else": "assert 1 == 2"})
+    assert not red(2, {})
+    assert judged(fault, Ended(1, "1 error", {})) == (False, "pytest ended with 1: 1 error")
+    assert judged(fault, Ended(0, "1 passed", {})) == (False, "the test passes all the same")
+
+
+@pytest.mark.parametrize(
+    "environment",
+    [{"COLUMNS": "60"}, {"COLUMNS": "200"}, {"COLUMNS": "60", "CI": "true"}, {"TERM": "dumb"}],
+    ids=lambda one: " ".join(f"{name}={value}" for name, value in one.items()),
+)
+def test_a_failure_is_read_whole_whatever_the_terminal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, environment: dict[str, str]
+) -> None:
+    for name in ("CI", "BUILD_NUMBER", "COLUMNS"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
+    folder = tmp_path / "tests" / "of_a_folder_with_a_long_name"
+    folder.mkdir(parents=True)
+    test = f"test_{'with_a_name_as_long_as_a_line_' * 4}that_fails"
+    (folder / "test_one.py").write_text(
+        "import pytest\n\n\n"
+        f"@pytest.mark.parametrize('value', ['a - b [c]'])\ndef {test}(value):\n    assert value == 'd'\n\n\n"
+        "@pytest.fixture\ndef broken():\n    assert False\n\n\ndef test_never_begun(broken):\n    pass\n"
+    )
+    (tmp_path / "pytest.ini").write_text("[pytest]\naddopts = --import-mode=importlib\n")
+    file = "tests/of_a_folder_with_a_long_name/test_one.py"
+    ended = pytest_in(tmp_path, [f"{file}::{test}"], 60.0)
+    assert ended.code == 1 and list(ended.failures) == [f"{file}::{test}[a - b [c]]"]
+    assert ended.failures[f"{file}::{test}[a - b [c]]"].startswith("AssertionError: assert 'a - b [c]' == 'd'")
+    assert pytest_in(tmp_path, [f"{file}::test_never_begun"], 60.0).failures == {}
 
 
 def test_a_copy_is_left_as_it_was(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ __all__ = [
     "from_poses",
     "grid",
     "layout",
+    "layout_of_version",
     "placed",
     "sonicsurface_order",
     "with_faults",
@@ -34,3 +35,16 @@ def layout(name: str, p0_Pa_m: float | None = None) -> Array:
     if not 0.0 < p0 < np.inf:
         raise SceneError(f"p0_Pa_m = {p0} is not positive and finite: give the peak pressure at 1 m, about 1 to 8")
     return replace(LAYOUTS[name].build(), name=name, p0_Pa_m=p0)
+
+
+def layout_of_version(name: str, version: int) -> str:
+    """Name that a layout of a file has now.
+
+    name, version: as the file records them; files from before versions were recorded have version 1
+    Returns the name as it is for a layout that is no key of LAYOUTS. Raises SceneError for a version that there is not.
+    """
+    if name not in LAYOUTS or version == LAYOUTS[name].version:
+        return name
+    if not 1 <= version < LAYOUTS[name].version:
+        raise SceneError(f"layout '{name}' has version {version}; allowed: 1 to {LAYOUTS[name].version}")
+    return LAYOUTS[name].earlier[version - 1]

@@ -9,8 +9,10 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from scipy.spatial.transform import Rotation
 
+from palmfield.acoustics.arrays import LAYOUTS, layout_of_version
 from palmfield.acoustics.placement import placed
 from palmfield.errors import OutputError, SceneError
+from palmfield.given_files import MOST_SETTINGS_BYTES, read_bytes
 from palmfield.types import Array, Complex, Estimate
 from palmfield.whole_files import whole
 
@@ -96,10 +98,16 @@ class WarmUp(_Part):
     time_s: Positive
 
 
+def _version(data: dict[str, Any]) -> int:
+    name = data.get("layout")
+    return LAYOUTS[name].version if name in LAYOUTS else 1
+
+
 class Calibration(_Part):
     """What was measured of an array. What wasn't is None.
 
-    layout: of which array; p0: peak pressure of one transducer at 1 m on its axis at full drive [Pa m]
+    layout, layout_version: of which array, whose transducers are in that order
+    p0: peak pressure of one transducer at 1 m on its axis at full drive [Pa m]
     quality, resonance_Hz: of the transducers' resonance, all together
     phase_offset_rad: by how much all of the board is late [rad], beside another board or a trigger
     """
@@ -107,6 +115,7 @@ class Calibration(_Part):
     format: Literal["palmfield calibration"] = "palmfield calibration"
     version: Literal[1] = 1
     layout: str
+    layout_version: int = Field(default_factory=_version)
     p0: Estimate | None = None
     quality: Estimate | None = None
     resonance_Hz: Estimate | None = None
@@ -132,17 +141,23 @@ class Calibration(_Part):
 def read_calibration(path: str | Path) -> Calibration:
     """The calibration in a JSON file, whose parts are those of `Calibration` (docs/calibration.md).
 
+    One of an earlier version of a layout gets the name that this layout has now: its transducers are in that order.
     Raises SceneError for a file that cannot be read, and, with its place, for an entry that does not fit.
     """
     file = Path(path)
     try:
-        calibration = Calibration.model_validate_json(file.read_bytes())
+        calibration = Calibration.model_validate_json(read_bytes(file, MOST_SETTINGS_BYTES))
     except OSError as error:
         raise SceneError(f"{file}: cannot be read: {error}; give a calibration's JSON file") from None
     except ValidationError as error:
         raise SceneError(f"{file}: " + _told(error.errors()[0])) from None
     _check_units(file, calibration)
-    return calibration
+    version = calibration.layout_version if "layout_version" in calibration.model_fields_set else 1
+    try:
+        name = layout_of_version(calibration.layout, version)
+    except SceneError as error:
+        raise SceneError(f"{file}: {error}") from None
+    return calibration.model_copy(update={"layout": name, "layout_version": _version({"layout": name})})
 
 
 def _check_units(file: Path, calibration: Calibration) -> None:
@@ -205,7 +220,12 @@ def calibrated(array: Array, calibration: Calibration) -> Array:
     array: the layout; its p0 stays. Raises SceneError for a calibration of another layout or number of transducers.
     """
     if calibration.layout != array.name:
-        raise SceneError(f"the calibration is of layout '{calibration.layout}', and the array is '{array.name}'")
+        earlier = LAYOUTS[array.name].earlier if array.name in LAYOUTS else ()
+        was = f", which '{array.name}' was before: measure again, or set layout {calibration.layout}"
+        raise SceneError(
+            f"the calibration is of layout '{calibration.layout}', and the array is '{array.name}'"
+            + was * (calibration.layout in earlier)
+        )
     measured = response(calibration, len(array))
     positions, address = array.positions, array.address
     if calibration.elements is not None:

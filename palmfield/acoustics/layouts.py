@@ -28,6 +28,13 @@ Blocks follow one another up the board, 8 addresses each; 8 blocks make a strip 
 another to the right.
 """
 
+OPENMPD_BLOCK = ((1, 5), (0, 4), (3, 6), (2, 7))
+"""Bytes within one block of 4 columns and 2 rows, by column to the right and by row downwards.
+
+Blocks follow one another up the board, 8 bytes each; 8 blocks make a strip of 64 bytes, and strips follow one another
+to the left. The vendor's pin map in this form (`pin_ROM`, PinMapping.vhd of RMResearch/OpenMPD_Hardware, FPGA 3.4.2).
+"""
+
 BOW_TILT_DEG = 30.0
 BOW_SPACING_M = 10e-3
 
@@ -40,6 +47,7 @@ class Layout:
     focus_m: the point at which it is commonly used [m], array frame
     build: makes the array, with a p0 that `palmfield.acoustics.arrays.layout` replaces
     p0: peak pressure of one transducer at 1 m on its axis at full drive [Pa m]; quality: of its resonance
+    earlier: layouts that this name meant before, first version first
     """
 
     about: str
@@ -48,6 +56,12 @@ class Layout:
     build: Callable[[], Array]
     p0: Estimate = ANY_P0
     quality: Estimate = ANY_QUALITY
+    earlier: tuple[str, ...] = ()
+
+    @property
+    def version(self) -> int:
+        """Counts from 1; files about an array's transducers record it."""
+        return len(self.earlier) + 1
 
 
 def lattice(columns: int, rows: int, pitch_m: float) -> Float:
@@ -87,10 +101,25 @@ def sonicsurface() -> Array:
     return from_poses("sonicsurface", sites, normals, address=np.arange(256, dtype=np.int32))
 
 
+def openmpd_order() -> Int:
+    """Byte of each transducer of an OpenMPD board, shape (256,), in the vendor's order: column by column from the left,
+    each from above."""
+    column, row = np.divmod(np.arange(256), 16)
+    block = np.array(OPENMPD_BLOCK)
+    return (192 - 64 * (column // 4) + 8 * (7 - row // 2) + block[column % 4, row % 2]).astype(np.int32)
+
+
 def openmpd() -> Array:
-    """In rows from low y, x runs fastest."""
+    """In columns from low x, y falls fastest: the vendor's order of transducers, with their bytes as addresses."""
+    x, y, z = grid(10.5e-3).reshape(16, 16, 3)[::-1].transpose(2, 1, 0).reshape(3, 256)
     normals = np.tile([0.0, 0.0, 1.0], (256, 1))
-    return from_poses("openmpd", grid(10.5e-3), normals, address=np.arange(256, dtype=np.int32))
+    return from_poses("openmpd", np.column_stack([x, y, z]), normals, address=openmpd_order())
+
+
+def openmpd_rows() -> Array:
+    """In rows from low y, x runs fastest, byte by byte."""
+    normals = np.tile([0.0, 0.0, 1.0], (256, 1))
+    return from_poses("openmpd_rows", grid(10.5e-3), normals, address=np.arange(256, dtype=np.int32))
 
 
 def ultraino() -> Array:
@@ -242,11 +271,21 @@ LAYOUTS = {
         sonicsurface,
     ),
     "openmpd": Layout(
-        "OpenMPD (AcoustophoreticBoard): 16 x 16 elements, 10.5 mm pitch, in rows",
-        "OpenMPD (University College London): 256 transducers of 10 mm, 10.5 mm apart. Rows are an assumption: boards "
-        "differ in the order of their pins. Pistons: as MA40S4S",
+        "OpenMPD (AcoustophoreticBoard): 16 x 16 elements, 10.5 mm pitch, in columns, with the vendor's pin map; "
+        "version 2 (version 1 is openmpd_rows)",
+        "OpenMPD (University College London): positions, normals (0, 0, 1) and pins as its driver reads them from "
+        "board files (board_N.pat of RMResearch/OpenMPD, AsierInhoImpl_V2.cpp of sbg97/OpenMPD_Driver); the map is the "
+        "same in all 75 files and in the FPGA's PinMapping.vhd. The driver places boards by rotations, in right-handed "
+        "frames, so that x is right and y up seen from the front. Not tried on hardware. Pistons: as MA40S4S",
         (0.0, 0.0, 0.12),
         openmpd,
+        earlier=("openmpd_rows",),
+    ),
+    "openmpd_rows": Layout(
+        "OpenMPD with transducers in rows, byte by byte: layout openmpd of version 1, for files made with it",
+        "An assumption of earlier versions that fits no board file of the vendor: for new work use openmpd",
+        (0.0, 0.0, 0.12),
+        openmpd_rows,
     ),
     "ultraino": Layout(
         "One Arduino Mega of Ultraino: 8 x 8 elements, 10.5 mm pitch, in the order of its signals",

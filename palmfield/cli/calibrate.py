@@ -75,6 +75,22 @@ def add(
     print(f"wrote {board}")
 
 
+@calibrate.command("import")
+def import_(
+    file: Annotated[Path, typer.Argument(help="the vendor's file of an OpenMPD board", metavar="BOARD_N.pat")],
+    board: Annotated[Path, typer.Argument(help="the new calibration", metavar="BOARD.json")],
+) -> None:
+    """Write a vendor's file of one OpenMPD board (pins, phases, polarities) as a calibration.
+
+    Example: palmfield calibrate import board_10.pat board.json
+    """
+    from palmfield.session.calibrate import imported
+
+    for line in imported(file, board):
+        print(line)
+    print(f"wrote {board}")
+
+
 @calibrate.command("sound")
 def sound(
     board: Annotated[str, typer.Argument(help="which board (see `palmfield boards`)", metavar="BOARD")],

@@ -68,16 +68,17 @@ def record(
     with Listener(host, port, checked_by(by)) as listener:
         print(f"listening at {listener.host}:{listener.port} by {by}", flush=True)
         try:
-            if listener.wait(wait):
+            if listener.wait(0, wait):
                 time.sleep(duration)
         except KeyboardInterrupt:
             pass
         for line in (listener.report(), *listener.told):
             print(line)
-        if len(listener.taken) < 2:
-            raise SceneError(f"{len(listener.taken)} good samples came within {wait:g} s; two or more are needed")
+        if listener.taken < 2:
+            raise SceneError(f"{listener.taken} good samples came within {wait:g} s; two or more are needed")
         write_stream(out, listener.stream())
         print(f"wrote {out}")
+        listener.check()
 
 
 @track.command("align")

@@ -9,7 +9,7 @@ from palmfield.types import AIR_LIMITS
 
 Layout = Literal[
     "uhev1", "sonicsurface", "autd2018", "autd2018_2x2", "autd3", "autd3_2x2", "autd3_3x2", "autd3_4x2",
-    "two_bow_as_printed", "two_bow_corrected", "stratos_explore", "openmpd", "ultraino", "sites", "csv",
+    "two_bow_as_printed", "two_bow_corrected", "stratos_explore", "openmpd", "openmpd_rows", "ultraino", "sites", "csv",
 ]  # fmt: skip
 
 

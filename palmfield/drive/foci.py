@@ -1,7 +1,8 @@
 """Drives for several foci at once, each with a wanted loudness relative to the others.
 
 A drive makes the pressures p = H a at the foci, H the transfer matrix. All methods look for phases of p that the array
-can serve together; they differ in how, and in whether the transducers may be driven below full.
+can serve together; they differ in how, and in whether the transducers may be driven below full. What they find holds up
+to a phase common to all transducers: `in_gauge` fixes it, so that foci that move get a drive that moves with them.
 """
 
 import dataclasses
@@ -29,6 +30,9 @@ COINCIDENT_WAVELENGTHS = 0.01
 
 REGULARISATION = 0.01
 """Tikhonov parameter of method "tikhonov", relative to the mean squared row norm of the transfer matrix."""
+
+FAINT = 0.01
+"""A focus with less pressure than this, relative to the loudest focus, does not fix the drive's common phase."""
 
 RELAXATION = 0.4
 """Power of the correction of the weights in "gsw".
@@ -161,6 +165,7 @@ def solve_transfer(
         "lbfgs": phases that raise the quietest focus, by L-BFGS on a soft minimum with its exact gradient
         "tikhonov": amplitudes and phases, by regularised least squares (after Long et al. 2014), scaled to max |a| = 1
     The first four drive every live transducer fully. All but the first begin with the phases of `reinforcing_phases`.
+    The common phase of the drive is that of `in_gauge`.
 
     transfer: complex pressure from each transducer at full drive [Pa], shape (m, n)
     Raises SceneError for a transfer matrix of another shape or not finite, more foci than live transducers, bad
@@ -190,7 +195,7 @@ def solve_transfer(
         phases = reinforcing_phases(matrix, targets)
     part, residual = SOLVERS[method](matrix[:, live], targets, phases, count)
     drive = np.zeros(matrix.shape[1], np.complex128)
-    drive[live] = part
+    drive[live] = in_gauge(matrix[:, live], part)
     return Foci(drive, matrix @ drive, targets, np.abs(matrix).sum(axis=1), len(residual) - 1, np.array(residual))
 
 
@@ -205,8 +210,22 @@ def together(transfer: Complex, pressures: Float | None = None) -> Complex:
     matrix = transfer[:, live]
     drive = np.zeros(transfer.shape[1], np.complex128)
     phases = reinforcing_phases(matrix, targets)
-    drive[live], _ = _gerchberg_saxon(matrix, targets, phases, ITERATIONS["gsw"], weighted=True)
+    found, _ = _gerchberg_saxon(matrix, targets, phases, ITERATIONS["gsw"], weighted=True)
+    drive[live] = in_gauge(matrix, found)
     return drive
+
+
+def in_gauge(matrix: Complex, drive: Complex) -> Complex:
+    """Turn a drive, shape (n,), so that its pressure at the first focus is real and positive, as a single focus has it.
+
+    Where the first focus is FAINT, the first one that is not takes its place. Magnitudes do not depend on this phase,
+    but transducers that ring need it to follow from the present foci: eigenvectors have it from rounding.
+    matrix: complex pressure at the foci from each transducer at full drive [Pa], shape (m, n)
+    """
+    pressure = matrix @ drive
+    magnitude = np.abs(pressure)
+    first = int(np.argmax(magnitude >= FAINT * np.maximum.reduce(magnitude)))
+    return drive * np.exp(-1j * np.arctan2(pressure[first].imag, pressure[first].real))
 
 
 def _targets(amplitudes: ArrayLike | None, count: int) -> Float:

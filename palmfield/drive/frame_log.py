@@ -1,11 +1,12 @@
 """Logs of what was sent to a board and when: text that can be read at any moment, and sent again.
 
 The first line is a JSON object: `palmfield_log` (1, the version), `board`, `keys` (of palmfield.driver), `transducers`,
-`array` (the layout's name), `air` (temperature_C, humidity_percent, pressure_Pa), `limits` (keys of palmfield.driver
-about how loud and how long it may sound), `p0_Pa_m` and `p0_high_Pa_m` (of the first array, with the high end of what
-is known of it; null where it is the layout's), and, null where they are as the layout says: `positions_m`, where the
-first array's transducers are, `turns_rad`, the phase that each adds to what it is told, and `address`, the places of
-all transducers in the board's byte order. Each further line is a JSON object of one piece of bytes:
+`array`, `layout_version` (the layout's name and version), `air` (temperature_C, humidity_percent, pressure_Pa),
+`limits` (keys of palmfield.driver about how loud and how long it may sound), `p0_Pa_m` and `p0_high_Pa_m` (of the first
+array, with the high end of what is known of it; null where it is the layout's), and, null where they are as the layout
+says: `positions_m`, where the first array's transducers are, `turns_rad`, the phase that each adds to what it is told,
+and `address`, the places of all transducers in the board's byte order. Each further line is a JSON object of one piece
+of bytes:
 `t`, when its first byte was given to the port [s, since the link was opened], `hex`, the bytes, and `cut` where a write
 timeout left it open how many went out.
 """
@@ -18,12 +19,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from palmfield.acoustics.arrays import layout
+from palmfield.acoustics.arrays import LAYOUTS, layout, layout_of_version
 from palmfield.config import DriverConfig
 from palmfield.drive.board import Board
 from palmfield.drive.boards import board_of
 from palmfield.drive.log_lines import log_line
 from palmfield.errors import SceneError, unwritable
+from palmfield.given_files import plain, read_text, regular
 from palmfield.types import Air, Array, Complex, Float
 
 VERSION = 1
@@ -33,8 +35,9 @@ VERSION = 1
 class LogHead:
     """For which board a log is.
 
-    keys: of palmfield.driver besides `board`; array: name of the layout; limits: SAFETY_KEYS of palmfield.driver that
-    are set; p0_Pa_m, p0_high_Pa_m: of the array's transducers, and the high end of its range, None for the layout's
+    keys: of palmfield.driver besides `board`; array: name of the layout, csv for places of a file; limits: SAFETY_KEYS
+    of palmfield.driver that are set; p0_Pa_m, p0_high_Pa_m: of the array's transducers, and the high end of its range,
+    None for the layout's
     Of the first array, None where it is as the layout says: turns_rad, phases that transducers add to what they are
     told (polarity, delays) [rad], shape (n,); positions_m, where they are in the array frame, shape (n, 3)
     address: of all transducers, their places in the board's byte order; None for the layout's order
@@ -53,22 +56,42 @@ class LogHead:
     address: Sequence[int] | None = None
 
     def measured(self, array: Array, places: Sequence[int] = ()) -> "LogHead":
-        """With what is known of the first array's transducers; places: `address`, empty for the layout's order."""
-        plain = layout(self.array)
+        """With what is known of the first array's transducers; places: as of `Board`."""
+        plain, own = self._layout, list(places) or list(range(self.transducers))
         turns = None if array.gain is None else np.angle(array.gain).round(6).tolist()
-        same = array.positions.shape == plain.positions.shape and np.array_equal(array.positions, plain.positions)
+        same = plain is not None and np.array_equal(array.positions, plain.positions)
         moved = None if same else array.positions.round(9).tolist()
-        return replace(self, turns_rad=turns, positions_m=moved, address=list(places) or None)
+        address = None if own == self._address else own
+        return replace(self, turns_rad=turns, positions_m=moved, address=address)
+
+    @property
+    def _layout(self) -> Array | None:
+        """The layout's array, None where places come from a file."""
+        return None if self.array == "csv" else layout(self.array)
+
+    @property
+    def _address(self) -> list[int]:
+        """Of all transducers as the layout has them."""
+        plain = self._layout
+        if plain is None or plain.address is None or len(plain) != self.transducers:
+            return list(range(self.transducers))
+        return list(map(int, plain.address))
 
     @property
     def elements(self) -> tuple[Float, Complex]:
         """Where the first array's transducers are [m], shape (n, 3), and how each turns what it is told, shape (n,)."""
-        plain = layout(self.array).positions
-        places = plain if self.positions_m is None else np.array(self.positions_m, float)
-        turns = np.zeros(len(plain)) if self.turns_rad is None else np.array(self.turns_rad, float)
-        if places.shape != plain.shape or turns.shape != plain.shape[:1]:
+        plain = self._layout
+        if self.positions_m is not None:
+            places = np.array(self.positions_m, float)
+        elif plain is not None:
+            places = plain.positions
+        else:
+            raise ValueError("array csv needs positions_m")
+        count = len(places) if plain is None else len(plain)
+        turns = np.zeros(count) if self.turns_rad is None else np.array(self.turns_rad, float)
+        if places.shape != (count, 3) or turns.shape != (count,) or count > self.transducers:
             raise ValueError(
-                f"positions_m and turns_rad have shapes {places.shape} and {turns.shape} for {len(plain)} transducers"
+                f"positions_m and turns_rad have shapes {places.shape} and {turns.shape} for {count} transducers"
             )
         return places, np.exp(1j * turns)
 
@@ -76,7 +99,7 @@ class LogHead:
     def playable(self) -> Board:
         """The board itself. Raises DeviceError for one that there is not."""
         driver = DriverConfig.model_validate({"board": self.board, **self.keys})
-        return board_of(driver, self.transducers, address=self.address)
+        return board_of(driver, self.transducers, address=self._address if self.address is None else self.address)
 
 
 class Piece(NamedTuple):
@@ -98,6 +121,7 @@ class FrameLog:
         except OSError as error:
             raise unwritable(self.path, error) from error
         told = {key: value for key, value in asdict(head).items() if value is not None}
+        told["layout_version"] = LAYOUTS[head.array].version if head.array in LAYOUTS else 1
         self._write(json.dumps({"palmfield_log": VERSION, **told}) + "\n")
 
     def add(self, time_s: float, data: bytes, *, whole: bool = True) -> None:
@@ -124,17 +148,18 @@ def read_log(path: str | Path) -> tuple[LogHead, list[Piece]]:
     """
     file = Path(path)
     try:
-        lines = file.read_text(encoding="utf-8").split("\n")
+        lines = read_text(file).split("\n")
     except (OSError, UnicodeDecodeError) as error:
         raise SceneError(
             f"{file} can't be read as a log: {error}; give a file of --log, or --board for raw bytes"
         ) from None
     try:
-        head = json.loads(lines[0])
+        head = plain(json.loads, lines[0])
         version = head.pop("palmfield_log")
         if version != VERSION:
             raise SceneError(f"{file} is a log of version {version}; allowed: {VERSION}")
         air = Air(**head.pop("air"))
+        head["array"] = layout_of_version(head["array"], head.pop("layout_version", 1))
         read = LogHead(air=air, **head)
         _ = read.elements
         if read.address is not None and sorted(read.address) != list(range(read.transducers)):
@@ -151,7 +176,7 @@ def _pieces(lines: list[str]) -> Iterator[Piece]:
         if not line:
             continue
         try:
-            value = json.loads(line)
+            value = plain(json.loads, line)
         except ValueError:
             if number == len(lines) - 1:
                 return
@@ -162,7 +187,7 @@ def _pieces(lines: list[str]) -> Iterator[Piece]:
 def is_log(path: str | Path) -> bool:
     """Whether a file begins as a log does."""
     try:
-        with Path(path).open("rb") as file:
+        with regular(path).open("rb") as file:
             return file.read(16).startswith(b'{"palmfield_log"')
     except OSError:
         return False

@@ -1,36 +1,78 @@
-"""Lines that come in over a socket, by UDP or TCP, heard by a thread of its own."""
+"""Lines of JSON that come in over a socket, by UDP or TCP: the one door through which other programs reach a run."""
 
-import contextlib
+import json
+import logging
+import selectors
 import socket
 import threading
 import time
-from collections.abc import Callable
-from typing import Literal, Self
+from abc import ABC, abstractmethod
+from collections import Counter
+from typing import Any, Literal, Self
 
 from palmfield.errors import DeviceError
 from palmfield.realtime import follower
 
+LOG = logging.getLogger(__name__)
 By = Literal["udp", "tcp"]
 LONGEST_LINE = 65536
-LOOK_S = 0.1
-"""So often it is looked whether to stop."""
+LOOK_S = 0.02
+"""The sockets are looked at no less often, as long as this process runs."""
+STALE_S = 0.1
+"""What arrived longer ago is not used any more."""
+HELD_BACK, LINE_COSTS = 49152, 512
+"""After so many bytes that waited, the system of their sender may hold back more that are as old; and what a line takes
+of the system's memory besides. Linux blocks a sender that is not read from 94 kB on, or from 142 lines of 50 bytes."""
+NEXT_SENDER_S = 1.0
+"""A UDP sender that has been silent for so long may be followed by another one."""
+WAITING = 8
+"""TCP connections that may be open without a good line so far; one more closes the oldest."""
+FOREIGN = "garbled", "keys", "convention"
+"""Kinds of faults of a first line that ends its connection: that is no program which speaks to us."""
+TOLD, TOLD_LENGTH = 5, 300
+"""Bad lines of a kind that are reported in words, and characters of each."""
 
 
-class LineListener:
-    """Hears lines, each with the time at which it came, on the monotonic clock of this machine. A context manager.
+class BadLine(ValueError):
+    """A line that can't be used. kind: which fault, in a word or two, for counting"""
 
-    host, port: where it listens; by TCP one connection at a time
+    def __init__(self, kind: str, text: str) -> None:
+        super().__init__(f"{kind}: {text}")
+        self.kind = kind
+
+
+def read_object(line: str | bytes) -> dict[str, Any]:
+    """The JSON object in a line; its numbers are floats, inf where they are too large. Raises BadLine: garbled."""
+    try:
+        value = json.loads(line.decode() if isinstance(line, bytes) else line, parse_int=float)
+    except (ValueError, RecursionError, MemoryError) as error:
+        raise BadLine("garbled", f"{line[:60]!r} is no JSON object: {error}") from None
+    if not isinstance(value, dict):
+        raise BadLine("garbled", f"{line[:60]!r} is no JSON object, but a JSON {type(value).__name__}")
+    return value
+
+
+class LineListener(ABC):
+    """Takes the lines of one sender in a thread of its own. A context manager; a subclass says what a line means.
+
+    One sender has the door, from its first good line on: by TCP until its connection ends, by UDP until it has been
+    silent for NEXT_SENDER_S. All others are refused. A connection whose first line is none of ours (an HTTP request of
+    a web page) is closed. What waited for longer than STALE_S, while this process was stopped or starved, is skipped.
+
+    host, port, by: where it listens; taken: good lines so far
+    bad: how many lines of each kind were skipped; told: the first of each kind in words
     """
 
-    def __init__(self, on_line: Callable[[bytes, float], None], host: str, port: int, by: By) -> None:
-        """on_line: called in the listening thread with each line that isn't blank; port: 0 for any that is free
-
-        Raises DeviceError for an address that can't be listened at.
-        """
+    def __init__(self, host: str, port: int, by: By) -> None:
+        """port: 0 for any that is free. Raises DeviceError for an address that can't be listened at."""
         if by not in ("udp", "tcp"):
             raise DeviceError(f"lines are listened to by '{by}'; allowed: udp, tcp")
-        self.by, self._on_line = by, on_line
-        self._ended = threading.Event()
+        self.by, self.taken = by, 0
+        self.bad: Counter[str] = Counter()
+        self.told: list[str] = []
+        self._ended, self._news = threading.Event(), threading.Condition()
+        self._failed: BaseException | None = None
+        self._sender, self._sent_s = "", 0.0
         try:
             if by == "udp":
                 self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -39,15 +81,53 @@ class LineListener:
                 self._socket = socket.create_server((host, port))
         except (OSError, OverflowError) as error:
             raise DeviceError(f"{host}:{port} can't be listened at: {error}; give an address of this machine") from None
-        self._socket.settimeout(LOOK_S)
+        self._socket.setblocking(False)
         self.host, self.port = self._socket.getsockname()[:2]
-        self._thread = follower(self._listen)
+        self._open = selectors.DefaultSelector()
+        self._open.register(self._socket, selectors.EVENT_READ)
+        self._thread = follower(self._run)
         self._thread.start()
+
+    @abstractmethod
+    def take(self, line: bytes, came_s: float) -> None:
+        """Use a line that arrived at a time of time.monotonic() [s]; called in the listening thread.
+
+        Raises BadLine; any other exception counts as a garbled line.
+        """
+
+    def check(self) -> None:
+        """Raises DeviceError where the listening thread has failed, so that no line would be taken any more."""
+        if self._failed is not None:
+            raise DeviceError(
+                f"no lines are received any more at {self.by} {self.host}:{self.port}: {type(self._failed).__name__}: "
+                f"{self._failed}; start again"
+            )
+
+    def wait(self, after: int, timeout_s: float) -> bool:
+        """Wait until more than so many good lines have come; whether they have. Raises DeviceError as `check`."""
+        with self._news:
+            self._news.wait_for(lambda: self.taken > after or self._failed is not None, timeout_s)
+        self.check()
+        return self.taken > after
+
+    def skip(self, kind: str, text: str) -> None:
+        """Count a line that is not used."""
+        self.bad[kind] += 1
+        if self.bad[kind] <= TOLD:
+            # Others' text may hold what a terminal obeys, or can't show
+            self.told.append("".join(c if c.isprintable() else repr(c)[1:-1] for c in text[:TOLD_LENGTH]))
+
+    def skipped(self) -> str:
+        """Of each kind how many lines were skipped, in brackets; empty where none was."""
+        kinds = ", ".join(f"{count} {kind}" for kind, count in sorted(self.bad.items()))
+        return f" ({kinds})" if kinds else ""
 
     def close(self) -> None:
         self._ended.set()
         self._thread.join()
-        self._socket.close()
+        for key in list(self._open.get_map().values()):
+            self._socket_of(key).close()
+        self._open.close()
 
     def __enter__(self) -> Self:
         return self
@@ -55,38 +135,141 @@ class LineListener:
     def __exit__(self, *exception: object) -> None:
         self.close()
 
-    def _listen(self) -> None:
-        while not self._ended.is_set():
-            with contextlib.suppress(TimeoutError):
-                if self.by == "udp":
-                    data = self._socket.recv(LONGEST_LINE)
-                    now = time.monotonic()
-                    for line in data.splitlines():
-                        self._take(line, now)
-                else:
-                    peer, _ = self._socket.accept()
-                    with peer:
-                        self._serve(peer)
+    # -- the listening thread ------------------------------------------------------------------------------------------
 
-    def _serve(self, peer: socket.socket) -> None:
-        """Lines of one connection, until it ends; what was cut off at its end is a line too."""
-        peer.settimeout(LOOK_S)
-        rest = b""
+    def _run(self) -> None:
+        try:
+            self._listen()
+        except BaseException as error:
+            self._failed = error
+        with self._news:
+            self._news.notify_all()
+
+    def _listen(self) -> None:
+        """Look at all sockets again and again, and leave each of them empty."""
+        begun_s = time.monotonic()
+        while not self._ended.is_set():
+            # All was empty at some time after this: so long ago at most arrived what is found now
+            since_s, begun_s = begun_s, time.monotonic()
+            for key, _ in self._open.select(LOOK_S):
+                one = self._socket_of(key)
+                if one.fileno() < 0:
+                    continue
+                if one is not self._socket:
+                    self._read(one, key.data, since_s)
+                elif self.by == "udp":
+                    self._read_datagrams(since_s)
+                else:
+                    self._accept(since_s)
+
+    @staticmethod
+    def _socket_of(key: selectors.SelectorKey) -> socket.socket:
+        assert isinstance(key.fileobj, socket.socket)
+        return key.fileobj
+
+    def _read_datagrams(self, since_s: float) -> None:
+        while not self._ended.is_set():
+            try:
+                data, sender = self._socket.recvfrom(LONGEST_LINE)
+            except BlockingIOError:
+                return
+            except ConnectionError:
+                continue
+            for line in data.splitlines():
+                self._line(_name(sender), line, since_s)
+
+    def _accept(self, since_s: float) -> None:
+        while True:
+            try:
+                peer, address = self._socket.accept()
+            except BlockingIOError:
+                return
+            except ConnectionError:
+                continue
+            if self._sender:
+                self._refuse(_name(address))
+                peer.close()
+                continue
+            others = [self._socket_of(key) for key in self._open.get_map().values() if key.data is not None]
+            for other in others[: len(others) + 1 - WAITING]:
+                self._hang_up(other)
+            peer.setblocking(False)
+            # A sender whose cable was pulled does not keep the door for ever
+            peer.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+            for option, value in (("TCP_KEEPIDLE", 5), ("TCP_KEEPINTVL", 2), ("TCP_KEEPCNT", 3)):
+                if hasattr(socket, option):
+                    peer.setsockopt(socket.IPPROTO_TCP, getattr(socket, option), value)
+            name = _name(address)
+            self._open.register(peer, selectors.EVENT_READ, (name, rest := bytearray()))
+            self._read(peer, (name, rest), since_s)
+
+    def _read(self, peer: socket.socket, of: tuple[str, bytearray], since_s: float) -> None:
+        """All that a connection has sent; what was cut off at its end is a line too."""
+        name, rest = of
+        waited = 0
         while not self._ended.is_set():
             try:
                 data = peer.recv(LONGEST_LINE)
-            except TimeoutError:
-                continue
+            except BlockingIOError:
+                return
             except OSError:
                 data = b""
-            now = time.monotonic()
-            *lines, rest = (rest + data).split(b"\n")
-            for line in lines:
-                self._take(line, now)
-            if not data or len(rest) > LONGEST_LINE:
-                self._take(rest, now)
+            if time.monotonic() - since_s > STALE_S:
+                waited += len(data) + LINE_COSTS * data.count(b"\n")
+            rest += data
+            *lines, last = bytes(rest).split(b"\n")
+            rest[:] = last
+            whole = lines if data and len(last) <= LONGEST_LINE else [*lines, last]
+            good = all(self._line(name, line, since_s) for line in whole)
+            if waited > HELD_BACK:
+                self.skip("stale", f"{name} sent more than could wait here, and its connection is closed")
+                good = False
+            if not good or not data:
+                self._hang_up(peer, name)
                 return
 
-    def _take(self, line: bytes, now: float) -> None:
-        if line.strip():
-            self._on_line(line, now)
+    def _hang_up(self, peer: socket.socket, name: str = "") -> None:
+        self._open.unregister(peer)
+        peer.close()
+        if name == self._sender:
+            self._sender = ""
+
+    def _line(self, name: str, line: bytes, since_s: float) -> bool:
+        """Take a line, if it may be taken; whether its sender may go on."""
+        if not line.strip():
+            return True
+        now = time.monotonic()
+        has_door = name == self._sender
+        if not has_door and self._sender and (self.by == "tcp" or now - self._sent_s <= NEXT_SENDER_S):
+            self._refuse(name)
+            return False
+        # Who looks at every moment knows when a line came; else it may be as old as the last look
+        came_s = now if now - since_s <= 3.0 * LOOK_S else since_s
+        if now - came_s > STALE_S:
+            self.skip("stale", f"{line[:60]!r} waited here for up to {now - came_s:.2g} s; {STALE_S:g} s are allowed")
+            return has_door
+        if len(line) > LONGEST_LINE:
+            self.skip("garbled", f"garbled: {line[:60]!r} has more than {LONGEST_LINE} bytes; give an object a line")
+            return False
+        try:
+            self.take(line, came_s)
+        except BadLine as error:
+            self.skip(error.kind, str(error))
+            return has_door or error.kind not in FOREIGN
+        except Exception as error:
+            self.skip("garbled", f"garbled: {line[:60]!r}: {type(error).__name__}: {error}")
+            return has_door
+        self._sender, self._sent_s = name, now
+        with self._news:
+            self._news.notify_all()
+        return True
+
+    def _refuse(self, name: str) -> None:
+        text = f"{name} is refused: {self._sender} sends already, and one sender is taken at a time"
+        if self.bad["second sender"] < TOLD:
+            LOG.warning(text)
+        self.skip("second sender", text)
+
+
+def _name(address: tuple[str, int]) -> str:
+    return f"{address[0]}:{address[1]}"

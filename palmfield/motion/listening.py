@@ -1,19 +1,18 @@
 """A hand that a tracker tells of over a socket: lines of JSON by UDP or TCP, the bad ones counted and skipped."""
 
 import math
-import threading
-from collections import Counter
 from collections.abc import Callable
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
 
-from palmfield.motion.line_listener import By, LineListener
+from palmfield.motion.line_listener import BadLine, By, LineListener
 from palmfield.motion.tracking import Stream
-from palmfield.motion.wire import BadSample, Sample, read_sample
+from palmfield.motion.wire import Sample, read_sample
 
-TOLD = 5
-"""Bad samples of a kind that are told in words."""
+JUMP_S, SURE = 1.0, 10
+"""By less the tracker's clock and this machine's differ from one sample to another, or else the clock was set, if so
+many in a row agree: one sample with a time far ahead would make all later ones late."""
 
 
 class Arrived(NamedTuple):
@@ -23,11 +22,10 @@ class Arrived(NamedTuple):
     sample: Sample
 
 
-class Listener:
+class Listener(LineListener):
     """Takes samples from a socket. Use as a context manager.
 
-    host, port: where it listens; taken: good samples in the order in which they came, by rising times of the tracker
-    bad: how many of each kind were skipped; told: the first of them in words
+    samples: good ones in the order in which they came, by rising times of the tracker
     """
 
     def __init__(
@@ -38,22 +36,16 @@ class Listener:
         Raises DeviceError for an address that can't be listened at.
         """
         self._on_sample = on_sample
-        self.taken: list[Arrived] = []
-        self.bad: Counter[str] = Counter()
-        self.told: list[str] = []
+        self.samples: list[Arrived] = []
+        self._before: Arrived | None = None
+        self._agreeing = 0
         self._joints: tuple[int, ...] | None = None
         self._offset_s = math.inf
-        self._came = threading.Event()
-        self._lines = LineListener(self._take, host, port, by)
-        self.host, self.port, self.by = self._lines.host, self._lines.port, by
-
-    def wait(self, timeout_s: float) -> bool:
-        """Wait for the first good sample; whether there is one."""
-        return self._came.wait(timeout_s)
+        super().__init__(host, port, by)
 
     def stream(self) -> Stream:
         """All good samples so far."""
-        taken = [arrived.sample for arrived in list(self.taken)]
+        taken = [arrived.sample for arrived in list(self.samples)]
         return Stream(
             np.array([one.time_s for one in taken]),
             *(np.array(part) for part in zip(*(one[1:] for one in taken), strict=True)),
@@ -65,36 +57,30 @@ class Listener:
 
     def report(self) -> str:
         """How many samples were taken and skipped, in words."""
-        skipped = ", ".join(f"{count} {kind}" for kind, count in sorted(self.bad.items()))
-        return f"{len(self.taken)} samples taken, {sum(self.bad.values())} skipped{f' ({skipped})' if skipped else ''}"
+        return f"{self.taken} samples taken, {sum(self.bad.values())} skipped{self.skipped()}"
 
-    def close(self) -> None:
-        self._lines.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self.close()
-
-    def _take(self, line: bytes, now: float) -> None:
-        try:
-            sample = read_sample(line)
-            joints = tuple(np.flatnonzero(sample.flags).tolist())
-            if self.taken and sample.time_s <= self.taken[-1].sample.time_s:
-                last = self.taken[-1].sample.time_s
-                raise BadSample("late", f"its time {sample.time_s:g} s is not after {last:g} s")
-            if self._joints is not None and len(set(self._joints) - set(joints)) > len(self._joints) // 2:
-                raise BadSample("joints", f"{len(joints)} joints, where there were {len(self._joints)}")
-        except BadSample as error:
-            self.bad[error.kind] += 1
-            if self.bad[error.kind] <= TOLD:
-                self.told.append(str(error))
-            return
+    def take(self, line: bytes, came_s: float) -> None:
+        sample = read_sample(line)
+        before, self._before = self._before, Arrived(came_s, sample)
+        self._agreeing = self._agreeing + 1 if before is not None and _agree(before, self._before) else 0
+        if self.samples and not _agree(self.samples[-1], self._before) and self._agreeing < SURE:
+            last = self.samples[-1].sample.time_s
+            raise BadLine("clock", f"its time {sample.time_s:g} s is {sample.time_s - last:.3g} s after {last:g} s")
+        joints = tuple(np.flatnonzero(sample.flags).tolist())
+        if self.samples and sample.time_s <= self.samples[-1].sample.time_s:
+            last = self.samples[-1].sample.time_s
+            raise BadLine("late", f"its time {sample.time_s:g} s is not after {last:g} s")
+        if self._joints is not None and len(set(self._joints) - set(joints)) > len(self._joints) // 2:
+            raise BadLine("joints", f"{len(joints)} joints, where there were {len(self._joints)}")
         self._joints = self._joints or joints
-        arrived = Arrived(now, sample)
-        self._offset_s = min(self._offset_s, now - sample.time_s)
-        self.taken.append(arrived)
+        arrived = self._before
+        self._offset_s = min(self._offset_s, came_s - sample.time_s)
+        self.samples.append(arrived)
+        self.taken += 1
         if self._on_sample is not None:
             self._on_sample(arrived)
-        self._came.set()
+
+
+def _agree(one: Arrived, other: Arrived) -> bool:
+    """Whether as much time has passed between two samples by the tracker's clock as by this machine's, to JUMP_S."""
+    return abs(other.sample.time_s - one.sample.time_s - (other.time_s - one.time_s)) < JUMP_S

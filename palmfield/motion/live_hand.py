@@ -7,10 +7,10 @@ from typing import NamedTuple, Self
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from palmfield.errors import SceneError
+from palmfield.errors import DeviceError, PalmfieldError, SceneError
 from palmfield.hand.articulated import ArticulatedHand
 from palmfield.motion.joints import POSITION_VALID
-from palmfield.motion.line_listener import By
+from palmfield.motion.line_listener import STALE_S, By
 from palmfield.motion.listening import Arrived, Listener
 from palmfield.motion.pose import HandPose
 from palmfield.motion.prediction import Noise, Predictor
@@ -22,8 +22,6 @@ from palmfield.types import Float
 PALM_SAMPLES = 5
 """Samples with all joints of the palm from which its shape is taken."""
 PREDICT_S = 0.2
-STALE_S = 0.1
-"""A hand that was seen longer ago is taken for lost."""
 
 
 class LivePose(NamedTuple):
@@ -63,7 +61,7 @@ class LiveHand:
         self._last: Arrived | None = None
         self._palms: list[tuple[Float, Bool]] = []
         self._follower: Follower | None = None
-        self._error: SceneError | None = None
+        self._error: PalmfieldError | None = None
         self.newest: LivePose | None = None
         self.fit_s: list[float] = []
         self._thread = follower(self._follow)
@@ -84,7 +82,8 @@ class LiveHand:
         )
 
     def check(self) -> None:
-        """Raise what the thread that follows has met: SceneError for a hand of the other side."""
+        """Raise what the threads have met: SceneError for a hand of the other side, DeviceError where one failed."""
+        self.listener.check()
         if self._error is not None:
             raise self._error
 
@@ -132,8 +131,11 @@ class LiveHand:
             began = time.perf_counter()
             try:
                 pose = self._pose(positions, valid)
-            except SceneError as error:
+            except PalmfieldError as error:
                 self._error = error
+                return
+            except Exception as error:
+                self._error = DeviceError(f"the hand can't be fitted to the tracker's samples: {error!r}; start again")
                 return
             if pose is not None:
                 self.fit_s.append(time.perf_counter() - began)

@@ -25,6 +25,7 @@ from palmfield.motion.joints import (
     POSITION_TRACKED,
     POSITION_VALID,
 )
+from palmfield.motion.line_listener import BadLine, read_object
 from palmfield.types import Float, Int
 
 Convention = Literal["openxr", "leapc"]
@@ -50,32 +51,19 @@ class Sample(NamedTuple):
     flags: Int
 
 
-class BadSample(Exception):
-    """A sample that can't be used. kind: which fault, a word; text: in words"""
-
-    def __init__(self, kind: str, text: str) -> None:
-        super().__init__(f"{kind}: {text}")
-        self.kind = kind
-
-
 def read_sample(line: str | bytes) -> Sample:
-    """The sample in a line. Raises BadSample: garbled, convention, joints, numbers, lost or unit."""
-    try:
-        value = json.loads(line)
-    except ValueError as error:
-        raise BadSample("garbled", f"no JSON object: {error}") from None
-    if not isinstance(value, dict):
-        raise BadSample("garbled", f"a JSON {type(value).__name__}; give an object")
+    """The sample in a line. Raises BadLine: garbled, convention, joints, numbers, lost or unit."""
+    value = read_object(line)
     convention = value.get("convention")
     if convention not in CONVENTIONS:
-        raise BadSample("convention", f"convention is {convention!r}; allowed: {', '.join(CONVENTIONS)}")
+        raise BadLine("convention", f"convention is {convention!r}; allowed: {', '.join(CONVENTIONS)}")
     time_s = _time(value, convention)
     if value.get("hand", "right") is None:
-        raise BadSample("lost", "the tracker sees no hand")
+        raise BadLine("lost", "the tracker sees no hand")
     try:
         joints = _openxr(value) if convention == "openxr" else _leapc(value)
     except (KeyError, TypeError, AttributeError) as error:
-        raise BadSample("joints", f"{convention} lacks {error}; see `palmfield track --help`") from None
+        raise BadLine("joints", f"{convention} lacks {error}; see `palmfield track --help`") from None
     count = len(JOINTS)
     positions, quaternions = np.zeros((count, 3)), np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
     radii, flags = np.full(count, RADIUS_M), np.zeros(count, np.int32)
@@ -85,9 +73,9 @@ def read_sample(line: str | bytes) -> Sample:
         flags[number] = POSITION_VALID | POSITION_TRACKED
         if turn is not None:
             x, y, z, w = _numbers(turn, 4, name)
-            length = math.sqrt(x * x + y * y + z * z + w * w)
+            length = math.hypot(x, y, z, w)
             if length < 1e-6:
-                raise BadSample("numbers", f"orientation of {name} has length {length:g}")
+                raise BadLine("numbers", f"orientation of {name} has length {length:g}")
             quaternions[number] = np.array([w, x, y, z]) / length
             flags[number] = ALL_FLAGS
         if radius is not None:
@@ -126,7 +114,7 @@ def _openxr(value: dict[str, Any]) -> dict[str, Joint]:
     for given, one in value["joints"].items():
         name = given.lower().removeprefix("xr_hand_joint_").removesuffix("_ext")
         if name not in JOINTS:
-            raise BadSample("joints", f"joint '{given}' is none of OpenXR's 26")
+            raise BadLine("joints", f"joint '{given}' is none of OpenXR's 26")
         joints[name] = one["position"], one.get("orientation"), one.get("radius")
     return joints
 
@@ -141,7 +129,7 @@ def _leapc(value: dict[str, Any]) -> dict[str, Joint]:
     for leap, digit in LEAP_DIGITS.items():
         bones = value[leap]["bones"]
         if len(bones) != 4:
-            raise BadSample("joints", f"{leap} has {len(bones)} bones; LEAP_DIGIT has 4")
+            raise BadLine("joints", f"{leap} has {len(bones)} bones; LEAP_DIGIT has 4")
         for bone, place in zip(bones[_first(digit) :], _places(digit), strict=True):
             width = bone.get("width")
             radius = None if width is None else 0.5 * LEAP_SCALE_M * float(width)
@@ -191,30 +179,30 @@ def _numbers(values: Any, count: int, what: str) -> Float:
     try:
         numbers = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError):
-        raise BadSample("numbers", f"{what} has {values!r}; give {count} numbers") from None
+        raise BadLine("numbers", f"{what} has {values!r}; give {count} numbers") from None
     if numbers.shape != (count,) or not np.isfinite(numbers).all():
-        raise BadSample("numbers", f"{what} has {values!r}; give {count} finite numbers")
+        raise BadLine("numbers", f"{what} has {values!r}; give {count} finite numbers")
     return numbers
 
 
 def _time(value: dict[str, Any], convention: str) -> float:
     key = "time_s" if convention == "openxr" else "timestamp"
     given = value.get(key)
-    if isinstance(given, bool) or not isinstance(given, int | float) or not math.isfinite(given):
-        raise BadSample("numbers", f"{key} is {given!r}; give a number")
-    return float(given) * (1.0 if convention == "openxr" else LEAP_TICK_S)
+    if not isinstance(given, float) or not math.isfinite(given):
+        raise BadLine("numbers", f"{key} is {given!r}; give a number")
+    return given * (1.0 if convention == "openxr" else LEAP_TICK_S)
 
 
 def _check_size(positions: Float, flags: Int) -> None:
     """Refuse what is no hand in metres."""
     valid = (flags & POSITION_VALID) != 0
     if not valid.any():
-        raise BadSample("lost", "no joint has a position")
+        raise BadLine("lost", "no joint has a position")
     farthest = float(np.abs(positions[valid]).max())
     if farthest > FARTHEST_M:
-        raise BadSample("unit", f"a joint is {farthest:.3g} m away; give metres (openxr) or millimetres (leapc)")
+        raise BadLine("unit", f"a joint is {farthest:.3g} m away; give metres (openxr) or millimetres (leapc)")
     wrist, tip = JOINTS.index("wrist"), JOINTS.index("middle_tip")
     if valid[wrist] and valid[tip]:
         length = float(np.linalg.norm(positions[tip] - positions[wrist]))
         if not USUAL_M[0] < length < USUAL_M[1] and length > 0.0:
-            raise BadSample("unit", f"the hand is {length:.3g} m long; give metres (openxr) or millimetres (leapc)")
+            raise BadLine("unit", f"the hand is {length:.3g} m long; give metres (openxr) or millimetres (leapc)")

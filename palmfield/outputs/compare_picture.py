@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from palmfield.instruments.agreement import Agreement
 from palmfield.instruments.frequency_wavenumber import FrequencyWavenumber, on_plane
 from palmfield.instruments.scan import Scan
-from palmfield.outputs.style import COLOURS, save, style
+from palmfield.outputs.style import COLOURS, LINES, save, style
 
 DEPTH = 1e-2
 """Amplitudes down to this share of the largest are drawn."""
@@ -28,8 +28,9 @@ def draw_agreement(measured: Scan, computed: Scan, numbers: Agreement, path: Pat
         best = int(numbers.level.argmax())
         factor, label = SHOWN[measured.quantity]
         trace = axes["trace"]
-        for scan, name, colour in ((measured, "measured", COLOURS[0]), (computed, "computed", COLOURS[1])):
-            trace.plot(1e3 * scan.times_s, factor * scan.values[:, best], color=colour, lw=1.0, label=name)
+        both = (measured, "measured"), (computed, "computed")
+        for (scan, name), colour, line in zip(both, COLOURS, LINES, strict=False):
+            trace.plot(1e3 * scan.times_s, factor * scan.values[:, best], line, color=colour, lw=1.0, label=name)
         trace.set_xlabel("time [ms]")
         trace.set_ylabel(label)
         trace.set_title(f"loudest point, gain {numbers.gain[best]:.2f}, coherence {numbers.coherence[best]:.2f}")

@@ -1,6 +1,9 @@
-"""What of a body is seen beside the skins that lie on it."""
+"""How a body is drawn beneath its skins: sunk, so that it neither shows through them nor leaves a gap."""
+
+from typing import NamedTuple
 
 import numpy as np
+import trimesh
 import xarray as xr
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
@@ -9,27 +12,65 @@ from trimesh.remesh import subdivide_to_size
 from palmfield.types import Float, Int
 
 COVERED_M = 4e-3
-"""A body's vertex nearer than this to the inside of its skin is covered by it: coarse skins cut corners."""
+"""A body's vertex nearer than this to the inside of a skin is covered by it: coarse skins cut corners."""
 EDGE_M = 2e-3
 """So close together are the points of the skin that distances are taken to."""
+SUNK_M = 3e-3
+"""Depth of a covered vertex below the skin: more than the largest magnified push. It is less near the skin's rim."""
 
 
-def uncovered_faces(surface: xr.Dataset, skins: list[xr.Dataset]) -> Int:
-    """Triangles of a body's surface on which none of its skins lies, shape (n, 3).
+class Under(NamedTuple):
+    """Vertices of a body that skins cover. All of shape (c,).
+
+    vertex: their numbers; skin, node: the skin and its node nearest to each
+    depth_m: how far each is moved against that node's outward normal [m]
+    """
+
+    vertex: Int
+    skin: Int
+    node: Int
+    depth_m: Float
+
+
+def under(points: Float, skins: list[tuple[Float, Int, Float]]) -> Under:
+    """The vertices of a body that its skins cover, and how deep they are drawn.
+
+    points: the body's at rest [m], (n, 3); skins: nodes [m] (s, 3), triangles (f, 3) and outward normals (s, 3) of each
+    Depth grows from 0 at a skin's rim as the distance to it, up to SUNK_M, so that body and skin meet at the rim.
+    """
+    found = [Under(*(np.zeros(0, np.int32),) * 3, np.zeros(0))]
+    free: NDArray[np.bool_] = np.ones(len(points), np.bool_)
+    for number, (nodes, faces, normals) in enumerate(skins):
+        over, rim = _dense(nodes, faces)
+        away, nearest = cKDTree(over).query(points)
+        # A vertex nearest to the rim lies beside the skin
+        vertex = np.flatnonzero(free & (away < COVERED_M) & ~rim[nearest]).astype(np.int32)
+        free[vertex] = False
+        node = cKDTree(nodes).query(over[nearest[vertex]])[1].astype(np.int32)
+        above = np.einsum("ij,ij->i", points[vertex] - over[nearest[vertex]], normals[node])
+        inside = cKDTree(over[rim]).query(points[vertex])[0] if rim.any() else np.full(len(vertex), SUNK_M)
+        depth = np.maximum(above, 0.0) + np.minimum(0.3 * inside, SUNK_M)
+        found.append(Under(vertex, np.full(len(vertex), number, np.int32), node, depth))
+    return Under(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
+
+
+def sunk(surface: xr.Dataset, skins: list[xr.Dataset]) -> xr.Dataset:
+    """A body's surface whose rest positions lie below its skins where those cover it.
 
     surface: of `instances(result, "surface")`; skins: of `instances(result, "skin")`, on the same body
     """
-    faces: Int = surface["face"].values
-    if not skins:
-        return faces
-    points: Float = surface["rest_position"].values
-    covered: NDArray[np.bool_] = np.zeros(len(points), np.bool_)
-    for skin in skins:
-        over, rim = _dense(skin["rest_position"].values, skin["face"].values)
-        away, nearest = cKDTree(over).query(points)
-        # What is nearest to the skin's rim lies beside the skin
-        covered |= (away < COVERED_M) & ~rim[nearest]
-    return faces[~covered[faces].all(axis=1)]
+    points: Float = surface["rest_position"].values.astype(float)
+    shapes = [(skin["rest_position"].values, skin["face"].values, skin["rest_normal"].values) for skin in skins]
+    covered = under(points, shapes)
+    for number, (_, _, normals) in enumerate(shapes):
+        mine = covered.skin == number
+        points[covered.vertex[mine]] -= covered.depth_m[mine, None] * normals[covered.node[mine]]
+    return surface.assign(rest_position=surface["rest_position"].copy(data=points))
+
+
+def smooth_normals(points: Float, faces: Int) -> Float:
+    """Unit normals of vertices, shape (n, 3): the mean of those of the triangles round each, by their angles."""
+    return np.asarray(trimesh.Trimesh(points, faces, process=False).vertex_normals)
 
 
 def _dense(vertices: Float, faces: Int) -> tuple[Float, NDArray[np.bool_]]:

@@ -19,14 +19,14 @@ from matplotlib.figure import Figure
 
 from palmfield.errors import OutputError, did_you_mean, unwritable
 from palmfield.outputs.camera import Camera, look_along_emission
-from palmfield.outputs.covered import uncovered_faces
+from palmfield.outputs.covered import smooth_normals, sunk
 from palmfield.outputs.frames import bodies, in_world, nearest, pose_at
 from palmfield.outputs.motion import extremes, normal_component
 from palmfield.outputs.pictures.asked import IN_MICRO, UNITS
 from palmfield.outputs.render import Part, cast, joined
 from palmfield.outputs.schema import has_records, instances
 from palmfield.outputs.style import signed_colours, style
-from palmfield.types import Float, Int
+from palmfield.types import Float
 
 SHOWN = ("displacement", "velocity", "arp")
 FPS = 25
@@ -34,10 +34,7 @@ SLOW = 200.0
 """A second of film is 5 ms."""
 SEEN_M = 2e-3
 """As far as the largest motion is magnified, where no factor is given."""
-LIFT_M = 3e-4
-"""By so much the skin is drawn above its body, that the two do not flicker."""
 QUALITY = (1, 3)
-FLESH = (0.86, 0.74, 0.66)
 DPI, DRAWN_FOR = 100, (800, 600)
 """Text has its size at so many pixels an inch in a picture of that width and height, and grows with the picture."""
 POSES = 16
@@ -64,10 +61,10 @@ class Cut:
 
 
 class _Look(NamedTuple):
-    """What stays the same in all frames. around: by one skin of each body, its triangles that no skin lies on"""
+    """What stays the same in all frames. around: by one skin of each body, its surface, sunk below its skins"""
 
     skins: dict[str, xr.Dataset]
-    around: dict[str, Int]
+    around: dict[str, xr.Dataset]
     camera: Camera
     colours: ListedColormap
     limits: tuple[float, float]
@@ -155,13 +152,13 @@ def _look(result: xr.DataTree, cut: Cut, times: Float) -> _Look:
     limits = cut.limits or (low, max(top, low + 1e-12))
     if cut.shown != "arp":
         colours = signed_colours(*limits, left_out=0.02)
-    around: dict[str, Int] = {}
+    around: dict[str, xr.Dataset] = {}
     for on_body in bodies(result).values():
         own = [name for name in on_body if name in skins]
         # Skins on one body share its surface
         first_own = next((name for name in own if name in surfaces), None)
         if first_own is not None:
-            around[first_own] = uncovered_faces(surfaces[first_own], [skins[name] for name in own])
+            around[first_own] = sunk(surfaces[first_own], [skins[name] for name in own])
     return _Look(skins, around, camera, ListedColormap(colours), limits, unit, magnify)
 
 
@@ -211,15 +208,19 @@ class _Frame:
             else:
                 shown = IN_MICRO * normal_component(skin, cut.shown, now).values[0].astype(float)
             outward = np.array(mesh.vertex_normals)
-            mesh.vertices = vertices + (LIFT_M + look.magnify * push)[:, None] * outward
+            mesh.vertices = vertices + look.magnify * push[:, None] * outward
             meshes.append(mesh)
             low, high = look.limits
             levels.append(np.clip((shown - low) / (high - low), 0.0, 1.0))
-            if len(look.around.get(name, ())):
-                places = in_world(surfaces[name], groups.get(name), time_s)
-                body = trimesh.Trimesh(places, look.around[name], process=False)
-                body.unmerge_vertices()
-                parts.append(Part(body, FLESH, 0.05, 1.0))
+            if name in look.around:
+                faces = surfaces[name]["face"].values
+                # Shaded as at its true place: the sunk part's edge would darken the body beside the skin
+                normals = smooth_normals(in_world(surfaces[name], groups.get(name), time_s), faces)[faces.ravel()]
+                corners = in_world(look.around[name], groups.get(name), time_s)[faces.ravel()]
+                triangles = np.arange(len(corners)).reshape(-1, 3)
+                body = trimesh.Trimesh(corners, triangles, vertex_normals=normals, process=False)
+                at_rest = look.colours(float(np.clip(-low / (high - low), 0.0, 1.0)))[:3]
+                parts.append(Part(body, at_rest, 0.05, 1.0))
         painted = joined(meshes)
         picture = cast(painted, np.concatenate(levels), parts, look.camera, cut.size, look.colours, QUALITY)
         self._clock.set_text(

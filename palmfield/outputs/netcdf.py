@@ -17,7 +17,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from palmfield.outputs.schema import LABELS, RECORDS, Attributes, Checked, Variable, ordered, variables_of
+from palmfield.outputs.schema import LABELS, PLACES, RECORDS, ROOT, Attributes, Checked, Variable, ordered, variables_of
 
 CHUNK_BYTES = 1_000_000
 """Of a compressed chunk in the result. HDF5 keeps 1 MiB a variable: a chunk is filled before it is packed."""
@@ -107,7 +107,10 @@ class ResultWriter:
     """Writes groups, static variables, and the parts of record variables one after the other."""
 
     def __init__(self, file: h5netcdf.File, lengths: dict[str, int], *, packed: bool) -> None:
-        """lengths: of the record dimensions; packed: compress what goes along them"""
+        """lengths: of the record dimensions
+
+        packed: a result, whose records are compressed, and whose groups have the coordinates that are the root's
+        """
         self._file, self._lengths, self._packed = file, lengths, packed
         for dim, length in lengths.items():
             if length:
@@ -121,11 +124,15 @@ class ResultWriter:
 
     def labels(self) -> None:
         """The names of components, in the root."""
-        for name, (names, what) in LABELS.items():
-            self._file.dimensions[name] = len(names)
-            made = self._file.create_variable(name, (name,), h5py.string_dtype())
-            made[...] = np.array(names, dtype=object)
-            made.attrs["long_name"] = what
+        for name in LABELS:
+            self._label(self._file, name)
+
+    def _label(self, group: Any, name: str) -> None:
+        names, what = LABELS[name]
+        group.dimensions[name] = len(names)
+        made = group.create_variable(name, (name,), h5py.string_dtype())
+        made[...] = np.array(names, dtype=object)
+        made.attrs["long_name"] = what
 
     def put(self, arrays: Checked, start: dict[str, int]) -> None:
         """Write variables; of those along a record dimension, the part that begins at `start`."""
@@ -135,12 +142,26 @@ class ResultWriter:
             for name, array in variables.items():
                 made = group.variables.get(name)
                 made = self._create(group, name, known[name], array.shape) if made is None else made
-                values = _stored(array)
-                dim = record_of(known[name])
-                if dim is not None:
-                    made[start[dim] : start[dim] + len(values)] = values
-                else:
-                    made[...] = values
+                self._fill(made, record_of(known[name]), array, start)
+            if self._packed and path != "/":
+                self._put_times(group, {record_of(known[name]) for name in variables}, arrays.get("/", {}), start)
+
+    def _put_times(
+        self, group: Any, dims: set[str | None], times: dict[str, NDArray[Any]], start: dict[str, int]
+    ) -> None:
+        """The times of a group's records, so that it can be opened without the root."""
+        for dim in RECORDS:
+            if dim in dims and dim in times:
+                made = group.variables.get(dim)
+                made = self._create(group, dim, ROOT[dim], times[dim].shape) if made is None else made
+                self._fill(made, dim, times[dim], start)
+
+    def _fill(self, made: Any, dim: str | None, array: NDArray[Any], start: dict[str, int]) -> None:
+        values = _stored(array)
+        if dim is None:
+            made[...] = values
+        else:
+            made[start[dim] : start[dim] + len(values)] = values
 
     def _group(self, path: str) -> Any:
         if path == "/":
@@ -151,7 +172,11 @@ class ResultWriter:
         dim = record_of(variable)
         shape = shape if dim is None else (self._lengths[dim], *shape[1:])
         for own, length in zip(variable.dims, shape, strict=True):
-            if own not in RECORDS and own not in LABELS and own not in group.dimensions:
+            if own in group.dimensions or (not self._packed and (own in RECORDS or own in LABELS)):
+                continue
+            if own in LABELS:
+                self._label(group, own)
+            else:
                 group.dimensions[own] = length
         extra: dict[str, Any] = {}
         dtype: Any = np.dtype("int8") if variable.dtype == "bool" else variable.dtype
@@ -162,6 +187,8 @@ class ResultWriter:
             extra = COMPRESSION | {"chunks": (min(shape[0], max(1, CHUNK_BYTES // row)), *shape[1:])}
         made = group.create_variable(name, variable.dims, dtype, **extra)
         made.attrs.update(variable.attributes)
+        if "vertex" in variable.dims and name != PLACES:
+            made.attrs["coordinates"] = PLACES
         if variable.dtype == "bool":
             made.attrs["dtype"] = "bool"
         return made

@@ -15,12 +15,14 @@ from palmfield.outputs.budget_text import in_a_line
 from palmfield.outputs.frames import Loudest, check_time, foci_at, in_world, loudest, nearest, to_local
 from palmfield.outputs.motion import at_vertices, extremes
 from palmfield.outputs.schema import has_records, instances
-from palmfield.outputs.skin_view import SkinView, draw_patch, probe_vertices, seen_from_array
-from palmfield.outputs.style import COLOURS, save, style
+from palmfield.outputs.skin_view import SkinView, draw_patch, probe_vertices, view_of_skin
+from palmfield.outputs.style import COLOURS, LINES, save, style
 from palmfield.types import Float
 
 DPI = 150
 NARROW = 1.5
+SIDE_LOBES = 0.5
+"""Power of the pressures' colours: a side lobe of -13 dB is 0.22 of the peak, and its ARP 0.05."""
 
 
 def plot_pressure(result: xr.DataTree, path: Path) -> None:
@@ -30,7 +32,7 @@ def plot_pressure(result: xr.DataTree, path: Path) -> None:
 
 
 def pressure_picture(result: xr.DataTree, names: list[str] | None = None, time_s: float | None = None) -> Figure:
-    """Peak pressure amplitude and ARP on each skin at its loudest instant, seen from the array that it faces.
+    """Peak pressure amplitude and ARP on each skin at its loudest instant, looking onto the array that it faces.
 
     result: of `open_result` or `tree`, with a skin and loudest_pressure or arp, and an array. One row a skin.
     names: of skins, None for all; time_s: another instant [s], of results that hold pressure or arp over time
@@ -43,8 +45,8 @@ def pressure_picture(result: xr.DataTree, names: list[str] | None = None, time_s
     if not skins:
         raise OutputError("the result holds neither loudest_pressure nor arp; run at least one step before plotting")
     if not instances(result, "array"):
-        raise OutputError("the result holds no array, from which the skin is seen; keep the groups /array")
-    views = {name: seen_from_array(result, name, skin, instants[name]) for name, skin in skins.items()}
+        raise OutputError("the result holds no array, in whose frame the skin is drawn; keep the groups /array")
+    views = {name: view_of_skin(result, name, skin, instants[name]) for name, skin in skins.items()}
     foci = _foci_of_skins(result)
     columns = max(len(panels[name]) for name in skins)
     figure = Figure(figsize=(0.6 + 4.4 * columns, 4.4 * len(skins)), dpi=DPI, layout="constrained")
@@ -54,10 +56,10 @@ def pressure_picture(result: xr.DataTree, names: list[str] | None = None, time_s
         _draw_skin(row, skin, views[name], panels[name], [(stimuli[key], own) for key, own in foci[name].items()])
         height = float(np.median(views[name].vertices[:, 2])) * 1e3
         whose = f" '{name}'" if len(skins) > 1 else ""
-        seer = f"array '{views[name].array}'" if len(instances(result, "array")) > 1 else "the array"
+        onto = f"array '{views[name].array}'" if len(instances(result, "array")) > 1 else "the array"
         row.suptitle(
-            f"Skin patch{whose} at t = {views[name].loudest.time_s * 1e3:.2f} ms, seen from {seer}\n"
-            f"(along its +z, so x runs left; the array is {height:.0f} mm nearer to you)",
+            f"Skin patch{whose} at t = {views[name].loudest.time_s * 1e3:.2f} ms, looking onto {onto}\n"
+            f"through the hand: x to the right, y up; the array is {height:.0f} mm behind the skin",
             fontsize=9,
             color="#555555",
         )
@@ -147,6 +149,7 @@ def _draw_skin(
             colours,
             (0.0, max(float(np.nanmax(values)), 1e-9)),
             "Pa",
+            SIDE_LOBES,
         )
         for stimulus, numbers in stimuli:
             _draw_foci(axes, stimulus, view, numbers)
@@ -177,9 +180,9 @@ def _draw_motion(figure: Any, skin: xr.Dataset, whose: str) -> None:
     vertices = probe_vertices(skin["rest_position"].values, extremes(skin).peak)
     motion = at_vertices(skin, [vertex for vertex, _ in vertices])
     above, below = figure.subplots(2, 1)
-    for (_, distance), course, colour in zip(vertices, motion.T, COLOURS, strict=False):
+    for (_, distance), course, colour, line in zip(vertices, motion.T, COLOURS, LINES, strict=False):
         label = "largest motion" if distance == 0 else f"{distance * 1e3:.1f} mm away"
-        above.plot(time_s * 1e3, course * 1e6, color=colour, label=label)
+        above.plot(time_s * 1e3, course * 1e6, line, color=colour, label=label)
     above.set(xlabel="time [ms]", ylabel="normal displacement [µm]")
     above.set_title(f"Normal displacement of the skin{whose} (negative: pushed in)")
     above.legend(loc="upper right", ncols=3)
@@ -197,8 +200,8 @@ def _draw_spectra(axes: Any, time_s: Float, motion: Any) -> None:
     frequency, first = spectra[0]
     peaks = spectral_peaks(frequency, first)
     top = max(first.max() * 1e6, 1e-9)
-    for (_, amplitude), colour in zip(spectra, COLOURS, strict=False):
-        axes.semilogy(frequency, np.maximum(amplitude * 1e6, 1e-9 * top), color=colour)
+    for (_, amplitude), colour, line in zip(spectra, COLOURS, LINES, strict=False):
+        axes.semilogy(frequency, np.maximum(amplitude * 1e6, 1e-9 * top), line, color=colour)
     last = max([1000.0] + [1.3 * at for at, _ in peaks])
     before = -np.inf
     lifted = False

@@ -253,7 +253,7 @@ def cast(
     offsets = np.cumsum([0, *(len(m.vertices) for m in meshes)])
     points = np.concatenate([m.vertices for m in meshes])
     faces = np.concatenate([m.faces + start for m, start in zip(meshes, offsets[:-1], strict=True)])
-    normals = np.concatenate([painted.vertex_normals, *(np.repeat(p.mesh.face_normals, 3, axis=0) for p in parts)])
+    normals = np.concatenate([painted.vertex_normals, *(p.mesh.vertex_normals for p in parts)])
     counts = [len(part.mesh.vertices) for part in parts]
     own = np.repeat([_linear(np.array(part.colour)) for part in parts], counts, axis=0) if parts else np.zeros((0, 3))
     albedo = np.concatenate([np.zeros((len(level), 3)), own])

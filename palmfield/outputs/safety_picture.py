@@ -47,7 +47,7 @@ def draw_levels(title: str, maps: Sequence[LevelMap], course: LevelCourse, path:
     """Draw maps side by side, and the course below them, into a PNG. Raises OutputError where it can't be written."""
     from matplotlib.figure import Figure
 
-    from palmfield.outputs.style import save
+    from palmfield.outputs.style import LINES, save
 
     figure = Figure(figsize=(max(8.0, 4.6 * len(maps)), 7.0), dpi=110, layout="constrained")
     grid = figure.add_gridspec(2, len(maps), height_ratios=[3, 2])
@@ -71,7 +71,10 @@ def draw_levels(title: str, maps: Sequence[LevelMap], course: LevelCourse, path:
         axes.set_aspect("equal")
     over = figure.add_subplot(grid[1, :])
     for number, (name, levels) in enumerate(course.levels_dB.items()):
-        over.plot(course.times_s, levels, ".-", ms=3, lw=0.8, color=f"C{number}", label=f"loudest place of {name}")
+        over.plot(
+            course.times_s, levels, f".{LINES[number % len(LINES)]}",
+            ms=3, lw=0.8, color=f"C{number}", label=f"loudest place of {name}",
+        )  # fmt: skip
     for what, limit in {what: limit for one in maps for what, limit in one.limits_dB.items()}.items():
         place: dict[str, Any] = {"xycoords": ("axes fraction", "data"), "ha": "right", "va": "bottom"}
         over.axhline(limit, color="C3", lw=0.9, ls="--")

@@ -4,6 +4,7 @@ A result is a tree. Its root holds the three time axes, and every instance of th
 KIND/INSTANCE: `/skin/palm`, `/array/left`. Later versions add variables; what is here stays as it is.
 """
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple, TypeAlias
 from urllib.parse import quote, unquote
@@ -28,21 +29,30 @@ Attributes: TypeAlias = Mapping[str, Mapping[str, Any]]
 class Variable(NamedTuple):
     """What one variable of a result must look like.
 
-    dims: dimensions, of which `time`, `step_time` and `frame_time` are the root's; units: UDUNITS, empty for names
+    dims: dimensions; units: UDUNITS, empty for names; about: a name of a few words, and more behind ", ", ";" or ":"
     frame: the frame in which a vector, position or pose is given; sign: what a positive value means
     """
 
     dims: tuple[str, ...]
     dtype: str
     units: str
-    long_name: str
+    about: str
     frame: str = ""
     sign: str = ""
 
     @property
+    def words(self) -> tuple[str, str]:
+        """The name and the rest of `about`."""
+        parts = re.split(r"[,;:] (?![^(]*\))", self.about, maxsplit=1)
+        return parts[0], parts[1] if len(parts) > 1 else ""
+
+    @property
     def attributes(self) -> dict[str, str]:
-        """Those of the netCDF variable."""
-        pairs = {"units": self.units, "long_name": self.long_name, "frame": self.frame, "sign": self.sign}
+        """Those of the netCDF variable: long_name is short enough for an axis of a plot, comment says the rest."""
+        long_name, comment = self.words
+        pairs = {
+            "units": self.units, "long_name": long_name, "comment": comment, "frame": self.frame, "sign": self.sign,
+        }  # fmt: skip
         filled = {name: text for name, text in pairs.items() if text}
         # No unit holds for positions and quaternions at once, so generic readers get none that they could convert.
         return filled | ({"component_units": "m m m 1 1 1 1"} if self.dims[-1:] == ("pose7",) else {})
@@ -57,12 +67,12 @@ _POSE = "maps the frame's own points to the outer frame: x_outer = R x + positio
 def _mesh(what: str) -> dict[str, Variable]:
     """Variables that a skin and the surface of its body have in common."""
     return {
-        "rest_position": Variable(("vertex", "xyz"), "float64", "m", f"vertices of the {what} at rest", _BODY),
+        "rest_position": Variable(("vertex", "xyz"), "float64", "m", f"vertices at rest, of the {what}", _BODY),
         "face": Variable(
             ("triangle", "corner"),
             "int32",
             "1",
-            f"triangles of the {what}, counter-clockwise from outside; first 0",
+            f"triangles, of the {what}, counter-clockwise from outside; first 0",
         ),
         "bone_index": Variable(
             ("vertex", "influence"), "int32", "1", "bones that carry each vertex: places along bone in /body; first 0"
@@ -70,14 +80,12 @@ def _mesh(what: str) -> dict[str, Variable]:
         "bone_weight": Variable(
             ("vertex", "influence"), "float32", "1", "share of each of those bones; the shares of a vertex add up to 1"
         ),
-        "loudest_time": Variable(
-            (), "float64", "s", "instant at which the ARP on the skin is largest, from the run's start"
-        ),
+        "loudest_time": Variable((), "float64", "s", "time of the largest ARP on the skin, from the run's start"),
         "loudest_arp": Variable(
-            ("vertex",), "float32", "Pa", f"acoustic radiation pressure on the {what} at loudest_time", sign=_INTO
+            ("vertex",), "float32", "Pa", f"ARP at its loudest, on the {what} at loudest_time", sign=_INTO
         ),
         "loudest_pressure": Variable(
-            ("vertex",), "float32", "Pa", f"peak amplitude of the sound pressure on the {what} at loudest_time"
+            ("vertex",), "float32", "Pa", f"sound pressure at its loudest, peak amplitude on the {what} at loudest_time"
         ),
     }
 
@@ -93,30 +101,34 @@ GROUPS: dict[str, dict[str, Variable]] = {
         "rest_normal": Variable(
             ("vertex", "xyz"), "float64", "1", "unit normals of the skin at rest", _BODY, "positive points outward"
         ),
-        "depth": Variable(("vertex",), "float64", "m", "thickness of the skin layer along the inward normal"),
+        "depth": Variable(("vertex",), "float64", "m", "thickness of the skin layer, along the inward normal"),
         "displacement": Variable(
-            ("time", "vertex", "xyz"), "float32", "m", "displacement of the skin from where the body carries it", _BODY,
+            ("time", "vertex", "xyz"), "float32", "m", "displacement, from where the body carries the skin", _BODY,
             "positive along the axes; its dot product with rest_normal is positive outward, so a push is negative",
         ),
+        "normal_displacement": Variable(
+            ("time", "vertex"), "float32", "m", "normal displacement, along the outward normal at rest",
+            sign="positive outward: a push is negative",
+        ),
         "velocity": Variable(
-            ("time", "vertex", "xyz"), "float32", "m s-1", "velocity of that displacement", _BODY,
+            ("time", "vertex", "xyz"), "float32", "m s-1", "velocity, of the displacement", _BODY,
             "as the displacement's",
         ),
         "arp": Variable(
-            ("time", "vertex"), "float32", "Pa", "acoustic radiation pressure (ARP) on the skin patch", sign=_INTO
+            ("time", "vertex"), "float32", "Pa", "radiation pressure (ARP), acoustic, on the skin patch", sign=_INTO
         ),
         "pressure": Variable(
-            ("time", "vertex"), "float32", "Pa", "peak amplitude of the sound pressure on the skin patch"
+            ("time", "vertex"), "float32", "Pa", "sound pressure, peak amplitude on the skin patch"
         ),
     },
     "surface": _mesh("whole surface of the skin's body")
     | {
         "obstacle_position": Variable(
             ("obstacle_vertex", "xyz"), "float64", "m",
-            "vertices of bodies without skin that cast shadows, at loudest_time", _WORLD,
+            "vertices of obstacles, bodies without skin that cast shadows, at loudest_time", _WORLD,
         ),
         "obstacle_face": Variable(
-            ("obstacle_triangle", "corner"), "int32", "1", "their triangles, counter-clockwise from outside; first 0"
+            ("obstacle_triangle", "corner"), "int32", "1", "triangles of obstacles, as face"
         ),
         "face_arp": Variable(
             ("step_time", "triangle"), "float32", "Pa",
@@ -131,17 +143,17 @@ GROUPS: dict[str, dict[str, Variable]] = {
         ),
         "transducer_p0": Variable(
             ("transducer",), "float64", "Pa m",
-            "peak pressure of each at 1 m on its axis at full drive, without absorption; 0 where it is dead",
+            "peak pressure at 1 m, on the axis of each at full drive, without absorption; 0 where it is dead",
         ),
         "transducer_phase": Variable(
-            ("transducer",), "float64", "rad", "phase of each one's sound against its drive",
+            ("transducer",), "float64", "rad", "phase of the sound, of each against its drive",
             sign="positive is a delay (time factor e^{-i w t})",
         ),
-        "piston_radius": Variable((), "float64", "m", "of the pistons whose directivity they have; 0 is a point"),
+        "piston_radius": Variable((), "float64", "m", "piston radius, of the directivity; 0 is a point"),
         "off_axis_angle": Variable(
             ("off_axis",), "float64", "degree", "angles of a measured directivity, which goes before the piston's"
         ),
-        "off_axis_level": Variable(("off_axis",), "float64", "1", "its amplitude relative to that on the axis"),
+        "off_axis_level": Variable(("off_axis",), "float64", "1", "measured directivity, relative to the axis"),
         "drive_amplitude": Variable(
             ("frame_time", "transducer"), "float32", "1", "amplitude of the drive, 1 is full drive"
         ),
@@ -180,7 +192,7 @@ GROUPS: dict[str, dict[str, Variable]] = {
             "acts on the body",
         ),
         "torque": Variable(
-            ("step_time", "xyz"), "float64", "N m", "torque of the sound about the body's origin, mean over the step",
+            ("step_time", "xyz"), "float64", "N m", "torque of the sound, about the body's origin, mean over the step",
             _WORLD, "acts on the body",
         ),
         "bone_force": Variable(
@@ -189,7 +201,7 @@ GROUPS: dict[str, dict[str, Variable]] = {
         ),
         "bone_torque": Variable(
             ("step_time", "bone", "xyz"), "float64", "N m",
-            "torque of the sound about each bone's own origin, mean over the step", _WORLD, "acts on the bone",
+            "torque on each bone, of the sound about its own origin, mean over the step", _WORLD, "acts on the bone",
         ),
     },
     "sensors": {
@@ -207,23 +219,23 @@ GROUPS: dict[str, dict[str, Variable]] = {
         "body_name": Variable(("mujoco_body",), "str", "", "names of the bodies; the first is the world"),
         "body_parent": Variable(("mujoco_body",), "int32", "1", "what each body hangs on; first 0"),
         "body_frame": Variable(
-            ("mujoco_body", "pose7"), "float64", "1", "where each body is while all joints are at joint_reference",
+            ("mujoco_body", "pose7"), "float64", "1", "body frames, while all joints are at joint_reference",
             "parent body", _POSE,
         ),
         "body_mass": Variable(("mujoco_body",), "float64", "kg", "masses"),
         "body_inertia": Variable(
-            ("mujoco_body", "xyz"), "float64", "kg m2", "moments of inertia about the axes of body_inertial_frame",
+            ("mujoco_body", "xyz"), "float64", "kg m2", "moments of inertia, about the axes of body_inertial_frame",
             "principal axes",
         ),
         "body_inertial_frame": Variable(
             ("mujoco_body", "pose7"), "float64", "1", "centre of mass and principal axes", "body", _POSE
         ),
-        "body_held": Variable(("mujoco_body",), "bool", "1", "whether nothing lets a body move in the world"),
-        "body_placed": Variable(("mujoco_body",), "bool", "1", "whether a body is placed from outside (mocap)"),
+        "body_held": Variable(("mujoco_body",), "bool", "1", "whether nothing lets a body move"),
+        "body_placed": Variable(("mujoco_body",), "bool", "1", "whether a body is mocap, placed from outside"),
         "geom_name": Variable(("geom",), "str", "", "names of the geoms"),
         "geom_body": Variable(("geom",), "int32", "1", "the body of each; first 0"),
         "geom_type": Variable(("geom",), "str", "", "sphere, capsule, box and so on"),
-        "geom_size": Variable(("geom", "xyz"), "float64", "m", "half lengths as MuJoCo has them by type", "geom"),
+        "geom_size": Variable(("geom", "xyz"), "float64", "m", "half lengths, as MuJoCo has them by type", "geom"),
         "geom_frame": Variable(("geom", "pose7"), "float64", "1", "where each geom is", "body", _POSE),
         "geom_rgba": Variable(("geom", "channel"), "float64", "1", "colour and opacity"),
         "geom_collides": Variable(("geom",), "bool", "1", "whether anything can touch it"),
@@ -235,7 +247,7 @@ GROUPS: dict[str, dict[str, Variable]] = {
         "mesh_face_owner": Variable(("mesh_triangle",), "int32", "1", "the mesh of each triangle; first 0"),
         "joint_name": Variable(("joint",), "str", "", "names of the joints"),
         "joint_type": Variable(("joint",), "str", "", "free, ball, slide or hinge"),
-        "joint_body": Variable(("joint",), "int32", "1", "the body that each lets move in its parent; first 0"),
+        "joint_body": Variable(("joint",), "int32", "1", "body of each joint, moved by it; first 0"),
         "joint_position": Variable(("joint", "xyz"), "float64", "m", "anchors", "body"),
         "joint_axis": Variable(("joint", "xyz"), "float64", "1", "unit axes of slides and hinges", "body"),
         "joint_range": Variable(("joint", "end"), "float64", "1", "ends of the range: m of a slide, rad of others"),
@@ -255,6 +267,8 @@ LABELS: dict[str, tuple[tuple[str, ...], str]] = {
 """Coordinates of the root that name components."""
 MUJOCO_SCENE = "scene"
 """The name of the only instance of the group /mujoco."""
+PLACES = "rest_position"
+"""The coordinate of vertices."""
 RECORDS = ("time", "step_time", "frame_time")
 """Dimensions along which a run grows."""
 
@@ -353,7 +367,8 @@ def tree(arrays: Arrays, attributes: Attributes | None = None) -> xr.DataTree:
         known = variables_of(path)
         made = {name: xr.Variable(known[name].dims, array, known[name].attributes) for name, array in
                 checked.get(path, {}).items()}  # fmt: skip
-        datasets[path] = xr.Dataset(made | root if path == "/" else made, attrs=dict((attributes or {}).get(path, {})))
+        one = xr.Dataset(made | root if path == "/" else made, attrs=dict((attributes or {}).get(path, {})))
+        datasets[path] = one.set_coords(PLACES) if PLACES in one else one
     datasets["/"].attrs = root_attributes() | datasets["/"].attrs
     return xr.DataTree.from_dict(datasets)
 

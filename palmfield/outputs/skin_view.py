@@ -1,10 +1,10 @@
-"""A skin as the array that it faces sees it: flat, with a value at each vertex in colour."""
+"""A skin before the array that it faces, as one who looks onto that array sees it: flat, with values in colour."""
 
 from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
-from matplotlib.colors import Colormap
+from matplotlib.colors import Colormap, PowerNorm
 from matplotlib.tri import Triangulation
 
 from palmfield.outputs.frames import Loudest, in_world, loudest, nearest, pose_at, to_local
@@ -16,7 +16,7 @@ DISTANCES_M = (0.010, 0.020)
 
 
 class SkinView(NamedTuple):
-    """A skin as an array sees it when the sound on the skin is loudest.
+    """A skin before an array when the sound on the skin is loudest.
 
     array: its name; pose: of the array, shape (7,); vertices: of the skin in the array's frame [m], shape (n, 3)
     """
@@ -27,8 +27,8 @@ class SkinView(NamedTuple):
     loudest: Loudest
 
 
-def seen_from_array(result: xr.DataTree, name: str, skin: xr.Dataset, when: Loudest | None = None) -> SkinView:
-    """A skin seen from the array in whose direction its normals point most; when: another instant than the loudest"""
+def view_of_skin(result: xr.DataTree, name: str, skin: xr.Dataset, when: Loudest | None = None) -> SkinView:
+    """A skin before the array in whose direction its normals point most; when: another instant than the loudest"""
     when, body = when or loudest(skin), instances(result, "body").get(name)
     vertices = in_world(skin, body, when.time_s)
     corners = vertices[skin["face"].values]
@@ -48,20 +48,23 @@ def draw_patch(
     colours: str | Colormap,
     limits: tuple[float, float],
     unit: str,
+    gamma: float = 1.0,
 ) -> None:
-    """The patch in the array's x and y with a colour bar, far triangles first so that near ones cover them.
+    """The patch in the array's x (to the right) and y (up) with a colour bar, as one who looks onto the array sees it.
 
+    It is drawn as if it could be looked through: triangles nearer to the array cover the others, which the sound meets
+    later.
     seen: vertices in the array's frame [m], shape (n, 3); values: shape (n,), in `unit`
+    gamma: colours go with this power of the value over its range; below 1 small values are told apart
     """
     order = np.argsort(-seen[faces].mean(axis=1)[:, 2])
     triangles = Triangulation(seen[:, 0] * 1e3, seen[:, 1] * 1e3, faces[order])
     low, high = limits
-    drawn = axes.tripcolor(triangles, values, shading="gouraud", cmap=colours, vmin=low, vmax=high)
+    drawn = axes.tripcolor(triangles, values, shading="gouraud", cmap=colours, norm=PowerNorm(gamma, low, high))
     axes.set(xlabel="array x [mm]", ylabel="array y [mm]", aspect="equal")
     axes.grid(visible=False)
-    # Looking along +z with y up, +x points left.
-    axes.invert_xaxis()
-    figure.colorbar(drawn, ax=axes, shrink=0.85, pad=0.02, label=unit, extend=beyond(values, low, high))
+    label = unit if gamma == 1.0 else f"{unit} (colours by the power {gamma:g})"
+    figure.colorbar(drawn, ax=axes, shrink=0.85, pad=0.02, label=label, extend=beyond(values, low, high))
 
 
 def probe_vertices(rest: Float, peak: Float) -> list[tuple[int, float]]:

@@ -33,6 +33,8 @@ RC: Any = {
     "savefig.facecolor": "white",
 }
 COLOURS = ("#c2410c", "#0f766e", "#4338ca")
+LINES = ("-", "--", ":", "-.")
+"""Lines differ in grey too."""
 
 
 LEAST_MM = 10.0

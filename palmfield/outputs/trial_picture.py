@@ -24,7 +24,7 @@ def draw_trial(names: Sequence[str], rows: Float, numbers: Mapping[str, Any], pa
     """
     from matplotlib.figure import Figure
 
-    from palmfield.outputs.style import same_scale, save
+    from palmfield.outputs.style import LINES, same_scale, save
 
     column = {name: rows[:, number] for number, name in enumerate(names)}
     moments = 1e3 * column["time_s"]
@@ -33,16 +33,17 @@ def draw_trial(names: Sequence[str], rows: Float, numbers: Mapping[str, Any], pa
     error = figure.add_subplot(grid[0, :2])
     kept = figure.add_subplot(grid[1, :2], sharex=error)
     above, side = figure.add_subplot(grid[0, 2]), figure.add_subplot(grid[1, 2])
-    for name, label in (("lateral_error_m", "across the array's axis"), ("depth_error_m", "along it")):
-        error.plot(moments, 1e3 * column[name], lw=1.0, label=label)
+    for name, label, line in (("lateral_error_m", "across the array's axis", "-"), ("depth_error_m", "along it", "--")):
+        error.plot(moments, 1e3 * column[name], line, lw=1.0, label=label)
     error.axhline(0.0, color="0.8", lw=0.6, zorder=0)
     error.set_ylabel("focus from the hand [mm]")
     error.legend(loc="upper right", fontsize=8)
-    for after, before, label, colour in LOSSES:
+    for number, (after, before, label, colour) in enumerate(LOSSES):
         if label == "left by calibration" and numbers.get("kept_calibration") is None:
             continue
         with np.errstate(divide="ignore", invalid="ignore"):
-            kept.plot(moments, column[after] / column[before], lw=1.0, color=colour, label=label)
+            share = column[after] / column[before]
+        kept.plot(moments, share, LINES[number], lw=1.0, color=colour, label=label)
     kept.set_ylabel("share of the pressure")
     kept.set_xlabel("time [ms]")
     kept.axhline(1.0, color="0.8", lw=0.6, zorder=0)

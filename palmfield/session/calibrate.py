@@ -5,6 +5,7 @@ from pathlib import Path
 
 from palmfield.acoustics.arrays import layout as known_layout
 from palmfield.acoustics.calibration_file import Calibration, Pose, read_calibration, write_calibration
+from palmfield.drive.calibration.openmpd_file import read_board_file
 from palmfield.drive.calibration.readings import MEASUREMENTS, Circumstances, measured
 from palmfield.drive.calibration.rehearsal import FOCUS_M, PLATE_M, TRUTH, rehearse
 from palmfield.errors import SceneError
@@ -35,6 +36,17 @@ def add_readings(kind: str, readings: Path, board: Path, layout: str | None, cir
     result = measured(kind, readings, calibration, known_layout(calibration.layout), circumstances)
     write_calibration(board, result.calibration)
     return list(result.told)
+
+
+def imported(file: Path, board: Path) -> list[str]:
+    """Write what a vendor's file of an OpenMPD board says as a calibration; returns what it holds.
+
+    Raises SceneError for a file that doesn't fit and for a calibration that is there, OutputError as `add_readings`.
+    """
+    if board.exists():
+        raise SceneError(f"{board} is there already; give another file")
+    write_calibration(board, read_board_file(file))
+    return [*described(board, None), "not tried on hardware: check a focus with a microphone or a sheet of paper"]
 
 
 def described(board: Path, png: Path | None) -> list[str]:

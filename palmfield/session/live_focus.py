@@ -18,15 +18,13 @@ from palmfield.drive.limits import SoundLimits
 from palmfield.drive.live_foci import FocusListener, LiveFocus
 from palmfield.drive.player import Player
 from palmfield.errors import DeviceError, PalmfieldError, SceneError
-from palmfield.motion.line_listener import By
+from palmfield.motion.line_listener import STALE_S, By
 from palmfield.session.focus_board import FocusBoard, FocusSound, am_share, focus_board
 from palmfield.session.play import Performance, Target, check_log, played_in_words
 from palmfield.session.safety.exposure import Heard, Moment, at_head, check_head, with_band
 from palmfield.types import Complex, Float
 
 LOG = logging.getLogger(__name__)
-STALE_S = 0.1
-"""A focus that is older falls silent."""
 LOOK_S = 0.05
 AHEAD_S = 3e-3
 """By so much before its time a frame of a modulated focus is made."""
@@ -90,8 +88,7 @@ def play_live(
             session.follow(math.inf if duration_s is None else time.monotonic() + duration_s)
         silent = player.silent
         player.close()
-    report = player.report
-    assert report is not None
+    report = player.played
     done = played_in_words(report, made.board, target.port)
     check_log(player, target.log, f"{done}; ")
     said = [*made.said, *([words] if (words := limits.in_words(made.board)) else []), listener.report()]
@@ -121,11 +118,16 @@ class _Live:
         known: tuple[LiveFocus, Complex, float] | None = None
         after, muted = 0, True
         while (now := time.monotonic()) < ends_s:
+            self.player.check()
             waits = am_Hz <= 0.0 or known is None
             came = self.listener.next(after, min(LOOK_S, ends_s - now) if waits else 0.0)
             now = time.monotonic()
             if came is not None:
                 after = came.number
+                if now - came.time_s > STALE_S:
+                    self.listener.skip("stale", f"a focus was {now - came.time_s:.2g} s old when its turn came")
+                    came = None
+            if came is not None:
                 unit = self._unit(came.focus)
                 known = known if unit is None else (came.focus, unit, came.time_s)
                 if unit is not None and am_Hz <= 0.0:

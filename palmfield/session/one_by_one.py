@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from palmfield.acoustics.arrays import LAYOUTS
 from palmfield.drive.board import Board
 from palmfield.drive.boards import playable_board
 from palmfield.drive.frame_log import LogHead
@@ -29,7 +30,7 @@ def sound_one_by_one(
 ) -> Performance:
     """Sound transducers of a board by themselves at full drive with phase 0, as they are wired; write when each did.
 
-    times: CSV file of `element`, `from_s` and `to_s`, since the first frame
+    times: CSV file of `element`, `from_s` and `to_s`, since the first frame, and `layout_version`
     elements: by number in the layout's order, each once; None for all of one unit
     dwell_s, pause_s: how long each sounds, and the silence before it [s]
     Raises DeviceError for a board that takes no amplitudes or is lost, SceneError for a transducer that it has not and
@@ -38,7 +39,8 @@ def sound_one_by_one(
     chosen = playable_board(board)
     if chosen.takes != "amplitudes":
         raise DeviceError(f"board '{board}' takes a focus, so that no transducer sounds by itself; use another board")
-    chosen = chosen.sized(chosen.unit)
+    head = LogHead(board, chosen.unit, chosen.layouts[0])
+    chosen = head.playable
     numbers = list(range(chosen.transducers)) if elements is None else list(elements)
     for number in numbers:
         if not 0 <= number < chosen.transducers:
@@ -52,9 +54,10 @@ def sound_one_by_one(
             raise SceneError(f"{name} of {value:g} s: give {least:.3g} ms, the time of a frame, to {LONGEST_S:g} s")
     turn_s = pause_s + dwell_s
     begins = pause_s + turn_s * np.arange(len(numbers))
-    write_table(times, ["element", "from_s", "to_s"], np.column_stack([numbers, begins, begins + dwell_s]))
+    version = np.full(len(numbers), LAYOUTS[head.array].version)
+    columns = np.column_stack([numbers, begins, begins + dwell_s, version])
+    write_table(times, ["element", "from_s", "to_s", "layout_version"], columns)
     duration_s = turn_s * len(numbers) + pause_s
-    head = LogHead(board, chosen.transducers, chosen.layouts[0])
     frames = _frames(chosen, numbers, dwell_s, pause_s)
     return send(frames, chosen, duration_s, target, head, SoundLimits(), progress)
 

@@ -171,8 +171,10 @@ class Recorder:
             count = len(skin.nodes[0])
             motion = motions[number].reshape(len(times), 2, count, 3).astype(np.float32)
             sound = self._sound(posed, number, emitted, times)
+            normal = np.einsum("tsk,sk->ts", motion[:, 0], skin.nodes[1].astype(np.float32))
             block[group("skin", skin.spec.name)] = {
-                "displacement": motion[:, 0], "velocity": motion[:, 1], "arp": sound.arp, "pressure": sound.amplitude,
+                "displacement": motion[:, 0], "normal_displacement": normal, "velocity": motion[:, 1],
+                "arp": sound.arp, "pressure": sound.amplitude,
             }  # fmt: skip
         self._add_stimuli(block, times, posed)
         self._add_drive(block, times, posed)

@@ -7,7 +7,8 @@ autd3 has no file format of its own. The file holds what its constructors take, 
 
 divide: of SamplingConfig, each entry of points is held for divide / 40 kHz; loop: LoopBehavior, "infinite" or "once"
 origin_mm: of autd3's geometry, the first transducer of the first unit, seen from the middle of all transducers, which
-is palmfield's array frame. Points are in millimetres; units round them to 0.025 mm.
+is palmfield's array frame. Points are in millimetres; units round them to 0.025 mm. What units take is what autd3's
+emulator takes: 2 entries at least, 65,536 foci in all, and places that one unit can hold (`_check`).
 """
 
 import json
@@ -20,6 +21,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from palmfield.acoustics.arrays import layout
 from palmfield.errors import OutputError, SceneError
+from palmfield.given_files import read_json
 from palmfield.stimulus.focus_table import FocusTable, focus_table
 from palmfield.types import Float
 from palmfield.whole_files import whole
@@ -27,6 +29,11 @@ from palmfield.whole_files import whole
 CARRIER_HZ = 40e3
 LEVELS = 255
 MM = 1e3
+STEP_MM = 0.025
+MOST_FOCI = 65536
+"""That a unit stores, of all entries together."""
+FARTHEST = 2**17
+"""Steps from any of a unit's transducers to a focus, along each axis; one less towards plus."""
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Triple = tuple[Number, Number, Number]
 
@@ -56,7 +63,7 @@ class FociStm(_Plain):
     divide: Annotated[int, Field(ge=1, le=65535)]
     loop: Literal["infinite", "once"] = "infinite"
     origin_mm: Annotated[Triple, Field(strict=False)] | None = None
-    points: Annotated[list[ControlPoints], Field(min_length=1, max_length=65536)]
+    points: list[ControlPoints]
 
 
 def default_origin_mm() -> tuple[float, float, float]:
@@ -69,7 +76,11 @@ def read_foci_stm(path: str | Path) -> FociStm:
     """The file's content. Raises SceneError, with the entry's place, for what can't be read or isn't allowed."""
     file = Path(path)
     try:
-        return FociStm.model_validate(json.loads(file.read_text(encoding="utf-8")))
+        stm = FociStm.model_validate(read_json(file))
+        _check(stm)
+        return stm
+    except SceneError as error:
+        raise SceneError(f"{file}: {error}") from None
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"]) or "the whole"
@@ -78,6 +89,29 @@ def read_foci_stm(path: str | Path) -> FociStm:
         raise SceneError(f"{file}: line {error.lineno}, column {error.colno}: {error.msg}; give JSON") from None
     except (OSError, ValueError) as error:
         raise SceneError(f"{file}: cannot be read: {error}; give a JSON file in UTF-8") from None
+
+
+def _check(stm: FociStm) -> None:
+    """Raises SceneError for an STM that units don't take."""
+    if len(stm.points) < 2:
+        raise SceneError(f"points has {len(stm.points)} entries; allowed: 2 at least, so give a focus that rests twice")
+    count = sum(len(entry.points) for entry in stm.points)
+    if count > MOST_FOCI:
+        raise SceneError(
+            f"points holds {count} foci; allowed: {MOST_FOCI} of all entries together: take a lower rate or a shorter "
+            "duration"
+        )
+    places = np.array([point.point for entry in stm.points for point in entry.points])
+    wide = np.ptp(layout("autd3").positions, axis=0) * MM / STEP_MM
+    low, high = np.rint(wide) - FARTHEST, FARTHEST - 1
+    steps = np.rint(places / STEP_MM)
+    bad = (steps < low) | (steps > high)
+    if bad.any():
+        row, axis = (int(one[0]) for one in np.nonzero(bad))
+        raise SceneError(
+            f"focus {row}: {'xyz'[axis]} is {places[row, axis]:.7g} mm from the first transducer; allowed: "
+            f"{STEP_MM * low[axis]:.7g} to {STEP_MM * high:.7g} mm"
+        )
 
 
 def table_of_stm(stm: FociStm) -> FocusTable:
@@ -111,7 +145,7 @@ def stm_of_table(
 
     origin_mm: of autd3's geometry, None for one unit's; again: whether it is played again and again
     Raises SceneError for a table in another frame, of straight lines, at a rate that is no whole part of 40 kHz, of
-    more foci than 8, and with foci at once of different intensities.
+    more foci than 8, with foci at once of different intensities, and of rows and places that units don't take.
     """
     divide = CARRIER_HZ / table.rate_Hz
     refused = ""
@@ -125,7 +159,12 @@ def stm_of_table(
         refused = f"rate_Hz is {table.rate_Hz:g}; allowed: 40 kHz over a whole number, such as {told}"
     elif table.foci > 8:
         refused = f"there are {table.foci} foci at once; allowed: 8"
-    every: Float = np.arange(table.length_samples) / table.rate_Hz
+    elif table.length_samples * table.foci > MOST_FOCI:
+        refused = (
+            f"it has {table.length_samples} samples of {table.foci} foci; allowed: {MOST_FOCI // table.foci} samples: "
+            "take a lower rate or a shorter duration"
+        )
+    every: Float = np.arange(min(table.length_samples, MOST_FOCI)) / table.rate_Hz
     amplitudes = np.sqrt(table.arp_of_each(every))
     if not refused and np.ptp(amplitudes, axis=1).max() > 0.0:
         refused = "foci at once differ in intensity; allowed: one for all, as units take"
@@ -139,7 +178,12 @@ def stm_of_table(
         for foci, level in zip(places, levels, strict=True)
     ]
     loop: Literal["infinite", "once"] = "infinite" if again else "once"
-    return FociStm(autd3_foci_stm=1, divide=round(divide), loop=loop, origin_mm=origin, points=points)
+    stm = FociStm(autd3_foci_stm=1, divide=round(divide), loop=loop, origin_mm=origin, points=points)
+    try:
+        _check(stm)
+    except SceneError as error:
+        raise SceneError(f"no STM of AUTD3 units can be made of the table: {error}") from None
+    return stm
 
 
 def write_foci_stm(path: Path, stm: FociStm) -> None:
@@ -160,8 +204,13 @@ def autd3_command(stm: FociStm, sound_speed_m_s: float) -> Any:
         from autd3 import commands, units, value
     except ImportError:
         raise OutputError("autd3 is not installed: pip install 'palmfield[autd3]'") from None
-    loop = value.LoopBehavior.Infinite if stm.loop == "infinite" else value.LoopBehavior.Once
-    option = commands.FociStmOption(sound_speed=sound_speed_m_s * units.m / units.s, loop_behavior=loop)
+    # Units refuse a loop that ends unless it begins with the table's first entry
+    loop, begin = value.LoopBehavior.Infinite, value.TransitionMode.Immediate
+    if stm.loop == "once":
+        loop, begin = value.LoopBehavior.Once, value.TransitionMode.SyncIdx
+    option = commands.FociStmOption(
+        sound_speed=sound_speed_m_s * units.m / units.s, loop_behavior=loop, transition_mode=begin
+    )
     return commands.FociStm(value.SamplingConfig(stm.divide), control_points(stm), option)
 
 

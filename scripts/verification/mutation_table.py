@@ -568,8 +568,8 @@ MUTATIONS = (
         "velocity said to be in millimetres",
         "netCDF units",
         "palmfield/outputs/schema.py",
-        '"float32", "m s-1", "velocity of that displacement"',
-        '"float32", "mm s-1", "velocity of that displacement"',
+        '"float32", "m s-1", "velocity, of the displacement"',
+        '"float32", "mm s-1", "velocity, of the displacement"',
         "tests/outputs/test_schema.py::test_units_are_those_of_udunits",
     ),
     Mutation(

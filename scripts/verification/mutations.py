@@ -18,6 +18,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from queue import Queue
 from typing import NamedTuple
+from xml.etree import ElementTree
 
 from mutation_table import MUTATIONS, Mutation
 
@@ -67,29 +68,62 @@ def mutated(tree: Path, mutation: Mutation) -> Iterator[None]:
         compiled.unlink(missing_ok=True)
 
 
-def pytest_in(tree: Path, tests: Sequence[str], longest_s: float) -> tuple[int, str]:
-    """Exit code and output of pytest for tests of a copy, in a process of its own."""
+class Ended(NamedTuple):
+    """How a pytest process ended.
+
+    code: exit code, -1 beyond its time; output: what it printed
+    failures: first line of the message by test, named as on pytest's command line; errors of fixtures are none
+    """
+
+    code: int
+    output: str
+    failures: dict[str, str]
+
+
+def pytest_in(tree: Path, tests: Sequence[str], longest_s: float) -> Ended:
+    """Run tests of a copy in a process of its own, and read its exit code and its JUnit file: printed lines are cut
+    to a terminal's width, or not, as the caller's environment has it."""
     inherited = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}
-    own = {"PYTHONPATH": str(tree), "COLUMNS": "200", "OPENBLAS_NUM_THREADS": "1", "PALMFIELD_CACHE": "off"}
-    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-q", "-x", "-rf", "--tb=short", *tests]
+    own = {"PYTHONPATH": str(tree), "OPENBLAS_NUM_THREADS": "1", "PALMFIELD_CACHE": "off"}
+    report = tree / "junit.xml"
+    report.unlink(missing_ok=True)
+    options = ["-p", "no:cacheprovider", "-q", "-x", "--tb=short", f"--junitxml={report}"]
     try:
         done = subprocess.run(
-            command, cwd=tree, env=inherited | own, capture_output=True, text=True, timeout=longest_s, check=False
+            [sys.executable, "-m", "pytest", *options, *tests],
+            cwd=tree,
+            env=inherited | own,
+            capture_output=True,
+            text=True,
+            timeout=longest_s,
+            check=False,
         )
     except subprocess.TimeoutExpired:
-        return -1, f"took more than {longest_s:g} s"
-    return done.returncode, done.stdout + done.stderr
+        return Ended(-1, f"took more than {longest_s:g} s", {})
+    return Ended(done.returncode, done.stdout + done.stderr, failures_in(report))
 
 
-def judged(mutation: Mutation, code: int, output: str) -> tuple[bool, str]:
+def failures_in(report: Path) -> dict[str, str]:
+    """First lines of the messages of failed tests in a JUnit file, by test; empty where pytest wrote none."""
+    if not report.exists():
+        return {}
+    found = {}
+    for case in ElementTree.parse(report).iter("testcase"):
+        if (failure := case.find("failure")) is not None:
+            file = case.get("classname", "").replace(".", "/") + ".py"
+            found[f"{file}::{case.get('name', '')}"] = failure.get("message", "").partition("\n")[0]
+    return found
+
+
+def judged(mutation: Mutation, ended: Ended) -> tuple[bool, str]:
     """Whether a test failed as it must under its mutation, and why."""
-    if code == 0:
+    if ended.code == 0:
         return False, "the test passes all the same"
-    failed = re.search(rf"^FAILED {re.escape(mutation.test)}(?:\[[^\n]*?\])? - (.*)$", output, re.MULTILINE)
-    if code != 1 or failed is None:
-        last = output.strip().splitlines()[-1] if output.strip() else "nothing said"
-        return False, f"pytest ended with {code}: {last}"
-    reason = failed.group(1)
+    own = (message for name, message in ended.failures.items() if mutation.test in (name, name.partition("[")[0]))
+    reason = next(own, None)
+    if ended.code != 1 or reason is None:
+        last = ended.output.strip().splitlines()[-1] if ended.output.strip() else "nothing printed"
+        return False, f"pytest ended with {ended.code}: {last}"
     return bool(EXPECTED.match(reason)), reason
 
 
@@ -97,15 +131,14 @@ def outcome_of(tree: Path, mutation: Mutation) -> Outcome:
     """The outcome of a mutation's test in a copy, which is left as it was."""
     began = time.perf_counter()
     with mutated(tree, mutation):
-        code, output = pytest_in(tree, [mutation.test], LONGEST_S)
-    red, said = judged(mutation, code, output)
+        red, said = judged(mutation, pytest_in(tree, [mutation.test], LONGEST_S))
     return Outcome(mutation, red, said, time.perf_counter() - began)
 
 
 def unmutated(tree: Path, mutations: Sequence[Mutation]) -> tuple[bool, str]:
     """Whether all tests of mutations pass in a copy without any, and what pytest says."""
-    code, output = pytest_in(tree, list(dict.fromkeys(one.test for one in mutations)), LONGEST_S * len(mutations))
-    return code == 0, output
+    ended = pytest_in(tree, list(dict.fromkeys(one.test for one in mutations)), LONGEST_S * len(mutations))
+    return ended.code == 0, ended.output
 
 
 def outcomes_of(folder: Path, mutations: Sequence[Mutation], jobs: int) -> Iterator[Outcome]:

@@ -4,7 +4,7 @@
 python scripts/verification/predictions.py [--out docs/gallery]     # both halves, about 15 minutes of processor
 python scripts/verification/predictions.py --page [--out ...]       # the page alone, from the numbers
 
-The numbers are committed before they are held against anything; `score_predictions.py` does that, on a page of its own.
+The numbers are committed first; `score_predictions.py` compares them with what was published, on a page of its own.
 """
 
 import argparse
@@ -60,7 +60,6 @@ def page(numbers: dict[str, Any]) -> str:
     """The page of these numbers, Markdown."""
     text = INTRODUCTION.read_text(encoding="utf-8")
     parts = {
-        "COMMIT": numbers["commit"],
         "FORCE": _force_table(numbers["force"]),
         "FELT": _felt_table(numbers["findings"]),
     }

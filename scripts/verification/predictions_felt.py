@@ -15,10 +15,12 @@ import numpy as np
 from palmfield.perception.observers import OBSERVERS, Observer, levels_dB_SL
 from palmfield.skin.analytic.repeated_load import FlatLayer, RepeatedSpot
 from palmfield.skin.materials.catalogue import preset
-from palmfield.types import Float, Float32
+from palmfield.types import Complex, Float, Float32
 
 FWHM_M = 0.0103
 DEPTHS_M = (0.01, 0.02)
+NO_WAVES = 0.0
+"""Stands for a depth: of a skin in which nothing propagates."""
 HELD = 256
 """Places of a period of what moves or swells without steps."""
 HIGHEST_Hz = 500.0
@@ -50,8 +52,30 @@ class Finding:
     baseline_holds: bool
 
 
+class NoWaves(FlatLayer):
+    """A skin that moves at each point as the pressure on that point alone, 1 um/Pa at all frequencies.
+
+    Nothing propagates in it, so that what it predicts as well is no evidence of waves.
+    """
+
+    def lines(self, spots: Sequence[RepeatedSpot], rate_Hz: float, orders: Sequence[int]) -> Complex:
+        places = self.places()
+        spread = FWHM_M / math.sqrt(8.0 * math.log(2.0))
+        result = np.zeros((len(orders), len(places), len(places)), dtype=complex)
+        for spot in spots:
+            along_x, along_y = (
+                np.exp(-0.5 * ((places[None] - spot.centres_m[:, axis, None]) / spread) ** 2) for axis in (0, 1)
+            )
+            number = np.asarray(orders, dtype=float)[:, None]
+            edges = np.exp(2j * math.pi * number * np.arange(len(spot.peak_Pa) + 1) / len(spot.peak_Pa))
+            weights = np.diff(edges, axis=1) / (1j * math.pi * number) * spot.peak_Pa
+            result += np.einsum("nj,jy,jx->nyx", weights, along_y, along_x, optimize=True)
+        return 1e-6 * result
+
+
 def layer(depth_m: float) -> FlatLayer:
-    return FlatLayer(preset("palm"), depth_m)
+    """The palm of a depth [m]; the skin without waves for NO_WAVES."""
+    return NoWaves(preset("palm"), DEPTHS_M[0]) if depth_m == NO_WAVES else FlatLayer(preset("palm"), depth_m)
 
 
 def circle(circumference_m: float, points: int = HELD, begin: float = 0.0, peak_Pa: float = 1.0) -> RepeatedSpot:
@@ -259,10 +283,10 @@ FINDINGS = (
 )  # fmt: skip
 
 
-def predicted(finding: Finding) -> dict[str, dict[str, float | None]]:
+def predicted(finding: Finding, depths_m: Sequence[float] = DEPTHS_M) -> dict[str, dict[str, float | None]]:
     """Sizes by depth [mm] and observer; None where the observer has no value."""
     sizes: dict[str, dict[str, float | None]] = {}
-    for depth in DEPTHS_M:
+    for depth in depths_m:
         row = {name: finding.size(observer, depth) for name, observer in OBSERVERS.items()}
         sizes[f"{1e3 * depth:g} mm"] = {name: value if math.isfinite(value) else None for name, value in row.items()}
     return sizes

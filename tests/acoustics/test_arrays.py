@@ -26,6 +26,7 @@ COUNTS = {
     "autd3_4x2": 1992,
     "stratos_explore": 256,
     "openmpd": 256,
+    "openmpd_rows": 256,
     "ultraino": 64,
     "two_bow_as_printed": 12,
     "two_bow_corrected": 12,

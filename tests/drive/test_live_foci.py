@@ -7,7 +7,8 @@ import time
 import numpy as np
 import pytest
 
-from palmfield.drive.live_foci import BadLine, FocusListener, read_focus
+from palmfield.drive.live_foci import FocusListener, read_focus
+from palmfield.motion.line_listener import BadLine
 
 NO_OFFSET = np.zeros(3)
 

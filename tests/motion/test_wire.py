@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from palmfield.motion.joints import JOINTS
+from palmfield.motion.line_listener import BadLine
 from palmfield.motion.tracking import stream_of
-from palmfield.motion.wire import BadSample, Sample, read_sample, write_sample
+from palmfield.motion.wire import Sample, read_sample, write_sample
 
 
 @pytest.fixture(scope="module")
@@ -97,6 +98,6 @@ def openxr_line(**changes):
     ],
 )
 def test_a_bad_sample_is_told(line, kind, told):
-    with pytest.raises(BadSample) as error:
+    with pytest.raises(BadLine) as error:
         read_sample(line)
     assert error.value.kind == kind and told in str(error.value)

@@ -152,6 +152,7 @@ def block_arrays(static_arrays):
         load = 16.0 * np.exp(-((radius / 0.008) ** 2)) * (1 - np.cos(2 * np.pi * SINE_HZ * time))[:, None]
         return {
             "displacement": (along[..., None] * skin["rest_normal"] + [1e-6, 0, 0]).astype(np.float32),
+            "normal_displacement": (along + 1e-6 * skin["rest_normal"][:, 0]).astype(np.float32),
             "pressure": np.sqrt(1.4e5 * load).astype(np.float32),
             "velocity": (5e-3 * wave[..., None] * skin["rest_normal"]).astype(np.float32),
             "arp": load.astype(np.float32),

@@ -11,7 +11,7 @@ from palmfield.errors import OutputError
 from palmfield.outputs.camera import look_along_emission
 from palmfield.outputs.foci_picture import draw_foci
 from palmfield.outputs.frames import arrays_of, bodies, loudest, pose_at, posed, to_local, to_world
-from palmfield.outputs.plots import plot_displacement, plot_pressure
+from palmfield.outputs.plots import plot_displacement, plot_pressure, pressure_picture
 from palmfield.outputs.render import COLOURS, render_scene
 from palmfield.outputs.schema import instances, tree
 
@@ -109,8 +109,8 @@ def _only_load_at(whole, keep, x_above):
     return tree({**one, "/skin/palm": skin | {"loudest_pressure": np.where(x > x_above, 1.0, 0.0).astype(np.float32)}})
 
 
-def test_the_pressure_figure_shows_x_to_the_left(tmp_path, whole, keep):
-    """A load at +x alone lights the left half of the panel, since the array looks along +z with y up."""
+def test_the_pressure_figure_shows_x_to_the_right(tmp_path, whole, keep):
+    """A load at +x alone lights the right half of the panel, as for one who looks onto the array with y up."""
     plot_pressure(_only_load_at(whole, keep, 0.01), tmp_path / "p.png")
     image = _picture(tmp_path / "p.png", (750, 660))
     panel = image[120:560, 80:600]
@@ -118,7 +118,14 @@ def test_the_pressure_figure_shows_x_to_the_left(tmp_path, whole, keep):
     columns = np.nonzero(bright)[1]
     dark = np.nonzero(panel.sum(axis=2) < 0.1)[1]
     assert len(columns) > 1000
-    assert columns.mean() < dark.mean()
+    assert columns.mean() > dark.mean()
+
+
+def test_side_lobes_are_told_from_silence(whole, keep):
+    """A fifth of the largest pressure has a colour nearer to the middle of the map than to its end."""
+    figure = pressure_picture(_only_load_at(whole, keep, 0.01))
+    norm = figure.axes[0].collections[0].norm
+    assert 0.4 < norm(0.22) < 0.6 and norm(0.0) == 0.0 and norm(1.0) == 1.0
 
 
 def test_a_displacement_without_even_times_is_drawn_without_spectrum(tmp_path, one_skin):

@@ -618,7 +618,21 @@ def test_every_variable_of_the_schema_is_stored_as_it_says(tmp_path, static_arra
             known = variables_of(group)
             if name in known:
                 assert variable.dimensions == known[name].dims
-                assert {k: v for k, v in variable.attrs.items() if k != "dtype"} == known[name].attributes
+                own = {k: v for k, v in variable.attrs.items() if k not in ("dtype", "coordinates")}
+                assert own == known[name].attributes
+
+
+def test_a_group_is_enough_by_itself(tmp_path, static_arrays, block_arrays):
+    """What a reader who opens one group finds: times, places, names of components, and the push along the normal."""
+    path = _write_all(tmp_path, static_arrays, block_arrays).finish({}, True)
+    with xr.open_dataset(path, group="skin/palm", engine="h5netcdf", decode_times=False) as skin:
+        assert {"time", "xyz", "rest_position"} <= set(skin.coords)
+        assert skin["displacement"].sel(xyz="z").sel(time=0.01, method="nearest").dims == ("vertex",)
+        normal = (skin["displacement"] * skin["rest_normal"]).sum("xyz")
+        np.testing.assert_allclose(skin["normal_displacement"], normal, atol=1e-12)
+        assert skin["normal_displacement"].attrs["sign"] == "positive outward: a push is negative"
+    with xr.open_dataset(path, group="forces/palm", engine="h5netcdf", decode_times=False) as forces:
+        assert forces["force"].sel(step_time=0.01, method="nearest").sel(xyz="z").shape == ()
 
 
 def test_json(tmp_path):

@@ -17,7 +17,7 @@ from palmfield.drive.boards import BOARDS
 from palmfield.drive.frame_log import read_log
 from palmfield.drive.virtual import VirtualBoard
 from palmfield.errors import DeviceError, OutputError, SceneError
-from palmfield.session.focus_board import FocusSound
+from palmfield.session.focus_board import FocusSound, focus_board
 from palmfield.session.live_focus import LiveInput, play_live
 from palmfield.session.play import Target
 from palmfield.types import Air
@@ -54,7 +54,7 @@ def moving(count):
 @pytest.mark.wall_clock
 @pytest.mark.parametrize(("board", "by"), [("sonicsurface", "udp"), ("openmpd", "tcp")])
 def test_the_board_emits_the_foci_that_come_and_is_silent_when_none_does(board, by, tmp_path):
-    made, array = BOARDS[board], layout(BOARDS[board].layouts[0])
+    made, array = focus_board(board, FocusSound(), {}).board, layout(BOARDS[board].layouts[0])
     # Half a level is none of a SonicSurface's: it is told, and what came before goes on
     odd = ['{"focus_m": [0, 0, -0.1]}', '{"focus_m": [0.0, 0.0, 0.12], "level": 0.5}']
     lines = moving(20) + [one for line in odd for one in (line, *moving(1))]

@@ -21,7 +21,7 @@ def test_each_sounds_alone_in_its_time(board, tmp_path):
     assert said.exit_code == 0, said.output
     head, pieces = read_log(tmp_path / "b.jsonl")
     assert head.array == BOARDS[board].layouts[0]
-    twin = head.playable.twin()
+    twin = head.playable.wired_twin()
     changes = [change for piece in pieces for change in twin.feed(piece.data, piece.time_s)]
     changes += twin.until(twin.time_s + 0.1)
     first = next(change.time_s for change in changes if change.amplitudes.any())

@@ -182,3 +182,18 @@ def test_arp_asked_for_after_each_step_is_that_of_the_present_sound(small_scene)
         np.testing.assert_array_equal(arp, sim.copy().skin().arp)
         assert last is None or np.abs(arp - last).max() > 0.1 * arp.max()
         last = arp
+
+
+def test_two_foci_that_move_sound_as_loud_as_what_is_told(small_scene):
+    """Flips of the drive's common phase would silence transducers that ring: a rule of the pose alone leaves none."""
+    stimulus = STEADY | {"path": "circle", "path_diameter_m": 0.02, "path_rate_Hz": 7, "foci_m": "0.01 0 0 -0.01 0 0"}
+    rung, told = (load(small_scene(stimulus=stimulus, array={"response": on})) for on in ("on", "off"))
+    for step in range(6):
+        rung.step()
+        told.step()
+        if step > 0:
+            assert np.linalg.norm(rung.emitted) == pytest.approx(np.linalg.norm(rung.drive), rel=0.01)
+            assert rung.skin().arp.sum() == pytest.approx(told.skin().arp.sum(), rel=0.02)
+    other = load(small_scene(stimulus=stimulus, array={"response": "off"}))
+    other.start_at(told.time)
+    np.testing.assert_allclose(other.drive, told.drive, rtol=0, atol=1e-9)

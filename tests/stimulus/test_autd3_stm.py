@@ -1,5 +1,6 @@
 """STMs of AUTD3 units as plain data: against autd3's own values, and what can't be one."""
 
+import asyncio
 import json
 
 import numpy as np
@@ -8,6 +9,8 @@ import pytest
 from palmfield.acoustics.arrays import layout
 from palmfield.errors import SceneError
 from palmfield.stimulus.autd3_stm import (
+    FociStm,
+    _check,
     autd3_command,
     control_points,
     read_foci_stm,
@@ -55,7 +58,6 @@ def test_places_are_autd3s_own():
         assert np.abs(1e-3 * (seen + ours[0]) - table.positions[row]).max() < 1e-6
         assert entry.intensity.value == round(255 * table.intensities[row, 0])
     assert value.SamplingConfig(stm.divide).freq() == value.SamplingConfig.FREQ_4K.freq() / 4
-    assert type(autd3_command(stm, 343.0)).__name__ == "FociStm"
 
 
 @pytest.mark.parametrize(
@@ -89,7 +91,13 @@ def broken(**changes):
         (broken(divide=0), r"divide: Input should be greater than or equal to 1, not 0"),
         (broken(points=[{"points": [{"point": [0, float("nan"), 1]}]}]), r"points\.0\.points\.0\.point\.1: .*finite"),
         (broken(intensity=3), "intensity: Extra inputs are not permitted"),
-        (broken(points=[]), "points: List should have at least 1 item"),
+        (broken(points=[]), "points has 0 entries; allowed: 2 at least"),
+        (broken(points=[{"points": [{"point": [0, 0, 150]}]}]), "points has 1 entries; allowed: 2 at least"),
+        (broken(points=[{"points": [{"point": [0, 0, 150]}] * 8}] * 8193), "points holds 65544 foci; allowed: 65536"),
+        (
+            broken(points=[{"points": [{"point": [-3105, 0, 150]}]}] * 2),
+            r"focus 0: x is -3105 mm .*-3104\.075 to 3276\.775",
+        ),
         ('{"autd3_foci_stm": 1,\n "divide": }', "line 2, column 12: Expecting value"),
         (broken(points=[{"points": [{"point": [0, 0, 1], "phase_offset": 256}]}]), r"phase_offset: .*255, not 256"),
     ],
@@ -114,6 +122,71 @@ def test_stms_that_are_no_table(tmp_path, second, told):
 
 def test_phases_of_foci_at_once_are_not_taken(tmp_path):
     entry = {"points": [{"point": [0, 0, 150]}, {"point": [20, 0, 150], "phase_offset": 128}]}
-    (tmp_path / "a.json").write_text(broken(points=[entry]))
+    (tmp_path / "a.json").write_text(broken(points=[entry, entry]))
     with pytest.raises(SceneError, match=r"points\.0: phase offsets 0, 128; allowed: equal ones"):
         table_of_stm(read_foci_stm(tmp_path / "a.json"))
+
+
+async def _answer(command):
+    import autd3
+    from autd3 import geometry
+
+    emulator = autd3.UdpEmulator(1)
+    client = await autd3.Client.open(geometry.Geometry([geometry.Autd3()]), emulator.option(), autd3.ClientConfig())
+    try:
+        await client.send(command)
+    except Exception as error:
+        return str(error)
+    finally:
+        await client.close()
+    return "taken"
+
+
+def unit(points, loop="infinite"):
+    """What autd3's emulated unit answers, and what we say, of an STM in millimetres from its first transducer."""
+    entries = [{"points": [{"point": list(point)} for point in foci]} for foci in points]
+    stm = FociStm.model_validate({"autd3_foci_stm": 1, "divide": 40, "loop": loop, "points": entries})
+    try:
+        _check(stm)
+        ours = "taken"
+    except SceneError as error:
+        ours = str(error)
+    return asyncio.run(_answer(autd3_command(stm, 343.0))), ours
+
+
+@pytest.mark.parametrize("loop", ["once", "infinite"])
+def test_an_emulated_unit_takes_what_is_exported(loop, tmp_path):
+    pytest.importorskip("autd3", reason="the extra [autd3] is not installed: pip install 'palmfield[autd3]'")
+    write_foci_stm(tmp_path / "a.json", stm_of_table(ring(3), again=loop == "infinite"))
+    stm = read_foci_stm(tmp_path / "a.json")
+    assert stm.loop == loop and asyncio.run(_answer(autd3_command(stm, 343.0))) == "taken"
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        [[(0, 0, 100)]],
+        [[(0, 0, 100)]] * 2,
+        [[(0, 0, 100)] * 8] * 8192,
+        [[(0, 0, 100)] * 8] * 8193,
+        *([[point]] * 2 for point in [(3276.78, 0, 9), (3276.79, 0, 9), (-3104.075, 0, 9), (-3104.1, 0, 9)]),
+        *([[point]] * 2 for point in [(0, -3144.72, 9), (0, -3144.75, 9), (0, 0, -3276.8), (0, 0, -3276.82)]),
+    ],
+    ids=lambda points: f"{len(points)} of {points[0][0]}",
+)
+def test_we_refuse_what_an_emulated_unit_refuses(points):
+    pytest.importorskip("autd3", reason="the extra [autd3] is not installed: pip install 'palmfield[autd3]'")
+    theirs, ours = unit(points)
+    assert (theirs == "taken") == (ours == "taken"), (theirs, ours)
+
+
+@pytest.mark.parametrize(
+    ("table", "told"),
+    [
+        (ring(rows=1), "points has 1 entries; allowed: 2 at least"),
+        (ring(foci=2, rows=32769), "it has 32769 samples of 2 foci; allowed: 32768 samples"),
+    ],
+)
+def test_tables_that_units_cannot_hold_are_refused_in_a_line(table, told):
+    with pytest.raises(SceneError, match=f"no STM of AUTD3 units can be made of the table: {told}"):
+        stm_of_table(table)

@@ -111,7 +111,7 @@ BOARD = OpenMpd(
     "openmpd",
     "OpenMPD (AcoustophoreticBoard), 256 transducers at 250000 baud: 128 phases, 64 pulse widths, 48.8 frames/s on the "
     "line (10,000 on the board)",
-    layouts=("openmpd",),
+    layouts=("openmpd", "openmpd_rows"),
     unit=TRANSDUCERS,
     line=LINE,
     max_frame_rate_Hz=1.0 / LINE.time_s(FRAME_BYTES),
@@ -121,6 +121,7 @@ BOARD = OpenMpd(
     start=2 * OFF_FRAME,
     stop=2 * OFF_FRAME,
     when_host_dies="the OpenMPD board goes on with its last frame until power is cut",
-    cannot_guarantee="It has no checksum and never answers; its transducers are taken in rows of the layout, so that a "
-    "board with another order of pins needs a calibration that tells each one's address.",
+    cannot_guarantee="It has no checksum and never answers. Its order of pins is that of the vendor's board files and "
+    "was not tried on hardware; a board with another order needs a calibration with addresses. The vendor's files hold "
+    "phases of single boards: `palmfield calibrate import board_N.pat BOARD.json`.",
 )

@@ -1,12 +1,13 @@
 """A laboratory's readings as CSV files, and the calibration with what each of them says (docs/calibration.md)."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
+from palmfield.acoustics.arrays import LAYOUTS
 from palmfield.acoustics.calibration_file import Calibration, calibrated
 from palmfield.acoustics.focus import compensate, focus
 from palmfield.drive.calibration.element_fit import fit_elements
@@ -71,6 +72,7 @@ def put_elements(
 ) -> Measured:
     """Transducers one by one: see `fit_elements`."""
     element = _whole(file, columns, "element", len(array))
+    _check_version(file, columns, array.name)
     at, place = np.unique(_places(columns), axis=0, return_inverse=True)
     seen = np.full((len(at), len(array)), np.nan, complex)
     seen[place, element] = _complex(columns)
@@ -86,18 +88,28 @@ def put_elements(
     phase_sd, gain_sd = elements.phase_sd_rad, elements.gain_sd
     assert phase_sd is not None and gain_sd is not None
     if calibration.elements is not None:
-        kept = {
-            name: getattr(calibration.elements, name) for name in ("position_m", "address", "resonance_Hz", "quality")
-        }
-        elements = elements.model_copy(update=kept)
+        names = ["position_m", "resonance_Hz", "quality"] + ["address"] * (elements.address is None)
+        elements = elements.model_copy(update={name: getattr(calibration.elements, name) for name in names})
     spread = math.hypot(1.96 * fit.p0_sd_Pa_m / fit.p0_Pa_m, under.microphone_error)
     p0 = _estimate(fit.p0_Pa_m, spread, under.source)
     dead = np.flatnonzero(~np.array(elements.enabled)).tolist()
+    strange: tuple[str, ...] = ()
+    if fit.swapped:
+        strange += (
+            f"wires: transducers {_few(fit.swapped)} hang on one another's signals; their addresses are written, and "
+            "the board is driven by them",
+        )
+    if fit.unfit:
+        strange += (
+            f"loud, but fit no place: signals {_few(fit.unfit)}; they are off: check their readings and wires, and "
+            "measure again",
+        )
     turned = elements.polarity.count(-1)
     alive = np.array(elements.enabled)
     told = (
         f"transducers: {len(array) - len(dead)} of {len(array)} sound, {turned} wired the other way round"
-        + (f"; silent: {', '.join(map(str, dead))}" if dead else ""),
+        + (f"; off: {_few(dead)}" if dead else ""),
+        *strange,
         f"phases: {_degrees(np.std(np.array(elements.phase_rad)[alive]))} deg rms, each known to "
         f"{_degrees(np.median(np.array(phase_sd)[alive]))} deg",
         f"gains: {100 * np.std(np.array(elements.gain)[alive]):.1f} % rms, each known to "
@@ -220,7 +232,7 @@ def put_warm_up(
 MEASUREMENTS: dict[str, Measurement] = {
     "elements": Measurement(
         "one transducer at a time at full drive with phase 0, before a microphone at 3 places or more (8 are better)",
-        ("element", *XYZ, "pressure_Pa", "phase_deg"), put_elements,
+        ("element", *XYZ, "pressure_Pa", "phase_deg"), put_elements, ("layout_version",),
     ),
     "level": Measurement(
         "rising levels of the drive, before a microphone or a scale", ("level",), put_level,
@@ -283,6 +295,23 @@ def _whole(file: Path, columns: dict[str, Float], name: str, count: int) -> np.n
     if bad.any():
         raise SceneError(f"{file}: {name} {values[bad][0]:g} is none of the array's; give 0 to {count - 1}")
     return values.astype(int)
+
+
+def _check_version(file: Path, columns: dict[str, Float], name: str) -> None:
+    """Raises SceneError where transducers may be counted in the order of another version of the layout."""
+    now = LAYOUTS[name].version
+    said = columns.get("layout_version", np.array([1.0]))
+    if (said != now).any():
+        old, earlier = said[said != now][0], LAYOUTS[name].earlier
+        raise SceneError(
+            f"{file}: its transducers are counted as in version {old:g} of a layout (column layout_version, 1 where "
+            f"there is none); allowed: {now} for '{name}': read them again (`palmfield calibrate sound`)"
+            + (f", or give --layout {earlier[-1]}" if earlier else "")
+        )
+
+
+def _few(numbers: Sequence[int]) -> str:
+    return ", ".join(map(str, numbers[:16])) + (f" and {len(numbers) - 16} more" if len(numbers) > 16 else "")
 
 
 def _drive(array: Array, under: Circumstances) -> Complex:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from palmfield.acoustics.arrays import LAYOUTS
 from palmfield.acoustics.calibration_file import Calibration, Elements, Pose, calibrated, write_calibration
 from palmfield.acoustics.focus import compensate, focus
 from palmfield.acoustics.phased_array import only
@@ -88,8 +89,9 @@ def _readings(array: Array, truth: Calibration, random: np.random.Generator) -> 
     found = np.abs(pressure64(scan, moved, aimed, real)[0])
     levels = np.repeat(np.linspace(0.1, 1.0, 10), 3)
     time = np.arange(0.0, 1800.0, 60.0)
+    counted = {"element": number.astype(float), "layout_version": np.full(len(number), LAYOUTS[array.name].version)}
     return {
-        "elements": {"element": number.astype(float)} | _places(at[place]) | _polar(each.ravel()),
+        "elements": counted | _places(at[place]) | _polar(each.ravel()),
         "level": {"level": levels, "pressure_Pa": 900.0 * levels * random.normal(1.0, NOISE, len(levels))},
         "plate": _on_scale(moved, aimed, told, random),
         "focus": _places(scan) | {"pressure_Pa": found * random.normal(1.0, NOISE, len(scan))},

@@ -139,6 +139,17 @@ class Player:
         self._send(MUTE)
         self._take_lines()
 
+    @property
+    def played(self) -> PlayReport:
+        """`report`, once this is closed. Raises DeviceError where the player's process ended without one."""
+        if self.report is None:
+            raise DeviceError(f"it is not known what was played on {self.port}: the player's process ended unasked")
+        return self.report
+
+    def check(self) -> None:
+        """Raises DeviceError where the board is lost or the player has died since the last word from it."""
+        self._take_lines()
+
     # -- what the player says ------------------------------------------------------------------------------------------
 
     def _send(self, kind: bytes, data: bytes = b"") -> None:
@@ -231,9 +242,11 @@ class Player:
             return
         error: DeviceError | None = None
         try:
-            with contextlib.suppress(DeviceError):
+            try:
                 if self._ended is None and not self._inbox.closed:
                     self._send(END)
+            except DeviceError as lost:
+                error = lost
             while self._ended is None and not self._inbox.closed:
                 select.select([self._talk], [], [], 0.1)
                 try:

@@ -10,10 +10,8 @@ from palmfield.errors import OutputError
 from palmfield.metrics.spectra import amplitude_spectrum
 from palmfield.outputs.motion import at_vertices
 from palmfield.outputs.pictures.asked import IN_MICRO, UNITS, Asked, chosen_skin, chosen_vertices, limits_of
-from palmfield.outputs.style import COLOURS, beyond
+from palmfield.outputs.style import COLOURS, LINES, beyond
 
-LINES = ("-", "--", ":", "-.")
-"""Lines differ in grey too."""
 WINDOW_S = 0.02
 SHOWN_DB = 60.0
 LEAST_Hz = 1000.0

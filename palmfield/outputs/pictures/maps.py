@@ -1,4 +1,4 @@
-"""Maps of a skin's motion, seen from the array: at a time, as root mean square, and as levels above threshold."""
+"""Maps of a skin's motion, looking onto the array: at a time, as root mean square, and as levels above threshold."""
 
 from typing import Any
 
@@ -21,12 +21,12 @@ from palmfield.outputs.pictures.asked import (
 )
 from palmfield.outputs.recorded_keys import keys_of
 from palmfield.outputs.schema import instances
-from palmfield.outputs.skin_view import SkinView, draw_patch, seen_from_array
+from palmfield.outputs.skin_view import SkinView, draw_patch, view_of_skin
 from palmfield.outputs.style import signed_colours
-from palmfield.perception.maps import level_map, lines_in
+from palmfield.perception.maps import felt_lines, level_map
 from palmfield.perception.observers import OBSERVERS
 from palmfield.stimulus.resolved import ResolvedStimulus
-from palmfield.stimulus.schedule import main_frequencies, steady_stretch_s
+from palmfield.stimulus.schedule import steady_stretch_s
 from palmfield.types import Float
 
 SIZES = "cividis"
@@ -44,7 +44,7 @@ def motion_map(result: xr.DataTree, asked: Asked) -> Figure:
     time_s = float(skin["time"].values[index])
     largest = float(np.abs(values).max())
     unit = UNITS[asked.quantity]
-    view = seen_from_array(result, name, skin)
+    view = view_of_skin(result, name, skin)
     vertices = to_local(in_world(skin, instances(result, "body").get(name), time_s), view.pose)
     limits = limits_of(asked, -max(largest, 1e-9), max(largest, 1e-9))
     colours = ListedColormap(signed_colours(*limits))
@@ -62,7 +62,7 @@ def rms_map(result: xr.DataTree, asked: Asked) -> Figure:
     title = f"RMS of the normal {asked.quantity} over the run\n(mean kept), at most {values.max():.3g} {unit}"
     limits = limits_of(asked, 0.0, float(values.max()))
     marks = _marked(result, name, skin, asked)
-    return _one(seen_from_array(result, name, skin), skin, values, SIZES, limits, unit, title, marks)
+    return _one(view_of_skin(result, name, skin), skin, values, SIZES, limits, unit, title, marks)
 
 
 def level_map_of(result: xr.DataTree, asked: Asked) -> Figure:
@@ -84,14 +84,15 @@ def level_map_of(result: xr.DataTree, asked: Asked) -> Figure:
         raise OutputError(f"no observer has a threshold at {told} Hz; see docs/results.md")
     top = max(float(levels.max()) for _, levels in shown)
     limits = limits_of(asked, min(0.0, top), top)
-    view = seen_from_array(result, name, skin)
+    view = view_of_skin(result, name, skin)
     marks = _marked(result, name, skin, asked)
     figure = Figure(figsize=(0.6 + 4.4 * len(shown), 4.6), layout="constrained")
     for axes, (key, levels) in zip(figure.subplots(1, len(shown), squeeze=False)[0], shown, strict=True):
         draw_patch(figure, axes, skin["face"].values, view.vertices, levels, SIZES, limits, "dB above threshold")
         _mark(axes, view.vertices, levels, "dB SL", marks)
         felt = f"{levels.max():.0f} dB SL at most" if levels.max() > 0.0 else "below threshold"
-        axes.set_title(f"{OBSERVERS[key].name}\n{felt}")
+        of = f"all {len(lines)} lines" if len(lines) > 1 else f"line at {lines[0]:g} Hz"
+        axes.set_title(f"{OBSERVERS[key].name}, {of}\n{felt}")
     return figure
 
 
@@ -105,7 +106,7 @@ def _repeating(result: xr.DataTree, skin: xr.Dataset) -> tuple[slice, list[float
     for config in configs:
         begin, end = steady_stretch_s(config)
         stretch = slice(*np.searchsorted(times, [begin, min(end, np.inf)]).tolist())
-        if lines := lines_in(times[stretch], main_frequencies(config)):
+        if lines := felt_lines(times[stretch], config):
             return stretch, lines
     raise OutputError(
         "nothing repeats for two periods between ramp and silence, so that no level above threshold is told; "

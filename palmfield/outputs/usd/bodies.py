@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
-from palmfield.outputs.covered import uncovered_faces
+from palmfield.outputs.covered import smooth_normals, sunk
 from palmfield.outputs.frames import IDENTITY, nearest
 from palmfield.outputs.schema import has_records
 from palmfield.outputs.usd.clock import Clock, rows_at
@@ -18,7 +18,7 @@ from palmfield.outputs.usd.skins import SkinWriter, face_areas
 from palmfield.types import Float, Float32, Int
 
 SKIN_COLOUR = (0.70, 0.47, 0.36)
-PATCH_COLOUR = (0.60, 0.30, 0.22)
+"""Of bodies and their skins, where no quantity colours these."""
 FORCE_ROUNDING = "up or down to 1/1000 of the moment's range, so that the sum over areas stays"
 FORCE_PART = 1000
 """What presses on faces is rounded to this part of its range: it adds up to the force, even where it is a small one."""
@@ -38,8 +38,13 @@ class BodyWriter:
         forces: xr.Dataset | None,
         surfaces: list[xr.Dataset],
         skins: dict[str, xr.Dataset],
+        colour: tuple[float, ...],
     ):
-        """body, forces: groups of any of its skins; surfaces: of those that have one; skins: by name"""
+        """Add the body's prims.
+
+        body, forces: groups of any of its skins; surfaces: of those that have one; skins: by name
+        colour: of the body, and of its skins where they have no colours over time
+        """
         boned = body is not None and has_records(body, "bone_pose")
         moves = body is not None and has_records(body, "pose")
         self._poses: Float = body["pose"].values if body is not None and moves else IDENTITY[None]
@@ -53,11 +58,11 @@ class BodyWriter:
         meshes: list[tuple[UsdGeom.Mesh, xr.Dataset, Int | slice]] = []
         self._pressed: tuple[xr.Dataset, Any, Samples] | None = None
         if surfaces:
-            meshes += self._add_surface(stage, path, surfaces, list(skins.values()))
+            meshes += self._add_surface(stage, path, surfaces, list(skins.values()), colour)
         UsdGeom.Scope.Define(stage, f"{path}/Skins")
         self.skins: dict[str, SkinWriter] = {}
         for name, identifier in identifiers(skins).items():
-            writer = SkinWriter(stage, f"{path}/Skins/{identifier}", skins[name], PATCH_COLOUR)
+            writer = SkinWriter(stage, f"{path}/Skins/{identifier}", skins[name], colour)
             self.skins[name] = writer
             meshes.append((writer.mesh, skins[name], writer.order))
         self._bones: tuple[BoneMoves, Float] | None = None
@@ -70,13 +75,18 @@ class BodyWriter:
         self._forces = self._add_forces(prim.GetPrim(), forces)
 
     def _add_surface(
-        self, stage: Usd.Stage, path: str, surfaces: list[xr.Dataset], skins: list[xr.Dataset]
+        self,
+        stage: Usd.Stage,
+        path: str,
+        surfaces: list[xr.Dataset],
+        skins: list[xr.Dataset],
+        colour: tuple[float, ...],
     ) -> list[tuple[UsdGeom.Mesh, xr.Dataset, slice]]:
-        """The body's closed surface with what presses on it, and what of it is seen beside its skins."""
+        """The body's closed surface with the ARP on it, and the same as it is drawn, below its skins."""
         first, everything = surfaces[0], slice(None)
         points, faces = first["rest_position"].values, first["face"].values
-        mesh = add_mesh(stage, f"{path}/Surface", points, faces, SKIN_COLOUR)
-        about(mesh.GetPrim(), holds="all of the body's surface; what of it no skin covers is drawn as Uncovered")
+        mesh = add_mesh(stage, f"{path}/Surface", points, faces, colour)
+        about(mesh.GetPrim(), holds="the body's surface as computed with; Drawn is the same, sunk below its skins")
         for name, sign in (
             ("loudest_arp", "at the loudest instant; positive pushes into the surface"),
             ("loudest_pressure", "peak amplitude at the loudest instant"),
@@ -94,11 +104,10 @@ class BodyWriter:
             )
             self._pressed = first, rounded, Samples(primvar.GetAttr(), floats)
         mesh.CreatePurposeAttr(UsdGeom.Tokens.guide)
-        rest = uncovered_faces(first, skins)
-        if len(rest) == 0:
-            return [(mesh, first, everything)]
-        seen = add_mesh(stage, f"{path}/Uncovered", points, rest, SKIN_COLOUR)
-        return [(mesh, first, everything), (seen, first, everything)]
+        # Normals are those at the true place: the sunk part's edge would darken the body beside the skin
+        normals = smooth_normals(points, faces)
+        drawn = add_mesh(stage, f"{path}/Drawn", sunk(first, skins)["rest_position"].values, faces, colour, normals)
+        return [(mesh, first, everything), (drawn, first, everything)]
 
     def _add_forces(self, prim: Usd.Prim, forces: xr.Dataset | None) -> list[tuple[Float, Samples]]:
         if forces is None or not has_records(forces, "force"):

@@ -34,9 +34,14 @@ def add_lights(stage: Usd.Stage, camera: Camera) -> None:
     """Even light from everywhere, and a lamp beside the camera."""
     UsdGeom.Scope.Define(stage, "/Scene/Lights")
     dome = UsdLux.DomeLight.Define(stage, "/Scene/Lights/Dome")
-    dome.CreateIntensityAttr(0.7)
+    dome.CreateIntensityAttr(0.5)
+    # Blender takes a dome without a colour for no light
+    dome.CreateColorAttr(Gf.Vec3f(1.0, 1.0, 1.0))
     key = UsdLux.DistantLight.Define(stage, "/Scene/Lights/Key")
-    key.CreateIntensityAttr(1.5)
+    # Normalised, the lamp is as bright whatever its angle: renderers differ in what they make of the other kind
+    key.CreateNormalizeAttr(True)
+    key.CreateIntensityAttr(0.35)
+    key.CreateColorAttr(Gf.Vec3f(1.0, 1.0, 1.0))
     key.CreateAngleAttr(5.0)
     side = camera.forward - 0.5 * camera.right - 0.4 * camera.up
     key.AddTransformOp().Set(_matrix(side / np.linalg.norm(side), camera.up, np.zeros(3)))

@@ -22,6 +22,11 @@ class Palette(NamedTuple):
     colours: Float
     map: str
 
+    @property
+    def at_rest(self) -> tuple[float, ...]:
+        """The colour of zero, or of the range's end nearest to it, in USD's linear RGB."""
+        return tuple(linear(self.colours[int(self.numbers(np.zeros(1))[0])]).tolist())
+
     def numbers(self, values: NDArray[np.floating]) -> Int:
         """The colour of each value; those outside the range have that of its nearer end."""
         share = (np.asarray(values, np.float64) - self.low) / (self.high - self.low)

@@ -39,9 +39,17 @@ def vector(values: NDArray[Any]) -> Gf.Vec3d:
 
 
 def add_mesh(
-    stage: Usd.Stage, path: str, points: ArrayLike, faces: ArrayLike, colour: tuple[float, ...] | None
+    stage: Usd.Stage,
+    path: str,
+    points: ArrayLike,
+    faces: ArrayLike,
+    colour: tuple[float, ...] | None,
+    normals: ArrayLike | None = None,
 ) -> UsdGeom.Mesh:
-    """A mesh of polygons of one size, faces of shape (m, corners), in one colour or with none yet."""
+    """A mesh of polygons of one size, faces of shape (m, corners), in one colour or with none yet.
+
+    normals: of vertices, which make a curved surface look smooth; flat faces without
+    """
     mesh = UsdGeom.Mesh.Define(stage, path)
     placed, corners = vectors(points), np.asarray(faces, np.int32)
     mesh.CreatePointsAttr(placed)
@@ -50,6 +58,9 @@ def add_mesh(
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     mesh.CreateDoubleSidedAttr(True)
     mesh.CreateExtentAttr(UsdGeom.PointBased.ComputeExtent(placed))
+    if normals is not None:
+        mesh.CreateNormalsAttr(vectors(normals))
+        mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
     if colour is not None:
         mesh.CreateDisplayColorAttr(Vt.Vec3fArray([Gf.Vec3f(*colour)]))
     return mesh

@@ -87,7 +87,7 @@ class SkinWriter:
     mesh: of the skin, its vertices strip by strip; order: the result's number of each of them
     """
 
-    def __init__(self, stage: Usd.Stage, path: str, skin: xr.Dataset, colour: tuple[float, float, float]):
+    def __init__(self, stage: Usd.Stage, path: str, skin: xr.Dataset, colour: tuple[float, ...]):
         """colour: where it has no colours over time"""
         rest = skin["rest_position"].values
         self._stage, self._skin = stage, skin
@@ -95,7 +95,8 @@ class SkinWriter:
         place = np.empty(len(rest), np.int32)
         place[self.order] = np.arange(len(rest), dtype=np.int32)
         self._areas = vertex_areas(rest, skin["face"].values)[self.order]
-        self.mesh = add_mesh(stage, path, rest[self.order], place[skin["face"].values], colour)
+        normals = skin["rest_normal"].values[self.order]
+        self.mesh = add_mesh(stage, path, rest[self.order], place[skin["face"].values], colour, normals)
         numbers = UsdGeom.PrimvarsAPI(self.mesh).CreatePrimvar("vertex_number", Sdf.ValueTypeNames.IntArray, "vertex")
         numbers.Set(integers(self.order))
         about(numbers.GetAttr(), units="1", sign="number of the vertex in result.nc, from 0")
@@ -132,7 +133,8 @@ class SkinWriter:
         about(self.mesh.GetPrim(), magnification=factor)
         variants = self.mesh.GetPrim().GetVariantSets().AddVariantSet(MOTION)
         # What a prim says itself is stronger than what it says in a variant: it is said in the variants only
-        kept = {attribute: attribute.Get() for attribute in (self.mesh.GetPointsAttr(), self.mesh.GetExtentAttr())}
+        shape = self.mesh.GetPointsAttr(), self.mesh.GetExtentAttr(), self.mesh.GetNormalsAttr()
+        kept = {attribute: attribute.Get() for attribute in shape}
         for attribute in kept:
             attribute.Clear()
         for name in (MAGNIFIED, REST):
@@ -140,7 +142,9 @@ class SkinWriter:
             variants.SetVariantSelection(name)
             with variants.GetVariantEditContext():
                 for attribute, value in kept.items():
-                    attribute.Set(value)
+                    # Normals at rest are wrong for the magnified skin, whose viewer makes its own
+                    if name == REST or attribute.GetName() != UsdGeom.Tokens.normals:
+                        attribute.Set(value)
         self._magnify = factor, variants
 
     def write(self, clock: Clock, frames: slice) -> None:

@@ -15,7 +15,7 @@ from palmfield.outputs.frames import IDENTITY, bodies, in_world, pose_at, to_wor
 from palmfield.outputs.levels import FLOOR_DB, LevelCourse, level_course
 from palmfield.outputs.schema import MUJOCO_SCENE, has_records, instances
 from palmfield.outputs.usd.arrays import ArrayWriter
-from palmfield.outputs.usd.bodies import BodyWriter
+from palmfield.outputs.usd.bodies import SKIN_COLOUR, BodyWriter
 from palmfield.outputs.usd.clock import Clock, clock_of
 from palmfield.outputs.usd.field import add_field
 from palmfield.outputs.usd.legend import add_legend
@@ -112,10 +112,11 @@ def _write(
     writers: list[_Writer] = [
         ArrayWriter(stage, f"/Scene/Arrays/{prim}", arrays[name]) for name, prim in identifiers(arrays).items()
     ]
-    standing = _add_bodies(stage, result)
-    skin_writers = {name: writer for body in standing for name, writer in body.skins.items()}
     ranges = _ranges(result, shown, clock)
     palette = _palette(shown, ranges)
+    # Skin that does not move has its body's colour, so that no rim is seen where nothing happens
+    standing = _add_bodies(stage, result, SKIN_COLOUR if palette is None else palette.at_rest)
+    skin_writers = {name: writer for body in standing for name, writer in body.skins.items()}
     for name, skin_writer in skin_writers.items():
         _take(skin_writer, name, skins[name], shown, clock, ranges, palette)
     writers += [*standing, *skin_writers.values()]
@@ -149,7 +150,7 @@ def _write(
             on_frame(frames.stop, len(clock.codes))
 
 
-def _add_bodies(stage: Usd.Stage, result: xr.DataTree) -> list[BodyWriter]:
+def _add_bodies(stage: Usd.Stage, result: xr.DataTree, colour: tuple[float, ...]) -> list[BodyWriter]:
     skins, surfaces = instances(result, "skin"), instances(result, "surface")
     groups, forces = instances(result, "body"), instances(result, "forces")
     named = bodies(result)
@@ -160,7 +161,7 @@ def _add_bodies(stage: Usd.Stage, result: xr.DataTree) -> list[BodyWriter]:
         made.append(
             BodyWriter(
                 stage, f"/Scene/Bodies/{prim}", groups.get(own[0]), forces.get(own[0]), on_it,
-                {one: skins[one] for one in own},
+                {one: skins[one] for one in own}, colour,
             )
         )  # fmt: skip
     return made

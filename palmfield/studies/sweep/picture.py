@@ -8,12 +8,13 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from palmfield.errors import OutputError
-from palmfield.outputs.style import COLOURS, save, style
+from palmfield.outputs.style import COLOURS, LINES, save, style
 from palmfield.studies.sweep.store import swept_keys
 from palmfield.studies.sweep.variables import FAILED
 from palmfield.types import Float
 
 DPI = 150
+MARKS = "osD^v"
 MOST_PANELS = 4
 """Keys over which points are drawn."""
 MOST_TICKS = 7
@@ -70,7 +71,7 @@ def _lines(dataset: xr.Dataset, key: str, quantities: list[_Quantity]) -> Figure
         curves = list(_curves(dataset, quantity))
         for number, (label, values) in enumerate(curves):
             colour = COLOURS[number % len(COLOURS)]
-            mark = "o-" if number < len(COLOURS) else "s--"
+            mark = MARKS[number % len(MARKS)] + LINES[number % len(LINES)]
             axes.plot(places, values, mark, ms=3.5, color=colour, label=label)
         axes.set(ylabel=f"{quantity.title.lower()}\n[{quantity.unit}]")
         if quantity is LEVEL:
@@ -123,7 +124,9 @@ def _points(dataset: xr.Dataset, keys: list[str], quantities: list[_Quantity]) -
             places, words = _places(flat, key)
             for number, (label, values) in enumerate(_curves(flat, quantity)):
                 colour = COLOURS[number % len(COLOURS)]
-                axes.plot(places, values, "o", ms=3.0, mew=0.0, alpha=0.7, color=colour, label=label)
+                axes.plot(
+                    places, values, MARKS[number % len(MARKS)], ms=3.0, mew=0.0, alpha=0.7, color=colour, label=label
+                )
             if axes is row[0]:
                 axes.set(ylabel=f"{quantity.title.lower()}\n[{quantity.unit}]")
                 if any(axes.get_legend_handles_labels()[1]):

@@ -266,9 +266,9 @@ def _play_on_port(
         sent = _make_and_give(player, times_s, make, duration_s, given, told)
     finally:
         player.close()
-    assert player.report is not None
+    report = player.played
     ended_s, takes_s = sent.end_s, board.frame_time_s
-    for order, on_line_s in player.report.on_line:
+    for order, on_line_s in report.on_line:
         number, made_s, frame = given[order]
         begun_s = on_line_s - sent.zero_s - takes_s
         sent.add(SentFrame(number, times_s[number], made_s, begun_s, frame), takes_s)

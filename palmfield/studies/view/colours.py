@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from palmfield.types import Complex, Float32
 
-FLESH = (222, 190, 170)
 SILENT = (150, 150, 150)
 NICE = (1.0, 2.0, 5.0, 10.0)
 NOTHING = 1e-6
@@ -20,6 +19,10 @@ def _table(name: str, low: float = 0.0, high: float = 1.0) -> NDArray[np.uint8]:
 
 
 MOTION, PRESSURE, PHASE = _table("RdBu_r", 0.02, 0.98), _table("magma_r", 0.03, 0.85), _table("twilight")
+
+
+AT_REST = (int(MOTION[128, 0]), int(MOTION[128, 1]), int(MOTION[128, 2]))
+"""Of bodies: the colour of skin that does not move."""
 
 
 @dataclass(frozen=True)

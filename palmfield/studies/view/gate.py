@@ -1,7 +1,8 @@
 """What stands before the page's own server: who may come in, on which address, with which token.
 
-viser serves whoever connects, and asks for nothing. It listens on this machine alone, at a port that nobody is told;
-this gate listens where the page is to be found, looks at the head of each connection, and passes on those that may.
+This gate listens where the page is to be found, looks at the head of each connection, and passes on those that may come
+in. viser itself serves whoever connects, at a port of this machine that any script of any page can find by trying: so
+it is made by `only_for_gate` to serve this gate alone, which knows a secret.
 """
 
 import asyncio
@@ -11,6 +12,8 @@ import hmac
 import http
 import ipaddress
 import threading
+from collections.abc import Callable, Iterator
+from typing import Any
 from urllib.parse import parse_qs, quote, urlsplit
 
 from palmfield.errors import OutputError
@@ -23,6 +26,49 @@ CHUNK = 1 << 16
 LOCAL = ("localhost", "127.0.0.1", "::1")
 PORTS = 20
 """So many ports are tried where none is asked for."""
+ALIVE = "/alive"
+"""Path at which the server says that it is there, and nothing else."""
+SECRET_HEADER = "X-Palmfield-Gate"
+"""Header of a request by which the server behind knows the gate."""
+
+
+@contextlib.contextmanager
+def only_for_gate(secret: str, head: str) -> Iterator[None]:
+    """A viser server that starts in the block answers requests with a secret in SECRET_HEADER, and refuses all others.
+
+    head: HTML that is added to the head of its page
+    Raises OutputError where the server that started was not made by the library that viser 1.1 makes it by.
+    """
+    import websockets.asyncio.server as library
+
+    plain = library.serve
+    guarded = []
+
+    def serve(*given: Any, process_request: Callable[..., Any], **more: Any) -> Any:
+        def checked(connection: Any, request: Any) -> Any:
+            if request.headers.get_all(SECRET_HEADER) != [secret]:
+                return connection.respond(http.HTTPStatus.FORBIDDEN, "open the address that `palmfield view` printed\n")
+            if request.path == ALIVE:
+                return connection.respond(http.HTTPStatus.NO_CONTENT, "")
+            if request.path.partition("?")[0] != "/" or "Upgrade" in request.headers:
+                return process_request(connection, request)
+            del request.headers["Accept-Encoding"]
+            answer = process_request(connection, request)
+            answer.body = answer.body.replace(b"<head>", b"<head>" + head.encode(), 1)
+            del answer.headers["Content-Length"]
+            answer.headers["Content-Length"] = str(len(answer.body))
+            return answer
+
+        guarded.append(True)
+        return plain(*given, process_request=checked, **more)
+
+    library.serve = serve  # type: ignore[assignment, misc]
+    try:
+        yield
+    finally:
+        library.serve = plain  # type: ignore[misc]
+    if not guarded:
+        raise OutputError("this version of viser can't be closed to other programs; install viser 1.1")
 
 
 def is_loopback(host: str) -> bool:
@@ -107,12 +153,13 @@ def check(head: Head, token: str, cookie: str) -> None:
 class Gate:
     """Listens in a thread of its own. port: at which"""
 
-    def __init__(self, host: str, port: int | None, first: int, behind: int, token: str) -> None:
+    def __init__(self, host: str, port: int | None, first: int, behind: int, token: str, secret: str) -> None:
         """port: None for the first free one from `first` on; behind: port of this machine to which is passed on
+        secret: that the server there asks for
 
         Raises OutputError for a place where nobody can listen.
         """
-        self._behind, self._token = behind, token
+        self._behind, self._token, self._secret = behind, token, secret
         self._loop = asyncio.new_event_loop()
         threading.Thread(target=self._loop.run_forever, daemon=True).start()
         self.port = 0
@@ -151,7 +198,8 @@ class Gate:
 
     async def _pass_on(self, raw: bytes, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         inside, outside = await asyncio.open_connection("127.0.0.1", self._behind)
-        outside.write(raw)
+        request, end, headers = raw.partition(b"\r\n")
+        outside.write(request + end + f"{SECRET_HEADER}: {self._secret}\r\n".encode() + headers)
         both = [asyncio.ensure_future(_copy(reader, outside)), asyncio.ensure_future(_copy(inside, writer))]
         await asyncio.wait(both, return_when=asyncio.FIRST_COMPLETED)
         # The end of either is the end of both, once what was on its way out is out

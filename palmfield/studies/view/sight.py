@@ -1,43 +1,23 @@
 """What there is to see of a simulation, as the page takes it."""
 
-from typing import NamedTuple
-
 import numpy as np
 
-from palmfield.hand.meshquery import build_mesh, closest_faces
+from palmfield.outputs.covered import Under, under
 from palmfield.session.simulation import Simulation
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.studies.view.messages import Moment, Pose, SceneShown, Slider
-from palmfield.types import Float32, Int
+from palmfield.types import Float32
 
-COVERED_m = 3e-3
-"""A body's vertex nearer than this to a skin on it is covered by that."""
-SUNK_m = 4e-3
-"""By so much it is drawn deeper: what the motion's magnified push may take."""
 SILENT = np.zeros((0, 3), np.float32)
 
 
-class Under(NamedTuple):
-    """Vertices of a body's surface that skins lie on. vertex: their numbers; skin, node: what lies there, (c,) each"""
-
-    vertex: Int
-    skin: Int
-    node: Int
-
-    @staticmethod
-    def of(model: HapticModel, body: int) -> "Under":
-        """Those of a body, by its number."""
-        skins = model.carried(body)
-        vertices, _ = model.skins[skins[0]].closed_surface
-        owner, node = np.full(len(vertices), -1, np.int32), np.zeros(len(vertices), np.int32)
-        for number in skins:
-            nodes, faces = model.skins[number].nodes[0], model.skins[number].faces
-            face = closest_faces(build_mesh(nodes, faces), vertices, COVERED_m)
-            under = np.flatnonzero((face >= 0) & (owner < 0))
-            owner[under], node[under] = number, faces[face[under], 0]
-        under = np.flatnonzero(owner >= 0)
-        return Under(np.asarray(under, np.int32), owner[under], node[under])
+def _under(model: HapticModel, body: int) -> Under:
+    """Which vertices of a body, by its number, its skins cover; a skin's number is the model's."""
+    skins = np.array(model.carried(body))
+    vertices, _ = model.skins[skins[0]].closed_surface
+    found = under(vertices, [(model.skins[n].nodes[0], model.skins[n].faces, model.skins[n].nodes[1]) for n in skins])
+    return found._replace(skin=skins[found.skin])
 
 
 def scene_shown(sim: Simulation, name: str, pose: Pose, sliders: tuple[Slider, ...], no_pose: str) -> SceneShown:
@@ -69,7 +49,7 @@ class Sight:
     def __init__(self, sim: Simulation) -> None:
         self._sim = sim
         model = sim.runtime.model
-        self._under = [Under.of(model, number) for number in range(len(model.bodies))]
+        self._under = [_under(model, number) for number in range(len(model.bodies))]
         self._shown: PosedScene | None = None
 
     def pose(self) -> Pose:
@@ -81,11 +61,11 @@ class Sight:
             points, normals = frame.surface(*skin.nodes)
             skins.append((_in_world(points), _in_world(normals)))
         bodies = []
-        for body, (vertex, owner, node) in zip(posed.bodies, self._under, strict=True):
+        for body, (vertex, owner, node, depth) in zip(posed.bodies, self._under, strict=True):
             vertices = _in_world(frame.points(body.vertices_in_array))
             for number in np.unique(owner):
                 own = owner == number
-                vertices[vertex[own]] -= np.float32(SUNK_m) * skins[number][1][node[own]]
+                vertices[vertex[own]] -= np.float32(depth[own, None]) * skins[number][1][node[own]]
             bodies.append(vertices)
         return Pose(tuple(bodies), tuple(skins), _in_world(frame.points(posed.arrays.array.positions)))
 

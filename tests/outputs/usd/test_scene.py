@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from pxr import Sdf, Usd, UsdGeom, UsdShade, UsdSkel, Vt
+from pxr import Sdf, Usd, UsdGeom, UsdLux, UsdShade, UsdSkel, Vt
 
 from palmfield.errors import OutputError
 from palmfield.outputs.frames import to_world
@@ -205,7 +205,29 @@ def test_skins_on_one_body_share_it(tmp_path, whole, keep):
     assert validate_usd(tmp_path / "s.usdc") == []
     stage = Usd.Stage.Open(str(tmp_path / "s.usdc"))
     meshes = [str(p.GetPath()) for p in stage.Traverse() if p.IsA(UsdGeom.Mesh) and "Scene/Bodies" in str(p.GetPath())]
-    assert meshes == [f"/Scene/Bodies/hand/{name}" for name in ("Surface", "Uncovered", "Skins/palm", "Skins/second")]
+    assert meshes == [f"/Scene/Bodies/hand/{name}" for name in ("Surface", "Drawn", "Skins/palm", "Skins/second")]
+
+
+def test_it_is_lit_and_shaded_alike_in_every_renderer(written):
+    stage = Usd.Stage.Open(str(written))
+    dome = UsdLux.DomeLight(stage.GetPrimAtPath("/Scene/Lights/Dome"))
+    key = UsdLux.DistantLight(stage.GetPrimAtPath("/Scene/Lights/Key"))
+    # Blender takes a dome without a written colour for none; a lamp that is not normalised is darker by its solid angle
+    assert dome.GetColorAttr().HasAuthoredValue() and key.GetColorAttr().HasAuthoredValue()
+    assert key.GetNormalizeAttr().Get() is True
+    assert stage.GetFramesPerSecond() == 30.0
+    for place in ("/Scene/Bodies/hand/Drawn", "/Scene/Bodies/hand/Skins/palm"):
+        mesh = UsdGeom.Mesh(stage.GetPrimAtPath(place))
+        normals, points = np.array(mesh.GetNormalsAttr().Get()), np.array(mesh.GetPointsAttr().Get())
+        assert mesh.GetNormalsInterpolation() == "vertex" and normals.shape == points.shape
+        np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-5)
+
+
+def test_skin_at_rest_has_its_bodys_colour(written):
+    stage = Usd.Stage.Open(str(written))
+    body = _primvar(stage, "displayColor", "/Scene/Bodies/hand/Drawn").Get()[0]
+    colours = np.array(_primvar(stage, "displayColor", "/Scene/Bodies/hand/Skins/palm").Get())
+    np.testing.assert_allclose(body, colours[127:129].mean(axis=0), atol=0.02)
 
 
 def test_names_that_usd_does_not_allow(tmp_path, whole, keep):

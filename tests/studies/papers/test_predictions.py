@@ -15,6 +15,7 @@ from palmfield.perception.observers import OBSERVERS
 
 GALLERY = Path(__file__).resolve().parents[3] / "docs" / "gallery"
 NUMBERS = json.loads((GALLERY / predictions.NUMBERS).read_text(encoding="utf-8"))
+STILL = json.loads((GALLERY / score.STILL).read_text(encoding="utf-8"))
 FINDINGS = {finding.name: finding for finding in felt.FINDINGS}
 
 
@@ -23,7 +24,7 @@ def test_the_page_is_made_of_the_numbers():
 
 
 def test_the_score_is_made_of_the_committed_numbers_and_has_every_finding():
-    assert (GALLERY / score.PAGE).read_text(encoding="utf-8") == score.page(NUMBERS)
+    assert (GALLERY / score.PAGE).read_text(encoding="utf-8") == score.page(NUMBERS, STILL)
     assert set(score.OUTCOMES) == set(FINDINGS)
 
 
@@ -54,6 +55,23 @@ def test_levels_come_out_again(name):
     (committed,) = (one for one in NUMBERS["findings"] if one["name"] == name)
     found = FINDINGS[name].size(OBSERVERS["bolanowski_1988"], 0.01)
     assert found == pytest.approx(committed["sizes"]["10 mm"]["bolanowski_1988"], abs=0.01)
+
+
+@pytest.mark.parametrize("name", ["LM step", "more foci", "tactile pointer"])
+def test_a_skin_without_waves_comes_out_again(name):
+    (committed,) = (one for one in STILL if one["name"] == name)
+    found = FINDINGS[name].size(OBSERVERS["bolanowski_1988"], felt.NO_WAVES)
+    assert found == pytest.approx(committed["sizes"]["0 mm"]["bolanowski_1988"], abs=0.01)
+
+
+def test_a_skin_without_waves_moves_where_it_is_pressed_alone():
+    """Pressure AM of depth 1 has ARP lines of 1/2 and 1/8 of its peak: ((1 + sin)/2)^2 = 3/8 + sin/2 - cos(2)/8."""
+    skin = felt.layer(felt.NO_WAVES)
+    lines = np.abs(skin.lines([felt.pressure_am()], 200.0, [1, 2, 3]))
+    middle = len(skin.places()) // 2
+    np.testing.assert_allclose(lines[:, middle, middle], [5e-7, 1.25e-7, 0.0], atol=2e-10)
+    half = np.interp(0.5 * felt.FWHM_M, skin.places(), lines[0, middle])
+    assert half == pytest.approx(0.5 * 5e-7, rel=0.02)
 
 
 def test_a_ratio_of_forces_comes_out_again():

@@ -118,7 +118,7 @@ def asked(port, target="/", **headers):
 
 
 def test_a_gate_passes_on_who_may_and_answers_the_others(behind):
-    gate = Gate("127.0.0.1", 0, 0, behind, TOKEN)
+    gate = Gate("127.0.0.1", 0, 0, behind, TOKEN, "s")
     cookie = f"palmfield_{gate.port}={TOKEN}"
     assert asked(gate.port, Cookie=cookie) == (200, b"inside")
     assert asked(gate.port)[0] == 403
@@ -137,10 +137,10 @@ def test_a_gate_passes_on_who_may_and_answers_the_others(behind):
 
 def test_a_port_that_is_taken_is_told_and_the_next_is_tried(behind):
     with pytest.raises(OutputError, match=f"port {behind} is taken"):
-        Gate("127.0.0.1", behind, 0, behind, "")
-    assert Gate("127.0.0.1", None, behind, behind, "").port > behind
+        Gate("127.0.0.1", behind, 0, behind, "", "")
+    assert Gate("127.0.0.1", None, behind, behind, "", "").port > behind
 
 
 def test_an_address_that_is_not_this_machines_is_told():
     with pytest.raises(OutputError, match=r"192\.0\.2\.1.*--host"):
-        Gate("192.0.2.1", 0, 0, 1, "")
+        Gate("192.0.2.1", 0, 0, 1, "", "")

@@ -53,7 +53,11 @@ def test_the_page_comes_over_http_and_its_pictures_over_a_websocket(page):
     talk = HTTPConnection("127.0.0.1", port_of(address), timeout=10.0)
     talk.request("GET", "/")
     answer = talk.getresponse()
-    assert answer.status == 200 and b"<html" in answer.read()
+    told = answer.read()
+    assert answer.status == 200 and b"<html" in told and b"The view has ended" in told
+    talk = HTTPConnection("127.0.0.1", port_of(address), timeout=10.0)
+    talk.request("GET", "/alive")
+    assert talk.getresponse().status == 204
     with PageClient(address) as client:
         client.until(is_picture)
         began, count = time.monotonic(), 0
@@ -106,6 +110,47 @@ def test_a_strangers_script_is_not_let_in(page):
     _, address = page
     with pytest.raises(InvalidStatus):
         PageClient(address, {"Origin": "http://evil.example"})
+
+
+def ports_behind(address):
+    """Ports of this machine at which the process that serves a page listens, but the page's own: Linux lists them."""
+    sockets, own = {}, port_of(address)
+    for line in Path("/proc/net/tcp").read_text().splitlines()[1:]:
+        words = line.split()
+        if words[3] == "0A":
+            sockets[f"socket:[{words[9]}]"] = int(words[1].split(":")[1], 16)
+    for process in Path("/proc").glob("[0-9]*/fd"):
+        try:
+            ports = {sockets[link] for one in process.iterdir() if (link := os.readlink(one)) in sockets}
+        except OSError:
+            continue
+        if own in ports:
+            return ports - {own}
+    raise AssertionError(f"nobody listens at port {own}")
+
+
+@pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="open ports are listed by Linux")
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {"Origin": "http://evil.example"},
+        {"Origin": "http://localhost:{gate}"},
+        {},
+        {"Origin": "http://evil.example", "X-Palmfield-Gate": ""},
+    ],
+)
+def test_nobody_comes_in_past_the_gate(page, headers):
+    _, address = page
+    behind = ports_behind(address)
+    assert behind
+    for port in behind:
+        own = {name: text.format(gate=port_of(address)) for name, text in headers.items()}
+        with pytest.raises(InvalidStatus) as refused:
+            PageClient(f"http://127.0.0.1:{port}/", own)
+        assert refused.value.response.status_code == 403
+        talk = HTTPConnection("127.0.0.1", port, timeout=10.0)
+        talk.request("GET", "/", headers=own)
+        assert talk.getresponse().status == 403
 
 
 def test_a_page_for_others_asks_for_its_token(module_scene, tmp_path):
