@@ -1,6 +1,7 @@
 """Foci that another program tells of over a socket while they sound: a line of JSON each."""
 
 import json
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -47,7 +48,7 @@ def read_focus(line: bytes, offset: Float) -> LiveFocus:
     place = _numbers(told, "focus_m", 3) if "focus_m" in told else offset
     if "position_m" in told:
         turn = _numbers(told, "quaternion", 4) if "quaternion" in told else np.array([1.0, 0.0, 0.0, 0.0])
-        length = float(np.linalg.norm(turn))
+        length = math.hypot(*turn)
         if not abs(length - 1.0) <= UNIT:
             raise BadLine("numbers", f"quaternion has length {length:g}; allowed: 1, w first")
         place = rotation_matrix(turn / length) @ place + _numbers(told, "position_m", 3)

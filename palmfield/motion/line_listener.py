@@ -20,8 +20,9 @@ LOOK_S = 0.02
 """The sockets are looked at no less often, as long as this process runs."""
 STALE_S = 0.1
 """What arrived longer ago is not used any more."""
-HELD_BACK = 32768
-"""After so many bytes that waited, the system of their sender may hold back more that are as old."""
+HELD_BACK, LINE_COSTS = 49152, 512
+"""After so many bytes that waited, the system of their sender may hold back more that are as old; and what a line takes
+of the system's memory besides. Linux blocks a sender that is not read from 94 kB on, or from 142 lines of 50 bytes."""
 NEXT_SENDER_S = 1.0
 """A UDP sender that has been silent for so long may be followed by another one."""
 WAITING = 8
@@ -213,7 +214,8 @@ class LineListener(ABC):
                 return
             except OSError:
                 data = b""
-            waited += len(data) if time.monotonic() - since_s > STALE_S else 0
+            if time.monotonic() - since_s > STALE_S:
+                waited += len(data) + LINE_COSTS * data.count(b"\n")
             rest += data
             *lines, last = bytes(rest).split(b"\n")
             rest[:] = last

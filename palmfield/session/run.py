@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import Progress
 
 from palmfield.errors import MeasurementError, OutputError
 from palmfield.interrupts import interrupts_held
@@ -31,9 +30,11 @@ from palmfield.outputs.usd import write_usd
 from palmfield.session.duration import check_duration, step_count
 from palmfield.session.load import Source
 from palmfield.session.mujoco_scene import body_poses
+from palmfield.session.planning.costs import estimate_s
 from palmfield.session.recorder import Block, Recorder, Sink, static_arrays, world_with
 from palmfield.session.simulation import Simulation
 from palmfield.session.summary import array_numbers, estimated_budget, scene_numbers, skin_numbers, stimulus_numbers
+from palmfield.terminal import bars
 from palmfield.types import Float
 
 LOG = logging.getLogger("palmfield.session")
@@ -107,7 +108,7 @@ def run(
         refuse_occupied(Path(out), overwrite)
     sim = scene if isinstance(scene, Simulation) else Simulation(scene)
     duration = sim.duration_s if duration_s is None else duration_s
-    with _progress(progress) as bar:
+    with bars(progress) as bar:
         store, recorder = _prepare(sim, None if out is None else Path(out), overwrite, bar)
         stopped = _simulate(sim, recorder, duration, bar)
         try:
@@ -188,7 +189,7 @@ def recover(out: str | Path, *, progress: bool = False) -> dict[str, Path]:
         complete = bool(tree.attrs["complete"])
         if not complete or not target.exists():
             write_json(target, summary(tree, {"complete": complete, "reason": tree.attrs["reason"]}))
-        with _progress(progress) as bar:
+        with bars(progress) as bar:
             return {"result.nc": path, "summary.json": target} | draw(tree, out, bar)
 
 
@@ -222,8 +223,10 @@ def draw(tree: xr.DataTree, out: Path, bar: Progress, plots: Sequence[str] | Non
 def _prepare(sim: Simulation, out: Path | None, overwrite: bool, bar: Progress) -> tuple[Store | MemoryStore, Recorder]:
     """Everything that can fail before the first step."""
     started = time.perf_counter()
-    task = bar.add_task("preparing the skin layers", total=None)
-    for lazy in sim.runtime.model.begin:
+    model = sim.runtime.model
+    expected_s = sum(skin.choice.seconds for skin in model.skins)
+    task = bar.add_task("preparing the skin layers", total=None, expected_s=expected_s)
+    for lazy in model.begin:
         _ = lazy.value
     static, attributes = known_before(sim), result_attributes(sim)
     store = MemoryStore(static, attributes) if out is None else Store(out, static, attributes, overwrite)
@@ -265,7 +268,9 @@ def _simulate(sim: Simulation, recorder: Recorder, duration_s: float, bar: Progr
 
 def _budgets(sim: Simulation, recorder: Recorder, bar: Progress) -> dict[str, Any]:
     """The error budget of each skin's motion, or why there is none."""
-    task, before = bar.add_task("estimating the error", total=None), time.perf_counter()
+    expected_s = sum(estimate_s(skin) for skin in sim.runtime.model.skins)
+    task = bar.add_task("estimating the error", total=None, expected_s=expected_s)
+    before = time.perf_counter()
     try:
         return {name: estimated_budget(sim, number, recorder.loudest[number]) for number, name in enumerate(sim.skins)}
     finally:
@@ -308,14 +313,6 @@ def _spent(started: float) -> dict[str, Any]:
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     memory = peak / 2**20 if platform.system() == "Darwin" else peak / 2**10
     return {"wall_time_s": time.perf_counter() - started, "peak_memory_MiB": memory}
-
-
-def _progress(show: bool) -> Progress:
-    """Bars on standard error, with the time left."""
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    console = Console(stderr=True)
-    # Where nobody watches, bars would leave an empty line before an error.
-    return Progress(*columns, console=console, disable=not (show and console.is_terminal), transient=True)
 
 
 def _shown_better(sim: Simulation) -> list[str]:

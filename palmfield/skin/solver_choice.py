@@ -20,10 +20,12 @@ from palmfield.device import resolve
 from palmfield.errors import SceneError
 from palmfield.skin.approximation.truncate_domain import truncate_domain
 from palmfield.skin.costs import modal_step_s, modes_s, reduced_s, wedges_s
+from palmfield.skin.fem.on_body import on_body
 from palmfield.skin.problem import (
     QUANTITIES,
     Body,
     Foundation,
+    Layer,
     Load,
     Motion,
     Quantity,
@@ -36,6 +38,7 @@ from palmfield.skin.problem import (
     points_on_face,
     requested_points,
     rising,
+    stated,
 )
 from palmfield.types import Float
 
@@ -82,6 +85,12 @@ AT_REST = ("lateral_waves", "axisymmetric", "wedges")
 LATE = 20.0
 """Periods after a load's last change from which a body without losses can only have been taken for one at rest."""
 
+HARDER: dict[Quantity, float] = {"displacement": 1.0, "velocity": 0.5, "normal": 1.0}
+"""Accuracy of the displacement over that of each quantity that takes about the same work."""
+
+SLAB_S, LAYER_S = 0.02, 0.12
+"""Seconds of the choice itself; a layer's part that matters is looked for as well."""
+
 FINER = 3
 """How often a solution is made finer when its estimate misses the target accuracy."""
 
@@ -99,7 +108,10 @@ class HistorySolver(Protocol):
 
 @dataclass(frozen=True)
 class Choice:
-    """What a solver would do: predicted seconds, or the sentence with which it refuses (then seconds is infinite)."""
+    """What a solver would do: predicted seconds, or the sentence with which it refuses (then seconds is infinite).
+
+    Infinite seconds without a refusal: the solver can, but its cost is not known.
+    """
 
     name: str
     seconds: float
@@ -139,28 +151,44 @@ def scene_choices(
 
 
 def choices(
-    body: Body, load: Load, times: ArrayLike, at: ArrayLike, *, accuracy: float = 0.05, device: str = "auto"
+    body: Body,
+    load: Load,
+    times: ArrayLike,
+    at: ArrayLike,
+    *,
+    accuracy: float = 0.05,
+    accuracy_of: Quantity = "displacement",
+    device: str = "auto",
 ) -> list[Choice]:
     """Every solver's prediction for a problem, the cheapest first; arguments as for `solve`."""
     check_load(load)
+    check_quantity(accuracy_of)
     moments, points = checked(times, at, accuracy)
     body, load, _ = truncate_domain(body, load, float(moments[-1]), points, accuracy)
-    return ranking(body, load, moments, points, accuracy, resolve(device))
+    load = on_body(body, load)
+    return ranking(body, load, moments, points, accuracy, accuracy_of, resolve(device))
 
 
-def ranking(body: Body, load: Load, times: Float, at: Float, accuracy: float, device: str) -> list[Choice]:
-    """Choices for arguments that are checked."""
+def ranking(
+    body: Body, load: Load, times: Float, at: Float, accuracy: float, accuracy_of: Quantity, device: str
+) -> list[Choice]:
+    """Choices for arguments that are checked. A solver whose cost can't be computed comes after those whose can."""
     options = []
     for name in WHERE:
-        refusal = function(name, "refusal")(body, load)
-        seconds = math.inf
+        refusal, seconds = function(name, "refusal")(body, load), math.inf
         if refusal is None:
             try:
-                seconds = cost(name, body, load, times, at, accuracy, device)
-            except SceneError as reason:
+                seconds = cost(name, body, load, times, at, HARDER[accuracy_of] * accuracy, device)
+            except (SceneError, MemoryError) as reason:
                 refusal = f"{reason}"
-        options.append(Choice(name, seconds, refusal))
+            except Exception:
+                seconds = math.inf
+        options.append(Choice(name, math.inf if math.isnan(seconds) else seconds, refusal))
     return ranked(options)
+
+
+def seconds_in_words(choice: Choice) -> str:
+    return f"{choice.seconds:.2g} s" if math.isfinite(choice.seconds) else "cost not known"
 
 
 def solve(
@@ -205,29 +233,16 @@ def solve(
     check_rest(body, load, moments)
     # Points off the body would make every solver refuse.
     on_face = points_on_face(body, points)
-    if not np.any(load.peak_Pa if isinstance(load, Spot) else load.pressure_Pa):
-        still = np.zeros((len(moments), len(points), 3))
-        return Motion(
-            moments,
-            on_face,
-            still,
-            still.copy(),
-            0.0,
-            "no load: all is at rest",
-            "none needed",
-            0.0,
-            accuracy_of,
-            0.0,
-            0.0,
-            0.0,
-        )
     cut = 0.0
-    if not whole:
+    if not whole and is_pressed(load):
         body, load, cut = truncate_domain(body, load, float(moments[-1]), points, accuracy)
+    load = on_body(body, load)
+    if not is_pressed(load):
+        return at_rest(moments, on_face, accuracy_of)
     if solver == "auto":
         if resolution:
             raise SceneError(f"{', '.join(resolution)}: resolutions are a solver's own; name one with solver=")
-        options = ranking(body, load, moments, points, accuracy, where)
+        options = ranking(body, load, moments, points, accuracy, accuracy_of, where)
         able = [choice for choice in options if choice.refusal is None and choice.name not in PREVIEW]
         if not able:
             raise SceneError("no solver can do this: " + "; ".join(f"{c.name}: {c.refusal}" for c in options))
@@ -277,8 +292,8 @@ def _first_that_can(
         except (SceneError, MemoryError) as reason:
             refused.append(f"{choice.name} refused: {reason}")
             continue
-        others = ", ".join(f"{c.name} {c.seconds:.2g} s" for c in able[place + 1 :])
-        words = [f"auto: predicted {choice.seconds:.2g} s", *([others] if others else []), *refused]
+        others = ", ".join(f"{c.name} {seconds_in_words(c)}" for c in able[place + 1 :])
+        words = [f"auto: predicted {seconds_in_words(choice)}", *([others] if others else []), *refused]
         return choice.name, motion, "; ".join(words)
     raise SceneError("no solver can do this: " + "; ".join(refused))
 
@@ -314,8 +329,11 @@ def static(body: Body, load: Load, at: ArrayLike, *, accuracy: float = 0.05) -> 
     """
     begin = time.perf_counter()
     check_load(load)
-    _, points = checked(load.times_s[-1:], at, accuracy)
-    points_on_face(body, points)
+    moments, points = checked(load.times_s[-1:], at, accuracy)
+    on_face = points_on_face(body, points)
+    load = on_body(body, load)
+    if not is_pressed(load):
+        return at_rest(moments, on_face, "displacement")
     refused: list[str] = []
     for name in AT_REST:
         reason = function(name, "refusal")(body, load)
@@ -340,6 +358,26 @@ def static(body: Body, load: Load, at: ArrayLike, *, accuracy: float = 0.05) -> 
         words = "" if motion.error <= accuracy else f" (error NOT within the target of {100 * accuracy:.2g} %)"
         return replace(motion, solver=motion.solver + words, seconds=time.perf_counter() - begin)
     raise SceneError("no solver has a static answer: " + "; ".join(refused))
+
+
+def is_pressed(load: Load) -> bool:
+    return bool(np.any(load.peak_Pa if isinstance(load, Spot) else load.pressure_Pa))
+
+
+def at_rest(times: Float, on_face: Float, accuracy_of: Quantity) -> Motion:
+    """The motion of a body without a load."""
+    still = np.zeros((len(times), len(on_face), 3))
+    words = "no load: all is at rest", "none needed"
+    return Motion(
+        times,
+        on_face,
+        still,
+        still.copy(),
+        error_source=words[0],
+        solver=words[1],
+        seconds=0.0,
+        **stated(np.zeros(3), accuracy_of),
+    )
 
 
 def check_rest(body: Body, load: Load, times: Float) -> None:
@@ -393,8 +431,10 @@ def function(name: str, what: str) -> Callable[..., Any]:
 
 
 def cost(name: str, body: Body, load: Load, times: Float, at: Float, accuracy: float, device: str) -> float:
-    """Predicted seconds."""
+    """Predicted seconds, those of the choice itself included."""
     predict = function(name, "cost")
+    where: tuple[str, ...] = ()
     if device != "cpu" and name in ("spectral_elements", "particles"):
-        return predict(body, load, times, at, accuracy, device)
-    return predict(body, load, times, at, accuracy)
+        where = (device,)
+    own = LAYER_S if isinstance(body, Layer) else SLAB_S
+    return own + float(predict(body, load, times, at, accuracy, *where))

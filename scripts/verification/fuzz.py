@@ -141,7 +141,11 @@ def main() -> int:
         print(f"{one.outcome}: {one.case.kind}, {one.case.fault}: {one.case.values}\n  {one.said}", file=sys.stderr)
     print("\n".join(page))
     if arguments.write is not None:
-        arguments.write.write_text("\n".join(page))
+        # The part of fuzz_lines.py stays
+        _, heading, lines = (
+            arguments.write.read_text().partition("\n## Lines") if arguments.write.exists() else ("",) * 3
+        )
+        arguments.write.write_text("\n".join(page) + heading + lines)
     return 1 if bad else 0
 
 

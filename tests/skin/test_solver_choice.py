@@ -1,5 +1,7 @@
 """One call for every solver: who is chosen, what is refused, and what happens where an estimate misses."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -8,11 +10,14 @@ from palmfield.skin import Motion, Sheet, Slab, Spot, choices, preset, solve, st
 from palmfield.skin import solver_choice as module
 from palmfield.skin.analytic.layer_oracle import centre_response
 from palmfield.skin.materials.material import kelvin_voigt
+from palmfield.skin.problem import QUANTITIES
+from palmfield.skin.solvers.particles.resolution import choose_spacing, law_error
 
 ECOFLEX = preset("ecoflex_00-10")
 ENDLESS = Slab((Sheet(ECOFLEX, 0.02),))
 HELD = Spot(0.0103, [0.0, 1e-3], [0.0, 1.0])
 CENTRE = [[0.0, 0.0]]
+DISC = Slab((Sheet(ECOFLEX, 0.02),), shape="disc", side="fixed", radius_m=0.06)
 
 
 def test_an_endless_slab_goes_to_lateral_waves_and_comes_to_rest_at_the_exact_answer() -> None:
@@ -214,3 +219,42 @@ def test_scenes_take_modes_where_runs_are_long_or_many(monkeypatch: pytest.Monke
         by_name = {choice.name: choice for choice in module.scene_choices(7_000, 100, 0, "it moves", 500, None)}
         kept.append(by_name["modal"].seconds)
     assert kept[1] < 0.5 * kept[0]
+
+
+def test_a_cost_that_cannot_be_computed_ends_no_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever fails in a cost, the solver comes after those whose cost is known, and is taken where it is alone."""
+    kept = module.function
+
+    def broken(*_: object) -> float:
+        raise ValueError("f(a) and f(b) must have different signs")
+
+    for spoilt in (set(module.WHERE) - {"wedges"}, set(module.WHERE)):
+        for cost in (broken, lambda *_: np.nan):
+
+            def chosen(name: str, what: str, spoilt: set[str] = spoilt, cost: Any = cost) -> Any:
+                return cost if what == "cost" and name in spoilt else kept(name, what)
+
+            monkeypatch.setattr(module, "function", chosen)
+            ranked = choices(DISC, HELD, [2e-3], CENTRE, device="cpu")
+            able = [choice for choice in ranked if choice.refusal is None]
+            assert {choice.name for choice in able if choice.seconds == np.inf} == spoilt & {c.name for c in able}
+            assert ranked[: len(able)] == able and (able[0].name == "wedges" or len(spoilt) == len(module.WHERE))
+    motion = solve(DISC, HELD, [2e-3], CENTRE, accuracy=0.3, device="cpu")
+    assert "cost not known" in motion.solver
+
+
+@pytest.mark.parametrize("accuracy", [0.002, 0.03, 0.05, 0.3])
+def test_particles_are_spaced_for_loads_that_hop(accuracy: float) -> None:
+    """A spot that hops within a microsecond asks for spacings that no bracket holds (it was a raw error of brentq)."""
+    times = np.array([0.0, 1e-3, 1.001e-3, 2e-3])
+    hops = Spot(0.0087, times, np.ones(4), np.array([[0.0, 0.0], [0.0, 0.0], [0.01, 0.0], [0.01, 0.0]]))
+    spacing = choose_spacing(DISC, hops, accuracy)
+    assert law_error(DISC, hops, spacing) == pytest.approx(accuracy, rel=1e-6)
+
+
+def test_choices_go_by_the_quantity_whose_accuracy_is_wanted() -> None:
+    ranked = {name: choices(ENDLESS, HELD, [0.01], CENTRE, accuracy_of=name, device="cpu") for name in QUANTITIES}
+    cheapest = {name: options[0].seconds for name, options in ranked.items()}
+    assert cheapest["velocity"] >= cheapest["displacement"]
+    with pytest.raises(SceneError, match="accuracy_of is 'speed'; use one of displacement, velocity, normal"):
+        choices(ENDLESS, HELD, [0.01], CENTRE, accuracy_of="speed", device="cpu")  # type: ignore[arg-type]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.spatial import Delaunay, cKDTree
+from scipy.spatial import ConvexHull, Delaunay, cKDTree
 
 from palmfield.errors import SceneError
 from palmfield.skin.fem.assembly import SkinSystem
@@ -77,6 +77,13 @@ class SurfaceQuadrature:
         return self.operator @ pressure
 
 
+def halvings_for(corners: Float, weights_m2: Float) -> int:
+    """How often to quarter triangles, (t, 3, 3) [m], so that their rule is about as close as points of such areas."""
+    edge = float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean())
+    spacing = math.sqrt(float(np.median(weights_m2)))
+    return int(np.clip(math.ceil(math.log2(max(0.5 * edge / spacing, 1.0))), 0, MOST_HALVINGS))
+
+
 def quartered_rule(halvings: int) -> tuple[Float, Float]:
     """Points (q, 2) and weights (q,) of the triangle's rule in each of the 4^halvings parts of the unit triangle."""
     points, weights = triangle_rule()
@@ -104,15 +111,10 @@ def face_points(patch: Patch, halvings: int = 1) -> tuple[Float, Float]:
 def sampled(mesh: WedgeMesh, system: SkinSystem, load: Traction) -> sparse.csr_matrix:
     """Nodal forces [N] of pressures [Pa] at a traction's points, csr, shape (n, p).
 
-    The pressure is linear between the points, reaches half a spacing beyond the outermost as it is there, and is
-    integrated on a rule about as close as they lie. Forces at the points themselves, of the areas that they stand for,
-    would be a rough load on elements not much larger than those, to which a thin layer answers more than to a smooth
-    one: a bonded layer of 1 mm round a bone moved up to 200 times too far. They are left for points that no point of
-    the rule is near, whose areas are small beside the elements, and for the rule's own points on a body
-    (`face_points`).
-    Points seen from above are joined by Delaunay triangles in x and y. Skin above or below a triangle, farther from it
-    than its longest edge, has no pressure. Points about a body are joined by triangles in its own surface. The
-    forces of points on a line, or whose areas are not what lies between them, are spread over discs of these areas.
+    The pressure is that of `field_at`, integrated on a rule about as close as the points lie. Forces at the points
+    themselves, of the areas that they stand for, would be a rough load on elements not much larger than those, to which
+    a thin layer answers more than to a smooth one: a bonded layer of 1 mm round a bone moved up to 200 times too far.
+    They are left for points that are `alone`, and for the rule's own points on a body (`face_points`).
     """
     probe = SurfaceProbe(mesh, load.points, system)
     forces = sparse.csr_matrix(-(probe.operator.T @ sparse.diags(load.weights_m2)))
@@ -120,25 +122,76 @@ def sampled(mesh: WedgeMesh, system: SkinSystem, load: Traction) -> sparse.csr_m
     if net is None and of_rule(mesh, system, load.points):
         return forces
     corners = mesh.nodes[mesh.surface_triangles6[:, :3]]
-    under = np.unique(probe.triangles)
-    edge = float(np.linalg.norm(corners[under] - np.roll(corners[under], 1, axis=1), axis=2).mean())
-    difference = math.sqrt(float(np.median(load.weights_m2)))
-    halvings = int(np.clip(math.ceil(math.log2(max(0.5 * edge / difference, 1.0))), 0, MOST_HALVINGS))
+    halvings = halvings_for(corners[np.unique(probe.triangles)], load.weights_m2)
     reach = net.longest_m.max() if net else 2.0 * math.sqrt(float(load.weights_m2.max()))
     middles = corners.mean(axis=1)
     size = np.linalg.norm(corners - middles[:, None], axis=2).max(axis=1)
     near = cKDTree(net.points if net else load.points).query(middles)[0] <= size + reach
     quadrature = SurfaceQuadrature(mesh, system, halvings, np.flatnonzero(near).astype(np.int32))
+    between = field_at(load, probe.normals, quadrature.points, quadrature.normals, quadrature.weights)
+    return sparse.csr_matrix(quadrature.operator @ between + forces @ sparse.diags(alone(between, load).astype(float)))
+
+
+def field_at(
+    load: Traction, normals: Float, places: Float, facing: Float, weights_m2: Float | None
+) -> sparse.csr_matrix:
+    """Shares of the pressures at a traction's points in the pressure at places of a face, csr, shape (q, p).
+
+    The pressure is linear between the points and reaches half a spacing beyond the outermost as it is there.
+    Points seen from above are joined by Delaunay triangles in x and y. Skin above or below a triangle, farther from it
+    than its longest edge, has no pressure. Points about a body are joined by triangles in its own surface. The
+    forces of points on a line, or whose areas are not what lies between them, are spread over discs of these areas.
+    The mean of the pressure's size over the load's times pushes with the areas that the points stand for.
+
+    normals: outward unit normals at the points, (p, 3); places [m], facing: the same of the face, (q, 3)
+    weights_m2: area of each place, (q,), by which the force is kept; None: pressures alone are wanted
+    """
+    net = seen_from_above(load)
     if net:
-        between = net.between(quadrature.points, len(load.points))
+        between = net.between(places, len(load.points))
+        if weights_m2 is None:
+            return between
     else:
-        here = (load.points, probe.normals, load.weights_m2, quadrature.points, quadrature.normals)
+        assert weights_m2 is not None
+        here = (load.points, normals, load.weights_m2, places, facing)
         between = between_points(*here)
-        covered = float(quadrature.weights @ between.sum(axis=1).A1)
+        covered = float(weights_m2 @ between.sum(axis=1).A1)
         if abs(covered / float(load.weights_m2.sum()) - 1.0) > COVERED:
-            between = spread_forces(*here, quadrature.weights)
-    alone = sparse.diags((between.T @ quadrature.weights <= 0.0).astype(float))
-    return sparse.csr_matrix(quadrature.operator @ between + forces @ alone)
+            return spread_forces(*here, weights_m2)
+    pushed = between.T @ weights_m2
+    mean = np.abs(load.pressure_Pa).mean(axis=0) * ((pushed > 0.0) | (net is not None))
+    force = float(mean @ pushed)
+    return between * (float(mean @ load.weights_m2) / force) if force > 0.0 else between
+
+
+def alone(between: sparse.csr_matrix, load: Traction) -> NDArray[np.bool_]:
+    """Points of a traction that no place is near, (p,): they push by themselves.
+
+    Points of a net that is finer than the places are not alone, as the others push for them.
+    """
+    missed = np.asarray(between.getnnz(axis=0)) == 0
+    return missed if missed.all() or seen_from_above(load) is None else np.zeros_like(missed)
+
+
+def face_pressure(load: Traction, nodes: Int, shares: Float, places: Float, area_m2: Float) -> sparse.csr_matrix:
+    """Pressure at a face's nodes by unit pressures at a traction's points, csr, shape (s, p), whose forces are kept.
+
+    nodes, shares: nodes of the face round each place and their shares there, both (q, k); each node is given the mean
+    of the pressure over its own part of the face
+    places: of a rule on all of the face, [m], (q, 3); area_m2: area vectors of the places, outward, (q, 3)
+    """
+    weights = np.linalg.norm(area_m2, axis=1)
+    facing = area_m2 / weights[:, None]
+    nearest = cKDTree(places).query(load.points)[1]
+    between = field_at(load, facing[nearest], places, facing, weights)
+    single = np.flatnonzero(alone(between, load))
+    pushed = load.weights_m2[single] / weights[nearest[single]]
+    between = between + sparse.coo_matrix((pushed, (nearest[single], single)), shape=between.shape)
+    rows = np.broadcast_to(np.arange(len(places))[:, None], nodes.shape)
+    entries = ((shares * weights[:, None]).ravel(), (nodes.ravel(), rows.ravel()))
+    gather = sparse.coo_matrix(entries, shape=(int(nodes.max()) + 1, len(places))).tocsr()
+    own = gather.sum(axis=1).A1
+    return sparse.csr_matrix(sparse.diags(1.0 / own) @ gather @ between)
 
 
 def of_rule(mesh: WedgeMesh, system: SkinSystem, points: Float) -> bool:
@@ -168,7 +221,13 @@ class Net:
     def between(self, places: Float, count: int) -> sparse.csr_matrix:
         """Shares of the pressures at `count` points in that at places [m] (q, 3), csr, shape (q, count)."""
         net = self.delaunay
-        place = net.find_simplex(places[:, :2])
+        # Triangles of places outside are sought among all of them, one by one
+        low, high = net.min_bound, net.max_bound
+        near = np.flatnonzero(np.all((places[:, :2] >= low) & (places[:, :2] <= high), axis=1))
+        hull = ConvexHull(net.points).equations
+        near = near[np.all(places[near, :2] @ hull[:, :2].T + hull[:, 2] <= 1e-9 * np.ptp(net.points), axis=1)]
+        place = np.full(len(places), -1)
+        place[near] = net.find_simplex(places[near, :2])
         seen = np.flatnonzero(place >= 0)
         turn = net.transform[place[seen]]
         two = np.einsum("qij,qj->qi", turn[:, :2], places[seen, :2] - turn[:, 2])

@@ -50,13 +50,13 @@ def nearest_on_surface(mesh: WedgeMesh, points: Float) -> tuple[Float, Float, In
     Also what triangles they lie in, (n,), and where, as xi and eta, (n, 2). points: [m], shape (n, 3)
     """
     corners = mesh.nodes[mesh.surface_triangles6[:, :3]]
-    triangles, closest = _closest(corners, points)
+    triangles, closest = closest_on_triangles(corners, points)
     local: Float = points_to_barycentric(corners[triangles], closest)[:, 1:]
     normals = np.einsum("pi,pic->pc", triangle_shape(local), mesh.surface_normals()[mesh.surface_triangles6[triangles]])
     return closest, normals / np.linalg.norm(normals, axis=1, keepdims=True), triangles, local
 
 
-def _closest(corners: Float, points: Float) -> tuple[Int, Float]:
+def closest_on_triangles(corners: Float, points: Float) -> tuple[Int, Float]:
     """Index of the closest triangle (n,) and the closest point on it (n, 3)."""
     centroids = corners.mean(axis=1)
     reach = np.linalg.norm(corners - centroids[:, None], axis=2).max()

@@ -10,12 +10,12 @@ from pathlib import Path
 import pytest
 
 from palmfield.studies.papers.answer import Answer, Setting
-from palmfield.studies.papers.counts import counts, unsure
+from palmfield.studies.papers.counts import counts, unsure, weightless
 from palmfield.studies.papers.entries import book
 from palmfield.studies.papers.registry import NAMES, paper
 from palmfield.studies.papers.rows import Row, Tried
 from palmfield.studies.papers.run import numbers
-from palmfield.studies.papers.verdicts import hold, verdict
+from palmfield.studies.papers.verdicts import hangs_on_estimator, hold, verdict
 
 GALLERY = Path(__file__).parents[3] / "docs" / "gallery"
 ENTRIES = {entry.id: entry for entry in book().entries}
@@ -55,12 +55,16 @@ def test_the_verdicts_follow_from_the_numbers(name):
         for answer in one["tried"]:
             given = None
             if answer["ours"] is not None:
-                given = Answer(answer["ours"], margin=answer["margin"], against=answer["against"])
+                given = Answer(
+                    answer["ours"], margin=answer["margin"], against=answer["against"],
+                    other_estimate=answer.get("other_estimate"),
+                )  # fmt: skip
             tried.append(Tried(answer["readings"], given, hold(entry, given) if given and entry.counts else None))
             if given is not None and entry.counts:
                 assert tried[-1].held.within == answer["within"], one["id"]
         if entry.counts:
-            assert verdict(entry, [each.held for each in tried]) == one["verdict"], one["id"]
+            said = verdict(entry, [each.held for each in tried])
+            assert ("depends" if hangs_on_estimator(tried[0].answer) else said) == one["verdict"], one["id"]
         rows.append(Row(entry, tuple(tried), one["verdict"]))
     assert counts(rows) == committed["counts"]
 
@@ -94,20 +98,27 @@ def test_the_gallerys_page_says_what_is_weak():
 
 def test_the_counts_on_the_gallerys_page_are_those_of_the_rows():
     page = (GALLERY / "README.md").read_text()
-    total = dict.fromkeys(("agrees", "disagrees", "depends"), 0)
+    total, weighty = dict.fromkeys(("agrees", "disagrees", "depends"), 0), 0
     for name in NAMES:
         came = table(name)["counts"]
         [line] = re.findall(rf"^\| \[[^|]*\]\({name}/README.md\) \|(.*)$", page, flags=re.MULTILINE)
-        numbers = [int(cell) for cell in line.split("|")[:5]]
-        assert numbers == [
-            sum(came.values()),
-            *(came[key] for key in ("agrees", "disagrees", "depends", "not testable")),
-        ]
+        numbers = [int(cell) for cell in line.split("|")[:6]]
+        agreeing, others = came["agrees"], (came[key] for key in ("disagrees", "depends", "not testable"))
+        carrying = agreeing - len(weightless(rows_of(name)))
+        assert numbers == [sum(came.values()), agreeing, carrying, *others]
+        weighty += carrying
+        assert f"{carrying} of {agreeing} agreements carry weight." in (GALLERY / name / "README.md").read_text()
         for key in total:
             total[key] += came[key]
     testable = sum(total.values())
     assert f"Of {testable} testable claims {total['agrees']} agree" in page
     assert f"{total['disagrees']} disagree, and {total['depends']} depend" in page
+    assert f"**{weighty} of the {total['agrees']}\nagreements carry weight**" in page
+    for other in ("README.md", "docs/guides/trust.md", "docs/limits.md"):
+        text = " ".join((GALLERY.parents[1] / other).read_text().split())
+        assert re.search(
+            rf"\b{weighty} (of the {total['agrees']} agreements|of which) carry weight|agree {weighty} carry", text
+        )
 
 
 @pytest.mark.parametrize("name", NAMES)

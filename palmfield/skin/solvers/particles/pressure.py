@@ -4,8 +4,7 @@ import numpy as np
 import warp as wp
 from scipy import sparse
 
-from palmfield.errors import SceneError
-from palmfield.hand.meshquery import barycentric, build_mesh, closest_faces
+from palmfield.skin.fem.load import face_pressure, halvings_for, quartered_rule
 from palmfield.skin.problem import GAUSSIAN, Law, Load, Spot, Traction
 from palmfield.skin.solvers.particles.cloud import Cloud
 from palmfield.types import Float
@@ -80,24 +79,18 @@ def _path(load: Spot, times_s: Float) -> Float:
 
 
 def _spread(cloud: Cloud, load: Traction) -> sparse.csr_matrix:
-    """Pressure at the face's particles [Pa] by the pressure at the load's points, shape (f, n).
-
-    The force of a point goes to the corners of the nearest triangle by its barycentric coordinates, so that force and
-    moment stay what they are.
-    """
+    """Pressure at the face's particles [Pa] by the pressure at the load's points, shape (f, n)."""
     columns = cloud.columns
     squares = columns.squares
-    triangles = np.concatenate([columns.triangles, squares[:, [0, 1, 2]], squares[:, [0, 2, 3]]])
+    # Squares by the mean of both cuts, which gives each corner a quarter of its area
+    cuts = [squares[:, cut] for cut in ([0, 1, 2], [0, 2, 3], [1, 2, 3], [1, 3, 0])]
+    triangles = np.concatenate([columns.triangles, *cuts])
     corners = columns.face[triangles]
-    points = np.asarray(load.points, dtype=float)
-    reach = float(np.linalg.norm(columns.face.max(axis=0) - columns.face.min(axis=0)))
-    nearest = closest_faces(build_mesh(columns.face, triangles), points, reach)
-    if nearest.min(initial=0) < 0:
-        place = np.round(points[np.argmin(nearest)], 6).tolist()
-        raise SceneError(f"traction: point {place} m lies farther from the face than the face is long; move it there")
-    shares = barycentric(corners[nearest], points)
-    forces = shares * np.asarray(load.weights_m2, dtype=float)[:, None]
-    rows = triangles[nearest].ravel()
-    areas = np.linalg.norm(cloud.face_area, axis=1)
-    column = np.repeat(np.arange(len(points)), 3)
-    return sparse.coo_matrix((forces.ravel() / areas[rows], (rows, column)), shape=(len(areas), len(points))).tocsr()
+    rule, parts = quartered_rule(halvings_for(corners, load.weights_m2))
+    shares = np.column_stack([1.0 - rule.sum(axis=1), rule])
+    places = np.einsum("qk,tkc->tqc", shares, corners).reshape(-1, 3)
+    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area[len(columns.triangles) :] *= 0.5
+    nodes = np.repeat(triangles, len(rule), axis=0)
+    areas = np.einsum("tc,q->tqc", area, parts).reshape(-1, 3)
+    return face_pressure(load, nodes, np.tile(shares, (len(triangles), 1)), places, areas)

@@ -1,15 +1,20 @@
 """What the face is pressed with at every step."""
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import sparse
+from numpy.polynomial.legendre import leggauss
 
+from palmfield.skin.fem.load import face_pressure
 from palmfield.skin.problem import GAUSSIAN, Load, Spot
-from palmfield.skin.solvers.spectral_elements.places import find
-from palmfield.skin.solvers.spectral_elements.solid import Solid, face_areas
+from palmfield.skin.solvers.spectral_elements.gll import lagrange, rule
+from palmfield.skin.solvers.spectral_elements.solid import Solid
 from palmfield.types import Float, Int
+
+MOST_ACROSS = 24
+"""Places across a cell at which pressures at points are sampled, at most."""
 
 
 @dataclass(frozen=True)
@@ -64,11 +69,28 @@ def table_of(load: Load, solid: Solid, step_s: float, steps: int) -> Table:
         spot[:, 0] = (1.0 - share) * peak[row] + share * peak[row + 1]
         spot[:, 1:] = (1.0 - share)[:, None] * centre[row] + share[:, None] * centre[row + 1]
         return Table(True, steps, spot, GAUSSIAN / load.fwhm_m**2, np.zeros((1, 1)), np.zeros(1, int), np.zeros(1))
-    # The given points are a quadrature: consistent forces at the nodes, as pressures over the nodes' own areas
-    nodes, shares = find(solid, load.points)
-    owner = np.repeat(np.arange(len(nodes)), nodes.shape[1])
-    gather = sparse.csr_matrix((shares.ravel(), (nodes.ravel(), owner)), shape=(solid.surface_nodes, len(nodes)))
-    area = np.linalg.norm(face_areas(solid), axis=1)
-    pressure = (gather @ (np.asarray(load.weights_m2)[:, None] * np.asarray(load.pressure_Pa).T)).T / area
-    frames = np.concatenate([np.zeros((1, len(area))), pressure, pressure[-1:]])
+    pressure = (
+        face_pressure(load, *face_rule(solid, math.sqrt(float(np.median(load.weights_m2))))) @ load.pressure_Pa.T
+    ).T
+    frames = np.concatenate([np.zeros((1, solid.surface_nodes)), pressure, pressure[-1:]])
     return Table(False, steps, np.zeros((1, 3)), 0.0, frames, row, share)
+
+
+def face_rule(solid: Solid, spacing_m: float) -> tuple[Int, Float, Float, Float]:
+    """Gauss points on all cells of the face, about as close as `spacing_m` [m] or closer, for `face_pressure`.
+
+    Returns the surface nodes of each point's cell and their shares there, (q, n^2), the points [m] and their outward
+    area vectors [m2], (q, 3).
+    """
+    cells, order = solid.quads.cells, solid.order
+    x = solid.nodes[cells]
+    width = float(np.linalg.norm(x[:, 0, 0] - x[:, -1, -1], axis=1).mean()) / math.sqrt(2.0)
+    across, weights = leggauss(int(np.clip(math.ceil(width / spacing_m), order + 1, MOST_ACROSS)))
+    line = lagrange(order, across)
+    slope = line @ rule(order).derivative
+    places = np.einsum("ai,bj,eijc->eabc", line, line, x, optimize=True)
+    along = (np.einsum("ai,bj,eijc->eabc", one, two, x, optimize=True) for one, two in ((slope, line), (line, slope)))
+    area = np.cross(*along) * np.outer(weights, weights)[..., None]
+    shares = np.einsum("ai,bj->abij", line, line).reshape(-1, line.shape[1] ** 2)
+    nodes = np.repeat(cells.reshape(len(cells), -1), len(shares), axis=0)
+    return nodes, np.tile(shares, (len(cells), 1)), places.reshape(-1, 3), area.reshape(-1, 3)
