@@ -89,7 +89,9 @@ def skin_reading(force: Float, motion: Float, arp: float) -> SkinReading:
 
     force: on the body [N], shape (3,); motion: displacement [m] and velocity [m/s], shape (2,); arp: [Pa]
     """
-    return SkinReading(*force, *motion, arp)
+    x, y, z = force
+    displacement, velocity = motion
+    return SkinReading(x, y, z, displacement, velocity, arp)
 
 
 def channels(reading: SkinReading) -> list[float]:
