@@ -13,5 +13,5 @@ wanted = focus(array, air, target)
 data = board.encode(wanted)
 emitted = board.decode(board.start + data)[-1]
 there = [abs(pressure(target[None], array, drive, air).pressure[0]) for drive in (wanted, emitted)]
-print(f"{len(data)} bytes a frame, {board.max_frame_rate_Hz:.0f} frames/s")
+print(f"{len(data)} bytes a frame, {board.frame_rate} frames/s")
 print(f"{100 * there[1] / there[0]:.1f} % of the pressure is left")

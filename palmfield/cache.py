@@ -3,7 +3,8 @@
 A folder of NumPy archives, one for each answer, named by a digest of all that it depends on and of the code that makes
 it. The folder is the user's cache folder, or what the environment's PALMFIELD_CACHE names (`off`: nothing is kept).
 When it grows beyond its limit, 2 GB or PALMFIELD_CACHE_MB, what was used least lately goes. An answer is written beside
-its place and renamed, so that no reader sees half of it; a damaged one is made anew, and said.
+its place and renamed, so that no reader sees half of it. A file holds that digest and one of its arrays too: one that
+can't be read, that stands under another's name or whose arrays were changed is made anew, and said.
 """
 
 import dataclasses
@@ -14,7 +15,6 @@ import os
 import secrets
 import time
 import warnings
-import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -27,11 +27,14 @@ from pydantic import BaseModel
 from scipy import sparse
 
 from palmfield.errors import PalmfieldError
+from palmfield.given_files import regular
 
 LIMIT_MB = 2048
 WAIT_S = 600.0
 """Longest wait for another process that makes the same answer [s]; then it is made here as well."""
 OFF = ("off", "0", "none")
+MARKS = "palmfield_marks"
+"""The array in a file that holds the digest of what the answer depends on, and that of the other arrays."""
 Arrays = dict[str, NDArray[Any]]
 
 _said: set[str] = set()
@@ -75,7 +78,8 @@ def kept(kind: str, depends_on: Sequence[Any], make: Callable[[], Arrays]) -> Ar
     where = folder()
     if where is None:
         return make()
-    path = where / f"{kind}-{digest(code_mark(), kind, *depends_on)}.npz"
+    key = digest(code_mark(), kind, *depends_on)
+    path = where / f"{kind}-{key}.npz"
     try:
         where.mkdir(parents=True, exist_ok=True)
         lock = filelock.FileLock(path.with_suffix(".lock"), timeout=WAIT_S)
@@ -84,10 +88,10 @@ def kept(kind: str, depends_on: Sequence[Any], make: Callable[[], Arrays]) -> Ar
         _say(f"cache folder {where}: {_reason(error)}; going on without")
         return make()
     try:
-        answer = _read(path)
+        answer = _read(path, key)
         if answer is None:
             answer = make()
-            _write(path, answer)
+            _write(path, key, answer)
         return answer
     finally:
         lock.release()
@@ -198,25 +202,31 @@ def _put(result: Any, kind: str, content: bytes) -> None:
     result.update(content)
 
 
-def _read(path: Path) -> Arrays | None:
+def _read(path: Path, key: str) -> Arrays | None:
+    """The answer of a key, or None where the file isn't there or isn't that answer, whole and unchanged."""
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with np.load(regular(path), allow_pickle=False) as archive:
             answer = {name: archive[name] for name in archive.files}
+        found, content = answer.pop(MARKS).tolist()
+        if found != key:
+            raise ValueError("it is another answer under this name")
+        if content != digest(answer):
+            raise ValueError("its arrays are not those that were written")
         os.utime(path)
     except FileNotFoundError:
         return None
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
+    except Exception as error:  # NumPy, zipfile and zlib raise nearly any kind on a damaged archive
         _say(f"cache file {path} is damaged ({_reason(error)}): its content is computed again")
         return None
     return answer
 
 
-def _write(path: Path, answer: Arrays) -> None:
+def _write(path: Path, key: str, answer: Arrays) -> None:
     aside = path.with_name(f"{path.stem}.{os.getpid()}.{secrets.token_hex(4)}.part")
     try:
         try:
             with open(aside, "wb") as file:
-                np.savez(file, allow_pickle=False, **answer)
+                np.savez(file, allow_pickle=False, **answer, **{MARKS: np.array([key, digest(answer)])})
             os.replace(aside, path)
         finally:
             aside.unlink(missing_ok=True)

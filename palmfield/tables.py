@@ -2,6 +2,7 @@
 
 import csv
 import zlib
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from zipfile import BadZipFile, is_zipfile
@@ -9,12 +10,15 @@ from zipfile import BadZipFile, is_zipfile
 import numpy as np
 
 from palmfield.errors import OutputError, SceneError
+from palmfield.given_files import regular
 from palmfield.types import Float
 from palmfield.whole_files import whole
 
-UNREADABLE = (OSError, EOFError, ValueError, NotImplementedError, BadZipFile, zlib.error, csv.Error)
+UNREADABLE = (OSError, EOFError, ValueError, NotImplementedError, MemoryError, BadZipFile, zlib.error, csv.Error)
 """What open, csv, zipfile and NumPy raise for a broken file; undecodable text is a ValueError."""
 
+LONGEST_NAME = 100
+"""Of a column, in letters."""
 SEPARATORS = {";": "semicolons", "\t": "tabs"}
 
 
@@ -45,7 +49,7 @@ def read_table(file: Path, gaps: Sequence[str] = ()) -> tuple[dict[str, Float], 
 
 def _npz(file: Path) -> tuple[dict[str, Float], list[str]]:
     columns: dict[str, Float] = {}
-    with file.open("rb") as data:
+    with regular(file).open("rb") as data:
         if not is_zipfile(data):
             raise SceneError(f"{file}: is not an NPZ archive; write it by numpy.savez")
     with np.load(file, allow_pickle=False) as archive:
@@ -63,11 +67,11 @@ def _npz(file: Path) -> tuple[dict[str, Float], list[str]]:
 
 
 def _csv(file: Path) -> tuple[dict[str, Float], list[str]]:
-    with file.open(newline="", encoding="utf-8-sig") as text:
+    with regular(file).open(newline="", encoding="utf-8-sig") as text:
         reader = csv.reader(text)
         header = [name.strip() for name in next(reader, [])]
         _check_header(file, header)
-        twice = [name for name in header if header.count(name) > 1]
+        twice = [name for name, count in Counter(header).items() if count > 1]
         if not header or twice:
             fault = f"column '{twice[0]}' is there twice" if twice else "the file is empty"
             raise SceneError(f"{file}: {fault}; begin with one line of different column names")
@@ -89,6 +93,11 @@ def _check_header(file: Path, header: Sequence[str]) -> None:
     for mark, name in SEPARATORS.items():
         if any(mark in column for column in header):
             raise SceneError(f"{file}: columns are separated by {name}; separate them by commas, decimals by points")
+    odd = next((name for name in header if len(name) > LONGEST_NAME or not name.isprintable()), None)
+    if odd is not None:
+        raise SceneError(
+            f"{file}: a column is called {odd[:20]!r} ..., of {len(odd)} letters; allowed: {LONGEST_NAME} that print"
+        )
     if header and header[0].startswith("#"):
         raise SceneError(f"{file}: line 1 is a remark, '{header[0]}'; begin with one line of different column names")
 
@@ -97,7 +106,7 @@ def _number(file: Path, place: str, column: str, cell: str) -> float:
     try:
         return float(cell)
     except ValueError:
-        raise SceneError(f"{file}: {place}, column {column}: '{cell}' is not a number; give a number") from None
+        raise SceneError(f"{file}: {place}, column {column}: '{cell[:40]}' is not a number; give a number") from None
 
 
 def write_table(file: Path, names: Sequence[str], table: Float) -> None:

@@ -1,9 +1,11 @@
-"""How wide what is printed may be, and what becomes of words that are wider."""
+"""What a terminal shows: how wide tables may be, what becomes of words that are wider, and bars of progress."""
 
 import os
 import sys
 from collections.abc import Sequence
 
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Column
 
 LEAST = 60
@@ -31,3 +33,11 @@ def columns(most: int) -> int:
 def folded(names: Sequence[str]) -> list[Column]:
     """Columns of a table in which a word that is too long goes on in the next line: half a key's name is none."""
     return [Column(name, overflow="fold") for name in names]
+
+
+def bars(show: bool = True) -> Progress:
+    """Bars on a terminal's standard error, with the time spent and left; nothing where nobody watches."""
+    columns = TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn()
+    console = Console(stderr=True)
+    # In a pipe, bars would leave an empty line before an error
+    return Progress(*columns, console=console, disable=not (show and console.is_terminal), transient=True)

@@ -14,9 +14,12 @@ from hypothesis import strategies as st
 from scipy import sparse
 from typer.testing import CliRunner
 
+import palmfield
 from palmfield import cache
 from palmfield.cli.app import app
+from palmfield.data import folder
 from palmfield.errors import PalmfieldError
+from palmfield.simulation import build
 
 
 @pytest.fixture(autouse=True)
@@ -111,12 +114,15 @@ def test_what_has_no_digest_is_refused():
             cache.digest(part)
 
 
-@pytest.mark.parametrize("damage", ["cut", "bit", "empty", "text", "pickle"])
+@pytest.mark.parametrize(
+    "damage", ["cut", "bit", "empty", "text", "pickle", "other", "nan", "unmarked", "lacking", "pipe"]
+)
 def test_a_damaged_file_is_made_again_and_said(place, damage):
     make = Maker(1000)
     expected = cache.kept("thing", [1], make)
     [entry] = cache.entries()
-    content = bytearray(entry.path.read_bytes())
+    whole = entry.path.read_bytes()
+    content = bytearray(whole)
     if damage == "cut":
         content = content[: len(content) // 2]
     elif damage == "bit":
@@ -128,12 +134,54 @@ def test_a_damaged_file_is_made_again_and_said(place, damage):
     entry.path.write_bytes(content)
     if damage == "pickle":
         np.savez(entry.path, numbers=np.array([{"a": 1}], dtype=object))
+    elif damage == "pipe":
+        entry.path.unlink()
+        os.mkfifo(entry.path)
+    elif damage == "other":
+        cache.kept("thing", [2], Maker(1000))
+        os.replace(next(one.path for one in cache.entries() if one.path != entry.path), entry.path)
+    elif damage in ("nan", "unmarked", "lacking"):
+        entry.path.write_bytes(whole)
+        with np.load(entry.path) as archive:
+            arrays = dict(archive)
+        if damage == "nan":
+            arrays["numbers"][3] = np.nan
+        else:
+            del arrays[cache.MARKS if damage == "unmarked" else "numbers"]
+        np.savez(entry.path, **arrays)
     with pytest.warns(RuntimeWarning, match=r"thing-.*is damaged"):
         again = cache.kept("thing", [1], make)
     np.testing.assert_array_equal(again["numbers"], expected["numbers"])
     assert make.asked == 2
     cache.kept("thing", [1], make)
     assert make.asked == 2
+
+
+def test_another_scenes_entries_under_a_scenes_names_change_nothing(place):
+    """What is kept of another material, focus and frequency, each in the place of its own kind."""
+
+    def results(material, focus, frequency):
+        keys = {"skin.material": material, "stimulus.focus_m": focus, "stimulus.am_frequency_Hz": frequency}
+        scene = folder("mjcf") / "scenes" / "phantom_am200.xml"
+        sim = palmfield.Simulation(scene, keys={"skin.accuracy": 0.5, "skin.element_m": 0.01, **keys})
+        sim.step(10)
+        return sim.skin().displacement
+
+    expected = results("ecoflex_00-10", (0, 0, 0.2), 200.0)
+    own = {entry.kind: [] for entry in cache.entries()}
+    for entry in cache.entries():
+        own[entry.kind].append(entry.path)
+    results("gelatin_2", (0.005, 0, 0.2), 100.0)
+    known = {path for paths in own.values() for path in paths}
+    others = {entry.kind: entry.path for entry in cache.entries() if entry.path not in known}
+    assert others
+    for kind, path in others.items():
+        for mine in own.get(kind, ()):
+            mine.write_bytes(path.read_bytes())
+    build._models.clear()  # in which a process keeps its latest scenes
+    with pytest.warns(RuntimeWarning, match="another answer under this name"):
+        again = results("ecoflex_00-10", (0, 0, 0.2), 200.0)
+    np.testing.assert_array_equal(again, expected)
 
 
 def test_a_full_disk_costs_the_cache_only(place, monkeypatch):

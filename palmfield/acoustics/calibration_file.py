@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from palmfield.acoustics.arrays import LAYOUTS, layout_of_version
 from palmfield.acoustics.placement import placed
 from palmfield.errors import OutputError, SceneError
+from palmfield.given_files import MOST_SETTINGS_BYTES, read_bytes
 from palmfield.types import Array, Complex, Estimate
 from palmfield.whole_files import whole
 
@@ -145,7 +146,7 @@ def read_calibration(path: str | Path) -> Calibration:
     """
     file = Path(path)
     try:
-        calibration = Calibration.model_validate_json(file.read_bytes())
+        calibration = Calibration.model_validate_json(read_bytes(file, MOST_SETTINGS_BYTES))
     except OSError as error:
         raise SceneError(f"{file}: cannot be read: {error}; give a calibration's JSON file") from None
     except ValidationError as error:

@@ -231,10 +231,14 @@ def drive(
 
     palmfield drive --live 9200 --board sonicsurface --port /dev/ttyUSB0
     """
-    from palmfield.cli.boards import show_performance
-    from palmfield.session.focus_board import FocusSound
-    from palmfield.session.play import Target, play_focus, play_scene
-    from palmfield.types import Air
+    from palmfield.terminal import bars
+
+    with bars() as bar:
+        bar.add_task("loading palmfield", total=None)
+        from palmfield.cli.boards import show_performance
+        from palmfield.session.focus_board import FocusSound
+        from palmfield.session.play import Target, play_focus, play_scene
+        from palmfield.types import Air
 
     if live is not None and scene is not None:
         raise SceneError(

@@ -7,7 +7,7 @@ from typing import Any, Literal
 import typer
 
 from palmfield.cli.messages import complain
-from palmfield.drive.board import Board
+from palmfield.drive.board import Board, frames_in_words
 from palmfield.drive.boards import BOARDS, playable_board
 from palmfield.drive.virtual import Faults, VirtualBoard
 from palmfield.errors import DeviceError, unwritable
@@ -69,7 +69,7 @@ def as_markdown() -> str:
         takes = f"{board.frame_bytes} bytes" + (", a focus and its level" if board.takes == "focus" else "")
         lines.append(
             f"| {board.name} | {', '.join(board.layouts)} | {count} | {takes} | {board.line} | "
-            f"{board.max_frame_rate_Hz:.1f} | {board.phase_steps} | {amplitudes_in_words(board)} |"
+            f"{board.frame_rate} | {board.phase_steps} | {amplitudes_in_words(board)} |"
         )
     for board in BOARDS.values():
         if board.exact:
@@ -125,7 +125,12 @@ def run_virtual(
         raise DeviceError(f"--by has value '{by}'; allowed: pty or tcp")
     kind: Literal["pty", "tcp"] = "pty" if by == "pty" else "tcp"
     with VirtualBoard(board, by=kind, tcp_port=tcp_port, faults=Faults(drop, flip)) as virtual:
-        print(virtual.port, flush=True)
+        print(virtual.port)
+        # A focus is played by boards of one array
+        what = "--focus 0 0 0.15" if board.arrays[0] == 1 else "SCENE.xml"
+        print(
+            f"next, in another terminal: palmfield drive {what} --board {board.name} --port {virtual.port}", flush=True
+        )
         try:
             while duration_s is None or virtual.clock < duration_s:
                 time.sleep(0.005)
@@ -143,7 +148,7 @@ def run_virtual(
                 raise unwritable(received, error) from None
         on = int((abs(virtual.twin.emitted) > 0.0).sum())
         print(
-            f"{board.name}: {len(virtual.received)} bytes, {len(virtual.emitted)} changes of what is emitted; {on} of "
+            f"{board.name}: {len(virtual.received)} bytes; {frames_in_words(virtual.emitted)}; {on} of "
             f"{virtual.twin.count} transducers sound at the end"
         )
         for flag in virtual.flags[:10]:
@@ -161,6 +166,8 @@ def describe(board: str | None, markdown: bool) -> None:
         # Of hundreds of bytes people read what they are, runs as N x BYTE; `--json` has each
         sequences = {"start_hex": ("start", known.start), "stop_hex": ("stop", known.stop)}
         for key, value in facts(known).items():
+            if key == "max_frame_rate_Hz":
+                value = known.frame_rate
             if key in sequences:
                 key, data = sequences[key]
                 value = f"{_bytes(data)} ({len(data)} bytes, in decimals)"

@@ -2,13 +2,11 @@
 
 from pathlib import Path
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
 from palmfield.cli.as_json import print_json
 from palmfield.errors import OutputError
 from palmfield.outputs.film import FPS, Cut, film
 from palmfield.outputs.store import RESULT, open_result
+from palmfield.terminal import bars
 
 
 def size_of(text: str) -> tuple[int, int]:
@@ -22,12 +20,7 @@ def size_of(text: str) -> tuple[int, int]:
 def render(run: Path, video: Path, cut: Cut, *, quiet: bool, as_json: bool) -> None:
     """Make the film and say what was written. Raises KeyboardInterrupt after a film that Ctrl-C has ended early."""
     file = run / RESULT if run.is_dir() else run
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
-    with (
-        open_result(file) as result,
-        Progress(*columns, console=console, disable=quiet or not console.is_terminal, transient=True) as bar,
-    ):
+    with open_result(file) as result, bars(not quiet) as bar:
         task = bar.add_task("drawing frames", total=None)
         frames = film(result, video, cut, lambda done, of: bar.update(task, completed=done, total=of))
     if as_json:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from palmfield.cli.as_json import print_json
 from palmfield.errors import SceneError
+from palmfield.given_files import regular
 from palmfield.motion.replaying import address_by
 from palmfield.motion.tracking import column_names
 from palmfield.studies.trial import Live, Tracker, read_recording, trial
@@ -72,7 +73,7 @@ def listening_at(text: str, align: Path | None) -> Live:
 def motion_keys(path: Path) -> dict[str, object]:
     """Keys that give a scene's only palmfield.motion a recorded motion. Raises SceneError for a file that is none."""
     try:
-        with path.open("rb") as file:
+        with regular(path).open("rb") as file:
             begin = file.read(4096)
     except OSError as error:
         raise SceneError(f"--motion {path} cannot be read: {error.strerror}; give a CSV or NPZ table") from None

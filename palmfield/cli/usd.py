@@ -2,15 +2,13 @@
 
 from pathlib import Path
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
 from palmfield.cli.as_json import print_json
 from palmfield.outputs.store import RESULT, open_result
 from palmfield.outputs.usd.quantities import QUANTITIES
 from palmfield.outputs.usd.shown import Shown
 from palmfield.outputs.usd.validation import validate_usd
 from palmfield.outputs.usd.write import write_usd
+from palmfield.terminal import bars
 
 
 def list_quantities(as_json: bool) -> None:
@@ -26,12 +24,7 @@ def write_scene(run: Path, out: Path | None, shown: Shown, *, check: bool, quiet
     """Write the scene and say so; returns how many findings its check has."""
     file = run / RESULT if run.is_dir() else run
     path = out or file.parent / "scene.usdc"
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
-    with (
-        open_result(file) as result,
-        Progress(*columns, console=console, disable=quiet or not console.is_terminal, transient=True) as bar,
-    ):
+    with open_result(file) as result, bars(not quiet) as bar:
         task = bar.add_task("writing frames", total=None)
         write_usd(result, path, shown, on_frame=lambda done, of: bar.update(task, completed=done, total=of))
     findings = validate_usd(path) if check else []

@@ -47,6 +47,18 @@ class Emitted(NamedTuple):
     amplitudes: Complex
 
 
+def frames_in_words(emitted: Sequence[Emitted]) -> str:
+    """How many frames a board emits, and how many of them differ from the one before, the first one from silence."""
+    before = [np.zeros_like(one.amplitudes) for one in emitted[:1]] + [one.amplitudes for one in emitted[:-1]]
+    differ = sum(not np.array_equal(one.amplitudes, last) for one, last in zip(emitted, before, strict=True))
+    return f"{len(emitted)} frames, of which {differ} differ from the one before"
+
+
+def rate_in_words(rate_Hz: float) -> str:
+    """Frames a second as all texts have them: to 0.1."""
+    return f"{rate_Hz:.1f}".removesuffix(".0")
+
+
 class Flag(NamedTuple):
     """Something that a virtual board noticed. kind: overrun, dc or garbled; text: in words"""
 
@@ -164,6 +176,11 @@ class Board:
     def exact(self) -> bool:
         """Whether it emits exactly what it is asked for."""
         return self.line is None
+
+    @property
+    def frame_rate(self) -> str:
+        """`max_frame_rate_Hz` in words."""
+        return rate_in_words(self.max_frame_rate_Hz)
 
     @property
     def transducers(self) -> int:
@@ -374,7 +391,7 @@ def check(
     if modulation_Hz and rate == 2.0 * modulation_Hz:
         needs += f" ({modulation_Hz:g} Hz, two frames a period)"
     gives = f"{board.name} gives {'any' if board.levels else 'on/off'} amplitude"
-    gives += f" at {board.max_frame_rate_Hz:.1f} frames/s"
+    gives += f" at {board.frame_rate} frames/s"
     if points_per_turn is not None and too_fast:
         needs += f" ({points_per_turn:.4g} points a turn)"
         gives += f", {points_per_turn * board.max_frame_rate_Hz / rate:.2g} points a turn"

@@ -25,6 +25,7 @@ from palmfield.drive.board import Board
 from palmfield.drive.boards import board_of
 from palmfield.drive.log_lines import log_line
 from palmfield.errors import SceneError, unwritable
+from palmfield.given_files import plain, read_text, regular
 from palmfield.types import Air, Array, Complex, Float
 
 VERSION = 1
@@ -147,13 +148,13 @@ def read_log(path: str | Path) -> tuple[LogHead, list[Piece]]:
     """
     file = Path(path)
     try:
-        lines = file.read_text(encoding="utf-8").split("\n")
+        lines = read_text(file).split("\n")
     except (OSError, UnicodeDecodeError) as error:
         raise SceneError(
             f"{file} can't be read as a log: {error}; give a file of --log, or --board for raw bytes"
         ) from None
     try:
-        head = json.loads(lines[0])
+        head = plain(json.loads, lines[0])
         version = head.pop("palmfield_log")
         if version != VERSION:
             raise SceneError(f"{file} is a log of version {version}; allowed: {VERSION}")
@@ -175,7 +176,7 @@ def _pieces(lines: list[str]) -> Iterator[Piece]:
         if not line:
             continue
         try:
-            value = json.loads(line)
+            value = plain(json.loads, line)
         except ValueError:
             if number == len(lines) - 1:
                 return
@@ -186,7 +187,7 @@ def _pieces(lines: list[str]) -> Iterator[Piece]:
 def is_log(path: str | Path) -> bool:
     """Whether a file begins as a log does."""
     try:
-        with Path(path).open("rb") as file:
+        with regular(path).open("rb") as file:
             return file.read(16).startswith(b'{"palmfield_log"')
     except OSError:
         return False

@@ -1,7 +1,9 @@
 """glTF and GLB with joints and weights, which trimesh drops (Khronos glTF 2.0 specification, sections 3.6 and 3.7)."""
 
+import json
 from collections.abc import Callable
 from pathlib import Path
+from urllib.parse import unquote
 
 import numpy as np
 from pygltflib import GLTF2, Primitive
@@ -9,12 +11,15 @@ from scipy import sparse
 from scipy.spatial.transform import Rotation
 
 from palmfield.errors import SceneError
+from palmfield.given_files import plain, read_bytes
 from palmfield.hand.rigged import Joints, SkinRig
 from palmfield.types import Float, Int
 
 TYPES = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
 COLUMNS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 TRIANGLES = 4
+MOST_VALUES = 10_000_000
+"""In an accessor: 3 corners for each of the faces that `palmfield.hand.meshfile` reads."""
 
 
 def read_gltf(file: Path, check: Callable[[int], None]) -> tuple[Float, Int, SkinRig | None]:
@@ -27,8 +32,13 @@ def read_gltf(file: Path, check: Callable[[int], None]) -> tuple[Float, Int, Ski
     several skins.
     """
     try:
-        scene = GLTF2.load_binary(file) if file.suffix.lower() == ".glb" else GLTF2.load_json(file)
-        reader = _Reader(scene, file)
+        data = read_bytes(file)
+        packed = file.suffix.lower() == ".glb"
+        text = data[20 : 20 + int.from_bytes(data[12:16], "little")] if packed else data
+        nodes = plain(json.loads, text).get("nodes", [])
+        scene = GLTF2.load_from_bytes(data) if packed else GLTF2.gltf_from_json(data.decode())
+        # pygltflib drops the weights of nodes
+        reader = _Reader(scene, file, [node.get("weights") for node in nodes])
         check(reader.triangles())
         return reader.read()
     except SceneError:
@@ -40,16 +50,29 @@ def read_gltf(file: Path, check: Callable[[int], None]) -> tuple[Float, Int, Ski
 
 
 class _Reader:
-    def __init__(self, scene: GLTF2, file: Path) -> None:
-        self.scene, self.file = scene, file
+    def __init__(self, scene: GLTF2, file: Path, weights: list[list[float] | None]) -> None:
+        self.scene, self.file, self.weights = scene, file, weights
         packed = [name for name in scene.extensionsRequired or [] if "compression" in name or "quantization" in name]
         if packed:
             raise SceneError(f"mesh {file} needs the extension {packed[0]}, which is not read; export it uncompressed")
-        self.buffers = [scene.get_data_from_buffer_uri(buffer.uri) for buffer in scene.buffers]
+        self.buffers = [self._buffer(buffer.uri) for buffer in scene.buffers]
         self.parent: dict[int, int] = {
             child: index for index, node in enumerate(scene.nodes) for child in node.children or []
         }
         self.world: dict[int, Float] = {}
+
+    def _buffer(self, uri: str | None) -> bytes:
+        """A buffer's bytes: in the file itself, in a text of its own, or in a file of the same folder or below."""
+        if uri is None or uri.startswith("data:"):
+            data: bytes | None = self.scene.get_data_from_buffer_uri(uri)
+            return data or b""
+        home = self.file.resolve().parent
+        place = (home / unquote(uri)).resolve()
+        if not place.is_relative_to(home):
+            raise SceneError(
+                f"mesh {self.file}: buffer '{uri}' is outside the mesh's folder; allowed: files in that; export a .glb"
+            )
+        return read_bytes(place)
 
     def triangles(self) -> int:
         """How many faces the scene's meshes have, by the counts of their accessors."""
@@ -100,7 +123,7 @@ class _Reader:
         position = getattr(primitive.attributes, "POSITION", None)
         if position is None:
             raise SceneError(f"mesh {self.file}: a primitive has no POSITION; export it with its vertices")
-        points = self._accessor(position).astype(np.float64)
+        points = self._morphed(primitive, node, self._accessor(position).astype(np.float64))
         if primitive.indices is None:
             corners = np.arange(len(points))
         else:
@@ -119,6 +142,22 @@ class _Reader:
         matrices = np.stack([self._world(joint) for joint in joints]) @ inverse
         placed = np.einsum("nj,jab,nb->na", weight, matrices[:, :3], np.column_stack([points, np.ones(len(points))]))
         return placed, corners.reshape(-1, 3).astype(np.int32), weight
+
+    def _morphed(self, primitive: Primitive, node: int, points: Float) -> Float:
+        """Vertices with the default weights of their morph targets, the node's before the mesh's (section 3.7.2.2)."""
+        targets = primitive.targets or []
+        mesh = self.scene.meshes[self.scene.nodes[node].mesh]
+        weights = self.weights[node] or mesh.weights or [0.0] * len(targets)
+        if len(weights) != len(targets):
+            raise SceneError(
+                f"mesh {self.file}: {len(weights)} weights are given for {len(targets)} morph targets; give one for "
+                "each, or apply them in the program that it is from"
+            )
+        for target, weight in zip(targets, weights, strict=True):
+            moved = target.get("POSITION") if isinstance(target, dict) else getattr(target, "POSITION", None)
+            if weight and moved is not None:
+                points = points + float(weight) * self._accessor(moved)
+        return points
 
     def _weights(self, primitive: Primitive, number: int, joints: int) -> Float:
         """Weight of each joint at each vertex, shape (number, joints); rows add up to 1."""
@@ -184,6 +223,8 @@ class _Reader:
         """Values of an accessor, shape (count, columns); normalised integers become floats."""
         accessor = self.scene.accessors[index]
         kind, columns = np.dtype(TYPES[accessor.componentType]).newbyteorder("<"), COLUMNS[accessor.type]
+        if not 0 < accessor.count <= MOST_VALUES:
+            raise SceneError(f"mesh {self.file}: an accessor has count {accessor.count}; allowed: 1 to {MOST_VALUES}")
         out = np.zeros((accessor.count, columns), dtype=kind)
         if accessor.bufferView is not None:
             out = self._view(accessor.bufferView, accessor.byteOffset or 0, accessor.count, columns, kind)
@@ -205,6 +246,11 @@ class _Reader:
         first = (view.byteOffset or 0) + offset
         last = first + stride * (count - 1) + width
         data = self.buffers[view.buffer]
+        if first < 0 or stride < width or count < 1:
+            raise SceneError(
+                f"mesh {self.file}: a view has offset {first}, stride {stride} and count {count}; allowed: 0 or more, "
+                f"{width} or more, and 1 or more; export it again"
+            )
         if last > len(data):
             raise SceneError(f"mesh {self.file} ends early: byte {last} of {len(data)} is needed; copy it again")
         raw = np.frombuffer(data, dtype=np.uint8)

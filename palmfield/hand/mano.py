@@ -24,14 +24,28 @@ class Record:
 
 
 class SparseRecord(Record):
-    """Stands for a scipy.sparse.csc_matrix."""
+    """Stands for a sparse matrix or array of SciPy's; those that SciPy stores otherwise have records of their own."""
+
+    made = sparse.csc_array
+
+
+class RowRecord(SparseRecord):
+    """Stands for a csr_matrix or csr_array."""
+
+    made = sparse.csr_array
+
+
+class PlacesRecord(SparseRecord):
+    """Stands for a coo_matrix or coo_array."""
+
+    made = sparse.coo_array
 
 
 def read_mano(file: Path) -> tuple[Float, Int, SkinRig]:
     """Template vertices [m], shape (n, 3), faces and rig (16 joints) of a MANO .pkl file.
 
-    Raises SceneError for a file that is no such pickle, that names anything but NumPy arrays, a SciPy sparse matrix and
-    Chumpy arrays (each refused by name before it is loaded), or that lacks a part.
+    Raises SceneError for a file that is no such pickle, that names anything but arrays of NumPy and Chumpy and sparse
+    ones of SciPy (each refused by name before it is loaded), or that lacks a part.
     """
     try:
         with file.open("rb") as stream:
@@ -51,8 +65,8 @@ def read_mano(file: Path) -> tuple[Float, Int, SkinRig]:
         raise SceneError(f"mesh {file} is no MANO model: {', '.join(lacking)} missing; give MANO_RIGHT or MANO_LEFT")
     try:
         return _model(model)
-    except (ValueError, TypeError, IndexError) as error:
-        reason = " ".join(str(error).split())[:120]
+    except Exception as error:  # what is in a record may be anything, or nothing
+        reason = " ".join(str(error).split())[:120] or type(error).__name__
         raise SceneError(f"mesh {file}: its arrays do not fit together ({reason}); download it again") from error
 
 
@@ -82,7 +96,12 @@ def _array(value: Any) -> np.ndarray:
     if isinstance(value, SparseRecord):
         parts = vars(value)
         shape = parts.get("_shape", parts.get("shape"))
-        return sparse.csc_array((parts["data"], parts["indices"], parts["indptr"]), shape=shape).toarray()
+        if isinstance(value, PlacesRecord):
+            places = parts["coords"] if "coords" in parts else (parts["row"], parts["col"])
+            return value.made((parts["data"], places), shape=shape).toarray()
+        matrix = value.made((parts["data"], parts["indices"], parts["indptr"]), shape=shape)
+        matrix.check_format(full_check=True)  # SciPy writes to wherever an index points
+        return matrix.toarray()
     if isinstance(value, Record):
         parts = vars(value)
         if "x" in parts:
@@ -115,7 +134,12 @@ _ALLOWED: dict[tuple[str, str], Any] = {
     ("_codecs", "encode"): _latin1,
     **{(f"numpy.{core}.multiarray", "_reconstruct"): _MULTIARRAY for core in ("core", "_core")},
     **{(f"numpy.{core}.multiarray", "scalar"): _SCALAR for core in ("core", "_core")},
-    **{(f"scipy.sparse.{module}", "csc_matrix"): SparseRecord for module in ("csc", "_csc")},
+    **{
+        (f"scipy.sparse.{private}{kind}", f"{kind}_{form}"): record
+        for kind, record in {"csc": SparseRecord, "csr": RowRecord, "coo": PlacesRecord}.items()
+        for private in ("", "_")
+        for form in ("matrix", "array")
+    },
 }
 
 

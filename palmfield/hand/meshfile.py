@@ -1,5 +1,6 @@
 """A user's own mesh of a hand, read from its file, mended or refused before anything is computed on it."""
 
+import io
 import re
 from dataclasses import dataclass
 from functools import partial
@@ -9,6 +10,7 @@ import numpy as np
 import trimesh
 
 from palmfield.errors import SceneError
+from palmfield.given_files import read_bytes, regular
 from palmfield.hand.chirality import fingertips, way_from_wrist
 from palmfield.hand.gltf import read_gltf
 from palmfield.hand.holes import plane_axes
@@ -148,8 +150,12 @@ def _read(file: Path) -> tuple[Float, Int, str | None, SkinRig | None]:
         raise SceneError(
             f"mesh {file}: format {file.suffix or '(none)'!r} is not read; export it as {', '.join(SUFFIXES)}"
         )
-    if not file.is_file():
-        raise SceneError(f"mesh {file} does not exist; give the path of a {', '.join(SUFFIXES)} file")
+    try:
+        regular(file)
+    except FileNotFoundError:
+        raise SceneError(f"mesh {file} does not exist; give the path of a {', '.join(SUFFIXES)} file") from None
+    except OSError as error:
+        raise SceneError(f"mesh {file}: {error.strerror}; give the path of a {', '.join(SUFFIXES)} file") from None
     _check_count(file, announced_faces(file))
     rig: SkinRig | None = None
     if suffix in GLTF:
@@ -199,7 +205,7 @@ def announced_faces(file: Path) -> int:
 
 def _read_plain(file: Path) -> tuple[Float, Int]:
     try:
-        mesh = trimesh.load_mesh(file, process=False)
+        mesh = trimesh.load_mesh(io.BytesIO(read_bytes(file)), file_type=file.suffix[1:].lower(), process=False)
     # trimesh lets every kind of exception of its parsers through (ValueError, IndexError, struct.error, ...).
     except Exception as error:
         reason = " ".join(str(error).split())[:120] or type(error).__name__

@@ -1,6 +1,5 @@
 """Measures of a hand, read from a TOML file."""
 
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -8,6 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from palmfield.data import folder
 from palmfield.errors import SceneError, did_you_mean
+from palmfield.given_files import read_toml
 
 DIGITS = ("thumb", "index", "middle", "ring", "little")
 Length = Annotated[float, Field(gt=0.0, lt=1.0)]
@@ -166,14 +166,14 @@ def load_preset(name_or_path: str | Path) -> HandPreset:
             "of a .toml file"
         )
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
+        data = read_toml(path)
         return _resized(data) if "based_on" in data else HandPreset.model_validate(data)
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise SceneError(f"hand preset {path} cannot be read as TOML: {error}; mend the file") from error
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"]) or "the file"
         raise SceneError(f"hand preset {path}: {where}: {first['msg']}, got {_brief(first['input'])}") from error
+    except (OSError, ValueError) as error:
+        raise SceneError(f"hand preset {path} cannot be read as TOML: {error}; mend the file") from error
 
 
 def _resized(data: dict[str, Any]) -> HandPreset:

@@ -224,18 +224,23 @@ def _read_cache(path: Path) -> trimesh.Trimesh | None:
     """The mesh in the cache, or None where there is none or it is damaged."""
     try:
         data = path.read_bytes()
-        if path.with_suffix(".sha256").read_text() != hashlib.sha256(data).hexdigest():
+        if path.with_suffix(".sha256").read_text() != _checksum(path, data):
             return None
+        return trimesh.load_mesh(io.BytesIO(data), file_type="ply", process=False)
     except (OSError, UnicodeDecodeError):
         return None
-    return trimesh.load_mesh(io.BytesIO(data), file_type="ply", process=False)
+
+
+def _checksum(path: Path, data: bytes) -> str:
+    """Of a cached mesh and of its name, which says of which hand it is."""
+    return hashlib.sha256(path.name.encode() + data).hexdigest()
 
 
 def _write_cache(path: Path, data: bytes) -> None:
     """Write both files under another name first, so that a reader never meets half a file."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        checksum = hashlib.sha256(data).hexdigest().encode()
+        checksum = _checksum(path, data).encode()
         for target, content in ((path, data), (path.with_suffix(".sha256"), checksum)):
             handle, temporary = tempfile.mkstemp(dir=path.parent)
             with os.fdopen(handle, "wb") as file:

@@ -1,6 +1,5 @@
 """What an instrument is set to: keys with their limits, from Python or from a table of a TOML file."""
 
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, TypeVar
 
@@ -8,6 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from palmfield.config.base import allowed
 from palmfield.errors import MeasurementError, did_you_mean
+from palmfield.given_files import read_toml
 
 Vector3 = Annotated[tuple[float, float, float], Field()]
 Positive = Annotated[float, Field(gt=0)]
@@ -53,11 +53,11 @@ def read_settings(path: str | Path, model: type[Model]) -> Model:
     """
     file = Path(path)
     try:
-        table = tomllib.loads(file.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
+        table = read_toml(file)
+    except OSError as error:
         raise MeasurementError(f"{file}: cannot be read: {error}; give a TOML file") from None
-    except tomllib.TOMLDecodeError as error:
-        raise MeasurementError(f"{file}: is no TOML: {error}") from None
+    except ValueError as error:
+        raise MeasurementError(f"{file}: is no TOML: {error}; give a TOML file in UTF-8") from None
     name = model.instrument
     for other in table:
         if other != name:

@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from scipy.spatial.transform import Rotation
 
 from palmfield.errors import SceneError, unwritable
+from palmfield.given_files import MOST_SETTINGS_BYTES, read_bytes
 from palmfield.tables import read_table
 from palmfield.transforms import Transform
 from palmfield.types import Float
@@ -133,7 +134,7 @@ def read_alignment(path: str | Path) -> Alignment:
     """The alignment in a JSON file. Raises SceneError for a file that can't be read or holds something else."""
     file = Path(path)
     try:
-        made = Alignment.model_validate_json(file.read_bytes())
+        made = Alignment.model_validate_json(read_bytes(file, MOST_SETTINGS_BYTES))
     except OSError as error:
         raise SceneError(f"{file} cannot be read: {error.strerror}; give a file of `palmfield track align`") from None
     except ValidationError as error:

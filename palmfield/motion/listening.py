@@ -10,9 +10,9 @@ from palmfield.motion.line_listener import BadLine, By, LineListener
 from palmfield.motion.tracking import Stream
 from palmfield.motion.wire import Sample, read_sample
 
-JUMP_S = 1.0
-"""The tracker's clock and this machine's may differ by so much between two samples: one sample with a time far ahead
-would make all later ones late."""
+JUMP_S, SURE = 1.0, 10
+"""By less the tracker's clock and this machine's differ from one sample to another, or else the clock was set, if so
+many in a row agree: one sample with a time far ahead would make all later ones late."""
 
 
 class Arrived(NamedTuple):
@@ -37,7 +37,8 @@ class Listener(LineListener):
         """
         self._on_sample = on_sample
         self.samples: list[Arrived] = []
-        self._before: tuple[float, float] | None = None
+        self._before: Arrived | None = None
+        self._agreeing = 0
         self._joints: tuple[int, ...] | None = None
         self._offset_s = math.inf
         super().__init__(host, port, by)
@@ -60,10 +61,11 @@ class Listener(LineListener):
 
     def take(self, line: bytes, came_s: float) -> None:
         sample = read_sample(line)
-        before, self._before = self._before, (sample.time_s, came_s)
-        if before is not None and not abs(sample.time_s - before[0] - (came_s - before[1])) < JUMP_S:
-            ahead_s = sample.time_s - before[0]
-            raise BadLine("clock", f"its time {sample.time_s:g} s is {ahead_s:.3g} s after that of the line before")
+        before, self._before = self._before, Arrived(came_s, sample)
+        self._agreeing = self._agreeing + 1 if before is not None and _agree(before, self._before) else 0
+        if self.samples and not _agree(self.samples[-1], self._before) and self._agreeing < SURE:
+            last = self.samples[-1].sample.time_s
+            raise BadLine("clock", f"its time {sample.time_s:g} s is {sample.time_s - last:.3g} s after {last:g} s")
         joints = tuple(np.flatnonzero(sample.flags).tolist())
         if self.samples and sample.time_s <= self.samples[-1].sample.time_s:
             last = self.samples[-1].sample.time_s
@@ -71,9 +73,14 @@ class Listener(LineListener):
         if self._joints is not None and len(set(self._joints) - set(joints)) > len(self._joints) // 2:
             raise BadLine("joints", f"{len(joints)} joints, where there were {len(self._joints)}")
         self._joints = self._joints or joints
-        arrived = Arrived(came_s, sample)
+        arrived = self._before
         self._offset_s = min(self._offset_s, came_s - sample.time_s)
         self.samples.append(arrived)
         self.taken += 1
         if self._on_sample is not None:
             self._on_sample(arrived)
+
+
+def _agree(one: Arrived, other: Arrived) -> bool:
+    """Whether as much time has passed between two samples by the tracker's clock as by this machine's, to JUMP_S."""
+    return abs(other.sample.time_s - one.sample.time_s - (other.time_s - one.time_s)) < JUMP_S

@@ -1,6 +1,5 @@
 """The motion that a scene asks for, from whichever file or function."""
 
-import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from palmfield.config import MotionConfig
 from palmfield.errors import SceneError
+from palmfield.given_files import read_toml
 from palmfield.hand.articulated import ArticulatedHand, articulate, checked_angles
 from palmfield.hand.poses import named_pose, posed_surface
 from palmfield.hand.preset import load_preset
@@ -98,9 +98,9 @@ def read_keyframes(path: Path, hand: ArticulatedHand, preset: str | None) -> Cal
     Raises SceneError with the number of the key and the field.
     """
     try:
-        keys = tomllib.loads(path.read_text(encoding="utf-8")).get("key", [])
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise SceneError(f"keyframes {path} cannot be read: {error}") from None
+        keys = read_toml(path).get("key", [])
+    except (OSError, ValueError) as error:
+        raise SceneError(f"keyframes {path} cannot be read: {error}; give a TOML file of tables [[key]]") from None
     if not isinstance(keys, list) or len(keys) < 2:
         raise SceneError(f"keyframes {path}: give two tables [[key]] or more, each with time_s and position_m")
     times: list[float] = []

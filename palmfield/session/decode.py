@@ -11,11 +11,12 @@ from palmfield.acoustics.air import sound_speed
 from palmfield.acoustics.arrays import layout
 from palmfield.acoustics.calibration_file import calibrated, read_calibration
 from palmfield.config import DriverConfig
-from palmfield.drive.board import Emitted, Flag
+from palmfield.drive.board import Emitted, Flag, frames_in_words
 from palmfield.drive.boards import board_of, playable_board
 from palmfield.drive.focus_fit import fitted_focus
 from palmfield.drive.frame_log import LogHead, Piece, is_log, read_log
 from palmfield.errors import SceneError, unwritable
+from palmfield.given_files import read_bytes
 from palmfield.types import Float
 from palmfield.whole_files import whole
 
@@ -41,11 +42,12 @@ class DecodedFocus:
 
 @dataclass(frozen=True)
 class Decoded:
-    """head: for which board; foci: by time; flags: what the virtual board noticed"""
+    """head: for which board; foci: by time; flags: what the virtual board noticed; frames: how many, in words"""
 
     head: LogHead
     foci: list[DecodedFocus]
     flags: list[Flag]
+    frames: str
 
 
 def pieces_of(
@@ -61,7 +63,7 @@ def pieces_of(
         return _measured(head, calibration), pieces
     file = Path(path)
     try:
-        data = file.read_bytes()
+        data = read_bytes(file)
     except OSError as error:
         raise SceneError(f"{file} can't be read: {error.strerror}; give a file of --record or --log") from None
     if board is None:
@@ -114,13 +116,13 @@ def decode(
         level = float(magnitude.sum() / on) if on else 0.0
         x, y, z = place.tolist()
         foci.append(DecodedFocus(one.time_s, (x, y, z), misfit, on, level))
-    return Decoded(head, foci, twin.flags)
+    return Decoded(head, foci, twin.flags, frames_in_words(emitted))
 
 
 def as_table(decoded: Decoded, most: int | None = None) -> str:
     """Rows of time, focus, misfit and level; most: of them that are shown."""
     shown = decoded.foci if most is None else decoded.foci[:most]
-    lines = [f"board {decoded.head.board}, layout {decoded.head.array}: {len(decoded.foci)} changes of what is emitted"]
+    lines = [f"board {decoded.head.board}, layout {decoded.head.array}: {decoded.frames}"]
     lines.append("  time [ms]   x [mm]   y [mm]   z [mm]  misfit [deg]  on   level")
     for row in shown:
         place = "".join(f" {1e3 * value:8.2f}" if math.isfinite(value) else "        -" for value in row.focus)

@@ -33,12 +33,12 @@ def migrated(path: Path) -> Migrated:
     """
     if not path.is_file():
         raise SceneError(no_scene(path))
+    elements = elements_of(path)
     data = path.read_bytes()
     try:
         data.decode("utf-8")
     except UnicodeDecodeError:
         raise SceneError(f"{path} is not written in UTF-8; save it so, and try again") from None
-    elements = elements_of(path)
     edits, changes, moved = [], [], dict[str, tuple[str, Element]]()
     for config, element in _keys(elements):
         key, value = element.attributes["key"], element.attributes.get("value", "")

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
-from rich.progress import Progress
 
 from palmfield.acoustics.reference import pressure64
 from palmfield.config.stimulus import too_far
@@ -31,6 +30,7 @@ from palmfield.session.safety.exposure import Moment, at_head, check_head, with_
 from palmfield.session.safety.scene_sound import scene_at_head
 from palmfield.session.sending import offset_words, peak_offset, sending
 from palmfield.simulation.frames import Frames
+from palmfield.terminal import bars
 from palmfield.types import Complex, Float
 
 LOG = logging.getLogger(__name__)
@@ -146,7 +146,9 @@ def play_scene(
     target.check()
     if board is not None:
         playable_board(board)
-    view = preview(scene, board=board, keys=keys)
+    with bars(progress) as bar:
+        bar.add_task("loading the scene", total=None)
+        view = preview(scene, board=board, keys=keys)
     model = view.runtime.model
     if model.board.exact:
         raise DeviceError(
@@ -203,7 +205,12 @@ def send(
     if target.record is None and target.port is None:
         raise DeviceError("neither a port nor a file is given; give the port of a board, or a file for the bytes")
     # An error of the scene comes before any file, and what takes long is done before the first frame is due
-    ready = list(frames)
+    ready: list[TimedFrame] = []
+    with bars(progress) as bar:
+        making = bar.add_task(f"making the frames of {duration_s:g} s", total=duration_s)
+        for one in frames:
+            ready.append(one)
+            bar.update(making, completed=one.time_s)
     limits.check([frame.time_s for frame in ready], [frame.sounds for frame in ready], duration_s)
     said = [words] if (words := limits.in_words(board)) else []
     if target.record is not None:
@@ -240,10 +247,9 @@ def play_on_port(
         assert head is not None
         FrameLog(log, head).close()
     console = Console(stderr=True)
-    hidden = not (progress and console.is_terminal)
     with (
         Player(board, port, log=log, on_trouble=lambda text: console.print(f"palmfield: {text}")) as player,
-        Progress(console=console, disable=hidden, transient=True) as bar,
+        bars(progress) as bar,
     ):
         task = bar.add_task(f"playing {duration_s:g} s on {port}", total=duration_s)
         begin = time.monotonic()
@@ -267,7 +273,7 @@ def played_in_words(report: PlayReport, board: Board, port: str) -> str:
     """How a player's frames went, with the board silent afterwards."""
     return (
         f"played {report.frames} frames on {port} (skipped {report.skipped}, worst delay {1e3 * report.late_s:.0f} ms, "
-        f"limit {board.max_frame_rate_Hz:.1f} frames/s; player at {report.priority}); the board is off"
+        f"limit {board.frame_rate} frames/s; player at {report.priority}); the board is off"
     )
 
 

@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import Progress
 
 from palmfield.errors import MeasurementError, OutputError
 from palmfield.interrupts import interrupts_held
@@ -34,6 +33,7 @@ from palmfield.session.mujoco_scene import body_poses
 from palmfield.session.recorder import Block, Recorder, Sink, static_arrays, world_with
 from palmfield.session.simulation import Simulation
 from palmfield.session.summary import array_numbers, estimated_budget, scene_numbers, skin_numbers, stimulus_numbers
+from palmfield.terminal import bars
 from palmfield.types import Float
 
 LOG = logging.getLogger("palmfield.session")
@@ -107,7 +107,7 @@ def run(
         refuse_occupied(Path(out), overwrite)
     sim = scene if isinstance(scene, Simulation) else Simulation(scene)
     duration = sim.duration_s if duration_s is None else duration_s
-    with _progress(progress) as bar:
+    with bars(progress) as bar:
         store, recorder = _prepare(sim, None if out is None else Path(out), overwrite, bar)
         stopped = _simulate(sim, recorder, duration, bar)
         try:
@@ -188,7 +188,7 @@ def recover(out: str | Path, *, progress: bool = False) -> dict[str, Path]:
         complete = bool(tree.attrs["complete"])
         if not complete or not target.exists():
             write_json(target, summary(tree, {"complete": complete, "reason": tree.attrs["reason"]}))
-        with _progress(progress) as bar:
+        with bars(progress) as bar:
             return {"result.nc": path, "summary.json": target} | draw(tree, out, bar)
 
 
@@ -308,14 +308,6 @@ def _spent(started: float) -> dict[str, Any]:
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     memory = peak / 2**20 if platform.system() == "Darwin" else peak / 2**10
     return {"wall_time_s": time.perf_counter() - started, "peak_memory_MiB": memory}
-
-
-def _progress(show: bool) -> Progress:
-    """Bars on standard error, with the time left."""
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    console = Console(stderr=True)
-    # Where nobody watches, bars would leave an empty line before an error.
-    return Progress(*columns, console=console, disable=not (show and console.is_terminal), transient=True)
 
 
 def _shown_better(sim: Simulation) -> list[str]:

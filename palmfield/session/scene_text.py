@@ -12,6 +12,7 @@ from typing import NamedTuple
 from xml.parsers import expat
 
 from palmfield.errors import SceneError, did_you_mean
+from palmfield.given_files import read_bytes
 
 ROOTS = ("mujoco", "mujocoinclude", "robot")
 """What MuJoCo takes as the outermost element: of a scene, of what it includes, and of a URDF file."""
@@ -151,7 +152,7 @@ def _read(path: Path, scene: Path, holder: Element | None, elements: list[Elemen
 def elements_of(path: Path) -> list[Element]:
     """Elements of one file in the order of their beginnings. Raises SceneError for what is no XML."""
     try:
-        data = path.read_bytes()
+        data = read_bytes(path)
     except OSError as error:
         raise SceneError(f"{path} can't be read: {error.strerror or error}; give a file that can be") from None
     parser = expat.ParserCreate()

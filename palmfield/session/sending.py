@@ -7,7 +7,7 @@ import numpy as np
 
 from palmfield.config import StimulusConfig
 from palmfield.drive.array_drive import only
-from palmfield.drive.board import Board
+from palmfield.drive.board import Board, rate_in_words
 from palmfield.drive.focal_peak import loudest_point
 from palmfield.simulation.emission import array_drives
 from palmfield.simulation.model import HapticModel
@@ -37,7 +37,7 @@ class Sending:
         steps = "off or full" if self.amplitude_steps == 1 else f"{self.amplitude_steps} levels above off"
         low, high = self.latency_s
         return (
-            f"{self.frame_bytes} bytes a frame, {due}, the line takes {self.most_frames_s:.4g}; latency "
+            f"{self.frame_bytes} bytes a frame, {due}, the line takes {rate_in_words(self.most_frames_s)}; latency "
             f"{1e3 * low:.3g} to {1e3 * high:.3g} ms; phases keep {self.pressure_kept:.4f} of the pressure; {steps}"
         )
 

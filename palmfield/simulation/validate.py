@@ -223,7 +223,7 @@ def check_board(stimulus: StimulusSpec, board: Board) -> None:
     of_sites = config.path == "sites"
     rates = [config.control_rate_Hz] * (config.control_rate_Hz > 0.0) if of_sites else frame_rates(config)
     moving = config.path != "point" or stimulus.frame_moves
-    gives = f"{board.name} gives {board.max_frame_rate_Hz:.1f}"
+    gives = f"{board.name} gives {board.frame_rate}"
     if moving and not rates:
         raise DeviceError(
             f"{element}: a path without steps, or a frame that moves, needs any number of frames/s; "

@@ -21,6 +21,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from palmfield.acoustics.arrays import layout
 from palmfield.errors import OutputError, SceneError
+from palmfield.given_files import read_json
 from palmfield.stimulus.focus_table import FocusTable, focus_table
 from palmfield.types import Float
 from palmfield.whole_files import whole
@@ -75,7 +76,7 @@ def read_foci_stm(path: str | Path) -> FociStm:
     """The file's content. Raises SceneError, with the entry's place, for what can't be read or isn't allowed."""
     file = Path(path)
     try:
-        stm = FociStm.model_validate(json.loads(file.read_text(encoding="utf-8")))
+        stm = FociStm.model_validate(read_json(file))
         _check(stm)
         return stm
     except SceneError as error:

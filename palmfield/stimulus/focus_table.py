@@ -16,6 +16,7 @@ t,x,y,z,intensity
 import csv
 import math
 import re
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -27,6 +28,7 @@ from numpy.typing import NDArray
 
 from palmfield.config.stimulus import too_far
 from palmfield.errors import OutputError, SceneError, did_you_mean
+from palmfield.given_files import read_text
 from palmfield.stimulus.duty_law import relative_pressure
 from palmfield.types import Float
 from palmfield.whole_files import whole
@@ -247,7 +249,7 @@ def read_focus_table(path: str | Path) -> FocusTable:
     """
     file = Path(path)
     try:
-        lines = file.read_text(encoding="utf-8-sig").splitlines()
+        lines = read_text(file, "utf-8-sig").splitlines()
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else error
         raise SceneError(f"{file}: cannot be read: {reason}; give a CSV file in UTF-8") from None
@@ -340,7 +342,7 @@ def _names(file: Path, number: int, line: str) -> list[str]:
     names = [name.strip() for name in line.split(",")]
     foci = max(1, (len(names) - 1) // 4)
     wanted = _columns(foci)
-    twice = next((name for name in names if names.count(name) > 1), None)
+    twice = next((name for name, count in Counter(names).items() if count > 1), None)
     if twice is not None:
         raise SceneError(f"{file}: line {number}, column {names.index(twice) + 1}: column '{twice}' is there twice")
     stray = next((name for name in names if name not in wanted), None)

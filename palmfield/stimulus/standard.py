@@ -5,7 +5,6 @@ print(standard("lm_small_steps").published)
 palmfield.load(scene, keys=standard("lm_small_steps").keys_for("stimulus"))
 """
 
-import tomllib
 from functools import cache
 from pathlib import Path
 from typing import Any, Literal
@@ -16,6 +15,7 @@ from palmfield.config import StimulusConfig
 from palmfield.config.base import Positive
 from palmfield.data import folder
 from palmfield.errors import SceneError, did_you_mean
+from palmfield.given_files import read_toml
 
 
 class StandardStimulus(BaseModel):
@@ -74,7 +74,7 @@ def standard(name: str) -> StandardStimulus:
 def read_stimulus(path: Path) -> StandardStimulus:
     """A file of one stimulus. Raises SceneError for one that can't be read, and for keys that can't be."""
     try:
-        return StandardStimulus(name=path.stem, **tomllib.loads(path.read_text(encoding="utf-8")))
+        return StandardStimulus(name=path.stem, **read_toml(path))
     except (OSError, ValueError, TypeError) as error:
         first = error.errors()[0] if isinstance(error, ValidationError) else None
         told = f"{'.'.join(map(str, first['loc']))}: {first['msg']}" if first else str(error)

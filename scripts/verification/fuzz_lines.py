@@ -203,14 +203,14 @@ def sent(door: str, count: int, seed: int) -> tuple[Counter[tuple[str, str]], li
     """What became of lines that were sent by TCP, by what was done to them; what went wrong; batches sent again."""
     sender, number = Sender(door), 1
     with sender.listener as listener:
-        for kind, lines in drawn(door, count - 2, seed):
+        for kind, lines in drawn(door, count - 15, seed):
             sender.give(kind, lines, number)
             number += len(lines)
             if len(sender.faults) > 20:
                 break
         # After all of them a good line counts
         taken = listener.taken
-        sender.give("none", [_text(good(door, number + 50_000 + n)).encode() for n in range(2)], number)
+        sender.give("none", [_text(good(door, number + 9000 + n)).encode() for n in range(15)], number)
         if listener.taken == taken:
             sender.faults.append(f"good lines of {door} were not taken: {listener.told[-3:]}")
     outcomes, faults = sender.outcomes, sender.faults

@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -49,6 +50,13 @@ def test_a_focus_on_a_virtual_board_is_logged_decoded_and_replayed(monkeypatch, 
         assert process.stdout is not None
         port = process.stdout.readline().strip()
         assert port.startswith("socket://127.0.0.1:")
+        # The next command is told, and is one that works
+        told, command = process.stdout.readline().split(": ", 1)
+        assert told == "next, in another terminal" and port in command
+        code, out = call(
+            monkeypatch, capsys, *shlex.split(command)[1:], "--duration", 0.1, "--log", tmp_path / "n.jsonl"
+        )
+        assert code == 0 and "the board is off" in out.out, out.err
         log = tmp_path / "sent.jsonl"
         where = ("--focus", 0.01, -0.02, 0.16)
         code, out = call(monkeypatch, capsys, "drive", *where, "--port", port, "--duration", 0.3, "--log", log)
@@ -59,17 +67,47 @@ def test_a_focus_on_a_virtual_board_is_logged_decoded_and_replayed(monkeypatch, 
     finally:
         process.kill()
     assert "0 of 256 transducers sound at the end" in said
-    sent = b"".join(bytes.fromhex(json.loads(line)["hex"]) for line in log.read_text().splitlines()[1:])
-    assert received.read_bytes() == sent + sent
+    first, sent = (
+        b"".join(bytes.fromhex(json.loads(line)["hex"]) for line in file.read_text().splitlines()[1:])
+        for file in (tmp_path / "n.jsonl", log)
+    )
+    assert received.read_bytes() == first + sent + sent
     png, csv = tmp_path / "foci.png", tmp_path / "foci.csv"
     code, out = call(monkeypatch, capsys, "decode", log, "--png", png, "--csv", csv)
     assert code == 0, out.err
+    # Three frames of one focus between two of silence: the focus and the silence after it are other than before
+    assert re.search(r": \d+ frames, of which 2 differ from the one before$", out.out.splitlines()[0]), out.out
     assert png.stat().st_size > 5000
     rows = np.genfromtxt(csv, delimiter=",", names=True)
     sounding = rows[np.isfinite(rows["x_m"])]
     assert len(sounding) == 3
     np.testing.assert_allclose(sounding["x_m"], 0.01, atol=3e-4)
     np.testing.assert_allclose(sounding["z_m"], 0.16, atol=1e-3)
+
+
+def test_all_texts_have_one_frame_rate_of_a_board(monkeypatch, capsys):
+    _, listed = call(monkeypatch, capsys, "boards")
+    _, page = call(monkeypatch, capsys, "boards", "--markdown")
+    _, every = call(monkeypatch, capsys, "boards", "--json")
+    for name, facts in json.loads(every.out).items():
+        if facts["max_frame_rate_Hz"] is None:
+            continue
+        rate = f"{facts['max_frame_rate_Hz']:.1f}".removesuffix(".0")
+        _, one = call(monkeypatch, capsys, "boards", name)
+        assert re.search(rf"^max_frame_rate_Hz +{rate}$", one.out, re.MULTILINE)
+        rates = re.findall(r"([0-9.,]+) frames/s", facts["description"])
+        assert not rates or rates[0] == rate, facts["description"]
+        assert f"| {rate} |" in next(line for line in page.out.splitlines() if line.startswith(f"| {name} "))
+        assert facts["description"] in listed.out
+
+
+def test_drive_says_from_the_beginning_what_it_does(monkeypatch, capsys, tmp_path):
+    """As on a terminal, which FORCE_COLOR stands for."""
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    code, out = call(monkeypatch, capsys, "drive", CIRCLE, "--record", tmp_path / "c.bin", "--duration", 0.1)
+    assert code == 0
+    phases = [out.err.find(words) for words in ("loading palmfield", "loading the scene", "making the frames of 0.1 s")]
+    assert -1 < phases[0] < phases[1] < phases[2]
 
 
 CIRCLE = Path(__file__).parents[2] / "mjcf" / "scenes" / "palm_circle_sonicsurface.xml"

@@ -1,3 +1,7 @@
+import base64
+import json
+import os
+
 import numpy as np
 import pygltflib as g
 import pytest
@@ -187,3 +191,78 @@ def test_damaged_and_compressed_files(tmp_path):
     builder.write(path, mesh(POSITION=points), node, [0], extensionsRequired=packed, extensionsUsed=packed)
     with pytest.raises(SceneError, match="KHR_draco_mesh_compression, which is not read"):
         load_mesh(path, "auto")
+
+
+def box_of(path, weights=(), node_weights=(), targets=2, **accessor):
+    """A box of 60 x 180 x 30 mm whose morph targets make it 40 mm longer and 20 mm wider; accessor: of its vertices."""
+    box = trimesh.creation.box((0.06, 0.18, 0.03))
+    longer, wider = np.zeros((8, 3)), np.zeros((8, 3))
+    longer[box.vertices[:, 1] > 0, 1], wider[box.vertices[:, 0] > 0, 0] = 0.04, 0.02
+    builder = Builder()
+    place = builder.add(box.vertices, "f4")
+    moves = [g.Attributes(POSITION=builder.add(move, "f4")) for move in (longer, wider)][:targets]
+    for name, value in accessor.items():
+        setattr(builder.views[0] if name == "byteStride" else builder.accessors[0], name, value)
+    primitive = g.Primitive(attributes=g.Attributes(POSITION=place), indices=builder.add(box.faces.ravel(), "u2"),
+                            targets=moves, mode=4)  # fmt: skip
+    builder.write(path, [g.Mesh(primitives=[primitive], weights=list(weights))], [g.Node(mesh=0)], [0])
+    if node_weights:
+        content = json.loads(path.read_text())
+        content["nodes"][0]["weights"] = list(node_weights)
+        path.write_text(json.dumps(content))
+    return path
+
+
+@pytest.mark.parametrize(
+    "weights, of_node, length_mm, width_mm",
+    [((), (), 180, 60), ((0, 0), (), 180, 60), ((1, 0), (), 220, 60), ((0.5, 1), (), 200, 80), ((-0.5, 0), (), 160, 60),
+     ((1, 0), (0, 1), 180, 80), ((), (1, 1), 220, 80)],
+)  # fmt: skip
+def test_default_weights_of_morph_targets_are_applied(tmp_path, weights, of_node, length_mm, width_mm):
+    """Khronos glTF 2.0, 3.7.2.2: the node's weights before the mesh's, zeros without both."""
+    mesh = load_mesh(box_of(tmp_path / "box.gltf", weights, of_node), "m")
+    np.testing.assert_allclose(1e3 * np.ptp(mesh.vertices, axis=0), (width_mm, length_mm, 30), rtol=1e-5)
+
+
+def test_weights_that_are_not_one_for_each_target_are_refused(tmp_path):
+    with pytest.raises(SceneError, match="3 weights are given for 2 morph targets; give one for each"):
+        load_mesh(box_of(tmp_path / "box.glb", (1, 0, 0)), "m")
+
+
+@pytest.mark.parametrize("name", ["../secret.bin", "/etc/passwd", "%2e%2e/secret.bin", "link/../../secret.bin", "out"])
+def test_buffers_outside_the_meshs_folder_are_not_opened(tmp_path, name):
+    (tmp_path / "secret.bin").write_bytes(bytes(10_000))
+    (tmp_path / "mesh").mkdir()
+    (tmp_path / "mesh" / "out").symlink_to(tmp_path / "secret.bin")
+    path = box_of(tmp_path / "mesh" / "box.gltf")
+    content = json.loads(path.read_text())
+    content["buffers"][0]["uri"] = name
+    path.write_text(json.dumps(content))
+    with pytest.raises(SceneError, match="outside the mesh's folder; allowed: files in that"):
+        load_mesh(path, "m")
+
+
+def test_a_buffer_beside_the_mesh_is_read(tmp_path):
+    path = box_of(tmp_path / "box.gltf")
+    content = json.loads(path.read_text())
+    data = base64.b64decode(content["buffers"][0]["uri"].partition(",")[2])
+    (tmp_path / "parts of it.bin").write_bytes(data)
+    content["buffers"][0]["uri"] = "parts%20of%20it.bin"
+    path.write_text(json.dumps(content))
+    assert np.ptp(load_mesh(path, "m").vertices[:, 1]) == pytest.approx(0.18)
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [{"count": -1}, {"count": 0}, {"count": 10**9}, {"byteOffset": -4000}, {"byteStride": 4}, {"byteStride": -12}],
+)
+def test_views_that_lead_out_of_a_buffer_are_refused(tmp_path, fault):
+    with pytest.raises(SceneError, match=r"box\.glb"):
+        load_mesh(box_of(tmp_path / "box.glb", **fault), "m")
+
+
+def test_an_obj_opens_no_other_file(tmp_path):
+    os.mkfifo(tmp_path / "pipe.mtl")  # opening it would never end
+    text = trimesh.creation.box((0.06, 0.18, 0.03)).export(file_type="obj")
+    (tmp_path / "box.obj").write_text("mtllib pipe.mtl\nusemtl skin\n" + text)
+    assert len(load_mesh(tmp_path / "box.obj", "m").vertices) == 8

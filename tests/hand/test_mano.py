@@ -77,6 +77,25 @@ def test_a_mano_file_gives_a_closed_rigged_hand(tmp_path, protocol):
     assert len(hand.surface.vertices) > number
 
 
+@pytest.mark.parametrize("kind", [f"{kind}_{form}" for kind in ("csc", "csr", "coo") for form in ("matrix", "array")])
+def test_a_regressor_is_read_in_each_of_scipys_forms(tmp_path, kind):
+    data = model()
+    joints = data["J_regressor"] @ data["v_template"]
+    data["J_regressor"] = getattr(scipy.sparse, kind)(data["J_regressor"])
+    read = load_rigged(written(tmp_path / "MANO_RIGHT.pkl", data)).joints
+    np.testing.assert_allclose(read.rest[:, :3, 3], joints)
+
+
+@pytest.mark.parametrize("kind", ["csc_matrix", "csr_array", "coo_matrix"])
+@pytest.mark.parametrize("number", [-7, 1 << 30])
+def test_indices_of_a_sparse_matrix_that_lead_out_of_it_are_refused(tmp_path, kind, number):
+    data = model()
+    data["J_regressor"] = getattr(scipy.sparse, kind)(data["J_regressor"])
+    (data["J_regressor"].col if kind.startswith("coo") else data["J_regressor"].indices)[5] = number
+    with pytest.raises(SceneError, match="do not fit together"):
+        load_mesh(written(tmp_path / "MANO_RIGHT.pkl", data), "auto")
+
+
 class Ch:
     """Pickles as chumpy.ch.Ch does: an object with an array x."""
 

@@ -160,7 +160,7 @@ def test_uff_that_is_none_is_told(tmp_path):
     (tmp_path / "a.uff").write_text("not a universal file\n")
     with pytest.raises(MeasurementError, match=r"give a UFF file|not readable"):
         read_scan(tmp_path / "a.uff")
-    with pytest.raises(MeasurementError, match="it is no file"):
+    with pytest.raises(MeasurementError, match="cannot be read: No such file"):
         read_scan(tmp_path / "none.uff")
     write_scan(tmp_path / "b.uff", scan())
     whole = (tmp_path / "b.uff").read_bytes()

@@ -103,7 +103,7 @@ def test_what_is_imported_is_driven_and_decoded(small_scene, tmp_path):
 def test_boards_refuse_what_they_cannot_play(small_scene, tmp_path):
     for table, told in (
         (table_of(2), "key 'path_file' has 2 foci at once; board 'autd2018' takes one"),
-        (table_of(rate_Hz=4000.0), "needs 4000 frames/s; autd2018 gives any amplitude at 2000.0"),
+        (table_of(rate_Hz=4000.0), "needs 4000 frames/s; autd2018 gives any amplitude at 2000 frames/s"),
     ):
         done = import_stimulus(written(tmp_path / "in.csv", table), small_scene(), overwrite=True)
         with pytest.raises(palmfield.DeviceError, match=told):

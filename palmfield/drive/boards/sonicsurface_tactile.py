@@ -103,7 +103,7 @@ class TactileTwin(Twin):
 BOARD = SonicSurfaceTactile(
     "sonicsurface_tactile",
     "SonicSurface with the vendor's firmware for tactile modulation: 16 phases, off or full (duty 7/16), an envelope "
-    "of 1250/(n + 1) Hz made by switching emitters in turn, 86 frames/s",
+    "of 1250/(n + 1) Hz made by switching emitters in turn, 86.2 frames/s",
     layouts=("sonicsurface",),
     unit=EMITTERS,
     line=LINE,

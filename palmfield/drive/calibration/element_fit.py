@@ -2,17 +2,19 @@
 
 The pressure of transducer n at place m is G_n D(angle) e^{b1 s + b2 s^2} e^{ikr - beta r}/r with s = sin^2(angle). All
 of this is fitted at once by Gauss-Newton steps: the complex factors G_n, where the microphone really was, the speed of
-sound, and how the directivity differs from the layout's (b1, b2). What is thought of the last three enters as a prior,
+sound and its drift while all transducers sound in turn, and how the directivity differs from the layout's (b1, b2).
+What is thought of all but G enters as a prior,
 and so does that delays beside polarity are a few degrees, by sin(2 (arg G - common phase))/2, which polarity leaves as
 it is. Without that prior a wrong speed of sound would pass for delays that grow towards the rim.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.polynomial.polynomial import polyval
 from numpy.typing import ArrayLike
+from scipy.optimize import linear_sum_assignment
 
 from palmfield.acoustics import check
 from palmfield.acoustics.air import absorption_Np_m, sound_speed, sound_speed_sd
@@ -29,19 +31,30 @@ DEAD = 0.25
 """A transducer with less of the median's amplitude makes no sound that could be used."""
 STEPS = 60
 CONVERGED = 1e-7
+ODD, ODD_TIMES = 0.1, 6.0
+"""Share of its squared readings from which a transducer doesn't fit its place, at least, and times the median."""
+CHANCE = 0.05
+LEAST_SHARE = 1e-3
+"""Of a step that is not halved further."""
+SAME = 0.1
+"""Change of the sum of squares, in units of their standard deviation, that means nothing."""
 
 
 @dataclass(frozen=True)
 class ElementFit:
     """What the readings say of the transducers.
 
-    elements: as a calibration takes them; p0_Pa_m: mean amplitude of those that sound, and its standard error from the
+    elements: as a calibration takes them, by place, with addresses where signals hang on other places than the layout
+        says; swapped: those places; unfit: columns of the readings that are loud and fit no place, which are off
+    p0_Pa_m: mean amplitude of those that sound, and its standard error from the
         scatter alone, without the microphone's own calibration
     moved_m: of the microphone from where it was thought to be, shape (m, 3); sound_speed_m_s: as fitted
     misfit: rms of what the model leaves, relative to the rms reading
     """
 
     elements: Elements
+    swapped: tuple[int, ...]
+    unfit: tuple[int, ...]
     p0_Pa_m: float
     p0_sd_Pa_m: float
     moved_m: Float
@@ -65,9 +78,10 @@ def fit_elements(
     at: where the microphone was thought to be, array frame [m], shape (m, 3), 3 places at least
     readings: complex peak pressure of each transducer alone at full drive with phase 0 (a delay is +phase), shape
         (m, n); NaN where there is none
-    place_sd_m, temperature_sd_K: standard deviations of the places, by axis, and of the air's temperature
+    place_sd_m, temperature_sd_K: standard deviations of the places, by axis, and of the air's temperature, of its mean
+        and of how much it drifts while all transducers sound in turn
     Raises PalmfieldError for shapes that don't fit, readings that are infinite, a transducer without readings, fewer
-    than 3 places and places that are not in front of the array.
+    than 3 places, places that are not in front of the array, and readings of which most fit no sound from their places.
     """
     places = np.asarray(check.points(np.asarray(at, float), np.float64), float)
     y = np.asarray(readings, np.complex128)
@@ -89,7 +103,32 @@ def fit_elements(
     model = _Model(array, air, places, place_sd_m, temperature_sd_K)
     if not model.in_front():
         raise PalmfieldError("a place of the microphone is not in front of all transducers: give z > 0 [m]")
-    return _fitted(model, np.where(known, y, 0.0), known)
+    y = np.where(known, y, 0.0)
+    found = _solved(model, y, known)
+    odd = _odd(model, found, y, known)
+    if odd.mean() > 0.5:
+        raise PalmfieldError(
+            f"the readings of {odd.sum()} of {len(odd)} transducers fit no sound from their places: check the layout "
+            "and the order of its transducers, and the microphone's places (array frame, m)"
+        )
+    if not odd.any():
+        return _result(model, found)
+    for _ in range(5):
+        found = _solved(model, np.where(odd, 0.0, y), known)
+        more = odd | _odd(model, found, y, known)
+        if (more == odd).all():
+            break
+        odd = more
+    place, fits = _matched(model, found, y, known, np.flatnonzero(odd))
+    signal = np.argsort(place)
+    model.turn = model.turn[signal]
+    known = known[:, signal]
+    found = _solved(model, np.where(fits, y, 0.0)[:, signal], known)
+    own = np.arange(len(array)) if array.address is None else array.address
+    swapped = tuple(np.flatnonzero((signal != np.arange(len(array))) & fits[signal]).tolist())
+    result = _result(model, found)
+    elements = result.elements.model_copy(update={"address": tuple(own[signal].tolist()) if swapped else None})
+    return replace(result, elements=elements, swapped=swapped, unfit=tuple(np.flatnonzero(~fits).tolist()))
 
 
 class _Model:
@@ -104,7 +143,9 @@ class _Model:
         self.absorption = absorption_Np_m(air, array.frequency_Hz)
         self.quintic = directivity_coefficients(array, self.turns / self.speed)[0]
         self.shape = len(places), len(array)
-        self.extra = 3 * len(places) + 3
+        # Of a sweep over all transducers at one place, in their order, from its beginning to its end
+        self.turn = np.arange(len(array)) / max(len(array) - 1, 1) - 0.5
+        self.extra = 4 * len(places) + 4
 
     def in_front(self) -> bool:
         """Whether each place is in front of every transducer."""
@@ -116,9 +157,15 @@ class _Model:
         moves = unknown[: 3 * len(self.places)].reshape(-1, 3) * self.place_sd_m
         return moves, self.speed + float(unknown[-3]) * self.speed_sd, unknown[-2:] * DIRECTIVITY
 
+    def speeds(self, unknown: Float) -> Float:
+        """Speed of sound at each reading [m/s], shape (m, n)."""
+        drifts = (unknown[3 * len(self.places) : -4] + unknown[-4]) * self.speed_sd
+        return self.of(unknown)[1] + drifts[:, None] * self.turn
+
     def pressures(self, unknown: Float) -> tuple[Complex, list[tuple[slice, Complex]]]:
         """Pressure of a unit G_n, shape (m, n), and for each unknown the rows where it acts and its relative slope."""
-        moves, speed, bend = self.of(unknown)
+        moves, _, bend = self.of(unknown)
+        speed = self.speeds(unknown)
         way = (self.places + moves)[:, None] - self.array.positions
         r = np.linalg.norm(way, axis=2)
         along = way / r[..., None]
@@ -128,15 +175,69 @@ class _Model:
         pressure = wave * polyval(square, self.quintic)
         slopes: list[tuple[slice, Complex]] = []
         for m in range(len(self.places)):
-            by_place = (1j * k - self.absorption - 1.0 / r[m]) * self.place_sd_m
+            by_place = (1j * k[m] - self.absorption - 1.0 / r[m]) * self.place_sd_m
             slopes += [(slice(m, m + 1), (by_place * along[m, :, axis])[None]) for axis in range(3)]
-        slopes.append((slice(None), -1j * k * r / speed * self.speed_sd))
+        by_speed = -1j * k * r / speed * self.speed_sd
+        slopes += [(slice(m, m + 1), (by_speed[m] * self.turn)[None]) for m in range(len(self.places))]
+        slopes += [(slice(None), by_speed * self.turn), (slice(None), by_speed)]
         slopes.append((slice(None), DIRECTIVITY * square + 0j))
         slopes.append((slice(None), DIRECTIVITY * square**2 + 0j))
         return pressure, slopes
 
 
-def _fitted(model: _Model, y: Complex, known: np.ndarray) -> ElementFit:
+@dataclass(frozen=True)
+class _Found:
+    """The state in which the fit has settled, its covariance and what it leaves, relative to the rms reading."""
+
+    factor: Complex
+    unknown: Float
+    common: float
+    covariance: Float
+    misfit: float
+
+
+def _unexplained(pressure: Complex, y: Complex) -> Float:
+    """Share of the squared readings that no factor explains, shape (columns of y, columns of pressure), 0 to 1."""
+    size = np.outer((np.abs(y) ** 2).sum(axis=0), (np.abs(pressure) ** 2).sum(axis=0))
+    return np.asarray(1.0 - np.abs(y.conj().T @ pressure) ** 2 / np.maximum(size, 1e-300))
+
+
+def _odd(model: _Model, found: _Found, y: Complex, known: np.ndarray) -> np.ndarray:
+    """Which columns are loud and don't fit their places, shape (n,)."""
+    pressure = model.pressures(found.unknown)[0] * known
+    left = np.array([_unexplained(pressure[:, [n]], y[:, [n]])[0, 0] for n in range(y.shape[1])])
+    loud = np.sqrt((np.abs(y) ** 2).sum(axis=0) / np.maximum((np.abs(pressure) ** 2).sum(axis=0), 1e-300))
+    usual = np.median(left[loud > 0.0])
+    return np.asarray((loud > DEAD * np.median(loud)) & (left > max(ODD, min(ODD_TIMES * usual, 0.5))))
+
+
+def _matched(
+    model: _Model, found: _Found, y: Complex, known: np.ndarray, odd: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Places of the signals of all columns, a permutation, and which columns fit their place, shapes (n,).
+
+    odd: columns to find other places for: those of one another, and of transducers that are silent
+    """
+    place, fits = np.arange(y.shape[1]), np.ones(y.shape[1], bool)
+    pressure = model.pressures(found.unknown)[0]
+    free = np.union1d(odd, np.flatnonzero(~_alive(found.factor)))
+    left = np.array([_unexplained((pressure * known[:, [n]])[:, free], y[:, [n]])[0] for n in odd])
+    row, column = linear_sum_assignment(left)
+    best = left[row, column]
+    # Of as many places one fits noise of m readings as well as that with this probability
+    chance = len(free) * best ** (known[:, odd].sum(axis=0) - 1)
+    good = (best < ODD) & (chance < CHANCE)
+    fits[odd] = good
+    taken = free[column[good]]
+    place[odd[good]] = taken
+    # Who has no place keeps its own where that is free
+    idle, vacant = np.setdiff1d(free, odd[good]), np.setdiff1d(free, taken)
+    moved = np.setdiff1d(idle, vacant)
+    place[moved] = np.setdiff1d(vacant, idle)
+    return place, fits
+
+
+def _solved(model: _Model, y: Complex, known: np.ndarray) -> _Found:
     count = y.shape[1]
     unknown = np.zeros(model.extra)
     pressure, slopes = model.pressures(unknown)
@@ -152,27 +253,41 @@ def _fitted(model: _Model, y: Complex, known: np.ndarray) -> ElementFit:
     for _ in range(STEPS):
         normal, right = _normal_equations(model, y, known, pressure, slopes, factor, unknown, common, sigma)
         step = np.linalg.solve(normal, right)
-        factor = factor + step[:count] + 1j * step[count : 2 * count]
-        unknown = unknown + step[2 * count : -1]
-        common += float(step[-1])
-        pressure, slopes = model.pressures(unknown)
-        pressure = pressure * known
+        before = _cost(y - pressure * factor, factor, unknown, common, sigma)
+        share = 1.0
+        while True:
+            further, late = unknown + share * step[2 * count : -1], common + share * float(step[-1])
+            pressure, slopes = model.pressures(further)
+            pressure = pressure * known
+            moved = _best_factors(pressure, y)
+            if share < LEAST_SHARE or _cost(y - pressure * moved, moved, further, late, sigma) < before + SAME:
+                break
+            share *= 0.5
+        factor, unknown, common = moved, further, late
         left = float((np.abs(y - pressure * factor) ** 2).sum())
         sigma = max(math.sqrt(left / freedom), 1e-9 * loudness)
         if np.abs(step[2 * count :]).max() < CONVERGED:
             break
     else:
         raise PalmfieldError(
-            f"the fit of the transducers does not settle in {STEPS} steps: check the microphone's places "
-            "(array frame, m) and that a delay is a positive phase"
+            f"the fit of the transducers does not settle in {STEPS} steps: check the layout and the order "
+            "of its transducers, the microphone's places (array frame, m) and that a delay is a positive phase"
         )
-    normal, _ = _normal_equations(model, y, known, pressure, slopes, factor, unknown, common, sigma)
+    normal, right = _normal_equations(model, y, known, pressure, slopes, factor, unknown, common, sigma)
+    step = np.linalg.solve(normal, right)
+    factor = factor + step[:count] + 1j * step[count : 2 * count]
     covariance = np.asarray(np.linalg.inv(normal), float)
-    return _result(model, factor, unknown, common, covariance, math.sqrt(left / int(known.sum())) / loudness)
+    return _Found(factor, unknown, common, covariance, math.sqrt(left / int(known.sum())) / loudness)
 
 
 def _best_factors(pressure: Complex, y: Complex) -> Complex:
     return np.asarray((pressure.conj() * y).sum(axis=0) / np.maximum((np.abs(pressure) ** 2).sum(axis=0), 1e-300))
+
+
+def _cost(left: Complex, factor: Complex, unknown: Float, common: float, sigma: float) -> float:
+    """What a step must lower: readings that are not explained, and how far all is from what is thought."""
+    delays = np.where(_alive(factor), 0.5 * np.sin(2.0 * (np.angle(factor) - common)) / DELAYS_RAD, 0.0)
+    return float((np.abs(left) ** 2).sum()) / sigma**2 + float((unknown**2).sum() + (delays**2).sum())
 
 
 def _alive(factor: Complex) -> np.ndarray:
@@ -233,9 +348,8 @@ def _add_prior_of_delays(normal: Float, right: Float, factor: Complex, common: f
             np.add.at(normal, (at[i], at[j]), by[i] * by[j])
 
 
-def _result(
-    model: _Model, factor: Complex, unknown: Float, common: float, covariance: Float, misfit: float
-) -> ElementFit:
+def _result(model: _Model, found: _Found) -> ElementFit:
+    factor, unknown, common, covariance = found.factor, found.unknown, found.common, found.covariance
     count, alive = len(factor), _alive(factor)
     size = np.abs(factor)
     p0 = float(size[alive].mean())
@@ -264,10 +378,12 @@ def _result(
             gain=tuple(np.where(alive, gain, 0.0).tolist()),
             gain_sd=tuple(gain_sd.tolist()),
         ),
+        (),
+        (),
         p0,
         float(np.sqrt(p0_slope @ of_factors @ p0_slope)),
         moves,
         speed,
         float(np.sqrt(covariance[-4, -4])) * model.speed_sd,
-        misfit,
+        found.misfit,
     )

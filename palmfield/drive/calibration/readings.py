@@ -1,7 +1,7 @@
 """A laboratory's readings as CSV files, and the calibration with what each of them says (docs/calibration.md)."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -88,18 +88,28 @@ def put_elements(
     phase_sd, gain_sd = elements.phase_sd_rad, elements.gain_sd
     assert phase_sd is not None and gain_sd is not None
     if calibration.elements is not None:
-        kept = {
-            name: getattr(calibration.elements, name) for name in ("position_m", "address", "resonance_Hz", "quality")
-        }
-        elements = elements.model_copy(update=kept)
+        names = ["position_m", "resonance_Hz", "quality"] + ["address"] * (elements.address is None)
+        elements = elements.model_copy(update={name: getattr(calibration.elements, name) for name in names})
     spread = math.hypot(1.96 * fit.p0_sd_Pa_m / fit.p0_Pa_m, under.microphone_error)
     p0 = _estimate(fit.p0_Pa_m, spread, under.source)
     dead = np.flatnonzero(~np.array(elements.enabled)).tolist()
+    strange: tuple[str, ...] = ()
+    if fit.swapped:
+        strange += (
+            f"wires: transducers {_few(fit.swapped)} hang on one another's signals; their addresses are written, and "
+            "the board is driven by them",
+        )
+    if fit.unfit:
+        strange += (
+            f"loud, but fit no place: signals {_few(fit.unfit)}; they are off: check their readings and wires, and "
+            "measure again",
+        )
     turned = elements.polarity.count(-1)
     alive = np.array(elements.enabled)
     told = (
         f"transducers: {len(array) - len(dead)} of {len(array)} sound, {turned} wired the other way round"
-        + (f"; silent: {', '.join(map(str, dead))}" if dead else ""),
+        + (f"; off: {_few(dead)}" if dead else ""),
+        *strange,
         f"phases: {_degrees(np.std(np.array(elements.phase_rad)[alive]))} deg rms, each known to "
         f"{_degrees(np.median(np.array(phase_sd)[alive]))} deg",
         f"gains: {100 * np.std(np.array(elements.gain)[alive]):.1f} % rms, each known to "
@@ -298,6 +308,10 @@ def _check_version(file: Path, columns: dict[str, Float], name: str) -> None:
             f"there is none); allowed: {now} for '{name}': read them again (`palmfield calibrate sound`)"
             + (f", or give --layout {earlier[-1]}" if earlier else "")
         )
+
+
+def _few(numbers: Sequence[int]) -> str:
+    return ", ".join(map(str, numbers[:16])) + (f" and {len(numbers) - 16} more" if len(numbers) > 16 else "")
 
 
 def _drive(array: Array, under: Circumstances) -> Complex:

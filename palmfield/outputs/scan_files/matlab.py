@@ -12,6 +12,7 @@ import numpy as np
 from scipy.io import loadmat, savemat
 
 from palmfield.errors import MeasurementError, OutputError
+from palmfield.given_files import regular
 from palmfield.instruments.scan import Quantity, Scan
 
 VALUES: dict[str, Quantity] = {"velocity_m_s": "velocity", "displacement_m": "displacement"}
@@ -48,7 +49,7 @@ def read_mat(file: Path) -> Scan:
 
 def _variables(file: Path) -> dict[str, Any]:
     try:
-        return dict(loadmat(file, variable_names=KNOWN))
+        return dict(loadmat(regular(file), variable_names=KNOWN))
     except NotImplementedError:
         with h5py.File(file) as opened:
             # MATLAB stores columns first, so that HDF5 sees its arrays turned over

@@ -17,12 +17,14 @@ are known, sight_x, sight_y, sight_z.
 """
 
 import re
+from collections import Counter
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from palmfield.errors import MeasurementError, SceneError, did_you_mean
+from palmfield.given_files import read_text
 from palmfield.instruments.scan import UNITS, Quantity, Scan
 from palmfield.tables import read_table
 from palmfield.types import Float
@@ -62,7 +64,7 @@ def read_polytec(folder: Path) -> Scan:
         if one.times_s.shape != first.times_s.shape or np.abs(one.times_s - first.times_s).max() > 1e-9:
             raise MeasurementError(f"{file}: its times are not those of {files[0].name}")
     numbers = [one.number for one in points]
-    twice = [number for number in numbers if numbers.count(number) > 1]
+    twice = [number for number, count in Counter(numbers).items() if count > 1]
     if twice:
         raise MeasurementError(f"{folder}: point {twice[0]} has several files; give one for each point")
     return Scan(
@@ -123,7 +125,7 @@ def _point(file: Path) -> _Point:
 def _text(file: Path) -> list[str]:
     for encoding in ENCODINGS:
         try:
-            return file.read_text(encoding=encoding).splitlines()
+            return read_text(file, encoding).splitlines()
         except UnicodeDecodeError:
             continue
         except OSError as error:

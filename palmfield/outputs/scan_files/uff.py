@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from palmfield.errors import MeasurementError, OutputError
+from palmfield.given_files import regular
 from palmfield.instruments.scan import Quantity, Scan
 from palmfield.types import Complex, Float
 
@@ -44,8 +45,10 @@ def _pyuff() -> Any:
 
 
 def _sets(file: Path) -> list[dict[str, Any]]:
-    if not file.is_file():
-        raise MeasurementError(f"{file}: cannot be read: it is no file; give a UFF file")
+    try:
+        regular(file)
+    except OSError as error:
+        raise MeasurementError(f"{file}: cannot be read: {error.strerror}; give a UFF file") from None
     pyuff = _pyuff()
     try:
         opened = pyuff.UFF(str(file))

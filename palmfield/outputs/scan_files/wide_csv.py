@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from palmfield.errors import MeasurementError, OutputError, did_you_mean
+from palmfield.given_files import regular
 from palmfield.instruments.scan import QUANTITIES, UNITS, Quantity, Scan
 from palmfield.tables import UNREADABLE
 
@@ -31,11 +32,11 @@ def read_csv(file: Path) -> Scan:
     head: dict[str, str] = {}
     rows: list[tuple[int, list[str]]] = []
     try:
-        with file.open(newline="", encoding="utf-8-sig") as text:
+        with regular(file).open(newline="", encoding="utf-8-sig") as text:
             for number, line in enumerate(text, 1):
                 if line.startswith("#"):
                     name, _, value = line[1:].partition(":")
-                    head[name.strip()] = value.strip()
+                    head[name.strip()] = value.strip()[:60]
                 elif line.strip():
                     rows.append((number, [cell.strip() for cell in next(csv.reader([line]))]))
     except UNREADABLE as error:

@@ -3,7 +3,6 @@
 import hashlib
 import json
 import math
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -11,6 +10,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from palmfield.errors import OutputError, PalmfieldError
+from palmfield.given_files import read_json, read_toml
 from palmfield.perception.psychometric import PsychometricFunction, Shape
 from palmfield.studies.experiment.procedures import Adjustment, ConstantStimuli, Limits, Procedure, Staircase
 
@@ -222,8 +222,7 @@ def read_design(path: Path) -> Design:
     Raises OutputError, with the key, for what can't be read or isn't allowed.
     """
     try:
-        text = path.read_text(encoding="utf-8")
-        content = tomllib.loads(text) if path.suffix.lower() == ".toml" else json.loads(text)
+        content = read_toml(path) if path.suffix.lower() == ".toml" else read_json(path)
     except (OSError, ValueError) as error:
         raise OutputError(f"{path}: cannot be read: {error}; give a TOML file, or JSON (docs/experiments.md)") from None
     try:

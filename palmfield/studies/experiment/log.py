@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 from filelock import FileLock, Timeout
 
 from palmfield.errors import OutputError, unwritable
+from palmfield.given_files import plain, read_bytes
 from palmfield.session.scene_text import read_scene_text
 from palmfield.studies.experiment.design import Design
 from palmfield.studies.experiment.procedures import Answered
@@ -52,7 +53,7 @@ def read_experiment_log(path: Path) -> Log:
     Raises OutputError for a file that can't be read or is no log of this version.
     """
     try:
-        data = path.read_bytes()
+        data = read_bytes(path)
     except OSError as error:
         raise OutputError(
             f"{path}: cannot be read: {error.strerror}; give the log of `palmfield experiment run`"
@@ -61,7 +62,7 @@ def read_experiment_log(path: Path) -> Log:
     rows = []
     for number, line in enumerate(whole.decode("utf-8", errors="replace").splitlines(), 1):
         try:
-            rows.append(json.loads(line))
+            rows.append(plain(json.loads, line))
         except ValueError:
             raise OutputError(f"{path}: line {number} is no JSON; give a log that nobody has edited") from None
     if not rows or not isinstance(rows[0], dict) or rows[0].get("palmfield_experiment") != VERSION:
@@ -180,7 +181,7 @@ def _scene_digest(scene: Path) -> str:
     text = read_scene_text(scene)
     result = hashlib.sha256()
     for file in (scene, *text.included):
-        result.update(file.read_bytes())
+        result.update(read_bytes(file))
     return result.hexdigest()[:16]
 
 

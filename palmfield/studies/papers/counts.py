@@ -13,6 +13,23 @@ SHARE = 3
 """One in so many of the claims that a control lists beforehand must turn."""
 
 
+WEIGHTLESS = {
+    "C14c": "a factor of 2, which the order of a filter that the paper does not name takes up alone",
+    "C21a": "the focus runs on the circle where the largest motion is looked for",
+    "C21b": "the motion far from the focus, against half of that under it",
+    "C21c": "the motion far from the circle, against that under the focus",
+    "R11f": "the focus turns at the corners and rests there longer",
+    "R12l": "a rate twice as low differs more from the highest, whatever the slab does",
+    "R16-R18l": "a longer way in the same time leaves a longer wake",
+    "R20d": "a spot that passes faster is a shorter pulse",
+    "H12a": "the sound does not depend on the modulation frequency without the transducers' response",
+    "H17a": "delays rounded to 1/50 of a period move a focus by far less than 1 mm",
+    "H22a": "34 dB lie between both sides",
+}
+"""Agreements that no answer of a run could have turned, and why. Found after the first runs, by what each number
+follows from: verdicts stay as they are, and these are counted separately."""
+
+
 @dataclass(frozen=True)
 class Noticed:
     """A control: ids of listed claims that it turned, that it did not, and that gave no answer; wanted: at least."""
@@ -32,6 +49,11 @@ def counts(rows: Sequence[Row]) -> dict[str, int]:
     """How many claims have which verdict."""
     found = Counter(row.verdict for row in rows if row.verdict is not None)
     return {name: found[name] for name in VERDICTS}
+
+
+def weightless(rows: Sequence[Row]) -> list[str]:
+    """Claims that agree and that nothing could have turned."""
+    return [row.entry.id for row in rows if row.verdict == "agrees" and row.entry.id in WEIGHTLESS]
 
 
 def noticed(controls: Sequence[Control], rows: Sequence[Row]) -> list[Noticed]:

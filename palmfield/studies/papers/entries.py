@@ -1,6 +1,5 @@
 """The numbers of the papers, and how each is held: tolerances.toml as objects."""
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -8,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from palmfield.data import folder
+from palmfield.given_files import read_toml
 
 KINDS = ("INPUT", "CLAIM", "ERRATUM", "CALC")
 
@@ -107,7 +107,7 @@ def _entry(table: dict[str, Any]) -> Entry:
 
 def read_book(path: Path) -> Book:
     """The entries, readings and controls of a file of tolerances."""
-    table = tomllib.loads(path.read_text(encoding="utf-8"))
+    table = read_toml(path)
     return Book(
         entries=tuple(_entry(entry) for entry in table["entry"]),
         axes={name: tuple(axis["values"]) for name, axis in table["reading_axes"].items()},

@@ -27,6 +27,7 @@ def index(out: Path) -> str:
         failed = [control["name"] for control in table["controls"] if not control["works"]]
         cells = (
             f"[{table['title']}]({name}/index.html)", *(str(table["counts"][one]) for one in VERDICTS),
+            str(table["counts"]["agrees"] - len(table["weightless"])),
             f"{len(table['controls']) - len(failed)} of {len(table['controls'])}", ", ".join(table["untested"]) or NONE,
             ", ".join(table.get("turned_later", ())) or NONE,
             "quick" if table["quick"] else "full", f"{table.get('seconds', 0.0):.0f}", table["commit"],
@@ -40,7 +41,7 @@ def index(out: Path) -> str:
         "s of processor",
         "commit",
     )
-    head = ("paper", *VERDICTS, *last)
+    head = ("paper", *VERDICTS, "agreements that carry weight", *last)
     return "\n".join(
         ["# Four papers, computed again", "", "| " + " | ".join(head) + " |", "|" + "---|" * len(head), *lines, ""]
     )

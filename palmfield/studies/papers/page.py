@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from palmfield.studies.papers.answer import Paper
-from palmfield.studies.papers.counts import counts, noticed, turned_later, unsure, untested
+from palmfield.studies.papers.counts import WEIGHTLESS, counts, noticed, turned_later, unsure, untested, weightless
 from palmfield.studies.papers.entries import Book, Entry
 from palmfield.studies.papers.rows import Row, Tried
 
@@ -221,6 +221,8 @@ def page(
     came = counts(rows)
     agreeing = came["agrees"]
     loose, late, near = untested(rows), turned_later(rows), unsure(rows)
+    empty = weightless(rows)
+    carrying = f"{agreeing - len(empty)} of {agreeing} agreements carry weight. " if agreeing else ""
     told = ", ".join(f"{count} {name}" for name, count in came.items() if count)
     hanging = [row.entry.id for row in claims if row.verdict == "depends"]
     changes = [change for change in book.changes if change["id"] in {row.entry.id for row in rows}]
@@ -229,13 +231,15 @@ def page(
         "How numbers are held, and what the words mean, is told in [the gallery's page](../README.md). *Distance* is "
         "from the limit of the tolerance, positive inside: of numbers in tolerances (1 where both are equal, 0 at the "
         "limit), of inequalities in the unit of what is compared.", "",
-        f"**{len(claims)} claims: {told}.** "
+        f"**{len(claims)} claims: {told}. {carrying.strip()}** "
         + (f"What depends on a reading: {', '.join(hanging)}. " if hanging else "")
         + (f"Of {agreeing} that agree no control turns {len(loose)}: {', '.join(loose)}. " if loose else "")
         + (f"Of these {len(late)} are turned by controls that were written later: {', '.join(late)}. " if late else "")
         + (f"Within the numerical error of one answer the verdict would differ: {', '.join(near)}." if near else ""),
         "",
         "## Claims", "", *_claims(claims),
+        "## Agreements that nothing could have turned", "",
+        *_table(("id", "why it says little"), ((name, WEIGHTLESS[name]) for name in empty)),
         "## Figures", "",
         *(line for path, caption in pictures for line in (f"![{caption}]({path.name})", "", caption, "")),
         "## Why claims disagree", "", *_causes(claims),

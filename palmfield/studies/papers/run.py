@@ -11,8 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from matplotlib.figure import Figure
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from palmfield.device import resolve
 from palmfield.errors import SceneError, did_you_mean, unwritable
@@ -21,13 +19,14 @@ from palmfield.outputs.style import save, style
 from palmfield.studies.bench.field import git_commit
 from palmfield.studies.bench.table import processor
 from palmfield.studies.papers.answer import Paper, Picture, Setting
-from palmfield.studies.papers.counts import counts, noticed, turned_later, unsure, untested
+from palmfield.studies.papers.counts import counts, noticed, turned_later, unsure, untested, weightless
 from palmfield.studies.papers.entries import Book, book
 from palmfield.studies.papers.index import as_html, index
 from palmfield.studies.papers.page import page
 from palmfield.studies.papers.registry import NAMES, TITLES, paper
 from palmfield.studies.papers.rows import Row, row
 from palmfield.studies.papers.side_by_side import Told, side_by_side
+from palmfield.terminal import bars
 
 logger = logging.getLogger(__name__)
 FORMAT = 1
@@ -176,6 +175,7 @@ def _write_rows(path: Path, head: dict[str, Any], held: Book, found: Sequence[Ro
     told = {
         "counts": counts(found),
         "untested": untested(found),
+        "weightless": weightless(found),
         "turned_later": turned_later(found),
         "unsure": unsure(found),
         "controls": [
@@ -214,9 +214,7 @@ def _drawn(picture: Picture, setting: Setting) -> Figure | None:
 @contextmanager
 def _bar(show: bool, sizes: Mapping[str, int]) -> Iterator[Told]:
     """A bar for each paper. sizes: how many entries each has"""
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, disable=not (show and console.is_terminal), transient=True) as bar:
+    with bars(show) as bar:
         tasks = {name: bar.add_task(name, total=size, start=False) for name, size in sizes.items()}
 
         def told(name: str, entry: str) -> None:

@@ -1,12 +1,14 @@
 """Designs as they are written on the command line and in tables."""
 
 import csv
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from palmfield.errors import SceneError
+from palmfield.given_files import regular
 from palmfield.studies.sweep.design import Design, Range, Value, check_range, grid, listed, random, sobol
 
 FORMS = (
@@ -114,14 +116,14 @@ def _number(word: str) -> Value:
 def _read_table(path: Path, fixed: dict[str, Value | None]) -> Design:
     """The points of a CSV file. Raises SceneError where it can't be read or isn't a table."""
     try:
-        with open(path, newline="", encoding="utf-8-sig") as file:
+        with regular(path).open(newline="", encoding="utf-8-sig") as file:
             rows = [row for row in csv.reader(file, skipinitialspace=True) if any(cell.strip() for cell in row)]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise SceneError(f"--list {path} can't be read: {getattr(error, 'strerror', None) or error}") from None
     if len(rows) < 2:
         raise SceneError(f"--list {path} has {len(rows)} lines; allowed: a line of keys, then a line for each point")
     head = [cell.strip() for cell in rows[0]]
-    twice = next((key for key in head if head.count(key) > 1 or key in fixed), None)
+    twice = next((key for key, count in Counter(head).items() if count > 1 or key in fixed), None)
     if twice is not None:
         raise SceneError(f"--list {path}: key '{twice}' is given twice; give each key once")
     for number, row in enumerate(rows[1:], start=2):
@@ -131,4 +133,7 @@ def _read_table(path: Path, fixed: dict[str, Value | None]) -> Design:
                 f"--list {path}: line {number} has {filled} values for {len(head)} keys; give each a value"
             )
     columns = zip(*rows[1:], strict=True)
-    return listed({key: [_number(cell.strip()) for cell in column] for key, column in zip(head, columns, strict=True)})
+    try:
+        return listed({key: [_number(cell.strip()) for cell in one] for key, one in zip(head, columns, strict=True)})
+    except SceneError as error:
+        raise SceneError(f"--list {path}: {error}") from None

@@ -14,6 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 from palmfield.errors import SceneError, did_you_mean
+from palmfield.given_files import read_text
 from palmfield.session.array_inputs import p0_band
 from palmfield.studies.trial.felt import Felt
 from palmfield.studies.trial.field import Moment, TrueSound
@@ -85,7 +86,7 @@ def read_recording(path: str | Path) -> Recording:
     """
     file = Path(path)
     try:
-        lines = file.read_text(encoding="utf-8-sig").splitlines()
+        lines = read_text(file, "utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise SceneError(f"recording {file} cannot be read: {error}; give a CSV file (UTF-8)") from None
     head: dict[str, str] = {}

@@ -10,8 +10,6 @@ from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 import numpy as np
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from palmfield.acoustics.calibration_file import Calibration, read_calibration, write_calibration
 from palmfield.drive.board import Board, Emitted
@@ -39,6 +37,7 @@ from palmfield.studies.trial.recording import Compared, Recording, compare
 from palmfield.studies.trial.report import Numbers, as_text, numbers_of, table_of
 from palmfield.studies.trial.sending import VIRTUAL, Heard, MadeFrame, Sent, send
 from palmfield.tables import write_table
+from palmfield.terminal import bars
 from palmfield.whole_files import whole
 
 LOG = logging.getLogger(__name__)
@@ -347,9 +346,7 @@ Told = Callable[[str | None, float | None], None]
 @contextmanager
 def _bar(show: bool) -> Iterator[Told]:
     """Tells on a terminal's standard error what is done, and how far it is."""
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, disable=not (show and console.is_terminal), transient=True) as bar:
+    with bars(show) as bar:
         task = bar.add_task("opening the scene", total=None)
 
         def told(what: str | None, number: float | None) -> None:

@@ -26,14 +26,17 @@ CHUNK = 1 << 16
 LOCAL = ("localhost", "127.0.0.1", "::1")
 PORTS = 20
 """So many ports are tried where none is asked for."""
+ALIVE = "/alive"
+"""Path at which the server says that it is there, and nothing else."""
 SECRET_HEADER = "X-Palmfield-Gate"
 """Header of a request by which the server behind knows the gate."""
 
 
 @contextlib.contextmanager
-def only_for_gate(secret: str) -> Iterator[None]:
+def only_for_gate(secret: str, head: str) -> Iterator[None]:
     """A viser server that starts in the block answers requests with a secret in SECRET_HEADER, and refuses all others.
 
+    head: HTML that is added to the head of its page
     Raises OutputError where the server that started was not made by the library that viser 1.1 makes it by.
     """
     import websockets.asyncio.server as library
@@ -45,7 +48,16 @@ def only_for_gate(secret: str) -> Iterator[None]:
         def checked(connection: Any, request: Any) -> Any:
             if request.headers.get_all(SECRET_HEADER) != [secret]:
                 return connection.respond(http.HTTPStatus.FORBIDDEN, "open the address that `palmfield view` printed\n")
-            return process_request(connection, request)
+            if request.path == ALIVE:
+                return connection.respond(http.HTTPStatus.NO_CONTENT, "")
+            if request.path.partition("?")[0] != "/" or "Upgrade" in request.headers:
+                return process_request(connection, request)
+            del request.headers["Accept-Encoding"]
+            answer = process_request(connection, request)
+            answer.body = answer.body.replace(b"<head>", b"<head>" + head.encode(), 1)
+            del answer.headers["Content-Length"]
+            answer.headers["Content-Length"] = str(len(answer.body))
+            return answer
 
         guarded.append(True)
         return plain(*given, process_request=checked, **more)

@@ -24,7 +24,7 @@ from palmfield.studies.view.colours import (
     rounded_up,
     size_scale,
 )
-from palmfield.studies.view.gate import LOCAL, Gate, only_for_gate
+from palmfield.studies.view.gate import ALIVE, LOCAL, Gate, only_for_gate
 from palmfield.studies.view.glb import GlbMesh, linear
 from palmfield.studies.view.messages import (
     Address,
@@ -64,6 +64,40 @@ NOW_WORDS = "the state at each picture (what is faster than the pictures is seen
 TURNS_IN_s = 2.0
 """A slowed-down stretch takes about so long."""
 DISC_SIDES = 12
+HEAD = """
+<script>
+// Before viser's own: a reader who likes dark pages gets one
+if (matchMedia("(prefers-color-scheme: dark)").matches) window.__VISER_EMBED_CONFIG__ = {darkMode: true};
+addEventListener("load", () => {
+  document.title = "palmfield view";
+  const gone = document.createElement("div");
+  gone.id = "palmfield-gone";
+  gone.setAttribute("role", "alert");
+  gone.textContent = "The view has ended or does not answer. What is seen here is the last picture. " +
+    "Start the command again, and open the address that it prints.";
+  gone.style.cssText = "display:none;position:fixed;inset:auto 0 0 0;z-index:99999;padding:0.8em 1em;" +
+    "background:#b00020;color:#fff;font:1rem sans-serif;text-align:center";
+  document.body.append(gone);
+  setInterval(async () => {
+    try {
+      const answer = await fetch("ALIVE", {cache: "no-store", signal: AbortSignal.timeout(5000)});
+      if (gone.style.display === "block" && answer.ok) location.reload();
+      gone.style.display = answer.ok ? "none" : "block";
+    } catch {
+      gone.style.display = "block";
+    }
+  }, 2000);
+});
+</script>
+<style>
+/* The controls lie over the middle of a narrow page; here they take its lower part */
+@media (max-width: 36em) {
+  div[style*="position: fixed"][style*="width: 20em"] { width: 100% !important; max-height: 45% !important }
+  div[style="width: 20em;"] { width: 100% !important }
+}
+</style>
+""".replace("ALIVE", ALIVE)
+"""What the page has besides viser's own: it says when the server is gone, which viser shows by a small sign only."""
 AGAIN_s = 5.0
 """What didn't come so long is asked for again: it may be that it could not be told then."""
 
@@ -104,7 +138,7 @@ class Page:
         self._talk, self._lock, self._place = talk, Lock(), place
         # Never at another address, and for the gate alone: viser asks nobody who he is
         secret = secrets.token_urlsafe(24)
-        with only_for_gate(secret):
+        with only_for_gate(secret, HEAD):
             self._server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
         gate = Gate(place.host, place.port, PORT, self._server.get_port(), place.token, secret)
         host = "localhost" if place.host in LOCAL else place.host
@@ -115,6 +149,8 @@ class Page:
         self.address = f"http://{host}:{gate.port}/" + (f"?token={place.token}" if place.token else "")
         # viser's button would make a public address, past the gate
         self._server.gui.configure_theme(show_share_button=False, control_width="medium", dark_mode=False)
+        # Beside the scene, not over it
+        self._server.gui.main_panel.dock_right()
         self._server.scene.set_up_direction("+z")
         # A palm looks down, where viser's own lights leave it dark
         self._server.scene.configure_default_lights(enabled=False)
@@ -298,9 +334,10 @@ class Page:
     # -- what comes ----------------------------------------------------------------------------------------------------
 
     def _tell(self, told: Told) -> None:
-        colour, mark = {"info": ("#444", ""), "busy": ("#8a5a00", "&#8987; "), "error": ("#b00020", "&#9888; ")}[
-            told.kind
-        ]
+        colour, mark = {
+            "info": ("inherit", ""), "busy": ("light-dark(#8a5a00, #ffc46b)", "&#8987; "),
+            "error": ("light-dark(#b00020, #ff8a94)", "&#9888; "),
+        }[told.kind]  # fmt: skip
         self._notice.content = (
             f'<div style="margin:0.3em 0.8em;font-size:0.8em;color:{colour};overflow-wrap:anywhere">{mark}'
             f"{html.escape(told.text)}</div>"
@@ -443,13 +480,12 @@ def _meter_row(name: str, level_dB: float | None, why: str) -> str:
     """A bar from 0 to 60 dB above threshold, or why there is none."""
     title = html.escape(f"{name}: {why}", quote=True)
     if level_dB is None:
-        return (
-            f'<div title="{title}" style="color:#777">{name}: none, {html.escape(why.removeprefix("refused: "))}</div>'
-        )
+        why = html.escape(why.removeprefix("refused: "))
+        return f'<div title="{title}" style="opacity:0.75">{name}: none, {why}</div>'
     share = min(max(level_dB / 60.0, 0.0), 1.0)
     return (
         f'<div title="{title}">{name}: <b>{level_dB:.0f} dB SL</b>'
-        f'<div style="height:0.45em;background:#e4e4e4;margin-bottom:0.25em"><div style="height:100%;'
+        f'<div style="height:0.45em;background:#8884;margin-bottom:0.25em"><div style="height:100%;'
         f'width:{100.0 * share:.0f}%;background:#0f766e"></div></div></div>'
     )
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from palmfield.studies.papers.answer import Answer, Setting
-from palmfield.studies.papers.counts import counts, unsure
+from palmfield.studies.papers.counts import counts, unsure, weightless
 from palmfield.studies.papers.entries import book
 from palmfield.studies.papers.registry import NAMES, paper
 from palmfield.studies.papers.rows import Row, Tried
@@ -94,20 +94,27 @@ def test_the_gallerys_page_says_what_is_weak():
 
 def test_the_counts_on_the_gallerys_page_are_those_of_the_rows():
     page = (GALLERY / "README.md").read_text()
-    total = dict.fromkeys(("agrees", "disagrees", "depends"), 0)
+    total, weighty = dict.fromkeys(("agrees", "disagrees", "depends"), 0), 0
     for name in NAMES:
         came = table(name)["counts"]
         [line] = re.findall(rf"^\| \[[^|]*\]\({name}/README.md\) \|(.*)$", page, flags=re.MULTILINE)
-        numbers = [int(cell) for cell in line.split("|")[:5]]
-        assert numbers == [
-            sum(came.values()),
-            *(came[key] for key in ("agrees", "disagrees", "depends", "not testable")),
-        ]
+        numbers = [int(cell) for cell in line.split("|")[:6]]
+        agreeing, others = came["agrees"], (came[key] for key in ("disagrees", "depends", "not testable"))
+        carrying = agreeing - len(weightless(rows_of(name)))
+        assert numbers == [sum(came.values()), agreeing, carrying, *others]
+        weighty += carrying
+        assert f"{carrying} of {agreeing} agreements carry weight." in (GALLERY / name / "README.md").read_text()
         for key in total:
             total[key] += came[key]
     testable = sum(total.values())
     assert f"Of {testable} testable claims {total['agrees']} agree" in page
     assert f"{total['disagrees']} disagree, and {total['depends']} depend" in page
+    assert f"**{weighty} of the {total['agrees']}\nagreements carry weight**" in page
+    for other in ("README.md", "docs/guides/trust.md", "docs/limits.md"):
+        text = " ".join((GALLERY.parents[1] / other).read_text().split())
+        assert re.search(
+            rf"\b{weighty} (of the {total['agrees']} agreements|of which) carry weight|agree {weighty} carry", text
+        )
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -1,6 +1,8 @@
 """The page in a real browser, headless, with WebGL on the CPU."""
 
 import io
+import os
+import signal
 import threading
 import time
 
@@ -61,6 +63,24 @@ def test_a_browser_shows_the_scene_and_its_controls_reach_it(small_scene, tmp_pa
                 browser.wait_for(f"!{text}.includes('paused')")
                 assert live.playing
                 assert not browser.console
+                # Dark and narrow, as on a telephone at night: the controls are below the skin, and their words are seen
+                browser.ask("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": "dark"}])
+                small = {"width": 360, "height": 640, "deviceScaleFactor": 1, "mobile": True}
+                browser.ask("Emulation.setDeviceMetricsOverride", **small)
+                browser.open(link.address)
+                browser.wait_for(f"{text}.includes('times slower')")
+                button = "[...document.querySelectorAll('button')].find(b => b.innerText.trim() === 'Pause')"
+                assert browser.value(f"{button}.getBoundingClientRect().top") > 0.5 * 640
+                assert browser.value(f"{button}.getBoundingClientRect().width") > 0.8 * 360
+                words = "[...document.querySelectorAll('div')].filter(d => d.innerText.startsWith('shown: ')).pop()"
+                light = f"getComputedStyle({words} || document.body).color.match(/[0-9]+/g).slice(0, 3).map(Number)"
+                assert min(browser.value(light)) > 150
+                # A server that is gone is said to be gone
+                gone = "getComputedStyle(document.getElementById('palmfield-gone')).display"
+                assert browser.value(gone) == "none"
+                os.kill(link.pid, signal.SIGKILL)
+                browser.wait_for(f"{gone} === 'block'", 10.0)
+                assert "The view has ended" in browser.value(text)
         finally:
             end.asked = True
             runner.join()

@@ -53,7 +53,11 @@ def test_the_page_comes_over_http_and_its_pictures_over_a_websocket(page):
     talk = HTTPConnection("127.0.0.1", port_of(address), timeout=10.0)
     talk.request("GET", "/")
     answer = talk.getresponse()
-    assert answer.status == 200 and b"<html" in answer.read()
+    told = answer.read()
+    assert answer.status == 200 and b"<html" in told and b"The view has ended" in told
+    talk = HTTPConnection("127.0.0.1", port_of(address), timeout=10.0)
+    talk.request("GET", "/alive")
+    assert talk.getresponse().status == 204
     with PageClient(address) as client:
         client.until(is_picture)
         began, count = time.monotonic(), 0
