@@ -98,6 +98,10 @@ def run(
         typer.Option(help="pictures instead of the usual three (see `palmfield plot --list`)", metavar="KIND,..."),
     ] = None,
     no_plots: Annotated[bool, typer.Option("--no-plots", help="draw none")] = False,
+    details: Annotated[
+        bool, typer.Option("--details", help="print every number, observer and part of the error")
+    ] = False,
+    strict: Annotated[bool, typer.Option("--strict", help="exit code 3 where the accuracy is not reached")] = False,
     as_json: AsJson = False,
 ) -> None:
     """Simulate a scene and write result.nc, summary.json, pictures and scene.usdc.
@@ -116,7 +120,8 @@ def run(
     kinds = [] if no_plots else None if plots is None else [kind for kind in plots.split(",") if kind]
     run_scene(
         scene, out or Path("out") / scene.stem, device=device, accuracy=accuracy, board=board, keys=given_keys(keys),
-        duration_s=duration, overwrite=overwrite, plots=kinds, quiet=context.obj, as_json=as_json,
+        duration_s=duration, overwrite=overwrite, plots=kinds, quiet=context.obj, details=details, strict=strict,
+        as_json=as_json,
     )  # fmt: skip
 
 
@@ -201,7 +206,10 @@ def drive(
         float, typer.Option(help="with --focus: sine between silence and the level [Hz]; 0 for none")
     ] = 0.0,
     layout: Annotated[
-        str | None, typer.Option(help="with --focus: of the array, of those that the board drives [default: its first]")
+        str | None,
+        typer.Option(
+            help="with --focus: of the array, of those that the board drives [default: its first], or FILE.csv"
+        ),
     ] = None,
     p0: Annotated[
         float | None,

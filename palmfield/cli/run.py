@@ -27,11 +27,14 @@ def run_scene(
     overwrite: bool,
     plots: list[str] | None,
     quiet: bool,
+    details: bool,
+    strict: bool,
     as_json: bool,
 ) -> None:
     """Run a scene and print its numbers and files, as a table or as JSON; exit code 130 on Ctrl-C.
 
-    quiet: neither bars nor the table
+    quiet: neither bars nor the table; details: the table with all numbers
+    strict: exit code 3 where the accuracy of a skin is not reached, or has no estimate
     """
     with Console(stderr=True, quiet=quiet).status(f"loading {scene}"):
         simulation = palmfield.Simulation(scene, device=device, accuracy=accuracy, board=board, keys=keys)
@@ -53,6 +56,8 @@ def run_scene(
         files = {name: str(path) for name, path in result.files.items()}
         print_json({"scene": str(scene), "out": str(out), "files": files, "warnings": told, "summary": result.summary})
     elif not quiet:
-        print(format_summary(result.summary), end="")
+        print(format_summary(result.summary, details), end="")
         for path in result.files.values():
             print(f"wrote {path}")
+    if strict and not all(skin.get("accuracy_reached", True) for skin in result.summary["skins"]):
+        raise typer.Exit(3)

@@ -78,10 +78,10 @@ class SkinConfig(Config):
         None,
         description="site on the body, in the reference pose, at the middle of the skin layer (all shapes but disc)",
     )
-    patch_radius_m: Positive | None = Field(
+    patch_radius_m: Length | None = Field(
         None, description="radius of the skin layer (default: the plan's; all shapes but disc)"
     )
-    depth_m: Positive = Field(
+    depth_m: Length = Field(
         0.02,
         description="greatest depth of the layer, of all shapes but disc; a hand's own depth to bone applies where it "
         "is less",

@@ -1,10 +1,13 @@
 """A skin's error budget (`palmfield.session.error_budget.error_budget`) in words."""
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 Row = tuple[str, str]
 """Of a table: what, and its size."""
+Part = tuple[str, float, float]
+"""Of a band: an input, and the factors at the low and high ends of its range."""
 PARTS = {"mesh": "mesh", "step": "time step", "reduction": "reduction", "edge": "cut edge", "field": "field in float32"}
 """Of the numerical error, by the beginning of its key in a skin's numbers."""
 COARSE = 0.05
@@ -43,19 +46,46 @@ def figures(value: float, band: float) -> str:
     return f"{float(text):.0f}" if "e" in text and 1.0 <= abs(value) < 1e6 else text
 
 
-def widest(budget: Mapping[str, Any] | None, kind: str, without: Sequence[str] = ()) -> float:
-    """The widest band of a kind of a budget's parts, left_out or inputs, relative; 0 where none is known.
+def widest(budget: Mapping[str, Any] | None) -> float:
+    """The widest bias of what a budget says was left out, its larger end, relative; 0 where none is known."""
+    return max((_largest(one) for one in (budget or {}).get("left_out", ()) if one["low"] is not None), default=0.0)
 
-    Of inputs, half of what their factors leave open; of what is left out, the larger end. without: parts by name
+
+def input_parts(skin: Mapping[str, Any], without: Sequence[str] = ()) -> list[Part]:
+    """The inputs of a skin's motion that have a known range, with the factors on it. without: inputs by name"""
+    parts = {one["what"]: (one["low"], one["high"]) for one in _ranges(skin.get("error_budget") or {"inputs": ()})}
+    if "p0_band_low" in skin:
+        parts = {"p0": (skin["p0_band_low"], skin["p0_band_high"])} | parts
+    return [(what, low, high) for what, (low, high) in parts.items() if what not in without]
+
+
+def combined(parts: Sequence[Part]) -> tuple[float, float]:
+    """One band of several inputs, as factors: the root sum of squares of their logarithms, for each side by itself.
+
+    It holds for inputs that are independent of each other, of which the motion is a product.
     """
-    parts = [one for one in (budget or {}).get(kind, ()) if one["low"] is not None and one["what"] not in without]
-    if kind == "inputs":
-        return max(((one["high"] - one["low"]) / 2.0 for one in parts), default=0.0)
-    return max((_largest(one) for one in parts), default=0.0)
+    lows, highs = [low for _, low, _ in parts], [high for _, _, high in parts]
+    low = 0.0 if min(lows, default=1.0) <= 0.0 else math.exp(-math.hypot(*(math.log(min(one, 1.0)) for one in lows)))
+    return low, math.exp(math.hypot(*(math.log(max(one, 1.0)) for one in highs)))
+
+
+def parts_text(parts: Sequence[Part], ends: Callable[[float, float], str] | None = None) -> str:
+    """The parts of a band by name. ends: their two factors in words"""
+    said = ends or (lambda low, high: f"x {low:.2g} to {high:.2g}")
+    return ", ".join(f"{what} {said(low, high)}" for what, low, high in parts)
 
 
 def _largest(bias: Mapping[str, Any]) -> float:
     return float(max(-bias["low"], bias["high"]))
+
+
+def largest_left_out(budget: Mapping[str, Any] | None) -> str:
+    """The largest bias of what was left out, in words that follow a semicolon; nothing where none is worth showing."""
+    told = _told(budget) if budget else []
+    if not told:
+        return ""
+    one = max(told, key=_largest)
+    return f"; largest part left out: {one['what']} {bias_text(one['low'], one['high'])}"
 
 
 def _told(budget: Mapping[str, Any]) -> list[Mapping[str, Any]]:

@@ -13,7 +13,7 @@ from palmfield.errors import OutputError, did_you_mean
 from palmfield.outputs.motion import normal_component
 from palmfield.outputs.recorded_keys import keys_of
 from palmfield.outputs.schema import has_records, instances
-from palmfield.perception.maps import level_map, lines_in
+from palmfield.perception.maps import felt_lines, level_map, lines_in
 from palmfield.perception.observers import OBSERVERS
 from palmfield.stimulus.resolved import ResolvedStimulus
 from palmfield.stimulus.schedule import main_frequencies, steady_stretch_s
@@ -24,7 +24,7 @@ def level_maps(result: xr.DataTree, skin: str | None = None, stimulus: str | Non
     """Level above threshold by each contact observer at each vertex, of the steady part of a run.
 
     result: of `open_result` or `tree`, of a run that began at 0 s; skin, stimulus: instances, the only ones by default.
-    Lines are the stimulus's main frequencies that the record can tell.
+    The level is of all lines (`palmfield.perception.maps.felt_lines`), whose frequencies are an attribute.
     Returns `level` [dB SL], dimensions (observer, vertex), NaN where an observer's table has none of the lines, -inf
     where the vertex is at rest; attributes skin, stimulus and frequencies_Hz. Each vertex is taken by itself, without
     summation over area. The observer that goes by force has no map: it knows nothing of the skin's motion.
@@ -39,7 +39,7 @@ def level_maps(result: xr.DataTree, skin: str | None = None, stimulus: str | Non
     times = data["time"].values.astype(float)
     begin, end = steady_stretch_s(config)
     steady = (times >= begin) & (times <= end)
-    frequencies = lines_in(times[steady], main_frequencies(config))
+    frequencies = felt_lines(times[steady], config)
     if not frequencies:
         wanted = main_frequencies(config)
         told = f"two periods of {wanted[0]:g} Hz, 3 samples in each" if wanted else "a stimulus that repeats itself"
@@ -106,9 +106,10 @@ def level_course(result: xr.DataTree, skin: str, observer: str) -> LevelCourse:
     data = instances(result, "skin")[skin]
     if not has_records(data, "displacement"):
         raise OutputError(f"skin '{skin}' holds no displacement")
-    lines: set[float] = set()
+    lines, times = set[float](), data["time"].values.astype(float)
     for name, stimulus in instances(result, "stimulus").items():
-        lines |= set(main_frequencies(keys_of(ResolvedStimulus, name, stimulus)))
+        config = keys_of(ResolvedStimulus, name, stimulus)
+        lines |= {*main_frequencies(config), *felt_lines(times, config)}
     return LevelCourse(data, observer, sorted(lines))
 
 

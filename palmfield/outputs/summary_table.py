@@ -8,7 +8,26 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from palmfield.outputs.budget_text import COARSE, Row, budget_rows, figures, widest
+from palmfield.outputs.budget_text import (
+    COARSE,
+    Row,
+    budget_rows,
+    combined,
+    figures,
+    input_parts,
+    largest_left_out,
+    parts_text,
+    widest,
+)
+from palmfield.outputs.felt import (
+    RULE,
+    band_text,
+    chosen_observer,
+    first_line,
+    level_text,
+    shown_level,
+    strongest_line,
+)
 from palmfield.perception.registry import ALL_OBSERVERS
 from palmfield.terminal import columns, folded
 
@@ -16,27 +35,19 @@ WIDTH = 110
 """Columns of the table where the terminal is no narrower."""
 
 
-def format_summary(summary: Mapping[str, Any]) -> str:
-    """The table of a run's numbers: the drive, a block a skin, and what the run took.
+def format_summary(summary: Mapping[str, Any], details: bool = False) -> str:
+    """The verdict of a run in one line, and a table of its numbers.
 
-    summary: of `palmfield.outputs.summary.summary`. Further entries of a skin that are told where they are there:
-    dofs, solver, accuracy_wanted_relative; p0_band_low and _high (factors on its motion) with
-    peak_displacement_low_m and _high_m; displacement_error_relative with mesh_, step_, reduction_ and
-    edge_error_relative, or displacement_error_missing (a reason); of modes reduction_velocity_error_relative;
-    main_frequency_Hz and level_OBSERVER_dB_SL, with level_OBSERVER_why, _spread_dB and _spread_of, and
-    level_area_OBSERVER_dB_SL with level_area_OBSERVER_m2. Of a stimulus: drive_level. Of an
-    array: p0_Pa_m, p0_low_Pa_m, p0_high_Pa_m, p0_kind, calibrated. Of the run: wall_time_s, peak_memory_MiB.
+    summary: of `palmfield.outputs.summary.summary`, with what `palmfield.session.summary` adds where it is there
+    details: whether all is in the table: drive, p0, solver, all observers and all parts of the error. Else 14 lines for
+    one skin: pressure, ARP, force, displacement, one level, error and time.
     """
-    skins, stimuli = summary["skins"], summary["stimuli"]
-    drives = [
-        ("drive" if len(stimuli) == 1 else f"drive, {one['name']}", of_full(one["drive_level"]))
-        for one in stimuli
-        if "drive_level" in one
-    ] + array_rows(summary["arrays"])
-    level = max((one.get("drive_level", 0.0) for one in stimuli), default=0.0)
+    skins = summary["skins"]
+    level = max((one.get("drive_level", 0.0) for one in summary["stimuli"]), default=0.0)
+    drives = _drives(summary) if details else []
     grid = Table(*folded(("", "")), show_header=False)
     for number, skin in enumerate(skins):
-        sound, motion = _sound(skin, level), _motion(skin)
+        sound, motion = _sound(skin, level), _motion(skin) if details else _short(skin)
         # With one skin, sound, drive and motion stand in the order in which one follows from the other.
         rows = sound + drives + motion if len(skins) == 1 else [("SKIN", skin["name"]), *sound, *motion]
         if number == 0 and len(skins) > 1:
@@ -50,7 +61,54 @@ def format_summary(summary: Mapping[str, Any]) -> str:
         grid.add_row("wall time, peak memory", took)
     stream = io.StringIO()
     Console(file=stream, width=columns(WIDTH)).print(grid)
-    return stream.getvalue()
+    return f"{first_line(summary)}\n{stream.getvalue()}"
+
+
+def _drives(summary: Mapping[str, Any]) -> list[Row]:
+    """How loud each stimulus is, and what is known of p0."""
+    stimuli = summary["stimuli"]
+    return [
+        ("drive" if len(stimuli) == 1 else f"drive, {one['name']}", of_full(one["drive_level"]))
+        for one in stimuli
+        if "drive_level" in one
+    ] + array_rows(summary["arrays"])
+
+
+def _short(skin: Mapping[str, Any]) -> list[Row]:
+    """A skin's motion in the main table: displacement with its band, one level, and the error."""
+    rows: list[Row] = []
+    if "peak_displacement_m" in skin:
+        rows.append(("peak skin displacement", _peak(skin)))
+    if (name := chosen_observer(skin)) is not None:
+        level, lines = shown_level(skin, name)
+        assert level is not None
+        band = band_text(skin, name)
+        parts = f"band: {band}; " if band else ""
+        rows.append(("level above threshold", f"{level_text(skin, name, level)}, {lines}, {name}; {parts}{RULE}"))
+    error = skin.get("displacement_error_relative")
+    if error is not None:
+        missed = f"NOT within {100 * skin['accuracy_wanted_relative']:g} %: {advice(skin)}"
+        reached = f"; {missed}" if skin.get("accuracy_reached") is False else ""
+        left = largest_left_out(skin.get("error_budget"))
+        rows.append(("error", f"numerical {figures(100 * error, 1.0)} %{reached}{left}"))
+    return rows + _no_estimate(skin)
+
+
+def _no_estimate(skin: Mapping[str, Any]) -> list[Row]:
+    missing = skin.get("displacement_error_missing")
+    return [] if missing is None else [("error estimate", f"none: {missing}")]
+
+
+def _peak(skin: Mapping[str, Any]) -> str:
+    """The peak displacement with its one band over all inputs with a range, whose parts are named."""
+    parts = input_parts(skin)
+    (low, high), peak = combined(parts), 1e6 * skin["peak_displacement_m"]
+    band = max((high - low) / 2.0, response_band(skin))
+    text = f"{figures(peak, band)} um"
+    if parts:
+        text += f" ({figures(peak * low, 1.0)} to {figures(peak * high, 1.0)} um for {parts_text(parts)})"
+    grazed = skin.get("peak_arp_Pa", 1.0) == 0.0 < skin["peak_displacement_m"]
+    return text + ("; of sound that only grazes it: no estimate stands behind it" if grazed else "")
 
 
 def _sound(skin: Mapping[str, Any], drive_level: float) -> list[Row]:
@@ -77,13 +135,14 @@ def unknown_or(band: float, skin: Mapping[str, Any]) -> float:
 
 def sound_band(skin: Mapping[str, Any]) -> float:
     """Widest band of what is known of a skin's ARP, relative: of p0, and of what is left out of the sound."""
-    return unknown_or(max(level_band(skin), widest(skin.get("error_budget"), "left_out")), skin)
+    return unknown_or(max(level_band(skin), widest(skin.get("error_budget"))), skin)
 
 
 def response_band(skin: Mapping[str, Any]) -> float:
     """Widest band of what is known of a skin's motion per pascal of ARP, relative: of all but p0."""
-    budget, error = skin.get("error_budget"), skin.get("displacement_error_relative", 0.0)
-    return unknown_or(max(error, widest(budget, "left_out"), widest(budget, "inputs", ("p0",))), skin)
+    low, high = combined(input_parts(skin, ("p0",)))
+    error = skin.get("displacement_error_relative", 0.0)
+    return unknown_or(max(error, widest(skin.get("error_budget")), (high - low) / 2.0), skin)
 
 
 def of_full(level: float) -> str:
@@ -111,6 +170,7 @@ def array_rows(arrays: Sequence[Mapping[str, Any]]) -> list[Row]:
 
 
 def _motion(skin: Mapping[str, Any]) -> list[Row]:
+    """A skin's motion with all details."""
     error = skin.get("displacement_error_relative")
     numerical = "" if error is None else f" (numerical {figures(100 * error, 1.0)} %)"
     response = response_band(skin)
@@ -120,70 +180,54 @@ def _motion(skin: Mapping[str, Any]) -> list[Row]:
         unknowns = f"{skin['dofs']} unknowns, " if "dofs" in skin else ""
         rows.append(("skin", f"{unknowns}solver {skin['solver']}"))
     if "displacement_per_arp_m_Pa" in skin:
-        per_pascal = figures(1e6 * skin["displacement_per_arp_m_Pa"], response)
-        rows.append(("peak skin displacement per ARP", f"{per_pascal} um/Pa{numerical}"))
+        parts, per_pascal = input_parts(skin, ("p0",)), 1e6 * skin["displacement_per_arp_m_Pa"]
+        ends = [figures(per_pascal * factor, 1.0) for factor in combined(parts)]
+        of = f" ({ends[0]} to {ends[1]} for {parts_text(parts)})" if parts else ""
+        rows.append(("peak skin displacement per ARP", f"{figures(per_pascal, response)} um/Pa{of}{numerical}"))
     if "peak_displacement_m" in skin:
-        load = f" for {figures(skin['peak_arp_Pa'], sound_band(skin))} Pa" if "peak_arp_Pa" in skin else ""
-        peak = figures(1e6 * skin["peak_displacement_m"], band)
-        grazed = skin.get("peak_arp_Pa", 1.0) == 0.0 < skin["peak_displacement_m"]
-        note = "; of sound that only grazes it: no estimate stands behind it" if grazed else ""
-        rows.append(("peak skin displacement", f"{peak} um{load}{numerical}{_for_p0(skin)}{note}"))
-        without = f"({figures(1e6 * skin['rms_displacement_without_dc_m'], band)} um without the mean)"
-        rows.append(("rms skin displacement", f"{figures(1e6 * skin['rms_displacement_m'], band)} um {without}"))
+        rows.append(("peak skin displacement", f"{_peak(skin)}{numerical}"))
+        (low, high), parts = combined(input_parts(skin)), input_parts(skin)
+        rms = [f"{figures(1e6 * skin[f'rms_displacement{key}_m'], band)} um" for key in ("", "_without_dc")]
+        of = f"; band x {low:.2g} to {high:.2g}" if parts else ""
+        rows.append(("rms skin displacement", f"{rms[0]} ({rms[1]} without the mean{of})"))
     if error is not None:
         rows += budget_rows(skin)
-        requested = skin.get("accuracy_wanted_relative")
-        if requested is not None and error > requested:
+        if skin.get("accuracy_reached") is False:
+            requested = skin["accuracy_wanted_relative"]
             rows.append(("accuracy", f"NOT reached: {100 * requested:g} % wanted; {advice(skin)}"))
-    if "displacement_error_missing" in skin:
-        rows.append(("error estimate", f"none: {skin['displacement_error_missing']}"))
-    return rows + _levels(skin)
+    return rows + _no_estimate(skin) + _levels(skin)
 
 
 def _levels(skin: Mapping[str, Any]) -> list[Row]:
-    """A row for each observer: its level with its own spread, and why it applies or is refused."""
+    """A row for each observer: its level with its band, which lines it is of, and why it applies or is refused."""
     rows = []
     for number, name in enumerate(ALL_OBSERVERS, start=1):
         if f"level_{name}_dB_SL" not in skin:
             continue
-        level, why = skin[f"level_{name}_dB_SL"], skin.get(f"level_{name}_why", "")
+        (level, lines), why = shown_level(skin, name), skin.get(f"level_{name}_why", "")
         told = [why.partition(": ")[2]] if why else []
         if level is None:
             felt = "refused" if why.startswith("refused") else "none"
         else:
-            felt = _level(skin, level)
+            felt = level_text(skin, name, level)
+            told += [text for text in (strongest_line(skin, name), band_text(skin, name)) if text]
             told += _spread(skin, name)
         text = f"{felt}, observer {number} ({name}{': ' if told else ''}{'; '.join(told)})"
-        rows.append((f"level at {skin['main_frequency_Hz']:g} Hz", text))
+        rows.append((f"level, {lines}" if lines else "level", text))
         summed = skin.get(f"level_area_{name}_dB_SL")
         if summed is not None:
             area = f"{1e4 * skin[f'level_area_{name}_m2']:.2g} cm2 that move by half of the most or more"
-            rows.append(("with area summation", f"{_level(skin, summed)}, observer {number}, over the {area}"))
+            text = f"{level_text(skin, name, summed)}, observer {number}, {lines}, over the {area}"
+            rows.append(("with area summation", text))
     return rows
 
 
 def _spread(skin: Mapping[str, Any], name: str) -> list[str]:
-    """An observer's own spread in words; nothing where none is told."""
+    """What an observer's own spread is of, in words; nothing where none is told."""
     spread, half = (skin.get(f"level_{name}_spread_{key}") for key in ("of", "dB"))
     if spread is None:
         return []
     return [f"spread {spread}" if half is None else f"spread +-{half:g} dB, {spread}"]
-
-
-def _level(skin: Mapping[str, Any], level: float) -> str:
-    """A felt level, and its range over that of p0."""
-    if not level_band(skin):
-        return f"{level:.1f} dB SL"
-    low, high = (level + 20.0 * math.log10(skin[f"p0_band_{end}"]) for end in ("low", "high"))
-    return f"{level:.0f} dB SL ({low:.0f} to {high:.0f} for the range of p0)"
-
-
-def _for_p0(skin: Mapping[str, Any]) -> str:
-    """The range of a skin's motion over that of p0, in words; nothing where p0 doesn't set the level."""
-    if "peak_displacement_low_m" not in skin:
-        return ""
-    low, high = (figures(1e6 * skin[f"peak_displacement_{end}_m"], 1.0) for end in ("low", "high"))
-    return f"; for the range of p0 {low} to {high} um"
 
 
 def advice(skin: Mapping[str, Any]) -> str:

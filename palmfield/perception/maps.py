@@ -5,8 +5,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
+from palmfield.config import StimulusConfig
 from palmfield.perception.observers import Observer, levels_dB_SL, line_amplitudes
+from palmfield.stimulus.schedule import main_frequencies, turn_rate_Hz
 from palmfield.types import Float
+
+HIGHEST_FELT_HZ = 500.0
+"""Of a path's harmonics those up to here count: no observer's table reaches further."""
 
 
 def level_map(
@@ -22,12 +27,49 @@ def level_map(
     NaN where all lines that move lie outside the observer's table.
 
     times_s: rising [s], shape (n,); displacement_m: normal displacement of m places [m], shape (n, m)
-    frequencies_Hz: lines of the motion that count, as `palmfield.stimulus.schedule.main_frequencies` has them
+    frequencies_Hz: lines of the motion that count, as of `felt_lines`
     periods: of each line, as of `line_amplitudes`, which says what it raises
     Each place is taken by itself: no summation over area.
     """
-    lines = np.array([line_amplitudes(times_s, displacement_m, f, periods) for f in frequencies_Hz])
+    if periods is None:
+        lines = lines_of(np.asarray(times_s, dtype=np.float64), displacement_m, frequencies_Hz)
+    else:
+        lines = np.array([line_amplitudes(times_s, displacement_m, f, periods) for f in frequencies_Hz])
     return levels_dB_SL(observer, frequencies_Hz, lines.reshape(len(frequencies_Hz), np.shape(displacement_m)[1]))
+
+
+def felt_lines(times: Float, config: StimulusConfig) -> list[float]:
+    """The lines [Hz] of which a level of the skin's motion is made: every level of all outputs goes by them.
+
+    The stimulus's main frequencies that the record can resolve (`lines_in`), the lowest first. Then, where the record
+    holds two turns of a path, all harmonics of the turn up to HIGHEST_FELT_HZ. Empty as of `lines_in`.
+
+    times: evenly spaced [s], shape (t,); config: of the stimulus
+    """
+    lines = lines_in(times, main_frequencies(config))
+    rate = turn_rate_Hz(config)
+    if not lines or rate is None:
+        return lines
+    turn = lines_in(times, [rate * n for n in range(1, int(HIGHEST_FELT_HZ / rate + 1e-9) + 1)])
+    return lines + [f for f in turn if not np.isclose(f, lines, rtol=1e-6).any()]
+
+
+def lines_of(times: Float, displacement_m: ArrayLike, frequencies: Sequence[float]) -> Float:
+    """Peak amplitudes of lines [m], shape (n, m), over whole periods at the record's end.
+
+    Harmonics of the lowest line are fitted over whole periods of that one, where none leaks into another.
+
+    times: [s], shape (t,); displacement_m: shape (t, m); frequencies: [Hz], shape (n,)
+    """
+    lowest = min(frequencies, default=1.0)
+    lasts = float(times[-1] - times[0]) * len(times) / max(1, len(times) - 1)
+    held = int(lasts * lowest + 1e-6)
+
+    def periods(f: float) -> int | None:
+        order = round(f / lowest)
+        return min(held * order, int(lasts * f + 1e-6)) if abs(f / lowest - order) < 1e-6 * order else None
+
+    return np.array([line_amplitudes(times, displacement_m, f, periods(f)) for f in frequencies])
 
 
 def lines_in(times: Float, frequencies: list[float]) -> list[float]:

@@ -17,6 +17,7 @@ from palmfield.drive.focus_fit import fitted_focus
 from palmfield.drive.frame_log import LogHead, Piece, is_log, read_log
 from palmfield.errors import SceneError, unwritable
 from palmfield.given_files import read_bytes
+from palmfield.session.focus_board import array_named
 from palmfield.types import Float
 from palmfield.whole_files import whole
 
@@ -55,7 +56,8 @@ def pieces_of(
 ) -> tuple[LogHead, list[Piece]]:
     """What a log of `--log` holds, or a file of raw bytes, which needs a board's name; raw bytes follow one another.
 
-    array: name of the layout, None for the board's first one; calibration: file of what its transducers do
+    array: name of the layout or CSV file of transducers, None for the board's first one; calibration: file of what its
+        transducers do
     Raises SceneError for a file that can't be read, and for raw bytes without a board, DeviceError for an unknown one.
     """
     if is_log(path):
@@ -70,8 +72,12 @@ def pieces_of(
         raise SceneError(f"{file} is no log, so that its board isn't known; name it by --board")
     chosen = playable_board(board)
     name = array or chosen.layouts[0]
-    count = len(layout(name)) * chosen.arrays[0]
-    return _measured(LogHead(board, count, name), calibration), [Piece(0.0, data)]
+    places = array_named(name)[0]
+    head = LogHead(board, len(places) * chosen.arrays[0], places.name)
+    if places.name == "csv":
+        own = board_of(DriverConfig.model_validate({"board": board}), len(places), address=places.address)
+        head = head.measured(places, own.places)
+    return _measured(head, calibration), [Piece(0.0, data)]
 
 
 def _measured(head: LogHead, calibration: Path | None) -> LogHead:

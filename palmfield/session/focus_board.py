@@ -10,6 +10,8 @@ import numpy as np
 from palmfield.acoustics.arrays import LAYOUTS, layout
 from palmfield.acoustics.calibration_file import calibrated, read_calibration
 from palmfield.acoustics.focus import compensate, focus
+from palmfield.acoustics.transducer import ANY_P0
+from palmfield.acoustics.transducer_file import read_transducers
 from palmfield.config import DriverConfig, parse
 from palmfield.config.driver import SAFETY_KEYS
 from palmfield.drive.board import Board, check
@@ -25,8 +27,8 @@ class FocusSound:
 
     level: amplitude of all transducers, 0..1; am_frequency_Hz: of a sine between silence and that level, 0 for none
     p0_Pa_m: as of layouts, None for the layout's own; air: in which the sound travels
-    layout: of the array, None for the board's first one; calibration: of its transducers, a file as of key
-    `calibration` of palmfield.array
+    layout: of the array, or a CSV file of its transducers, None for the board's first one
+    calibration: of its transducers, a file as of key `calibration` of palmfield.array
     """
 
     level: float = 1.0
@@ -82,6 +84,18 @@ class FocusBoard:
         return head.measured(self.array, self.board.places)
 
 
+def allowed_layouts(board: Board) -> str:
+    """Layouts of a board for messages, `csv` as a file of places."""
+    return ", ".join("FILE.csv of its transducers" if name == "csv" else name for name in board.layouts)
+
+
+def array_named(name: str, p0_Pa_m: float | None = None) -> tuple[Array, Estimate]:
+    """The array of a layout, or of a CSV file of transducers, and its p0. Raises SceneError for neither."""
+    if not name.lower().endswith(".csv"):
+        return layout(name, p0_Pa_m), LAYOUTS[name].p0
+    return read_transducers(name).array(ANY_P0.value if p0_Pa_m is None else p0_Pa_m), ANY_P0
+
+
 def focus_board(board: str, sound: FocusSound, keys: Mapping[str, object]) -> FocusBoard:
     """A board of that name with its array.
 
@@ -91,13 +105,15 @@ def focus_board(board: str, sound: FocusSound, keys: Mapping[str, object]) -> Fo
     """
     chosen = playable_board(board)
     name = chosen.layouts[0] if sound.layout is None else sound.layout
-    if name not in chosen.layouts:
-        raise DeviceError(f"board '{board}' drives no layout '{name}'; allowed: {', '.join(chosen.layouts)}")
+    kind = "csv" if name.lower().endswith(".csv") else name
+    if kind not in chosen.layouts or name == "csv":
+        raise DeviceError(f"board '{board}' drives no layout '{name}'; allowed: {allowed_layouts(chosen)}")
     if chosen.arrays[0] > 1:
         raise SceneError(f"board '{board}' drives {chosen.arrays[0]} arrays; give a scene that says where they stand")
     if not 0.0 <= sound.level <= 1.0:
         raise SceneError(f"--level has value {sound.level:g}; allowed: 0 (off) to 1 (full drive)")
-    array, p0 = layout(name, sound.p0_Pa_m), LAYOUTS[name].p0
+    array, p0 = array_named(name, sound.p0_Pa_m)
+    name = array.name
     if sound.calibration is not None:
         known = read_calibration(sound.calibration)
         if known.p0 is not None and sound.p0_Pa_m is None:

@@ -115,7 +115,7 @@ def _compiled_with(
     try:
         with compiling():
             return spec.compile()
-    except (ValueError, mujoco.FatalError) as error:
+    except (ValueError, RuntimeError, MemoryError, mujoco.FatalError) as error:
         raise _explained(error, name, text) from None
 
 
@@ -183,7 +183,8 @@ def opened(source: str | Path | mujoco.MjSpec) -> Opened:
         raise _without_objtype(sensor.where, sensor.attributes.get("name", ""), sensor.attributes.get("plugin", ""))
     try:
         return Opened(str(path), mujoco.MjSpec.from_file(str(path)), path.resolve().parent, text)
-    except (ValueError, mujoco.FatalError) as error:
+    # MuJoCo's binding calls what it can't name, memory that has run out for one, a RuntimeError
+    except (ValueError, RuntimeError, MemoryError, mujoco.FatalError) as error:
         raise SceneError(in_words(str(error), str(path), text, list(configs()))) from None
 
 

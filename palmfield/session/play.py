@@ -126,7 +126,9 @@ def play_focus(
         return done
     loudest = loudest_point(at_loudest, np.zeros(3), place)
     peak = float(np.abs(at_loudest(loudest[None]))[0])
-    return done.saying(f"{offset_words(loudest - place)}: {peak:.0f} Pa there")
+    exact = loudest_point(lambda points: pressure64(points, array, unit, sound.air)[0], np.zeros(3), place)
+    words = offset_words(loudest - place, float(np.linalg.norm(loudest - exact)))
+    return done.saying(f"{words}: {peak:.0f} Pa there")
 
 
 def play_scene(
@@ -164,7 +166,7 @@ def play_scene(
     for number, stimulus in enumerate(model.stimuli):
         offset = peak_offset(model, number)
         if offset is not None:
-            said.append(f"{stimulus.spec.name}: {offset_words(offset)}")
+            said.append(f"{stimulus.spec.name}: {offset_words(*offset)}")
     return done.saying(*said)
 
 

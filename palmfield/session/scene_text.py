@@ -3,6 +3,7 @@
 MuJoCo's model doesn't say where in a file something stands, and its parser's messages don't say how to mend it.
 """
 
+import contextlib
 import math
 import re
 from collections.abc import Iterator
@@ -12,13 +13,28 @@ from typing import NamedTuple
 from xml.parsers import expat
 
 from palmfield.errors import SceneError, did_you_mean
-from palmfield.given_files import read_bytes
+from palmfield.given_files import read_bytes, regular
 
 ROOTS = ("mujoco", "mujocoinclude", "robot")
 """What MuJoCo takes as the outermost element: of a scene, of what it includes, and of a URDF file."""
 
 NAMES = ("name", "class", "file", "model", "prefix", "timestep")
 """How attributes end that are names and may be any word, and the one that palmfield reads."""
+ASSETS = ("mesh", "hfield", "texture", "skin", "model", "flexcomp")
+"""Elements whose attributes file, fileright, ... name files."""
+MOST_COPIES, MOST_ELEMENTS = 10_000, 1_000_000
+"""Of <replicate> in all, which take MuJoCo 7 s; and of a scene with all that it includes and attaches."""
+SIZES = {
+    "flexcomp": {"count": 100_000}, "composite": {"count": 100_000}, "user": {"dim": 100_000},
+    "numeric": {"size": 10**6}, "texture": {"width": 20_000, "height": 120_000},
+    "hfield": {"nrow": 20_000, "ncol": 20_000}, "contact": {"num": 1000},
+    "size": {"nuserdata": 10**7, "nkey": 10**4, **{f"nuser_{kind}": 1000 for kind in
+             ("body", "jnt", "geom", "site", "cam", "tendon", "actuator", "sensor")}},
+}  # fmt: skip
+"""The most that is allowed of attributes by which MuJoCo reserves memory or makes parts."""
+OF_ALL_SENSORS = {"name", "class", "dim", "noise", "cutoff", "user", "needstage", "datatype", "nsample", "interp",
+                  "delay", "interval", "plugin", "instance"}  # fmt: skip
+"""Attributes that name no object."""
 AMPERSAND = "\x7f"
 """Stands for an & while a file is read: one byte that XML allows and nobody writes."""
 
@@ -101,13 +117,98 @@ def read_scene_text(path: Path) -> SceneText:
     As MuJoCo does, it passes over what is wrong in comments and over ampersands that stand for themselves.
     Raises SceneError, with file and line, for what is no XML.
     """
+    return _whole(path, ())[0]
+
+
+def _whole(path: Path, above: tuple[Path, ...]) -> tuple[SceneText, int]:
+    """A scene, or a model that it attaches, and how many elements it has with all that is attached.
+
+    above: files that attach it, which it must not attach again: MuJoCo 4.0 would read them until the stack ends
+    """
     elements: list[Element] = []
-    _read(path, path, None, elements, set())
+    _read(path, path, None, elements, set(), set())
     if not elements:
         raise SceneError(f"{path}: the file has no element; allowed: <mujoco> with all that the scene has")
     for one in elements:
         _check_finite(one)
-    return SceneText(path, tuple(elements))
+        _check_size(one)
+    _check_copies(elements)
+    total, models = len(elements), dict[str, int]()
+    for one in elements:
+        for file in _files(one, path, elements):
+            if one.tag != "model":
+                continue
+            inside = file.resolve()
+            if inside in (*above, path.resolve()):
+                raise SceneError(f"{one.where}: model '{one.attributes['file']}' attaches itself; drop this <model>")
+            models[one.attributes.get("name", "")] = _whole(file, (*above, path.resolve()))[1]
+        total += models.get(one.attributes.get("model", ""), 0) if one.tag == "attach" else 0
+        if total > MOST_ELEMENTS:
+            raise SceneError(f"{one.where}: what is attached here makes the scene larger than {MOST_ELEMENTS} elements")
+    return SceneText(path, tuple(elements)), total
+
+
+def _files(element: Element, scene: Path, elements: list[Element]) -> list[Path]:
+    """Those that an element names and that are there. Raises SceneError for what is no regular file."""
+    if element.tag not in ASSETS:
+        return []
+    names = [value for name, value in element.attributes.items() if name.startswith("file") and value]
+    given = [value for one in elements if one.tag == "compiler" for value in one.attributes.values()]
+    folders = [scene.parent, element.file.parent]
+    places = [
+        folder / below / name
+        for name in names
+        for folder in folders
+        for below in ("", *given)
+        if "\0" not in below + name
+    ]
+    there = list(dict.fromkeys(place for place in places if place.exists()))
+    for place in there:
+        try:
+            regular(place)
+        except OSError as error:
+            raise SceneError(f"{element.where}: <{element.tag}> file '{place}': {error.strerror}") from None
+    return there[:1]
+
+
+def _check_size(element: Element) -> None:
+    """Refuse sizes with which MuJoCo fills the memory, or is busy for hours, before it compiles."""
+    for name, most in SIZES.get(element.tag, {}).items():
+        try:
+            count = math.prod(float(word) for word in element.attributes.get(name, "").split())
+        except ValueError:
+            continue  # MuJoCo says so
+        if count > most:
+            raise SceneError(
+                f"{element.where}: <{element.tag}> attribute '{name}' has value "
+                f"'{element.attributes[name]}'; allowed: at most {most} in all"
+            )
+
+
+def _check_copies(elements: list[Element]) -> None:
+    """Refuse more copies than MuJoCo can make, and sensors that it would double with each copy."""
+    copies = 0.0
+    for one in elements:
+        count = 1.0
+        holder: Element | None = one
+        while holder is not None:
+            if holder.tag == "replicate":
+                with contextlib.suppress(ValueError):
+                    count *= max(float(holder.attributes.get("count", "1")), 0.0)
+            holder = holder.parent
+        copies += count if one.tag == "replicate" else 0
+        if copies > MOST_COPIES:
+            raise SceneError(
+                f"{one.where}: <replicate> with count '{one.attributes.get('count')}' makes {copies:.0f} copies in "
+                f"all; allowed: at most {MOST_COPIES}, since their time grows with the square"
+            )
+    bare = (one for one in elements if one.parent is not None and one.parent.tag == "sensor")
+    free = next((one for one in bare if not one.attributes.keys() - OF_ALL_SENSORS), None)
+    if copies and free is not None:
+        raise SceneError(
+            f"{free.where}: sensor <{free.tag}> has no object, and MuJoCo 4.0 doubles such a sensor with each of the "
+            f"{copies:.0f} copies of <replicate>; give it objtype and objname, or write the copies out"
+        )
 
 
 def _check_finite(element: Element) -> None:
@@ -125,8 +226,10 @@ def _check_finite(element: Element) -> None:
             )
 
 
-def _read(path: Path, scene: Path, holder: Element | None, elements: list[Element], open_files: set[Path]) -> None:
-    """Add the elements of a file. holder: what includes it; open_files: those that are being read"""
+def _read(
+    path: Path, scene: Path, holder: Element | None, elements: list[Element], above: set[Path], known: set[Path]
+) -> None:
+    """Add the elements of a file. holder: what includes it; above: files that are being read; known: that were read"""
     for one in elements_of(path):
         if one.parent is None and one.tag not in ROOTS:
             raise SceneError(
@@ -144,9 +247,12 @@ def _read(path: Path, scene: Path, holder: Element | None, elements: list[Elemen
         if included is None:
             continue
         resolved = included.resolve()
-        if resolved in open_files or resolved == scene.resolve():
+        if resolved in above or resolved == scene.resolve():
             raise SceneError(f"{one.where}: file '{one.attributes['file']}' includes itself; drop this <include>")
-        _read(included, scene, one, elements, open_files | {resolved})
+        if resolved in known:  # which MuJoCo refuses too, without the place
+            raise SceneError(f"{one.where}: file '{one.attributes['file']}' is included twice; include it once")
+        known.add(resolved)
+        _read(included, scene, one, elements, above | {resolved}, known)
 
 
 def elements_of(path: Path) -> list[Element]:

@@ -1,18 +1,21 @@
 """What playing a scene on its board takes, before anything is sent: bytes, rates, latency, what rounding costs."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from palmfield.config import StimulusConfig
 from palmfield.drive.array_drive import only
 from palmfield.drive.board import Board, rate_in_words
+from palmfield.drive.boards import BOARDS
 from palmfield.drive.focal_peak import loudest_point
 from palmfield.simulation.emission import array_drives
 from palmfield.simulation.model import HapticModel
 from palmfield.stimulus.schedule import frame_rates
 from palmfield.types import Float
+
+LEAST_SAID_M = 0.05e-3
 
 
 @dataclass(frozen=True)
@@ -58,22 +61,35 @@ def sending(board: Board, stimuli: Sequence[StimulusConfig]) -> Sending:
     )
 
 
-def peak_offset(model: HapticModel, number: int) -> Float | None:
+def peak_offset(model: HapticModel, number: int) -> tuple[Float, float] | None:
     """From a stimulus's first focus to where |p| of its sound is largest, array frame [m], shape (3,).
 
-    None in silence, and for several foci.
+    Also how far the board's rounding moves that place [m]. None in silence, and for several foci.
     """
     stimulus = model.stimuli[number]
     focus = stimulus.first_focus
     if stimulus.silent or focus.ndim != 1:
         return None
-    drive = array_drives(model, model.arrays)[number].unit_drive(focus).amplitudes
     middle = only(model.arrays.array, stimulus.transducers).positions.mean(axis=0)
-    return loudest_point(lambda points: model.arrays.pressure64(points, drive), middle, focus) - focus
+
+    def loudest(board: Board) -> Float:
+        drive = array_drives(model, model.arrays, board)[number].unit_drive(focus).amplitudes
+        return loudest_point(lambda points: model.arrays.pressure64(points, drive), middle, focus)
+
+    played = loudest(model.board)
+    if model.board.exact:
+        return played - focus, 0.0
+    exact = loudest(replace(BOARDS["ideal"], compensate=model.board.compensate))
+    return played - focus, float(np.linalg.norm(played - exact))
 
 
-def offset_words(offset: Float) -> str:
+def offset_words(offset: Float, rounding_m: float = 0.0) -> str:
     """`peak_offset` in words."""
     aside = float(np.hypot(*offset[:2]))
     where = "nearer to" if offset[2] < 0.0 else "farther from"
-    return f"|p| is largest {1e3 * abs(offset[2]):.1f} mm {where} the array than the focus ({1e3 * aside:.1f} mm aside)"
+    words = (
+        f"|p| is largest {1e3 * abs(offset[2]):.1f} mm {where} the array than the focus ({1e3 * aside:.1f} mm aside)"
+    )
+    return words + (
+        f"; the board's rounding moves it by {1e3 * rounding_m:.1f} mm" if rounding_m >= LEAST_SAID_M else ""
+    )

@@ -16,7 +16,7 @@ from palmfield.hand.preset import load_preset
 from palmfield.hand.surface import hand_surface
 from palmfield.hand.triangles import face_normals
 from palmfield.perception.force_threshold import FORCE_OBSERVER, force_level_dB_SL, force_near_peak_N, why_refused
-from palmfield.perception.maps import lines_in
+from palmfield.perception.maps import felt_lines, lines_in, lines_of
 from palmfield.perception.observers import OBSERVERS, Observer, level_dB_SL, line_amplitudes, threshold_m
 from palmfield.session.array_inputs import stimulus_of
 from palmfield.session.loudest_moment import LoudestMoment
@@ -55,27 +55,31 @@ def felt_levels(
     Lines are those of the stretch between ramp and silence (`steady_stretch_s`): what is silent has no level.
     Of the force observer `level_NAME_why` alone where it is refused; else also force_line_N (peak amplitude at the
     main frequency) and force_mean_N, both on force_area_m2 round the highest ARP. All observers are refused where no
-    sound pushes the skin, and where the stretch is shorter than two periods of the main frequency.
-    Nothing at all for a run that is shorter than these.
+    sound pushes the skin, where the stretch is shorter than two periods of the main frequency, and where the load does
+    not repeat, which has no main frequency.
     """
     config = model.stimuli[stimulus_of(model, skin)].config
-    frequencies = lines_in(times, main_frequencies(config))
-    if not frequencies:
-        return {}
+    main = main_frequencies(config)
+    if not main:
+        return _all_refused(None, "the load does not repeat, and levels are those of a periodic motion")
     if loudest is None:
-        return _all_refused(frequencies[0], "no sound pushes this skin")
+        return _all_refused(main[0], "no sound pushes this skin")
     loudest_Pa = float(arp_peaks.max())
     begin, end = steady_stretch_s(config)
     steady = slice(*np.searchsorted(begun_s + times, [begin - CLOCK_S, end + CLOCK_S]))
     times, normal, arp_peaks = times[steady], normal[steady], arp_peaks[steady]
+    frequencies = felt_lines(times, config)
     vertices, faces = model.skins[skin].nodes[0], model.skins[skin].faces
     motion = contact_levels(times, normal, frequencies, vertex_areas(vertices, faces))
     name = FORCE_OBSERVER.name
     refusal = _refused(model, skin, loudest, radiation, reference)
     if not motion:
         lasts_ms = 1e3 * float(np.ptp(times)) if len(times) else 0.0
-        reason = f"{lasts_ms:.3g} ms of this run lie between ramp and silence, less than two periods of the sound"
-        return _all_refused(frequencies[0], reason) | _refusal(name, refusal or reason)
+        reason = (
+            f"{lasts_ms:.3g} ms of this run lie between ramp and silence; a level takes two periods of "
+            f"{main[0]:g} Hz, {2e3 / main[0]:.3g} ms: run for longer"
+        )
+        return _all_refused(main[0], reason) | _refusal(name, refusal or reason)
     if refusal is not None:
         return motion | _refusal(name, refusal)
     unit = radiation.on(loudest.posed, skin, "nodes", loudest.drive).arp
@@ -97,31 +101,37 @@ def felt_levels(
 
 
 def contact_levels(times: Float, normal: Float, frequencies: list[float], areas: Float) -> dict[str, Any]:
-    """Level above threshold by contact observer: at the main frequency, and of all main frequencies together.
+    """Level above threshold by contact observer: of all lines together, of the strongest, and at the main frequency.
 
-    times: [s], shape (t,), evenly spaced; normal: displacement [m], shape (t, S); frequencies: main one first [Hz]
+    times: [s], shape (t,), evenly spaced; normal: displacement [m], shape (t, S)
+    frequencies: lines that count, main one first [Hz]
     areas: of the vertices [m^2], shape (S,)
     Levels are those of the vertex that moves most. Of an observer whose thresholds depend on area, also
-    `level_area_NAME_dB_SL`, of all main frequencies, with the area `level_area_NAME_m2` on which the weighted amplitude
+    `level_area_NAME_dB_SL`, of all lines, with the area `level_area_NAME_m2` on which the weighted amplitude
     exceeds MOVED_SHARE of its largest.
     None where an observer's table does not reach; nothing at all for less than two periods of the main frequency.
     """
     frequencies = lines_in(times, frequencies)
     if not frequencies:
         return {}
-    lines = np.array([line_amplitudes(times, normal, f) for f in frequencies])
+    lines = lines_of(times, normal, frequencies)
     most = lines[:, int(np.maximum(normal.max(axis=0), -normal.min(axis=0)).argmax())]
     result: dict[str, Any] = {"main_frequency_Hz": frequencies[0], "main_line_amplitude_m": float(most[0])}
+    result["line_frequencies_Hz"] = frequencies
     for name, observer in OBSERVERS.items():
         for key, count in (("level", 1), ("level_all_lines", len(frequencies))):
             result[f"{key}_{name}_dB_SL"] = _finite(level_dB_SL(observer, frequencies[:count], most[:count]))
+        each = np.nan_to_num(most / threshold_m(observer, frequencies), nan=0.0)
+        if len(frequencies) > 1 and (strongest := float(each.max())) > 0.0:
+            result[f"strongest_line_{name}_Hz"] = frequencies[int(each.argmax())]
+            result[f"level_strongest_line_{name}_dB_SL"] = 20.0 * math.log10(strongest)
         if observer.summation is not None:
             area = moved_area_m2(observer, frequencies, lines, areas)
             summed = _finite(level_dB_SL(observer, frequencies, most, area)) if area > 0.0 else None
             result |= {f"level_area_{name}_dB_SL": summed, f"level_area_{name}_m2": area}
         result[f"level_{name}_spread_dB"] = observer.spread_dB
         result[f"level_{name}_spread_of"] = observer.spread_of
-        result[f"level_{name}_why"] = _why(observer, frequencies[0], most[0])
+        result[f"level_{name}_why"] = _why(observer, frequencies, most)
     return result
 
 
@@ -134,8 +144,8 @@ def _refusal(name: str, reason: str) -> dict[str, Any]:
     }
 
 
-def _all_refused(frequency: float, reason: str) -> dict[str, Any]:
-    """No level by any observer of a sound with a main frequency [Hz]."""
+def _all_refused(frequency: float | None, reason: str) -> dict[str, Any]:
+    """No level by any observer of a sound with a main frequency [Hz], None for a load that doesn't repeat."""
     refusals: dict[str, Any] = {"main_frequency_Hz": frequency}
     for name in (FORCE_OBSERVER.name, *OBSERVERS):
         refusals |= _refusal(name, reason)
@@ -165,11 +175,13 @@ def vertex_areas(vertices: Float, faces: Int) -> Float:
     return areas
 
 
-def _why(observer: Observer, frequency: float, amplitude: float) -> str:
-    if np.isnan(threshold_m(observer, frequency)):
+def _why(observer: Observer, frequencies: list[float], amplitudes: Float) -> str:
+    inside = np.isfinite(threshold_m(observer, frequencies))
+    if not inside.any():
         low, high = observer.frequency_Hz[[0, -1]]
-        return f"refused: its table goes from {low:g} to {high:g} Hz, the main line is at {frequency:g} Hz"
-    return f"applies: {observer.why}" if amplitude > 0.0 else "refused: the skin doesn't move at the main frequency"
+        return f"refused: its table goes from {low:g} to {high:g} Hz, the main line is at {frequencies[0]:g} Hz"
+    moves = bool((amplitudes[inside] > 0.0).any())
+    return f"applies: {observer.why}" if moves else "refused: the skin doesn't move at any line of its table"
 
 
 def _finite(level: float) -> float | None:

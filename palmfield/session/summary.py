@@ -11,6 +11,8 @@ import numpy as np
 from palmfield.config.skin import EXPLICIT
 from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.errors import PalmfieldError
+from palmfield.outputs.budget_text import combined, input_parts
+from palmfield.outputs.felt import verdict
 from palmfield.session.array_inputs import p0_band_at
 from palmfield.session.error_budget import error_budget
 from palmfield.session.loudest_moment import LoudestMoment, loudest_place
@@ -48,6 +50,9 @@ def skin_numbers(
     times: of the run's records [s], shape (t,); normal: displacement along the outward normal [m], shape (t, S)
     arp_peaks: highest ARP on the skin at these times [Pa], shape (t,); begun_s: MuJoCo's clock at the run's start [s]
     `reduction_velocity_error_relative` is what modes state of the velocity; no other solver states it.
+    input_band_low, _high: factors on the motion over all inputs with a known range (`combined`), input_band_parts the
+    single ones; peak_displacement_low_m, _high_m: with that band; verdict: of `palmfield.outputs.felt.verdict`
+    accuracy_reached: whether the error is within the accuracy asked for, None where there is no estimate
     An error estimate that fails leaves its reason in `displacement_error_missing`; the results stand without it.
     """
     runtime = simulation.runtime
@@ -68,18 +73,24 @@ def skin_numbers(
         band = p0_band_at(model, loudest.posed.arrays, loudest.drive, highest)
         if band is not None:
             result |= {"p0_band_low": band[0], "p0_band_high": band[1]}
-            result |= {"peak_displacement_low_m": peak * band[0], "peak_displacement_high_m": peak * band[1]}
     if isinstance(budget, str):
-        result["displacement_error_missing"] = budget
+        result |= {"displacement_error_missing": budget, "accuracy_reached": None}
     elif budget is not None:
         errors = budget["numerical"]
         result |= errors | {"displacement_error_m": errors["displacement_error_relative"] * peak}
         result["error_budget"] = budget
+        result["accuracy_reached"] = errors["displacement_error_relative"] <= skin.spec.config.accuracy
+    if parts := input_parts(result):
+        low, high = combined(parts)
+        result |= {"input_band_low": low, "input_band_high": high}
+        result["input_band_parts"] = [dict(zip(("what", "low", "high"), part, strict=True)) for part in parts]
+        result |= {"peak_displacement_low_m": peak * low, "peak_displacement_high_m": peak * high}
     stepper = model.begin[number].value
     if isinstance(stepper, ModalStepper) and not left_small_model:
         result["reduction_velocity_error_relative"] = runtime.work.outside[number].errors(stepper)[1]
     reference = runtime.work.reference
-    return result | felt_levels(model, number, loudest, radiation, reference, times, normal, arp_peaks, begun_s=begun_s)
+    result |= felt_levels(model, number, loudest, radiation, reference, times, normal, arp_peaks, begun_s=begun_s)
+    return result | {"verdict": verdict(result)}
 
 
 def estimated_budget(simulation: Simulation, skin: int, loudest: LoudestMoment | None) -> dict[str, Any] | str | None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.drive.array_drive import ArrayDrive
+from palmfield.drive.board import Board
 from palmfield.drive.path_drives import PathStep
 from palmfield.drive.transducer_response import (
     NO_LAG,
@@ -252,9 +253,10 @@ def _moves_alone(model: HapticModel, drives: list[ArrayDrive]) -> bool:
     return single and alike and drive.everything and drive.board.exact and drive.correction is None
 
 
-def array_drives(model: HapticModel, arrays: PhasedArray) -> list[ArrayDrive]:
-    """How each stimulus drives its transducers, with the arrays in one relative pose."""
+def array_drives(model: HapticModel, arrays: PhasedArray, board: Board | None = None) -> list[ArrayDrive]:
+    """How each stimulus drives its transducers, with the arrays in one relative pose; board: None for the model's."""
+    board = model.board if board is None else board
     return [
-        ArrayDrive(arrays, part.transducers, part.config.arp_peak_Pa, peak_amplitude(part.config), model.board)
+        ArrayDrive(arrays, part.transducers, part.config.arp_peak_Pa, peak_amplitude(part.config), board)
         for part in model.stimuli
     ]

@@ -124,6 +124,12 @@ def class_stepper(model: HapticModel, skin: int, blocks: int | None = None) -> M
                 layer.system, layer.quadrature, layer.surface_operator, lambda: examples(model, skin, posed),
                 depends_on, tolerance, blocks, weak, layer.sizes.step_s, points,
             )  # fmt: skip
+            if not len(made.modes.elastic):
+                raise SceneError(
+                    f"{layer.element}: no focus of its class moves its layer, which has a radius of "
+                    f"{1e3 * layer.sizes.radius_m:.3g} mm; allowed: about the spot's width, "
+                    f"{1e3 * layer.demand.spot_fwhm_m:.3g} mm, or more; set patch_radius_m larger, or solver wedges"
+                )
             known = _bodies[layer] = mark, made
     return ModalStepper(known[1], layer.system, layer.sizes.step_s, layer.demand.corner_Hz)
 

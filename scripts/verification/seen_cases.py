@@ -129,7 +129,7 @@ def late_time_for_rest() -> str:
 
 def demo_summary() -> str:
     with tempfile.TemporaryDirectory() as folder:
-        rows = table("run", DEMO, "--set", "skin.accuracy=0.3", "--out", folder, "--overwrite")
+        rows = table("run", DEMO, "--details", "--set", "skin.accuracy=0.3", "--out", folder, "--overwrite")
     return f"at accuracy 0.3: {rows['peak skin displacement']}; p0 {rows['p0']}"
 
 

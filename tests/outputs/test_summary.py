@@ -3,6 +3,7 @@ import json
 import numpy as np
 import pytest
 
+from palmfield.outputs.felt import verdict
 from palmfield.outputs.schema import tree
 from palmfield.outputs.store import Store, open_result
 from palmfield.outputs.summary import summary
@@ -97,6 +98,7 @@ FULL = {
     "dofs": 1512,
     "solver": "wedges",
     "accuracy_wanted_relative": 0.05,
+    "accuracy_reached": False,
     "mesh_error_relative": 0.01,
     "step_error_relative": 0.02,
     "reduction_error_relative": 0.0,
@@ -118,10 +120,8 @@ FULL = {
     "level_afferent_human_why": "refused: its table ends at 350 Hz",
     "p0_band_low": 0.3,
     "p0_band_high": 4.2,
-    "peak_displacement_low_m": 1e-6,
-    "peak_displacement_high_m": 14e-6,
 }
-LEVELS = ["level at 200 Hz"] * 2 + ["with area summation"] + ["level at 200 Hz"] * 2
+LEVELS = ["level, line at 200 Hz"] * 2 + ["with area summation"] + ["level, line at 200 Hz"] * 2
 RUN = {"wall_time_s": 12.3, "peak_memory_MiB": 600.0}
 
 
@@ -131,13 +131,13 @@ def _rows(text):
 
 def test_the_table_tells_what_modes_state_of_the_velocity(one_skin):
     for more, words in (({}, "reduction 0 %, "), ({"reduction_velocity_error_relative": 0.034}, "(3.4 % of the")):
-        assert words in " ".join(format_summary(summary(one_skin, RUN, {"palm": FULL | more}, {})).split())
+        assert words in " ".join(format_summary(summary(one_skin, RUN, {"palm": FULL | more}, {}), True).split())
 
 
 def test_the_table_of_one_skin(one_skin):
     level = {"calibrated": False, "p0_Pa_m": 1.27, "p0_low_Pa_m": 0.7, "p0_high_Pa_m": 2.6, "p0_kind": "inferred"}
     found = summary(one_skin, RUN, {"palm": FULL}, {"pulse": {"drive_level": 0.989}}, {"below": level})
-    rows = [(name, text) for name, text in _rows(format_summary(found)) if name]
+    rows = [(name, text) for name, text in _rows(format_summary(found, True)) if name]
     assert [name for name, _ in rows] == [
         "peak sound pressure", "peak ARP", "total force", "drive", "p0", "skin", "peak skin displacement per ARP",
         "peak skin displacement", "rms skin displacement", "error, numerical", "accuracy", *LEVELS,
@@ -149,27 +149,94 @@ def test_the_table_of_one_skin(one_skin):
     assert told["peak sound pressure"] == "1500 Pa (154 dB SPL)"
     assert told["p0"] == "uncalibrated: inferred, 1.27 Pa m (0.7 to 2.6)"
     assert "(numerical 10 %)" in told["peak skin displacement"]
-    assert "for the range of p0 1 to 14 um" in told["peak skin displacement"]
+    assert "for p0 x 0.3 to 4.2" in told["peak skin displacement"]
     assert told["accuracy"].startswith("NOT reached: 5 % wanted; the layer's cut sides")
 
 
 def test_each_observer_has_its_level_with_its_own_spread_or_why_it_is_refused(one_skin):
-    """Over the range of p0, factors of 0.3 and 4.2 on force and motion, levels go from -10.5 to +12.5 dB."""
-    text = " ".join(part for _, part in _rows(format_summary(summary(one_skin, RUN, {"palm": FULL}, {}))))
+    """Factors of 0.3 and 4.2 are -10.5 and +12.5 dB; with a spread of 10 dB -14.5 and +16.0."""
+    text = " ".join(part for _, part in _rows(format_summary(summary(one_skin, RUN, {"palm": FULL}, {}), True)))
     for told in (
-        "3 dB SL (-7 to 16 for the range of p0), observer 1 (hasegawa_2018: mean force 4 mN; spread +-10 dB, people)",
-        "9 dB SL (-1 to 22 for the range of p0), observer 2 (bolanowski_1988)",
-        "6 dB SL (-4 to 19 for the range of p0), observer 2, over the 1.5 cm2 that move by half of the most or more",
-        "25 dB SL (14 to 37 for the range of p0), observer 3 (morioka_griffin_2006: a handle; spread not established)",
+        "3 dB SL (-11 to 19), observer 1 (hasegawa_2018: mean force 4 mN; p0 -10 to +12 dB, observer -10 to +10 dB; "
+        "spread +-10 dB, people)",
+        "9 dB SL (-1 to 22), observer 2 (bolanowski_1988: p0 -10 to +12 dB)",
+        "6 dB SL (-4 to 19), observer 2, line at 200 Hz, over the 1.5 cm2 that move by half of the most or more",
+        "25 dB SL (14 to 37), observer 3 (morioka_griffin_2006: a handle; p0 -10 to +12 dB; spread not established)",
         "refused, observer 4 (afferent_human: its table ends at 350 Hz)",
     ):
-        assert told in " ".join(text.split()), told
+        assert told in " ".join(text.split()), (told, text)
+
+
+STM = FULL | {
+    "main_frequency_Hz": 70.0,
+    "line_frequencies_Hz": [70.0, 140.0, 210.0],
+    "level_hasegawa_2018_dB_SL": None,
+    "level_hasegawa_2018_why": "refused: path is 'circle'",
+    "level_bolanowski_1988_dB_SL": -12.7,
+    "level_all_lines_bolanowski_1988_dB_SL": 14.4,
+    "strongest_line_bolanowski_1988_Hz": 210.0,
+    "level_strongest_line_bolanowski_1988_dB_SL": 12.1,
+    "level_bolanowski_1988_spread_dB": 4.0,
+    "level_bolanowski_1988_spread_of": "reading",
+}
+
+
+def test_a_level_of_several_lines_is_shown_before_that_of_one(one_skin):
+    """-12.7 dB SL is the fundamental alone; it stands in no output."""
+    found = summary(one_skin, RUN, {"palm": STM}, {})
+    for details in (False, True):
+        text = " ".join(format_summary(found, details).replace("│", " ").split())
+        assert "14 dB SL (3 to 27)" in text and "all 3 lines" in text and "-13 dB" not in text
+    assert "strongest 12 dB SL at 210 Hz" in text
+    assert "6 dB SL (-5 to 19), observer 2, all 3 lines, over" in text
+
+
+def test_the_main_table_has_14_lines_and_the_verdict_first(one_skin):
+    """One band of displacement: the root sum of squares of the logarithms of its parts."""
+    budget = budget_of([_part("echo", -0.19, 0.0)], [_part("p0", 0.3, 4.2), _part("material", 0.58, 1.6)])
+    more = {"accuracy_reached": False, "displacement_error_relative": 0.1025, "accuracy_wanted_relative": 0.02}
+    found = summary(one_skin, RUN, {"palm": STM | budget | more | {"peak_displacement_m": 1e-6}}, {})
+    lines = format_summary(found).splitlines()
+    assert len(lines) <= 14
+    assert lines[0].startswith("accuracy NOT reached, error 10 % where 2 % was asked for; felt: yes, because 14 dB SL")
+    rows = told(one_skin, STM | budget | {"peak_displacement_m": 1e-6}, details=False)
+    assert list(rows)[-5:] == [
+        "total force", "peak skin displacement", "level above threshold", "error", "wall time, peak memory",
+    ]  # fmt: skip
+    low, high = (np.exp(s * np.hypot(np.log(a), np.log(b))) for s, a, b in ((-1, 0.3, 0.58), (1, 4.2, 1.6)))
+    assert rows["peak skin displacement"] == (
+        f"1 um ({low:.2g} to {high:.2g} um for p0 x 0.3 to 4.2, material x 0.58 to 1.6)"
+    )
+    assert (
+        "bolanowski_1988" in rows["level above threshold"] and "mid-air before contact" in rows["level above threshold"]
+    )
+
+
+@pytest.mark.parametrize(
+    ("level", "spread", "felt"),
+    [
+        (30.0, 10.0, "yes"),
+        (3.0, 10.0, "perhaps"),
+        (-30.0, 10.0, "no"),
+        (30.0, None, "perhaps"),
+        (None, 10.0, "not known"),
+    ],
+)
+def test_the_verdict_goes_by_the_whole_band(level, spread, felt):
+    skin = {"main_frequency_Hz": 200.0, "p0_band_low": 0.3, "p0_band_high": 4.2}
+    about = {"dB_SL": level, "spread_dB": spread, "why": "refused: 6 ms are too short"}
+    skin |= {f"level_hasegawa_2018_{key}": value for key, value in about.items()}
+    said = verdict(skin)
+    assert said["felt"] == felt
+    assert (
+        said["because"] == "6 ms are too short" if level is None else said["because"].startswith(f"{level:.0f} dB SL")
+    )
 
 
 def test_the_table_has_a_block_a_skin(result):
     found = summary(result, RUN, {"palm": FULL, "tip": {"displacement_error_missing": "no room"}}, {
         "pulse": {"drive_level": 0.5}, "pair": {"drive_level": 0.25}})  # fmt: skip
-    text = format_summary(found)
+    text = format_summary(found, True)
     names = [name for name, _ in _rows(text) if name]
     assert names[:3] == ["drive, pulse", "drive, pair", "SKIN"]
     assert names.count("SKIN") == 2 and names.count("peak ARP") == 2 and names[-1] == "wall time, peak memory"
@@ -183,10 +250,10 @@ def test_a_run_cut_off_early_has_a_table(still):
 def test_what_no_sound_pushes_is_no_silence_while_the_array_runs(one_skin):
     found = summary(one_skin, RUN, {"palm": FULL | {"peak_pressure_Pa": 0.0, "peak_pressure_dB_SPL": None}}, {
         "pulse": {"drive_level": 0.5}})  # fmt: skip
-    told = dict(_rows(format_summary(found)))["peak sound pressure"]
+    told = dict(_rows(format_summary(found, True)))["peak sound pressure"]
     assert "silence" not in told and "the array runs, at 0.500 of full" in told
     found["stimuli"][0]["drive_level"] = 0.0
-    assert "silence: the array doesn't run" in dict(_rows(format_summary(found)))["peak sound pressure"]
+    assert "silence: the array doesn't run" in dict(_rows(format_summary(found, True)))["peak sound pressure"]
 
 
 def _part(what, low, high):
@@ -200,12 +267,12 @@ def budget_of(left_out=(), inputs=()):
     return errors | {"accuracy_wanted_relative": 0.05, "error_budget": budget}
 
 
-def told(one_skin, more):
+def told(one_skin, more, details=True):
     """The table's rows of a skin of 1.23456 um for 12.3456 Pa."""
     numbers = {"peak_displacement_m": 1.23456e-6, "peak_arp_Pa": 12.3456, "displacement_per_arp_m_Pa": 1e-7 * 1.000321}
     texts: dict[str, str] = {}
     last = ""
-    for name, text in _rows(format_summary(summary(one_skin, RUN, {"palm": numbers | more}, {}))):
+    for name, text in _rows(format_summary(summary(one_skin, RUN, {"palm": numbers | more}, {}), details)):
         last = name or last
         texts[last] = f"{texts.get(last, '')} {text}".strip()
     return texts
@@ -225,7 +292,7 @@ def told(one_skin, more):
 )  # fmt: skip
 def test_digits_follow_the_widest_band_that_is_known(one_skin, more, moved, pressed, per_pascal):
     rows = told(one_skin, more)
-    assert rows["peak skin displacement"].startswith(f"{moved} for {pressed}"), rows
+    assert rows["peak skin displacement"].startswith(moved), rows
     assert rows["peak ARP"] == pressed
     assert rows["peak skin displacement per ARP"].startswith(per_pascal)
 
@@ -238,9 +305,9 @@ def test_the_band_of_p0_leaves_digits_per_pascal(one_skin):
 
 def test_small_numbers_are_small_and_not_0(one_skin):
     rows = told(one_skin, {"peak_displacement_m": 2.345e-11, "peak_arp_Pa": 3.12e-4, "total_force_peak_N": 4.56e-9})
-    assert rows["peak skin displacement"].startswith("2.3e-05 um for 0.00031 Pa")
+    assert rows["peak skin displacement"].startswith("2.3e-05 um")
     assert rows["total force"] == "4.6e-06 mN"
-    drive = format_summary(summary(one_skin, RUN, {"palm": FULL}, {"pulse": {"drive_level": 1e-4}}))
+    drive = format_summary(summary(one_skin, RUN, {"palm": FULL}, {"pulse": {"drive_level": 1e-4}}), True)
     assert dict(_rows(drive))["drive"] == "0.0001 of full"
 
 
@@ -254,7 +321,11 @@ def test_the_largest_source_of_an_error_has_its_advice(one_skin):
     """Each of the five."""
     words = []
     for source in ("mesh", "step", "reduction", "edge", "field"):
-        more = budget_of() | {f"{source}_error_relative": 0.2, "displacement_error_relative": 0.2}
+        more = budget_of() | {
+            f"{source}_error_relative": 0.2,
+            "displacement_error_relative": 0.2,
+            "accuracy_reached": False,
+        }
         words.append(told(one_skin, more)["accuracy"])
     assert len(set(words)) == 5 and "double precision" in words[4]
 

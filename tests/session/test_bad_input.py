@@ -514,3 +514,16 @@ def test_a_key_without_a_value(small_scene):
     path = changed(small_scene(), 'key="side" value="free"', 'key="side" value=""')
     refused(path, f"{SKIN}key 'side' has no value; allowed: fixed | free | roller | absorbing, or leave the key out")
     assert palmfield.load(small_scene(), keys={"skin.side": ""}).runtime.spec.skins[0].config.side == "fixed"
+
+
+@pytest.mark.parametrize("key", ["patch_radius_m", "depth_m"])
+@pytest.mark.parametrize("value", [1.5e-8, 4e-4, 20.0])
+def test_a_layer_of_no_skins_size_is_refused_with_what_is_allowed(key, value):
+    """A patch of 15 nm was planned as one of radius 0 mm, and ended the run with an IndexError."""
+    with pytest.raises(PalmfieldError, match=rf"key '{key}' has value .* allowed: finite number >= 0.0005 and <= 1"):
+        palmfield.plan("mjcf/scenes/follow_fingertip.xml", accuracy=0.5, keys={f"skin.{key}": value})
+
+
+def test_a_patch_that_modes_cannot_serve_is_stepped_whole():
+    keys = {"skin.patch_radius_m": 5e-4}
+    palmfield.Simulation("mjcf/scenes/follow_fingertip.xml", accuracy=0.4, keys=keys).run(0.002)

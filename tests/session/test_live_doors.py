@@ -9,16 +9,18 @@ import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
-from fuzz_lines import DOORS, sent
+from fuzz_lines import DOORS, good, sent
 
 from palmfield.drive.boards import BOARDS
 from palmfield.drive.live_foci import FocusListener
 from palmfield.drive.virtual import VirtualBoard
 from palmfield.errors import DeviceError
 from palmfield.motion.line_listener import STALE_S
+from palmfield.motion.listening import Listener
 from palmfield.session.live_focus import LiveInput, play_live
 from palmfield.session.play import Target
 
@@ -67,6 +69,38 @@ def test_no_web_page_makes_a_board_sound(method):
 
     said, sounding = played(act, seconds=0.6)
     assert sounding == 0 and said.count("0 foci came") == 1 and " garbled)" in said
+
+
+def test_no_web_page_moves_a_tracked_hand():
+    """The door of `trial --live` and `track record`."""
+    with Listener(by="tcp") as listener:
+        sample = json.dumps(good("hands", 1)).encode() + b"\n"
+        page = http.client.HTTPConnection(listener.host, listener.port, timeout=5.0)
+        with pytest.raises((OSError, http.client.HTTPException)):
+            page.request("POST", "/", sample * 20, {"Content-Type": "text/plain", "Origin": "http://evil.example"})
+            page.getresponse()
+        page.close()
+        assert listener.taken == 0 and dict(listener.bad) == {"garbled": 1}
+        with connected(listener.host, listener.port) as tracker:
+            tracker.sendall(sample)
+            assert listener.wait(0, 5.0)
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are listed by Linux")
+def test_a_player_that_is_killed_while_nothing_sounds_is_said_in_a_sentence():
+    def act(host, port):
+        time.sleep(0.3)
+        for status in Path("/proc").glob("[0-9]*/stat"):
+            try:
+                ours = int(status.read_text().rpartition(")")[2].split()[1]) == os.getpid()
+                player = b"palmfield.drive.player.process" in (status.parent / "cmdline").read_bytes()
+            except OSError:
+                continue
+            if ours and player:
+                os.kill(int(status.parent.name), signal.SIGKILL)
+
+    with pytest.raises(DeviceError, match="was ended by signal SIGKILL; the board is off"):
+        played(act, seconds=30.0)
 
 
 BAD = {

@@ -1,5 +1,6 @@
 """What a scene's files say that MuJoCo can't build: told with file, line, element, and how to mend it."""
 
+import os
 import re
 import subprocess
 import sys
@@ -164,3 +165,65 @@ def test_the_schema_is_mujocos_own():
 def test_near_is_near():
     assert did_you_mean("focus_mm", ["focus_m", "frame"]) == " (did you mean 'focus_m'?)"
     assert did_you_mean("nose", ["focus_m", "frame"]) == "" == did_you_mean("", ["a"])
+
+
+SENSORS = '<sensor><user dim="3"/></sensor>'
+COPIES = '<worldbody><site name="s"/><replicate count="{}" offset=".1 0 0">{}</replicate></worldbody>'
+TINY = '<geom size=".01"/>'
+
+
+@pytest.mark.parametrize(
+    "inside, said",
+    [
+        ('<asset><model name="m" file="scene.xml"/></asset>', "model 'scene.xml' attaches itself; drop this <model>"),
+        ('<asset><model name="m" file="b.xml"/></asset>', r"b\.xml, line 1: model 'scene.xml' attaches itself"),
+        ('<compiler assetdir="sub"/><asset><model name="m" file="b.xml"/></asset>', "attaches itself"),
+        (COPIES.format(100_000, TINY), "count '100000' makes 100000 copies in all; allowed: at most 10000"),
+        (COPIES.format(200, f'<replicate count="200">{TINY}</replicate>'), "makes 40200 copies"),
+        (COPIES.format(2, TINY) + SENSORS, "sensor <user> has no object, and MuJoCo 4.0 doubles .* give it objtype"),
+        (COPIES.format(16, TINY) + "<sensor><clock/></sensor>", "sensor <clock> has no object"),
+        ('<sensor><user dim="1000000000"/></sensor>', "attribute 'dim' has value '1000000000'; allowed: at most"),
+        ('<asset><hfield name="h" nrow="100000" ncol="100000" size="1 1 1 1"/></asset>', "attribute 'nrow'"),
+        ('<worldbody><flexcomp type="grid" count="1000 1000 10" name="f"/></worldbody>', "attribute 'count'"),
+        ('<size nuserdata="2000000000"/>', "attribute 'nuserdata'"),
+        ('<asset><mesh name="m" file="/dev/zero"/></asset>', "<mesh> file '/dev/zero': it is a device; only regular"),
+        ('<asset><mesh name="m" file="pipe.stl"/></asset>', "it is a pipe"),
+        ('<compiler texturedir="sub"/><asset><texture type="cube" fileup="pipe.png"/></asset>', "it is a pipe"),
+        ('<include file="laugh0.xml"/>', "laugh1.*is included twice; include it once"),
+        ('<asset><model name="m" file="more0.xml"/></asset><worldbody>'
+         + '<attach model="m" prefix="a"/>' * 12 + "</worldbody>", "larger than 1000000 elements"),
+    ],
+)  # fmt: skip
+def test_what_ends_or_fills_mujoco_is_refused_before_it_reads(tmp_path, inside, said):
+    """On each of these MuJoCo 4.0 ends by a signal, takes gigabytes, or hours; r: the cases of the same kind."""
+    (tmp_path / "sub").mkdir()
+    for pipe in (tmp_path / "pipe.stl", tmp_path / "sub" / "pipe.png"):
+        os.mkfifo(pipe)
+    for folder in (tmp_path, tmp_path / "sub"):
+        (folder / "b.xml").write_text('<mujoco><asset><model name="m" file="../scene.xml"/></asset></mujoco>'
+                                      if folder.name == "sub" else
+                                      '<mujoco><asset><model name="m" file="scene.xml"/></asset></mujoco>')  # fmt: skip
+    for n in range(7):
+        more = f'<asset><model name="m" file="more{n + 1}.xml"/></asset><worldbody>' + '<attach model="m"/>' * 12
+        (tmp_path / f"more{n}.xml").write_text(f"<mujoco>{more if n < 6 else '<worldbody>'}</worldbody></mujoco>")
+    for n in range(21):
+        again = f'<include file="laugh{n + 1}.xml"/>' * 2 if n < 20 else "<option/>"
+        (tmp_path / f"laugh{n}.xml").write_text(f"<mujocoinclude>{again}</mujocoinclude>")
+    path = tmp_path / "scene.xml"
+    path.write_text(f"<mujoco>{inside}</mujoco>")
+    with pytest.raises(SceneError, match=said) as refused:
+        palmfield.Simulation(path)
+    assert "line" in str(refused.value)
+
+
+def test_what_mujoco_can_copy_is_left_to_it(tmp_path):
+    (tmp_path / "part.xml").write_text("<mujoco><worldbody><body name='b'/></worldbody></mujoco>")
+    path = tmp_path / "scene.xml"
+    path.write_text(
+        "<mujoco><asset><model name='m' file='part.xml'/></asset>"
+        + COPIES.format(50, TINY)
+        + "<worldbody><attach model='m' body='b' prefix='p'/></worldbody>"
+        + "<sensor><user dim='3' objtype='site' objname='s'/></sensor></mujoco>"
+    )
+    assert len(read_scene_text(path).elements) == 11
+    assert len(mujoco.MjSpec.from_file(str(path)).sensors) == 1

@@ -2,6 +2,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 
 from palmfield.errors import SceneError
 from palmfield.skin.analytic.layer_oracle import centre_response
@@ -148,3 +149,25 @@ def test_errors():
         hand_skin("elbow")
     with pytest.raises(SceneError, match=r"0\.0017 m"):
         hand_skin("palm", 0.001)
+
+
+def test_no_passive_solid_has_the_palms_speeds_and_its_decay():
+    """Kramers-Kronig: whatever a relaxation spectrum is, speeds that rise so fast go with more loss than the palm's."""
+    omega, rho = 2.0 * np.pi * np.array([50.0, 100.0, 200.0, 400.0]), 1100.0
+    aim, taus = np.array([3.6, 4.6, 6.0, 7.1]) / 0.9553, np.geomspace(1e-5, 0.1, 25)
+    branches = 1j * omega[:, None] * taus / (1.0 + 1j * omega[:, None] * taus)
+
+    def wave(logs):
+        moduli = np.exp(logs)
+        wavenumber = omega / np.sqrt((moduli[0] + branches @ moduli[1:]) / rho)
+        return omega / wavenumber.real / aim, -1.0 / wavenumber.imag[2]
+
+    def misfit(logs, length_m):
+        speed, decay = wave(logs)
+        return np.append(np.log(speed), 50.0 * max(0.0, np.log(length_m / decay)))
+
+    start = np.log(np.r_[1e4, np.full(len(taus), 1e3)])
+    fits = [least_squares(misfit, start, args=(length,), max_nfev=300).x for length in (0.0011, 0.043)]
+    free, damped_as_palm = (wave(fit) for fit in fits)
+    assert np.abs(free[0] - 1.0).max() < 0.02 and free[1] == pytest.approx(0.011, rel=0.1)
+    assert damped_as_palm[0].max() > 1.2 and damped_as_palm[0].min() < 0.85

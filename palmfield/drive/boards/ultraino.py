@@ -139,7 +139,7 @@ BOARD = Ultraino(
     "ultraino",
     "Ultraino on Arduino Mega boards, 64 transducers each at 115200 baud: 10 phases, 5 pulse widths, 54.9 frames/s "
     "with one board",
-    layouts=("ultraino",),
+    layouts=("ultraino", "csv"),
     unit=SIGNALS,
     most_units=14,
     line=LINE,

@@ -15,6 +15,7 @@ import numpy as np
 from palmfield.acoustics.arrays import layout
 from palmfield.acoustics.calibration_file import Calibration, Elements
 from palmfield.errors import SceneError
+from palmfield.given_files import read_text
 from palmfield.types import Float
 
 SAME_M = 1e-6
@@ -30,7 +31,7 @@ def read_board_file(path: str | Path) -> Calibration:
     """
     file, array = Path(path), layout("openmpd")
     try:
-        lines = file.read_text(encoding="utf-8").splitlines()
+        lines = read_text(file).splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise SceneError(f"{file}: cannot be read: {error}; give a vendor's file board_N.pat") from None
     if len(lines) < 7:

@@ -23,10 +23,10 @@ from palmfield.outputs.recorded_keys import keys_of
 from palmfield.outputs.schema import instances
 from palmfield.outputs.skin_view import SkinView, draw_patch, view_of_skin
 from palmfield.outputs.style import signed_colours
-from palmfield.perception.maps import level_map, lines_in
+from palmfield.perception.maps import felt_lines, level_map
 from palmfield.perception.observers import OBSERVERS
 from palmfield.stimulus.resolved import ResolvedStimulus
-from palmfield.stimulus.schedule import main_frequencies, steady_stretch_s
+from palmfield.stimulus.schedule import steady_stretch_s
 from palmfield.types import Float
 
 SIZES = "cividis"
@@ -91,7 +91,8 @@ def level_map_of(result: xr.DataTree, asked: Asked) -> Figure:
         draw_patch(figure, axes, skin["face"].values, view.vertices, levels, SIZES, limits, "dB above threshold")
         _mark(axes, view.vertices, levels, "dB SL", marks)
         felt = f"{levels.max():.0f} dB SL at most" if levels.max() > 0.0 else "below threshold"
-        axes.set_title(f"{OBSERVERS[key].name}\n{felt}")
+        of = f"all {len(lines)} lines" if len(lines) > 1 else f"line at {lines[0]:g} Hz"
+        axes.set_title(f"{OBSERVERS[key].name}, {of}\n{felt}")
     return figure
 
 
@@ -105,7 +106,7 @@ def _repeating(result: xr.DataTree, skin: xr.Dataset) -> tuple[slice, list[float
     for config in configs:
         begin, end = steady_stretch_s(config)
         stretch = slice(*np.searchsorted(times, [begin, min(end, np.inf)]).tolist())
-        if lines := lines_in(times[stretch], main_frequencies(config)):
+        if lines := felt_lines(times[stretch], config):
             return stretch, lines
     raise OutputError(
         "nothing repeats for two periods between ramp and silence, so that no level above threshold is told; "

@@ -41,7 +41,7 @@ def modelled(model: HapticModel, duration_s: float) -> list[Row]:
         offset = peak_offset(model, number)
         if offset is not None:
             words = "the maximum of |p|; a focus has all sound in phase, which nearer points have louder"
-            rows.append(Row("loudest point", offset_words(offset), words, stimulus.spec.name))
+            rows.append(Row("loudest point", offset_words(*offset), words, stimulus.spec.name))
         rows += _modulation(stimulus, level)
     if not model.board.exact:
         board = model.board

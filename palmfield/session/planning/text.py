@@ -14,10 +14,10 @@ WIDTH = 130
 
 
 def as_text(scene: str, parts: Mapping[str, Sequence[Row]], warnings: Sequence[str], seconds: float) -> str:
-    """A table for each part, by its title, then the warnings and the expected wall time [s]."""
+    """The expected wall time [s], a table for each part, by its title, and the warnings."""
     stream = io.StringIO()
     console = Console(file=stream, width=terminal.columns(WIDTH))
-    console.print(f"Plan for {scene}", highlight=False)
+    console.print(f"Plan for {scene}. Expected time on two CPU cores: {seconds:.0f} s", highlight=False)
     every = [row for rows in parts.values() for row in rows]
     # One of each kind needs no names.
     named = any("," in row.instance for row in every) or (
@@ -31,5 +31,4 @@ def as_text(scene: str, parts: Mapping[str, Sequence[Row]], warnings: Sequence[s
         console.print(grid)
     for warning in warnings:
         console.print(f"Warning: {warning}", highlight=False)
-    console.print(f"Expected time on two CPU cores: {seconds:.0f} s", highlight=False)
     return stream.getvalue()

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.spatial import Delaunay, cKDTree
+from scipy.spatial import ConvexHull, Delaunay, cKDTree
 
 from palmfield.errors import SceneError
 from palmfield.skin.fem.assembly import SkinSystem
@@ -221,7 +221,13 @@ class Net:
     def between(self, places: Float, count: int) -> sparse.csr_matrix:
         """Shares of the pressures at `count` points in that at places [m] (q, 3), csr, shape (q, count)."""
         net = self.delaunay
-        place = net.find_simplex(places[:, :2])
+        # Triangles of places outside are sought among all of them, one by one
+        low, high = net.min_bound, net.max_bound
+        near = np.flatnonzero(np.all((places[:, :2] >= low) & (places[:, :2] <= high), axis=1))
+        hull = ConvexHull(net.points).equations
+        near = near[np.all(places[near, :2] @ hull[:, :2].T + hull[:, 2] <= 1e-9 * np.ptp(net.points), axis=1)]
+        place = np.full(len(places), -1)
+        place[near] = net.find_simplex(places[near, :2])
         seen = np.flatnonzero(place >= 0)
         turn = net.transform[place[seen]]
         two = np.einsum("qij,qj->qi", turn[:, :2], places[seen, :2] - turn[:, 2])

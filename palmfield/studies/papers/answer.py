@@ -35,6 +35,7 @@ class Answer:
     band: least and largest value as far as p0 and material are known, None where neither enters
     margin: of an inequality, how far inside (positive) or outside (negative) of what it asks; None for numbers
     shown: other numbers that are printed beside it and not counted, by what they are
+    other_estimate: the same quantity by another estimator, as good a reading of the paper's words; None for none
     against: what the paper prints under this reading, where it prints two numbers for one thing; else the entry's value
     """
 
@@ -45,6 +46,7 @@ class Answer:
     note: str = ""
     shown: Mapping[str, float] = field(default_factory=dict)
     against: float | None = None
+    other_estimate: float | None = None
 
     def __post_init__(self) -> None:
         if self.value is None and not self.note:
@@ -82,6 +84,8 @@ class Paper:
     answers: by id of the entry; causes: of claims that disagree, by id
     later: of claims that agree and that no listed control turns, by id: what the entry says it could fail by, done on
         purpose. They were written when answers were known, and stand apart from the controls
+    found_later: readings that were found by looking at answers, by id of the claims that they bear on; no verdict
+        counts them
     notes: Markdown that stands below the tables (hypotheses, chains, what was printed and what is right)
     """
 
@@ -92,5 +96,6 @@ class Paper:
     answers: Mapping[str, Compute]
     causes: Mapping[str, tuple[Cause, ...]] = field(default_factory=dict)
     later: Mapping[str, tuple[Cause, ...]] = field(default_factory=dict)
+    found_later: Mapping[str, tuple[Cause, ...]] = field(default_factory=dict)
     pictures: tuple[Picture, ...] = ()
     notes: Callable[[Setting], str] | None = None

@@ -175,6 +175,22 @@ def _later(rows: Sequence[Row]) -> list[str]:
     )  # fmt: skip
 
 
+def _found_later(rows: Sequence[Row]) -> list[str]:
+    return _table(
+        ("id", "what", "paper", "ours at the base reading", "within", "reading found later", "ours then",
+         "numerical error", "distance", "within then"),
+        (
+            (
+                row.entry.id, _cell(row.entry.quantity), _printed(row.entry), _ours(row.base)[0],
+                NONE if row.base is None else _within(row.base), _cell(what), *_ours(one)[:2], _distance(one),
+                _within(one),
+            )
+            for row in rows
+            for what, one in row.found_later
+        ),
+    )  # fmt: skip
+
+
 def _others(rows: Sequence[Row]) -> list[str]:
     return _table(
         ("id", "what", "paper", "ours", "numerical error", "band of inputs", "distance", "remark"),
@@ -249,6 +265,9 @@ def page(
         "Of claims that agree and that no control above turns. What could make them fail was fixed beforehand, in "
         "words; how it is done here was written when answers were known, and says less than a control does.", "",
         *_later(claims),
+        "## Readings found later", "",
+        "Found by looking at answers. They count in no verdict above; all claims that they bear on are listed.", "",
+        *_found_later(claims),
         "## Shown beside, not counted", "", *_shown(rows),
         "## Where the paper contradicts itself", "", *_others(kinds["ERRATUM"]),
         "## Checks of ours", "", *_others(kinds["CALC"]),

@@ -9,7 +9,7 @@ from typing import Any
 from palmfield.errors import PalmfieldError
 from palmfield.studies.papers.answer import Answer, Compute, Paper, Setting
 from palmfield.studies.papers.entries import Book, Control, Entry
-from palmfield.studies.papers.verdicts import Held, Verdict, hold, verdict
+from palmfield.studies.papers.verdicts import Held, Verdict, hangs_on_estimator, hold, verdict
 
 logger = logging.getLogger(__name__)
 
@@ -33,6 +33,7 @@ class Tried:
             "band": None if answer is None or answer.band is None else list(answer.band),
             "margin": None if answer is None else answer.margin,
             "against": None if answer is None else answer.against,
+            "other_estimate": None if answer is None else answer.other_estimate,
             "note": self.failed or ("" if answer is None else answer.note),
             "shown": {} if answer is None else dict(answer.shown),
             "within": None if held is None else held.within,
@@ -45,7 +46,8 @@ class Tried:
 class Row:
     """One entry and all that was tried for it, the base readings first.
 
-    controls: by name, for claims alone; causes, later: what was changed, and what came then; seconds: of processor
+    controls: by name, for claims alone; causes, later: what was changed, and what came then
+    found_later: readings that were found by looking at answers, which no verdict counts; seconds: of processor
     """
 
     entry: Entry
@@ -54,6 +56,7 @@ class Row:
     controls: Mapping[str, Tried] = field(default_factory=dict)
     causes: tuple[tuple[str, Tried], ...] = ()
     later: tuple[tuple[str, Tried], ...] = ()
+    found_later: tuple[tuple[str, Tried], ...] = ()
     seconds: float = 0.0
 
     @property
@@ -90,6 +93,7 @@ class Row:
             "controls": {name: one.as_dict() | {"turned": self.turned(name)} for name, one in self.controls.items()},
             "causes": [{"what": what, **one.as_dict()} for what, one in self.causes],
             "later": [{"what": what, **one.as_dict(), "turned": self.differs(one)} for what, one in self.later],
+            "found_later": [{"what": what, **one.as_dict()} for what, one in self.found_later],
             "seconds": round(self.seconds, 3),
         }
 
@@ -129,7 +133,7 @@ def row(entry: Entry, paper: Paper, book: Book, setting: Setting) -> Row:
     tried = tuple(_tried(entry, compute, replace(setting, readings=one)) for one in readings)
     if entry.kind != "CLAIM":
         return Row(entry, tried, None, seconds=time.process_time() - started)
-    said = verdict(entry, [one.held for one in tried])
+    said, split = verdict(entry, [one.held for one in tried]), hangs_on_estimator(tried[0].answer)
     base = replace(setting, readings=readings[0])
     controls = {
         control.name: _tried(entry, compute, replace(base, control=control.name))
@@ -140,11 +144,15 @@ def row(entry: Entry, paper: Paper, book: Book, setting: Setting) -> Row:
         (cause.what, _tried(entry, cause.compute, base))
         for cause in (paper.causes.get(entry.id, ()) if said == "disagrees" else ())
     )
+    said = "depends" if split and said in ("agrees", "disagrees") else said
     found = Row(entry, tried, said, controls, causes)
     later: tuple[tuple[str, Tried], ...] = ()
     if said == "agrees" and not any(found.turned(name) for name in controls):
         later = tuple((one.what, _tried(entry, one.compute, base)) for one in paper.later.get(entry.id, ()))
-    return replace(found, later=later, seconds=time.process_time() - started)
+    readings_later = tuple(
+        (one.what, _tried(entry, one.compute, base)) for one in paper.found_later.get(entry.id, ()) if entry.counts
+    )
+    return replace(found, later=later, found_later=readings_later, seconds=time.process_time() - started)
 
 
 def rows(paper: Paper, book: Book, setting: Setting) -> Iterator[Row]:

@@ -13,6 +13,10 @@ Verdict = Literal["agrees", "disagrees", "depends", "not testable", "no answer"]
 VERDICTS: tuple[Verdict, ...] = ("agrees", "disagrees", "depends", "not testable", "no answer")
 
 
+ESTIMATORS_deg = 5.0
+"""The tolerance of angles ([tolerance_rules.angle])."""
+
+
 @dataclass(frozen=True)
 class Held:
     """An answer held against its entry. distance: from the limit, positive inside; for numbers in tolerances (1 is a
@@ -73,6 +77,13 @@ def sure(entry: Entry, answer: Answer) -> bool:
 
     ends = [off(by, answer.value) for by in (-error, error)]
     return all(end is not None and end.within == held.within for end in ends)
+
+
+def hangs_on_estimator(answer: Answer | None) -> bool:
+    """Whether two estimators of an angle differ by more than ESTIMATORS_deg."""
+    if answer is None or answer.value is None or answer.other_estimate is None:
+        return False
+    return abs(answer.value - answer.other_estimate) > ESTIMATORS_deg
 
 
 def verdict(entry: Entry, held: Sequence[Held | None]) -> Verdict:

@@ -110,11 +110,13 @@ class Moment:
 
 @dataclass(frozen=True)
 class Level:
-    """What an observer makes of a skin's last periods: level_dB above threshold, None where refused; why: in words."""
+    """What an observer makes of a skin's last periods: level_dB above threshold, None where refused; why: in words;
+    lines: which lines of the motion or force the level is of, in words."""
 
     observer: str
     level_dB: float | None
     why: str
+    lines: str = ""
 
 
 @dataclass(frozen=True)

@@ -372,7 +372,7 @@ class Page:
         for name, skin in zip(self._scene.skins if self._scene else (), replay.skins, strict=True):
             rows.append(f"<div><b>{html.escape(name)}</b></div>" if len(replay.skins) > 1 else "")
             for level in skin.levels:
-                rows.append(_meter_row(level.observer, level.level_dB, level.why))
+                rows.append(_meter_row(level.observer, level.level_dB, level.why, level.lines))
         self._meter.content = f'<div style="margin:0 0.8em;font-size:0.8em">{"".join(rows)}</div>'
 
     # -- pictures ------------------------------------------------------------------------------------------------------
@@ -476,7 +476,7 @@ def _small(text: str) -> str:
     return f'<div style="margin:0.3em 0.8em;font-size:0.8em;overflow-wrap:anywhere">{text}</div>'
 
 
-def _meter_row(name: str, level_dB: float | None, why: str) -> str:
+def _meter_row(name: str, level_dB: float | None, why: str, lines: str) -> str:
     """A bar from 0 to 60 dB above threshold, or why there is none."""
     title = html.escape(f"{name}: {why}", quote=True)
     if level_dB is None:
@@ -484,7 +484,7 @@ def _meter_row(name: str, level_dB: float | None, why: str) -> str:
         return f'<div title="{title}" style="opacity:0.75">{name}: none, {why}</div>'
     share = min(max(level_dB / 60.0, 0.0), 1.0)
     return (
-        f'<div title="{title}">{name}: <b>{level_dB:.0f} dB SL</b>'
+        f'<div title="{title}">{name}: <b>{level_dB:.0f} dB SL</b>, {html.escape(lines)}'
         f'<div style="height:0.45em;background:#8884;margin-bottom:0.25em"><div style="height:100%;'
         f'width:{100.0 * share:.0f}%;background:#0f766e"></div></div></div>'
     )

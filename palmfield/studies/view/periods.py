@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from palmfield.outputs.felt import shown_level
 from palmfield.outputs.schema import Arrays, group
 from palmfield.perception import OBSERVERS
 from palmfield.perception.force_threshold import FORCE_OBSERVER
@@ -120,7 +121,7 @@ def _levels(
     nothing = "the sound doesn't repeat itself" if period is None else f"it takes {PERIODS} periods of {period:.3g} s"
     levels = []
     for name in (FORCE_OBSERVER.name, *OBSERVERS):
-        level = told.get(f"level_all_lines_{name}_dB_SL")
-        level = told.get(f"level_{name}_dB_SL") if level is None else level
-        levels.append(Level(name, level, str(told.get(f"level_{name}_why", f"refused: {nothing}"))))
+        level, lines = shown_level(told, name)
+        why = str(told.get(f"level_{name}_why", f"refused: {nothing}"))
+        levels.append(Level(name, level, why if level is None else f"{lines}; {why}", lines))
     return tuple(levels)

@@ -128,9 +128,10 @@ def _angle(speed: float, **changes: Any) -> Callable[[Setting], Answer]:
         slanted = mach_angle(
             one.at_12_cm, one.places_m, one.places_m, focus_x_m=FOCUS_AT_m - 0.5 * PATH_m, estimator="slant_stack"
         )
-        return answered(
+        by_ridge = answered(
             number, setting, changes=changes, shown={"by a slant stack [deg]": slanted}, resolution=RIDGE_deg
         )
+        return replace(by_ridge, other_estimate=slanted)
 
     return answer
 
@@ -304,6 +305,16 @@ def _rate(rate_Hz: float, **changes: Any) -> Callable[[Setting], Answer]:
         late, like = late_difference(plate_of(setting, **changes), rate_Hz, level_of(setting), setting.device)
         shown = {"from a focus that is late by half a step": late, "SSIM with that": like}
         return answered(number, setting, changes=changes, margin=lambda value: 0.1 - value, shown=shown)
+
+    return answer
+
+
+def late_rate(rate_Hz: float) -> Callable[[Setting], Answer]:
+    """The same difference from a focus that is half a step late, the mean delay of the held one."""
+
+    def answer(setting: Setting) -> Answer:
+        late, _ = late_difference(plate_of(setting), rate_Hz, level_of(setting), setting.device)
+        return Answer(late, margin=0.1 - late)
 
     return answer
 

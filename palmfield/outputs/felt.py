@@ -1,0 +1,117 @@
+"""What is felt of a skin: which level is shown, by which observer, with which band, and a run's verdict.
+
+Tables, pictures, the live view and summary.json take all of it from here. Numbers are those of a skin in summary.json.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from palmfield.outputs.budget_text import Part, combined, input_parts, parts_text
+from palmfield.perception.force_threshold import FORCE_OBSERVER
+from palmfield.perception.registry import ALL_OBSERVERS
+
+RULE = "first observer that applies, mid-air before contact"
+DB = 20.0 / math.log(10.0)
+"""Decibels of a factor's natural logarithm."""
+
+
+def shown_level(skin: Mapping[str, Any], name: str) -> tuple[float | None, str]:
+    """The level of an observer [dB SL] that every output shows, and which lines of the motion or force it is of.
+
+    All lines together; of an observer that has no level for several lines, that of the main line. None where refused.
+    """
+    level, frequencies = skin.get(f"level_all_lines_{name}_dB_SL"), skin.get("line_frequencies_Hz", ())
+    if level is not None and len(frequencies) > 1:
+        return level, f"all {len(frequencies)} lines"
+    main = skin.get("main_frequency_Hz")
+    level = skin.get(f"level_{name}_dB_SL") if level is None else level
+    return level, "" if main is None else f"line at {main:g} Hz"
+
+
+def strongest_line(skin: Mapping[str, Any], name: str) -> str:
+    """The strongest line of an observer's level in words; nothing where there is one line only."""
+    frequency = skin.get(f"strongest_line_{name}_Hz")
+    if frequency is None:
+        return ""
+    return f"strongest {skin[f'level_strongest_line_{name}_dB_SL']:.0f} dB SL at {frequency:g} Hz"
+
+
+def chosen_observer(skin: Mapping[str, Any]) -> str | None:
+    """The observer whose level stands for the skin, by RULE; None where all are refused or the run has no levels."""
+    return next((name for name in ALL_OBSERVERS if shown_level(skin, name)[0] is not None), None)
+
+
+def level_parts(skin: Mapping[str, Any], name: str) -> list[Part]:
+    """Factors that the inputs with a known range leave open in an observer's level, and its own spread, by name.
+
+    An observer that goes by force depends on p0 alone.
+    """
+    parts = [one for one in input_parts(skin) if one[0] == "p0" or name != FORCE_OBSERVER.name]
+    if spread := skin.get(f"level_{name}_spread_dB"):
+        parts.append(("observer", math.exp(-spread / DB), math.exp(spread / DB)))
+    return parts
+
+
+def level_band_dB(skin: Mapping[str, Any], name: str) -> tuple[float, float]:
+    """By how much all of `level_parts` together lower and raise a level [dB], as a negative and a positive number."""
+    low, high = combined(level_parts(skin, name))
+    return (DB * math.log(low) if low > 0.0 else -math.inf), DB * math.log(high)
+
+
+def level_text(skin: Mapping[str, Any], name: str, level: float) -> str:
+    """A level with its band, in words; digits follow the band."""
+    low, high = level_band_dB(skin, name)
+    if low == high == 0.0:
+        return f"{level:.1f} dB SL"
+    return f"{level:.0f} dB SL ({level + low:.0f} to {level + high:.0f})"
+
+
+def band_text(skin: Mapping[str, Any], name: str) -> str:
+    """The parts of a level's band by name [dB]."""
+    return parts_text(level_parts(skin, name), lambda low, high: f"{_dB(low)} to {_dB(high)} dB")
+
+
+def _dB(factor: float) -> str:
+    return f"{DB * math.log(factor):+.0f}" if factor > 0.0 else "-inf"
+
+
+def verdict(skin: Mapping[str, Any]) -> dict[str, Any]:
+    """Whether a skin's motion is felt: `felt` (yes, perhaps, no or not known) and `because`, in words.
+
+    yes: the whole band of the chosen observer's level lies above threshold; no: all of it lies below; perhaps: the band
+    holds the threshold, or the observer's own spread is not established.
+    """
+    name = chosen_observer(skin)
+    if name is None:
+        whys = [str(skin[f"level_{one}_why"]) for one in ALL_OBSERVERS if f"level_{one}_why" in skin]
+        reason = whys[-1].partition(": ")[2] if whys else "the run was cut off before levels were computed"
+        return {"felt": "not known", "because": reason}
+    level, lines = shown_level(skin, name)
+    assert level is not None
+    low, high = level_band_dB(skin, name)
+    known = skin.get(f"level_{name}_spread_dB") is not None
+    felt = "perhaps"
+    if known and level + low > 0.0:
+        felt = "yes"
+    elif known and level + high < 0.0:
+        felt = "no"
+    spread = "" if known else ", its own spread is not established"
+    because = f"{level_text(skin, name, level)} by {name}, {lines}{spread}"
+    return {"felt": felt, "because": because, "observer": name, "level_dB_SL": level} | (
+        {} if math.isinf(low) else {"low_dB_SL": level + low, "high_dB_SL": level + high}
+    )
+
+
+def first_line(summary: Mapping[str, Any]) -> str:
+    """The first line of a run: whether its accuracy was reached, where it wasn't, and the verdict of each skin."""
+    texts = []
+    for skin in summary["skins"]:
+        said = verdict(skin)
+        missed = ""
+        if skin.get("accuracy_reached") is False:
+            error, target = (100.0 * skin[f"{key}_relative"] for key in ("displacement_error", "accuracy_wanted"))
+            missed = f"accuracy NOT reached, error {error:.2g} % where {target:g} % was asked for; "
+        of = f"{skin['name']}: " if len(summary["skins"]) > 1 else ""
+        texts.append(f"{of}{missed}felt: {said['felt']}, because {said['because']}")
+    return "; ".join(texts)
