@@ -112,7 +112,11 @@ def run(
 
     Example: palmfield run mjcf/scenes/palm_am200.xml --out out/palm --set stimulus.am_frequency_Hz=100
     """
-    from palmfield.cli.run import run_scene
+    from rich.console import Console
+
+    # The imports take seconds of their own
+    with Console(stderr=True, quiet=context.obj).status("loading palmfield"):
+        from palmfield.cli.run import run_scene
 
     _check_duration(duration)
     if plots is not None and no_plots:

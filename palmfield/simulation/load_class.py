@@ -3,14 +3,20 @@
 The class is made of examples: foci on the region of the skin for which its layer is made, one or two at a time, from
 each array and from all, with the body where it stands in the reference pose and moved and tilted from there. Which
 stimulus comes does not matter, so that the modes made for a class serve all stimuli, and every moving hand.
+
+The examples are drawn in a frame on the skin, and come with their images under quarter turns about its normal and under
+mirroring. They are the same for every array and every combination of arrays. So they depend neither on how the scene
+is turned or mirrored, nor on the order of its arrays, nor on the skin's mesh.
 """
 
 import math
 import threading
+from collections.abc import Sequence
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from palmfield import cache
@@ -27,14 +33,20 @@ from palmfield.skin.reduction.modal_stepper import ModalBody, ModalStepper, moda
 from palmfield.skin.scene_layer import SceneLayer
 from palmfield.stimulus.schedule import frame_rates, main_frequencies, turn_m, turn_rate_Hz
 from palmfield.transforms import Transform
-from palmfield.types import Complex, Float
+from palmfield.types import Complex, Float, Int
 
-PLACES = 5
-"""Poses of the body in the examples; the first is the reference."""
-SHIFT_m, TILT = (0.03, 0.03, 0.04), 0.2
-"""Of the others, at most: along the array's axes [m], and about each [rad]."""
-SINGLE, PAIRS = 150, 100
-"""Examples in each pose with one focus, and with two of any relative phase."""
+MOVES = (
+    ((0.0, 0.0, 0.0), (0.0, 0.0), 20, 12),
+    ((0.0, 0.0, 0.025), (0.0, 0.0), 8, 5),
+    ((0.0, 0.0, -0.025), (0.0, 0.0), 8, 5),
+    ((0.018, 0.018, 0.0), (0.12, -0.12), 8, 5),
+)
+"""Of the body in the examples: shift along the first and second axis of the skin's frame and outwards [m], tilt about
+these axes [rad], and examples with one focus and with two of any relative phase; all before their images."""
+NEAREST = 0.5
+"""Part of the distance from the skin to the nearest transducer that a shift takes, at most."""
+ALONG = 0.9
+"""Share of the body's first axis along the skin's normal above which the second one gives the skin's frame."""
 OFF_SKIN_m = 0.006
 """By which a focus misses the skin in an example, at most, along each axis [m]."""
 SPAN = 0.1
@@ -143,42 +155,105 @@ def examples(model: HapticModel, skin: int, posed: PosedScene) -> Float:
     arrays, layer = posed.arrays, model.skins[skin].layer
     surface = SurfaceArp(arrays.field, len(layer.quadrature.weights), model.skins[skin].spec.arp_law)
     frame = posed.skins[skin].body.frame
-    centre = frame.points(np.array(model.skins[skin].spec.patch_centre))
+    middle = np.array(model.skins[skin].spec.patch_centre)
+    centre, region = frame.points(middle), _region_m(layer)
+    axes = frame.rotation @ _skin_axes(layer, middle, region)
+    offsets = (posed.skins[skin].quadrature[0] - centre) @ axes
     gap = float(np.linalg.norm(arrays.array.positions - centre, axis=1).min())
-    most = np.minimum(SHIFT_m, 0.3 * gap)
-    region = _region_m(layer)
+    sources = _sources(arrays, centre, axes)
     loads = []
-    for number in range(PLACES):
-        moved = posed
-        if number > 0:
-            turn = Rotation.from_rotvec(rng.uniform(-TILT, TILT, 3)).as_matrix()
-            moved = _moved(model, skin, posed, centre, turn, rng.uniform(-most, most))
-        points, normals = moved.skins[skin].quadrature
-        middle = moved.skins[skin].body.frame.points(np.array(model.skins[skin].spec.patch_centre))
-        near = points[np.linalg.norm(points - middle, axis=1) < region]
-        places = near[rng.integers(0, len(near), SINGLE)] + rng.uniform(-OFF_SKIN_m, OFF_SKIN_m, (SINGLE, 3))
-        drives = _drives(model, arrays, places, rng)
-        arp = surface.evaluate_many(points, normals, drives).astype(np.float64)
-        loads.append(arp / np.sqrt((arp**2 @ layer.quadrature.weights).max()))
+    for shift, tilt, one, two in MOVES:
+        way = np.array(shift) * min(1.0, NEAREST * gap / max(float(np.linalg.norm(shift)), 1e-9))
+        single = _foci(rng, offsets, region, -(-one // len(sources)))
+        pairs = _foci(rng, offsets, region, 2 * -(-two // len(sources) ** 2))
+        phases = np.exp(2j * math.pi * rng.random(pairs.shape[1] // 2))
+        for move in _images_of(np.array([*way, *tilt])):
+            turn = axes @ Rotation.from_rotvec([*move[3:], 0.0]).as_matrix() @ axes.T
+            moved = _moved(model, skin, posed, centre, turn, axes @ move[:3]) if move.any() else posed
+            points, normals = moved.skins[skin].quadrature
+            here, origin = turn @ axes, moved.skins[skin].body.frame.points(middle)
+            drives = _drives(model, arrays, sources, origin + single @ here.T, origin + pairs @ here.T, phases)
+            arp = surface.evaluate_many(points, normals, drives).astype(np.float64)
+            loads.append(arp / np.sqrt((arp**2 @ layer.quadrature.weights).max()))
     alone = np.concatenate(loads)
     if not _has_edges(model.skins[skin].spec):
         return alone
-    points, normals = posed.skins[skin].quadrature
-    return np.concatenate([alone, alone * _lit(points - centre, normals.mean(axis=0), region, len(alone), rng)])
+    return np.concatenate([alone, alone * _lit(offsets, region, len(alone), rng)])
+
+
+def _skin_axes(layer: SceneLayer, middle: Float, region_m: float) -> Float:
+    """Axes of a frame on a skin in the body's frame, by column: two along the skin and its outward normal, (3, 3)."""
+    quadrature = layer.quadrature
+    near = np.linalg.norm(quadrature.points - middle, axis=1) < region_m
+    normal = (quadrature.weights * near) @ quadrature.normals
+    normal /= np.linalg.norm(normal)
+    first = np.eye(3)[0 if abs(normal[0]) < ALONG else 1]
+    first = first - (first @ normal) * normal
+    first /= np.linalg.norm(first)
+    return np.column_stack([first, np.cross(normal, first), normal])
+
+
+def _images() -> list[Float]:
+    """Quarter turns about the third axis, and with them the mirror images, (3, 3) each."""
+    turns = [np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) for c, s in ((1, 0), (0, 1), (-1, 0), (0, -1))]
+    return [turn @ np.diag([1.0, mirror, 1.0]) for mirror in (1.0, -1.0) for turn in turns]
+
+
+def _images_of(move: Float) -> list[Float]:
+    """Different images of a shift [m] and the two numbers of a tilt's axis [rad], (5,) each.
+
+    A mirror turns the sense of a rotation.
+    """
+    images = [np.array([*(g @ move[:3]), *(np.linalg.det(g) * g[:2, :2] @ move[3:])]) for g in _images()]
+    return list({tuple(np.round(image, 9) + 0.0): image for image in images}.values())
+
+
+def _foci(rng: np.random.Generator, offsets: Float, region_m: float, count: int) -> Float:
+    """Foci near the skin and their images, from its middle in the skin's frame [m], shape (images, count, 3).
+
+    offsets: of the quadrature's points, in that frame, shape (q, 3). Foci are even over the region's area, as seen by
+    distance from the middle and direction, and take their height from the nearest point.
+    """
+    distance = np.linalg.norm(offsets, axis=1)
+    near = offsets[distance < region_m]
+    across = np.hypot(*near[:, :2].T)
+    flat = near[:, :2] * (np.linalg.norm(near, axis=1) / np.maximum(across, 1e-12))[:, None]
+    reach = min(region_m, float(np.linalg.norm(flat, axis=1).max()))
+    rank = rng.permutation(count) + rng.random(count)
+    away, angle = reach * np.sqrt(rank / count), 2.0 * math.pi * rng.random(count)
+    places = np.column_stack([away * np.cos(angle), away * np.sin(angle), np.zeros(count)])
+    off_skin = rng.uniform(-OFF_SKIN_m, OFF_SKIN_m, (count, 3))
+    found, tree = [], cKDTree(flat)
+    for image in _images():
+        place = places @ image.T
+        nearest = tree.query(place[:, :2])[1]
+        beside = np.clip(place[:, :2] - flat[nearest], -OFF_SKIN_m, OFF_SKIN_m)
+        found.append(near[nearest] + np.column_stack([beside, np.zeros(count)]) + off_skin @ image.T)
+    return np.array(found)
+
+
+def _sources(arrays: PhasedArray, centre: Float, axes: Float) -> list[Int]:
+    """Transducers that sound together in an example: all, and each of several arrays, in an order of places alone."""
+    everything = np.arange(len(arrays), dtype=np.int32)
+    if len(arrays.slices) == 1:
+        return [everything]
+    places = [np.round((arrays.array.positions[own].mean(axis=0) - centre) @ axes, 6) for own in arrays.slices]
+    order = sorted(range(len(places)), key=lambda number: tuple(places[number]))
+    return [everything, *(everything[arrays.slices[number]] for number in order)]
 
 
 def _has_edges(skin: SkinSpec) -> bool:
     return skin.config.body_sound == "shadows"
 
 
-def _lit(offsets: Float, outwards: Float, region_m: float, count: int, rng: np.random.Generator) -> NDArray[np.bool_]:
+def _lit(offsets: Float, region_m: float, count: int, rng: np.random.Generator) -> NDArray[np.bool_]:
     """Which points lie outside the shadow of a straight finger, or of all beyond a straight edge, shape (count, q).
 
-    offsets: of the points from the region's middle [m], shape (q, 3); outwards: mean normal
+    offsets: of the points from the region's middle in the skin's frame [m], shape (q, 3)
     """
-    across = np.cross(rng.standard_normal((count, 3)), outwards)
-    across /= np.linalg.norm(across, axis=1, keepdims=True)
-    beyond = across @ offsets.T - rng.uniform(-region_m, region_m, (count, 1))
+    angle = 2.0 * math.pi * rng.random((count, 1))
+    beyond = np.hstack([np.cos(angle), np.sin(angle)]) @ offsets[:, :2].T
+    beyond -= rng.uniform(-region_m, region_m, (count, 1))
     half = 0.5 * rng.uniform(*FINGER_m, (count, 1))
     finger = rng.random((count, 1)) < 0.5
     return np.where(finger, np.abs(beyond) > half, beyond > 0.0)
@@ -198,23 +273,35 @@ def _moved(model: HapticModel, skin: int, posed: PosedScene, centre: Float, turn
     return PosedScene(posed.array_frame, posed.arrays, posed.frames, bodies, skins)
 
 
-def _drives(model: HapticModel, arrays: PhasedArray, foci: Float, rng: np.random.Generator) -> Complex:
-    """Drives for one focus and for pairs of foci, from each array in turn and from all at once, shape (d, N)."""
-    everything = np.arange(len(arrays), dtype=np.int32)
-    sources = [everything] if len(arrays.slices) == 1 else [everything, *(everything[own] for own in arrays.slices)]
+def _drives(
+    model: HapticModel, arrays: PhasedArray, sources: Sequence[Int], single: Float, pairs: Float, phases: Complex
+) -> Complex:
+    """Drives of each source for single foci, and of each two sources for pairs of foci, shape (d, N).
+
+    sources: transducers, see `_sources`; single, pairs: foci, array frame [m], shapes (i, s, 3) and (i, 2 p, 3)
+    phases: of the second focus of each pair, as a factor, shape (p,)
+    """
     drives = [ArrayDrive(arrays, chosen, None, None, model.board) for chosen in sources]
-    single = []
-    for number, focus in enumerate(foci):
+
+    def amplitudes(drive: ArrayDrive, focus: Float) -> Complex | None:
         try:
-            single.append(drives[number % len(drives)].unit_drive(focus).amplitudes)
+            return drive.unit_drive(focus).amplitudes
         except SceneError:
-            continue  # behind the array
-    if not single:
+            return None  # behind the array
+
+    made = [amplitudes(drive, focus) for foci in single for focus in foci for drive in drives]
+    for foci in pairs:
+        both = zip(foci[::2], foci[1::2], phases, strict=True)
+        parts = [([amplitudes(d, a) for d in drives], [amplitudes(d, b) for d in drives], p) for a, b, p in both]
+        for first, second, phase in parts:
+            made += [
+                0.5 * (one + phase * other)
+                for one in first for other in second if one is not None and other is not None
+            ]  # fmt: skip
+    heard = [drive for drive in made if drive is not None]
+    if not heard:
         raise SceneError("no modes of this skin: none of the arrays' transducers faces it in the reference pose")
-    alone = np.array(single)
-    first, second = rng.integers(0, len(alone), (2, PAIRS))
-    phase = np.exp(2j * math.pi * rng.random(PAIRS))
-    return np.concatenate([alone, 0.5 * (alone[first] + phase[:, None] * alone[second])])
+    return np.array(heard)
 
 
 def corner_Hz(stimulus: StimulusModel, spot_m: float) -> float:

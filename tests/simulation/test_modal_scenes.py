@@ -3,6 +3,7 @@
 import mujoco
 import numpy as np
 import pytest
+from check_turned import moved, quaternion
 
 from palmfield.engine.host import raise_errors
 from palmfield.errors import SceneError
@@ -204,7 +205,13 @@ def test_skins_without_modes_are_refused(small_scene, skin, why):
 
 def test_faster_stimuli_have_more_error(small_scene):
     corners = []
-    for change in (STEADY, {"am_frequency_Hz": 300}, LETTER):
-        model = load(small_scene(stimulus=change)).runtime.model
+    for keys in (STEADY, {"am_frequency_Hz": 300}, LETTER):
+        model = load(small_scene(stimulus=keys)).runtime.model
         corners.append(corner_Hz(model.stimuli[0], 0.01))
     assert corners == [75.0, 150.0, 500.0]
+
+
+def test_modes_do_not_depend_on_the_scene_s_turn_and_the_order_of_its_arrays(tmp_path):
+    plain, stated = moved(tmp_path, 0.4, steps=8)
+    for keys in ({"swapped": True}, {"turn": quaternion((0.6, 0.0, 0.8), 90), "shift": 1e-7}):
+        assert relative(moved(tmp_path, 0.4, steps=8, **keys)[0], plain) < 0.1 * stated < 0.04

@@ -8,6 +8,7 @@ import pytest
 
 from palmfield.errors import SceneError
 from palmfield.skin import Layer, Sheet, Slab, Spot, preset, solve
+from palmfield.skin.materials.material import Branch, Material
 from palmfield.skin.mesh.disc import disc_patch
 from palmfield.skin.problem import QUANTITIES, normals_on_face
 
@@ -41,6 +42,30 @@ def test_each_solver_states_three_errors_that_cover(solver: str) -> None:
     assert motion.accuracy_of == "displacement" and motion.error == motion.displacement_error
     for name in QUANTITIES:
         assert found[name] <= getattr(motion, f"{name}_error") + getattr(known, f"{name}_error")
+
+
+def of_shear(shear_Pa: float, viscosity_Pa_s: float = 0.0, branches: tuple[Branch, ...] = ()) -> Material:
+    return Material("test", 1000.0, shear_Pa, branches, 20.0 * shear_Pa, "test", viscosity_Pa_s)
+
+
+HARD_SHEETS = {
+    "stiff Kelvin-Voigt": (Sheet(of_shear(50e3, 100.0), 0.01),),
+    "branch of 1 us": (Sheet(of_shear(50e3, branches=(Branch(5e6, 1e-6),)), 0.01),),
+    "soft on hard": (Sheet(of_shear(5e3, 3.0), 0.004), Sheet(of_shear(1.5e6, 3.0), 0.006)),
+    "on and off": (Sheet(of_shear(10e3, 1.0), 0.008),),
+}
+
+
+@pytest.mark.parametrize("name", HARD_SHEETS)
+def test_the_error_of_a_sudden_velocity_is_covered(name: str) -> None:
+    disc = Slab(HARD_SHEETS[name], shape="disc", side="fixed", radius_m=0.02)
+    load = Spot(0.01, [0.0, 3e-3], [1.0, 0.0], law="held") if name == "on and off" else SUDDEN
+    times, at = 3.75e-4 * np.arange(1, 41), [[0.0, 0.0], [0.006, 0.003]]
+    known = solve(disc, load, times, at, solver="axisymmetric", accuracy=0.01, accuracy_of="velocity", device="cpu")
+    for solver in ("spectral_elements", "axisymmetric"):
+        motion = solve(disc, load, times, at, solver=solver, accuracy=0.1, accuracy_of="velocity", device="cpu")
+        true = true_errors(motion, known)["velocity"]
+        assert true <= motion.velocity_error + known.velocity_error and motion.velocity_error < 0.3
 
 
 def test_lateral_waves_state_them_too() -> None:

@@ -23,8 +23,13 @@ MANY = 400
 """Shapes from which pivoted QR takes seconds, and LU a tenth of that."""
 BLOCK = 2048
 """Points at which pressures are held in double precision at a time."""
-CLOSENESS = 0.3
-"""Of the tolerance, what the examples that are taken may leave out of the others."""
+CLOSENESS = 0.03
+"""Of the tolerance, what the examples that are taken may leave out of the others: which ones are taken hardly matters
+then."""
+LEVEL = 0.005
+"""Relative difference of neighbouring singular values up to which they count as equal: all are kept, or none."""
+TIE = 1e-3
+"""By which a point of a later number tells less, so that rounding does not choose among points that tell alike."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +66,8 @@ def load_shapes(examples: Float | Float32, weights: Float, tolerance: float, poi
     values, turn = np.linalg.eigh(shares.T @ shares)
     values, turn = values[::-1], turn[:, ::-1]
     left_out = np.sqrt(np.maximum(1.0 - np.cumsum(values) / size, 0.0))
-    count = min(int(np.searchsorted(-left_out, -tolerance)) + 1, int((values > 1e-12 * values[0]).sum()))
+    most = int((values > 1e-12 * values[0]).sum())
+    count = in_gap(np.sqrt(np.maximum(values[:most], 0.0)), int(np.searchsorted(-left_out, -tolerance)) + 1)
     flat = _orthonormal(turn[:, :count].T @ basis)
     chosen, shapes = _telling_points(flat, points), flat / root
     turned, triangle = np.linalg.qr(shapes[:, chosen].T)
@@ -69,8 +75,19 @@ def load_shapes(examples: Float | Float32, weights: Float, tolerance: float, poi
     return LoadShapes(shapes, np.sqrt(values[:count] / len(examples)), chosen, fit)
 
 
+def in_gap(sizes: Float, count: int) -> int:
+    """The least number of sizes (n,), falling, of at least `count` that ends where the next one is smaller by LEVEL.
+
+    Symmetric bodies have sizes in pairs; a cut between two equal ones would be made by rounding.
+    """
+    while count < len(sizes) and sizes[count] > (1.0 - LEVEL) * sizes[count - 1]:
+        count += 1
+    return min(count, len(sizes))
+
+
 def _telling_points(shapes: Float, times: int) -> Int:
     """Columns that tell shapes (m, q) apart, rising: some times as many as shapes, each time of what is left."""
+    shapes = shapes * (1.0 - TIE * np.arange(shapes.shape[1]) / shapes.shape[1])
     left = np.arange(shapes.shape[1])
     chosen: list[Int] = []
     for _ in range(times):

@@ -26,6 +26,7 @@ from palmfield.errors import SceneError
 from palmfield.skin.fem.assembly import SkinSystem
 from palmfield.skin.fem.factor import AnyFactor
 from palmfield.skin.materials.material import Material, stiffening
+from palmfield.skin.reduction.load_shapes import in_gap
 from palmfield.types import Complex, Float, Float32
 
 RATE_Hz = 400.0
@@ -309,8 +310,9 @@ def _strongest(gram: Float, rigidities: Float, left_out: float) -> Float:
     """
     size = np.sqrt(rigidities.sum(axis=0) + (2.0 * np.pi * RATE_Hz) ** 2)
     values, vectors = np.linalg.eigh(gram * np.outer(size, size))
-    kept = np.cumsum(values) > left_out**2 * values.sum()
-    return np.linalg.qr(vectors[:, kept] / size[:, None])[0]
+    count = int((np.cumsum(values) > left_out**2 * values.sum()).sum())
+    count = in_gap(np.sqrt(np.maximum(values[::-1], 0.0)), count)
+    return np.linalg.qr(vectors[:, len(values) - count :] / size[:, None])[0]
 
 
 def _lanczos(

@@ -10,9 +10,9 @@ import warp as wp
 
 from palmfield.device import resolve
 from palmfield.errors import SceneError
-from palmfield.skin.approximation.load_scales import course_frequency, edge_is_felt, load_width
+from palmfield.skin.approximation.load_scales import edge_is_felt
 from palmfield.skin.approximation.reduce_bulk_modulus import reduce_bulk_modulus
-from palmfield.skin.approximation.richardson import differences, error_of_finer
+from palmfield.skin.approximation.richardson import differences, error_of_coarser, error_of_finer
 from palmfield.skin.approximation.trim_absorbing_rim import refusal_of_spot
 from palmfield.skin.problem import (
     ONLY_WEDGES,
@@ -31,7 +31,7 @@ from palmfield.skin.problem import (
     stated,
 )
 from palmfield.skin.solvers.spectral_elements.loads import table_of
-from palmfield.skin.solvers.spectral_elements.mesh import MOST, Plan, build, fast_speed, plan
+from palmfield.skin.solvers.spectral_elements.mesh import Plan, build, fast_speed, plan
 from palmfield.skin.solvers.spectral_elements.model import SAFETY, Model, hold
 from palmfield.skin.solvers.spectral_elements.places import find
 from palmfield.skin.solvers.spectral_elements.run import Points, Stepper
@@ -51,6 +51,10 @@ AT_EDGE = 1.5
 """Order at which the error falls with that of the elements where a held edge is felt: stresses are singular there.
 Set on two discs, with fixed and free side, under a spot of 0.6 radii, where it gives 1.1 and 1.6 times the error."""
 
+STEP_ORDER = 1.0
+"""By which the error falls with the step, at least: dashpots, and branches shorter than a step, take the velocity of
+half a step before. Without them it is 2."""
+
 LOWER_SPONGE = 0.7
 """The same in a sponge, which is smaller in the second run as well: 0.03 to 0.53 on 10 random endless slabs."""
 
@@ -66,8 +70,14 @@ STIFFEST = 1e5
 COURANT = {1: 0.587, 2: 0.477, 3: 0.406, 4: 0.345, 5: 0.295}
 """Stable step of a cube times wave speed over node spacing (size / N), nu 0.495; higher orders like 1.5 / (N + 0.1)."""
 
-CPU_COST = (8.5e-9, 22e-9, 15e-6)
+CPU_COST = (8.5e-9, 12e-9, 15e-6)
 """Seconds by element node, by node and by step on one CPU core (AMD EPYC), scripts/bench_spectral_elements.py."""
+
+MAKING = (0.012, 1.5e-4)
+"""Seconds that a mesh and its stable step take, and by element (docs/bench/skin_costs.md)."""
+
+AGAIN = (1.2, 0.1, 0.7, 2.5)
+"""Solutions that a target accuracy takes, in the mean: at one of 0.1, by what power more below, and at most; 1 to 4."""
 
 GPU_COST = (0.035e-9, 0.1e-9, 5e-6)
 """The same on a GPU: layers of 13 k to 40 k elements of order 1 and 2 on an H200."""
@@ -109,24 +119,36 @@ def cost_spectral_elements(
     total = 0.0
     requested, start = np.asarray(times, dtype=float), float(load.times_s[0])
     ends = float(np.max(requested)), window(body, chosen, singular, load, requested)
-    for each, end in zip((chosen, comparison_plan(body, chosen, singular)), ends, strict=True):
+    second = comparison_plan(body, chosen, singular)
+    # The second plan is run with a whole and with half a step
+    runs = [(chosen, ends[0], 1.0), (second, ends[1], 3.0)]
+    if second.order == chosen.order > 1:
+        runs.append((at_lower_order(chosen), ends[0], 1.0))
+    for each, end, shorter in runs:
         nodes, step = size_of(body, each)
         rates = CPU_COST if device == "cpu" else GPU_COST
-        steps = max(0.0, end - start) / step
+        steps = shorter * max(0.0, end - start) / step
         repeated = nodes * ((each.order + 1) / each.order) ** 3
-        total += steps * (repeated * rates[0] + nodes * rates[1] + rates[2])
+        elements = nodes * sum(each.deep) / (each.order**2 * (sum(each.deep) * each.order + 1))
+        total += steps * (repeated * rates[0] + nodes * rates[1] + rates[2]) + MAKING[0] + MAKING[1] * elements
         if not total <= LONGEST_S:
             raise SceneError(
                 f"spectral elements would take about {total:.2g} s in steps of {step:.2g} s, above {LONGEST_S:g} s: "
                 "use solver 'wedges'"
             )
-    return total
+    again, near, power, most = AGAIN
+    return float(np.clip(again * (near / accuracy) ** power, 1.0, most)) * total
 
 
 def size_of(body: Body, chosen: Plan) -> tuple[float, float]:
     """Nodes and step [s], roughly, of a mesh that is not built."""
-    n = chosen.order
+    n, thinnest = chosen.order, math.inf
     if isinstance(body, Layer):
+        corners = body.patch.vertices[body.patch.faces]
+        twice = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        round_m = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).sum(axis=1)
+        # Circle in the thinnest triangle: its quadrilaterals set the step
+        thinnest = float((twice / round_m).min())
         area = 3.0 * len(body.patch.faces) * chosen.size_m**2
         thickness = float(np.mean(body.patch.depth))
     else:
@@ -144,7 +166,7 @@ def size_of(body: Body, chosen: Plan) -> tuple[float, float]:
     step = math.inf
     for sheet, count in zip(body.sheets, chosen.deep, strict=True):
         deep = thickness * sheet.thickness_m / total / count
-        across = 0.6 * chosen.size_m if isinstance(body, Layer) else 0.85 * chosen.size_m
+        across = min(0.6 * chosen.size_m, 0.79 * thinnest) if isinstance(body, Layer) else 0.85 * chosen.size_m
         spacing = math.sqrt(3.0 / (2.0 / across**2 + 1.0 / deep**2)) / n
         courant = COURANT.get(n, 1.5 / (n + 0.1))
         elastic = courant * spacing / fast_speed(sheet.material)
@@ -168,8 +190,16 @@ def comparison_plan(body: Body, chosen: Plan, singular: bool) -> Plan:
         wider = replace(chosen, size_m=COARSER * chosen.size_m, deep=deep, margin_m=margin, sponge_m=sponge)
         if width_under(build(body, wider)[0], wider) > LEAST_WIDER * width_under(build(body, chosen)[0], chosen):
             return wider
-    order = chosen.order - 1 if chosen.order > 1 else 2
-    return replace(chosen, order=order, margin_m=margin, sponge_m=sponge)
+    if chosen.order > 1:
+        return at_lower_order(chosen)
+    return replace(chosen, order=2, margin_m=margin, sponge_m=sponge)
+
+
+def at_lower_order(chosen: Plan) -> Plan:
+    """The same elements of the next lower order, in a smaller sponge."""
+    return replace(
+        chosen, order=chosen.order - 1, margin_m=0.6 * chosen.margin_m, sponge_m=0.8 * chosen.sponge_m
+    )  # fmt: skip
 
 
 def width_under(solid: Solid, chosen: Plan) -> float:
@@ -225,7 +255,7 @@ def solve_spectral_elements(
     stable one, times that do not rise, and points off the face.
     """
     began = time.perf_counter()
-    check_quantity(accuracy_of)
+    judged = check_quantity(accuracy_of)
     device = resolve(device)
     requested = rising("times", times)
     if precision not in ("float32", "float64"):
@@ -253,8 +283,11 @@ def solve_spectral_elements(
         other = comparison_plan(body, chosen, singular)
         early = requested[requested <= window(body, chosen, singular, load, requested)]
         rough = march(body, other, load, early, points, device, precision, None)
+        shorter = march(body, other, load, early, points, device, precision, 0.5 * rough[3])
         normals = normals_on_face(body, lifted_points(body, points))
         gap = differences(rough[:2], (fine[0][: len(early)], fine[1][: len(early)]), normals)
+        by_steps = differences(rough[:2], shorter[:2], normals)
+        step_errors = error_of_coarser(by_steps, 2.0, STEP_ORDER) * (fine[3] / rough[3]) ** STEP_ORDER
         if other.order != chosen.order:
             lower = LOWER_SPONGE if chosen.sponge_m > 0.0 else LOWER
             if singular and other.order < chosen.order:
@@ -269,9 +302,15 @@ def solve_spectral_elements(
             # Elements this large have not come to their order: the difference was 0.7 to 59 times the error, and
             # 1.2 times it with a sponge, which falls with no known power of its size
             errors, source = gap, f"the difference to elements {COARSER} times as wide"
+            if chosen.order > 1:
+                # Wider elements may miss as much of a sudden velocity: by them a step on a short branch told a quarter
+                same = march(body, at_lower_order(chosen), load, requested, points, device, precision, None)
+                shares = LOWER * differences(same[:2], fine[:2], normals)
+                errors[1] = max(errors[1], shares[1])
             if chosen.sponge_m > 0.0:
                 source += " in a smaller sponge"
-        errors = errors + lag(body, load, fine[3]) + bulk_error
+        source += f", two steps {step_errors[judged]:.2g}"
+        errors = errors + step_errors + bulk_error
     if bulk_error > 0.0:
         source += f"; {bulk_error:.2g} for a bulk modulus of {body.sheets[0].material.bulk_Pa:.3g} Pa"
     where = f"spectral_elements, order {chosen.order}, {fine[2]} elements of {1e3 * chosen.size_m:.3g} mm, "
@@ -372,18 +411,3 @@ def check_time(model: Model, steps: int, step_s: float) -> None:
             f"{LONGEST_S:g}: the smallest element is near ({solid.place(worst)}) m; make the mesh even there, or "
             "use solver 'wedges'"
         )
-
-
-def lag(body: Body, load: Load, step_s: float) -> float:
-    """What the dashpots' velocity of half a step before does: as if h t K_d / 2 less mass, h w / 2 times the loss.
-
-    w: angular frequency of the load's course or of a shear wave as long as the load is wide, whichever is higher
-    """
-    worst = 0.0
-    for sheet in body.sheets:
-        material = sheet.material
-        if material.viscosity_Pa_s > 0.0:
-            speed = math.sqrt(material.shear_relaxed_Pa / material.density_kg_m3)
-            omega = 2.0 * math.pi * max(course_frequency(load, MOST), 0.5 * speed / load_width(load))
-            worst = max(worst, 0.5 * step_s * omega * min(1.0, omega * material.viscous_time_s))
-    return worst

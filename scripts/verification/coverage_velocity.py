@@ -1,0 +1,217 @@
+"""Is the estimated error of the velocity true? Random cases of ten kinds, answers of `auto`, and other solvers' truths.
+
+    python scripts/verification/coverage_velocity.py run --seed 1 --count 60 [--limit 60]
+    python scripts/verification/coverage_velocity.py report [--out docs/bench/skin_velocity.md]
+
+`run` draws the cases, gives each to `auto` and asks another solver for the velocity at a tenth of the accuracy, on one
+core and within the limit of processor time for each. It appends a line per case to docs/bench/coverage/velocity.jsonl
+and goes on where it ended; a case's line names the commit that answered it. Set OMP_NUM_THREADS=1,
+OPENBLAS_NUM_THREADS=1 and PALMFIELD_CACHE=off.
+"""
+
+import argparse
+import json
+import math
+import subprocess
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from coverage_draw import Case, between, crossing_s, draw_layer, draw_material, pick, problem_of
+from coverage_judge import SAME_MESH, TRUTHS, TooLongError, at_most, relative_error, solver_of
+from coverage_report import CONVERGED, band
+from coverage_store import FOLDER, ROOT, rounded
+
+from palmfield.errors import SceneError
+from palmfield.skin.solver_choice import solve
+
+KINDS = (
+    "viscous", "short branch", "soft on hard", "hard on soft", "on and off", "pulses", "swinging", "sudden", "moving",
+    "layer",
+)  # fmt: skip
+"""Kinds of cases, taken in turn."""
+FINER = 0.1
+"""Accuracy of a truth in the case's own."""
+ASKED_TIMES = 40
+
+
+def draw_case(seed: int, number: int) -> Case:
+    """A velocity case as plain data in SI units, as coverage_draw's."""
+    random = np.random.default_rng([seed, number, 29])
+    kind = KINDS[number % len(KINDS)]
+    width = between(random, 5e-3, 20e-3)
+    depth = float(np.clip(width * between(random, 0.3, 1.2), 1e-3, 20e-3))
+    material = draw_material(random)
+    if kind in ("viscous", "short branch"):
+        shear = between(random, 10e3, 80e3)
+        damping_s = between(random, 2e-4, 5e-3)
+        material |= {"shear_relaxed_Pa": shear, "bulk_Pa": shear * between(random, 10.0, 300.0), "branches": []}
+        material["viscosity_Pa_s"] = shear * damping_s if kind == "viscous" else 0.0
+        if kind == "short branch":
+            tau = between(random, 1e-6, 1e-4)
+            material["branches"] = [[shear * min(damping_s / tau, 100.0), tau]]
+    sheets = [{"thickness_m": depth, "material": material}]
+    if kind in ("soft on hard", "hard on soft"):
+        ratio = between(random, 10.0, 300.0)
+        names = ("shear_relaxed_Pa", "bulk_Pa", "viscosity_Pa_s")
+        stiff = material | {name: material[name] * ratio for name in names}
+        stiff["branches"] = [[ratio * shear, tau] for shear, tau in material["branches"]]
+        share = float(random.uniform(0.2, 0.6))
+        pair = (material, stiff) if kind == "soft on hard" else (stiff, material)
+        sheets = [
+            {"thickness_m": part * depth, "material": each}
+            for part, each in zip((share, 1.0 - share), pair, strict=True)
+        ]
+    body: Case
+    if kind == "layer":
+        body = draw_layer(random, width, depth, rough=False)
+    elif kind == "moving":
+        body = {"shape": "box", "side": "roller", "size_m": [width * between(random, 4.0, 5.0) for _ in range(2)]}
+    else:
+        side = pick(random, "fixed", "free", "roller")
+        body = {"shape": "disc", "side": side, "radius_m": width * between(random, 1.2, 2.5)}
+    body |= {"base": pick(random, "bonded", "bonded", "free_slip"), "sheets": sheets}
+    if kind == "layer":
+        body["base"] = "bonded"
+    span = float(np.clip(crossing_s(sheets, width, depth) * between(random, 2.0, 6.0), 1e-3, 0.06))
+    times, peaks, law = [0.0], [1.0], "held"
+    centre = np.zeros(2)
+    if kind == "on and off":
+        times, peaks = [0.0, span * between(random, 0.1, 0.5)], [1.0, 0.0]
+    elif kind == "pulses":
+        gap = span * between(random, 0.05, 0.2)
+        times, peaks = [k * gap for k in range(8)], [1.0, 0.0] * 4
+    elif kind in ("swinging", "layer"):
+        frequency = between(random, 1.0 / span, 4.0 / span)
+        even = np.arange(1 + math.ceil(24 * span * frequency)) / (24 * frequency)
+        times, peaks, law = even.tolist(), (0.5 - 0.5 * np.cos(2.0 * math.pi * frequency * even)).tolist(), "linear"
+    elif kind == "moving":
+        times, peaks, law = [0.0, 0.7 * span, 0.9 * span], [1.0, 1.0, 0.0], "linear"
+        way = min(width, between(random, 0.3, 6.0) * 0.7 * span)
+        centre = np.array([-0.5 * way, 0.5 * way, 0.5 * way])[:, None] * np.array([[0.8, 0.6]])
+    elif kind in ("viscous", "short branch", "soft on hard", "hard on soft") and random.random() < 0.5:
+        times, peaks, law = [0.0, span * between(random, 0.05, 0.4)], [0.0, 1.0], "linear"
+    centres = np.broadcast_to(centre, (len(times), 2)).tolist()
+    load = {"fwhm_m": width, "law": law, "times_s": times, "peak_Pa": peaks, "centre_m": centres}
+    room = 0.4 * min(body["size_m"]) if "size_m" in body else 0.8 * body["radius_m"]
+    away, angle = min(width, room) * random.random(), random.uniform(0.0, 2.0 * math.pi)
+    at = [[0.0, 0.0], [away * math.cos(angle), away * math.sin(angle)]]
+    return {
+        "key": f"{seed}-{number}", "kind": kind, "body": body, "load": load, "at_m": at,
+        "times_s": (span / ASKED_TIMES * np.arange(1, 1 + ASKED_TIMES)).tolist(),
+        "accuracy": between(random, 0.03, 0.15), "accuracy_of": pick(random, "velocity", "displacement"),
+    }  # fmt: skip
+
+
+def judged(case: Case, limit_s: float) -> dict[str, Any]:
+    """One line: what `auto` states of the velocity, and its error against the surest truth found."""
+    problem, row = problem_of(case), {"key": case["key"], "kind": case["kind"], "accuracy_of": case["accuracy_of"]}
+    row["accuracy"] = case["accuracy"]
+    arguments = (problem.body, problem.load, problem.times, problem.at)
+    begin = time.process_time()
+    try:
+        with at_most(limit_s):
+            found = solve(*arguments, accuracy=case["accuracy"], accuracy_of=case["accuracy_of"], device="cpu")
+    except (SceneError, TooLongError, MemoryError) as error:
+        return row | {"missing": str(error)}
+    row |= {"seconds": time.process_time() - begin, "estimate": found.velocity_error, "solver": found.solver}
+    row["source"] = found.error_source
+    own = solver_of(row)
+    best = math.inf
+    for name in (name for name in TRUTHS[case["body"]["shape"]] + ("wedges",) if name not in (own, SAME_MESH.get(own))):
+        try:
+            with at_most(2.0 * limit_s):
+                truth = solve(
+                    *arguments, solver=name, accuracy=max(3e-4, FINER * case["accuracy"]), accuracy_of="velocity",
+                    device="cpu", whole=True,
+                )  # fmt: skip
+        except (SceneError, TooLongError, MemoryError) as error:
+            row.setdefault("no_truth", []).append(f"{name}: {error}"[:120])
+            continue
+        if truth.velocity_error < best:
+            best = truth.velocity_error
+            row |= {"by": name, "true": relative_error(found.velocity_m_s, truth.velocity_m_s), "truth_error": best}
+        if best <= CONVERGED * max(row["true"], row["estimate"]):
+            break
+    return row
+
+
+def counted(row: dict[str, Any]) -> bool:
+    return "true" in row and row["truth_error"] <= CONVERGED * max(row["true"], row["estimate"])
+
+
+def report(rows: list[dict[str, Any]], out: Path) -> None:
+    """Write the page of all lines."""
+
+    def cells(some: list[dict[str, Any]]) -> str:
+        sure = [row for row in some if counted(row)]
+        covered = sum(row["estimate"] >= row["true"] for row in sure)
+        half = sum(row["estimate"] < 0.5 * row["true"] for row in sure)
+        ratio = f"{np.median([row['estimate'] / row['true'] for row in sure]):.2g}" if sure else "-"
+        return f"{len(some)} | {len(sure)} | {band(covered, len(sure))} | {half} | {ratio}"
+
+    lines = [
+        "# Is the estimated error of the velocity true?",
+        "",
+        "`python scripts/verification/coverage_velocity.py run`, then `report`; "
+        "[velocity.jsonl](coverage/velocity.jsonl) has one line per case. Code: "
+        + ", ".join(sorted({row["commit"] for row in rows}))
+        + f". Seeds: {', '.join(sorted({row['key'].partition('-')[0] for row in rows}))}.",
+        "",
+        "Random bodies, materials and loads of ten kinds. Half of the cases ask for an accuracy of the velocity, half "
+        "of the displacement; `velocity_error` is judged in both. True: relative L2 over the times at a point, the "
+        f"largest of the points, against another solver at {FINER:g} of the accuracy. A case is judged where the "
+        f"truth's own error is at most {CONVERGED:g} of the larger of estimate and true error. Intervals hold 95 %.",
+        "",
+        "| kind | cases | judged | estimate >= true | below half | median estimate / true |",
+        "|---|---|---|---|---|---|",
+        *(f"| {kind} | {cells([row for row in rows if row['kind'] == kind])} |" for kind in KINDS),
+        f"| all | {cells(rows)} |",
+        "",
+        "| case | kind | accuracy of | asked % | estimate % | true % | truth, its error % | s | solver |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    for row in rows:
+        numbers = [f"{100 * row[key]:.2g}" if key in row else "-" for key in ("accuracy", "estimate", "true")]
+        by = f"{row['by']}, {100 * row['truth_error']:.2g}" if "by" in row else "none"
+        low = " **low**" if counted(row) and row["estimate"] < row["true"] else ""
+        words = row.get("solver", row.get("missing", "")).split("(")[0].replace("|", "/").strip()[:80]
+        kind = row["kind"] + (low if counted(row) else " (not judged)")
+        lines.append(
+            f"| {row['key'].partition('-')[2]} | {kind} | {row['accuracy_of']} | {' | '.join(numbers)} | {by} "
+            f"| {row.get('seconds', math.nan):.2g} | {words} |"
+        )
+    out.write_text("\n".join(lines) + "\n")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("step", choices=("run", "report"))
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--count", type=int, default=60)
+    parser.add_argument("--limit", type=float, default=60.0, help="longest answer [s]")
+    parser.add_argument("--kept", type=Path, default=FOLDER / "velocity.jsonl", help="one line per case")
+    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "bench" / "skin_velocity.md")
+    settings = parser.parse_args()
+    kept = settings.kept
+    rows = [json.loads(line) for line in kept.read_text().splitlines()] if kept.exists() else []
+    if settings.step == "report":
+        report(rows, settings.out)
+        return
+    commit = subprocess.run(
+        ["git", "-C", str(ROOT), "describe", "--always", "--dirty"], capture_output=True, text=True, check=True
+    ).stdout.strip()
+    done = {row["key"] for row in rows}
+    for number in range(settings.count):
+        case = draw_case(settings.seed, number)
+        if case["key"] in done:
+            continue
+        row = judged(case, settings.limit) | {"commit": commit}
+        with kept.open("a") as file:
+            file.write(json.dumps(rounded(row)) + "\n")
+        print(number, row["kind"], *(f"{k} {row[k]:.3g}" for k in ("estimate", "true", "truth_error") if k in row))
+
+
+if __name__ == "__main__":
+    main()
