@@ -1,6 +1,6 @@
 """Points for the force on a body that the arrays can see: no sound arrives at the others, which lie behind the body.
 
-Leaving them out saves the work on them; the kernels of ARP give them nothing either (`warp_kernels.pressure.from_front`).
+Leaving them out saves work: the kernels of ARP give them nothing either (`warp_kernels.pressure.from_front`).
 """
 
 import numpy as np
