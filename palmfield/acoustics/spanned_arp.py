@@ -66,7 +66,7 @@ def spanned_fields(
     turns = axes(outward.astype(float))
     per_wavenumber = sound_speed(field.air) / (2.0 * np.pi * field.groups[0].array.frequency_Hz)
     for number, drive in zip(numbers, basis.conj().T, strict=True):
-        sound = accurate.pressure(points, np.ascontiguousarray(drive), gradient=True)
+        sound = accurate.pressure(points, np.ascontiguousarray(drive), normals=outward)
         assert sound.gradient is not None
         along = per_wavenumber * np.einsum("nij,nj->in", turns, sound.gradient)
         rows = np.concatenate([sound.pressure[None], along])
