@@ -46,7 +46,8 @@ def test_the_mean_force_is_that_of_each_moments_drive(hands):
         arp = weights @ radiation.many(posed, body, course.emitted, "samples")
         _, normals, areas, _ = radiation.samples(posed, body)
         whole = -(arp * areas) @ normals
-        np.testing.assert_allclose(force.sum(axis=0), whole, atol=1e-5 * np.linalg.norm(whole))
+        # Of one substep, of whose two moments the force has more
+        np.testing.assert_allclose(force.sum(axis=0), whole, atol=2e-3 * np.linalg.norm(whole))
 
 
 @pytest.mark.parametrize("frequency_Hz", [1000.0, 250.0])
