@@ -5,8 +5,9 @@ import sys
 from collections.abc import Sequence
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, Task, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Column
+from rich.text import Text
 
 LEAST = 60
 """Columns below which tables could not be read any more."""
@@ -35,9 +36,18 @@ def folded(names: Sequence[str]) -> list[Column]:
     return [Column(name, overflow="fold") for name in names]
 
 
+class TimeLeft(TimeRemainingColumn):
+    """The time left of a task; where its parts are not counted, the expected time (`expected_s`) less what went."""
+
+    def render(self, task: Task) -> Text:
+        """Of one task; what rich says once it takes longer than expected."""
+        left = task.fields.get("expected_s", 0.0) - (task.elapsed or 0.0)
+        return super().render(task) if task.total is not None or left <= 0.0 else Text(f"about {left:.0f} s left")
+
+
 def bars(show: bool = True) -> Progress:
     """Bars on a terminal's standard error, with the time spent and left; nothing where nobody watches."""
-    columns = TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn()
+    columns = TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeLeft()
     console = Console(stderr=True)
     # In a pipe, bars would leave an empty line before an error
     return Progress(*columns, console=console, disable=not (show and console.is_terminal), transient=True)

@@ -38,7 +38,7 @@ def run_scene(
     """
     with Console(stderr=True, quiet=quiet).status(f"loading {scene}"):
         simulation = palmfield.Simulation(scene, device=device, accuracy=accuracy, board=board, keys=keys)
-    told = warnings(simulation, duration_s)
+        told = warnings(simulation, duration_s)
     for warning in told:
         LOG.warning(warning)
     try:

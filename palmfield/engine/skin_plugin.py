@@ -87,7 +87,7 @@ class SkinModule(Module):
 
     def draw(self, drawing: Drawing) -> None:
         """The mean ARP on the skin by colour, and how much it is at most."""
-        from palmfield.engine.scene_view import view_of
+        from palmfield.engine.scene_view import EXPOSURE_s, view_of
         from palmfield.engine.view_colours import FAINT, arp_colours
 
         view = view_of(self.world) if drawing.shows("geom", ARP_GROUP) else None
@@ -95,7 +95,11 @@ class SkinModule(Module):
         if seen is None or seen.arp.max() <= 0.0:
             return
         loudest = int(np.argmax(seen.arp))
-        drawing.label(seen.vertices[loudest] + LABEL_m * seen.normals[loudest], f"ARP {seen.arp[loudest]:.3g} Pa")
+        over = f"mean over {1e3 * EXPOSURE_s:g} ms"
+        drawing.label(
+            seen.vertices[loudest] + LABEL_m * seen.normals[loudest],
+            f"ARP {seen.arp[loudest]:.3g} Pa, {over}",
+        )
         shares = seen.arp[seen.faces].mean(axis=1) / seen.top
         order = np.argsort(-shares)[: int(np.count_nonzero(shares > FAINT))]
         drawing.triangles(seen.vertices + LIFT_m * seen.normals, seen.faces[order], arp_colours(shares[order]))

@@ -22,6 +22,10 @@ ORIENTATION_VALID, POSITION_VALID, ORIENTATION_TRACKED, POSITION_TRACKED = 1, 2,
 """Bits of XrSpaceLocationFlags."""
 PALM_JOINTS = tuple(n for n, name in enumerate(JOINTS) if name in ("palm", "wrist") or name.endswith("metacarpal"))
 KNUCKLES = tuple(JOINTS.index(f"{digit}_proximal") for digit in DIGITS[1:])
+FARTHEST_M = 10.0
+"""A tracker sees no hand farther away: what says so has another unit."""
+USUAL_M = (0.05, 0.4)
+"""From wrist to the tip of the middle finger of any hand."""
 
 
 @dataclass(frozen=True)

@@ -11,11 +11,13 @@ from scipy.spatial.transform import Rotation
 from palmfield.errors import SceneError
 from palmfield.hand.articulated import ArticulatedHand, bone_poses
 from palmfield.motion.joints import (
+    FARTHEST_M,
     JOINTS,
     ORIENTATION_TRACKED,
     ORIENTATION_VALID,
     POSITION_TRACKED,
     POSITION_VALID,
+    USUAL_M,
     hand_joints,
     joints_at,
 )
@@ -114,7 +116,7 @@ def checked_stream(stream: Stream, what: str, places: Sequence[str] | None = Non
 
     what: begins the message of errors; places: what to call each packet in them. Raises SceneError for other shapes,
     fewer than two packets of different times, times that are not finite, and joints flagged as valid whose numbers
-    are not finite, whose quaternion has length 0, or whose radius is not positive.
+    are not finite, whose quaternion has length 0, or whose radius is not positive; and for what is no hand in metres.
     """
     n, j = len(stream.times_s), len(JOINTS)
     names = places or [f"packet {k + 1}" for k in range(n)]
@@ -140,6 +142,15 @@ def checked_stream(stream: Stream, what: str, places: Sequence[str] | None = Non
             k, joint = (int(i) for i in np.argwhere(bad)[0])
             place = f"{what}: {names[k]}, {JOINTS[joint]}"
             raise SceneError(f"{place}: {fault}, yet flagged as valid; mend it or its flags")
+    far = np.argwhere(placed & (np.abs(stream.positions).max(axis=2) > FARTHEST_M))
+    wrist, tip = JOINTS.index("wrist"), JOINTS.index("middle_tip")
+    both = placed[:, wrist] & placed[:, tip]
+    spans = np.linalg.norm(stream.positions[both, tip] - stream.positions[both, wrist], axis=1)
+    span = float(np.median(spans)) if both.any() else 0.0
+    if len(far) or (span > 0.0 and not USUAL_M[0] < span < USUAL_M[1]):
+        found = f"{names[int(far[0][0])]}, {JOINTS[far[0][1]]}: more than {FARTHEST_M:g} m away" if len(far) else ""
+        found = found or f"wrist and tip of the middle finger are {span:.3g} m apart"
+        raise SceneError(f"{what}: {found}; give metres: allowed are {USUAL_M[0]:g} to {USUAL_M[1]:g} m for a hand")
     unit = np.where(
         turned[:, :, None], stream.quaternions / np.where(turned, lengths, 1.0)[:, :, None], [1.0, 0.0, 0.0, 0.0]
     )

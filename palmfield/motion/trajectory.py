@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from palmfield.errors import SceneError
 from palmfield.hand.articulated import ArticulatedHand
+from palmfield.motion.joints import FARTHEST_M
 from palmfield.motion.keyframes import Curve, rising
 from palmfield.motion.pose import HandPose, checked_pose
 from palmfield.tables import read_table, write_table
@@ -43,6 +44,12 @@ def read_trajectory(path: str | Path, hand: ArticulatedHand) -> Curve:
     if len(times) < 2:
         raise SceneError(f"{file}: {len(times)} rows of numbers; give two or more")
     positions = np.stack([_position(file, axis, columns) for axis in AXES], axis=1)
+    far = np.flatnonzero(np.abs(positions).max(axis=1) > FARTHEST_M)
+    if len(far):
+        raise SceneError(
+            f"{file}: {places[far[0]]}: the hand is {np.abs(positions[far[0]]).max():.3g} m away; allowed: at most "
+            f"{FARTHEST_M:g} m; give metres in x_m, y_m, z_m, or millimetres in x_mm, y_mm, z_mm"
+        )
     missing = [name for name in QUATERNION if name not in columns]
     if missing:
         raise _missing(file, missing[0], columns)

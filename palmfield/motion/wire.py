@@ -19,11 +19,13 @@ import numpy as np
 
 from palmfield.hand.preset import DIGITS
 from palmfield.motion.joints import (
+    FARTHEST_M,
     JOINTS,
     ORIENTATION_TRACKED,
     ORIENTATION_VALID,
     POSITION_TRACKED,
     POSITION_VALID,
+    USUAL_M,
 )
 from palmfield.motion.line_listener import BadLine, read_object
 from palmfield.types import Float, Int
@@ -35,10 +37,6 @@ LEAP_DIGITS = {"thumb": "thumb", "index": "index", "middle": "middle", "ring": "
 LEAP_SCALE_M, LEAP_TICK_S = 1e-3, 1e-6
 RADIUS_M = 0.01
 """Of a joint whose radius isn't told."""
-FARTHEST_M = 10.0
-"""A tracker sees no hand farther away: what is says so has another unit."""
-USUAL_M = (0.05, 0.4)
-"""From wrist to the tip of the middle finger of any hand."""
 
 
 class Sample(NamedTuple):

@@ -18,3 +18,16 @@ def check_duration(duration_s: float) -> None:
 def step_count(duration_s: float, timestep_s: float) -> int:
     """As many steps as come nearest to a duration, at least one."""
     return max(1, round(duration_s / timestep_s))
+
+
+def check_steps(count: object) -> None:
+    """Raises SceneError for a count that is no whole number of 0 or more."""
+    if not isinstance(count, int | np.integer) or isinstance(count, bool) or count < 0:
+        raise SceneError(f"count of steps is {count!r}; allowed: a whole number, 0 or more")
+
+
+def check_time(time_s: object) -> None:
+    """Raises SceneError for a time that is not a number of seconds of 0 or more."""
+    number = isinstance(time_s, int | float | np.number) and not isinstance(time_s, bool | np.complexfloating)
+    if not number or not 0.0 <= float(time_s) < np.inf:  # type: ignore[arg-type]
+        raise SceneError(f"time_s is {time_s!r}; allowed: seconds, 0 or more")

@@ -30,6 +30,7 @@ from palmfield.outputs.usd import write_usd
 from palmfield.session.duration import check_duration, step_count
 from palmfield.session.load import Source
 from palmfield.session.mujoco_scene import body_poses
+from palmfield.session.planning.costs import estimate_s
 from palmfield.session.recorder import Block, Recorder, Sink, static_arrays, world_with
 from palmfield.session.simulation import Simulation
 from palmfield.session.summary import array_numbers, estimated_budget, scene_numbers, skin_numbers, stimulus_numbers
@@ -222,8 +223,10 @@ def draw(tree: xr.DataTree, out: Path, bar: Progress, plots: Sequence[str] | Non
 def _prepare(sim: Simulation, out: Path | None, overwrite: bool, bar: Progress) -> tuple[Store | MemoryStore, Recorder]:
     """Everything that can fail before the first step."""
     started = time.perf_counter()
-    task = bar.add_task("preparing the skin layers", total=None)
-    for lazy in sim.runtime.model.begin:
+    model = sim.runtime.model
+    expected_s = sum(skin.choice.seconds for skin in model.skins)
+    task = bar.add_task("preparing the skin layers", total=None, expected_s=expected_s)
+    for lazy in model.begin:
         _ = lazy.value
     static, attributes = known_before(sim), result_attributes(sim)
     store = MemoryStore(static, attributes) if out is None else Store(out, static, attributes, overwrite)
@@ -265,7 +268,9 @@ def _simulate(sim: Simulation, recorder: Recorder, duration_s: float, bar: Progr
 
 def _budgets(sim: Simulation, recorder: Recorder, bar: Progress) -> dict[str, Any]:
     """The error budget of each skin's motion, or why there is none."""
-    task, before = bar.add_task("estimating the error", total=None), time.perf_counter()
+    expected_s = sum(estimate_s(skin) for skin in sim.runtime.model.skins)
+    task = bar.add_task("estimating the error", total=None, expected_s=expected_s)
+    before = time.perf_counter()
     try:
         return {name: estimated_budget(sim, number, recorder.loudest[number]) for number, name in enumerate(sim.skins)}
     finally:

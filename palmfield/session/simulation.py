@@ -15,7 +15,7 @@ from palmfield.engine.motion_plugin import place
 from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.errors import SceneError
 from palmfield.interrupts import interrupts_held
-from palmfield.session.duration import check_duration, step_count
+from palmfield.session.duration import check_duration, check_steps, check_time, step_count
 from palmfield.session.load import Source, compiled
 from palmfield.session.skin import Skin, chosen_name
 from palmfield.session.worlds import Worlds
@@ -92,8 +92,9 @@ class Simulation:
         """`count` of MuJoCo's steps. Raises what a plugin raised in them (SceneError, DeviceError).
 
         Ctrl-C waits for the end of the step in which it comes: after the KeyboardInterrupt the state is whole, that of
-        an earlier time, and the simulation can go on.
+        an earlier time, and the simulation can go on. SceneError for a count that is no whole number of 0 or more.
         """
+        check_steps(count)
         # Made here, and not in the first step: it can take a minute, and Ctrl-C needn't wait for it
         for lazy in self.runtime.model.begin:
             _ = lazy.value
@@ -116,7 +117,11 @@ class Simulation:
         self._restart(None)
 
     def start_at(self, time_s: float) -> None:
-        """As `reset`, but at another time [s], with hands where their motions have them then; the skin is at rest."""
+        """As `reset`, but at another time [s], with hands where their motions have them then; the skin is at rest.
+
+        Raises SceneError for a time that is not 0 or more.
+        """
+        check_time(time_s)
         self._restart(time_s)
 
     def _restart(self, time_s: float | None) -> None:

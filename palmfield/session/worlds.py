@@ -15,7 +15,7 @@ from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.engine.worlds import SceneWorlds, refuse_integrator
 from palmfield.errors import SceneError
 from palmfield.interrupts import interrupts_held
-from palmfield.session.duration import check_duration, step_count
+from palmfield.session.duration import check_duration, check_steps, check_time, step_count
 from palmfield.session.load import Source, compiled, fresh_data, opened
 from palmfield.session.skin import Skin, chosen_name
 from palmfield.session.world_keys import split_keys, world_specs
@@ -114,6 +114,7 @@ class Worlds:
         Ctrl-C waits for the end of the step in which it comes: after the KeyboardInterrupt the states are whole, those
         of an earlier time, and the simulation can go on.
         """
+        check_steps(count)
         # Made here, and not in the first step: it can take minutes, and Ctrl-C needn't wait for it
         for lazies in dict.fromkeys(model.begin for model in self._scenes.models):
             for lazy in lazies:
@@ -137,7 +138,11 @@ class Worlds:
             self._scenes.restart()
 
     def start_at(self, time_s: float) -> None:
-        """As `reset`, but at another time [s], with hands where their motions have them then; the skin is at rest."""
+        """As `reset`, but at another time [s], with hands where their motions have them then; the skin is at rest.
+
+        Raises SceneError for a time that is not 0 or more.
+        """
+        check_time(time_s)
         with interrupts_held():
             self._scenes.restart(time_s)
 

@@ -25,6 +25,7 @@ from palmfield.skin.problem import (
     QUANTITIES,
     Body,
     Foundation,
+    Layer,
     Load,
     Motion,
     Quantity,
@@ -86,6 +87,9 @@ LATE = 20.0
 
 HARDER: dict[Quantity, float] = {"displacement": 1.0, "velocity": 0.5, "normal": 1.0}
 """Accuracy of the displacement over that of each quantity that takes about the same work."""
+
+SLAB_S, LAYER_S = 0.02, 0.12
+"""Seconds of the choice itself; a layer's part that matters is looked for as well."""
 
 FINER = 3
 """How often a solution is made finer when its estimate misses the target accuracy."""
@@ -427,8 +431,10 @@ def function(name: str, what: str) -> Callable[..., Any]:
 
 
 def cost(name: str, body: Body, load: Load, times: Float, at: Float, accuracy: float, device: str) -> float:
-    """Predicted seconds."""
+    """Predicted seconds, those of the choice itself included."""
     predict = function(name, "cost")
+    where: tuple[str, ...] = ()
     if device != "cpu" and name in ("spectral_elements", "particles"):
-        return predict(body, load, times, at, accuracy, device)
-    return predict(body, load, times, at, accuracy)
+        where = (device,)
+    own = LAYER_S if isinstance(body, Layer) else SLAB_S
+    return own + float(predict(body, load, times, at, accuracy, *where))

@@ -147,3 +147,16 @@ def test_wrong_shapes_are_refused(tmp_path, stream):
         write_stream(tmp_path / "stream.npz", replace(stream, radii=np.ones((90, 3))))
     with pytest.raises(SceneError, match="1 packets of different times; give two or more"):
         write_stream(tmp_path / "stream.npz", taken(stream, [0, 0]))
+
+
+@pytest.mark.parametrize("scale", [1000.0, 100.0, 39.37, 0.001])
+def test_a_recording_in_another_unit_than_metres_is_refused(tmp_path, stream, scale):
+    write_stream(tmp_path / "m.csv", stream)
+    read_stream(tmp_path / "m.csv")
+    head, *lines = (tmp_path / "m.csv").read_text().splitlines()
+    lengths = [name.endswith(("_x_m", "_y_m", "_z_m", "_radius_m")) for name in head.split(",")]
+    rows = [[scale * float(cell) if length else cell for cell, length in zip(line.split(","), lengths, strict=True)]
+            for line in lines]  # fmt: skip
+    (tmp_path / "other.csv").write_text("\n".join([head, *(",".join(map(str, row)) for row in rows)]))
+    with pytest.raises(SceneError, match=r"other\.csv.*give metres"):
+        read_stream(tmp_path / "other.csv")

@@ -299,3 +299,49 @@ def test_polytecs_folders_without_files_or_places_are_refused(tmp_path):
     (tmp_path / "places.csv").unlink()
     with pytest.raises(MeasurementError, match=r"places.csv: cannot be read.*columns point, x_m"):
         read_scan(tmp_path)
+
+
+SET_164 = {"type": 164, "units_code": 5, "units_description": "mm", "temp_mode": 1, "length": 1000.0, "force": 1.0,
+           "temp": 1.0, "temp_offset": 0.0}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "label, scale, time_label, sets, fault",
+    [
+        ("m/s", 1.0, "s", [], None), ("mm/s", 1e3, "s", [], None), ("um/s", 1e6, "s", [], None),
+        ("\u00b5m/s", 1e6, "s", [], None), ("NONE", 1.0, "NONE", [], None), ("mm/s", 1e3, "s", [SET_164], None),
+        ("km/h", 3.6, "s", [], "carries the unit label 'km/h'; allowed: m/s, mm/s, um/s, or none"),
+        ("mm", 1e3, "s", [], "velocity carries the unit label 'mm'"),
+        ("mm/s", 1e3, "ms", [], "times carry the unit label 'ms'; allowed: s"),
+        ("m/s", 1.0, "s", [SET_164], "unit label 'm/s', and data set 164 has lengths of 0.001 m"),
+    ],
+)  # fmt: skip
+def test_the_unit_label_of_a_uff_record_is_used_or_refused(tmp_path, label, scale, time_label, sets, fault):
+    pyuff = pytest.importorskip("pyuff")
+    scan = Scan(
+        "velocity", np.arange(16) / 1000.0, np.array([[0.0, 0, 0], [0.01, 0, 0]]), np.outer(np.arange(16), [1, 2])
+    )
+    write_scan(tmp_path / "plain.uff", scan)
+    content = pyuff.UFF(str(tmp_path / "plain.uff")).read_sets()
+    for one in content:
+        if one["type"] == 58:
+            one |= {"data": scale * one["data"], "binary": 0}
+            one |= {"ordinate_axis_units_lab": label, "abscissa_axis_units_lab": time_label}
+        elif one["type"] == 2411 and sets:
+            one |= {axis: 1e3 * np.asarray(one[axis]) for axis in "xyz"}
+    kept = [*sets, *(one for one in content if one["type"] in (2411, 58))]
+    pyuff.UFF(str(tmp_path / "scan.uff")).write_sets(kept, mode="overwrite")
+    if fault is None:
+        read = read_scan(tmp_path / "scan.uff")
+        np.testing.assert_allclose(read.values, scan.values, rtol=1e-5)
+        np.testing.assert_allclose(read.points, scan.points, atol=1e-6)
+    else:
+        with pytest.raises(MeasurementError, match=fault):
+            read_scan(tmp_path / "scan.uff")
+
+
+def test_places_in_millimetres_are_refused(tmp_path):
+    scan = Scan("velocity", np.arange(16) / 1000.0, np.array([[0.0, 0, 0], [10.0, 0, 0]]), np.ones((16, 2)))
+    write_scan(tmp_path / "scan.csv", scan)
+    with pytest.raises(MeasurementError, match="points are 10 m apart; allowed: at most 2 m: give places in metres"):
+        read_scan(tmp_path / "scan.csv")

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import palmfield
+from palmfield.errors import SceneError
 from palmfield.simulation.step import gather
 
 BAD_AND_NOT_COMPILED = '<keyframe><key qpos="0 0 0 0 0"/></keyframe>'
@@ -106,3 +107,20 @@ def test_a_duration_that_is_no_number_is_refused_by_name(duration_s, small_scene
         sim.run(duration_s)
     assert str(caught.value) == f"duration_s is {duration_s!r}; allowed: a number of seconds > 0"
     assert sim.time == 0.0
+
+
+ODD_COUNTS = (-1, 1.5, float("nan"), float("inf"), None, "", "3", [1], True)
+ODD_TIMES = (-1.0, float("nan"), float("inf"), None, "", [0.1], True, 1j)
+
+
+@pytest.mark.parametrize("worlds", [None, 2])
+def test_odd_counts_and_times_are_refused(small_scene, worlds):
+    sim = palmfield.Simulation(small_scene(), worlds=worlds)
+    for count in ODD_COUNTS:
+        with pytest.raises(SceneError, match="allowed: a whole number, 0 or more"):
+            sim.step(count)
+    for time_s in ODD_TIMES:
+        with pytest.raises(SceneError, match="allowed: seconds, 0 or more"):
+            sim.start_at(time_s)
+    sim.step(np.int64(1))
+    sim.start_at(np.float32(0.0))

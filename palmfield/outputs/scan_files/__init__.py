@@ -5,6 +5,8 @@ By their ending, or a folder of Polytec's text files, which are read alone.
 
 from pathlib import Path
 
+import numpy as np
+
 from palmfield.errors import MeasurementError, OutputError
 from palmfield.instruments.scan import Scan
 from palmfield.outputs.scan_files.matlab import read_mat, write_mat
@@ -13,6 +15,8 @@ from palmfield.outputs.scan_files.uff import read_uff, write_uff
 from palmfield.outputs.scan_files.wide_csv import read_csv, write_csv
 
 READERS = {".csv": read_csv, ".uff": read_uff, ".unv": read_uff, ".mat": read_mat}
+LARGEST_M = 2.0
+"""No skin reaches farther."""
 WRITERS = {".csv": write_csv, ".uff": write_uff, ".unv": write_uff, ".mat": write_mat}
 
 
@@ -33,7 +37,13 @@ def read_scan(path: str | Path) -> Scan:
         raise MeasurementError(
             f"{file}: the file's kind is '{file.suffix}'; allowed: {', '.join(READERS)}, or a folder"
         )
-    return reader(file)
+    scan = reader(file)
+    apart = float(np.ptp(scan.points, axis=0).max())
+    if apart > LARGEST_M:
+        raise MeasurementError(
+            f"{file}: its points are {apart:.3g} m apart; allowed: at most {LARGEST_M:g} m: give places in metres"
+        )
+    return scan
 
 
 def write_scan(path: str | Path, scan: Scan) -> None:

@@ -4,6 +4,7 @@ Read are nodes (data sets 15 and 2411), units (164), functions at nodes (58, and
 Written are 164, 2411, trace lines (82), 58 or 58b, and 55. A function's fourth line holds the beam: `sight x y z`.
 """
 
+import math
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from palmfield.errors import MeasurementError, OutputError
 from palmfield.given_files import regular
-from palmfield.instruments.scan import Quantity, Scan
+from palmfield.instruments.scan import UNITS, Quantity, Scan
 from palmfield.types import Complex, Float
 
 KINDS: dict[int, Quantity] = {8: "displacement", 11: "velocity"}
@@ -101,6 +102,7 @@ def read_uff(file: Path) -> Scan:
     if first.get("abscissa_spacing") == 1:
         times = float(first["abscissa_min"]) + float(first["abscissa_inc"]) * np.arange(len(times))
     values, points, sights = [], [], []
+    scaled = any(one["type"] == 164 for one in sets)
     for one in functions:
         node = int(one["rsp_node"])
         if node not in places:
@@ -115,13 +117,35 @@ def read_uff(file: Path) -> Scan:
         if len(record) != len(times) or np.abs(np.asarray(one["x"]) - np.asarray(first["x"])).max() > 1e-9:
             raise MeasurementError(f"{file}: the times of node {node} are not those of node {int(first['rsp_node'])}")
         # A direction of the node's axes; towards -3 is what moves away along z
-        values.append((-metre if direction < 0 else metre) * record.real)
+        unit = _unit(file, one, KINDS[int(one["ordinate_spec_data_type"])], metre if scaled else None)
+        values.append((-unit if direction < 0 else unit) * record.real)
         points.append(places[node])
         sights.append(_sight(str(one.get("id4", ""))))
     known = all(sight is not None for sight in sights)
     return Scan(
         KINDS[kinds.pop()], times, np.array(points), np.array(values).T, np.array(sights) if known else None, file.name
     )
+
+
+def _unit(file: Path, function: dict[str, Any], quantity: Quantity, by_set: float | None) -> float:
+    """What a value of 1 is [m or m/s]: by its label where it has one, which data set 164 must not contradict."""
+    time = str(function.get("abscissa_axis_units_lab") or "").strip()
+    if time.lower() not in ("", "none", "s", "sec", "seconds"):
+        raise MeasurementError(f"{file}: times carry the unit label '{time[:20]}'; allowed: s; export it in seconds")
+    label = str(function.get("ordinate_axis_units_lab") or "").strip().replace("\u00b5", "u").replace("\u03bc", "u")
+    if label.lower() in ("", "none"):
+        return 1.0 if by_set is None else by_set
+    if label not in UNITS[quantity]:
+        raise MeasurementError(
+            f"{file}: {quantity} carries the unit label '{label[:20]}'; allowed: {', '.join(UNITS[quantity])}, or none"
+        )
+    factor = UNITS[quantity][label]
+    if by_set is not None and not math.isclose(factor, by_set, rel_tol=1e-6):
+        raise MeasurementError(
+            f"{file}: values carry the unit label '{label}', and data set 164 has lengths of {by_set:g} m; allowed: "
+            "the same in both; mend one of them"
+        )
+    return factor
 
 
 def _sight(text: str) -> list[float] | None:

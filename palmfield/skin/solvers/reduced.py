@@ -91,7 +91,7 @@ def cost_reduced(body: Body, load: Load, times: Float, at: Float, accuracy: floa
     first = expected_dofs(body, first_sizes(body, load, np.asarray(at, dtype=float), accuracy))
     grown = max(1.0, GROWTH * 0.05 / accuracy) if isinstance(body, Slab) else 1.0
     dofs = grown * first
-    return 1.8 * (assembly_s(dofs) + reduced_s(dofs, len(times) + len(load.times_s), VECTORS))
+    return 0.1 + 1.3 * (assembly_s(dofs) + reduced_s(dofs, len(times) + len(load.times_s), VECTORS))
 
 
 def solve_reduced(

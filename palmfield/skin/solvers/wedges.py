@@ -66,18 +66,25 @@ def refusal_wedges(body: Body, load: Load) -> str | None:
 
 
 def cost_wedges(body: Body, load: Load, times: Float, at: Float, accuracy: float) -> float:
-    """Predicted time [s] on one core; mostly too low, by 2 to 5 times where the mesh is refined more often.
+    """Predicted time [s] on one core.
 
-    The time of a run is known to a factor of 1.5; what isn't is how fine the mesh will have to be.
+    The time of a run is known to a factor of 1.5; how fine mesh and steps will have to be only to one of 4.
     """
     first = expected_dofs(body, first_sizes(body, load, np.asarray(at, dtype=float), accuracy))
     span = max(float(np.max(times)) - float(load.times_s[0]), 0.0)
     growth = 1.0
     if isinstance(body, Slab):
         growth = max(1.0, (ENDLESS_GROWTH if body.shape == "infinite" else GROWTH) * 0.05 / accuracy)
-    # The first step is mostly halved once; the runs before the last together cost 0.8 of it.
-    steps = 2.0 * span / first_step(body, load, accuracy)
-    return 1.8 * run_cost(growth * first, steps)
+        # Few elements tell little of one another, so that they are refined more often
+        growth *= max(1.0, math.sqrt(OFTEN_DOFS / (growth * first)))
+    # The first step is halved twice or so; the runs before the last together cost as much as that, and some problems
+    # are solved again, finer.
+    steps = 4.0 * span / first_step(body, load, accuracy)
+    return 0.05 + 3.0 * run_cost(growth * first, steps)
+
+
+OFTEN_DOFS = 9e3
+"""Unknowns of a slab's last mesh, of which there are seldom many fewer."""
 
 
 def run_cost(dofs: float, steps: float) -> float:

@@ -70,8 +70,14 @@ STIFFEST = 1e5
 COURANT = {1: 0.587, 2: 0.477, 3: 0.406, 4: 0.345, 5: 0.295}
 """Stable step of a cube times wave speed over node spacing (size / N), nu 0.495; higher orders like 1.5 / (N + 0.1)."""
 
-CPU_COST = (8.5e-9, 22e-9, 15e-6)
+CPU_COST = (8.5e-9, 12e-9, 15e-6)
 """Seconds by element node, by node and by step on one CPU core (AMD EPYC), scripts/bench_spectral_elements.py."""
+
+MAKING = (0.012, 1.5e-4)
+"""Seconds that a mesh and its stable step take, and by element (docs/bench/skin_costs.md)."""
+
+AGAIN = (1.2, 0.1, 0.7, 2.5)
+"""Solutions that a target accuracy takes, in the mean: at one of 0.1, by what power more below, and at most; 1 to 4."""
 
 GPU_COST = (0.035e-9, 0.1e-9, 5e-6)
 """The same on a GPU: layers of 13 k to 40 k elements of order 1 and 2 on an H200."""
@@ -123,19 +129,26 @@ def cost_spectral_elements(
         rates = CPU_COST if device == "cpu" else GPU_COST
         steps = shorter * max(0.0, end - start) / step
         repeated = nodes * ((each.order + 1) / each.order) ** 3
-        total += steps * (repeated * rates[0] + nodes * rates[1] + rates[2])
+        elements = nodes * sum(each.deep) / (each.order**2 * (sum(each.deep) * each.order + 1))
+        total += steps * (repeated * rates[0] + nodes * rates[1] + rates[2]) + MAKING[0] + MAKING[1] * elements
         if not total <= LONGEST_S:
             raise SceneError(
                 f"spectral elements would take about {total:.2g} s in steps of {step:.2g} s, above {LONGEST_S:g} s: "
                 "use solver 'wedges'"
             )
-    return total
+    again, near, power, most = AGAIN
+    return float(np.clip(again * (near / accuracy) ** power, 1.0, most)) * total
 
 
 def size_of(body: Body, chosen: Plan) -> tuple[float, float]:
     """Nodes and step [s], roughly, of a mesh that is not built."""
-    n = chosen.order
+    n, thinnest = chosen.order, math.inf
     if isinstance(body, Layer):
+        corners = body.patch.vertices[body.patch.faces]
+        twice = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        round_m = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).sum(axis=1)
+        # Circle in the thinnest triangle: its quadrilaterals set the step
+        thinnest = float((twice / round_m).min())
         area = 3.0 * len(body.patch.faces) * chosen.size_m**2
         thickness = float(np.mean(body.patch.depth))
     else:
@@ -153,7 +166,7 @@ def size_of(body: Body, chosen: Plan) -> tuple[float, float]:
     step = math.inf
     for sheet, count in zip(body.sheets, chosen.deep, strict=True):
         deep = thickness * sheet.thickness_m / total / count
-        across = 0.6 * chosen.size_m if isinstance(body, Layer) else 0.85 * chosen.size_m
+        across = min(0.6 * chosen.size_m, 0.79 * thinnest) if isinstance(body, Layer) else 0.85 * chosen.size_m
         spacing = math.sqrt(3.0 / (2.0 / across**2 + 1.0 / deep**2)) / n
         courant = COURANT.get(n, 1.5 / (n + 0.1))
         elastic = courant * spacing / fast_speed(sheet.material)
