@@ -29,13 +29,19 @@ def unwritable(path: object, error: OSError) -> OutputError:
     return OutputError(f"cannot write {path}: {error.strerror or error}; choose a folder that exists and has room")
 
 
+LEAST_BEGINNING = 3
+"""Letters from which a name's beginning stands for it in `did_you_mean`."""
+
+
 def did_you_mean(word: str, known: Iterable[str], likeness: float = 0.6) -> str:
-    """` (did you mean 'x'?)` for what of the known words comes near; empty where none does.
+    """` (did you mean 'x'?)` for the known word that comes near, or begins so; empty where none does.
 
     likeness: least share of letters that they have in common, 0 to 1
     """
     by_lower = {name.lower(): name for name in known}
     near = difflib.get_close_matches(word.lower(), by_lower, n=1, cutoff=likeness)
+    if not near and len(word) >= LEAST_BEGINNING:
+        near = sorted((name for name in by_lower if name.startswith(word.lower())), key=len)[:1]
     return f" (did you mean '{by_lower[near[0]]}'?)" if near else ""
 
 

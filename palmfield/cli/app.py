@@ -1,10 +1,13 @@
 """The command line. Each command loads what it needs only, so that --help is quick."""
 
+import os
+import re
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
 from palmfield.cli import completion
 from palmfield.cli.calibrate import calibrate
@@ -15,7 +18,32 @@ from palmfield.cli.stimulus import stimulus
 from palmfield.cli.track import track
 from palmfield.errors import PalmfieldError, SceneError
 
+
+class _Door(TyperGroup):
+    """The whole program: what it is given is read as on this system."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        return super().parse_args(ctx, [_of_this_system(argument) for argument in args])
+
+
+def _of_this_system(argument: str) -> str:
+    """An argument with its home folder, which shells leave alone behind `=` and in quotes.
+
+    Raises SceneError for a path of Windows on another system.
+    """
+    name, equals, value = argument.partition("=") if argument.startswith("--") else ("", "", argument)
+    if value == "~" or value.startswith("~/"):
+        return name + equals + os.path.expanduser(value)
+    if os.name == "posix" and (drive := re.match(r"([A-Za-z]):[\\/]", value)):
+        raise SceneError(
+            f"'{value}' is a path of Windows, and this system has no drives; give a path with /, in WSL "
+            f"/mnt/{drive[1].lower()}/{value[3:].replace(chr(92), '/')}"
+        )
+    return argument
+
+
 app = typer.Typer(
+    cls=_Door,
     no_args_is_help=True,
     rich_markup_mode=None,
     help="Ultrasonic mid-air haptics: from an array's drive to radiation pressure on a hand, skin waves and what is "
@@ -729,7 +757,7 @@ def plot_command(
     ] = None,
     kinds: Annotated[
         list[str] | None,
-        typer.Argument(help="which (see --list) [default: all that the run holds]", metavar="[KIND]..."),
+        typer.Argument(help="which, also A,B (see --list) [default: all that the run holds]", metavar="[KIND]..."),
     ] = None,
     time_ms: Annotated[
         float | None,
@@ -771,7 +799,8 @@ def plot_command(
     if run is None:
         raise SceneError("plot needs DIR, the folder of a run; `palmfield plot --list` says what it can draw")
     asked = asked_for(time_ms, place or (), limits, skin, quantity, observer)
-    plot(run, kinds or (), asked, out=out, suffix=suffix, quiet=context.obj, as_json=as_json)
+    named = [name for word in kinds or () for name in word.split(",") if name]
+    plot(run, named, asked, out=out, suffix=suffix, quiet=context.obj, as_json=as_json)
 
 
 @app.command("render")

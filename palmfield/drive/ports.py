@@ -1,6 +1,7 @@
 """Ports by their names: which transport is behind one."""
 
 import os
+import re
 
 from palmfield.drive.transport import Transport, choices, open_serial
 from palmfield.errors import DeviceError
@@ -13,6 +14,11 @@ def check_port(port: str) -> None:
 
     Of URLs, ways to AUTD3 units and Windows' ports nothing is known before they are opened.
     """
+    if os.name == "posix" and re.fullmatch(r"COM\d+", port, re.IGNORECASE):
+        raise DeviceError(
+            f"cannot open {port}: that is a port of Windows, and this system's are such as /dev/ttyUSB0; in WSL attach "
+            f"the board by usbipd first; {choices()}"
+        )
     if os.name == "posix" and "://" not in port and not port.startswith(AUTD3) and not os.path.exists(port):
         raise DeviceError(f"cannot open {port}: there is no such port; {choices()}")
 
