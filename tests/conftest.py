@@ -58,7 +58,7 @@ def arp64() -> Callable[..., Float]:
     """ARP [Pa] by the default law in double precision, from velocities, at points with outward normals."""
 
     def arp(points: Float, normals: Float, array: Array, drive: Complex, air: Air = AIR) -> Float:
-        p, slope = pressure64(points, array, drive, air, gradient=True)
+        p, slope = pressure64(points, array, drive, air, gradient=True, normals=normals)
         assert slope is not None
         rho, c = density(air), sound_speed(air)
         u = slope / (2j * np.pi * array.frequency_Hz * rho)

@@ -14,10 +14,12 @@ from warp_kernels.pressure import (
     CPU,
     GPU,
     NEAREST_M2,
+    STEEPNESS,
     WIDTH,
     Form,
     Sound,
     cubic,
+    from_front,
     quartic,
     quintic,
     root32,
@@ -43,7 +45,7 @@ def gradient(form: Form) -> Any:
     row = row64 if form.accurate else row32
     root = root64 if form.accurate else root32
     angle = form.angle
-    gpu, flat, shaded = form.gpu, form.flat, form.shaded
+    gpu, flat, shaded, faced = form.gpu, form.flat, form.shaded, form.faced
     fall = form.fall_of
     directivity = quartic if form.smooth else quintic
     slope = cubic if form.smooth else quartic
@@ -62,12 +64,13 @@ def gradient(form: Form) -> Any:
         rows: wp.array2d(dtype=wp.vec2),
         weights_re: wp.array3d(dtype=wp.float32),
         weights_im: wp.array3d(dtype=wp.float32),
+        normals: wp.array(dtype=wp.vec3),
     ):
         """As `pressure`, and in `rows` the gradient [Pa/m], shape (points, 3); both must hold zeros.
 
         weights_re, weights_im: what is left of each transducer's sound at each point, which the form `shaded` reads,
         shape (points / BLOCK, elements, BLOCK)
-
+        normals: unit, outward, of opaque surfaces at the points, which the form `faced` reads
         shapes: the sound's directivity and slope; from an array a GPU keeps them in registers, but it loads a struct's
         numbers again for each transducer
         """
@@ -84,7 +87,14 @@ def gradient(form: Form) -> Any:
         y = places()
         z = places()  # its square in the flat form
         near = lanes()
+        n_x = lanes()
+        n_y = lanes()
+        n_z = lanes()  # times z in the flat form
         for group in range(ranges.shape[0]):
+            if faced:
+                # Back to a rotation, times the steepness
+                turn = wp.mat33(turns[group])
+                turn *= STEEPNESS / wp.length(turn[0])
             for i in range(width):
                 local = turns[group] * (points[wp.min(first + i, count - 1)] - origins[group])
                 x[i] = local[0]
@@ -94,6 +104,11 @@ def gradient(form: Form) -> Any:
                     near[i] = wp.float32(z[i])
                 else:
                     z[i] = local[2]
+                if faced:
+                    normal = turn * normals[wp.min(first + i, count - 1)]
+                    n_x[i] = normal[0]
+                    n_y[i] = normal[1]
+                    n_z[i] = normal[2] * wp.float32(local[2]) if flat else normal[2]
             re = lanes()
             im = lanes()
             x_re = lanes()
@@ -128,6 +143,13 @@ def gradient(form: Form) -> Any:
                     else:
                         rise2 = wp.float32(z2)
                         gain = wp.where(dz > real(0.0), gain, wp.float32(0.0))
+                    if faced:
+                        above = wp.float32(dx) * n_x[i] + wp.float32(dy) * n_y[i]
+                        if flat:
+                            above += n_z[i]
+                        else:
+                            above += wp.float32(dz) * n_z[i]
+                        gain *= from_front(-above * inverse)
                     q = rise2 * (inverse * inverse)
                     direct = gain * directivity(in_directivity, q)
                     bend = gain * (inverse * inverse) * slope(in_slope, q)

@@ -146,8 +146,8 @@ def ring_along(
         for a part that is held, of what was emitted and of the drive, for half of it; complex, shape (m, 5)
     scales: strength at full drive [Pa m]; order: each transducer's column in the tables of drives
     begun, end: what it emits at the step's beginning and end, relative to full drive
-    load, force, now: the tables of the moments' drives, of the focus at the beginning at the loudest moment's level,
-        and of what sounds at the beginning [Pa m]
+    load, force, now: the tables of the moments' drives; of the same for transducers that ring, else of the focus at the
+        beginning at the loudest moment's level; and of what sounds at the beginning [Pa m]
     """
     e = wp.tid()
     column = order[e]
@@ -168,12 +168,13 @@ def ring_along(
             push = times(weights[j, 4], drive)
             emitted = times(weights[j, 3], emitted) + push
             load[j, column] = single(times(scale, emitted))
+            force[j, column] = load[j, column]
             emitted = times(weights[j, 3], emitted) + push
         before = drive
     for j in range(moments, load.shape[0]):
         load[j, column] = wp.vec2()
-    force[0, column] = single(times(scale, levels[last] * waves[last, e]))
     if rings == 0:
+        force[0, column] = single(times(scale, levels[last] * waves[last, e]))
         now[0, column] = single(times(scale, levels[last + 1] * waves[last, e]))
     else:
         now[0, column] = single(times(scale, begun[e]))

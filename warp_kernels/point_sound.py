@@ -11,7 +11,18 @@ from typing import Any
 import warp as wp
 
 from warp_kernels.arp import radiation_pressure, times
-from warp_kernels.pressure import CPU, NEAREST_M2, TURN, inverse_root, quartic, quintic, row32, vec6
+from warp_kernels.pressure import (
+    CPU,
+    NEAREST_M2,
+    STEEPNESS,
+    TURN,
+    from_front,
+    inverse_root,
+    quartic,
+    quintic,
+    row32,
+    vec6,
+)
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
@@ -46,6 +57,7 @@ def fields(rows: int, gpu: bool, shaded: bool = False) -> Any:
     @wp.kernel(module="unique", module_options={"fast_math": True} if gpu else CPU, enable_backward=False)
     def kernel(
         points: wp.array(dtype=wp.vec3),
+        normals: wp.array(dtype=wp.vec3),
         places: wp.array(dtype=wp.vec4),
         facing: wp.array(dtype=wp.vec4),
         shapes: wp.array(dtype=vec6),
@@ -62,6 +74,7 @@ def fields(rows: int, gpu: bool, shaded: bool = False) -> Any:
     ):
         """Of the transducers [first, stop) in runs of `size`; what the runs give begins at result[:, run].
 
+        normals: unit, outward, of the opaque surfaces on which the points lie; see `pressure.from_front`
         places, facing: position [m] and unit direction of each transducer, the fourth number is unused
         shapes: directivity and slope, see `pressure.Sound`
         counts: how many drives there are; drives: complex amplitude of each transducer [Pa m], shape (rows, n)
@@ -72,6 +85,7 @@ def fields(rows: int, gpu: bool, shaded: bool = False) -> Any:
         row = block * rows
         if row < counts[0]:
             point = points[i]
+            normal = STEEPNESS * normals[i]
             in_directivity = shapes[0]
             in_slope = shapes[1]
             # From a struct they would be loaded again for each transducer
@@ -105,10 +119,11 @@ def fields(rows: int, gpu: bool, shaded: bool = False) -> Any:
                     inverse = inverse_root(square)
                     d = square * inverse
                     cosine = (x * axis[0] + y * axis[1] + z * axis[2]) * inverse
-                    if cosine > 0.0:
+                    share = from_front(-(x * normal[0] + y * normal[1] + z * normal[2]) * inverse)
+                    if cosine > 0.0 and share > 0.0:
                         turns = d * turns_per_m
                         angle = TURN * (turns - wp.floor(turns + 0.5))
-                        gain = inverse * wp.exp(-loss * d)
+                        gain = share * inverse * wp.exp(-loss * d)
                         wave_re = gain * wp.cos(angle)
                         wave_im = gain * wp.sin(angle)
                         if shaded:

@@ -20,6 +20,7 @@ vec6 = wp.types.vector(length=6, dtype=wp.float32)
 
 NEAREST_M2 = wp.constant(1.0e-18)  # keeps 1/d finite at an element's own position
 TURN = wp.constant(6.283185307179586)
+STEEPNESS = wp.constant(5.0)  # of `from_front` over the cosine: from 0 to 1 between -0.1 and 0.1
 
 CPU = {
     "max_unroll": 1,  # LLVM vectorises loops, not what Warp has unrolled
@@ -95,6 +96,15 @@ def row32(rows: wp.array(dtype=wp.vec4), i: wp.int32) -> wp.vec4:
 @wp.func
 def row64(rows: wp.array(dtype=wp.vec4d), i: wp.int32):
     return rows[i]
+
+
+@wp.func
+def from_front(height: wp.float32):
+    """Share of a transducer's sound that reaches the front of an opaque surface: continuous, 1/2 at grazing incidence.
+
+    height: STEEPNESS times the cosine between the surface's outward normal and the way to the transducer
+    """
+    return wp.min(wp.max(height + 0.5, 0.0), 1.0)
 
 
 @wp.func
@@ -179,6 +189,7 @@ class Form:
     smooth: directivity as a quartic and its slope as a cubic, instead of a quintic and a quartic
     flat: a group's transducers lie in a plane; else the fourth number of an element is its height over it
     shaded: each pair of transducer and point has a weight of its own (kernels with the gradient)
+    faced: points lie on opaque surfaces, which what is behind them doesn't reach (kernels with the gradient)
     """
 
     gpu: bool
@@ -187,6 +198,7 @@ class Form:
     smooth: bool
     flat: bool
     shaded: bool = False
+    faced: bool = False
 
     @property
     def fall_of(self) -> Any:

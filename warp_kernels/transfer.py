@@ -3,7 +3,17 @@
 import warp as wp
 
 from warp_kernels.arp import FORMULA, radiation_pressure
-from warp_kernels.pressure import NEAREST_M2, Sound, fall_cubic, inverse_root, polynomial_wave, quartic, quintic
+from warp_kernels.pressure import (
+    NEAREST_M2,
+    STEEPNESS,
+    Sound,
+    fall_cubic,
+    from_front,
+    inverse_root,
+    polynomial_wave,
+    quartic,
+    quintic,
+)
 
 wp.set_module_options(
     {"enable_backward": False, "max_unroll": 1, "cpu_compiler_flags": "-march=native -ffp-contract=fast"}
@@ -24,8 +34,8 @@ def matrix(
     result: wp.array(dtype=wp.float32, ndim=3),
 ):
     """result[e, 0 and 4, i]: real and imaginary pressure [Pa] at point i for unit drive of transducer e; [e, 1..3 and
-    5..7, i]: its gradient over k along the rows of axes[i] [Pa]. The formula is that of `pressure.gradient`.
-    WIDTH points a thread.
+    5..7, i]: its gradient over k along the rows of axes[i] [Pa], the last of which is the outward normal of an opaque
+    surface. The formula is that of `gradient.gradient` with the form `faced`. WIDTH points a thread.
     """
     block, e = wp.tid()
     first = block * WIDTH
@@ -72,11 +82,12 @@ def matrix(
         if k < count:
             ray = axes[k] * wp.vec3(x[i], y[i], z[i])
             axis = axes[k] * normal
-            result[e, 0, k] = re[i]
-            result[e, 4, k] = im[i]
+            share = from_front(-STEEPNESS * ray[2] * inverse_root(wp.dot(ray, ray) + wp.float32(NEAREST_M2)))
+            result[e, 0, k] = share * re[i]
+            result[e, 4, k] = share * im[i]
             for j in range(3):
-                result[e, 1 + j, k] = along_re[i] * ray[j] + axial_re[i] * axis[j]
-                result[e, 5 + j, k] = along_im[i] * ray[j] + axial_im[i] * axis[j]
+                result[e, 1 + j, k] = share * (along_re[i] * ray[j] + axial_re[i] * axis[j])
+                result[e, 5 + j, k] = share * (along_im[i] * ray[j] + axial_im[i] * axis[j])
 
 
 @wp.func_native(

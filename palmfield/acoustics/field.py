@@ -43,7 +43,7 @@ SMOOTH = 1e-5
 """Directivities that a quartic follows as well as this take one power less, which is a twentieth of the work."""
 
 UNSHADED = (None, None)
-"""In place of weights, for kernels with the gradient."""
+"""In place of weights, for kernels with the gradient; normals, or None, come after them."""
 
 Mode = Literal["fast", "accurate"]
 MODES: tuple[Mode, ...] = ("fast", "accurate")
@@ -117,10 +117,17 @@ class FieldEvaluator:
         self._ranges = self._upload(self._groups.ranges, wp.vec2i)
         self._box = array.positions.min(axis=0), array.positions.max(axis=0)
         # Those that no call is using just now, by number of points, fall and gradient
-        self._small: dict[tuple[int, str, bool], list[_SmallCall]] = {}
+        self._small: dict[tuple[int, str, bool, bool], list[_SmallCall]] = {}
 
-    def pressure(self, points: ArrayLike, drive: ArrayLike, gradient: bool = False) -> Field:
-        """Field at points; see `pressure` below for shapes, units and errors."""
+    def pressure(
+        self, points: ArrayLike, drive: ArrayLike, gradient: bool = False, normals: NDArray[np.float32] | None = None
+    ) -> Field:
+        """Field at points; see `pressure` below for shapes, units and errors.
+
+        normals: unit outward, shape (n, 3), of opaque surfaces at the points: what transducers send from behind them is
+            left out (`warp_kernels.pressure.from_front`). The gradient comes with it.
+        """
+        gradient = gradient or normals is not None
         where = check.points(points, self.real)
         amplitude = check.drive(drive, self.array)
         count = len(where)
@@ -130,14 +137,15 @@ class FieldEvaluator:
             return Field(pressure, slope)
         bounds = box_distances(where, self._box)
         if self._gpu:
-            outputs = self._launch(self._upload(where, self._vec3), bounds, amplitude, gradient)
+            outward = None if normals is None else self._upload(normals, wp.vec3)
+            outputs = self._launch(self._upload(where, self._vec3), bounds, amplitude, gradient, outward)
             for target, output in zip((pressure, slope), outputs, strict=False):
                 assert target is not None
                 target[:] = output.numpy().view(np.complex64)[..., 0]
         elif count * len(self.array) <= SMALL_PAIRS:
-            self._small_on_cpu(where, bounds, amplitude, pressure, slope)
+            self._small_on_cpu(where, bounds, amplitude, pressure, slope, normals)
         else:
-            self._on_cpu(where, bounds, amplitude, pressure, slope)
+            self._on_cpu(where, bounds, amplitude, pressure, slope, normals)
         return Field(pressure, slope)
 
     def upload(self, points: ArrayLike) -> "Points":
@@ -156,13 +164,14 @@ class FieldEvaluator:
             raise PalmfieldError(f"pressure_on_gpu on device '{self.device}': make the evaluator with device cuda:0")
         return self._launch(points.array, points.distances_m, check.drive(drive, self.array), gradient)
 
-    def _form(self, fall: str, shaded: bool = False) -> kernels.Form:
+    def _form(self, fall: str, shaded: bool = False, faced: bool = False) -> kernels.Form:
         smooth = self._smooth and not self._accurate
-        return kernels.Form(self._gpu, self._accurate, fall, smooth, self._groups.flat, shaded)
+        return kernels.Form(self._gpu, self._accurate, fall, smooth, self._groups.flat, shaded, faced)
 
-    def kernel(self, fall: str, gradient: bool, shaded: bool = False) -> Any:
-        """The kernel for how sound falls off, see `falling`; shaded: with a weight for each pair, see `Form`."""
-        return with_gradient.gradient(self._form(fall, shaded)) if gradient else kernels.pressure(self._form(fall))
+    def kernel(self, fall: str, gradient: bool, shaded: bool = False, faced: bool = False) -> Any:
+        """The kernel for how sound falls off, see `falling`; shaded, faced: see `Form`."""
+        form = self._form(fall, shaded, faced)
+        return with_gradient.gradient(form) if gradient else kernels.pressure(form)
 
     @property
     def points_per_thread(self) -> int:
@@ -211,7 +220,7 @@ class FieldEvaluator:
         return float(1.0 / self._wavenumber) if gradient else 1.0
 
     def _inputs(
-        self, bounds: tuple[float, float], drive: NDArray[np.complex128], gradient: bool
+        self, bounds: tuple[float, float], drive: NDArray[np.complex128], gradient: bool, faced: bool
     ) -> tuple[Any, int, list[Any]]:
         """Kernel for points within these distances [m], points a thread, and what it takes between them and results."""
         kind, fall = falling(self.absorption_Np_m, *bounds)
@@ -220,7 +229,7 @@ class FieldEvaluator:
         self._put_drive(drive, fall, gradient, elements, strengths)
         _, vec4, _ = self._form(kind).vectors
         inputs = self.inputs(self._upload(elements, vec4), self._upload(strengths, wp.vec4), gradient)
-        return self.kernel(kind, gradient), self.points_per_thread, inputs
+        return self.kernel(kind, gradient, faced=faced), self.points_per_thread, inputs
 
     def _put_drive(
         self,
@@ -243,10 +252,11 @@ class FieldEvaluator:
         drive: NDArray[np.complex128],
         pressure: NDArray[np.complex64],
         slope: NDArray[np.complex64] | None,
+        normals: NDArray[np.float32] | None,
     ) -> None:
         """As `_on_cpu`, by launches that are recorded for so many points: there is little work in between them."""
         kind, fall = falling(self.absorption_Np_m, *bounds)
-        key = len(points), kind, slope is not None
+        key = len(points), kind, slope is not None, normals is not None
         known = self._small.get(key)
         if known is None:
             if len(self._small) >= SIZES_KEPT:
@@ -257,7 +267,7 @@ class FieldEvaluator:
         except IndexError:
             call = _SmallCall(self, *key)
         self._put_drive(drive, fall, slope is not None, call.elements.host, call.strengths.host)
-        call.run(points, pressure, slope)
+        call.run(points, pressure, slope, normals)
         if len(known) < self.threads:
             known.append(call)
 
@@ -271,16 +281,18 @@ class FieldEvaluator:
         drive: NDArray[np.complex128],
         pressure: NDArray[np.complex64],
         slope: NDArray[np.complex64] | None,
+        normals: NDArray[np.float32] | None,
     ) -> None:
         """Fill pressure and slope in place: Warp sees NumPy's memory, slices of the points shared out among threads."""
-        kernel, width, inputs = self._inputs(bounds, drive, slope is not None)
+        kernel, width, inputs = self._inputs(bounds, drive, slope is not None, normals is not None)
         load_kernels(kernel.module, "cpu")
 
         def run(start: int, stop: int) -> None:
             part: Any = wp.array(points[start:stop], dtype=self._vec3, device="cpu", copy=False)
             outputs = [shared(pressure[start:stop])]
             if slope is not None:
-                outputs += [shared(slope[start:stop]), *UNSHADED]
+                own: Any = None if normals is None else wp.array(normals[start:stop], dtype=wp.vec3, device="cpu")
+                outputs += [shared(slope[start:stop]), *UNSHADED, own]
             wp.launch(kernel, dim=-(-(stop - start) // width), inputs=[part, *inputs, *outputs], device="cpu")
 
         count = len(points)
@@ -299,14 +311,19 @@ class FieldEvaluator:
         list(pool().map(work, range(threads)))
 
     def _launch(
-        self, points: Any, bounds: tuple[float, float], drive: NDArray[np.complex128], gradient: bool
+        self,
+        points: Any,
+        bounds: tuple[float, float],
+        drive: NDArray[np.complex128],
+        gradient: bool,
+        normals: Any = None,
     ) -> tuple[Any, ...]:
-        kernel, width, inputs = self._inputs(bounds, drive, gradient)
+        kernel, width, inputs = self._inputs(bounds, drive, gradient, normals is not None)
         count = len(points)
         outputs = [wp.zeros(count, dtype=wp.vec2, device=self.device)]
         if gradient:
             outputs.append(wp.zeros((count, 3), dtype=wp.vec2, device=self.device))
-        inputs = [points, *inputs, *outputs, *(UNSHADED if gradient else ())]
+        inputs = [points, *inputs, *outputs, *((*UNSHADED, normals) if gradient else ())]
         wp.launch(kernel, dim=-(-count // width), inputs=inputs, device=self.device, block_dim=128)
         return tuple(outputs)
 
@@ -317,7 +334,7 @@ class _SmallCall:
     elements, strengths: as kernels take them, to be filled before `run`
     """
 
-    def __init__(self, evaluator: FieldEvaluator, count: int, kind: str, gradient: bool):
+    def __init__(self, evaluator: FieldEvaluator, count: int, kind: str, gradient: bool, faced: bool):
         vec3, vec4, _ = evaluator._form(kind).vectors
         size = len(evaluator.array)
         self.elements = SharedArray(size, vec4, "cpu")
@@ -327,7 +344,8 @@ class _SmallCall:
         self._results = [SharedArray(count, wp.vec2, "cpu")]
         if gradient:
             self._results.append(SharedArray((count, 3), wp.vec2, "cpu"))
-        kernel, width = evaluator.kernel(kind, gradient), evaluator.points_per_thread
+        self._normals = SharedArray(count if faced else 0, wp.vec3, "cpu")
+        kernel, width = evaluator.kernel(kind, gradient, faced=faced), evaluator.points_per_thread
         inputs = evaluator.inputs(self.elements.array, self.strengths.array, gradient)
         self._threads = max(1, min(evaluator.threads, count * size // SMALL_PAIRS_PER_THREAD))
         step = -(-count // (self._threads * width)) * width
@@ -335,12 +353,20 @@ class _SmallCall:
         for start in range(0, count, step):
             own = slice(start, min(start + step, count))
             arrays = [self._points.array[own], *inputs, *(result.array[own] for result in self._results)]
-            arrays += UNSHADED if gradient else ()
+            arrays += (*UNSHADED, self._normals.array[own] if faced else None) if gradient else ()
             self._blocks.append((recorded(kernel, -(-(own.stop - start) // width), arrays, "cpu"),))
 
-    def run(self, points: NDArray[Any], pressure: NDArray[np.complex64], slope: NDArray[np.complex64] | None) -> None:
+    def run(
+        self,
+        points: NDArray[Any],
+        pressure: NDArray[np.complex64],
+        slope: NDArray[np.complex64] | None,
+        normals: NDArray[np.float32] | None,
+    ) -> None:
         """Fill pressure, and slope where there is one, for points [m], shape (count, 3)."""
         self._points.host[...] = points
+        if normals is not None:
+            self._normals.host[...] = normals
         if slope is not None:
             for result in self._results:
                 result.host.fill(0.0)  # the kernel adds to them

@@ -90,12 +90,12 @@ class Emitters:
     """
 
     def __init__(self, arrays: PhasedArray, rows: Int, device: str):
-        self.device, self.rows, self.count = device, len(rows), len(arrays.parts)
+        self.device, self.rows, self.count = device, len(rows), len(arrays.sides)
         width = kernels.WIDTH["cpu"]
         numbers, boards = [], []
-        for board, own in enumerate(arrays.slices):
-            blocks = -(-(own.stop - own.start) // width)
-            numbers.append(np.pad(np.arange(own.start, own.stop), (0, blocks * width - (own.stop - own.start)), "edge"))
+        for board, own in enumerate(arrays.sides):
+            blocks = -(-len(own) // width)
+            numbers.append(np.pad(own, (0, blocks * width - len(own)), "edge"))
             boards += [board] * blocks
         self._numbers = np.concatenate(numbers)
         self._fills: NDArray[np.bool_] = np.concatenate([np.append(False, np.diff(part) == 0) for part in numbers])

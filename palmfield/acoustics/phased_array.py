@@ -22,7 +22,7 @@ from palmfield.acoustics.transducer_file import TransducerTable
 from palmfield.config import ArrayConfig
 from palmfield.errors import SceneError
 from palmfield.transforms import Numbers, Placement, corners_of
-from palmfield.types import Air, Array, Complex, Estimate, Field, Float, Int
+from palmfield.types import Air, Array, Complex, Estimate, Field, Float, Float32, Int
 
 HOUSING_M = 5e-3
 """How far a board reaches beyond its transducers, and how high a transducer is [m]."""
@@ -212,10 +212,10 @@ class MultiArrayField:
         self.device = self.evaluators[0].device
         self.count = len(np.unique(np.concatenate([group.chosen for group in groups])))
 
-    def pressure(self, points: Float, drive: Complex, gradient: bool = False) -> Field:
+    def pressure(self, points: Float, drive: Complex, gradient: bool = False, normals: Float32 | None = None) -> Field:
         """As FieldEvaluator.pressure, for the drive of all transducers, shape (count,)."""
         fields = [
-            evaluator.pressure(points, drive[group.chosen], gradient)
+            evaluator.pressure(points, drive[group.chosen], gradient, normals)
             for group, evaluator in zip(self.groups, self.evaluators, strict=True)
         ]
         total = fields[0].pressure, fields[0].gradient
@@ -223,6 +223,22 @@ class MultiArrayField:
             slope = None if total[1] is None or field.gradient is None else total[1] + field.gradient
             total = total[0] + field.pressure, slope
         return Field(*total)
+
+
+def _alike(normals: Float) -> list[Int]:
+    """Numbers of the transducers with these directions, shape (n, 3), in one list if none faces away from their mean.
+
+    Else those within 60 degrees of the first go together, and so on with the rest.
+    """
+    rest: Int = np.arange(len(normals), dtype=np.int32)
+    if (normals @ normals.mean(axis=0)).min() > 0.0:
+        return [rest]
+    sides = []
+    while len(rest):
+        near = normals[rest] @ normals[rest[0]] > 0.5
+        sides.append(rest[near])
+        rest = rest[~near]
+    return sides
 
 
 class PhasedArray:
@@ -239,9 +255,10 @@ class PhasedArray:
         piston of them and no table: take `pressure64` or `field` for the sound
     impedance: rho c^2 of the air [Pa]
     frames: of each part, seen from the first; boards: of each part, in its own frame
-    corners: of a box round each part's transducers, array frame [m], shape (8 parts, 3)
-    facing: mean direction of each part's transducers, array frame, by column, shape (3, parts)
-    heights: of the middle of each part along that direction [m], shape (parts,)
+    sides: of each part, and of one that wraps a body of those that face alike: their numbers among all transducers
+    corners: of a box round each side's transducers, array frame [m], shape (8 sides, 3)
+    facing: mean direction of each side's transducers, array frame, by column, shape (3, sides)
+    heights: of the middle of each side along that direction [m], shape (sides,)
     """
 
     def __init__(
@@ -270,9 +287,14 @@ class PhasedArray:
             ]
             self.groups = directivity_groups(moved)
             self.boards = tuple(BoardOutline.of(part) for part in self.parts)
-            self.corners: Float = np.concatenate([corners_of(part.positions) for part in moved])
-            facing = np.array([part.normals.mean(axis=0) for part in moved])
-            middles = np.array([part.positions.mean(axis=0) for part in moved])
+            ends = np.cumsum([len(part) for part in self.parts]).tolist()
+            self.slices = tuple(slice(end - len(part), end) for end, part in zip(ends, self.parts, strict=True))
+            split = [_alike(part.normals) for part in self.parts]
+            pairs = [(part, side) for part, its in zip(moved, split, strict=True) for side in its]
+            self.sides = [own.start + side for own, its in zip(self.slices, split, strict=True) for side in its]
+            self.corners: Float = np.concatenate([corners_of(part.positions[side]) for part, side in pairs])
+            facing = np.array([part.normals[side].mean(axis=0) for part, side in pairs])
+            middles = np.array([part.positions[side].mean(axis=0) for part, side in pairs])
             self.facing, self.heights = np.ascontiguousarray(facing.T), (middles * facing).sum(axis=1)
             self.images = () if wall_m is None else self._images(wall_m, facing[0])
             if len(self.groups) > 1:
@@ -281,8 +303,6 @@ class PhasedArray:
             self.array = moved[0] if len(moved) == 1 else combined(moved)
         except SceneError as error:
             raise SceneError(f"plugin 'palmfield.array': {error}") from None
-        ends = np.cumsum([len(part) for part in self.parts]).tolist()
-        self.slices = tuple(slice(end - len(part), end) for end, part in zip(ends, self.parts, strict=True))
 
     def __len__(self) -> int:
         """Transducers of all arrays."""

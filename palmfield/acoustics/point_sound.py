@@ -44,7 +44,7 @@ class Transducers:
         self.device, self.count = device, len(arrays)
         self._places = SharedArray(self.count, wp.vec4, device)
         self._facing = SharedArray(self.count, wp.vec4, device)
-        self._boards = SharedArray(len(arrays.parts), wp.vec4, device)
+        self._boards = SharedArray(len(arrays.sides), wp.vec4, device)
         self._corners = SharedArray(len(arrays.corners), wp.vec3, device)
         self.order = np.concatenate([group.chosen for group in arrays.groups])
         self._sorted = bool((self.order == np.arange(self.count)).all())
@@ -105,7 +105,7 @@ class Transducers:
 
     @property
     def corners(self) -> Any:
-        """Corners of a box round each array's transducers [m], on the device, shape (8 parts,)."""
+        """Corners of a box round each side's transducers [m], on the device, shape (8 sides,)."""
         return self._corners.array
 
     @property
@@ -203,13 +203,13 @@ def sound_calls(
         of_group = [*transducers.places, shapes, waves, own.start, own.stop, size, run, table.counts, table.drives]
         if len(shaded) < len(surfaces):
             kernel, dim = kernels.fields(rows, device != "cpu"), (capacity // rows, own_runs, count)
-            calls.append(launch(kernel, dim, [points, *of_group, None, None, fields], device))
+            calls.append(launch(kernel, dim, [points, normals, *of_group, None, None, fields], device))
         # Over what these points got without shades
         for surface in shaded:
             assert surface.shades is not None
             here, dim = surface.points, (capacity // rows, own_runs, surface.points.stop - surface.points.start)
             kernel = kernels.fields(rows, device != "cpu", shaded=True)
-            inputs = [points[here], *of_group, *surface.shades, fields[:, :, :, here]]
+            inputs = [points[here], normals[here], *of_group, *surface.shades, fields[:, :, :, here]]
             calls.append(launch(kernel, dim, inputs, device))
         run += own_runs
     for surface in surfaces:

@@ -23,6 +23,7 @@ def pressure64(
     *,
     gradient: bool = False,
     absorption_Np_m: float | None = None,
+    normals: Float | None = None,
 ) -> tuple[Complex, Complex | None]:
     """Complex peak pressure of an array in a baffle, and its gradient if asked.
 
@@ -33,6 +34,8 @@ def pressure64(
     points: [m], array frame, shape (n, 3)
     drive: complex amplitudes, 1 is full drive, shape (len(array),)
     absorption_Np_m: instead of that of the air, for example 0 for lossless air
+    normals: unit outward, shape (n, 3), of opaque surfaces at the points: each transducer's part is weighted by
+        0.5 + 5 cos(angle between normal and the way to it), kept within 0 to 1
     Returns pressure [Pa], shape (n,), complex128, and gradient [Pa/m], shape (n, 3), complex128, or None.
     Raises PalmfieldError for NaN, infinity or a wrong shape in points or drive, SceneError for a bad array or air.
     """
@@ -54,6 +57,8 @@ def pressure64(
         front = cosine > 0.0
         shape = np.where(front, directivity(array, k, cosine), 0.0)
         wave = strength / d * np.exp((1j * k - beta) * d)
+        if normals is not None:
+            wave = wave * np.clip(0.5 - 5.0 * np.einsum("ijk,ik->ij", rays, normals[part]) / d, 0.0, 1.0)
         pressure[part] = (wave * shape).sum(axis=1)
         if slope is not None:
             bend = np.where(front, directivity_bend(array, k, cosine), 0.0)

@@ -17,7 +17,7 @@ from palmfield.types import Complex, Float, Float32
 from warp_kernels import transfer as kernels
 
 OUT_OF_SPAN = 1e-6
-"""Of a drive's norm, what may lie outside the span: less than the field's own error in float32."""
+"""Of the largest drive's norm, what may lie outside the span: less than the field's own error in float32."""
 LEFT_OUT = 1e-7
 """Of the largest singular value of a path's drives: smaller ones are not in the span."""
 MOST_SHARE = 0.75
@@ -66,7 +66,7 @@ def spanned_fields(
     turns = axes(outward.astype(float))
     per_wavenumber = sound_speed(field.air) / (2.0 * np.pi * field.groups[0].array.frequency_Hz)
     for number, drive in zip(numbers, basis.conj().T, strict=True):
-        sound = accurate.pressure(points, np.ascontiguousarray(drive), gradient=True)
+        sound = accurate.pressure(points, np.ascontiguousarray(drive), normals=outward)
         assert sound.gradient is not None
         along = per_wavenumber * np.einsum("nij,nj->in", turns, sound.gradient)
         rows = np.concatenate([sound.pressure[None], along])
@@ -91,7 +91,7 @@ class SpannedArp:
         """
         shares = drives @ self.fields.basis
         rest = drives - shares @ self._back.T
-        if np.any(_squares(rest) > OUT_OF_SPAN**2 * _squares(drives)):
+        if np.max(_squares(rest)) > OUT_OF_SPAN**2 * np.max(_squares(drives)):
             return None
         room = self._rooms.get(len(drives)) or self._new_room(len(drives))
         taken, result, blocks, threads = room

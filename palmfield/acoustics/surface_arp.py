@@ -345,12 +345,12 @@ class SurfaceArp:
         """Launches that add the field of each directivity at a block's points."""
         calls, row = [], 0
         for group, fall in zip(self._group_drives, falls, strict=True):
-            kernel = group.evaluator.kernel(fall, gradient=True, shaded=shades is not None)
+            kernel = group.evaluator.kernel(fall, gradient=True, shaded=shades is not None, faced=True)
             threads = -(-(block.stop - block.start) // group.evaluator.points_per_thread)
-            outputs = [self._pressure[block], self._gradient[block], *UNSHADED]
+            outputs = [self._pressure[block], self._gradient[block], *UNSHADED, self._normals.array[block]]
             rows, row = slice(row, row + len(group.evaluator.array)), row + len(group.evaluator.array)
             if shades is not None:
-                outputs[2:] = [weights[block.start // BLOCK :, rows] for weights in shades]
+                outputs[2:4] = [weights[block.start // BLOCK :, rows] for weights in shades]
             inputs = [self._points.array[block], *group.inputs, *outputs]
             calls.append(recorded(kernel, threads, inputs, self.field.device))
         return calls

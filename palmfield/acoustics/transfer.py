@@ -48,7 +48,7 @@ class Transfer:
     """What every transducer of an array does at fixed points: pressure, and gradient along the surface and its normal.
 
     evaluator: array, air, absorption and device, of mode "fast": the matrix is computed in float32
-    points: [m], array frame, shape (n, 3); normals: unit outward, shape (n, 3)
+    points: [m], array frame, shape (n, 3); normals: unit outward, shape (n, 3), of opaque surfaces, see `arp_frames`
     It takes 32 bytes a transducer and point. Raises PalmfieldError for an evaluator of mode "accurate", for bad points
     or normals, for points too far apart (see CUBIC_REACH_Np), and for more than `memory_limit`.
     """
@@ -345,7 +345,8 @@ def arp_frames(
     `memory_limit`. Fewer frames, mode "accurate" and points too far apart for the matrix go frame by frame.
 
     evaluator: array, air, absorption, mode and device; on a GPU the products are done there
-    points: [m], array frame, shape (n, 3); normals: unit outward, shape (n, 3)
+    points: [m], array frame, shape (n, 3); normals: unit outward, shape (n, 3), of opaque surfaces: what transducers
+        send from behind them is left out
     drives: complex amplitudes, shape (frames, transducers)
     Raises what `palmfield.acoustics.arp.arp` and FieldEvaluator raise.
     """
@@ -359,7 +360,7 @@ def arp_frames(
         return result
     if len(frames) < MATRIX_FROM or evaluator.mode == "accurate" or too_steep(evaluator, where):
         for row, drive in zip(result, frames, strict=True):
-            field = evaluator.pressure(where, drive, gradient=True)
+            field = evaluator.pressure(where, drive, normals=outward)
             row[:] = arp(field, outward, evaluator.air, array.frequency_Hz, law=law, device=evaluator.device)
         return result
     size = max(POINTS_A_BLOCK, memory_limit(evaluator.device) // (matrix_bytes(len(array), 1) + 4 * len(frames)))

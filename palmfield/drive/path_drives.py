@@ -30,7 +30,8 @@ class PathStep(NamedTuple):
     foci: at each moment, of each of d groups of transducers, and at the step's beginning, first array's frame [m],
         shape (m d + 1, 3); group: to which each transducer belongs, shape (n,), None where there is one
     levels: of the pressure there relative to the loudest moment's, 0..1, shape (m d,); now: the same at the beginning
-    mean: of the ARP over the step, relative to the loudest moment's
+    mean: of the ARP over the step, relative to the loudest moment's; weights: of the moments in the mean of what
+        transducers that ring emit, shape (m,)
     """
 
     moments: Moments
@@ -39,6 +40,7 @@ class PathStep(NamedTuple):
     levels: Float
     now: float
     mean: float
+    weights: Float
 
 
 class PathMemory(NamedTuple):
@@ -85,12 +87,12 @@ class PathDrives:
     """The transducers of one stimulus that drives all of them, on a device.
 
     drive: how, with the arrays as they stand now; transducers: the same ones as the sound field takes them
-    pole: what they make of a drive, all alike; None where it sounds at once
+    pole: what they make of a drive, all alike; None where it sounds at once; rings: whether there is one
     """
 
     def __init__(self, drive: ArrayDrive, transducers: Transducers, pole: PoleStepper | None):
         device = self._device = transducers.device
-        self.count, self._pole = drive.count, pole
+        self.count, self._pole, self.rings = drive.count, pole, pole is not None
         self._places, self._facing = (SharedArray(drive.count, wp.vec3d, device) for _ in range(2))
         parts = drive.array.parts
         gains = [part.p0_Pa_m * (np.ones(len(part)) if part.gain is None else part.gain) for part in parts]
@@ -126,8 +128,17 @@ class PathDrives:
         levels: Any = wp.zeros(foci + 1, dtype=wp.float64, device=device)
         focusing, counts = self._focusing, memory.counts
         sums: Any = wp.zeros((foci, kernels.LANES), dtype=wp.vec3d, device=device)
-        rings = int(self._pole is not None)
-        inputs = [counts, memory.group, rings, waves, levels, memory.ring, self._scales, self._order, memory.begun]
+        inputs = [
+            counts,
+            memory.group,
+            int(self.rings),
+            waves,
+            levels,
+            memory.ring,
+            self._scales,
+            self._order,
+            memory.begun,
+        ]
         inputs += [memory.load, memory.force, memory.now, memory.end]
         return [
             launch(kernels.focus_waves, (foci, self.count), [focusing, counts, memory.foci, waves, strengths], device),

@@ -3,7 +3,7 @@
 The carrier is never stepped. Each transducer is one complex pole, stepped exactly under a held or linear drive; sound
 that is longer under way starts from an earlier drive. A delay common to all is left out: it shifts results in time.
 
-`emitted_over` takes the transducers over one MuJoCo step; `mean_level` gives the mean over it, for forces on bodies.
+`emitted_over` takes the transducers over one MuJoCo step.
 """
 
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ from palmfield.drive.array_drive import ArrayDrive, UnitDrive
 from palmfield.drive.response import Pole, pole_weights
 from palmfield.drive.response_error import ResponseError, response_errors, shares
 from palmfield.stimulus.focal_points import FocalPoints
-from palmfield.stimulus.schedule import Moments, first_point, frames_at, mean_arp_factor, substep_moments
+from palmfield.stimulus.schedule import Moments, first_point, frames_at
 from palmfield.types import Complex, Float, Int
 
 DELAY_STEP_S = 20e-6
@@ -419,35 +419,3 @@ def rows(course: EmittedCourse) -> Complex:
     assert course.levels is not None
     unit: Complex = np.zeros(len(course.end), np.complex128) if course.unit is None else course.unit
     return np.asarray(course.levels[:, None] * unit)
-
-
-def mean_level(
-    stimulus: StimulusConfig,
-    drive: ArrayDrive,
-    response: TransducerResponse,
-    emitted: Complex,
-    focal_points: FocalPoints,
-    t0: float,
-    step_s: float,
-    count: int,
-) -> float:
-    """Mean ARP over `count` steps of `step_s` [s] from time t0 [s] on, relative to the loudest moment's.
-
-    emitted: complex amplitudes at t0, shape (N,). Of a focus that moves it is the mean of what is commanded; else what
-    is emitted counts, sum of |amplitude|^2 over that of the unit drive. Every step's middle stands for it, or the
-    middles of its parts where something jumps or is held.
-    """
-    if not response.on or stimulus.path != "point":
-        return mean_arp_factor(stimulus, t0, t0 + count * step_s, count)
-    moments = substep_moments((stimulus,), t0, step_s, count, hold=True)
-    course = emitted_over(stimulus, drive, response, emitted, focal_points, moments)
-    if course.levels is not None:
-        squares: Float = np.abs(course.levels) ** 2
-    else:
-        assert course.emitted is not None
-        power = drive.unit_drive_at(focal_points, first_point(stimulus)).power
-        if power == 0.0:
-            return 0.0
-        squares = np.add.reduce(course.emitted.real**2 + course.emitted.imag**2, axis=1)
-        squares /= power
-    return float(np.add.reduce(moments.first @ squares)) / count

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from functools import cached_property
 from typing import Literal
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,13 +15,16 @@ from palmfield.simulation.build import model_of
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene, PoseLayout, posed_scene
 from palmfield.simulation.scene_reader import read_scene
-from palmfield.simulation.sensors import SensorPlace, SkinReading, check_site, fill, sensor_place
+from palmfield.simulation.sensors import SensorPlace, channels, check_site, sensor_place, skin_reading
 from palmfield.simulation.state import HapticState, at_rest, check_arrays, stepper_of, untouched
 from palmfield.simulation.step import Workspace, gather, step, step_sound
 from palmfield.simulation.validate import check_clear
 from palmfield.skin.stepper import SkinStepper
 from palmfield.types import Complex, Float
 
+RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
+PASSIVE = int(mujoco.mjtDisableBit.mjDSBL_SPRING) | int(mujoco.mjtDisableBit.mjDSBL_DAMPER)
+"""Flags that together switch all passive forces off."""
 AT_REST: Float = np.zeros(2)
 """Displacement and velocity of skin that nothing has stepped yet: to read them takes no stepper."""
 
@@ -65,6 +69,7 @@ class SceneRuntime:
         self._unit_arp: dict[str, tuple[PosedScene, Complex, float]] = {}
         self.applied: list[Float] = [np.zeros(3) for _ in self.bodies]
         self.applied_parts = [(np.zeros((len(parts), 3)), np.zeros((len(parts), 3))) for parts in self.parts]
+        self.check_options()
         check_clear(self.work.reference)
 
     @property
@@ -174,8 +179,7 @@ class SceneRuntime:
     def advance(self) -> None:
         """Carry transducers and skins over MuJoCo's last step, with the pose at its beginning."""
         end = self.view.raw.time
-        if self.view.model.raw.opt.timestep != self.spec.timestep_s:
-            self.check_timestep()
+        self.check_options()
         if check_arrays(self.model, self.state):
             self.work.begin_run()
         begin = end - self.spec.timestep_s
@@ -184,9 +188,24 @@ class SceneRuntime:
         else:
             step(self.model, self.state, self.posed, begin, end, self.work)
 
-    def check_timestep(self) -> None:
-        """Raises SceneError for a time step of MuJoCo's that is no longer the one for which the skins are made."""
-        now_s = self.view.model.raw.opt.timestep
+    def check_options(self) -> None:
+        """Raises SceneError for options of MuJoCo's under which the sound's forces would be wrong or left out.
+
+        These are another time step than that for which the skins are made, an integrator that takes forces within a
+        step (RK4), and springs and dampers that are both disabled, with which MuJoCo leaves out all passive forces.
+        """
+        option = self.view.model.raw.opt
+        now_s = option.timestep
+        if option.integrator == RK4:
+            raise SceneError(
+                "option 'integrator' has value 'RK4', which takes forces four times in a step, where the sound has "
+                "one; allowed: Euler | implicit | implicitfast"
+            )
+        if option.disableflags & PASSIVE == PASSIVE:
+            raise SceneError(
+                "option 'flag' disables 'spring' and 'damper', with which MuJoCo leaves out all passive forces, and "
+                "those of the sound; allowed: one of them"
+            )
         if now_s != self.spec.timestep_s:
             raise SceneError(
                 f"option 'timestep' has value {now_s:g}, and {self.spec.timestep_s:g} when the scene was loaded, for "
@@ -251,8 +270,7 @@ class SceneRuntime:
                     if not drive.flags.writeable:
                         self._unit_arp[sensor.name] = posed, drive, known
                     arp = factor * known
-            x, y, z = self.applied[part.body]
-            fill(sensor.data, SkinReading(x, y, z, motion[0], motion[1], arp))
+            sensor.data[:] = channels(skin_reading(self.applied[part.body], motion, arp))
 
     def place(self, skin: int, sensor: PluginSensor) -> SensorPlace:
         """Where a sensor reads, kept. Raises SceneError for one that is not on the skin's body or far from the skin."""

@@ -22,7 +22,7 @@ from palmfield.errors import SceneError, explaining, naming_world
 from palmfield.mujoco_host.mujoco_view import PluginSensor
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene
-from palmfield.simulation.sensors import CHANNELS, SkinReading
+from palmfield.simulation.sensors import channels, skin_reading
 from palmfield.simulation.state import HEADER, HapticState, new_state
 from palmfield.simulation.step import Workspace
 from palmfield.simulation.step_together import TogetherStep
@@ -81,12 +81,8 @@ class SceneWorlds:
     # -- stepping ------------------------------------------------------------------------------------------------------
 
     def step(self) -> None:
-        """One step of MuJoCo's in all worlds. Raises what a plugin or the haptic step raised, with the world's number.
-
-        Raises SceneError too for MuJoCo's integrator RK4, which asks for forces within a step.
-        """
-        refuse_integrator(self.mujoco_model)
-        self.runtimes[0].check_timestep()
+        """One step of MuJoCo's in all worlds. Raises what a plugin or the step raised, with the world's number."""
+        self.runtimes[0].check_options()
         t0 = self._common_time()
         with explaining():
             self._lead(t0)
@@ -202,10 +198,9 @@ class SceneWorlds:
             for which in range(len(sensors)):
                 motion = self._motion_at(skin, which, worlds)
                 arp = factors * self._probe(skin, which, worlds, where)
-                known: Any = (*self.forces[worlds, body].T, *motion.T, arp)
-                channels = np.array([channel(SkinReading(*known)) for channel in CHANNELS.values()]).T
-                for world, values in zip(worlds.tolist(), channels, strict=True):
-                    self._sensors[world][skin][which].data[:] = values
+                rows = zip(self.forces[worlds, body], motion, arp, strict=True)
+                for world, row in zip(worlds.tolist(), rows, strict=True):
+                    self._sensors[world][skin][which].data[:] = channels(skin_reading(*row))
 
     def _motion_at(self, skin: int, which: int, worlds: NDArray[np.intp]) -> Float:
         """Displacement [m] and velocity [m/s] of the skin at a sensor in some worlds, shape (g, 2)."""
@@ -239,12 +234,3 @@ class SceneWorlds:
         for number in self.together.apart:
             with naming_world(number):
                 self.runtimes[number].advance()
-
-
-def refuse_integrator(model: mujoco.MjModel) -> None:
-    """Raises SceneError for an integrator that evaluates forces more than once in a step."""
-    if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
-        raise SceneError(
-            "option 'integrator' has value 'RK4', which asks for forces four times in a step: worlds are given them "
-            "once; allowed: Euler | implicit | implicitfast"
-        )

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
-from scipy.signal import csd, welch
+from scipy.signal import csd, detrend, welch
 
 from palmfield.errors import MeasurementError
 from palmfield.metrics.checks import above_zero, even_step, finite, trace
@@ -23,10 +23,11 @@ FEWEST = 16
 class Agreement(NamedTuple):
     """Measured against computed, each of shape (n,).
 
-    gain: measured over computed amplitude, by least squares once the delay is taken out; negative: turned round
+    gain: measured over computed amplitude, by least squares once the others are taken out; negative: turned round
     delay_s: by how much later the measured record is; ambiguous: another delay fits nearly as well
-    l2: of measured - computed, over the measured record's own; l2_shape: the same with gain and delay taken out
+    l2: of measured - computed, over the measured record's own; l2_shape: the same with all others taken out
     coherence: share of the measured power that is linear in the computed record, weighted by that power
+    offset: mean of the line that is fitted beside gain and delay, in the records' unit; drift: its rise over the record
     level: rms of the measured record over that of the loudest point
     """
 
@@ -37,6 +38,8 @@ class Agreement(NamedTuple):
     l2_shape: Float
     coherence: Float
     level: Float
+    offset: Float
+    drift: Float
 
 
 def agreement(times_s: ArrayLike, measured: ArrayLike, computed: ArrayLike, *, most_delay_s: float) -> Agreement:
@@ -56,14 +59,23 @@ def agreement(times_s: ArrayLike, measured: ArrayLike, computed: ArrayLike, *, m
         if len(still):
             raise MeasurementError(f"the {name} record of point {still[0]} is 0 throughout: leave the point out")
     step = even_step(times)
-    delay, ambiguous = delays(theirs, ours, step, most_delay_s)
+    delay, ambiguous = delays(_without_line(theirs), _without_line(ours), step, most_delay_s)
     late = shifted(ours, step, delay)
-    gain = (late * theirs).sum(axis=0) / (late * late).sum(axis=0)
+    # Least squares of gain, offset and drift at once: the gain is that of what is left without lines (Frisch and Waugh)
+    bare, moving = _without_line(theirs), _without_line(late)
+    gain = (moving * bare).sum(axis=0) / np.maximum((moving * moving).sum(axis=0), np.finfo(float).tiny)
+    line = theirs - gain * late - (bare - gain * moving)
     size = np.linalg.norm(theirs, axis=0)
     return Agreement(
         gain, delay, ambiguous, np.linalg.norm(theirs - ours, axis=0) / size,
-        np.linalg.norm(theirs - gain * late, axis=0) / size, coherence(theirs, ours, 1.0 / step), size / size.max(),
+        np.linalg.norm(bare - gain * moving, axis=0) / size, coherence(theirs, ours, 1.0 / step), size / size.max(),
+        line.mean(axis=0), line[-1] - line[0],
     )  # fmt: skip
+
+
+def _without_line(record: Float) -> Float:
+    """What is left of records, shape (t, n), without the straight line that fits each best."""
+    return np.asarray(detrend(record, axis=0))
 
 
 def delays(measured: Float, computed: Float, step: float, most_s: float) -> tuple[Float, Float]:

@@ -1,4 +1,4 @@
-"""Numbers of a finished run that its result doesn't hold: drive level, force, error estimate, felt level.
+"""Numbers of a finished run that its result doesn't hold: drive level, error estimate, felt level.
 
 They go into summary.json beside those of `palmfield.outputs.summary`, by skin and by stimulus.
 """
@@ -19,7 +19,6 @@ from palmfield.session.loudest_moment import LoudestMoment, loudest_place
 from palmfield.session.numerical_error import Course, error_estimate
 from palmfield.session.sensation_levels import felt_levels
 from palmfield.session.simulation import Simulation
-from palmfield.simulation.forces import BodyForces
 from palmfield.simulation.model import HapticModel, array_instances
 from palmfield.simulation.radiation import Radiation
 from palmfield.simulation.state import WHOLE
@@ -43,7 +42,7 @@ def skin_numbers(
     *,
     begun_s: float = 0.0,
 ) -> dict[str, Any]:
-    """Of one skin: solver, force on its body, error estimate, p0 band and felt level, units in the names.
+    """Of one skin: solver, error estimate, p0 band and felt level, units in the names.
 
     loudest: the moment of the highest ARP on the skin, None for a run that was silent there
     budget: of `estimated_budget`
@@ -67,8 +66,6 @@ def skin_numbers(
         "accuracy_wanted_relative": skin.spec.config.accuracy,
     }
     if loudest is not None:
-        force = _force_N(model, number, loudest, radiation)
-        result["total_force_peak_N"] = loudest.factor * force
         highest, _ = loudest_place(loudest.posed, number, radiation, loudest.drive)
         band = p0_band_at(model, loudest.posed.arrays, loudest.drive, highest)
         if band is not None:
@@ -215,9 +212,3 @@ def _why(model: HapticModel, skin: int) -> str:
     if choice.name != model.begin[skin].value.name:
         return f"{choice.why}; but no small model reached its accuracy, so that the whole layer stepped"
     return choice.why
-
-
-def _force_N(model: HapticModel, skin: int, loudest: LoudestMoment, radiation: Radiation) -> float:
-    """Size of the sound's force on a skin's body at the loudest moment, at the factor 1 [N]."""
-    forces, _ = BodyForces(model, radiation).under(loudest.posed, model.skins[skin].body, loudest.drive)
-    return float(np.linalg.norm(forces.sum(axis=0)))

@@ -12,7 +12,7 @@ from palmfield.config import StimulusConfig, known_keys
 from palmfield.drive.transducer_response import rows
 from palmfield.engine.host import world_of
 from palmfield.engine.scene_runtime import SceneRuntime
-from palmfield.engine.worlds import SceneWorlds, refuse_integrator
+from palmfield.engine.worlds import SceneWorlds
 from palmfield.errors import SceneError
 from palmfield.interrupts import interrupts_held
 from palmfield.session.duration import check_duration, check_steps, check_time, step_count
@@ -57,14 +57,13 @@ class Worlds:
         base: keys with which MuJoCo's model is made, in place of the first world's; then all of `keys` differ
         shared: layers and solvers that these worlds share with others which are not stepped with them
         The other arguments are those of `compiled`, as are the errors. SceneError too for another number of worlds,
-        keys or poses of another shape, keys that can't differ, and MuJoCo's integrator RK4.
+        keys or poses of another shape and keys that can't differ.
         """
         check_count(worlds)
         plugins = _plugins(scene)
         split = split_keys(keys or {}, worlds, plugins)
         common = split.common if base is None else base
         self.name, self.model, first = compiled(scene, device=device, accuracy=accuracy, board=board, keys=common)
-        refuse_integrator(self.model)
         self.path = Path(scene) if isinstance(scene, str | Path) else None
         world = world_of(first)
         if world is None or world.scene is None:
@@ -281,15 +280,6 @@ class WorldsSkin:
     def arp(self) -> Float32:
         """Acoustic radiation pressure at the surface nodes [Pa], positive inwards, shape (worlds, S)."""
         return np.array([skin.arp for skin in self._skins])
-
-
-def can_be_worlds(model: mujoco.MjModel) -> bool:
-    """Whether a scene can have worlds: its integrator asks for forces once in a step."""
-    try:
-        refuse_integrator(model)
-    except SceneError:
-        return False
-    return True
 
 
 def stimulus_texts(runtime: SceneRuntime) -> dict[str, dict[str, str]]:

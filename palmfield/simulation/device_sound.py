@@ -232,7 +232,8 @@ class DeviceSound:
         self._path = known = _PathKnown(posed, t0, emitted.copy(), path.moments, course)
         steps = self._steps(posed, path.moments, course, skins)
         count = len(path.moments.times)
-        needs = {LOAD: (count, count), FORCE: (1, 1), NOW: (1, 1), FOCI: (len(path.foci), 0)}
+        pushes = count if self._drives.rings else 1
+        needs = {LOAD: (count, count), FORCE: (pushes, pushes), NOW: (1, 1), FOCI: (len(path.foci), 0)}
         work, moved = self._room(needs, posed, steps)
         self._skins, self._sounding, self._path = NO_SKINS, {}, None  # should the launch fail, nothing is known
         work.lead(path, emitted, self._drives)
@@ -246,7 +247,8 @@ class DeviceSound:
         if not self._drives.can(path, work.forces.hosts["path_totals"]):
             return False
         np.copyto(course.end, work.forces.hosts["path_end"].view(np.complex128)[:, 0])
-        self._force_scale, self._pushes, self._path, self._skins = path.mean, path.mean > 0.0, known, steps
+        self._force_scale = 1.0 if self._drives.rings else path.mean
+        self._pushes, self._path, self._skins = self._force_scale > 0.0, known, steps
         return True
 
     def course(self, posed: PosedScene, begun: Complex, t0: float) -> tuple[Moments, EmittedCourse] | None:
@@ -553,8 +555,9 @@ class DeviceWork:
         ring = drives.ring(path.moments)
         hosts["path_ring"].view(np.complex128)[: len(ring), :, 0] = ring
         hosts["path_begun"].view(np.complex128)[:, 0] = emitted
-        hosts["weights"][0] = 1.0
-        for name, sums in ((LOAD, moments), (FORCE, 1), (NOW, 1)):
+        pushes = moments if drives.rings else 1
+        hosts["weights"][:pushes] = path.weights if drives.rings else 1.0
+        for name, sums in ((LOAD, moments), (FORCE, pushes), (NOW, 1)):
             if hosts[f"{name}_counts"][0] != sums or hosts[f"{name}_counts"][1] != sums or not self._led:
                 hosts[f"{name}_counts"][:] = sums
                 hosts[f"{name}_levels"].view(np.complex64)[:sums, :sums, 0] = np.eye(sums)
@@ -923,6 +926,6 @@ def _of_mean(mean: MeanDrives) -> tuple[Sounding | None, float]:
     """What presses on bodies over a step, and a factor of it; None in silence."""
     if len(mean.drives) == 0:
         return None, 0.0
-    if mean.levels is None and len(mean.drives) == 1:
+    if len(mean.drives) == 1:
         return Sounding(mean.drives, None, np.ones(1)), float(mean.weights[0])
-    return Sounding(mean.drives, mean.levels, mean.weights), 1.0
+    return Sounding(mean.drives, None, mean.weights), 1.0

@@ -30,10 +30,10 @@ class BodyForces:
     def over(self, emission: Emission, posed: PosedScene, emitted: Complex, t0: float) -> list[tuple[Float, Float]]:
         """Forces [N] on each body's parts and torques about their origins [N m], array frame, shapes (b, 3).
 
-        The mean over the MuJoCo step that begins at t0 [s], with the focus at its beginning: a modulation faster than
-        the step gives the right impulse. emitted: by all transducers at t0, shape (N,)
+        The mean over the MuJoCo step that begins at t0 [s]: a modulation faster than the step gives the right impulse.
+        emitted: by all transducers at t0, shape (N,)
         """
-        drives, weights, levels = emission.mean_drives(posed, emitted, t0)
+        drives, weights = emission.mean_drives(posed, emitted, t0)
         forces = []
         for body, shape in enumerate(self._shapes):
             self._pressed.pop(body, None)
@@ -41,11 +41,9 @@ class BodyForces:
                 forces.append((np.zeros(shape), np.zeros(shape)))
                 continue
             skin, arp = self._skins[body], None
-            if levels is None and self._path_sound is not None:
+            if self._path_sound is not None:
                 arp = self._path_sound.arp(posed, skin, "samples", drives)
-            if arp is None and levels is not None:
-                arp = self.radiation.sums(posed, skin, drives, levels, "samples")
-            elif arp is None and len(drives) > 1:
+            if arp is None and len(drives) > 1:
                 arp = self.radiation.many(posed, skin, drives, "samples")
             if arp is None:
                 force, torque = self.under(posed, body, drives[0])

@@ -367,10 +367,10 @@ def steady_drives(model: HapticModel, number: int, posed: PosedScene, step_s: fl
     return emitted[skip:]
 
 
-def path_drives(model: HapticModel, number: int, posed: PosedScene) -> tuple[Complex, Complex]:
-    """What is sent and what is emitted along the path of a stimulus that comes round, shapes (m, N) and (n, N).
+def path_drives(model: HapticModel, number: int, posed: PosedScene) -> Complex:
+    """What is emitted along the path of a stimulus that comes round, shape (m, N).
 
-    Enough of both to span all others; of what is emitted, while the transducers ring up as well.
+    Enough to span all others, while the transducers ring up as well.
     """
     stimulus = model.stimuli[number]
     config, settling = stimulus.config, _settling_s(stimulus, model)
@@ -378,13 +378,10 @@ def path_drives(model: HapticModel, number: int, posed: PosedScene) -> tuple[Com
     count = SPAN_CLOSER * samples(config, turn, max(skin.layer.demand.max_frequency_Hz for skin in model.skins))
     emitted = steady_drives(model, number, posed, turn / count, math.ceil(settling * count / turn), count)
     if not model.response_on:
-        return emitted, emitted
-    drive, places = array_drives(model, posed.arrays)[number], posed.focal_points(stimulus, number)
-    times: Float = config.start_s + turn / count * np.arange(count, dtype=np.float64)
-    steady = config.model_copy(update={"ramp_s": 0.0, "stop_s": None})
+        return emitted
     moments = SPAN_CLOSER * BEGINNING
     beginning = steady_drives(model, number, posed, settling / moments, 0, moments)
-    return commanded_drive(steady, drive, None, times, places), np.concatenate([emitted, beginning])
+    return np.concatenate([emitted, beginning])
 
 
 def _at_full_level(drives: Complex, level_of: float | None = None) -> tuple[Complex, float]:

@@ -21,16 +21,16 @@ class PathSound:
         """beside: of another world, stepped by the same thread: what either makes for the same stimuli serves both"""
         self.model, self.radiation, self.reference = model, radiation, reference
         self.serves = serves(model)
-        self._spans: list[Complex | None] = []  # of what is sent, which forces are of, and of what is emitted
+        self._span: list[Complex | None] = []  # of what is emitted, once it is known
         self._fields: dict[tuple[int, Role], tuple[Int | None, SpannedFields | None]] = {}
         self._arp: dict[tuple[int, Role], SpannedArp] = {}
         if beside is not None and beside.model.spec.stimuli == model.spec.stimuli:
-            self._spans, self._fields = beside._spans, beside._fields
+            self._span, self._fields = beside._span, beside._fields
 
     def adopt(self, other: "PathSound") -> None:
         """Take over what another state of the same model has made."""
         self.reference = other.reference
-        self._spans, self._fields, self._arp = list(other._spans), dict(other._fields), {}
+        self._span, self._fields, self._arp = list(other._span), dict(other._fields), {}
 
     def holds(self, posed: PosedScene) -> bool:
         """Whether arrays and bodies are in the reference pose."""
@@ -61,9 +61,9 @@ class PathSound:
 
     def _make(self, posed: PosedScene, skin: int, role: Role) -> SpannedFields | None:
         model = self.model
-        if not self._spans:
-            self._spans += [drives_span(drives) for drives in path_drives(model, model.sounding, self.reference)]
-        basis = self._spans[role != "samples"]
+        if not self._span:
+            self._span.append(drives_span(path_drives(model, model.sounding, self.reference)))
+        basis = self._span[0]
         points, normals = self.radiation.points(posed, skin, role)
         if basis is None or len(points) == 0:
             return None

@@ -1,8 +1,6 @@
-"""Points for the force on a body that the arrays can see: the others lie behind the body, whatever it looks like.
+"""Points for the force on a body that the arrays can see: no sound arrives at the others, which lie behind the body.
 
-Where every transducer is behind a surface, straight ways from them come through the body. No sound arrives there, but
-the field of transducers in free air goes on, and here and there flows against its direction: it would push a body from
-behind, with up to a thousandth of its force and with more where a focus misses it.
+Leaving them out saves work: the kernels of ARP give them nothing either (`warp_kernels.pressure.from_front`).
 """
 
 import numpy as np

@@ -84,7 +84,16 @@ def sensor_place(skin: SkinModel, site: Float, element: str) -> SensorPlace:
     return SensorPlace(probe, skin.carrier.bind(probe.closest))
 
 
-def fill(data: Float, reading: SkinReading) -> None:
-    """Write a reading's channels into a sensor's data, shape (channels,)."""
-    for number, channel in enumerate(CHANNELS.values()):
-        data[number] = channel(reading)
+def skin_reading(force: Float, motion: Float, arp: float) -> SkinReading:
+    """Make the reading at a sensor's place, in one world or in each of several: the only place that fills its fields.
+
+    force: on the body [N], shape (3,); motion: displacement [m] and velocity [m/s], shape (2,); arp: [Pa]
+    """
+    x, y, z = force
+    displacement, velocity = motion
+    return SkinReading(x, y, z, displacement, velocity, arp)
+
+
+def channels(reading: SkinReading) -> list[float]:
+    """A sensor's data, shape (channels,)."""
+    return [channel(reading) for channel in CHANNELS.values()]

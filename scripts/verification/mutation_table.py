@@ -528,8 +528,8 @@ MUTATIONS = (
         "channels in another order",
         "sensors",
         "palmfield/simulation/sensors.py",
-        "for number, channel in enumerate(CHANNELS.values())",
-        "for number, channel in enumerate(reversed(CHANNELS.values()))",
+        "for channel in CHANNELS.values()]",
+        "for channel in reversed(CHANNELS.values())]",
         "tests/engine/test_plugins.py::test_sensor_reads_force_and_motion",
     ),
     Mutation(

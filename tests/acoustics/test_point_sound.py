@@ -76,7 +76,7 @@ def expected(array: PhasedArray, points: Float, normals: Float, drive: Complex, 
     """ARP in float64, NaN where the flow through the surface is too small beyond float32 to tell its side."""
     p, g = np.zeros(len(points), complex), np.zeros((len(points), 3), complex)
     for group in array.groups:
-        part = pressure64(points, group.array, drive[group.chosen], array.air, gradient=True)
+        part = pressure64(points, group.array, drive[group.chosen], array.air, gradient=True, normals=normals)
         p, g = p + part[0], g + part[1]
     s = g * sound_speed(array.air) / (2.0 * np.pi * array.array.frequency_Hz)
     across = np.einsum("ij,ij->i", s, normals)

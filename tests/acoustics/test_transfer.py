@@ -3,6 +3,7 @@
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -47,8 +48,9 @@ def circle(array: Array, count: int, radius: float = 0.01) -> Complex:
 def one_by_one(array: Array, points: Float, normals: Float, drives: Complex, law: str = "default") -> Float:
     rows = []
     for drive in drives:
-        p, _ = pressure64(points, array, drive, AIR)
-        field = FieldEvaluator(array, AIR, "cpu", mode="accurate").pressure(points, drive, gradient=True)
+        p, _ = pressure64(points, array, drive, AIR, normals=normals)
+        evaluator = FieldEvaluator(array, AIR, "cpu", mode="accurate")
+        field = evaluator.pressure(points, drive, normals=normals.astype(np.float32))
         assert np.linalg.norm(field.pressure - p) < 1e-4 * np.linalg.norm(p)
         rows.append(arp(field, normals, AIR, array.frequency_Hz, law=law, device="cpu"))
     return np.array(rows, dtype=float)
@@ -143,9 +145,9 @@ def count_ways(monkeypatch: pytest.MonkeyPatch) -> dict[str, list[int]]:
         seen["matrix"].append(len(points))
         make(self, evaluator, points, normals)
 
-    def field(self: FieldEvaluator, points: Float, drive: Complex, gradient: bool = False) -> Field:
+    def field(self: FieldEvaluator, points: Float, drive: Complex, **keys: Any) -> Field:
         seen["field"].append(len(points))
-        return compute(self, points, drive, gradient)
+        return compute(self, points, drive, **keys)
 
     monkeypatch.setattr(Transfer, "__init__", matrix)
     monkeypatch.setattr(FieldEvaluator, "pressure", field)
@@ -203,7 +205,13 @@ def test_points_far_apart_go_frame_by_frame(monkeypatch: pytest.MonkeyPatch) -> 
     seen = count_ways(monkeypatch)
     found = arp_frames(evaluator, points, normals, drives)
     assert seen == {"matrix": [], "field": [60] * 20}
-    one = arp(evaluator.pressure(points, drives[7], gradient=True), normals, AIR, array.frequency_Hz, device="cpu")
+    one = arp(
+        evaluator.pressure(points, drives[7], normals=normals.astype(np.float32)),
+        normals,
+        AIR,
+        array.frequency_Hz,
+        device="cpu",
+    )
     np.testing.assert_array_equal(found[7], one)
 
 
@@ -222,7 +230,7 @@ def test_air_is_that_of_the_evaluator() -> None:
     evaluator = FieldEvaluator(array, cold, "cpu")
     assert evaluator.air == cold
     found = Transfer(evaluator, points, normals).arp(drives)
-    field = evaluator.pressure(points, drives[3], gradient=True)
+    field = evaluator.pressure(points, drives[3], normals=normals.astype(np.float32))
     expected = arp(field, normals, cold, array.frequency_Hz, device="cpu")
     assert np.linalg.norm(found[3] - expected) < 1e-4 * np.linalg.norm(expected)
 

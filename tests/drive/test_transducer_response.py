@@ -22,7 +22,6 @@ from palmfield.drive.transducer_response import (
     emitted_now,
     emitted_over,
     flight_delays,
-    mean_level,
     ring,
     rows,
     transducer_response,
@@ -208,7 +207,6 @@ def test_silence_has_no_drive(source):
         course = emitted_over(stimulus, drive, response, small, STILL, substep_moments((stimulus,), 0.0, 1e-4, 8))
         assert course.unit is None and course.emitted is None and not course.levels.any()
         assert emitted_now(stimulus, drive, response, small, STILL, 0.0).unit is None
-        assert mean_level(stimulus, drive, response, small, STILL, 0.0, 1e-4, 8) == 0.0
 
 
 @pytest.mark.parametrize("keys", [AM, CIRCLE | AM, AM | {"control_rate_Hz": 1000}], ids=["am", "circle", "ticks"])
@@ -268,22 +266,6 @@ def test_weights_are_kept_and_do_not_grow(source):
     for k in range(1000):
         stepper.weights(1e-4 + 1e-9 * k)
     assert len(stepper._known) <= 64
-
-
-@pytest.mark.parametrize("delayed", [False, True], ids=["at once", "flight times"])
-def test_the_mean_over_a_step_is_that_of_what_is_emitted(source, delayed):
-    stimulus = of(**AM | {"start_s": 0.0007})
-    drive = drive_of(source, stimulus)
-    response = response_of(drive, delayed=delayed)
-    emitted = np.zeros(256, complex)
-    fine = emitted_over(stimulus, drive, response, emitted, STILL, substep_moments((stimulus,), 0.0, 1e-6, 2000))
-    power = (np.abs(rows(fine)) ** 2).mean(axis=1)
-    assert mean_level(stimulus, drive, response, emitted, STILL, 0.0, 2.5e-4, 8) == pytest.approx(
-        power.mean(), rel=0.02
-    )
-    moving = of(**CIRCLE | AM)
-    mean = mean_level(moving, drive_of(source, moving), response, emitted, STILL, 0.0, 1e-4, 50)
-    assert mean == pytest.approx(1.5 / 4, rel=1e-6)
 
 
 def test_two_stimuli_with_arrays_of_their_own_add_up(mixed):
@@ -382,7 +364,6 @@ def test_a_silent_or_dead_array_costs_nothing(source):
         quiet, drive_of(source, quiet), on, np.zeros(256, complex), STILL, substep_moments((quiet,), 0.0, 1e-4, 8)
     )
     assert not np.any(nothing.levels)
-    assert mean_level(quiet, drive_of(source, quiet), on, np.zeros(256, complex), STILL, 0.0, 1e-4, 8) == 0.0
 
 
 @pytest.mark.parametrize(
@@ -408,4 +389,3 @@ def test_a_step_takes_few_python_calls(source, python_calls, keys, on, delayed, 
 
     step()
     assert python_calls(step) <= most
-    assert python_calls(lambda: mean_level(stimulus, drive, response, emitted, STILL, 0.01, 1.25e-4, 8)) <= 40

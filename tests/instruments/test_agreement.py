@@ -61,3 +61,20 @@ def test_what_can_not_be_compared_is_told():
         agreement(TIMES, ours, ours[:, :2], most_delay_s=1e-3)
     with pytest.raises(MeasurementError, match="most_delay_s is 0"):
         agreement(TIMES, ours, ours, most_delay_s=0.0)
+
+
+@pytest.mark.parametrize("offset, drift", [(0.0, 0.0), (0.05, 0.0), (2.0, 0.0), (0.0, 0.3), (-5.0, 4.0)])
+def test_offset_and_drift_are_fitted_beside_gain_and_delay(offset, drift):
+    """Of the peak; ours has a mean of its own, as a pressed skin has."""
+    times = np.arange(1024) / 5000.0
+
+    def motion(late_s):
+        at = times - 0.02 - late_s
+        return np.where(at > 0, np.exp(-at / 0.05) * np.sin(2 * np.pi * 70 * at) - 0.3 * (1 - np.exp(-at / 0.01)), 0.0)
+
+    line = offset + drift * (times / times[-1] - 0.5)
+    found = agreement(times, 0.8 * motion(0.002)[:, None] + line[:, None], motion(0.0)[:, None], most_delay_s=0.01)
+    assert found.gain[0] == pytest.approx(0.8, rel=0.02)
+    assert found.delay_s[0] == pytest.approx(0.002, abs=2e-4)
+    assert found.offset[0] == pytest.approx(offset, abs=0.01) and found.drift[0] == pytest.approx(drift, abs=0.02)
+    assert found.l2_shape[0] < 0.03

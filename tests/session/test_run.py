@@ -75,6 +75,8 @@ def test_summary_holds_the_tables_numbers(finished):
     for key in (*peaks, "displacement_error_relative", *levels):
         assert np.isfinite(skin[key]), key
     assert skin["peak_displacement_m"] == pytest.approx(float(np.abs(normal_component(only(tree, "skin"))).max()))
+    force = np.linalg.norm(only(tree, "forces")["force"].values, axis=1)
+    assert skin["total_force_peak_N"] == stored["total_force_peak_N"] == pytest.approx(force.max(), rel=1e-12)
     assert 0 < skin["displacement_error_relative"] < 1 and stimulus["drive_level"] == pytest.approx(1.0)
     assert stored["palmfield_device"] == "cpu" and stored["board"] == "ideal"
 

@@ -40,8 +40,6 @@ def test_numbers_of_a_run(small_scene, moment):
     assert result["solver"] == "wedges" and result["dofs"] > 1000 and "asked for" in result["solver_why"]
     assert result["displacement_error_m"] == pytest.approx(PEAK * result["displacement_error_relative"])
     assert result["peak_displacement_low_m"] < PEAK < result["peak_displacement_high_m"]
-    # Of the present moment, where MuJoCo's is the mean over the last step of a modulated sound
-    assert 0.3 < result["total_force_peak_N"] / np.linalg.norm(scene.forces[0]) < 3.0
     assert result["main_frequency_Hz"] == 200.0 and result["main_line_amplitude_m"] == pytest.approx(2e-6)
     assert stimulus_numbers(scene, [loudest]) == {"stimulus": {"drive_level": pytest.approx(1.0)}}
     array = array_numbers(scene.runtime.model)["array"]
@@ -80,7 +78,7 @@ def test_a_silent_run_has_no_error(small_scene):
     scene = palmfield.load(small_scene(stimulus={"drive_amplitude": 0}))
     scene.step(2)
     result = skin_numbers(scene, "skin", None, None, *moved(scene, 0.0 * MOTION))
-    assert "displacement_error_relative" not in result and "total_force_peak_N" not in result
+    assert "displacement_error_relative" not in result
     assert result["level_afferent_human_dB_SL"] is None
     assert result["level_hasegawa_2018_why"] == "refused: no sound pushes this skin"
     assert stimulus_numbers(scene, [None]) == {"stimulus": {"drive_level": 0.0}}
@@ -100,5 +98,4 @@ def test_each_skin_has_its_own_numbers(small_scene, add_skin, moment):
     scene = palmfield.load(add_skin(small_scene(), "0.05 0 0.12"))
     scene.step(4)
     first, second = (numbers(scene, moment(scene), name) for name in scene.skins)
-    assert first["total_force_peak_N"] > 3.0 * second["total_force_peak_N"] > 0.0
     assert "displacement_error_relative" in first and "displacement_error_relative" in second

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 import palmfield
+from palmfield.engine import scene_runtime
 from palmfield.engine import worlds as worlds_engine
 from palmfield.engine.worlds import SceneWorlds
 from palmfield.errors import DeviceError, SceneError
 from palmfield.session.worlds import Worlds
-from palmfield.simulation import build_worlds, step_together
+from palmfield.simulation import build_worlds, sensors, step_together
 from palmfield.simulation.model import StepperChoice
 
 STEPS = 14
@@ -570,9 +571,24 @@ def test_an_integrator_that_asks_for_forces_within_a_step_is_refused(small_scene
     sim.model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4
     with pytest.raises(SceneError, match=r"'integrator' has value 'RK4'.*allowed: Euler"):
         sim.step()
+    single = palmfield.Simulation(path)
+    single.model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4
+    with pytest.raises(SceneError, match=r"'integrator' has value 'RK4'.*allowed: Euler"):
+        single.step()
     path.write_text(path.read_text().replace("<option ", '<option integrator="RK4" '))
-    with pytest.raises(SceneError, match=r"RK4"):
-        palmfield.Simulation(path, worlds=2)
+    for worlds in (None, 2):
+        with pytest.raises(SceneError, match=r"RK4"):
+            palmfield.Simulation(path, worlds=worlds)
+
+
+def test_flags_that_switch_forces_or_sensors_off_are_told(small_scene):
+    path = small_scene()
+    plain = path.read_text()
+    path.write_text(plain.replace("<option ", '<option><flag sensor="disable"/></option><option '))
+    assert any("flag 'sensor' is disabled: 1 sensors" in text for text in palmfield.plan(path).warnings)
+    path.write_text(plain.replace("<option ", '<option><flag spring="disable" damper="disable"/></option><option '))
+    with pytest.raises(SceneError, match=r"disables 'spring' and 'damper'.*those of the sound"):
+        palmfield.Simulation(path)
 
 
 @pytest.mark.parametrize("integrator", ["Euler", "implicit", "implicitfast"])
@@ -610,3 +626,20 @@ def test_other_calls_take_one_world(small_scene, tmp_path):
     for call in (palmfield.plan, lambda scene: palmfield.run(scene, tmp_path / "out", progress=False)):
         with pytest.raises(SceneError, match=r"2 worlds"):
             call(sim)
+
+
+def test_a_further_channel_of_the_sensor_is_read_in_worlds_too(small_scene, monkeypatch):
+    """As docs/architecture.md says: a field, filled by `skin_reading`, and an entry of CHANNELS."""
+
+    class Wider(sensors.SkinReading):
+        push_N = property(lambda self: float(np.hypot(self.arp_force_x_N, self.arp_force_z_N)))
+
+    monkeypatch.setitem(sensors.CHANNELS, "push_N", lambda reading: reading.push_N)
+    for module in (worlds_engine, scene_runtime):
+        monkeypatch.setattr(module, "skin_reading", lambda *row: Wider(*row[0], *row[1], row[2]))
+    together, single = palmfield.Simulation(small_scene(), worlds=2), palmfield.Simulation(small_scene())
+    together.step(3)
+    single.step(3)
+    assert len(single.data.sensordata) == 7 and single.data.sensordata[6] > 0.0
+    for data in together.data:
+        np.testing.assert_allclose(data.sensordata, single.data.sensordata, rtol=1e-6, atol=1e-12)

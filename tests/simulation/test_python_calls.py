@@ -11,7 +11,7 @@ from palmfield.data import folder
 from palmfield.engine.host import raise_errors
 from palmfield.session.simulation import Simulation
 
-MOST = 200
+MOST = 400
 MORE = 60
 """For each further skin or array."""
 SECOND_PAD = (

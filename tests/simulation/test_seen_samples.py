@@ -66,7 +66,7 @@ def test_the_force_is_that_of_what_is_seen_in_double_precision(hand, arp64):
     expected = -(arp * areas * in_front) @ normals
     assert np.linalg.norm(force - expected) < 2e-5 * np.linalg.norm(expected)
     from_behind = -(arp * areas * ~in_front) @ normals
-    assert 1e-6 < np.linalg.norm(from_behind) / np.linalg.norm(expected) < 1e-3
+    assert np.linalg.norm(from_behind) < 1e-6 * np.linalg.norm(expected)
 
 
 def test_they_are_filled_up_by_points_without_area(hand):

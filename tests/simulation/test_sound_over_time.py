@@ -187,13 +187,48 @@ def test_arp_asked_for_after_each_step_is_that_of_the_present_sound(small_scene)
 def test_two_foci_that_move_sound_as_loud_as_what_is_told(small_scene):
     """Flips of the drive's common phase would silence transducers that ring: a rule of the pose alone leaves none."""
     stimulus = STEADY | {"path": "circle", "path_diameter_m": 0.02, "path_rate_Hz": 7, "foci_m": "0.01 0 0 -0.01 0 0"}
-    rung, told = (load(small_scene(stimulus=stimulus, array={"response": on})) for on in ("on", "off"))
+    skin = {"solver": "wedges", "element_m": 0.008}
+    rung, told = (load(small_scene(stimulus=stimulus, array={"response": on}, skin=skin)) for on in ("on", "off"))
     for step in range(6):
         rung.step()
         told.step()
         if step > 0:
             assert np.linalg.norm(rung.emitted) == pytest.approx(np.linalg.norm(rung.drive), rel=0.01)
             assert rung.skin().arp.sum() == pytest.approx(told.skin().arp.sum(), rel=0.02)
-    other = load(small_scene(stimulus=stimulus, array={"response": "off"}))
+    other = load(small_scene(stimulus=stimulus, array={"response": "off"}, skin=skin))
     other.start_at(told.time)
     np.testing.assert_allclose(other.drive, told.drive, rtol=0, atol=1e-9)
+
+
+PATHS = {
+    "point": {},
+    "circle": {"path": "circle", "path_diameter_m": 0.03, "path_rate_Hz": 70},
+    "slow circle": {"path": "circle", "path_diameter_m": 0.03, "path_rate_Hz": 1},
+    "line": {"path": "line", "path_width_m": 0.03, "path_rate_Hz": 50},
+    "ticks": {"path": "circle", "path_diameter_m": 0.03, "path_rate_Hz": 70, "control_rate_Hz": 2000},
+}
+
+
+@pytest.mark.parametrize("path", PATHS)
+def test_forces_are_of_what_is_emitted_under_any_path(small_scene, path):
+    """A step's force is the mean of those over tenths of it, and grows as transducers ring up."""
+
+    def forces(response, step_s, steps):
+        skin = {"solver": "wedges", "element_m": 0.008, "step_s": 0.125 * step_s}
+        scene = small_scene(stimulus=STEADY | PATHS[path], array={"response": response, "quality": 25}, skin=skin)
+        for part in scene.parent.glob("*.xml"):
+            part.write_text(part.read_text().replace('timestep="0.001"', f'timestep="{step_s}"'))
+        sim = load(scene)
+        assert sim.model.opt.timestep == step_s
+        result = []
+        for _ in range(steps):
+            sim.step()
+            result.append(sim.forces[0])
+        return np.array(result)
+
+    whole, at_once = forces("on", 0.001, 3), forces("off", 0.001, 1)
+    tenths = forces("on", 0.0001, 30).reshape(3, 10, 3).mean(axis=1)
+    np.testing.assert_allclose(whole, tenths, rtol=0, atol=0.02 * tenths[2, 2])
+    rung = np.pi * 40e3 / 25 * 1e-3  # the step over the time in which amplitudes ring up
+    first = 1 - 2 * (1 - np.exp(-rung)) / rung + (1 - np.exp(-2 * rung)) / (2 * rung)
+    assert whole[0, 2] / at_once[0, 2] == pytest.approx(first, rel=0.1)

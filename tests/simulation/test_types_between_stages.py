@@ -12,7 +12,7 @@ from palmfield.motion.pose import HandPose
 from palmfield.simulation.emission import Emission
 from palmfield.simulation.posed_scene import PosedScene, posed_scene
 from palmfield.simulation.radiation import Radiation
-from palmfield.simulation.sensors import SkinReading, fill
+from palmfield.simulation.sensors import SkinReading, channels
 from palmfield.simulation.step import StepTrace, skin_loads, step
 from palmfield.skin.stepper import Reader, SkinStepper, SurfaceLoads
 from palmfield.stimulus.focal_points import FocalPoints
@@ -28,7 +28,7 @@ from palmfield.stimulus.schedule import Moments
         (Radiation.on, {PosedScene}, {SurfaceSound}),
         (skin_loads, {PosedScene, Moments, EmittedCourse}, {SurfaceLoads}),
         (SkinStepper.step, {SurfaceLoads, Reader}, set()),
-        (fill, {SkinReading}, set()),
+        (channels, {SkinReading}, set()),
         (step, {PosedScene}, set()),
     ],
 )

@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -47,6 +48,7 @@ def advice(view: Preview) -> list[str]:
     result += out_of_sight(view)
     result += in_the_way(view)
     result += _rounded_duration(view)
+    result += _disabled_sensors(view)
     result += array_advice(model)
     result += material_advice(model)
     for stimulus in model.stimuli:
@@ -206,6 +208,14 @@ def _rounded_duration(view: Preview) -> list[str]:
         f"the run takes {steps * step_s:.3g} s in place of {view.duration_s:.3g} s, which is {count} of MuJoCo's: "
         f"option timestep is {step_s:g} s; set one that divides the duration"
     ]
+
+
+def _disabled_sensors(view: Preview) -> list[str]:
+    """Whether MuJoCo leaves the sensors of skins at 0."""
+    if not view.data.model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_SENSOR:
+        return []
+    own = view.data.model.sensor_plugin >= 0
+    return [f"flag 'sensor' is disabled: {own.sum()} sensors of plugins stay at 0; drop the flag"] if own.any() else []
 
 
 def _course(stimulus: StimulusModel) -> Float:

@@ -37,8 +37,9 @@ KINDS = {
 
 
 class Sight(NamedTuple):
-    """What the transducers of a stimulus see of a skin around its focus, or of all its layer where that is far away.
+    """What a stimulus's transducers see of a skin around its focus, or of all its layer where that is far away.
 
+    Of arrays on several sides of a body it is what the best one sees: the others send nothing round the body.
     time_s: [s]; near: whether the focus comes near the skin; facing: share of the ways from its points to the
     transducers that leave on the outer side; incidence: mean cosine of these ways to the normal, negative from behind
     lit: share of the patch's area that is seen, transducers taken alike
@@ -152,11 +153,14 @@ def _sight(
     patch = np.flatnonzero(distance <= spot_m) if near else np.arange(len(points))
     patch = patch[:: -(-len(patch) // POINTS)]
     points, normals, areas = points[patch], normals[patch], areas[patch] / areas[patch].sum()
-    sources = posed.arrays.array.positions[stimulus.transducers]
-    ways = sources[None] - points[:, None]
-    cosines = np.einsum("pst,pt->ps", ways / np.linalg.norm(ways, axis=2)[..., None], normals)
-    seen = visibility(points, normals, mesh, sources, clearance_m=CLEARANCE_M)
-    return Sight(
-        time_s, near, float(areas @ (cosines > 0.0).mean(axis=1)), float(areas @ cosines.mean(axis=1)),
-        float(areas @ seen),
-    )  # fmt: skip
+    sights = []
+    for side in posed.arrays.sides:
+        sources = posed.arrays.array.positions[np.intersect1d(side, stimulus.transducers)]
+        if len(sources) == 0:
+            continue
+        ways = sources[None] - points[:, None]
+        cosines = np.einsum("pst,pt->ps", ways / np.linalg.norm(ways, axis=2)[..., None], normals)
+        facing, incidence = float(areas @ (cosines > 0.0).mean(axis=1)), float(areas @ cosines.mean(axis=1))
+        lit = visibility(points, normals, mesh, sources, clearance_m=CLEARANCE_M)
+        sights.append(Sight(time_s, near, facing, incidence, float(areas @ lit)))
+    return max(sights, key=lambda sight: (sight.kind is None, sight.incidence))

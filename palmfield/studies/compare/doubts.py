@@ -2,6 +2,7 @@
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import detrend
 from scipy.spatial import cKDTree
 
 from palmfield.instruments.agreement import Agreement, delays
@@ -18,6 +19,8 @@ FOLDED = 0.02
 SHARPEN = 4
 """Power of the rms that weighs places for the middle of a motion, so that the loudest place counts most."""
 LEAST_APART_M = 1e-3
+OFFSET = 0.02
+"""Of the peak: an offset or drift is named beyond."""
 WILD = 4.0
 """A point so many times louder than all its neighbours, and than ours ever is at the scan's level, is a broken channel.
 """
@@ -38,8 +41,8 @@ def wild(measured: Scan, computed: Scan) -> NDArray[np.bool_]:
 
 
 def middle(scan: Scan) -> Float:
-    """Where a scan moves most [m], shape (3,), between its points: their mean, weighted by the rms to the SHARPEN."""
-    weights = np.sqrt(np.mean(scan.values**2, axis=0))
+    """Where a scan moves most [m], shape (3,), between its points: their mean, weighted by std to the SHARPEN."""
+    weights = np.std(scan.values, axis=0)
     weights = (weights / weights.max()) ** SHARPEN
     return np.asarray(weights @ scan.points / weights.sum())
 
@@ -59,8 +62,16 @@ def doubts(measured: Scan, computed: Scan, motion: SurfaceMotion, numbers: Agree
         )
     if float(np.median(numbers.gain)) < 0.0:
         found.append("most points are turned round: the beam's sign, or the trigger, may be another")
+    peak = np.abs(measured.values).max()
+    offset, drift = (float(np.median(np.abs(part)) / peak) for part in (numbers.offset, numbers.drift))
+    if max(offset, drift) > OFFSET:
+        found.append(
+            f"the scan has a constant offset of {100 * offset:.2g} % of its peak, and a drift of {100 * drift:.2g} % "
+            "over the record: both are taken out of gain, delay and shape, and stay in the difference"
+        )
     step = even_step(measured.times_s)
-    wide = delays(measured.values, computed.values, step, 0.5 * (measured.times_s[-1] - measured.times_s[0]))[0]
+    theirs, ours = detrend(measured.values, axis=0), detrend(computed.values, axis=0)
+    wide = delays(theirs, ours, step, 0.5 * (measured.times_s[-1] - measured.times_s[0]))[0]
     beyond = np.abs(wide) > most_delay_s + step
     late = float(np.median(wide))
     if beyond.mean() > 0.5 and np.abs(wide - late).max(where=beyond, initial=0.0) < most_delay_s:

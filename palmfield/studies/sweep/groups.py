@@ -16,7 +16,7 @@ from palmfield.drive.boards import BOARDS
 from palmfield.errors import PalmfieldError, SceneError
 from palmfield.session.preview import Preview, preview
 from palmfield.session.world_keys import WorldKeys, world_specs
-from palmfield.session.worlds import can_be_worlds, stimulus_texts
+from palmfield.session.worlds import stimulus_texts
 from palmfield.simulation import load_class
 from palmfield.simulation.build import demands_of, stimuli_of
 from palmfield.simulation.build_worlds import Shared, strictest
@@ -118,8 +118,6 @@ def _many_loads(
         except SceneError:
             continue
     else:
-        return None
-    if not can_be_worlds(view.data.model):
         return None
     for skin in view.runtime.model.skins:
         if skin.spec.config.solver != "auto" or load_class.refusal(skin.spec, skin.layer) is not None:

@@ -11,7 +11,7 @@ from palmfield.drive.transducer_response import EmittedCourse
 from palmfield.interrupts import interrupts_held
 from palmfield.session.duration import step_count
 from palmfield.session.simulation import Simulation
-from palmfield.simulation.emission import SILENCE, Emission, MeanDrives
+from palmfield.simulation.emission import Emission, MeanDrives, few_drives
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.stimulus.schedule import Moments, substep_moments
@@ -52,12 +52,8 @@ class PlayedEmission(Emission):
         return self.sounding(times)
 
     def mean_drives(self, posed: PosedScene, emitted: Complex, t0: float) -> MeanDrives:
-        _, course = self.over(posed, emitted, t0, self.model.substeps)
-        assert course.emitted is not None
-        if not course.emitted.any():
-            return SILENCE
-        rows, which = np.unique(course.emitted, axis=0, return_inverse=True)
-        return MeanDrives(rows, np.bincount(which.ravel(), minlength=len(rows)) / len(which.ravel()))
+        moments, course = self.over(posed, emitted, t0, self.model.substeps)
+        return few_drives(course, np.add.reduce(moments.first, axis=0) / self.model.substeps)
 
 
 class Felt(NamedTuple):
