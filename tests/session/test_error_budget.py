@@ -152,7 +152,7 @@ def test_loud_sound_loses_arp_and_quiet_sound_none(small_scene):
         highest = loudest_place(posed, 0, Radiation(model), drive)
         found = biases(model, 0, 0, posed, drive, model.stimuli[0].first_focus, highest)
         losses.append(next(one.low for one in found if one.what == "nonlinear sound"))
-    assert losses[0] == 0.0 and losses[1] < -0.05
+    assert -0.05 < losses[0] < 0.0 and losses[1] < -0.2
 
 
 def test_biases_in_words():

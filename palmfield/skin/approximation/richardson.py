@@ -12,7 +12,7 @@ STILL = 1e-9
 """Part of the largest motion of any point below which a point counts as still."""
 
 
-def error_of_finer(difference: Any, ratio: float, order: float) -> Any:
+def error_of_finer(difference: Any, ratio: float, order: Any) -> Any:
     """Error of the finer of two solutions whose error falls by `order` in the size of elements or steps.
 
     ratio: size of the coarser's elements or steps over that of the finer's, > 1
@@ -20,7 +20,7 @@ def error_of_finer(difference: Any, ratio: float, order: float) -> Any:
     return difference / (ratio**order - 1.0)
 
 
-def error_of_coarser(difference: Any, ratio: float, order: float) -> Any:
+def error_of_coarser(difference: Any, ratio: float, order: Any) -> Any:
     """As error_of_finer, of the coarser one."""
     return difference / (1.0 - ratio**-order)
 
