@@ -49,5 +49,6 @@ def bars(show: bool = True) -> Progress:
     """Bars on a terminal's standard error, with the time spent and left; nothing where nobody watches."""
     columns = TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeLeft()
     console = Console(stderr=True)
-    # In a pipe, bars would leave an empty line before an error
-    return Progress(*columns, console=console, disable=not (show and console.is_terminal), transient=True)
+    # In a pipe, bars would leave an empty line before an error; rich before 14 does so even where they are disabled
+    console.quiet = not (show and console.is_terminal)
+    return Progress(*columns, console=console, disable=console.quiet, transient=True)

@@ -98,8 +98,7 @@ class WarmUp(_Part):
     time_s: Positive
 
 
-def _version(data: dict[str, Any]) -> int:
-    name = data.get("layout")
+def _version(name: str) -> int:
     return LAYOUTS[name].version if name in LAYOUTS else 1
 
 
@@ -115,7 +114,7 @@ class Calibration(_Part):
     format: Literal["palmfield calibration"] = "palmfield calibration"
     version: Literal[1] = 1
     layout: str
-    layout_version: int = Field(default_factory=_version)
+    layout_version: int = 1
     p0: Estimate | None = None
     quality: Estimate | None = None
     resonance_Hz: Estimate | None = None
@@ -124,6 +123,12 @@ class Calibration(_Part):
     phase_offset_rad: float = 0.0
     level: Level | None = None
     warm_up: WarmUp | None = None
+
+    @model_validator(mode="after")
+    def _of_todays_layout(self) -> Self:
+        if "layout_version" not in self.model_fields_set:
+            self.__dict__["layout_version"] = _version(self.layout)
+        return self
 
     @model_validator(mode="after")
     def _with_sources(self) -> Self:
@@ -157,7 +162,7 @@ def read_calibration(path: str | Path) -> Calibration:
         name = layout_of_version(calibration.layout, version)
     except SceneError as error:
         raise SceneError(f"{file}: {error}") from None
-    return calibration.model_copy(update={"layout": name, "layout_version": _version({"layout": name})})
+    return calibration.model_copy(update={"layout": name, "layout_version": _version(name)})
 
 
 def _check_units(file: Path, calibration: Calibration) -> None:
