@@ -255,7 +255,7 @@ def few_drives(course: EmittedCourse, weights: Float) -> MeanDrives:
     told = powers > NEGLIGIBLE * powers[-1]
     if not np.logical_or.reduce(told):
         return SILENCE
-    return MeanDrives(shares.conj().T[told] @ scaled, np.ones(np.count_nonzero(told)))
+    return MeanDrives(shares.conj().T[told] @ scaled, told[told].astype(np.float64))
 
 
 def _moves_alone(model: HapticModel, drives: list[ArrayDrive]) -> bool:
