@@ -54,7 +54,7 @@ def folder() -> Path | None:
     named = os.environ.get("PALMFIELD_CACHE")
     if named is None:
         return platformdirs.user_cache_path("palmfield")
-    return None if named.strip().lower() in OFF or not named.strip() else Path(named).expanduser()
+    return None if named.strip().lower() in OFF or not named.strip() else Path(os.path.expanduser(named))
 
 
 def limit_bytes() -> int:
@@ -84,7 +84,7 @@ def kept(kind: str, depends_on: Sequence[Any], make: Callable[[], Arrays]) -> Ar
         where.mkdir(parents=True, exist_ok=True)
         lock = filelock.FileLock(path.with_suffix(".lock"), timeout=WAIT_S)
         lock.acquire()
-    except (OSError, filelock.Timeout) as error:
+    except (OSError, NotImplementedError, filelock.Timeout) as error:
         _say(f"cache folder {where}: {_reason(error)}; going on without")
         return make()
     try:
@@ -100,7 +100,7 @@ def kept(kind: str, depends_on: Sequence[Any], make: Callable[[], Arrays]) -> Ar
 def entries() -> list[Entry]:
     """What the cache holds, last used first."""
     where = folder()
-    if where is None or not where.is_dir():
+    if where is None or not os.path.isdir(where):
         return []
     result = []
     for path in where.glob("*.npz"):
@@ -118,7 +118,7 @@ def clear() -> int:
     where = folder()
     for entry in removed:
         entry.path.unlink(missing_ok=True)
-    if where is not None and where.is_dir():
+    if where is not None and os.path.isdir(where):
         for pattern in ("*.lock", "*.part"):
             for path in where.glob(pattern):
                 path.unlink(missing_ok=True)

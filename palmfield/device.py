@@ -1,24 +1,60 @@
 """Where Warp kernels run, and the memory that they share with NumPy."""
 
+import atexit
 import ctypes
 import functools
+import logging
 import os
+import shutil
+import tempfile
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import platformdirs
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
 from palmfield.errors import PalmfieldError
 from warp_kernels import products
 
+KERNELS = "WARP_CACHE_PATH"
+"""The environment's name for the folder in which Warp keeps compiled kernels."""
+
+
+def _kernels_folder() -> None:
+    """Have kernels kept in a folder of this process and its children where the usual one can't be written."""
+    usual = os.environ.get(KERNELS) or platformdirs.user_cache_dir("warp", "NVIDIA", wp.__version__)
+    try:
+        if not os.environ.get(KERNELS) and not os.path.isabs(usual):
+            raise FileNotFoundError("this user has no home folder")
+        os.makedirs(usual, exist_ok=True)
+        tempfile.TemporaryFile(dir=usual).close()
+        return
+    except OSError as error:
+        why = error.strerror or error
+    try:
+        made = tempfile.mkdtemp(prefix="palmfield-kernels-")
+    except OSError as error:
+        raise PalmfieldError(
+            f"folder {usual} for compiled kernels can't be written ({why}), nor can a temporary one: set {KERNELS} to "
+            "a folder that can be"
+        ) from error
+    atexit.register(shutil.rmtree, made, ignore_errors=True)
+    os.environ[KERNELS] = made
+    logging.getLogger(__name__).warning(
+        "folder %s for compiled kernels can't be written (%s): they are compiled again in each run; set %s to a folder "
+        "that can be", usual, why, KERNELS,
+    )  # fmt: skip
+
 
 def _start() -> None:
     """Initialise Warp without its notice that there is no GPU, which C code writes straight to standard error."""
     wp.config.log_level = wp.LOG_WARNING
+    if wp.config.kernel_cache_dir is None:
+        _kernels_folder()
     kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 2)
     try:

@@ -23,6 +23,8 @@ LARGEST_MISS_M = 0.02
 """Points that fit worse are no touches of the places that are given."""
 TOUCH_SD_M = 1e-3
 """Of a touch by axis, where there are too few points to tell."""
+MIRRORED = 1.0 / 3.0
+"""Of what is left: axes that leave less with one swap or one turned about are those of a mirrored space."""
 ABOVE_M = 0.2
 Place = tuple[float, float, float]
 
@@ -88,7 +90,8 @@ def read_touches(path: str | Path) -> Touches:
 def align(touches: Touches) -> Alignment:
     """The turn and shift that bring the tracker's points to the array's, nearest in the mean square (Kabsch 1976).
 
-    Raises SceneError for fewer than three points, points in a line, and points that don't fit.
+    Raises SceneError for fewer than three points, points in a line, points that fit far better with two of the
+    tracker's axes swapped or one reversed, which needs points off one plane, and points that don't fit.
     """
     count = len(touches.array)
     if count < FEWEST:
@@ -105,6 +108,7 @@ def align(touches: Touches) -> Alignment:
     position = middle - turn.apply(seen)
     rest = touches.array - (turn.apply(touches.tracker) + position)
     rms = float(np.sqrt(np.mean((rest**2).sum(axis=1))))
+    _refuse_mirrored(touches, rms)
     if rms > LARGEST_MISS_M:
         raise SceneError(
             f"the points are {1e3 * rms:.1f} mm off their places (rms); allowed: {1e3 * LARGEST_MISS_M:g} mm: look at "
@@ -154,6 +158,24 @@ def write_alignment(path: str | Path, alignment: Alignment) -> None:
             part.write_text(alignment.model_dump_json(indent=1) + "\n", encoding="utf-8")
     except OSError as error:
         raise unwritable(path, error) from None
+
+
+def _refuse_mirrored(touches: Touches, rms: float) -> None:
+    """A turn makes any mirrored space of any other: of the changes that fit alike the one that leaves least turn."""
+    around, seen = (points - points.mean(axis=0) for points in (touches.array, touches.tracker))
+    fits = []
+    for first, second in ((0, 1), (0, 2), (1, 2), (0, 0), (1, 1), (2, 2)):
+        change = np.eye(3)
+        change[[first, second]] = change[[second, first]] if first != second else -change[[first, second]]
+        turn, left = Rotation.align_vectors(around, seen @ change)
+        what = f"{'xyz'[first]} and {'xyz'[second]} swapped" if first != second else f"{'xyz'[first]} reversed"
+        fits.append((float(turn.magnitude()), float(left) / np.sqrt(len(around)), what))
+    _, best, what = min(fits)
+    if rms > 3.0 * TOUCH_SD_M and best < MIRRORED * rms:
+        raise SceneError(
+            f"the points are {1e3 * rms:.1f} mm off their places (rms), and {1e3 * best:.1f} mm with {what}: the "
+            "tracker's axes are left-handed; allowed: right-handed ones: swap or reverse that in what writes them"
+        )
 
 
 def _spread(points: Float) -> float:

@@ -27,6 +27,7 @@ from palmfield.outputs.store import MemoryStore, Store, open_result, refuse_occu
 from palmfield.outputs.store import recover as assemble
 from palmfield.outputs.summary import summary
 from palmfield.outputs.usd import write_usd
+from palmfield.outputs.usd.stage_file import left_scenes
 from palmfield.session.duration import check_duration, step_count
 from palmfield.session.load import Source
 from palmfield.session.mujoco_scene import body_poses
@@ -178,9 +179,18 @@ def recover(out: str | Path, *, progress: bool = False) -> dict[str, Path]:
     """Assemble what a killed run left, or complete the files of one that was cut off while drawing.
 
     progress: as of `run`
+    What a killed writing of a USD scene has left is said, and not removed: it may be wanted, or still be written.
     Returns the files by name. Raises OutputError where there is nothing to recover or no room.
     """
     out = Path(out)
+    try:
+        return _recovered(out, progress)
+    finally:
+        for left, what in left_scenes(out):
+            LOG.warning("%s is %s", left, what)
+
+
+def _recovered(out: Path, progress: bool) -> dict[str, Path]:
     path = out / "result.nc"
     if (out / ".partial").is_dir() or not path.exists():
         path = assemble(out)

@@ -23,6 +23,20 @@ def seen(places):
     return TURN.inv().apply(places - SHIFT)
 
 
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [([[0, 1, 0], [1, 0, 0], [0, 0, 1]], "x and y swapped"), ([[1, 0, 0], [0, 0, 1], [0, 1, 0]], "y and z swapped"),
+     ([[1, 0, 0], [0, 1, 0], [0, 0, -1]], "z reversed"), ([[-1, 0, 0], [0, 1, 0], [0, 0, 1]], "x reversed")],
+)  # fmt: skip
+@pytest.mark.parametrize("height_m", [0.03, 0.15])
+def test_swapped_and_reversed_axes_are_named(change, said, height_m):
+    places = np.vstack([CORNERS, [0.02, -0.03, height_m]])
+    noise = np.random.default_rng(1).normal(0.0, 5e-4, places.shape)
+    with pytest.raises(SceneError, match=f"with {said}: the tracker's axes are left-handed"):
+        align(Touches(places, (places - SHIFT + noise) @ np.array(change)))
+    align(Touches(places, seen(places) + noise))  # right-handed ones, noise and all
+
+
 @pytest.mark.parametrize("count", [3, 5])
 def test_a_tracker_is_placed_exactly_by_exact_touches(count, tmp_path):
     made = align(Touches(CORNERS[:count], seen(CORNERS[:count])))

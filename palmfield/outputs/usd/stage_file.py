@@ -19,6 +19,17 @@ def partial_of(path: Path) -> Path:
     return path.with_name(f"{path.stem}.partial.usdc")
 
 
+def left_scenes(folder: Path) -> list[tuple[Path, str]]:
+    """Files in a folder that a writing of a USD scene has left which was killed, or goes on, and what each is."""
+    readable = "what a USD scene that was cut off holds so far: it can be opened, or `palmfield usd` writes it whole"
+    broken = "a part of a USD scene that was cut off: remove it if nothing writes there"
+    hidden = [path for kind in ("tmp.usdc", "copy.usdc", "whole.usd[az]") for path in folder.glob(f".*.{kind}")]
+    inner = folder.glob("*.inner.usdc")
+    return [(path, readable) for path in sorted(folder.glob("*.partial.usdc"))] + [
+        (path, broken) for path in sorted([*hidden, *inner])
+    ]
+
+
 class StageFile:
     """A crate that grows and becomes the file of a name in the end.
 

@@ -61,7 +61,20 @@ def local_cluster(workers: int, gpus: list[str]) -> Iterator[Any]:
         raise PalmfieldError(f"the local workers do not start: {_line(error)}; --workers 0 does without") from error
     try:
         with Client(cluster, set_as_default=False) as client:
-            _wait(client, workers, f"{workers} local workers")
+            try:
+                client.wait_for_workers(workers, timeout=WORKERS_S)
+            except TimeoutError:
+                there = len(client.scheduler_info()["workers"])
+                busy = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0
+                cause = (
+                    f"the machine is busy ({busy:.0f} programs on {cores()} cores)"
+                    if busy > cores()
+                    else "no cause is known"
+                )
+                raise PalmfieldError(
+                    f"{there} of {workers} local workers started within {WORKERS_S:g} s: {cause}; end other programs, "
+                    "take fewer with --workers, or --workers 0, which needs none"
+                ) from None
             yield client
     finally:
         with suppress(Exception):
@@ -145,7 +158,7 @@ def gpu_memory_bytes() -> int:
     return min((device.free_memory for device in warp.get_cuda_devices()), default=0)
 
 
-def _wait(client: Any, count: int, what: str, timeout_s: float = WORKERS_S) -> None:
+def _wait(client: Any, count: int, what: str, timeout_s: float) -> None:
     try:
         client.wait_for_workers(count, timeout=timeout_s)
     except TimeoutError:

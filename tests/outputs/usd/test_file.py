@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from pxr import Usd, UsdGeom
 
+import palmfield
 from palmfield.errors import OutputError
 from palmfield.outputs.schema import tree
 from palmfield.outputs.usd import Shown, validate_usd, write_usd
@@ -127,6 +128,20 @@ while True:
     # The next one takes away what was left
     write_usd(tree({}), path)
     assert [one.name for one in tmp_path.iterdir()] == ["s.usdc"]
+
+
+def test_what_a_killed_writing_leaves_is_named_by_recover(tmp_path, capsys):
+    from palmfield.cli.messages import show_log
+
+    show_log("warning")
+    (tmp_path / "scene.partial.usdc").write_bytes(b"some")
+    (tmp_path / ".scene.tmp.usdc").write_bytes(b"some")
+    with pytest.raises(OutputError, match="no unfinished run"):
+        palmfield.recover(tmp_path)
+    said = capsys.readouterr().err
+    assert "scene.partial.usdc is what a USD scene that was cut off holds so far" in said
+    assert ".scene.tmp.usdc is a part of a USD scene that was cut off: remove it" in said
+    assert len(list(tmp_path.iterdir())) == 2
 
 
 def test_memory_does_not_grow_with_frames(tmp_path):

@@ -98,6 +98,23 @@ def test_gpus_are_named_as_the_process_sees_them(monkeypatch):
     assert visible_gpus() == ["4", "7"]
 
 
+def test_workers_that_do_not_start_in_time_name_the_cause_and_the_mend(monkeypatch):
+    monkeypatch.setattr("palmfield.studies.sweep.cluster.WORKERS_S", 0.01)
+    monkeypatch.setattr(os, "getloadavg", lambda: (99.0, 99.0, 99.0))
+    monkeypatch.setattr("distributed.Client.wait_for_workers", _late)
+    with (
+        pytest.raises(
+            PalmfieldError, match=r"of 1 local workers started.*busy \(99 programs.*--workers 0, which needs"
+        ),
+        local_cluster(1, []),
+    ):
+        pass
+
+
+def _late(*_args, **_options):
+    raise TimeoutError
+
+
 def test_an_unreachable_scheduler_is_said_before_a_folder_is_made(small_scene, tmp_path):
     with pytest.raises(PalmfieldError, match=r"--scheduler tcp://127\.0\.0\.1:1 can't be reached within 5 s"):
         palmfield.sweep(small_scene(), DESIGN, tmp_path / "out", scheduler="tcp://127.0.0.1:1", progress=False)
