@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from palmfield.config import CONFIGS
 from palmfield.errors import OutputError, PalmfieldError
 from palmfield.given_files import read_json, read_toml
 from palmfield.perception.psychometric import PsychometricFunction, Shape
@@ -192,6 +193,18 @@ class Design(_Part):
         others = {"simulated", "skin"} - {observer}
         own = self.model_dump(mode="json", exclude=others | {"lsl", "trigger", "board"})
         return hashlib.sha256(json.dumps(own, sort_keys=True).encode()).hexdigest()[:16]
+
+    def playable(self) -> tuple[float, float]:
+        """Least and largest level that the varied key takes and the procedure plays; infinite where nothing says."""
+        part, _, key = self.varied.key.rpartition(".")
+        models = [one for one in CONFIGS if key in one.model_fields]
+        models = [one for one in models if one.plugin == f"palmfield.{part}"] or models
+        schema = models[0].model_json_schema()["properties"][key] if len(models) == 1 else {}
+        lows, highs = [self.procedure.get("low", -math.inf)], [self.procedure.get("high", math.inf)]
+        for option in schema.get("anyOf", [schema]):
+            lows += [option[name] for name in ("minimum", "exclusiveMinimum") if name in option]
+            highs += [option[name] for name in ("maximum", "exclusiveMaximum") if name in option]
+        return max(lows), min(highs)
 
     def keys_at(self, condition: int, level: float) -> dict[str, object]:
         """Keys of a presentation, as `palmfield.load` takes them."""

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from palmfield.errors import OutputError
-from palmfield.perception.psychometric import Fit, Shape, counts, fit
+from palmfield.perception.psychometric import BEYOND, Fit, Shape, counts, fit
 from palmfield.studies.experiment.design import Design
 from palmfield.studies.experiment.log import Log, Trial, next_trial, read_experiment_log
 from palmfield.studies.experiment.procedures import Adjustment, Answered, Limits, Staircase
@@ -130,8 +130,30 @@ def _condition(design: Design, number: int, trials: Sequence[Trial], settings: _
     )  # fmt: skip
 
 
+def interval_of(design: Design, one: ConditionReport) -> tuple[float | None, float | None]:
+    """The threshold's interval in the varied key's unit; None for an end that no level that can be played bounds."""
+    assert one.fit is not None
+    low, high = (design.varied.level(told) for told in one.fit.threshold_interval)
+    least, most = design.playable()
+    # Where a search for the interval ended it is not bounded either
+    ratios = one.fit.function.shape == "weibull"
+    places, ends = (np.log(x) if ratios else np.array(x) for x in (one.levels, one.fit.threshold_interval))
+    searched = BEYOND * np.ptp(places) - 1e-6
+    return (
+        None if low < least or ends[0] <= places.min() - searched else low,
+        None if high > most or ends[1] >= places.max() + searched else high,
+    )
+
+
+def written(low: float | None, high: float | None) -> str:
+    """An interval in words, from its ends as of `interval_of`."""
+    if low is None and high is None:
+        return "not bounded"
+    return f"{'not bounded' if low is None else f'{low:.4g}'} to {'not bounded' if high is None else f'{high:.4g}'}"
+
+
 def as_dict(report: Report) -> dict[str, Any]:
-    """The report with units in the names, for other programs."""
+    """The report with units in the names, for other programs; ends of intervals that are not bounded are None."""
     varied, head = report.design.varied, report.log.head
     rows = []
     for one in report.conditions:
@@ -140,7 +162,7 @@ def as_dict(report: Report) -> dict[str, Any]:
             "estimates": [None if math.isnan(value) else value for value in one.estimates],
         }  # fmt: skip
         if one.fit is not None:
-            low, high = (varied.level(told) for told in one.fit.threshold_interval)
+            low, high = interval_of(report.design, one)
             row |= {
                 "threshold": varied.level(one.fit.threshold), "threshold_low": low, "threshold_high": high,
                 "confidence": one.fit.confidence, "deviance": one.fit.deviance,
@@ -175,8 +197,8 @@ def as_text(report: Report) -> str:
     for one in report.conditions:
         threshold = interval = spread = "-"
         if one.fit is not None:
-            low, high = (varied.level(told) for told in one.fit.threshold_interval)
-            threshold, interval = f"{varied.level(one.fit.threshold):.4g}", f"{low:.4g} to {high:.4g}"
+            threshold = f"{varied.level(one.fit.threshold):.4g}"
+            interval = written(*interval_of(report.design, one))
             spread = f"{one.fit.spread:.3g}{' dB' if varied.scale == 'log' else ''}"
         told = ", ".join("-" if math.isnan(value) else f"{value:.4g}" for value in one.estimates) or "-"
         lines.append(f"{one.name:<{width}}  {one.answered:>6}  {threshold:>9}  {interval:<21}  {spread:<6}  {told}")

@@ -56,6 +56,17 @@ def test_numbers_of_a_fit_are_in_the_varied_keys_unit(logged):
     assert f"{first['threshold']:.4g}" in as_text(report) and "75 % right but for lapses" in as_text(report)
 
 
+def test_an_interval_that_leaves_what_can_be_played_is_not_bounded(logged):
+    """A threshold at the amplitude's largest value, 1, of which 30 trials tell no upper end."""
+    report = report_of(logged(threshold="-1.0"))
+    one = as_dict(report)["conditions"][0]
+    assert report.conditions[0].fit.threshold_interval[1] > 0.0  # dB re 1: no such amplitude
+    assert one["threshold_high"] is None and report.design.playable() == (0.001, 1.0)
+    assert "to not bounded" in as_text(report) or "  not bounded" in as_text(report)
+    del report.design.procedure["high"]
+    assert report.design.playable() == (0.001, 1.0)  # the key's own
+
+
 def test_levels_counts_and_shares_are_those_of_the_log(logged):
     log = logged(procedure=CONSTANT)
     report = report_of(log)
