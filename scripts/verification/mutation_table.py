@@ -317,12 +317,12 @@ MUTATIONS = (
         "tests/stimulus/test_onskin.py::test_a_line_on_a_cylinder_is_a_helix",
     ),
     Mutation(
-        "weights of a quartered triangle too large",
+        "cells of a box's face half too large",
         "load quadrature",
-        "palmfield/skin/fem/load.py",
-        "np.tile(0.25 * weights, 4)",
-        "np.tile(0.5 * weights, 4)",
-        "tests/skin/test_wedges_solve.py::test_traction_at_points_is_the_spot_they_sample",
+        "palmfield/skin/fem/on_body.py",
+        "float(np.prod(body.size_m)) / (counts[0] * counts[1])",
+        "1.5 * float(np.prod(body.size_m)) / (counts[0] * counts[1])",
+        "tests/skin/test_traction_on_body.py::test_the_force_is_that_of_the_pressure_over_the_face",
     ),
     Mutation(
         "area of a triangle for twice it",

@@ -112,7 +112,11 @@ def test_triangles_lie_on_the_skin_and_the_loudest_is_under_the_focus(steady):
     assert opacity[0] == 1.0 and opacity[-1] < 0.1 and (np.diff(opacity) <= 1e-6).all()
     (label,) = of_kind(arp, mujoco.mjtGeom.mjGEOM_LABEL)
     name, told, unit, over = label.label.split(maxsplit=3)
-    assert (name, unit) == ("ARP", "Pa,") and over.startswith("mean over ") and float(told) == pytest.approx(steady.data.sensor("skin").data[-1], rel=0.02)
+    assert (
+        (name, unit) == ("ARP", "Pa,")
+        and over.startswith("mean over ")
+        and float(told) == pytest.approx(steady.data.sensor("skin").data[-1], rel=0.02)
+    )
 
 
 def test_modulated_sound_is_shown_as_its_mean(module_scene, steady):
