@@ -18,8 +18,6 @@ from warp_kernels import transfer as kernels
 
 OUT_OF_SPAN = 1e-6
 """Of the largest drive's norm, what may lie outside the span: less than the field's own error in float32."""
-FEW = 4
-"""Buffers and launches are made for so many drives at least, where there are several."""
 LEFT_OUT = 1e-7
 """Of the largest singular value of a path's drives: smaller ones are not in the span."""
 MOST_SHARE = 0.75
@@ -95,13 +93,11 @@ class SpannedArp:
         rest = drives - shares @ self._back.T
         if np.maximum.reduce(_squares(rest)) > OUT_OF_SPAN**2 * np.maximum.reduce(_squares(drives)):
             return None
-        count = len(drives)
-        # A step's mean force has one to a few drives, now more and now fewer: one room serves them all
-        size = FEW if 1 < count < FEW else count
-        taken, result, blocks, threads = self._rooms.get(size) or self._new_room(size)
-        taken[:count, ..., 0], taken[:count, ..., 1], taken[count:] = shares.real, shares.imag, 0.0
+        room = self._rooms.get(len(drives)) or self._new_room(len(drives))
+        taken, result, blocks, threads = room
+        taken[..., 0], taken[..., 1] = shares.real, shares.imag
         share(blocks, threads)
-        return result[:count]
+        return result
 
     def _new_room(self, count: int) -> tuple[Float32, Float32, list[Calls], int]:
         parts = self.fields.fields

@@ -17,6 +17,7 @@ EDGE_M = 2e-3
 """So close together are the points of the skin that distances are taken to."""
 SUNK_M = 3e-3
 """Depth of a covered vertex below the skin: more than the largest magnified push. It is less near the skin's rim."""
+SLOPE = 0.3
 
 
 class Under(NamedTuple):
@@ -36,7 +37,7 @@ def under(points: Float, skins: list[tuple[Float, Int, Float]]) -> Under:
     """The vertices of a body that its skins cover, and how deep they are drawn.
 
     points: the body's at rest [m], (n, 3); skins: nodes [m] (s, 3), triangles (f, 3) and outward normals (s, 3) of each
-    Depth grows from 0 at a skin's rim as the distance to it, up to SUNK_M, so that body and skin meet at the rim.
+    Depth grows from 0 at a skin's rim by SLOPE of the distance to it, up to SUNK_M, so that body and skin meet there.
     """
     found = [Under(*(np.zeros(0, np.int32),) * 3, np.zeros(0))]
     free: NDArray[np.bool_] = np.ones(len(points), np.bool_)
@@ -49,7 +50,7 @@ def under(points: Float, skins: list[tuple[Float, Int, Float]]) -> Under:
         node = cKDTree(nodes).query(over[nearest[vertex]])[1].astype(np.int32)
         above = np.einsum("ij,ij->i", points[vertex] - over[nearest[vertex]], normals[node])
         inside = cKDTree(over[rim]).query(points[vertex])[0] if rim.any() else np.full(len(vertex), SUNK_M)
-        depth = np.maximum(above, 0.0) + np.minimum(0.3 * inside, SUNK_M)
+        depth = np.maximum(above, 0.0) + np.minimum(SLOPE * inside, SUNK_M)
         found.append(Under(vertex, np.full(len(vertex), number, np.int32), node, depth))
     return Under(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
 

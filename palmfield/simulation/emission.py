@@ -34,7 +34,7 @@ TICK_S = 1e-9
 LEAST_MEANS = 4
 """Parts of a MuJoCo step over which the force on bodies is averaged, at least; of drives that move, which cost more, 2.
 
-Two parts leave 5 % of error in the millisecond in which the transducers ring up, and then 1 % for 7 m/s."""
+By estimate two parts leave 5 % of error in the millisecond in which transducers ring up, and then 1 % for 7 m/s."""
 NEGLIGIBLE = 1e-5
 """Share of the emitted power that the mean force may leave out."""
 
@@ -156,7 +156,7 @@ class Emission:
         means = max(LEAST_MEANS, model.substeps)
         mean = mean_arp_factor(part.config, t0, t0 + model.spec.timestep_s, means)
         levels = np.sqrt(factors)
-        weights = 0.5 * np.add.reduce(moments.first + moments.last, axis=0) / model.substeps
+        weights = mean_weights(moments)
         return PathStep(moments, place.along(points), group, levels[:-1], float(levels[-1]), mean, weights)
 
     def now(self, posed: PosedScene, emitted: Complex, time_s: float) -> EmittedCourse:
@@ -225,7 +225,7 @@ class Emission:
             else:
                 moments = substep_moments(model.configs, t0, timestep_s / count, count, hold=hold)
                 course = self._course(posed, emitted, t0, moments)
-            return few_drives(course, 0.5 * np.add.reduce(moments.first + moments.last, axis=0) / count)
+            return few_drives(course, mean_weights(moments))
         level = mean_arp_factor(part.config, t0, t0 + timestep_s, count)
         if part.silent or level == 0.0:
             return SILENCE
@@ -239,6 +239,11 @@ class Emission:
                 return MeanDrives(first, np.array([level / factors[0]]))
             point = points[0]
         return MeanDrives(drive.unit_drive_at(place, point).amplitudes[None], np.array([level]))
+
+
+def mean_weights(moments: Moments) -> Float:
+    """Share of each moment in the mean over all steps, shape (m,)."""
+    return np.asarray(0.5 * np.add.reduce(moments.first + moments.last, axis=0) / len(moments.first))
 
 
 def few_drives(course: EmittedCourse, weights: Float) -> MeanDrives:
