@@ -15,7 +15,7 @@ COVERED_M = 4e-3
 """A body's vertex nearer than this to the inside of a skin is covered by it: coarse skins cut corners."""
 EDGE_M = 2e-3
 """So close together are the points of the skin that distances are taken to."""
-SUNK_M = 3e-3
+SUNK_M = 4e-3
 """Depth of a covered vertex below the skin: more than the largest magnified push. It is less near the skin's rim."""
 SLOPE = 0.3
 
