@@ -91,9 +91,9 @@ def align(
     """Where a tracker stands to an array, from three touched points or more.
 
     Touch known places of the array with the index fingertip: three that are not in a line, better five at its corners
-    and middle. The table has a row for each: where the place is in the array's frame, and where the tracker has the
-    fingertip (joint index_tip), in metres. Key `tracking_alignment` of palmfield.motion and `palmfield trial --align`
-    take the file.
+    and middle and one on something that stands on it, 20 mm high or more. The table has a row for each: where the place
+    is in the array's frame, and where the tracker has the fingertip (joint index_tip), in metres. Key
+    `tracking_alignment` of palmfield.motion and `palmfield trial --align` take the file.
 
     Example: palmfield track align touches.csv tracker.json
     """

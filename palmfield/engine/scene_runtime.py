@@ -7,6 +7,7 @@ from typing import Literal
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from rich.progress import Progress
 
 from palmfield.drive.transducer_response import EmittedCourse, present_drive
 from palmfield.errors import SceneError
@@ -101,6 +102,16 @@ class SceneRuntime:
         """Know nothing of the last pose."""
         self._posed, self._numbers = self.work.reference, b""
         self._unit_arp.clear()
+
+    def prepare(self, bar: Progress) -> None:
+        """Make what steps the skins and is not made yet, with the time that the plan expects for it on a bar."""
+        if all(lazy.made for lazy in self.model.begin):
+            return
+        expected_s = sum(skin.choice.seconds for skin in self.model.skins)
+        task = bar.add_task("preparing the skin layers", total=None, expected_s=expected_s)
+        for lazy in self.model.begin:
+            _ = lazy.value
+        bar.remove_task(task)
 
     @cached_property
     def state(self) -> HapticState:

@@ -44,6 +44,7 @@ class SkinModule(Module):
         self.leads = self.number == 0
         self.only_senses = not self.leads
         self._sensors: list[Any] | None = None
+        self._began = False
 
     @classmethod
     def state_size(cls, settings: Any, model: ModelView) -> int:
@@ -82,7 +83,13 @@ class SkinModule(Module):
             self.scene.sense(self.number, self._sensors)
 
     def advance(self) -> None:
-        """Carry the scene over MuJoCo's last step."""
+        """Carry the scene over MuJoCo's last step; a terminal shows how long the first one waits for the skins."""
+        if not (self._began or self.world.quiet):
+            from palmfield.terminal import bars
+
+            with bars() as bar:
+                self.scene.prepare(bar)
+        self._began = True
         self.scene.advance()
 
     def draw(self, drawing: Drawing) -> None:

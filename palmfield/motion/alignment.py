@@ -35,6 +35,7 @@ class Alignment(BaseModel):
     position_m: the tracker's origin; quaternion: w first; points: how many were touched; rms_m: what is left
     touch_sd_m: of one touch by axis, from what is left where there are 4 points or more, else TOUCH_SD_M
     turn_sd_rad: of the turn about its least known axis; sd_m: of a place 0.2 m over the points' middle, all axes
+    off_plane_m: how far the points reach across the plane that fits them best, from end to end; None in older files
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -48,6 +49,7 @@ class Alignment(BaseModel):
     touch_sd_m: Annotated[float, Field(ge=0)]
     turn_sd_rad: Annotated[float, Field(ge=0)]
     sd_m: Annotated[float, Field(ge=0)]
+    off_plane_m: Annotated[float, Field(ge=0)] | None = None
 
     @property
     def transform(self) -> Transform:
@@ -59,12 +61,17 @@ class Alignment(BaseModel):
         x, y, z = (1e3 * value for value in self.position_m)
         turn = np.degrees(Rotation.from_quat(self.quaternion, scalar_first=True).magnitude())
         source = "from what is left" if self.points > FEWEST else "taken for three points, whose rest tells little"
+        flat = self.off_plane_m is not None and self.off_plane_m < LEAST_SPREAD_M
+        doubt = (
+            "\nthe points lie in one plane, where left-handed axes of the tracker fit as well: touch one more, "
+            f"{1e3 * LEAST_SPREAD_M:g} mm or more off it"
+        )
         return (
             f"the tracker's origin is at ({x:.1f}, {y:.1f}, {z:.1f}) mm of the array, turned by {turn:.1f} degrees\n"
             f"{self.points} points, {1e3 * self.rms_m:.2f} mm left (rms); a touch is {1e3 * self.touch_sd_m:.2f} mm "
             f"off by each axis ({source})\n"
             f"uncertainty (sd): {np.degrees(self.turn_sd_rad):.2f} degrees, and {1e3 * self.sd_m:.2f} mm at "
-            f"{1e3 * ABOVE_M:.0f} mm over the points"
+            f"{1e3 * ABOVE_M:.0f} mm over the points{doubt if flat else ''}"
         )
 
 
@@ -121,6 +128,7 @@ def align(touches: Touches) -> Alignment:
     inertia = np.eye(3) * (around**2).sum() - around.T @ around
     turns = touch**2 * np.linalg.inv(inertia)
     normal = np.linalg.svd(around)[2][2]
+    off_plane = float(np.ptp(around @ normal))
     arm = _cross(ABOVE_M * normal)
     place = touch**2 / count * np.eye(3) + arm @ turns @ arm.T
     return Alignment(
@@ -131,6 +139,7 @@ def align(touches: Touches) -> Alignment:
         touch_sd_m=touch,
         turn_sd_rad=float(np.sqrt(np.linalg.eigvalsh(turns)[-1])),
         sd_m=float(np.sqrt(np.trace(place))),
+        off_plane_m=off_plane,
     )
 
 

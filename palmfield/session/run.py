@@ -233,14 +233,9 @@ def draw(tree: xr.DataTree, out: Path, bar: Progress, plots: Sequence[str] | Non
 def _prepare(sim: Simulation, out: Path | None, overwrite: bool, bar: Progress) -> tuple[Store | MemoryStore, Recorder]:
     """Everything that can fail before the first step."""
     started = time.perf_counter()
-    model = sim.runtime.model
-    expected_s = sum(skin.choice.seconds for skin in model.skins)
-    task = bar.add_task("preparing the skin layers", total=None, expected_s=expected_s)
-    for lazy in model.begin:
-        _ = lazy.value
+    sim.runtime.prepare(bar)
     static, attributes = known_before(sim), result_attributes(sim)
     store = MemoryStore(static, attributes) if out is None else Store(out, static, attributes, overwrite)
-    bar.remove_task(task)
     LOG.debug("prepared the skin layers in %.2f s", time.perf_counter() - started)
     return store, recorder_of(sim, store)
 

@@ -1,5 +1,6 @@
 """What the command line says, and when: the version, the log, quiet runs, completion."""
 
+import json
 import logging
 import subprocess
 import sys
@@ -107,3 +108,16 @@ def test_keys_and_values_are_offered():
     assert (
         len(settings("skin.")) == len(SkinConfig.model_fields) and settings("nose.") == settings("skin.radius_m=") == []
     )
+
+
+@pytest.mark.parametrize(("accuracy", "code"), [(0.002, 3), (0.5, 0)])
+def test_strict_says_by_its_exit_code_that_an_accuracy_is_not_reached(
+    accuracy, code, monkeypatch, capsys, small_scene, tmp_path
+):
+    """Elements of a size that is given leave the error as it is, whatever accuracy is wanted."""
+    out, keys = tmp_path / "out", ("--accuracy", accuracy, "--duration", "0.005", "--json")
+    scene = small_scene()
+    ended, said = call(monkeypatch, capsys, "run", scene, "--out", out, *keys, "--strict")
+    assert said.out, said.err
+    skin = json.loads(said.out)["summary"]["skins"][0]
+    assert (ended, skin["accuracy_reached"]) == (code, code == 0), skin

@@ -72,3 +72,11 @@ def test_a_mesh_that_is_nowhere_is_named_with_the_ways_out(small_scene, tmp_path
     monkeypatch.chdir(tmp_path_factory.mktemp("elsewhere"))
     with pytest.raises(ValueError, match=r"instance 'skin': key 'mesh': file 'ball\.obj' .* absolute path"):
         mujoco.MjModel.from_xml_path(str(path))
+
+
+@pytest.mark.parametrize("watched", [True, False], ids=["terminal", "pipe"])
+def test_a_terminal_shows_how_long_loading_takes(watched, small_scene, monkeypatch, capsys):
+    """FORCE_COLOR stands for a terminal."""
+    monkeypatch.setenv("FORCE_COLOR", "1") if watched else monkeypatch.delenv("FORCE_COLOR", raising=False)
+    mujoco.MjModel.from_xml_path(str(small_scene()))
+    assert ("preparing the skin layers" in capsys.readouterr().err) is watched

@@ -37,6 +37,14 @@ def test_swapped_and_reversed_axes_are_named(change, said, height_m):
     align(Touches(places, seen(places) + noise))  # right-handed ones, noise and all
 
 
+def test_touches_in_one_plane_leave_the_hand_of_the_axes_open():
+    mirror = np.diag([1.0, 1.0, -1.0])
+    flat = align(Touches(CORNERS, (CORNERS - SHIFT) @ mirror))  # left-handed, and nothing is left
+    assert flat.rms_m < 1e-12 and "touch one more, 20 mm or more off it" in str(flat)
+    whole = np.vstack([CORNERS, [0.0, 0.0, 0.03]])
+    assert "one plane" not in str(align(Touches(whole, seen(whole))))
+
+
 @pytest.mark.parametrize("count", [3, 5])
 def test_a_tracker_is_placed_exactly_by_exact_touches(count, tmp_path):
     made = align(Touches(CORNERS[:count], seen(CORNERS[:count])))

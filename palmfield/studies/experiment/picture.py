@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from palmfield.errors import OutputError
 from palmfield.studies.experiment.design import Design
 from palmfield.studies.experiment.procedures import Adjustment, Limits, Staircase
-from palmfield.studies.experiment.report import ConditionReport, Report, interval_of, written
+from palmfield.studies.experiment.report import ConditionReport, Report, interval_of, threshold_of, written
 
 BLUE, ORANGE, GREY = "#2060a0", "#d07020", "#808080"
 MOST_CONDITIONS = 12
@@ -81,7 +81,7 @@ def _function(axes: Axes, condition: ConditionReport, report: Report) -> None:
         axes.plot([condition.fit.threshold], [at], "|", color=ORANGE, markersize=14, markeredgewidth=2)
         unit = f" {design.varied.unit}" if design.varied.unit else ""
         axes.set_title(
-            f"threshold {design.varied.level(condition.fit.threshold):.3g}{unit}, "
+            f"threshold {threshold_of(design, condition)[1]}{unit}, "
             f"{100 * condition.fit.confidence:g} %: {written(*interval_of(design, condition))}", fontsize=9,
         )  # fmt: skip
     else:

@@ -145,6 +145,15 @@ def interval_of(design: Design, one: ConditionReport) -> tuple[float | None, flo
     )
 
 
+def threshold_of(design: Design, one: ConditionReport) -> tuple[float | None, str]:
+    """The threshold in the varied key's unit, and in words; None where no level that can be played reaches it."""
+    assert one.fit is not None
+    (least, most), level = design.playable(), design.varied.level(one.fit.threshold)
+    if least <= level <= most:
+        return level, f"{level:.4g}"
+    return None, f"< {least:.4g}" if level < least else f"> {most:.4g}"
+
+
 def written(low: float | None, high: float | None) -> str:
     """An interval in words, from its ends as of `interval_of`."""
     if low is None and high is None:
@@ -153,7 +162,7 @@ def written(low: float | None, high: float | None) -> str:
 
 
 def as_dict(report: Report) -> dict[str, Any]:
-    """The report with units in the names, for other programs; ends of intervals that are not bounded are None."""
+    """The report with units in the names, for other programs; None for what no level that can be played bounds."""
     varied, head = report.design.varied, report.log.head
     rows = []
     for one in report.conditions:
@@ -164,7 +173,7 @@ def as_dict(report: Report) -> dict[str, Any]:
         if one.fit is not None:
             low, high = interval_of(report.design, one)
             row |= {
-                "threshold": varied.level(one.fit.threshold), "threshold_low": low, "threshold_high": high,
+                "threshold": threshold_of(report.design, one)[0], "threshold_low": low, "threshold_high": high,
                 "confidence": one.fit.confidence, "deviance": one.fit.deviance,
                 ("spread_dB" if varied.scale == "log" else "spread"): one.fit.spread,
                 "deviance_share": one.fit.deviance_share, "lapse": one.fit.function.lapse, "settled": one.fit.settled,
@@ -197,7 +206,7 @@ def as_text(report: Report) -> str:
     for one in report.conditions:
         threshold = interval = spread = "-"
         if one.fit is not None:
-            threshold = f"{varied.level(one.fit.threshold):.4g}"
+            threshold = threshold_of(report.design, one)[1]
             interval = written(*interval_of(report.design, one))
             spread = f"{one.fit.spread:.3g}{' dB' if varied.scale == 'log' else ''}"
         told = ", ".join("-" if math.isnan(value) else f"{value:.4g}" for value in one.estimates) or "-"

@@ -436,7 +436,7 @@ class Page:
             still = [skin.rms for skin in replay.skins]
             scale = size_scale("RMS of the normal displacement", _most(still), "um", 1e6)
             return list(zip(motion, still, strict=True)), scale, f"over {replay.what}"
-        words = f"{replay.what}, {self._slow:.3g} times slower"
+        words = f"{replay.what}, {self._slow:,.{0 if self._slow >= 100.0 else 1}f} times slower"
         if shown == REPLAYS[1]:
             scale = size_scale("radiation pressure (ARP)", _most([skin.arp for skin in replay.skins]), "Pa", 1.0)
             return [(u, skin.arp[place]) for u, skin in zip(motion, replay.skins, strict=True)], scale, words

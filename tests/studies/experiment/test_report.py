@@ -1,6 +1,7 @@
 """Reports: thresholds of a log that is finished or not, as table, JSON and picture."""
 
 import json
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -65,6 +66,17 @@ def test_an_interval_that_leaves_what_can_be_played_is_not_bounded(logged):
     assert "to not bounded" in as_text(report) or "  not bounded" in as_text(report)
     del report.design.procedure["high"]
     assert report.design.playable() == (0.001, 1.0)  # the key's own
+
+
+@pytest.mark.parametrize(("level_dB", "words"), [(3.0, "> 1 "), (-70.0, "< 0.001 ")])
+def test_a_threshold_that_cannot_be_played_is_no_number(level_dB, words, logged):
+    report = report_of(logged())
+    first, *rest = report.conditions
+    function = replace(first.fit.function, threshold=level_dB)
+    first = replace(first, fit=replace(first.fit, function=function))
+    report = replace(report, conditions=(first, *rest))
+    assert as_dict(report)["conditions"][0]["threshold"] is None
+    assert words in as_text(report)
 
 
 def test_levels_counts_and_shares_are_those_of_the_log(logged):
