@@ -8,7 +8,7 @@ from contourpy import contour_generator
 from numpy.typing import ArrayLike
 
 from palmfield.errors import MeasurementError
-from palmfield.metrics.checks import cell_areas, finite, grid, mask, share
+from palmfield.metrics.checks import finite, grid, share
 from palmfield.types import Float
 
 Diameter = Literal["equal_area", "widest"]
@@ -81,19 +81,6 @@ def radial_profile(
     total = np.histogram(radius, edges, weights=share_of * field)[0]
     count = np.histogram(radius, edges, weights=share_of)[0]
     return np.where(count > 0.0, total / np.where(count > 0.0, count, 1.0), np.nan)
-
-
-def share_within(values: ArrayLike, x_m: ArrayLike, y_m: ArrayLike, inside: ArrayLike) -> float:
-    """Share of a map's integral that lies where `inside` (m, n) is True, between 0 and 1 for maps of one sign.
-
-    Raises MeasurementError for a map whose integral is 0.
-    """
-    field, x, y = grid(values, x_m, y_m)
-    whole = cell_areas(x, y) * field
-    total = float(whole.sum())
-    if total == 0.0:
-        raise MeasurementError("the map's integral is 0, and nothing has a share in it")
-    return float(whole[mask(inside, field)].sum()) / total
 
 
 def level_depth(depth_m: ArrayLike, values: ArrayLike, reference_m: float, level: float = 0.5) -> float:

@@ -207,8 +207,8 @@ def levels_dB_SL(
     a place whose amplitude is NaN has the level NaN
     area_m2, duration_s: as of `threshold_m`, which says what it raises
     The sum goes over the lines of one channel; the channel with the highest level counts.
-    DC and lines outside the observer's table are left out: `share_left_out` tells how much that is. Give lines
-    (`line_amplitude`), not the bins of a windowed spectrum: Hann's count every line 1.5 times.
+    DC and lines outside the observer's table are left out. Give lines (`line_amplitude`), not the bins of
+    a windowed spectrum: Hann's count every line 1.5 times.
     """
     frequency, amplitude = (np.asarray(one, dtype=np.float64) for one in (frequencies, peak_amplitudes_m))
     if frequency.ndim != 1 or amplitude.ndim != 2 or len(amplitude) != len(frequency):
@@ -225,17 +225,6 @@ def levels_dB_SL(
     with np.errstate(divide="ignore"):
         levels = 10.0 * np.log10(np.max(energies, axis=0))
     return np.where(unknown & silent | np.isnan(amplitude).any(axis=0), np.nan, levels)
-
-
-def share_left_out(observer: Observer, frequencies: ArrayLike, peak_amplitudes_m: ArrayLike) -> float:
-    """Share of the squared amplitude, DC excluded, on lines outside the observer's table, 0 to 1 (0 for no motion).
-
-    frequencies: [Hz], shape (n,); peak_amplitudes_m: [m], shape (n,)
-    """
-    frequency = np.asarray(frequencies, dtype=np.float64)
-    energy = np.where(frequency > 0, np.asarray(peak_amplitudes_m, dtype=np.float64) ** 2, 0.0)
-    total = float(energy.sum())
-    return float(energy[np.isnan(threshold_m(observer, frequency))].sum()) / total if total > 0 else 0.0
 
 
 def line_amplitude(time: ArrayLike, x: ArrayLike, f: float, periods: int | None = None) -> float:

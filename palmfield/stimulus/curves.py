@@ -50,13 +50,6 @@ class PlanePath:
         """Length of one turn, or of one way of an open path, pen lifts included."""
         return float(self.corner_arcs[-1])
 
-    @property
-    def lifted_share(self) -> float:
-        """Share of the length on which the pen is lifted, 0..1."""
-        if self.lifted is None:
-            return 0.0
-        return float(np.diff(self.corner_arcs)[self.lifted].sum() / self.length_m)
-
     def at(self, arc_m: ArrayLike) -> Float:
         """Points [m], shape (k, 2), at arc lengths from the start [m], shape (k,), of any size and sign.
 
@@ -183,7 +176,7 @@ def lissajous(width_m: float, height_m: float, a: int, b: int, phase_deg: float)
 def letters(text: str, height_m: float) -> PlanePath:
     """Capitals and digits in single strokes; starts where the first letter's first stroke does.
 
-    Between strokes the pen is lifted and goes straight: `pen_down` and `lifted_share` tell where and how much.
+    Between strokes the pen is lifted and goes straight: `pen_down` gives where.
     Raises SceneError for a bad height and for characters other than A-Z (small ones too), 0-9 and the blank.
     """
     (height,) = _size("letters", height_m=height_m)
