@@ -167,8 +167,9 @@ def from_callable(function: str | Callable[[float], HandPose], hand: Articulated
     try:
         imported = getattr(importlib.import_module(module), name)
     except Exception as error:  # a user's module may raise anything
-        absent = isinstance(error, ModuleNotFoundError)
-        why = f"there is no module '{error.name}'" if absent else f"{type(error).__name__}: {error}"
+        why = f"{type(error).__name__}: {error}"
+        if isinstance(error, ModuleNotFoundError):
+            why = f"there is no module '{error.name}'"
         raise SceneError(f"hand motion '{function}' is not found: {why}; name one that Python can import") from None
     if not callable(imported):
         raise SceneError(f"hand motion '{function}' is {type(imported).__name__}; name a function of time [s]")
