@@ -167,7 +167,7 @@ def report(rows: list[dict[str, Any]], out: Path) -> None:
         "",
         "Random bodies, materials and loads of ten kinds. Half of the cases ask for an accuracy of the velocity, half "
         "of the displacement; `velocity_error` is judged in both. True: relative L2 over the times at a point, the "
-        f"largest of the points, against another solver at {FINER:g} of the accuracy, or at {SHARE:g} of what is stated "
+        f"largest of the points, against another solver at {FINER:g} of the accuracy, or at {SHARE:g} of what is said "
         "where that is less; where no other has an answer, against the same one so much finer (*own*). A case is "
         f"judged where the truth's own error is at most {CONVERGED:g} of the larger of estimate and true error. All "
         "materials but those of short branches have a dashpot: without one the bulk rings on after a jump, and no "
