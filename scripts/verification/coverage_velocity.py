@@ -147,6 +147,11 @@ def counted(row: dict[str, Any]) -> bool:
     return "true" in row and row["truth_error"] <= CONVERGED * max(row["true"], row["estimate"])
 
 
+def _own(row: dict[str, Any]) -> bool:
+    """Whether the truth is by the solver that answered."""
+    return bool(row["by"] == solver_of(row))
+
+
 def report(rows: list[dict[str, Any]], out: Path) -> None:
     """Write the page of all lines."""
 
@@ -177,13 +182,15 @@ def report(rows: list[dict[str, Any]], out: Path) -> None:
         "|---|---|---|---|---|---|",
         *(f"| {kind} | {cells([row for row in rows if row['kind'] == kind])} |" for kind in KINDS),
         f"| all | {cells(rows)} |",
+        f"| truth by another solver | {cells([row for row in rows if 'by' in row and not _own(row)])} |",
+        f"| truth by the same, finer | {cells([row for row in rows if 'by' in row and _own(row)])} |",
         "",
         "| case | kind | accuracy of | asked % | estimate % | true % | truth, its error % | s | solver |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
     for row in rows:
         numbers = [f"{100 * row[key]:.2g}" if key in row else "-" for key in ("accuracy", "estimate", "true")]
-        own = "own " if row.get("by") == solver_of(row) else ""
+        own = "own " if "by" in row and _own(row) else ""
         by = f"{own}{row['by']}, {100 * row['truth_error']:.2g}" if "by" in row else "none"
         low = " **low**" if counted(row) and row["estimate"] < row["true"] else ""
         words = row.get("solver", row.get("missing", "")).split("(")[0].replace("|", "/").strip()[:80]
