@@ -128,9 +128,9 @@ def page(seed: int, rows: list[dict[str, Any]]) -> str:
         f"Commit {commit}. Random problems of {len(KINDS)} kinds, each given to `palmfield.skin.solve`, solver `auto`. "
         "Predicted: the seconds of the solver that it chooses (`choices`). Measured: seconds of the process in one "
         f"thread for the whole call, solutions that are repeated finer included, stopped after {LONGEST_S:g} s; scaled "
-        f"by a yardstick measured before and after, which takes {YARDSTICK_S:g} s on the machine of the predictions. Other "
-        f"work ran beside. One case of each kind, of seed {seed + 1}, goes before and isn't counted: with it most kernels "
-        "are loaded.",
+        f"by a yardstick measured before and after, which takes {YARDSTICK_S:g} s on the machine of the predictions. "
+        f"Other work ran beside. One case of each kind, of seed {seed + 1}, goes before and isn't counted: most kernels "
+        "are loaded with it.",
         "",
         f"**Within a factor of 2: {within(ratios, 2.0)} of {len(rows)} (goal 90 %); of 3: {within(ratios, 3.0)}; of 5: "
         f"{within(ratios, 5.0)}; median of measured / predicted {np.median(ratios):.2f}.**",
