@@ -129,7 +129,7 @@ def page(seed: int, rows: list[dict[str, Any]]) -> str:
         "Predicted: the seconds of the solver that it chooses (`choices`). Measured: seconds of the process in one "
         f"thread for the whole call, solutions that are repeated finer included, stopped after {LONGEST_S:g} s; scaled "
         f"by a yardstick measured before and after, which takes {YARDSTICK_S:g} s on the machine of the predictions. "
-        f"Other work ran beside. One case of each kind, of seed {seed + 1}, goes before and isn't counted: most kernels "
+        f"Other work ran beside. One case of each kind, of seed {seed + 1}, goes before, not counted: most kernels "
         "are loaded with it.",
         "",
         f"**Within a factor of 2: {within(ratios, 2.0)} of {len(rows)} (goal 90 %); of 3: {within(ratios, 3.0)}; of 5: "
