@@ -215,3 +215,9 @@ def test_odd_values_are_refused_by_name_or_taken(name: str) -> None:
             if words is not None:
                 found.append(f"{key} #{number} {str(one)[:60]!r}: {words[:200]}")
     assert not found, "\n".join(found)
+
+
+@pytest.mark.parametrize("size", [{"shape": "box", "side": "roller", "size_m": (1e-8, 1e-8)}, {"shape": "infinite"}])
+def test_bodies_too_small_for_any_solver_are_refused(size: dict[str, Any]) -> None:
+    with pytest.raises(PalmfieldError, match="1e-08 m is no skin's"):
+        Slab((Sheet(preset("palm"), 1e-8),), **size)
