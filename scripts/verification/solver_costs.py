@@ -135,8 +135,8 @@ def page(seed: int, rows: list[dict[str, Any]]) -> str:
         f"**Within a factor of 2: {within(ratios, 2.0)} of {len(rows)} (goal 90 %); of 3: {within(ratios, 3.0)}; of 5: "
         f"{within(ratios, 5.0)}; median of measured / predicted {np.median(ratios):.2f}.**",
         "",
-        "A single solution's cost is known to a factor of 1.5 or so. What is not known before is how often a target "
-        "accuracy makes a solver refine: where an estimate misses it by little, a problem is solved up to four times. "
+        "What is not known before is how often a target accuracy makes a solver refine: a problem is solved up to four "
+        "times, and spectral elements on few elements or a patch's own triangles jump far below the target then. "
         "Nor are the choice itself on layers and endless sheets, where the bulk modulus that is enough is looked for "
         "(0.05 to 1.3 s), and how many vectors large discs with small losses take.",
         "",
