@@ -18,7 +18,6 @@ from palmfield.motion.source import read_keyframes
 from palmfield.motion.tracking import read_stream
 from palmfield.motion.trajectory import read_trajectory
 from palmfield.outputs.scan_files import read_scan
-from palmfield.outputs.scan_files.uff import read_shapes
 from palmfield.session.decode import pieces_of
 from palmfield.session.migrate import migrated
 from palmfield.session.scene_text import read_scene_text
@@ -36,7 +35,7 @@ READERS = {
     "am_table.csv": read_am_table, "am_table.npz": read_am_table, "stm.json": read_foci_stm,
     "standard.toml": read_stimulus, "foci.csv": read_focus_table, "log.log": lambda path: pieces_of(path, None),
     "calibration.json": read_calibration, "transducers.csv": read_transducers, "scan.csv": read_scan,
-    "scan.uff": read_scan, "shapes.uff": read_shapes, "scan.mat": read_scan, "design.toml": read_design,
+    "scan.uff": read_scan, "scan.mat": read_scan, "design.toml": read_design,
     "design.json": read_design, "experiment.jsonl": read_experiment_log, "recording.csv": read_recording,
     "settings.toml": lambda path: read_settings(path, Vibrometer), "sweep.csv": lambda path: _read_table(path, {}),
     "keys.toml": lambda path: read_keyframes(path, HAND, None),

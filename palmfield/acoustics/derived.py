@@ -27,14 +27,6 @@ def intensity(field: Field, air: Air, frequency_Hz: float) -> Float:
     return (field.pressure[:, None] * particle_velocity(field, air, frequency_Hz).conj()).real / 2.0
 
 
-def reactive_intensity(field: Field, air: Air, frequency_Hz: float) -> Float:
-    """Reactive intensity Im(p u*)/2 = grad |p|^2/(4 w rho) [W/m2], shape (n, 3): energy that swings to and fro.
-
-    It points to louder places (Jacobsen, J. Acoust. Soc. Am. 1991). Arguments and errors: particle_velocity.
-    """
-    return (field.pressure[:, None] * particle_velocity(field, air, frequency_Hz).conj()).imag / 2.0
-
-
 def angular_frequency(frequency_Hz: float) -> float:
     """2 pi f [rad/s]. Raises SceneError for a frequency that is not positive and finite."""
     return 2.0 * np.pi * check.frequency(frequency_Hz)

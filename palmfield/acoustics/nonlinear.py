@@ -15,6 +15,7 @@ from scipy.special import jv
 from palmfield.acoustics import check
 from palmfield.acoustics.air import density, sound_speed
 from palmfield.acoustics.derived import angular_frequency
+from palmfield.acoustics.placement import sides_of
 from palmfield.acoustics.reference import pressure64
 from palmfield.errors import PalmfieldError
 from palmfield.types import Air, Array, Complex
@@ -40,27 +41,38 @@ def steepening(pressures_Pa: ArrayLike, step_m: float, air: Air, frequency_Hz: f
     return float(per_Pa_m * np.trapezoid(loudness, dx=step_m))
 
 
-def beam_steepening(array: Array, drive: Complex, focus: ArrayLike, air: Air, until: ArrayLike | None = None) -> float:
-    """sigma along the straight line from the middle of the transducers that are driven to a focus.
+def beams(
+    array: Array, drive: Complex, focus: ArrayLike, air: Air, until: ArrayLike | None = None
+) -> list[tuple[float, Complex]]:
+    """Step [m] and pressures [Pa] along the beam of each side of an array (`sides_of`), of that side's sound alone.
+
+    A beam is the straight line from the middle of what is driven of a side to a focus. None in silence, and of a side
+    whose end is no further than FIRST_M from its middle.
 
     drive: complex amplitudes, shape (len(array),); focus: the point [m], array frame, shape (3,)
     until: a point that is as far from that middle as what ends the beam, before or behind the focus; the focus itself
         by default, shape (3,)
-    0 in silence and for an end that is no further than FIRST_M from that middle.
     """
     loud = np.abs(drive) if array.gain is None else np.abs(drive * array.gain)
+    driven, found = np.flatnonzero(loud), []
     end = np.asarray(focus, float)
-    if not loud.any():
-        return 0.0
-    start = loud @ array.positions / loud.sum()
-    direction = (end - start) / max(float(np.linalg.norm(end - start)), 1e-300)
-    length = float(np.linalg.norm((end if until is None else np.asarray(until, float)) - start))
-    if length <= FIRST_M:
-        return 0.0
-    distances = np.linspace(FIRST_M, length, SAMPLES)
-    points = start + distances[:, None] * direction
-    pressures, _ = pressure64(points, array, drive, air)
-    return steepening(pressures, float(distances[1] - distances[0]), air, array.frequency_Hz)
+    for side in (driven[of] for of in (sides_of(array.normals[driven]) if len(driven) else ())):
+        start = loud[side] @ array.positions[side] / loud[side].sum()
+        direction = (end - start) / max(float(np.linalg.norm(end - start)), 1e-300)
+        length = float(np.linalg.norm((end if until is None else np.asarray(until, float)) - start))
+        if length > FIRST_M:
+            own = np.zeros_like(drive)
+            own[side] = drive[side]
+            distances = np.linspace(FIRST_M, length, SAMPLES)
+            pressures, _ = pressure64(start + distances[:, None] * direction, array, own, air)
+            found.append((float(distances[1] - distances[0]), pressures))
+    return found
+
+
+def beam_steepening(array: Array, drive: Complex, focus: ArrayLike, air: Air, until: ArrayLike | None = None) -> float:
+    """sigma at the end of the beam that steepens most, as of `beams`; 0 where there is none."""
+    found = beams(array, drive, focus, air, until)
+    return max((steepening(pressures, step_m, air, array.frequency_Hz) for step_m, pressures in found), default=0.0)
 
 
 def fundamental_left(sigma: float) -> float:

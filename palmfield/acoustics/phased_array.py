@@ -16,6 +16,7 @@ from palmfield.acoustics.arrays import LAYOUTS, combined, from_poses, layout, pl
 from palmfield.acoustics.calibration_file import Calibration, calibrated
 from palmfield.acoustics.echo import image_shifts
 from palmfield.acoustics.field import FieldEvaluator, Mode
+from palmfield.acoustics.placement import sides_of
 from palmfield.acoustics.reference import pressure64
 from palmfield.acoustics.transducer import ANY_P0, ANY_QUALITY, T4010A1_DIRECTIVITY
 from palmfield.acoustics.transducer_file import TransducerTable
@@ -225,22 +226,6 @@ class MultiArrayField:
         return Field(*total)
 
 
-def _alike(normals: Float) -> list[Int]:
-    """Numbers of the transducers with these directions, shape (n, 3), in one list if none faces away from their mean.
-
-    Else those within 60 degrees of the first go together, and so on with the rest.
-    """
-    rest: Int = np.arange(len(normals), dtype=np.int32)
-    if (normals @ normals.mean(axis=0)).min() > 0.0:
-        return [rest]
-    sides = []
-    while len(rest):
-        near = normals[rest] @ normals[rest[0]] > 0.5
-        sides.append(rest[near])
-        rest = rest[~near]
-    return sides
-
-
 class PhasedArray:
     """All arrays of a scene in one relative pose. Immutable, and safe to share among threads.
 
@@ -289,7 +274,7 @@ class PhasedArray:
             self.boards = tuple(BoardOutline.of(part) for part in self.parts)
             ends = np.cumsum([len(part) for part in self.parts]).tolist()
             self.slices = tuple(slice(end - len(part), end) for end, part in zip(ends, self.parts, strict=True))
-            split = [_alike(part.normals) for part in self.parts]
+            split = [sides_of(part.normals) for part in self.parts]
             pairs = [(part, side) for part, its in zip(moved, split, strict=True) for side in its]
             self.sides = [own.start + side for own, its in zip(self.slices, split, strict=True) for side in its]
             self.corners: Float = np.concatenate([corners_of(part.positions[side]) for part, side in pairs])

@@ -140,3 +140,19 @@ def indices(array: Array, chosen: Iterable[int] | Iterable[bool], name: str) -> 
     if values.ndim != 1 or (len(values) and not np.issubdtype(values.dtype, np.integer)):
         raise SceneError(f"{name} = {values.tolist()} are no indices of transducers: give whole numbers, or a mask")
     return values.tolist()
+
+
+def sides_of(normals: Float) -> list[Int]:
+    """Numbers of the transducers with these directions, shape (n, 3), in one list if none faces away from their mean.
+
+    Else those within 60 degrees of the first go together, and so on with the rest.
+    """
+    rest: Int = np.arange(len(normals), dtype=np.int32)
+    if (normals @ normals.mean(axis=0)).min() > 0.0:
+        return [rest]
+    sides = []
+    while len(rest):
+        near = normals[rest] @ normals[rest[0]] > 0.5
+        sides.append(rest[near])
+        rest = rest[~near]
+    return sides

@@ -25,16 +25,6 @@ def surface_pressure(ka: float, cosine: ArrayLike) -> Complex:
     return np.stack([eval_legendre(i, np.asarray(cosine, dtype=float)) for i in n], axis=-1) @ terms
 
 
-def scattered_pressure(ka: float, kr: ArrayLike, cosine: ArrayLike) -> Complex:
-    """What the sphere adds at the distances r > a: -sum (2n+1) i^n j_n'(ka)/h_n'(ka) h_n(kr) P_n."""
-    n, terms = _terms(ka)
-    terms = -terms * spherical_jn(n, ka, derivative=True) * ka**2 / 1j
-    far = np.asarray(kr, dtype=float)[..., None]
-    waves = spherical_jn(n, far) + 1j * spherical_yn(n, far)
-    legendre = np.stack([eval_legendre(i, np.asarray(cosine, dtype=float)) for i in n], axis=-1)
-    return (waves * legendre) @ terms
-
-
 def force_over_energy(ka: float) -> float:
     """Force along the wave over pi a^2 E, E = |p_i|^2/(2 rho c^2), |p_i| peak: wall pressure integrated exactly.
 

@@ -31,19 +31,10 @@ class PalmfieldWarning(UserWarning):
     """The model is used where it does not hold."""
 
 
-def near_field_m(array: Array, air: Air) -> float:
-    """Rayleigh distance k b^2/2 [m] of one piston of radius b; 0 for point sources. Raises SceneError for bad air.
-
-    Well beyond it a piston's directivity applies; a few of it away it doesn't, see `far_field_m`.
-    """
-    wavenumber = angular_frequency(array.frequency_Hz) / sound_speed(air)
-    return wavenumber * array.piston_radius_m**2 / 2.0
-
-
 def far_field_m(array: Array, error: float = FAR_FIELD_ERROR) -> float:
     """Distance [m] from which the far-field directivity gives a transducer's amplitude within a relative error.
 
-    It is b sqrt(0.45/error). The phase is then off by near_field_m/(2 distance) on the axis and up to 1.4 times that
+    It is b sqrt(0.45/error). The phase is then off by k b^2/(4 distance) on the axis and up to 1.4 times that
     off it, in radians; most of it is common to all transducers and moves no focus.
 
     Raises PalmfieldError for an error above 0.1, where the fall with the square of the distance ends.

@@ -43,6 +43,8 @@ AM_OPTIONAL: dict[str, tuple[str, ...]] = {"hann": ("am_waveform_duty",), "burst
 OF_WAVEFORMS = ("am_waveform_duty", "am_burst_length_s", "am_burst_period_s", "am_burst_phase_deg", "am_file")
 AM_KEYS = ("am_quantity", "am_frequency_Hz", "am_depth", "am_waveform", "am_normalisation", *OF_WAVEFORMS)
 FARTHEST_FOCUS_M = 10.0
+Extent = Annotated[float, Field(gt=0.0, le=2.0 * FARTHEST_FOCUS_M)]
+"""Of a path [m]; none reaches farther than a focus may be."""
 """No array focuses there: at 40 kHz air takes 13 dB on the way."""
 USUAL_FOCUS_M = 0.2
 MOVING = ("path_rate_Hz", "path_speed_m_s", "path_end", "path_points")
@@ -91,15 +93,15 @@ class StimulusConfig(Config):
     on_skin: str | None = Field(
         None, description="instance of palmfield.skin that path_on and path_sites mean (default: the only one)"
     )
-    path_diameter_m: Positive | None = Field(None, description="diameter of the circle")
-    path_width_m: Positive | None = Field(
+    path_diameter_m: Extent | None = Field(None, description="diameter of the circle")
+    path_width_m: Extent | None = Field(
         None, description="extent along x: length of a line, side of a square, width of zigzag, z and lissajous; of lm"
     )
-    path_height_m: Positive | None = Field(None, description="extent along y of zigzag, z and lissajous; of a letter")
-    path_step_m: Positive | None = Field(
+    path_height_m: Extent | None = Field(None, description="extent along y of zigzag, z and lissajous; of a letter")
+    path_step_m: Extent | None = Field(
         None, description="lm: the focus rests at points so far apart, path_width_m for two; without, it moves on"
     )
-    path_zigzag_width_m: Positive | None = Field(
+    path_zigzag_width_m: Extent | None = Field(
         None, description="line, polyline, sites: the focus runs a zigzag of this width about the path"
     )
     path_zigzag_speed_m_s: Positive | None = Field(

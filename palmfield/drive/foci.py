@@ -25,6 +25,7 @@ Method = Literal["naive", "gs", "gsw", "lbfgs", "tikhonov"]
 ITERATIONS: dict[Method, int] = {"naive": 0, "gs": 50, "gsw": 80, "lbfgs": 300, "tikhonov": 0}
 """Iterations that each method may take by default; the first and last are direct."""
 
+MOST_ITERATIONS = 100_000
 COINCIDENT_WAVELENGTHS = 0.01
 """Foci nearer to each other than this cannot be told apart: their rows of the transfer matrix are parallel."""
 
@@ -194,8 +195,9 @@ def solve_transfer(
     if method not in get_args(Method):
         raise SceneError(f"method '{method}' is unknown: use one of {', '.join(get_args(Method))}")
     count = ITERATIONS[method] if iterations is None else iterations
-    if count < 0:
-        raise SceneError(f"iterations = {count} is negative: give 0 or more")
+    if not 0 <= count <= MOST_ITERATIONS or count != int(count):
+        raise SceneError(f"iterations = {count}; allowed: a whole number from 0 to {MOST_ITERATIONS}")
+    count = int(count)
     if method == "naive":
         phases = np.exp(2j * np.pi * np.random.default_rng(seed).random(len(matrix)))
     else:

@@ -52,30 +52,10 @@ def phase_loss(steps: int) -> float:
     """Expected focal pressure with rounded phases over that without: sin(pi/N)/(pi/N) for N steps.
 
     It is the mean of cos over an error spread evenly over +-pi/N, which the phases of a focus give closely. What does
-    not arrive at the focus is scattered: `phase_noise`. Raises DeviceError for steps < 1.
+    not arrive at the focus is scattered. Raises DeviceError for steps < 1.
     """
     _at_least_one(steps, "phase_steps")
     return float(np.sinc(1.0 / steps))
-
-
-def phase_noise(steps: int, transducers: int) -> float:
-    """Rms pressure that phase rounding scatters, over the pressure of the focus without rounding.
-
-    Each transducer's error has the variance 1 - sinc^2(1/N) about its mean; n independent ones add as 1/sqrt(n), in
-    every direction that they reach equally. Raises DeviceError for steps < 1 or transducers < 1.
-    """
-    _at_least_one(transducers, "transducers")
-    return float(np.sqrt((1.0 - phase_loss(steps) ** 2) / transducers))
-
-
-def amplitude_noise(steps: int, transducers: int) -> float:
-    """Rms pressure that amplitude rounding adds, over the pressure of a focus at full drive: 1/(steps sqrt(12 n)).
-
-    For amplitudes that spread over many steps; rounding then has no mean. Raises DeviceError for counts below 1.
-    """
-    _at_least_one(steps, "amplitude_steps")
-    _at_least_one(transducers, "transducers")
-    return float(1.0 / (steps * np.sqrt(12.0 * transducers)))
 
 
 def _checked(drive: ArrayLike) -> Complex:

@@ -1,4 +1,4 @@
-"""Drives that shape one beam: traps, vortices, plane waves, wide foci. All are phases only, |a| = 1 (or 0).
+"""Drives that shape one beam: traps, vortices, plane waves. All are phases only, |a| = 1 (or 0).
 
 As `palmfield.acoustics.focus.focus` they say what to ask for, and take no account of dead or inverted transducers.
 
@@ -103,26 +103,6 @@ def plane_wave(array: Array, air: Air, direction: ArrayLike) -> Complex:
         )
     k = 2.0 * np.pi * array.frequency_Hz / sound_speed(air)
     return np.exp(1j * k * (array.positions @ along))
-
-
-def defocused(array: Array, air: Air, point: ArrayLike, shift_m: float) -> Complex:
-    """Wider spot at `point`: a focus that lies `shift_m` beyond it, on the line from the array's centre.
-
-    By rays the spot is the aperture's width times |shift|/(distance + shift); the sharp focus's width adds to it. Its
-    middle need not be its loudest part. Negative shifts focus before the point.
-
-    point: middle of the spot [m], array frame, shape (3,)
-    shift_m: [m]; 0 is the sharp focus
-    Returns complex amplitudes, shape (len(array),).
-    Raises SceneError for a point or shifted focus that is not in front of the array (see `focus`).
-    """
-    focus(array, air, point)  # the point itself must lie in front, too
-    target = np.asarray(point, float)
-    centre = array.positions.mean(axis=0)
-    distance = float(np.linalg.norm(target - centre))
-    if not -distance < shift_m < np.inf:
-        raise SceneError(f"shift_m = {shift_m} is not finite and above {-distance:.3g}: keep it in front of the array")
-    return focus(array, air, centre + (target - centre) * (1.0 + shift_m / distance))
 
 
 def round_beam(array: Array, air: Air, point: ArrayLike) -> tuple[Float, Float]:

@@ -11,8 +11,8 @@ from palmfield.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from palmfield.metrics.energy import average_residual_energy, energy_density, focal_energy_ratio, mse, ssim, strip
-    from palmfield.metrics.maps import area_above, half_width, level_depth, radial_profile, share_within, spot_diameter
-    from palmfield.metrics.moving_frames import co_rotating_average, moving_frame_average
+    from palmfield.metrics.maps import area_above, half_width, level_depth, radial_profile, spot_diameter
+    from palmfield.metrics.moving_frames import co_rotating_average
     from palmfield.metrics.spectra import (
         amplitude_spectrum,
         harmonics,
@@ -38,10 +38,8 @@ _WHERE = {
     **dict.fromkeys(
         ("average_residual_energy", "energy_density", "focal_energy_ratio", "mse", "ssim", "strip"), "energy"
     ),
-    **dict.fromkeys(
-        ("area_above", "half_width", "level_depth", "radial_profile", "share_within", "spot_diameter"), "maps"
-    ),
-    **dict.fromkeys(("co_rotating_average", "moving_frame_average"), "moving_frames"),
+    **dict.fromkeys(("area_above", "half_width", "level_depth", "radial_profile", "spot_diameter"), "maps"),
+    "co_rotating_average": "moving_frames",
     **dict.fromkeys(
         ("amplitude_spectrum", "harmonics", "spectral_centroid", "spectral_peaks", "strongest_line"), "spectra"
     ),
@@ -75,7 +73,6 @@ __all__ = [
     "level_depth",
     "mach_angle",
     "mean_value",
-    "moving_frame_average",
     "mse",
     "overshoot",
     "peak",
@@ -84,7 +81,6 @@ __all__ = [
     "rms",
     "rms_map",
     "settling_time",
-    "share_within",
     "spectral_centroid",
     "spectral_peaks",
     "spot_diameter",

@@ -8,7 +8,7 @@ from contourpy import contour_generator
 from numpy.typing import ArrayLike
 
 from palmfield.errors import MeasurementError
-from palmfield.metrics.checks import cell_areas, finite, grid, mask, share
+from palmfield.metrics.checks import finite, grid, share
 from palmfield.types import Float
 
 Diameter = Literal["equal_area", "widest"]
@@ -69,11 +69,11 @@ def radial_profile(
     radii_m: ends of the rings, rising, shape (k + 1,); weights: area of each point, shape (n,), else all count alike
     """
     field, points, edges = (np.asarray(part, dtype=float) for part in (values, points_m, radii_m))
-    share_of = np.ones(len(field)) if weights is None else np.asarray(weights, dtype=float)
-    finite("values", field)
-    if points.ndim != 2 or points.shape[0] != len(field) or share_of.shape != field.shape:
+    share_of = np.ones(np.shape(field)) if weights is None else np.asarray(weights, dtype=float)
+    finite("values", np.atleast_1d(field))
+    if field.ndim != 1 or points.ndim != 2 or points.shape[0] != len(field) or share_of.shape != field.shape:
         raise MeasurementError(
-            f"points have shape {points.shape} and weights {share_of.shape}, but there are {len(field)} values"
+            f"points have shape {points.shape} and weights {share_of.shape}, but values {field.shape}"
         )
     if edges.ndim != 1 or len(edges) < 2 or not np.all(np.diff(edges) > 0.0):
         raise MeasurementError("radii_m must be at least two lengths that rise")
@@ -81,19 +81,6 @@ def radial_profile(
     total = np.histogram(radius, edges, weights=share_of * field)[0]
     count = np.histogram(radius, edges, weights=share_of)[0]
     return np.where(count > 0.0, total / np.where(count > 0.0, count, 1.0), np.nan)
-
-
-def share_within(values: ArrayLike, x_m: ArrayLike, y_m: ArrayLike, inside: ArrayLike) -> float:
-    """Share of a map's integral that lies where `inside` (m, n) is True, between 0 and 1 for maps of one sign.
-
-    Raises MeasurementError for a map whose integral is 0.
-    """
-    field, x, y = grid(values, x_m, y_m)
-    whole = cell_areas(x, y) * field
-    total = float(whole.sum())
-    if total == 0.0:
-        raise MeasurementError("the map's integral is 0, and nothing has a share in it")
-    return float(whole[mask(inside, field)].sum()) / total
 
 
 def level_depth(depth_m: ArrayLike, values: ArrayLike, reference_m: float, level: float = 0.5) -> float:
@@ -112,6 +99,8 @@ def level_depth(depth_m: ArrayLike, values: ArrayLike, reference_m: float, level
     if not depth[0] <= reference_m <= depth[-1]:
         raise MeasurementError(f"reference_m is {reference_m:g} m; the curve goes from {depth[0]:g} to {depth[-1]:g} m")
     goal = level * float(np.interp(reference_m, depth, curve))
+    if goal <= 0.0:
+        raise MeasurementError(f"the curve is {goal / level:g} at {reference_m:g} m; give one that is above 0 there")
     low = np.flatnonzero((depth > reference_m) & (curve <= goal))
     if len(low) == 0:
         raise MeasurementError(

@@ -1,59 +1,11 @@
-"""Averages over time in a frame that goes with the focus: along a straight way, or round a circle."""
+"""Averages over time in a frame that goes round a circle with the focus."""
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import RegularGridInterpolator
 
 from palmfield.errors import MeasurementError
-from palmfield.metrics.checks import above_zero, even_step, finite, grid, trace
+from palmfield.metrics.checks import above_zero, even_step, finite, trace
 from palmfield.types import Float
-
-
-def moving_frame_average(
-    times_s: ArrayLike,
-    values: ArrayLike,
-    x_m: ArrayLike,
-    y_m: ArrayLike,
-    focus_m: ArrayLike,
-    ahead_m: ArrayLike,
-    across_m: ArrayLike,
-    *,
-    square: bool = False,
-) -> Float:
-    """Mean over time of maps as seen from a focus, shape (a, b); NaN where a place is never on the map.
-
-    values: snapshots on a grid, shape (t, m, n), linear between its places; focus_m: where the focus is at each time
-    [m], shape (t, 2); the frame turns with its course, estimated from the places before and after
-    ahead_m, across_m: places of the answer [m], shapes (a,) along the course and (b,) to its left
-    square: of the squares, and the root of that
-    """
-    times, maps = trace(times_s, values, 2)
-    focus = np.asarray(focus_m, dtype=float)
-    if maps.ndim != 3 or focus.shape != (len(times), 2):
-        raise MeasurementError(
-            f"values have shape {maps.shape} and focus_m {focus.shape}; give (t, m, n) and ({len(times)}, 2)"
-        )
-    finite("focus_m", focus)
-    _, x, y = grid(maps[0], x_m, y_m)
-    course = np.gradient(focus, times, axis=0)
-    speed = np.linalg.norm(course, axis=1)
-    if speed.min() == 0.0:
-        raise MeasurementError(
-            f"the focus stands still at {times[speed.argmin()]:g} s and has no course: leave that out"
-        )
-    forward = course / speed[:, None]
-    left = np.stack([-forward[:, 1], forward[:, 0]], axis=1)
-    total = np.zeros((np.size(ahead_m), np.size(across_m)))
-    count = np.zeros(total.shape)
-    ahead, across = np.meshgrid(np.asarray(ahead_m, float), np.asarray(across_m, float), indexing="ij")
-    for number in range(len(times)):
-        places = focus[number] + ahead[..., None] * forward[number] + across[..., None] * left[number]
-        seen = RegularGridInterpolator((x, y), maps[number], bounds_error=False, fill_value=np.nan)(places)
-        there = np.isfinite(seen)
-        total += np.where(there, seen**2 if square else seen, 0.0)
-        count += there
-    mean = np.where(count > 0.0, total / np.maximum(count, 1.0), np.nan)
-    return np.asarray(np.sqrt(mean) if square else mean)
 
 
 def co_rotating_average(
@@ -80,7 +32,8 @@ def co_rotating_average(
     step = even_step(times)
     if (times[-1] - times[0] + step) * abs(turn_Hz) < 1.0 - 1e-6:
         raise MeasurementError(f"the record of {times[-1] - times[0]:g} s holds no turn of {turn_Hz:g} Hz")
-    angles = np.asarray(angles_rad, dtype=float)
+    angles = np.atleast_1d(np.asarray(angles_rad, dtype=float))
+    finite("angles_rad", angles)
     count = maps.shape[2]
     orders = np.fft.rfftfreq(count, 1.0 / count)
     weight = np.where((orders == 0.0) | (2.0 * orders == count), 1.0, 2.0) / count

@@ -166,8 +166,11 @@ def from_callable(function: str | Callable[[float], HandPose], hand: Articulated
         raise SceneError(f"hand motion '{function}' is not of the form package.module:function")
     try:
         imported = getattr(importlib.import_module(module), name)
-    except (ImportError, AttributeError) as error:
-        raise SceneError(f"hand motion '{function}' is not found: {error}; name one that Python can import") from None
+    except Exception as error:  # a user's module may raise anything
+        why = f"{type(error).__name__}: {error}"
+        if isinstance(error, ModuleNotFoundError):
+            why = f"there is no module '{error.name}'"
+        raise SceneError(f"hand motion '{function}' is not found: {why}; name one that Python can import") from None
     if not callable(imported):
         raise SceneError(f"hand motion '{function}' is {type(imported).__name__}; name a function of time [s]")
     return Scripted(imported, function, hand)

@@ -13,10 +13,10 @@ from palmfield.errors import OutputError, did_you_mean
 from palmfield.outputs.motion import normal_component
 from palmfield.outputs.recorded_keys import keys_of
 from palmfield.outputs.schema import has_records, instances
-from palmfield.perception.maps import felt_lines, level_map, lines_in
+from palmfield.perception.maps import felt_lines, level_map, lines_in, wanted_s
 from palmfield.perception.observers import OBSERVERS
 from palmfield.stimulus.resolved import ResolvedStimulus
-from palmfield.stimulus.schedule import main_frequencies, steady_stretch_s
+from palmfield.stimulus.schedule import main_frequencies, repeat_rate_Hz, steady_stretch_s, turn_rate_Hz
 from palmfield.types import Float32
 
 
@@ -42,7 +42,7 @@ def level_maps(result: xr.DataTree, skin: str | None = None, stimulus: str | Non
     frequencies = felt_lines(times[steady], config)
     if not frequencies:
         wanted = main_frequencies(config)
-        told = f"two periods of {wanted[0]:g} Hz, 3 samples in each" if wanted else "a stimulus that repeats itself"
+        told = f"{wanted_s(config)[1]}, 3 samples in each" if wanted else "a stimulus that repeats itself"
         raise OutputError(f"the record of skin '{chosen}' has no line to go by; a map needs {told}: run for longer")
     normal = np.asarray(normal_component(data))[steady]
     levels = np.stack([level_map(one, times[steady], normal, frequencies) for one in OBSERVERS.values()])
@@ -109,7 +109,9 @@ def level_course(result: xr.DataTree, skin: str, observer: str) -> LevelCourse:
     lines, times = set[float](), data["time"].values.astype(float)
     for name, stimulus in instances(result, "stimulus").items():
         config = keys_of(ResolvedStimulus, name, stimulus)
-        lines |= {*main_frequencies(config), *felt_lines(times, config)}
+        felt = felt_lines(times, config)
+        # A path on which the level changes has lines that a short record cannot tell apart: none of them counts
+        lines |= {*felt, *(main_frequencies(config) if felt or repeat_rate_Hz(config) == turn_rate_Hz(config) else ())}
     return LevelCourse(data, observer, sorted(lines))
 
 

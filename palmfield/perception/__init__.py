@@ -23,7 +23,6 @@ if TYPE_CHECKING:
         levels_dB_SL,
         line_amplitude,
         line_amplitudes,
-        share_left_out,
         threshold_m,
     )
     from palmfield.perception.registry import ALL_OBSERVERS
@@ -43,7 +42,6 @@ _WHERE = {
             "levels_dB_SL",
             "line_amplitude",
             "line_amplitudes",
-            "share_left_out",
             "threshold_m",
         ),
         "observers",
@@ -70,7 +68,6 @@ __all__ = [
     "line_amplitudes",
     "noise_for",
     "separation",
-    "share_left_out",
     "summed_gain",
     "threshold_m",
 ]

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from palmfield.config import StimulusConfig
 from palmfield.perception.observers import Observer, levels_dB_SL, line_amplitudes
-from palmfield.stimulus.schedule import main_frequencies, turn_rate_Hz
+from palmfield.stimulus.schedule import main_frequencies, repeat_rate_Hz, turn_rate_Hz
 from palmfield.types import Float
 
 HIGHEST_FELT_HZ = 500.0
@@ -42,16 +42,28 @@ def felt_lines(times: Float, config: StimulusConfig) -> list[float]:
     """The lines [Hz] of which a level of the skin's motion is made: every level of all outputs goes by them.
 
     The stimulus's main frequencies that the record can resolve (`lines_in`), the lowest first. Then, where the record
-    holds two turns of a path, all harmonics of the turn up to HIGHEST_FELT_HZ. Empty as of `lines_in`.
+    holds two turns of a path, all harmonics of the turn up to HIGHEST_FELT_HZ; where the path's level changes as well,
+    of the two together (`repeat_rate_Hz`), among which are the lines of both and those beside them. Empty as of
+    `lines_in`, and where a record holds less than two such repeats.
 
     times: evenly spaced [s], shape (t,); config: of the stimulus
     """
     lines = lines_in(times, main_frequencies(config))
-    rate = turn_rate_Hz(config)
+    rate = repeat_rate_Hz(config)
     if not lines or rate is None:
         return lines
+    if rate != turn_rate_Hz(config) and not lines_in(times, [rate]):
+        return []
     turn = lines_in(times, [rate * n for n in range(1, int(HIGHEST_FELT_HZ / rate + 1e-9) + 1)])
     return lines + [f for f in turn if not np.isclose(f, lines, rtol=1e-6).any()]
+
+
+def wanted_s(config: StimulusConfig) -> tuple[float, str]:
+    """How long a record has to be for `felt_lines` [s], and of what in words. Of a load that repeats."""
+    rate, lowest = repeat_rate_Hz(config), main_frequencies(config)[0]
+    if rate is None or rate == turn_rate_Hz(config):
+        return 2.0 / lowest, f"two periods of {lowest:g} Hz"
+    return 2.0 / rate, f"two repeats of path and modulation together, {rate:.4g} a second"
 
 
 def lines_of(times: Float, displacement_m: ArrayLike, frequencies: Sequence[float]) -> Float:

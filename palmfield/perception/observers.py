@@ -189,8 +189,8 @@ def level_dB_SL(
     duration_s: float | None = None,
 ) -> float:
     """`levels_dB_SL` of one place, peak_amplitudes_m of shape (n,)."""
-    amplitudes = np.asarray(peak_amplitudes_m, dtype=np.float64)[:, None]
-    return float(levels_dB_SL(observer, frequencies, amplitudes, area_m2, duration_s)[0])
+    amplitudes = np.asarray(peak_amplitudes_m, dtype=np.float64)
+    return float(levels_dB_SL(observer, frequencies, amplitudes[..., None], area_m2, duration_s)[0])
 
 
 def levels_dB_SL(
@@ -207,8 +207,8 @@ def levels_dB_SL(
     a place whose amplitude is NaN has the level NaN
     area_m2, duration_s: as of `threshold_m`, which says what it raises
     The sum goes over the lines of one channel; the channel with the highest level counts.
-    DC and lines outside the observer's table are left out: `share_left_out` tells how much that is. Give lines
-    (`line_amplitude`), not the bins of a windowed spectrum: Hann's count every line 1.5 times.
+    DC and lines outside the observer's table are left out. Give lines (`line_amplitude`), not the bins of
+    a windowed spectrum: Hann's count every line 1.5 times.
     """
     frequency, amplitude = (np.asarray(one, dtype=np.float64) for one in (frequencies, peak_amplitudes_m))
     if frequency.ndim != 1 or amplitude.ndim != 2 or len(amplitude) != len(frequency):
@@ -227,20 +227,9 @@ def levels_dB_SL(
     return np.where(unknown & silent | np.isnan(amplitude).any(axis=0), np.nan, levels)
 
 
-def share_left_out(observer: Observer, frequencies: ArrayLike, peak_amplitudes_m: ArrayLike) -> float:
-    """Share of the squared amplitude, DC excluded, on lines outside the observer's table, 0 to 1 (0 for no motion).
-
-    frequencies: [Hz], shape (n,); peak_amplitudes_m: [m], shape (n,)
-    """
-    frequency = np.asarray(frequencies, dtype=np.float64)
-    energy = np.where(frequency > 0, np.asarray(peak_amplitudes_m, dtype=np.float64) ** 2, 0.0)
-    total = float(energy.sum())
-    return float(energy[np.isnan(threshold_m(observer, frequency))].sum()) / total if total > 0 else 0.0
-
-
 def line_amplitude(time: ArrayLike, x: ArrayLike, f: float, periods: int | None = None) -> float:
     """`line_amplitudes` of one course, x of shape (n,)."""
-    return float(line_amplitudes(time, np.asarray(x, dtype=np.float64)[:, None], f, periods)[0])
+    return float(line_amplitudes(time, np.asarray(x, dtype=np.float64)[..., None], f, periods)[0])
 
 
 def line_amplitudes(time: ArrayLike, x: ArrayLike, f: float, periods: int | None = None) -> Float:
@@ -254,7 +243,7 @@ def line_amplitudes(time: ArrayLike, x: ArrayLike, f: float, periods: int | None
     times = np.asarray(time, dtype=np.float64)
     if not 0 < f < np.inf:
         raise OutputError(f"frequency {f} Hz has no line; give one above 0")
-    if not np.isfinite(times).all() or np.shape(x)[:1] != times.shape:
+    if not np.isfinite(times).all() or np.shape(x)[:1] != times.shape or np.ndim(x) != 2:
         raise OutputError(f"times of shape {times.shape} and courses of {np.shape(x)}: give finite (n,) and (n, m)")
     # A record of n samples stands for n steps, so its length is one step more than from first to last sample.
     step = (times[-1] - times[0]) / (len(times) - 1) if len(times) > 1 else 0.0

@@ -20,7 +20,7 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import minimize
-from scipy.special import expit, ndtr, ndtri
+from scipy.special import expit, ndtr
 from scipy.stats import chi2
 
 from palmfield.errors import OutputError
@@ -69,22 +69,12 @@ class PsychometricFunction:
         share = FORMS[self.shape].share(_scaled(self.shape, levels), _scaled(self.shape, self.threshold), self.spread)
         return np.asarray(self.guess + (1.0 - self.guess - self.lapse) * share)
 
-    def level_of(self, probability: float) -> float:
-        """The level at which the probability is this. Raises OutputError for one that the function never reaches."""
-        low, high = self.guess, 1.0 - self.lapse
-        if not low < probability < high:
-            raise OutputError(f"probability {probability:g}; allowed: between {low:g} and {high:g}")
-        z = FORMS[self.shape].inverse((probability - low) / (high - low))
-        place = _scaled(self.shape, self.threshold) + self.spread * z
-        return float(np.exp(place)) if self.shape == "weibull" else float(place)
-
 
 class _Form(NamedTuple):
-    """F, its slope against z = (x - threshold) / spread, and the z of a share; of levels as `_scaled` has them."""
+    """F and its slope against z = (x - threshold) / spread; of levels as `_scaled` has them."""
 
     share: Callable[[Float, float | Float, float | Float], Float]
     slope: Callable[[Float], Float]
-    inverse: Callable[[float], float]
 
 
 def _weibull(z: Float) -> Float:
@@ -100,17 +90,14 @@ FORMS: dict[str, _Form] = {
     "normal": _Form(
         lambda x, m, s: np.asarray(ndtr((x - m) / s)),
         lambda z: np.exp(-0.5 * z**2) / math.sqrt(2.0 * math.pi),
-        lambda share: float(ndtri(share)),
     ),
     "logistic": _Form(
         lambda x, m, s: np.asarray(expit((x - m) / s)),
         lambda z: np.asarray(expit(z) * expit(-z)),
-        lambda share: math.log(share / (1.0 - share)),
     ),
     "weibull": _Form(
         lambda x, m, s: _weibull((x - m) / s),
         _weibull_slope,
-        lambda share: math.log(-math.log1p(-share) / math.log(2.0)),
     ),
 }  # fmt: skip
 

@@ -1,13 +1,15 @@
 """What a scene leaves out, as estimated bias of its skins' motion: which way, and by how much where that is known."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from palmfield.acoustics.air import sound_speed
 from palmfield.acoustics.echo import REST
-from palmfield.acoustics.nonlinear import arp_left, beam_steepening, fundamental_left
+from palmfield.acoustics.nonlinear import beams, fundamental_left, steepening
 from palmfield.acoustics.phased_array import PhasedArray
+from palmfield.acoustics.streaming import Wind, wind
 from palmfield.acoustics.validity import least_radius_m
 from palmfield.config.skin import OF_SHAPES
 from palmfield.drive.response_error import changes_of_motion
@@ -26,6 +28,9 @@ FEW_WAVELENGTHS = 2.0
 TURNED, CURVED, OPEN_HAND = 0.60, 0.16, 0.04
 """Error of the local law on skin that is turned away, on less than that radius or in a cup, and on an open hand, of the
 ARP face by face (docs/bench/scattering.md)."""
+AROUND = 0.7
+"""Of the largest ARP on a body of that radius between boards, round which sound of the one behind it bends (0.62 on a
+finger of 12 mm with the focus at its side)."""
 TURNED_FROM_DEG = 45.0
 """Angle from which the first is told; it was found at 60 degrees, the others near 0."""
 BENDING = ("articulated", "rigged")
@@ -38,6 +43,8 @@ ROUND_BODY = 0.2
 """Worst error of |p|^2 behind a rod, of the free focus's, against boundary elements (docs/bench/shadows.md)."""
 TILTED_DEG = 5.0
 """Tilt of a disc from which its echo returns beside the place: it is told of no band then."""
+SHARPENS = 0.9
+"""sigma from which a focus's ARP grows by more than its line loses, as the KZK equation has it."""
 ECHO = "echo between body and array"
 ROUND_TRIPS = 8
 """Of sound between a plate and the array that a band is made of: what comes later is a tenth of it or less."""
@@ -60,14 +67,13 @@ def biases(
     focus: that stimulus's point, of several the nearest to the skin; array frame [m], shape (3,)
     highest: where the ARP on the skin is highest, and the outward normal there; array frame, shapes (3,)
     """
-    part, point = model.stimuli[stimulus], highest[0]
+    part = model.stimuli[stimulus]
     return [
         *response_biases(part, model.skins[skin]),
-        *_nonlinear(posed, part, drive, focus, point),
+        *_along_beams(posed, part, drive, focus, highest),
         *_scattered(model, skin, posed, drive, focus, highest),
         *_shadows(model, skin),
         *_echo(model, skin, stimulus, posed, drive, highest),
-        Bias("streaming", None, None, "a wind of about 1 m/s: some 0.6 Pa more, slow, and cooling"),
         *array_biases(model, stimulus, drive),
         *_linear(model.skins[skin]),
     ]
@@ -108,22 +114,60 @@ def response_biases(stimulus: StimulusModel, skin: SkinModel) -> list[Bias]:
     return result
 
 
-def _nonlinear(posed: PosedScene, stimulus: StimulusModel, drive: Complex, focus: Float, point: Float) -> list[Bias]:
-    """Of the beam as far as the skin, be the focus before or behind it."""
-    arrays = posed.arrays
-    own = np.zeros_like(drive)
+def _along_beams(
+    posed: PosedScene, stimulus: StimulusModel, drive: Complex, focus: Float, highest: tuple[Float, Float]
+) -> list[Bias]:
+    """Of beams in front of the skin as far as it, be the focus before or behind it: nonlinear sound and wind."""
+    arrays, frequency = posed.arrays, posed.arrays.array.frequency_Hz
+    own, point = np.zeros_like(drive), highest[0]
     own[stimulus.transducers] = drive[stimulus.transducers]
-    sigma = beam_steepening(arrays.array, own, focus, arrays.air, until=point)
-    line = fundamental_left(sigma)
-    moved = 1.0 - line**2
-    # Of a Gaussian spot whose share `moved` falls off as the second harmonic does, with the square
-    narrower = 100.0 * moved / (4.0 * math.log(2.0))
+    front = np.where((arrays.array.positions - point) @ highest[1] > 0.0, own, 0.0)
+    own = front if front.any() else own
+    found = beams(arrays.array, own, focus, arrays.air, until=point)
+    sigma = max((steepening(pressures, step_m, arrays.air, frequency) for step_m, pressures in found), default=0.0)
+    winds = [wind(step_m, pressures, arrays.air, frequency) for step_m, pressures in found]
+    ends = [abs(pressures[-1]) ** 2 / arrays.impedance for _, pressures in found]
+    whole = abs(arrays.pressure64(point[None], own)[0]) ** 2 / arrays.impedance
+    return [_nonlinear(sigma, winds), _streaming(winds, ends, whole)]
+
+
+def _nonlinear(sigma: float, winds: Sequence[Wind]) -> Bias:
+    """On its axis alone a beam is as loud as sigma says: of a Gaussian section half of a plane wave's line is lost.
+
+    All of it arrives in harmonics, with the same force but for what they and a shock leave in the air, on a spot that
+    is the narrower the higher they are: the ARP in its middle grows by as much. The KZK equation says so, too, up to
+    sigma 1.3 (tests/acoustics/test_focused_beam.py).
+    """
+    moved = (1.0 - fundamental_left(sigma) ** 2) / 2.0
+    # Of a Gaussian spot in whose middle harmonics have twice that share, and fall off with its square
+    narrower = 100.0 * moved / (2.0 * math.log(2.0))
     why = (
-        f"sigma {sigma:.2f} along the beam to the skin; the 40 kHz line is {100.0 * (line - 1.0):+.2g} %. If its "
-        "harmonics press as well, the ARP loses only behind a shock, beyond sigma 1, and the spot is narrower by up to "
-        f"{narrower:.2g} %; if none of them arrives, it loses the line's share"
+        f"sigma {sigma:.2f} along the beam to the skin: a microphone reads a 40 kHz line that is some "
+        f"{50.0 * moved:.2g} % weaker, but its harmonics press as well, on a spot that is narrower by up to "
+        f"{narrower:.2g} % and has more ARP in its middle; less is what air and, beyond sigma 1, a shock take of them"
     )
-    return [Bias("nonlinear sound", min(-moved, arp_left(sigma) - 1.0), 0.0, why)]
+    low = -max((one.harmonics for one in winds), default=0.0)
+    return Bias("nonlinear sound", max(low, -1.0), moved * min(max(1.0, (sigma / SHARPENS) ** 2), 2.0), why)
+
+
+def _streaming(winds: Sequence[Wind], ends: Sequence[float], whole: float) -> Bias:
+    """The wind at most: it presses less than the sound does in its spot, and on more of the skin.
+
+    What a spot of pressure p and force F does to deep skin goes with sqrt(p F), as its radius does with sqrt(F/p).
+
+    ends: ARP of each beam alone where it ends; whole: of all of them on the skin [Pa]
+    """
+    if not winds or whole == 0.0:
+        return Bias("streaming", None, None, "no beam reaches the skin of which a wind could be estimated")
+    pushes = [math.sqrt(one.pressure_Pa * one.force * end) for one, end in zip(winds, ends, strict=True)]
+    fastest = max(winds, key=lambda one: one.speed_m_s)
+    why = (
+        f"a wind, without viscosity of {fastest.speed_m_s:.2g} m/s: it presses by {fastest.pressure_Pa:.2g} Pa where "
+        f"the skin stops it, with {100.0 * fastest.force:.2g} % of the sound's force, and moves skin at rest by at "
+        f"most so much more. It builds up in some {fastest.time_s:.1g} s, so that modulation and moving foci leave "
+        "its mean alone; it cools"
+    )
+    return Bias("streaming", 0.0, float(sum(pushes) / whole), why)
 
 
 def _scattered(
@@ -141,22 +185,30 @@ def _scattered(
     radius = least_radius_m(place.nodes[0], focus, NEAR_M)
     if radius is None:
         return [Bias("scattered sound", None, None, "no focus is near the skin, so that no curvature is there to tell")]
-    turned = _turned_deg(posed, drive, *highest)
+    turned, behind = _turned_deg(posed, drive, *highest)
     curved = radius < FEW_WAVELENGTHS * length or part.spec.config.shape in BENDING
     size = TURNED if turned > TURNED_FROM_DEG else CURVED if curved else OPEN_HAND
+    around = behind > 0.0 and radius < FEW_WAVELENGTHS * length
+    size = AROUND if around else size
     why = (
         f"least radius of curvature under the focus {1e3 * radius:.0f} mm, {radius / length:.1f} wavelengths; the "
         f"local law holds from {FEW_WAVELENGTHS:g}; where the ARP is highest the skin is turned by {turned:.0f} "
-        f"degrees from the sound; {_measured(part)}. body_sound scattering computes it"
+        f"degrees from the sound; {_measured(part)}{'; sound from behind bends round it' if around else ''}. "
+        "body_sound scattering computes it"
     )
     return [Bias("scattered sound", -size, size, why)]
 
 
-def _turned_deg(posed: PosedScene, drive: Complex, point: Float, outward: Float) -> float:
-    """Between a skin's outward normal and the way back to the middle of the transducers that sound [degrees]."""
-    loud = np.abs(drive)
-    back = loud @ posed.arrays.array.positions / max(float(loud.sum()), 1e-300) - point
-    return math.degrees(math.acos(max(-1.0, min(1.0, float(outward @ back / np.linalg.norm(back))))))
+def _turned_deg(posed: PosedScene, drive: Complex, point: Float, outward: Float) -> tuple[float, float]:
+    """Between a skin's outward normal and the way back to the middle of the transducers that sound [degrees], of those
+    in front of it where there are any; and what share of the drive is behind it then."""
+    loud, ways = np.abs(drive), posed.arrays.array.positions - point
+    front = np.where(ways @ outward > 0.0, loud, 0.0)
+    used = front if front.any() else loud
+    whole = max(float(used.sum()), 1e-300)
+    back = used @ ways / whole
+    angle = math.degrees(math.acos(max(-1.0, min(1.0, float(outward @ back / np.linalg.norm(back))))))
+    return angle, 1.0 - whole / max(float(loud.sum()), 1e-300)
 
 
 def _measured(skin: SkinModel) -> str:

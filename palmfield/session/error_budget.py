@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from palmfield.config.skin import OF_SHAPES
 from palmfield.session.array_inputs import p0_band_at, p0_known, quality_known, stimulus_of
 from palmfield.session.biases import biases
-from palmfield.session.loudest_moment import LoudestMoment, loudest_place, nearest_focus
+from palmfield.session.loudest_moment import LoudestMoment, loudest_place, nearest_focus, place_under_focus
 from palmfield.session.numerical_error import Course, error_estimate
+from palmfield.session.numerics.depth_band import depth_band
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.radiation import Radiation
 from palmfield.stimulus.schedule import frame_at
@@ -27,6 +27,7 @@ QUANTITY = (
 )
 LOUDEST_POINTS = 64
 """Points of the skin at which the field is computed once more in double precision."""
+DEPTH = "depth to the bone"
 SOURCES = ("mesh", "step", "reduction", "edge", "field")
 """Of the numerical error: each has its number under `SOURCE_error_relative`."""
 
@@ -64,6 +65,7 @@ def error_budget(
         "inputs": [
             *_level(model, stimulus, loudest, highest[0]),
             _material(model, skin, band),
+            *_depth(model, skin, place_under_focus(model, skin, loudest)),
             *_unknown_inputs(model, skin, stimulus),
         ],
     }
@@ -110,15 +112,25 @@ def _material(model: HapticModel, skin: int, band: tuple[float | None, float | N
     return {"what": "material", "low": band[0], "high": band[1], "kind": "inferred", "why": why}
 
 
+def _depth(model: HapticModel, skin: int, point: Float) -> list[dict[str, Any]]:
+    """The depth to the bone under a point of the resting skin, body frame [m], shape (3,); nothing of a disc."""
+    part = model.skins[skin]
+    if part.carrier.surface is None:
+        return []
+    band = depth_band(part.layer, point)
+    if band is None:
+        config = part.spec.config
+        why = f"at most {1e3 * config.depth_m:g} mm by key depth_m, on base {config.base}; no range is known"
+        return [{"what": DEPTH, "low": None, "high": None, "kind": "assumed", "why": why}]
+    own, least, most = (1e3 * depth for depth in (band.own_m, band.least_m, band.most_m))
+    why = f"{own:.2g} mm under the focus, {least:.2g} to {most:.2g} mm on such places of people; exact for a flat layer"
+    return [{"what": DEPTH, "low": band.low, "high": band.high, "kind": "inferred", "why": why}]
+
+
 def _unknown_inputs(model: HapticModel, skin: int, stimulus: int) -> list[dict[str, Any]]:
     """What else goes in and isn't carried through."""
     inputs = []
     part = model.skins[skin]
-    if part.spec.config.shape in OF_SHAPES["hand"]:
-        inputs.append(("depth to the bone", "assumed", "its range by region is in docs/hands.md"))
-    elif part.carrier.surface is not None:
-        depth_mm = 1e3 * part.spec.config.depth_m
-        inputs.append(("depth to the bone", "assumed", f"{depth_mm:g} mm everywhere by key depth_m; no range is known"))
     if part.spec.config.arp_law == "alpha":
         alpha = 2.0 * part.spec.arp_law.pressure
         key = "arp_law" if part.spec.config.arp_alpha is None else "arp_alpha"

@@ -16,7 +16,7 @@ from palmfield.hand.preset import load_preset
 from palmfield.hand.surface import hand_surface
 from palmfield.hand.triangles import face_normals
 from palmfield.perception.force_threshold import FORCE_OBSERVER, force_level_dB_SL, force_near_peak_N, why_refused
-from palmfield.perception.maps import felt_lines, lines_in, lines_of
+from palmfield.perception.maps import felt_lines, lines_in, lines_of, wanted_s
 from palmfield.perception.observers import OBSERVERS, Observer, level_dB_SL, line_amplitudes, threshold_m
 from palmfield.session.array_inputs import stimulus_of
 from palmfield.session.loudest_moment import LoudestMoment
@@ -75,9 +75,10 @@ def felt_levels(
     refusal = _refused(model, skin, loudest, radiation, reference)
     if not motion:
         lasts_ms = 1e3 * float(np.ptp(times)) if len(times) else 0.0
+        needed_s, of_what = wanted_s(config)
         reason = (
-            f"{lasts_ms:.3g} ms of this run lie between ramp and silence; a level takes two periods of "
-            f"{main[0]:g} Hz, {2e3 / main[0]:.3g} ms: run for longer"
+            f"{lasts_ms:.3g} ms of this run lie between ramp and silence; a level takes {of_what}, "
+            f"{1e3 * needed_s:.4g} ms: run for longer"
         )
         return _all_refused(main[0], reason) | _refusal(name, refusal or reason)
     if refusal is not None:

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import lru_cache
 from itertools import pairwise
 from typing import Any, Literal, NamedTuple
@@ -37,6 +38,8 @@ KEPT = 4096
 """Configurations: as many worlds, each with its own, don't drive one another out."""
 TABLE_SAMPLES, MOST_TABLE_SAMPLES, TABLE_PLACES = 1024, 1 << 16, 8
 """Of a table of foci, by which its frequencies are told: moments, and places that the foci pass."""
+MOST_TURNS = 1000
+"""Of a path until its level is as at the beginning, at most: what takes longer counts as the nearest that doesn't."""
 LM_SAMPLES = 512
 """Of a turn of lateral modulation, at least, by which its harmonics are told."""
 
@@ -594,14 +597,34 @@ def arp_factors(envelope: Envelope, times: Float) -> Float:
     return level
 
 
+def _level_frequencies(config: StimulusConfig) -> list[float]:
+    """Of what the stimulus's level does, wherever its focus is: AM and bursts [Hz]."""
+    frequencies = list(am_frequencies(config))
+    if config.burst_window != "none" and config.burst_period_s and config.burst_count != 1:
+        frequencies.append(1.0 / config.burst_period_s)
+    return frequencies
+
+
+def repeat_rate_Hz(config: StimulusConfig) -> float | None:
+    """How often a second a path and the level on it come round together; None for a point.
+
+    A place of the skin feels the product of both, whose lines are sums and differences of theirs. A level of a file's
+    course, whose lines are no multiples of one, counts as if it were even.
+    """
+    rate = turn_rate_Hz(config)
+    if rate is None or (config.am_frequency_Hz is None and am_frequencies(config)):
+        return rate
+    for frequency in _level_frequencies(config):
+        rate /= Fraction(frequency / rate).limit_denominator(MOST_TURNS).denominator
+    return rate
+
+
 def main_frequencies(config: StimulusConfig) -> list[float]:
     """Frequencies [Hz] in which most of the skin's response lies: AM and its harmonics in the ARP; path harmonics.
 
     Empty for a load that does not repeat.
     """
-    frequencies = list(am_frequencies(config))
-    if config.burst_window != "none" and config.burst_period_s and config.burst_count != 1:
-        frequencies.append(1.0 / config.burst_period_s)
+    frequencies = _level_frequencies(config)
     rate = turn_rate_Hz(config)
     if rate is not None and config.path == "lm":
         frequencies += _lm_frequencies(config, rate)

@@ -141,11 +141,9 @@ def main() -> int:
         print(f"{one.outcome}: {one.case.kind}, {one.case.fault}: {one.case.values}\n  {one.said}", file=sys.stderr)
     print("\n".join(page))
     if arguments.write is not None:
-        # The part of fuzz_lines.py stays
-        _, heading, lines = (
-            arguments.write.read_text().partition("\n## Lines") if arguments.write.exists() else ("",) * 3
-        )
-        arguments.write.write_text("\n".join(page) + heading + lines)
+        # The parts of fuzz_lines.py and fuzz_trees.py stay
+        _, heading, others = arguments.write.read_text().partition("\n## ") if arguments.write.exists() else ("",) * 3
+        arguments.write.write_text("\n".join(page) + heading + others)
     return 1 if bad else 0
 
 

@@ -8,8 +8,10 @@ import pickle
 import sys
 import time
 import traceback
+import warnings
 from pathlib import Path
 
+import numpy as np
 from fuzz_cases import Case
 
 import palmfield
@@ -17,13 +19,35 @@ from palmfield.config import CONFIGS, parse
 from palmfield.errors import PalmfieldError
 from palmfield.hand.meshfile import load_mesh
 
+STEPS, AT_MOST_S = 3, 15.0
+"""A scene that is accepted is stepped so often, where its plan expects a run of no more seconds."""
+
+
+def planned_and_stepped(path: Path) -> None:
+    """Plan a scene, and step it where that is quick: no warning of NumPy's, and no number that is none."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        plan = palmfield.plan(path)
+        json.dumps(plan.as_dict(), allow_nan=False)
+        str(plan)
+        if plan.seconds > AT_MOST_S:
+            return
+        sim = palmfield.Simulation(path)
+        for _ in range(STEPS):
+            sim.step()
+        for name in sim.skins:
+            assert np.isfinite(sim.skin(name).normal_displacement).all(), f"skin {name} is not finite"
+        assert np.isfinite(sim.data.sensordata).all(), f"sensors are {sim.data.sensordata}"
+
 
 def given(case: Case, folder: Path) -> None:
     """Open what a case says as a user's scene would. Raises what palmfield raises."""
     folder.mkdir(parents=True)
     for name, data in case.files.items():
         (folder / name).write_bytes(data)
-    if case.kind == "scene":
+    if case.kind == "tree":
+        planned_and_stepped(folder / "scene.xml")
+    elif case.kind == "scene":
         palmfield.load(folder / "scene.xml")
     elif case.kind == "mesh":
         (name,) = case.files

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from palmfield.acoustics.arrays import layout, with_faults
+from palmfield.acoustics.arrays import combined, layout, placed, with_faults
 from palmfield.acoustics.focus import focus
 from palmfield.acoustics.nonlinear import arp_left, beam_steepening, fundamental_left, steepening
 from palmfield.errors import PalmfieldError
@@ -34,6 +34,18 @@ def test_a_beam_steepens_by_what_is_driven() -> None:
         beam_steepening(array, drive * (dead.gain != 0), AT, AIR)
     )
     assert beam_steepening(array, 0.0 * drive, AT, AIR) == 0.0
+
+
+def test_sound_from_all_sides_steepens_by_what_comes_from_one() -> None:
+    """Two boards that face each other, whose mean direction and middle would be those of no beam; one louder."""
+    array = layout("uhev1")
+    other = placed(array, np.array([0.0, 0.0, 0.4]), np.diag([1.0, -1.0, -1.0]))
+    both = combined([array, other])
+    drive = np.concatenate([focus(array, AIR, AT), 0.7 * focus(other, AIR, AT)])
+    alone = beam_steepening(array, drive[: len(array)], AT, AIR)
+    assert beam_steepening(both, drive, AT, AIR) == pytest.approx(alone, rel=1e-6)
+    drive[: len(array)] = 0.0
+    assert beam_steepening(both, drive, AT, AIR) == pytest.approx(0.7 * alone, rel=1e-6)
 
 
 def burgers(sigma: float, cells: int = 4096) -> np.ndarray:

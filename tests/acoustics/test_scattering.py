@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 import warp as wp
+from scipy.special import eval_legendre, spherical_jn, spherical_yn
 
 from palmfield.acoustics.air import density, sound_speed
 from palmfield.acoustics.bem import DoubleLayer
 from palmfield.acoustics.bem_mesh import checked, closed, elements_per_wavelength, inner_points, mean_edge_m
 from palmfield.acoustics.langevin import radiation_force
 from palmfield.acoustics.scattering import Incident, Scattering, scatter, scattered_field, wall_force
-from palmfield.acoustics.sphere import force_over_energy, geodesic, scattered_pressure, surface_pressure
+from palmfield.acoustics.sphere import force_over_energy, geodesic, surface_pressure
 from palmfield.errors import PalmfieldError
 from palmfield.hand.triangles import face_normals
 from palmfield.types import Air, Complex, Field, Float, Int
@@ -126,6 +127,17 @@ def test_no_irregular_frequencies() -> None:
 def test_the_surface_equation_alone_has_them() -> None:
     errors = [surface_equation_error(ka) for ka in np.arange(3.06, 3.25, 0.02)]
     assert max(errors) > 5 * errors[0]
+
+
+def scattered_pressure(ka: float, kr: Float, cosine: Float) -> Complex:
+    """What a sphere adds at distances r > a: -sum (2n+1) i^n j_n'(ka)/h_n'(ka) h_n(kr) P_n."""
+    total = np.zeros(len(kr), complex)
+    for n in range(int(ka + 4.0 * ka ** (1.0 / 3.0) + 12.0)):
+        slope = spherical_jn(n, ka, derivative=True)
+        share = slope / (slope + 1j * spherical_yn(n, ka, derivative=True))
+        waves = spherical_jn(n, kr) + 1j * spherical_yn(n, kr)
+        total -= (2 * n + 1) * 1j**n * share * waves * eval_legendre(n, cosine)
+    return total
 
 
 def test_sound_outside_the_sphere() -> None:

@@ -10,7 +10,7 @@ from palmfield.acoustics.air import sound_speed
 from palmfield.acoustics.arrays import layout, with_faults
 from palmfield.acoustics.focus import focus
 from palmfield.acoustics.reference import pressure64
-from palmfield.acoustics.validity import far_field_m, least_radius_m, near_field_m, warnings
+from palmfield.acoustics.validity import far_field_m, least_radius_m, warnings
 from palmfield.errors import PalmfieldError
 from palmfield.studies.bench.rayleigh import hemisphere, one_piston, piston
 from palmfield.types import Air
@@ -28,12 +28,7 @@ def test_far_field_begins_where_the_rayleigh_integral_says(kb: float, error: flo
     points = hemisphere(distance)
     ratio = pressure64(points, one, [1.0], AIR, absorption_Np_m=0.0)[0] / piston(points, kb / K, K, 1.0)
     assert 0.5 * error < np.abs(np.abs(ratio) - 1.0).max() < 1.01 * error
-    assert np.abs(np.angle(ratio)).max() < 1.4 * near_field_m(one, AIR) / (2.0 * distance)
-
-
-def test_near_field_of_the_usual_transducer() -> None:
-    assert near_field_m(layout("uhev1"), AIR) == pytest.approx(7.4e-3, abs=5e-5)
-    assert near_field_m(replace(layout("uhev1"), piston_radius_m=0.0), AIR) == 0.0
+    assert np.abs(np.angle(ratio)).max() < 1.4 * kb**2 / (4.0 * K * distance)
 
 
 def ball(radius: float, points: int = 400) -> np.ndarray:

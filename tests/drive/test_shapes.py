@@ -158,22 +158,6 @@ def test_plane_wave_is_loudest_in_its_direction_far_away() -> None:
     assert np.rad2deg(np.arccos(rays[np.abs(sound).argmax()] @ direction)) < 0.5  # a step is 0.3 degrees
 
 
-def test_defocused_spot_is_wider_and_as_wide_as_its_rays() -> None:
-    x = np.linspace(-0.1, 0.1, 801)
-    line = np.column_stack([x, 0 * x, np.full(801, 0.2)])
-
-    def width(shift: float) -> float:
-        loud = np.abs(field(line, shapes.defocused(UHEV1, AIR, AHEAD, shift)))
-        inside = x[loud > 0.5 * loud.max()]
-        return float(inside[-1] - inside[0])
-
-    assert width(0.0) < width(0.05) < width(0.1) < width(0.2)
-    assert width(0.0) < width(-0.05) < width(-0.08)
-    rays = 0.2 / 0.4 * 16 * 10.3e-3
-    assert width(0.2) == pytest.approx(rays, rel=0.15)
-    np.testing.assert_array_equal(shapes.defocused(UHEV1, AIR, AHEAD, 0.0), focus(UHEV1, AIR, AHEAD))
-
-
 @pytest.mark.parametrize(
     "turn",
     [("x", 90.0), ("x", -90.0), ("y", 90.0), ("y", -90.0), ("y", 180.0), ("x", 60.0), ("y", -120.0)],
@@ -222,7 +206,6 @@ def test_every_drive_is_of_phases_only() -> None:
         shapes.vortex(UHEV1, AIR, ASIDE, 2),
         shapes.bottle(UHEV1, AIR, ASIDE),
         shapes.plane_wave(UHEV1, AIR, (0.1, 0.0, 1.0)),
-        shapes.defocused(UHEV1, AIR, ASIDE, 0.1),
     ]
     for drive in drives:
         np.testing.assert_allclose(np.abs(drive), 1.0, rtol=1e-12)
@@ -239,7 +222,6 @@ def test_every_drive_is_of_phases_only() -> None:
         (lambda: shapes.bottle(UHEV1, AIR, (0, np.inf, 0.2)), "not a finite position"),
         (lambda: shapes.plane_wave(UHEV1, AIR, (0, 0, 0)), "other than 0"),
         (lambda: shapes.plane_wave(UHEV1, AIR, (1, 0, -0.1)), "does not lead out"),
-        (lambda: shapes.defocused(UHEV1, AIR, AHEAD, -0.3), "shift_m = -0.3"),
     ],
 )
 def test_what_makes_no_sense_is_refused(work: Callable[[], Complex], message: str) -> None:

@@ -11,7 +11,7 @@ from palmfield.acoustics.phased_array import ArrayInstance
 from palmfield.config import ArrayConfig, StimulusConfig
 from palmfield.drive.array_drive import ArrayDrive
 from palmfield.drive.boards import BOARDS
-from palmfield.drive.response import Pole, envelope_response, pole_step
+from palmfield.drive.response import Pole, envelope_response, pole_weights
 from palmfield.drive.response_error import ResponseError
 from palmfield.drive.transducer_response import (
     SILENT,
@@ -82,6 +82,12 @@ def held_frames(stimulus, begin, end):
     """Moments that stand for the parts of a step with their shares of it; none where nothing jumps or is held in it."""
     moments = substep_moments((stimulus,), begin, end - begin, 1)
     return [] if moments.linear[-1] else list(zip(moments.times, moments.first[0], strict=True))
+
+
+def pole_step(emitted, first, last, pole, time_s):
+    """Emitted amplitudes after a drive that went from `first` to `last` along a line, over the steady response."""
+    decay, held, slope = pole_weights(pole.rate * time_s)
+    return decay * emitted + held * first + slope * (last - first)
 
 
 def step_by_step(stimulus, drive, response, emitted, t0, step, count):

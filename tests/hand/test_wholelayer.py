@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from bisection import bisected
 
 from palmfield.errors import SceneError
 from palmfield.hand.layer import (
@@ -20,7 +21,6 @@ from palmfield.hand.layer import (
 )
 from palmfield.hand.patch import surface_patch
 from palmfield.hand.preset import load_preset
-from palmfield.hand.refine import refine
 from palmfield.hand.surface import hand_surface
 from palmfield.hand.triangles import unique_edges, vertex_normals
 from palmfield.hand.wholelayer import facing_faces, hand_layer
@@ -253,9 +253,13 @@ def test_solvers_take_whole_and_palmar_layers_and_agree_with_a_height_field():
     at = onto_the_smooth_hand(np.array([[-0.0555, 0.102, 0.002]]))[0]
     surface = shapes().coarse_hand(subdivided=False)
     for _ in range(2):
-        surface = refine(surface, lambda p: 0.0015 + 0.8 * np.maximum(np.linalg.norm(p - at, axis=1) - 0.004, 0.0))
-        points = onto_the_smooth_hand(surface.vertices)
-        surface = Surface(points, surface.faces, vertex_normals(points, surface.faces))
+        vertices, faces = bisected(
+            surface.vertices,
+            surface.faces,
+            lambda p: 0.0015 + 0.8 * np.maximum(np.linalg.norm(p - at, axis=1) - 0.004, 0.0),
+        )
+        points = onto_the_smooth_hand(vertices)
+        surface = Surface(points, faces, vertex_normals(points, faces))
 
     def pushed(patch, rows):
         layer = Layer(patch, (Sheet(finger_pad, depth),), "bonded", "free")

@@ -14,7 +14,6 @@ from palmfield.metrics import (
     level_depth,
     mse,
     radial_profile,
-    share_within,
     spot_diameter,
     ssim,
     strip,
@@ -167,12 +166,9 @@ def test_half_width_refuses_a_curve_that_ends_too_soon():
         half_width([0.0, 1.0, 2.0], [0.0, 1.0, 0.0], of="inner")
 
 
-def test_areas_and_shares_of_nothing_are_refused():
-    inside = XX > 0.0
-    with pytest.raises(MeasurementError, match="the map's integral is 0"):
-        share_within(np.zeros(XX.shape), X, Y, inside)
+def test_areas_of_nothing_are_refused():
     with pytest.raises(MeasurementError, match="inside has shape"):
-        share_within(gaussian(FWHM), X, Y, inside[:5])
+        focal_energy_ratio(gaussian(FWHM), X, Y, XX[:5] > 0.0)
     with pytest.raises(MeasurementError, match="level is nan"):
         area_above(gaussian(FWHM), X, Y, np.nan)
     with pytest.raises(MeasurementError, match="path_m at"):

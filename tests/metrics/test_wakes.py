@@ -7,7 +7,6 @@ from palmfield.errors import MeasurementError
 from palmfield.metrics import (
     co_rotating_average,
     mach_angle,
-    moving_frame_average,
     wake_along_path,
     wake_area,
     wake_length,
@@ -72,26 +71,6 @@ def test_area_of_a_triangular_wake():
     triangle = np.where((behind >= 0.0) & (np.abs(YY) <= 0.5 * behind), level, -1.0 + 0.0 * XX)
     area = wake_area(np.maximum(triangle, 0.0), X, Y, threshold=0.3)
     assert area == pytest.approx(0.5 * 0.07**2, rel=0.05)
-
-
-def test_what_goes_with_the_focus_stays_and_what_rests_is_smeared():
-    t = np.arange(0.0, 0.02, 1e-3)
-    focus = np.stack([-0.05 + 4.0 * t, 0.0 * t], axis=1)
-    shape = lambda x, y: np.exp(-(((x + 0.01) / 0.01) ** 2) - ((y - 0.004) / 0.01) ** 2)  # noqa: E731
-    maps = np.array([shape(XX - f[0], YY) for f in focus])
-    ahead, across = np.arange(-0.02, 0.0205, 0.005), np.arange(-0.01, 0.0105, 0.005)
-    found = moving_frame_average(t, maps, X, Y, focus, ahead, across)
-    assert found == pytest.approx(shape(*np.meshgrid(ahead, across, indexing="ij")), abs=0.01)
-    still = np.broadcast_to(shape(XX + 0.02, YY), maps.shape)
-    assert moving_frame_average(t, still, X, Y, focus, ahead, across).max() < 0.5
-
-
-def test_the_frame_turns_with_a_course_along_y():
-    t = np.arange(0.0, 0.01, 1e-3)
-    focus = np.stack([0.0 * t, -0.02 + 4.0 * t], axis=1)
-    maps = np.array([np.exp(-(((XX + 0.005) / 0.01) ** 2) - ((YY - f[1]) / 0.01) ** 2) for f in focus])
-    left, right = moving_frame_average(t, maps, X, Y, focus, [0.0], [0.005, -0.005])[0]
-    assert left == pytest.approx(1.0, abs=0.01) and right == pytest.approx(np.exp(-1.0), abs=0.01)
 
 
 @pytest.mark.parametrize("turn_Hz", [70.0, -70.0])

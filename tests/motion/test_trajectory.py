@@ -163,7 +163,8 @@ def test_functions_by_themselves_and_by_name(swing, tmp_path, monkeypatch):
     assert motion(1.0).quaternion.tolist() == [1.0, 0.0, 0.0, 0.0]
     for name, words in (
         ("users_motion:fall", "'users_motion:fall' is not found: .*fall"),
-        ("no_such_module_here:f", "is not found: No module"),
+        ("no_such_module_here:f", "is not found: there is no module 'no_such_module_here'"),
+        (".relative:f", "is not found: TypeError"),
         ("users_motion", "not of the form package.module:function"),
         ("users_motion:number", "is int; name a function"),
     ):

@@ -174,24 +174,6 @@ def test_uff_that_is_none_is_told(tmp_path):
         write_scan(tmp_path / "no" / "a.uff", scan())
 
 
-def test_shapes_come_back(tmp_path):
-    pytest.importorskip("pyuff")
-    from palmfield.outputs.scan_files.uff import Shape, read_shapes, write_shapes
-
-    one = scan(count=6)
-    rng = np.random.default_rng(0)
-    shapes = [Shape("velocity", f, one.points, rng.normal(size=6) + 1j * rng.normal(size=6)) for f in (200.0, 400.0)]
-    write_shapes(tmp_path / "s.uff", shapes)
-    back = read_shapes(tmp_path / "s.uff")
-    assert [shape.frequency_Hz for shape in back] == [200.0, 400.0]
-    for found, made in zip(back, shapes, strict=True):
-        assert found.amplitudes == pytest.approx(made.amplitudes, abs=1e-5) and found.quantity == "velocity"
-    with pytest.raises(MeasurementError, match="has no time responses"):
-        read_scan(tmp_path / "s.uff")
-    with pytest.raises(OutputError, match="at the same points"):
-        write_shapes(tmp_path / "s.uff", [])
-
-
 # -- MATLAB --------------------------------------------------------------------------------------------------------
 
 

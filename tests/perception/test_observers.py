@@ -12,7 +12,6 @@ from palmfield.perception.observers import (
     levels_dB_SL,
     line_amplitude,
     line_amplitudes,
-    share_left_out,
     threshold_m,
 )
 
@@ -123,13 +122,6 @@ def test_nothing_that_moves_is_minus_infinity_and_what_the_table_lacks_has_no_va
         assert np.isnan(level_dB_SL(OBSERVERS[name], [0, f_Hz], [1e-3, 1e-3])), (name, f_Hz)
     both = levels_dB_SL(HUMAN, [100, 1000], [[0.079e-6, 0.0, 0.0], [1e-3, 1e-3, 0.0]])
     assert both[0] == pytest.approx(0.0, abs=1e-9) and np.isnan(both[1]) and both[2] == -np.inf
-
-
-def test_share_left_out():
-    # 1 and 4 of 1 + 4 + 4 units of energy lie outside; DC is no part of it
-    assert share_left_out(HANDLE, [0, 4, 100, 1000], [9, 1, 2, 2]) == pytest.approx(5 / 9)
-    assert share_left_out(HANDLE, [0, 100], [9, 1]) == 0
-    assert share_left_out(HANDLE, [0, 100], [9, 0]) == 0
 
 
 @given(

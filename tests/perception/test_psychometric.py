@@ -23,16 +23,6 @@ def test_shapes_are_their_formulas():
     assert weibull([3.0, 6.0]) == pytest.approx([0.75, 1.0 - 0.5 * 0.5**4])
 
 
-@pytest.mark.parametrize("shape", FORMS)
-def test_levels_of_probabilities_are_the_inverse(shape):
-    function = PsychometricFunction(shape, 1.3, 0.4, 0.25, 0.03)
-    for probability in (0.3, 0.5, 0.61, 0.9):
-        assert function(function.level_of(probability)) == pytest.approx(probability, abs=1e-12)
-    assert function.level_of(0.25 + 0.72 / 2) == pytest.approx(1.3)
-    with pytest.raises(OutputError, match=r"probability 0.98; allowed: between 0.25 and 0.97"):
-        function.level_of(0.98)
-
-
 @pytest.mark.parametrize(("shape", "guess", "trials"), [("normal", 0.5, 40), ("weibull", 0.0, 20)])
 def test_thresholds_are_without_bias_and_intervals_cover(shape, guess, trials):
     """80 observers of one threshold: their mean within three standard errors of it, 95 % intervals that hold it as

@@ -9,6 +9,8 @@ from pathlib import Path
 import pytest
 from fuzz import BAD, Outcome, kinds_of, run_cases
 from fuzz_cases import BALL, FORBIDDEN_EDITS, HAPTIC, KINDS, NEEDED, PLAIN, RULES, Case, drawn, written
+from fuzz_trees import SMALL, drawn_trees
+from small_scene import small_scene_texts
 
 from palmfield.config import CONFIGS, parse
 
@@ -43,6 +45,17 @@ def test_what_they_are_made_from_is_accepted():
     for file, old, _ in FORBIDDEN_EDITS.values():
         assert old in {"plain.xml": PLAIN, "scene.xml": HAPTIC}[file], old
     assert len(RULES) > 30
+
+
+def test_two_hundred_scenes_that_stay_well_formed():
+    """Planned, and stepped where they are accepted; shipped scenes, which take longer, by the script only."""
+    forms = [small_scene_texts(0.01, **changes) for changes in SMALL]
+    whole = [Case("tree", "none", False, {"plain.xml": one.encode(), "scene.xml": two.encode()}) for one, two in forms]
+    assert [(one.outcome, one.said) for one in run_cases(whole)] == [("accepted", "")] * len(whole)
+    found = run_cases(drawn_trees(COUNT, SEED, share_of_shipped=0.0))
+    bad = [f"{one.outcome}: {one.case.fault}: {one.said}\n{one.case.files}" for one in found if one.outcome in BAD]
+    assert not bad, "\n".join(bad)
+    assert sum(one.outcome == "accepted" for one in found) > 0.15 * COUNT
 
 
 DIES = """

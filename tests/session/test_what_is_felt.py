@@ -36,6 +36,28 @@ def test_the_level_of_a_moving_focus_is_that_of_all_its_lines(small_scene):
     assert skin["verdict"]["level_dB_SL"] == skin["level_all_lines_bolanowski_1988_dB_SL"]
 
 
+def test_lines_beside_those_of_am_and_path_count(small_scene):
+    """AM of 150 Hz on a path of 60: a place feels 150 +- 60, 150 +- 120 ... Hz, all of them multiples of 30."""
+    stimulus = CIRCLE | {"modulation": "am", "am_quantity": "arp", "am_frequency_Hz": 150}
+    result = palmfield.run(palmfield.load(small_scene(stimulus=stimulus), keys={"stimulus.ramp_s": 0}), duration_s=0.1)
+    skin = result.summary["skins"][0]
+    data = instances(result.dataset, "skin")["skin"]
+    normal, times = np.asarray(normal_component(data), float), data["time"].values.astype(float)
+    course = normal[:, np.abs(normal).max(axis=0).argmax()]
+    for name, observer in OBSERVERS.items():
+        own = own_level(observer, times, course, 30.0)
+        assert skin[f"level_all_lines_{name}_dB_SL"] == pytest.approx(own, abs=0.3), name
+    # Those of path and AM alone are not all of it
+    assert {90.0, 210.0, 270.0} <= set(np.round(skin["line_frequencies_Hz"], 6))
+
+
+def test_am_and_path_that_come_round_too_rarely_have_no_level_and_a_reason(small_scene):
+    stimulus = CIRCLE | {"modulation": "am", "am_quantity": "arp", "am_frequency_Hz": 151}
+    verdict = palmfield.run(small_scene(stimulus=stimulus), duration_s=0.04).summary["skins"][0]["verdict"]
+    assert verdict["felt"] == "not known"
+    assert "two repeats of path and modulation together, 1 a second, 2000 ms: run for longer" in verdict["because"]
+
+
 def test_a_path_too_slow_for_the_run_has_no_level_and_a_reason(small_scene):
     result = palmfield.run(palmfield.load(small_scene(stimulus=CIRCLE | {"path_rate_Hz": 20})), duration_s=0.01)
     verdict = result.summary["skins"][0]["verdict"]

@@ -8,13 +8,14 @@ import math
 
 import numpy as np
 import pytest
+from depth_compliance import depth_compliance
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from palmfield.errors import SceneError
 from palmfield.skin.analytic.layer_oracle import layer_compliance
 from palmfield.skin.fem.assembly import assemble
-from palmfield.skin.fem.depth import impedance, surface_compliance
+from palmfield.skin.fem.depth import impedance
 from palmfield.skin.fem.foundation import Foundation, fit_foundation
 from palmfield.skin.fem.generalised_alpha import branch_weights
 from palmfield.skin.fem.load import SurfaceQuadrature
@@ -44,7 +45,7 @@ def test_depth_polynomials_are_the_plane_waves(name, base):
     halves = [Sheet(preset(name), 0.005), Sheet(preset(name), 0.015)]
     for f in (0.0, 100.0, 400.0)[base == "free" :]:
         exact = layer_compliance(k, f, preset(name), 0.02, base)
-        np.testing.assert_allclose(surface_compliance(k, f, halves, base), exact, rtol=1e-7)
+        np.testing.assert_allclose(depth_compliance(k, f, halves, base), exact, rtol=1e-7)
         # One polynomial a sheet: spectral convergence with its degree.
         errors = [
             np.abs(1.0 / np.linalg.inv(impedance(k, f, halves, base, degree))[:, 1, 1] * exact - 1.0)
@@ -67,7 +68,7 @@ def strip(fractions, materials, base, edge_m=0.003):
 def works(f, system, force, square, sheets, base):
     """Work of the mode by wedges, and by the compliance of the sheets."""
     u = static(system, force) if f == 0.0 else harmonic(system, force, f)
-    return force @ u, square * surface_compliance(np.array([K]), f, sheets, base)[0]
+    return force @ u, square * depth_compliance(np.array([K]), f, sheets, base)[0]
 
 
 @pytest.mark.parametrize(

@@ -11,13 +11,13 @@ import math
 import numpy as np
 import pytest
 import trimesh
+from depth_compliance import depth_compliance
 from scipy.sparse.linalg import norm
 
 from palmfield.errors import SceneError
 from palmfield.hand.patch import surface_patch
 from palmfield.skin.analytic.layer_oracle import centre_response
 from palmfield.skin.fem.assembly import assemble
-from palmfield.skin.fem.depth import surface_compliance
 from palmfield.skin.fem.factor import factorise
 from palmfield.skin.fem.generalised_alpha import Scheme
 from palmfield.skin.fem.load import PressureHistory, SurfaceQuadrature
@@ -54,7 +54,7 @@ def test_incompressible_neither_locks_nor_loses_digits(bulk_over_instant):
     system, force, square = strip(material, 0.012)
     for f in (0.0, 200.0):
         u = static(system, force) if f == 0.0 else harmonic(system, force, f)
-        exact = square * surface_compliance(np.array([K]), f, [Sheet(material, 0.012)])[0]
+        exact = square * depth_compliance(np.array([K]), f, [Sheet(material, 0.012)])[0]
         print(bulk_over_instant, f, abs(force @ u / exact - 1))
         assert abs(force @ u / exact - 1) < 3e-3
     matrix = Scheme(system, 2.5e-4, 0.8).effective()
@@ -105,7 +105,7 @@ def test_load_at_and_above_wave_speeds(share):
     standing waves of the strip at the frequency v k / 2 pi."""
     f = share * shear_wave(PALM, 150.0)[0] * K / (2.0 * math.pi)
     system, force, square = strip(PALM, 0.012, rows=6, edge_m=0.0025)
-    exact = square * surface_compliance(np.array([K]), f, [Sheet(PALM, 0.012)])[0]
+    exact = square * depth_compliance(np.array([K]), f, [Sheet(PALM, 0.012)])[0]
     found = force @ harmonic(system, force, f)
     print(share, f, abs(found / exact - 1))
     assert abs(found / exact - 1) < 0.01
@@ -123,7 +123,7 @@ def test_flat_rows(flat):
     force = quadrature.assemble(pressure)
     for f in (0.0, 200.0):
         u = static(system, force) if f == 0.0 else harmonic(system, force, f)
-        exact = quadrature.weights @ pressure**2 * surface_compliance(np.array([K]), f, [Sheet(PALM, 0.012)])[0]
+        exact = quadrature.weights @ pressure**2 * depth_compliance(np.array([K]), f, [Sheet(PALM, 0.012)])[0]
         assert abs(force @ u / exact - 1) < 5e-3
 
 

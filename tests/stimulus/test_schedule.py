@@ -172,7 +172,8 @@ def test_an_open_path_may_jump_or_stop_at_its_end():
 def test_letters_are_silent_between_strokes():
     config = of(path="letters", path_text="II", path_height_m=0.02, path_speed_m_s=1.0)
     _, factor = frames_at(config, np.linspace(0.0, 1.0 / turn_rate_Hz(config), 2001))
-    lifted = plane_path(config).lifted_share
+    path = plane_path(config)
+    lifted = np.diff(path.corner_arcs)[path.lifted].sum() / path.length_m
     assert 0.1 < lifted < 0.7
     assert 1.0 - factor.mean() == pytest.approx(lifted, abs=0.01)
 

@@ -81,10 +81,6 @@ class ScheduleSource:
         # What sounded before the pause sounds again
         self._next = max(0, self._next - 1)
 
-    @property
-    def first_due_s(self) -> float:
-        return self.start_s + (self.schedule.times_s[0] if self.schedule.frames else 0.0)
-
 
 def on_the_line(schedule: Schedule, byte_s: float, free_s: float) -> Iterator[Choice]:
     """The frames of a schedule that a line takes, each with `at_s`, when its first byte is on the line.

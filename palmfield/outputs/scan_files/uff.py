@@ -1,20 +1,19 @@
-"""Scans and shapes as Universal File Format, which vibrometers' software reads and writes, by pyuff (extra [uff]).
+"""Scans as Universal File Format, which vibrometers' software reads and writes, by pyuff (extra [uff]).
 
-Read are nodes (data sets 15 and 2411), units (164), functions at nodes (58, and 58b in binary), and shapes (55).
-Written are 164, 2411, trace lines (82), 58 or 58b, and 55. A function's fourth line holds the beam: `sight x y z`.
+Read are nodes (data sets 15 and 2411), units (164), and functions at nodes (58, and 58b in binary).
+Written are 164, 2411, trace lines (82), and 58 or 58b. A function's fourth line holds the beam: `sight x y z`.
 """
 
 import math
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from palmfield.errors import MeasurementError, OutputError
 from palmfield.given_files import regular
 from palmfield.instruments.scan import UNITS, Quantity, Scan
-from palmfield.types import Complex, Float
+from palmfield.types import Float
 
 KINDS: dict[int, Quantity] = {8: "displacement", 11: "velocity"}
 NUMBERS = {quantity: number for number, quantity in KINDS.items()}
@@ -26,15 +25,6 @@ DELIMITER, TAIL = b"    -1", 4096
 """A line of these ends a data set; so many bytes of blank lines may follow the last one."""
 LONGEST_PATH = 80
 """pyuff passes on files with any path; messages of it are cut at so many letters."""
-
-
-class Shape(NamedTuple):
-    """Complex amplitudes along the beams at one frequency, e^{-i w t}. points: [m], (n, 3); amplitudes: (n,)"""
-
-    quantity: Quantity
-    frequency_Hz: float
-    points: Float
-    amplitudes: Complex
 
 
 def _pyuff() -> Any:
@@ -53,14 +43,14 @@ def _sets(file: Path) -> list[dict[str, Any]]:
     pyuff = _pyuff()
     try:
         opened = pyuff.UFF(str(file))
-        wanted = {15, 2411, 164, 58, 55}
+        wanted = {15, 2411, 164, 58}
         # pyuff raises plain Exceptions, and reads what it doesn't know as nothing
         found = [opened.read_sets(n) for n, kind in enumerate(opened.get_set_types()) if int(kind) in wanted]
     except Exception as error:
         text = " ".join(str(error).split())[:LONGEST_PATH]
         raise MeasurementError(f"{file}: is not readable as UFF: {text or type(error).__name__}") from None
     if not found:
-        raise MeasurementError(f"{file}: holds no data sets 15, 2411, 58 or 55; give a UFF file of a scan")
+        raise MeasurementError(f"{file}: holds no data sets 15, 2411 or 58; give a UFF file of a scan")
     # pyuff leaves out a set without an end, so that a point would be missing without a word
     if not file.read_bytes()[-TAIL:].rstrip().endswith(DELIMITER):
         raise MeasurementError(f"{file}: ends within a data set: it was cut off; give the whole file")
@@ -210,48 +200,3 @@ def _write(file: Path, sets: list[dict[str, Any]]) -> None:
         raise OutputError(f"{file}: cannot be written: {error}; give a place that can be written to") from None
     except Exception as error:
         raise OutputError(f"{file}: cannot be written: {' '.join(str(error).split())[:LONGEST_PATH]}") from None
-
-
-def read_shapes(file: Path) -> list[Shape]:
-    """The complex shapes (data set 55, frequency response, displacement or velocity) of a file, along z of each node.
-
-    UFF's phasors go with e^{+i w t}; amplitudes are turned to e^{-i w t}. Raises MeasurementError as `read_uff`.
-    """
-    sets = _sets(file)
-    places, metre = _nodes(file, sets)
-    shapes = []
-    for one in sets:
-        if one["type"] != 55 or int(one["spec_data_type"]) not in KINDS or "freq" not in one:
-            continue
-        numbers = [int(number) for number in one["node_nums"]]
-        lost = [number for number in numbers if number not in places]
-        if lost:
-            raise MeasurementError(f"{file}: a shape has node {lost[0]}, which has no place")
-        amplitudes = metre * np.conj(np.asarray(one["r3"], dtype=complex))
-        points = np.array([places[number] for number in numbers])
-        shapes.append(
-            Shape(KINDS[int(one["spec_data_type"])], float(one["freq"]), points, np.asarray(amplitudes, complex))
-        )
-    if not shapes:
-        raise MeasurementError(f"{file}: has no shapes of displacement or velocity at a frequency (data set 55)")
-    return shapes
-
-
-def write_shapes(file: Path, shapes: list[Shape]) -> None:
-    """Write shapes at one scan's points: units, nodes, trace lines and a data set 55 each.
-
-    Raises OutputError for none, for shapes at different points, and where the file can't be written.
-    """
-    if not shapes or any(not np.array_equal(shapes[0].points, one.points) for one in shapes):
-        raise OutputError("shapes of one file are at the same points; give one or more")
-    sets = _geometry(np.asarray(shapes[0].points, dtype=float))
-    for n, shape in enumerate(shapes):
-        silent: ArrayLike = np.zeros(len(shape.points), dtype=complex)
-        sets.append(
-            {"type": 55, "id1": f"{shape.quantity} along the beam", "id2": "NONE", "id3": "NONE", "id4": "NONE",
-             "id5": "NONE", "model_type": 1, "analysis_type": 5, "data_ch": 2, "spec_data_type":
-             NUMBERS[shape.quantity], "data_type": 5, "n_data_per_node": 3, "load_case": 1, "freq_step_n": n + 1,
-             "freq": shape.frequency_Hz, "node_nums": np.arange(1, len(shape.points) + 1), "r1": silent, "r2": silent,
-             "r3": np.asarray(shape.amplitudes).conj()}
-        )  # fmt: skip
-    _write(file, sets)

@@ -60,11 +60,6 @@ def impedance(
     return _without(shape.T @ matrix @ shape, range(2, 2 + len(rising)))
 
 
-def surface_compliance(k: Float, f_Hz: float, sheets: Sequence[Sheet], base: BaseKind | Springs = "bonded") -> Complex:
-    """Normal compliance of the top of sheets on a base [m/Pa], shape (n,): positive when pushed in; see condensed."""
-    return np.linalg.inv(impedance(k, f_Hz, sheets, base))[:, 1, 1].astype(complex)
-
-
 def on_impedance(upper: Complex, below: Complex) -> Complex:
     """Normal compliance of the top of sheets of condensed stiffness (n, 4, 4) on an impedance (n, 2, 2), shape (n,)."""
     return np.linalg.inv(_on(upper, below))[:, 1, 1].astype(complex)

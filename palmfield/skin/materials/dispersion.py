@@ -34,11 +34,6 @@ class Waves:
     rayleigh_length_m: float
     cutoff_Hz: float | None = None
 
-    @property
-    def loss_tangent(self) -> float:
-        """G'' / G'."""
-        return -self.shear_Pa.imag / self.shear_Pa.real
-
 
 def describe(material: Material, f_Hz: float, thickness_m: float | None = None) -> Waves:
     """Complex moduli, speeds and 1/e lengths at f > 0 [Hz], and the cut-off of a bonded layer [m] where one is given.

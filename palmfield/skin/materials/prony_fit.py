@@ -96,15 +96,6 @@ def fractional_kelvin_voigt(f_Hz: Float, relaxed_Pa: float, coefficient_Pa_s: fl
     return np.asarray(relaxed_Pa + coefficient_Pa_s * (-1j * omega) ** exponent, dtype=np.complex128)
 
 
-def fractional_zener(f_Hz: Float, relaxed_Pa: float, instant_Pa: float, time_s: float, exponent: float) -> Complex:
-    """G(w) = (G_0 + G_1 (i w tau)^a) / (1 + (i w tau)^a) as G' - iG'' [Pa], shape of f_Hz.
-
-    relaxed_Pa, instant_Pa: G_0 and G_1 > G_0 [Pa]; time_s: tau [s]; exponent: a in 0..1, 1 is the standard linear solid
-    """
-    x = (-2j * math.pi * np.asarray(f_Hz, dtype=float) * time_s) ** exponent
-    return np.asarray((relaxed_Pa + instant_Pa * x) / (1.0 + x), dtype=np.complex128)
-
-
 def fractional(
     name: str,
     density_kg_m3: float,

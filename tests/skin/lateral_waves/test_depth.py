@@ -33,6 +33,11 @@ def modes(slab, k, extra=0, tolerance=1e-8):
     return face_modes(depth_problem(slab, k, degrees), 0.2, tolerance)
 
 
+def compliance(found, s):
+    """u_z per unit of pressure [m/Pa] at rate s [1/s]; negative where a static pressure pushes in."""
+    return complex(np.sum(found.normal / (s - found.poles)))
+
+
 @pytest.mark.parametrize("name", MATERIALS)
 @pytest.mark.parametrize("base", ["bonded", "free_slip", "free"])
 def test_compliance_is_that_of_plane_waves(name, base):
@@ -44,7 +49,7 @@ def test_compliance_is_that_of_plane_waves(name, base):
         for f in (10.0, 70.0, 200.0, 900.0):
             exact = layer_compliance(k, f, material, thickness, base)
             # e^{-iwt} is s = -iw; pushed in is positive there, u_z here
-            assert -found.compliance(-2j * np.pi * f) == pytest.approx(complex(exact), rel=2e-4)
+            assert -compliance(found, -2j * np.pi * f) == pytest.approx(complex(exact), rel=2e-4)
 
 
 @pytest.mark.parametrize("base", ["bonded", "free_slip"])
@@ -54,7 +59,7 @@ def test_soft_modes_of_a_stiff_sheet_keep_their_digits(base, k):
     material, thickness = MATERIALS["incompressible"], 0.012
     found = modes(Slab((Sheet(material, thickness),), base=base), k, tolerance=1e-13)
     for f in (10.0, 70.0, 200.0):
-        error = abs(-found.compliance(-2j * np.pi * f) / layer_compliance(k, f, material, thickness, base) - 1.0)
+        error = abs(-compliance(found, -2j * np.pi * f) / layer_compliance(k, f, material, thickness, base) - 1.0)
         print(base, k, f, error)
         assert error < 1e-9
 
@@ -65,7 +70,7 @@ def test_static_limit(base):
     for k in (20.0, 300.0, 1500.0):
         exact = layer_compliance(k, 0.0, PRONY, 0.02, base).real
         still, moving = still_modes(depth_problem(slab, k, (50,))), modes(slab, k)
-        assert -still.compliance(0.0).real == pytest.approx(exact, rel=1e-7)
+        assert -compliance(still, 0.0).real == pytest.approx(exact, rel=1e-7)
         assert -moving.static()[0] == pytest.approx(exact, rel=1e-6)
 
 
@@ -77,7 +82,7 @@ def test_error_falls_faster_than_any_power_of_the_degree():
     errors = []
     for degree in (8, 12, 16, 20):
         found = face_modes(depth_problem(slab, k, (degree,)), 0.2, 1e-12)
-        errors.append(abs(-found.compliance(-2j * np.pi * f) / exact - 1))
+        errors.append(abs(-compliance(found, -2j * np.pi * f) / exact - 1))
     print(errors)
     assert all(later < max(earlier / 20, 1e-10) for earlier, later in pairwise(errors))
 
@@ -87,7 +92,7 @@ def test_sheets_of_one_material_are_one_sheet():
     cut = Slab((Sheet(ECOFLEX, 0.004), Sheet(ECOFLEX, 0.007), Sheet(ECOFLEX, 0.009)))
     for k in (30.0, 500.0):
         for s in (0.0, -2j * np.pi * 150.0):
-            assert modes(cut, k).compliance(s) == pytest.approx(modes(whole, k).compliance(s), rel=1e-6)
+            assert compliance(modes(cut, k), s) == pytest.approx(compliance(modes(whole, k), s), rel=1e-6)
 
 
 def test_springs_between_free_and_bonded():
@@ -98,7 +103,7 @@ def test_springs_between_free_and_bonded():
     for normal, tangential, base in cases:
         sprung = Slab((Sheet(ECOFLEX, 0.01),), base=Springs(normal, tangential))
         plain = Slab((Sheet(ECOFLEX, 0.01),), base=base)
-        assert modes(sprung, k).compliance(s) == pytest.approx(modes(plain, k).compliance(s), rel=1e-4)
+        assert compliance(modes(sprung, k), s) == pytest.approx(compliance(modes(plain, k), s), rel=1e-4)
 
 
 def test_a_column_on_a_dashpot_is_a_line_with_a_load():
@@ -113,7 +118,7 @@ def test_a_column_on_a_dashpot_is_a_line_with_a_load():
         s = -2j * np.pi * f
         t = np.tanh(s * 0.02 * material.density_kg_m3 / impedance)
         expected = impedance * (load + impedance * t) / (impedance + load * t)
-        assert -1.0 / (s * found.compliance(s)) == pytest.approx(expected, rel=1e-6)
+        assert -1.0 / (s * compliance(found, s)) == pytest.approx(expected, rel=1e-6)
 
 
 def test_residues_sum_to_nothing_and_nothing_grows():

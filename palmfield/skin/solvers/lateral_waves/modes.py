@@ -28,10 +28,6 @@ class FaceModes:
     normal: Complex
     lateral: Complex
 
-    def compliance(self, s: complex) -> complex:
-        """u_z per unit of pressure [m/Pa] at rate s [1/s]; negative where a static pressure pushes in."""
-        return complex(np.sum(self.normal / (s - self.poles)))
-
     def static(self) -> tuple[float, float]:
         """u_z and u_x / i per unit of pressure at rest [m/Pa]."""
         return float(-np.sum(self.normal / self.poles).real), float(-np.sum(self.lateral / self.poles).real)

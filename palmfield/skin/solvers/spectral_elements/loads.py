@@ -34,10 +34,6 @@ class Table:
     share: Float
 
 
-def no_load(steps: int, surface_nodes: int) -> Table:
-    return Table(True, steps, np.zeros((steps, 3)), 0.0, np.zeros((1, 1)), np.zeros(1, np.int64), np.zeros(1))
-
-
 def rows_at(load: Load, times: Any, step_s: float) -> tuple[Any, Any]:
     """Row of [0, first, ..., last, last] and share of the next row at times that begin with the load's first.
 

@@ -172,21 +172,6 @@ class Model:
             record_cmd=record_cmd,
         )
 
-    def forces(self, u: Float, w: Float, shear: list[float] | None = None) -> Float:
-        """Nodal sums of internal forces [N], shape (nodes, 3): deviatoric part of w, pressure of u, both (nodes, 3).
-
-        shear: shear modulus by sheet [Pa], default the relaxed one. Where the pressure follows w, w counts for both.
-        """
-        return self.forces_of(u, w, self.moduli if shear is None else self.moduli_of(shear))
-
-    def forces_of(self, u: Float, w: Float, moduli: Any) -> Float:
-        """As `forces`, with moduli by element."""
-        spare = wp.zeros(1, dtype=wp.int32, device=self.device)
-        self.launch(self.vectors(u), self.vectors(w), self.conn, self.conn, moduli, spare)
-        parts = self.force.numpy()[:, self.layout.at].reshape(3, -1).astype(np.float64)
-        nodes = self.solid.elements.ravel()
-        return np.stack([np.bincount(nodes, part, minlength=len(self.solid.nodes)) for part in parts], axis=1)
-
     def largest_rate(self, factors: list[float], start: Any) -> float:
         """Largest eigenvalue of M^-1 K over all elements [1/s^2], a bound of the assembled one (Irons & Treharne 1971).
 

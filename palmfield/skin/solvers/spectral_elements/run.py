@@ -27,15 +27,6 @@ class Points:
     shares: Float
 
 
-@dataclass(frozen=True)
-class State:
-    """Displacement u [m] at a step, velocity v [m/s] half a step before it, y = u - q [m] by branch and copy."""
-
-    u: Float
-    v: Float
-    strain: Float
-
-
 def branch_step(step_s: float, time_s: float) -> tuple[float, float]:
     """(e, c h) of y <- e y + c h v, exact for v constant over the step: c = (1 - e) tau / h."""
     if time_s == 0.0:
@@ -69,23 +60,23 @@ def law_of(material: Material) -> Law:
     return tuple(zip(material.ratios, material.times_s, strict=True)), material.viscous_time_s
 
 
-def copies_of(solid: Solid, materials: list[Material]) -> tuple[list[Law], Int, Int, Int]:
+def copies_of(solid: Solid, materials: list[Material]) -> tuple[list[Law], Int, Int]:
     """A node has a copy of what relaxes for every law that meets there; those of one node lie together.
 
-    Returns the laws, the law of each sheet, node * laws + law of each copy, rising, and the copies of each element.
+    Returns the laws, node * laws + law of each copy, rising, and the copies of each element.
     """
     laws = sorted({law_of(material) for material in materials})
     law_of_sheet = np.array([laws.index(law_of(material)) for material in materials], dtype=np.int32)
     if len(laws) == 1:
-        return laws, law_of_sheet, np.arange(len(solid.nodes), dtype=np.int32), solid.elements
+        return laws, np.arange(len(solid.nodes), dtype=np.int32), solid.elements
     pairs = solid.elements.astype(np.int64) * len(laws) + law_of_sheet[solid.sheet][:, None]
     keys, result = np.unique(pairs, return_inverse=True)
-    return laws, law_of_sheet, keys, result.reshape(pairs.shape)
+    return laws, keys, result.reshape(pairs.shape)
 
 
 def state_size(solid: Solid, materials: list[Material]) -> int:
     """Numbers that carry a body through time, see `Stepper.numbers`."""
-    laws, _, keys, _ = copies_of(solid, materials)
+    laws, keys, _ = copies_of(solid, materials)
     rows = 1 + max(len(branches) for branches, _ in laws)
     return 3 * (2 * len(solid.nodes) + rows * len(keys))
 
@@ -180,21 +171,19 @@ class Stepper:
     def _copies(self) -> None:
         """What relaxes, by copy; see `copies_of`."""
         model, solid, layout = self.model, self.model.solid, self.model.layout
-        laws, self.law_of_sheet, keys, inverse = copies_of(solid, model.materials)
-        self.copy_node, self.copy_law = keys // len(laws), keys % len(laws)
+        laws, keys, inverse = copies_of(solid, model.materials)
         self.copy_count = len(keys)
-        self.copy_starts = model.ints(np.searchsorted(self.copy_node, np.arange(len(solid.nodes) + hexa.LANES + 1)))
-        self.copy_laws = model.ints(self.copy_law)
+        self.copy_starts = model.ints(np.searchsorted(keys // len(laws), np.arange(len(solid.nodes) + hexa.LANES + 1)))
+        self.copy_laws = model.ints(keys % len(laws))
         w_conn = np.zeros(layout.count, dtype=np.int32)
         w_conn[layout.at] = inverse
         self.w_conn = model.ints(w_conn)
         ends = np.concatenate([[0], np.cumsum([len(branches) for branches, _ in laws])])
         rows = [(*branch_step(self.step_s, tau), g) for branches, _ in laws for g, tau in branches]
-        self.branch_rows = np.array(rows).reshape(-1, 3)
         self.law_ends = np.stack([ends[:-1], ends[1:]], axis=1)
         self.most = int(np.diff(ends).max())
         self.laws: Any = wp.array(self.law_ends.astype(np.int32), dtype=wp.vec2i, device=model.device)
-        self.branches = model.vectors(self.branch_rows)
+        self.branches = model.vectors(np.array(rows).reshape(-1, 3))
         self.viscous = model.put(np.array([time_s for _, time_s in laws]))
 
     def _commands(self) -> list[Any]:
@@ -262,17 +251,6 @@ class Stepper:
         """Displacement [m] and velocity [m/s] after the wanted steps, at the points, both (wanted, p) of vectors."""
         return self.read_u, self.read_v
 
-    def state(self) -> State:
-        nodes, copies = len(self.model.solid.nodes), self.copy_count
-        u, v, strain = (a.numpy().astype(np.float64) for a in (self.u, self.v, self.strain))
-        return State(u[:nodes], v[:nodes], strain[:, :copies])
-
-    def place(self, u: Float, v: Float) -> None:
-        """Put the body into another state at rest branches: displacement and velocity, both (nodes, 3)."""
-        for array, values in ((self.u, u), (self.v, v), (self.w, u[self.copy_node])):
-            array[: len(values)].assign(self.model.vectors(values))
-        self.strain.zero_()
-
     def _state_arrays(self) -> list[Any]:
         """What a step changes, without the padding: u, v, w, and y of each branch."""
         nodes, copies = len(self.model.solid.nodes), self.copy_count
@@ -297,49 +275,3 @@ class Stepper:
         self.clock.zero_()
         self.finished.zero_()
         self.done = 0
-
-    def momentum(self) -> Float:
-        """Sum of mass times velocity [kg m/s], shape (3,)."""
-        return self.model.mass @ self.state().v
-
-    def energy(self, before: State, after: State) -> float:
-        """E of the step between two states [J]; see the class."""
-        model, h, holds = self.model, self.step_s, self.holds
-        shear = [m.shear_relaxed_Pa for m in model.materials]
-        v = after.v
-        total = 0.5 * model.mass @ (v * v).sum(axis=1)
-        rows = holds.rows
-        total += 0.5 * np.einsum("rc,rcd,rd->", before.u[rows], holds.spring, after.u[rows])
-        # Pressure that follows w takes the dashpot's and branches' shares as well
-        total += 0.5 * float((before.u * model.forces(after.u, after.u, shear)).sum())
-        for law, (first, last) in enumerate(self.law_ends):
-            sheets = self.law_of_sheet == law
-            own = [g if mine else 0.0 for g, mine in zip(shear, sheets, strict=True)]
-            copies = np.flatnonzero(self.copy_law == law)
-
-            def spread(values: Float, copies: Any = copies) -> Float:
-                nodes = np.zeros_like(before.u)
-                nodes[self.copy_node[copies]] = values[copies]
-                return nodes
-
-            def product(a: Float, b: Float, own: list[float] = own, sheets: Any = sheets) -> float:
-                return float((a * self.relaxing_forces(b, own, sheets)).sum())
-
-            viscous = float(self.viscous.numpy()[law])
-            if viscous > 0.0:
-                total -= 0.25 * h * viscous * product(v, v)
-            for b in range(first, last):
-                e, ch, g = self.branch_rows[b]
-                if ch == 0.0:
-                    continue
-                y0, y1 = (spread(state.strain[b - first]) for state in (before, after))
-                total += 0.5 * g * h / ch * (product(y0, y1) + 0.5 * (1.0 - e) * product(y0, y0))
-        return float(total)
-
-    def relaxing_forces(self, y: Float, shear: list[float], sheets: Any) -> Float:
-        """Forces of what relaxes: the deviatoric part, and the pressure where the bulk follows."""
-        model = self.model
-        bulk = np.array([m.bulk_Pa if m.bulk_relaxes else 0.0 for m in model.materials]) * sheets
-        moduli = model.moduli_of(shear).numpy()
-        moduli[1, : len(model.solid.sheet)] = bulk[model.solid.sheet]
-        return model.forces_of(y, y, model.put(moduli))

@@ -25,7 +25,6 @@ from palmfield.studies.papers.chilles2019.setup import (
 from palmfield.studies.papers.chilles2019.traces import Trace, measured, raw
 from palmfield.types import Float
 
-GREY = "#9a9a9a"
 SHADES = ("#9a9a9a", *COLOURS)
 
 
