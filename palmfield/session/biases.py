@@ -28,6 +28,9 @@ FEW_WAVELENGTHS = 2.0
 TURNED, CURVED, OPEN_HAND = 0.60, 0.16, 0.04
 """Error of the local law on skin that is turned away, on less than that radius or in a cup, and on an open hand, of the
 ARP face by face (docs/bench/scattering.md)."""
+AROUND = 0.7
+"""Of the largest ARP on a body of that radius between boards, round which sound of the one behind it bends (0.62 on a
+finger of 12 mm with the focus at its side)."""
 TURNED_FROM_DEG = 45.0
 """Angle from which the first is told; it was found at 60 degrees, the others near 0."""
 BENDING = ("articulated", "rigged")
@@ -64,10 +67,10 @@ def biases(
     focus: that stimulus's point, of several the nearest to the skin; array frame [m], shape (3,)
     highest: where the ARP on the skin is highest, and the outward normal there; array frame, shapes (3,)
     """
-    part, point = model.stimuli[stimulus], highest[0]
+    part = model.stimuli[stimulus]
     return [
         *response_biases(part, model.skins[skin]),
-        *_along_beams(posed, part, drive, focus, point),
+        *_along_beams(posed, part, drive, focus, highest),
         *_scattered(model, skin, posed, drive, focus, highest),
         *_shadows(model, skin),
         *_echo(model, skin, stimulus, posed, drive, highest),
@@ -111,11 +114,15 @@ def response_biases(stimulus: StimulusModel, skin: SkinModel) -> list[Bias]:
     return result
 
 
-def _along_beams(posed: PosedScene, stimulus: StimulusModel, drive: Complex, focus: Float, point: Float) -> list[Bias]:
-    """Of the beams of a stimulus as far as the skin, be the focus before or behind it: nonlinear sound and wind."""
+def _along_beams(
+    posed: PosedScene, stimulus: StimulusModel, drive: Complex, focus: Float, highest: tuple[Float, Float]
+) -> list[Bias]:
+    """Of beams in front of the skin as far as it, be the focus before or behind it: nonlinear sound and wind."""
     arrays, frequency = posed.arrays, posed.arrays.array.frequency_Hz
-    own = np.zeros_like(drive)
+    own, point = np.zeros_like(drive), highest[0]
     own[stimulus.transducers] = drive[stimulus.transducers]
+    front = np.where((arrays.array.positions - point) @ highest[1] > 0.0, own, 0.0)
+    own = front if front.any() else own
     found = beams(arrays.array, own, focus, arrays.air, until=point)
     sigma = max((steepening(pressures, step_m, arrays.air, frequency) for step_m, pressures in found), default=0.0)
     winds = [wind(step_m, pressures, arrays.air, frequency) for step_m, pressures in found]
@@ -152,7 +159,7 @@ def _streaming(winds: Sequence[Wind], ends: Sequence[float], whole: float) -> Bi
     """
     if not winds or whole == 0.0:
         return Bias("streaming", None, None, "no beam reaches the skin of which a wind could be estimated")
-    high = sum(math.sqrt(one.pressure_Pa * one.force * end) for one, end in zip(winds, ends, strict=True)) / whole
+    pushes = [math.sqrt(one.pressure_Pa * one.force * end) for one, end in zip(winds, ends, strict=True)]
     fastest = max(winds, key=lambda one: one.speed_m_s)
     why = (
         f"a wind, without viscosity of {fastest.speed_m_s:.2g} m/s: it presses by {fastest.pressure_Pa:.2g} Pa where "
@@ -160,7 +167,7 @@ def _streaming(winds: Sequence[Wind], ends: Sequence[float], whole: float) -> Bi
         f"most so much more. It builds up in some {fastest.time_s:.1g} s, so that modulation and moving foci leave "
         "its mean alone; it cools"
     )
-    return Bias("streaming", 0.0, high, why)
+    return Bias("streaming", 0.0, float(sum(pushes) / whole), why)
 
 
 def _scattered(
@@ -178,22 +185,30 @@ def _scattered(
     radius = least_radius_m(place.nodes[0], focus, NEAR_M)
     if radius is None:
         return [Bias("scattered sound", None, None, "no focus is near the skin, so that no curvature is there to tell")]
-    turned = _turned_deg(posed, drive, *highest)
+    turned, behind = _turned_deg(posed, drive, *highest)
     curved = radius < FEW_WAVELENGTHS * length or part.spec.config.shape in BENDING
     size = TURNED if turned > TURNED_FROM_DEG else CURVED if curved else OPEN_HAND
+    around = behind > 0.0 and radius < FEW_WAVELENGTHS * length
+    size = AROUND if around else size
     why = (
         f"least radius of curvature under the focus {1e3 * radius:.0f} mm, {radius / length:.1f} wavelengths; the "
         f"local law holds from {FEW_WAVELENGTHS:g}; where the ARP is highest the skin is turned by {turned:.0f} "
-        f"degrees from the sound; {_measured(part)}. body_sound scattering computes it"
+        f"degrees from the sound; {_measured(part)}{'; sound from behind bends round it' if around else ''}. "
+        "body_sound scattering computes it"
     )
     return [Bias("scattered sound", -size, size, why)]
 
 
-def _turned_deg(posed: PosedScene, drive: Complex, point: Float, outward: Float) -> float:
-    """Between a skin's outward normal and the way back to the middle of the transducers that sound [degrees]."""
-    loud = np.abs(drive)
-    back = loud @ posed.arrays.array.positions / max(float(loud.sum()), 1e-300) - point
-    return math.degrees(math.acos(max(-1.0, min(1.0, float(outward @ back / np.linalg.norm(back))))))
+def _turned_deg(posed: PosedScene, drive: Complex, point: Float, outward: Float) -> tuple[float, float]:
+    """Between a skin's outward normal and the way back to the middle of the transducers that sound [degrees], of those
+    in front of it where there are any; and what share of the drive is behind it then."""
+    loud, ways = np.abs(drive), posed.arrays.array.positions - point
+    front = np.where(ways @ outward > 0.0, loud, 0.0)
+    used = front if front.any() else loud
+    whole = max(float(used.sum()), 1e-300)
+    back = used @ ways / whole
+    angle = math.degrees(math.acos(max(-1.0, min(1.0, float(outward @ back / np.linalg.norm(back))))))
+    return angle, 1.0 - whole / max(float(loud.sum()), 1e-300)
 
 
 def _measured(skin: SkinModel) -> str:

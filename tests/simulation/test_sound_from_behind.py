@@ -10,7 +10,7 @@ from palmfield.acoustics.body_scattering import RigidScatteredField, boundary_me
 from palmfield.acoustics.focus import focus
 from palmfield.acoustics.phased_array import MultiArrayField, directivity_groups
 from palmfield.acoustics.surface_arp import MATRIX_FROM, SurfaceArp
-from palmfield.session.simulation import load
+from palmfield.session.simulation import Simulation, load
 from palmfield.types import Air, Complex, Float
 
 AIR = Air()
@@ -64,6 +64,16 @@ def test_what_faces_the_back_adds_nothing_in_front(tmp_path, sound):
     half, push = pressed(tmp_path, CAPS, sound, rows=64)
     assert caps.max() == pytest.approx(half.max(), rel=1e-4)
     assert pushed[0] == pytest.approx(push[0], rel=0.01, abs=1e-8)
+
+
+@pytest.mark.parametrize("arrays", [FRONT + REAR, CAPS], ids=["boards", "table"])
+def test_worlds_keep_sound_from_behind_out_as_a_single_one_does(tmp_path, arrays):
+    alone, push = pressed(tmp_path, arrays, "none")
+    worlds = Simulation(tmp_path / "scene.xml", worlds=2)
+    worlds.step(2)
+    for world in range(2):
+        np.testing.assert_allclose(worlds.skin().arp[world], alone, rtol=1e-5, atol=1e-5 * alone.max())
+        np.testing.assert_allclose(worlds.forces[world], push, rtol=1e-4, atol=1e-9)
 
 
 def plate(tilt_deg: float) -> tuple[MultiArrayField, Float, Float, Complex, Float, Float]:
