@@ -17,10 +17,12 @@ from palmfield.acoustics.shadow import CLEARANCE_m, REACH_m
 from palmfield.device import SharedArray, filled, recorded, resolve
 from palmfield.errors import PalmfieldError
 from palmfield.hand.subdivide import with_short_edges
+from palmfield.hand.triangles import checked_mesh, face_normals
 from palmfield.threads import Calls, cores, share
 from palmfield.types import Air, Complex, Float, Float32, Int
 from warp_kernels import shadow as kernels
 
+MOST_FACES = 1_000_000
 EDGES_PER_WAVELENGTH = 6.0
 """Longest edge of the boundary elements; they come out with about 8 edges a wavelength in the mean."""
 RAYS_PER_THREAD = 300
@@ -39,8 +41,15 @@ def boundary_mesh(vertices: Float, faces: Int, wavelength_m: float) -> tuple[Flo
     """The closed surface with edges short enough for boundary elements: vertices [m] and faces.
 
     vertices: [m], shape (v, 3); faces: shape (m, 3)
+    Raises PalmfieldError for other shapes, NaN, faces of no vertex, and a wavelength that is not above 0 or so short
+    that the mesh would have more than MOST_FACES.
     """
-    fine, triangles = with_short_edges(vertices, faces, wavelength_m / EDGES_PER_WAVELENGTH)
+    vertices, faces = checked_mesh(vertices, faces)
+    edge = wavelength_m / EDGES_PER_WAVELENGTH
+    # Equilateral triangles of such edges are the fewest that cover the surface
+    if not (edge > 0.0 and 2.31 * face_normals(vertices, faces)[1].sum() < MOST_FACES * edge**2):
+        raise PalmfieldError(f"wavelength_m is {wavelength_m:g}; allowed: above 0, and at most {MOST_FACES:,} faces")
+    fine, triangles = with_short_edges(vertices, faces, edge)
     merged, inverse = np.unique(np.round(fine, 12), axis=0, return_inverse=True)
     return merged, inverse.reshape(-1)[triangles].astype(np.int32)
 

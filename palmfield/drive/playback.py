@@ -6,10 +6,12 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from palmfield.config import StimulusConfig
+from palmfield.errors import SceneError
 from palmfield.stimulus.schedule import frame_rates, jumps
 
 REFRESH_S = 0.1
 """A frame that rests is sent again so often, so that a byte lost on the line does no lasting harm [s]."""
+MOST_FRAMES = 100_000_000
 ON_STEP = 1e-6
 """Of a step: a moment that lies so near to the beginning of one counts as that."""
 
@@ -38,9 +40,15 @@ def frame_times(
     step_s: of MuJoCo, where something moves: a pose is new where a step begins, so that frames that come less often
         wait for the next one
     besides: times at which frames are due as well where no other is within least_s [s]
+    Raises SceneError for a duration or a step that is not finite and above 0, and for more than MOST_FRAMES.
     """
+    for name, value in (("duration_s", duration_s), ("step_s", 1.0 if step_s is None else step_s)):
+        if not 0.0 < value < math.inf:
+            raise SceneError(f"{name} is {value}; allowed: finite seconds, above 0")
     rates = [rate for stimulus in stimuli for rate in frame_rates(stimulus)]
     period_s = 1.0 / max(rates) if rates else REFRESH_S
+    if duration_s > MOST_FRAMES * period_s:
+        raise SceneError(f"duration_s is {duration_s:g}; allowed: {MOST_FRAMES:,} frames, one every {period_s:g} s")
     edges = {t for stimulus in stimuli for t in jumps(stimulus, 0.0, duration_s) if 0.0 < t < duration_s}
     times = {k * period_s for k in range(math.ceil(duration_s / period_s - 1e-9))}
     if step_s is not None and period_s >= step_s:

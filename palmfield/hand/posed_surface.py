@@ -15,7 +15,7 @@ from palmfield.hand.blend import bone_shifts
 from palmfield.hand.meshquery import barycentric, build_mesh, closest_faces
 from palmfield.hand.rigged import strongest
 from palmfield.hand.skinning import SkinnedSurface
-from palmfield.hand.triangles import face_normals
+from palmfield.hand.triangles import checked_mesh, face_normals
 from palmfield.types import Float, Int
 
 REACH_M = 0.05
@@ -105,7 +105,9 @@ def face_samples(vertices: Float, faces: Int) -> FaceSamples:
     """Centroid, normal and area of each face; for the same faces again and again take a `FaceSampler`.
 
     vertices: [m], shape (n, 3); faces: shape (m, 3)
+    Raises PalmfieldError for other shapes, NaN, and faces of no vertex.
     """
+    vertices, faces = checked_mesh(vertices, faces)
     normals, areas = face_normals(vertices, faces)
     return FaceSamples(vertices[faces].mean(axis=1), normals, areas)
 

@@ -1,10 +1,27 @@
 """Small facts about triangle meshes that several hand modules need. Arrays as in `types.Surface`."""
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
+from palmfield.errors import PalmfieldError
 from palmfield.types import Float, Int
+
+
+def checked_mesh(vertices: ArrayLike, faces: ArrayLike) -> tuple[Float, Int]:
+    """Vertices [m], shape (n, 3), and faces, shape (m, 3). Raises PalmfieldError for others and for NaN."""
+    places, triangles = np.asarray(vertices, dtype=float), np.asarray(faces)
+    for name, one in (("vertices", places), ("faces", triangles)):
+        if one.ndim != 2 or one.shape[1] != 3 or len(one) == 0:
+            raise PalmfieldError(f"{name} have shape {one.shape}; give (n, 3), one or more")
+    if not np.isfinite(places).all():
+        raise PalmfieldError(f"vertex {int(np.argwhere(~np.isfinite(places))[0][0])} is not finite; give metres")
+    if triangles.dtype.kind not in "iu" or not 0 <= triangles.min() <= triangles.max() < len(places):
+        raise PalmfieldError(
+            f"faces are {triangles.dtype} of {triangles.min()} to {triangles.max()}; give numbers of the "
+            f"{len(places)} vertices, from 0"
+        )
+    return places, triangles
 
 
 def face_normals(vertices: Float, faces: Int) -> tuple[Float, Float]:

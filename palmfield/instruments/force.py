@@ -13,6 +13,7 @@ from pydantic import Field
 from scipy.signal import lfilter
 
 from palmfield.errors import MeasurementError
+from palmfield.hand.triangles import checked_mesh
 from palmfield.instruments.settings import NonNegative, Positive, Settings, Vector3
 from palmfield.metrics.checks import even_step, finite, trace
 from palmfield.types import Float
@@ -112,7 +113,8 @@ def mesh_force(arp: ArrayLike, vertices: ArrayLike, faces: ArrayLike, plate: Pla
     The ARP is linear between vertices; triangles are cut where the outline, seen along its normal, crosses them. What
     presses on faces that turn away from the plate's normal, as those of a finger's back, pushes the other way.
     """
-    pressure, corners = np.asarray(arp, dtype=float), np.asarray(vertices, dtype=float)[np.asarray(faces)]
+    places, triangles = checked_mesh(vertices, faces)
+    pressure, corners = np.asarray(arp, dtype=float), places[triangles]
     normal, along, across = _axes(plate)
     area = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) @ normal
     shares = _cuts()
@@ -123,8 +125,8 @@ def mesh_force(arp: ArrayLike, vertices: ArrayLike, faces: ArrayLike, plate: Pla
     else:
         inside = np.hypot(x, y) <= 0.5 * plate.width_m
     parts = np.einsum("fk,kc->fc", inside.astype(float), shares) / len(shares) * area[:, None]
-    weights = np.zeros(len(np.asarray(vertices)))
-    np.add.at(weights, np.asarray(faces), parts)
+    weights = np.zeros(len(places))
+    np.add.at(weights, triangles, parts)
     if pressure.shape[-1:] != weights.shape:
         raise MeasurementError(f"arp has shape {pressure.shape}, but there are {len(weights)} vertices")
     return np.asarray(pressure @ weights)

@@ -7,14 +7,21 @@ from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from palmfield.errors import MeasurementError
-from palmfield.metrics.checks import above_zero
+from palmfield.metrics.checks import above_zero, finite, whole
 from palmfield.types import Float
+
+MOST_PLACES = 10_000_000
 
 
 def rectangle_grid(width_m: float, height_m: float, pitch_m: float) -> Float:
     """Square grid with a place in the middle, of at most width_m along x and height_m along y [m], shape (n, 3)."""
     for name, value in (("width_m", width_m), ("height_m", height_m), ("pitch_m", pitch_m)):
         above_zero(name, value)
+    if width_m * height_m > MOST_PLACES * pitch_m**2:
+        raise MeasurementError(
+            f"a grid of {width_m:g} by {height_m:g} m every {pitch_m:g} m has more than {MOST_PLACES:,} places; give a "
+            "larger pitch_m"
+        )
     along = [pitch_m * np.arange(-n, n + 1) for n in (_half(width_m, pitch_m), _half(height_m, pitch_m))]
     x, y = np.meshgrid(*along, indexing="ij")
     return np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
@@ -29,8 +36,8 @@ def disc_grid(radius_m: float, pitch_m: float) -> Float:
 def line_grid(length_m: float, count: int, azimuth_deg: float = 0.0) -> Float:
     """`count` evenly spaced places on a line through the middle [m], shape (count, 3)."""
     above_zero("length_m", length_m)
-    if count < 2:
-        raise MeasurementError(f"a line of {count} places is asked for; give 2 or more")
+    finite("azimuth_deg", np.atleast_1d(azimuth_deg))
+    count = whole("count of places", count, 2, MOST_PLACES)
     along = np.linspace(-0.5 * length_m, 0.5 * length_m, count)
     angle = math.radians(azimuth_deg)
     return np.column_stack([along * math.cos(angle), along * math.sin(angle), np.zeros(count)])

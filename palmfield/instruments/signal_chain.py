@@ -14,7 +14,7 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfilt, sosfiltfilt
 
 from palmfield.errors import MeasurementError
-from palmfield.metrics.checks import above_zero, even_step, finite, trace
+from palmfield.metrics.checks import above_zero, even_step, finite, trace, whole
 from palmfield.types import Float
 
 Phase = Literal["causal", "zero_phase"]
@@ -39,14 +39,12 @@ def lowpass(signal: ArrayLike, rate_Hz: float, cutoff_Hz: float, order: int, *, 
 
 
 def _butterworth(signal: ArrayLike, rate_Hz: float, cutoff_Hz: float, order: int, phase: str, kind: str) -> Float:
-    values = np.asarray(signal, dtype=float)
-    finite("the signal", values)
+    values = _samples(signal)
     above_zero("rate_Hz", rate_Hz)
     above_zero("cutoff_Hz", cutoff_Hz)
     if cutoff_Hz >= 0.5 * rate_Hz:
         raise MeasurementError(f"cutoff_Hz is {cutoff_Hz:g}; allowed: below half the rate, {0.5 * rate_Hz:g} Hz")
-    if not ORDERS[0] <= order <= ORDERS[1]:
-        raise MeasurementError(f"order of a filter is {order}; allowed: {ORDERS[0]} to {ORDERS[1]}")
+    order = whole("order of a filter", order, *ORDERS)
     # Second-order sections: coefficients of the whole polynomial lose all digits at 50 Hz of 128 kHz
     sections = butter(order, cutoff_Hz, kind, fs=rate_Hz, output="sos")
     if phase == "causal":
@@ -57,10 +55,17 @@ def _butterworth(signal: ArrayLike, rate_Hz: float, cutoff_Hz: float, order: int
     return np.asarray(sosfiltfilt(sections, values, axis=0, padtype="constant", padlen=padded))
 
 
+def _samples(signal: ArrayLike) -> Float:
+    values = np.atleast_1d(np.asarray(signal, dtype=float))
+    finite("the signal", values)
+    if values.size == 0:
+        raise MeasurementError(f"the signal has shape {values.shape}; give one sample or more")
+    return values
+
+
 def integrated(signal: ArrayLike, rate_Hz: float) -> Float:
     """The integral over time from the first sample on, by trapezoids, 0 there."""
-    values = np.asarray(signal, dtype=float)
-    finite("the signal", values)
+    values = _samples(signal)
     above_zero("rate_Hz", rate_Hz)
     return np.asarray(cumulative_trapezoid(values, dx=1.0 / rate_Hz, axis=0, initial=0.0))
 
@@ -73,7 +78,7 @@ def sampled(times_s: ArrayLike, signal: ArrayLike, at_s: ArrayLike) -> Float:
     Raises MeasurementError for times after its last, which nothing is known of.
     """
     times, values = trace(times_s, signal, 4)
-    at = np.asarray(at_s, dtype=float)
+    at, _ = trace(at_s, at_s, single=True)
     step = even_step(at)
     if at[-1] > times[-1] + 1e-6 * step:
         raise MeasurementError(

@@ -9,8 +9,8 @@ from palmfield.types import Float
 Mask = NDArray[np.bool_]
 
 
-def trace(times_s: ArrayLike, values: ArrayLike, least: int = 2) -> tuple[Float, Float]:
-    """Times [s], shape (t,), rising, and values along them, shape (t, ...), as float64 arrays.
+def trace(times_s: ArrayLike, values: ArrayLike, least: int = 2, *, single: bool = False) -> tuple[Float, Float]:
+    """Times [s], shape (t,), rising, and values along them, shape (t, ...), as float64 arrays; (t,) for a single one.
 
     Raises MeasurementError for fewer than `least` samples, other shapes, times that do not rise, NaN and infinity.
     """
@@ -19,8 +19,9 @@ def trace(times_s: ArrayLike, values: ArrayLike, least: int = 2) -> tuple[Float,
         raise MeasurementError(f"times have shape {times.shape}; give a row of at least {least}")
     if not np.isfinite(times).all() or not np.all(np.diff(times) > 0.0):
         raise MeasurementError("times must be finite and rise from sample to sample")
-    if signal.ndim == 0 or signal.shape[0] != len(times):
-        raise MeasurementError(f"values have shape {signal.shape}, but there are {len(times)} times")
+    if signal.ndim == 0 or signal.shape[0] != len(times) or (single and signal.ndim != 1):
+        wanted = f"; give one signal, ({len(times)},)" if single else ""
+        raise MeasurementError(f"values have shape {signal.shape}, but there are {len(times)} times{wanted}")
     finite("values", signal)
     return times, signal
 
@@ -75,6 +76,13 @@ def share(what: str, value: float) -> None:
     """Raise MeasurementError where a share is not between 0 and 1, both left out."""
     if not 0.0 < value < 1.0:
         raise MeasurementError(f"{what} is {value:g}; allowed: above 0 and below 1")
+
+
+def whole(what: str, value: float, least: int, most: int) -> int:
+    """The value as an int. Raises MeasurementError where it is no whole number from `least` to `most`."""
+    if not least <= value <= most or value != int(value):
+        raise MeasurementError(f"{what} is {value}; allowed: a whole number from {least} to {most}")
+    return int(value)
 
 
 def above_zero(what: str, value: float) -> None:

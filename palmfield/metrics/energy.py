@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter
 
 from palmfield.errors import MeasurementError
-from palmfield.metrics.checks import Mask, above_zero, cell_areas, finite, grid, mask
+from palmfield.metrics.checks import Mask, above_zero, cell_areas, finite, grid, mask, whole
 from palmfield.metrics.traces import Window, rms_map
 from palmfield.types import Float
 
@@ -118,8 +118,9 @@ def ssim(
     """
     above_zero("data_range", data_range)
     above_zero("sigma", sigma)
-    if radius < 0:
-        raise MeasurementError(f"radius is {radius}; allowed: 0 places or more")
+    above_zero("k1", k1)
+    above_zero("k2", k2)
+    radius = whole("radius", radius, 0, 10_000)
     a, b = _pair(map_a, map_b, normalised)
     if a.ndim != 2 or min(a.shape) <= 2 * radius:
         raise MeasurementError(f"maps have shape {a.shape}; a window takes {2 * radius + 1} places each way")

@@ -69,11 +69,11 @@ def radial_profile(
     radii_m: ends of the rings, rising, shape (k + 1,); weights: area of each point, shape (n,), else all count alike
     """
     field, points, edges = (np.asarray(part, dtype=float) for part in (values, points_m, radii_m))
-    share_of = np.ones(len(field)) if weights is None else np.asarray(weights, dtype=float)
-    finite("values", field)
-    if points.ndim != 2 or points.shape[0] != len(field) or share_of.shape != field.shape:
+    share_of = np.ones(np.shape(field)) if weights is None else np.asarray(weights, dtype=float)
+    finite("values", np.atleast_1d(field))
+    if field.ndim != 1 or points.ndim != 2 or points.shape[0] != len(field) or share_of.shape != field.shape:
         raise MeasurementError(
-            f"points have shape {points.shape} and weights {share_of.shape}, but there are {len(field)} values"
+            f"points have shape {points.shape} and weights {share_of.shape}, but values {field.shape}"
         )
     if edges.ndim != 1 or len(edges) < 2 or not np.all(np.diff(edges) > 0.0):
         raise MeasurementError("radii_m must be at least two lengths that rise")
@@ -99,6 +99,8 @@ def level_depth(depth_m: ArrayLike, values: ArrayLike, reference_m: float, level
     if not depth[0] <= reference_m <= depth[-1]:
         raise MeasurementError(f"reference_m is {reference_m:g} m; the curve goes from {depth[0]:g} to {depth[-1]:g} m")
     goal = level * float(np.interp(reference_m, depth, curve))
+    if goal <= 0.0:
+        raise MeasurementError(f"the curve is {goal / level:g} at {reference_m:g} m; give one that is above 0 there")
     low = np.flatnonzero((depth > reference_m) & (curve <= goal))
     if len(low) == 0:
         raise MeasurementError(

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from palmfield.errors import MeasurementError
-from palmfield.metrics.checks import above_zero, even_step, trace
+from palmfield.metrics.checks import above_zero, even_step, finite, trace
 from palmfield.types import Float
 
 
@@ -32,7 +32,8 @@ def co_rotating_average(
     step = even_step(times)
     if (times[-1] - times[0] + step) * abs(turn_Hz) < 1.0 - 1e-6:
         raise MeasurementError(f"the record of {times[-1] - times[0]:g} s holds no turn of {turn_Hz:g} Hz")
-    angles = np.asarray(angles_rad, dtype=float)
+    angles = np.atleast_1d(np.asarray(angles_rad, dtype=float))
+    finite("angles_rad", angles)
     count = maps.shape[2]
     orders = np.fft.rfftfreq(count, 1.0 / count)
     weight = np.where((orders == 0.0) | (2.0 * orders == count), 1.0, 2.0) / count

@@ -8,7 +8,7 @@ from scipy.signal import find_peaks
 from scipy.signal.windows import hann
 
 from palmfield.errors import MeasurementError
-from palmfield.metrics.checks import above_zero, even_step, trace
+from palmfield.metrics.checks import above_zero, even_step, trace, whole
 from palmfield.types import Float
 
 PROMINENCE_DB = 10.0
@@ -32,7 +32,7 @@ def amplitude_spectrum(time_s: ArrayLike, signal: ArrayLike, *, taper: Taper = "
         raise MeasurementError(
             f"a spectrum of {np.size(time_s)} samples says nothing; at least 8 are needed: run for longer"
         )
-    times, values = trace(time_s, signal, 8)
+    times, values = trace(time_s, signal, 8, single=True)
     step = even_step(times)
     if taper not in ("hann", "none"):
         raise MeasurementError(f"taper is '{taper}'; use hann or none")
@@ -51,13 +51,14 @@ def harmonics(time_s: ArrayLike, signal: ArrayLike, fundamental_Hz: float, count
     Raises MeasurementError for a record shorter than a period, and for lines above half the sampling rate.
     """
     above_zero("fundamental_Hz", fundamental_Hz)
-    times, values = trace(time_s, signal, 2 * count + 1)
+    count = whole("count", count, 1, 10_000)
+    times, values = trace(time_s, signal, 2 * count + 1, single=True)
     step = float(np.median(np.diff(times)))
     if times[-1] - times[0] + step < (1.0 - 1e-6) / fundamental_Hz:
         raise MeasurementError(
             f"a record of {times[-1] - times[0]:g} s holds no period of {fundamental_Hz:g} Hz: record for longer"
         )
-    if count < 1 or count * fundamental_Hz * step >= 0.5:
+    if count * fundamental_Hz * step >= 0.5:
         raise MeasurementError(
             f"{count} lines of {fundamental_Hz:g} Hz end at {count * fundamental_Hz:g} Hz; give 1 or more, below half "
             f"the sampling rate, {0.5 / step:g} Hz"
@@ -112,8 +113,9 @@ def spectral_peaks(frequency_Hz: Float, amplitude: Float, most: int = 4) -> list
     Each is (frequency [Hz], amplitude) between the bins, from the ratio of the two highest bins of a Hann window
     (Grandke 1983, IEEE Trans. Instrum. Meas. 32, 350): within 0.01 bins and 0.1 % for a lone sine of five periods.
     """
-    top = float(amplitude.max(initial=0.0))
-    if top == 0.0:
+    frequency_Hz, amplitude = trace(frequency_Hz, amplitude, 3, single=True)
+    most, top = whole("most", most, 1, len(amplitude)), float(amplitude.max())
+    if top <= 0.0:
         return []
     level = 20.0 * np.log10(np.maximum(amplitude, 1e-12 * top) / top)
     numbers, _ = find_peaks(level, height=-FLOOR_DB, prominence=PROMINENCE_DB)

@@ -17,15 +17,15 @@ Window = tuple[float, float] | None
 Of = Literal["magnitude", "negative", "positive"]
 
 
-def within(times_s: ArrayLike, values: ArrayLike, window_s: Window) -> tuple[Float, Float]:
+def within(times_s: ArrayLike, values: ArrayLike, window_s: Window, *, single: bool = False) -> tuple[Float, Float]:
     """The samples of a window. values: shape (t, ...).
 
     times_s: rising [s], shape (t,); values: in any unit, shape (t, ...); window_s: (start, end) [s] with both
-        ends, None is the whole record
+        ends, None is the whole record; single: whether there is one signal only, shape (t,)
     Returns times, shape (k,), and values, shape (k, ...).
     Raises MeasurementError for other shapes, NaN, and a window that holds less than two samples.
     """
-    times, signal = trace(times_s, values)
+    times, signal = trace(times_s, values, single=single)
     if window_s is None:
         return times, signal
     step = float(np.median(np.diff(times)))
@@ -83,7 +83,7 @@ def peak(
     of: "magnitude", "negative" or "positive"
     Raises MeasurementError as `within`, and for another `of`.
     """
-    times, signal = within(times_s, values, window_s)
+    times, signal = within(times_s, values, window_s, single=True)
     if of not in ("magnitude", "negative", "positive"):
         raise MeasurementError(f"of is '{of}'; use magnitude, negative or positive")
     size = {"magnitude": np.abs(signal), "negative": -signal, "positive": signal}[of]
@@ -123,7 +123,7 @@ def settling_time(
     share("band", band)
     if not (np.isfinite(steady) and steady != 0.0):
         raise MeasurementError(f"the steady value is {steady}; a band is relative to one that is not 0")
-    times, signal = within(times_s, values, (start_s, np.inf if end_s is None else end_s))
+    times, signal = within(times_s, values, (start_s, np.inf if end_s is None else end_s), single=True)
     off = np.abs(signal - steady) / abs(steady)
     outside = np.flatnonzero(off > band)
     if len(outside) == 0:

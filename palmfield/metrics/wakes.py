@@ -45,6 +45,7 @@ def wake_length(
     """
     share("threshold", threshold)
     values, x, y = grid(normal_velocity, x_m, y_m)
+    finite("focus_x_m", np.atleast_1d(focus_x_m))
     inside = np.ones(len(y), bool) if lateral_m is None else np.abs(y) <= 0.5 * lateral_m * (1.0 + 1e-9)
     if not inside.any():
         raise MeasurementError(f"lateral_m is {lateral_m} m; the snapshot's nearest row is {np.abs(y).min():g} m off")

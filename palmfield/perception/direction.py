@@ -96,7 +96,7 @@ def noise_for(separations: ArrayLike, share: float) -> float:
     separations: above 0, shape (k,); share: above 0.5 and below 1. Raises OutputError for others.
     """
     apart = np.asarray(separations, dtype=float)
-    if apart.ndim != 1 or len(apart) == 0 or not apart.min() > 0.0 or not 0.5 < share < 1.0:
+    if apart.ndim != 1 or len(apart) == 0 or not (apart.min() > 0.0 and apart.max() < np.inf) or not 0.5 < share < 1.0:
         raise OutputError(f"separations {apart.tolist()}, share {share:g}; give some above 0 and a share of 0.5 to 1")
 
     def missing(logarithm: float) -> float:

@@ -189,8 +189,8 @@ def level_dB_SL(
     duration_s: float | None = None,
 ) -> float:
     """`levels_dB_SL` of one place, peak_amplitudes_m of shape (n,)."""
-    amplitudes = np.asarray(peak_amplitudes_m, dtype=np.float64)[:, None]
-    return float(levels_dB_SL(observer, frequencies, amplitudes, area_m2, duration_s)[0])
+    amplitudes = np.asarray(peak_amplitudes_m, dtype=np.float64)
+    return float(levels_dB_SL(observer, frequencies, amplitudes[..., None], area_m2, duration_s)[0])
 
 
 def levels_dB_SL(
@@ -229,7 +229,7 @@ def levels_dB_SL(
 
 def line_amplitude(time: ArrayLike, x: ArrayLike, f: float, periods: int | None = None) -> float:
     """`line_amplitudes` of one course, x of shape (n,)."""
-    return float(line_amplitudes(time, np.asarray(x, dtype=np.float64)[:, None], f, periods)[0])
+    return float(line_amplitudes(time, np.asarray(x, dtype=np.float64)[..., None], f, periods)[0])
 
 
 def line_amplitudes(time: ArrayLike, x: ArrayLike, f: float, periods: int | None = None) -> Float:
@@ -243,7 +243,7 @@ def line_amplitudes(time: ArrayLike, x: ArrayLike, f: float, periods: int | None
     times = np.asarray(time, dtype=np.float64)
     if not 0 < f < np.inf:
         raise OutputError(f"frequency {f} Hz has no line; give one above 0")
-    if not np.isfinite(times).all() or np.shape(x)[:1] != times.shape:
+    if not np.isfinite(times).all() or np.shape(x)[:1] != times.shape or np.ndim(x) != 2:
         raise OutputError(f"times of shape {times.shape} and courses of {np.shape(x)}: give finite (n,) and (n, m)")
     # A record of n samples stands for n steps, so its length is one step more than from first to last sample.
     step = (times[-1] - times[0]) / (len(times) - 1) if len(times) > 1 else 0.0

@@ -28,8 +28,9 @@ which solvers keep their three errors."""
 BASES = ("bonded", "free_slip", "free")
 SIDES = ("fixed", "free", "roller", "absorbing")
 SHAPES = ("infinite", "disc", "box")
-THICKEST_M, WIDEST_M = 1.0, 10.0
-"""A slab beyond these [m] is one whose lengths were given in millimetres."""
+LEAST_M, THICKEST_M, WIDEST_M = 1e-4, 1.0, 10.0
+"""A slab beyond the last two [m] is one whose lengths were given in millimetres; waves cross one below the first in
+so little time that no solver ends."""
 ONLY_WEDGES = "only the solvers wedges and reduced take a Foundation below: name one, or use another base"
 """Why the others refuse one."""
 GAUSSIAN = 4.0 * math.log(2.0)
@@ -93,7 +94,7 @@ class Slab:
         or a Foundation
     side: "fixed" (no motion), "free" (no traction), "roller" (no normal motion, no shear traction) or "absorbing";
         none where the shape is infinite
-    Raises SceneError for other values, missing sizes, and ones beyond THICKEST_M and WIDEST_M.
+    Raises SceneError for other values, missing sizes, and ones below LEAST_M or beyond THICKEST_M and WIDEST_M.
     """
 
     sheets: tuple[Sheet, ...]
@@ -118,9 +119,10 @@ class Slab:
             ("thickness", self.thickness_m, THICKEST_M),
             *(("width", x, WIDEST_M) for x in sizes),
         ):
-            if length is not None and length > most:
+            if length is not None and not LEAST_M <= length <= most:
                 raise SceneError(
-                    f"slab: a {name} of {length:g} m is no skin's; give metres (20 mm are 0.02), at most {most:g}"
+                    f"slab: a {name} of {length:g} m is no skin's; give metres (20 mm are 0.02), "
+                    f"{LEAST_M:g} to {most:g}"
                 )
 
     @property
@@ -202,8 +204,8 @@ class Spot:
 
     def __post_init__(self) -> None:
         as_floats(self, "times_s", "peak_Pa", "centre_m")
-        if not (math.isfinite(self.fwhm_m) and self.fwhm_m > 0.0):
-            raise SceneError(f"spot: fwhm_m is {self.fwhm_m}; give a width above 0")
+        if not LEAST_M <= self.fwhm_m < math.inf:
+            raise SceneError(f"spot: fwhm_m is {self.fwhm_m}; give a width of {LEAST_M:g} m or more")
         check_times("spot", self.times_s, self.law)
         count = len(self.times_s)
         check_finite("spot: peak_Pa", self.peak_Pa, (count,))

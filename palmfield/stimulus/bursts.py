@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from palmfield.errors import SceneError
 from palmfield.types import Float
 
+MOST_BURSTS = 10_000_000
 TICK_s = 1e-9
 """A jump less than this ahead counts as passed, so that t = k * period_s lies in burst k whatever the rounding."""
 
@@ -31,6 +32,8 @@ def burst(
         raise SceneError(f"burst window {window!r} is unknown; use 'rectangular' or 'hann'")
     _check(length_s, period_s, count)
     at = np.asarray(times, dtype=np.float64)
+    if not np.isfinite(at).all():
+        raise SceneError("burst: times are not all finite; give seconds")
     number = np.floor((at + TICK_s) / period_s)
     since = np.maximum(at - number * period_s, 0.0)
     on = (number >= 0) & (number < (math.inf if count is None else count))
@@ -48,6 +51,10 @@ def onsets(start_s: float, end_s: float, *, length_s: float, period_s: float, co
     Raises SceneError as `burst` does.
     """
     _check(length_s, period_s, count)
+    if not (math.isfinite(start_s) and math.isfinite(end_s) and abs(end_s - start_s) <= MOST_BURSTS * period_s):
+        raise SceneError(
+            f"burst: from {start_s} to {end_s} s every {period_s} s; give finite times, {MOST_BURSTS:,} bursts at most"
+        )
     first = max(0, math.floor(start_s / period_s) - 1)
     last = math.ceil(end_s / period_s) + 1
     numbers = np.arange(first, last + 1 if count is None else min(last + 1, count))
@@ -63,5 +70,5 @@ def _check(length_s: float, period_s: float, count: int | None) -> None:
         raise SceneError(
             f"burst: length_s = {length_s} and period_s = {period_s} do not fit; give 0 < length_s <= period_s"
         )
-    if count is not None and (count < 1 or int(count) != count):
+    if count is not None and not (math.isfinite(count) and count >= 1 and int(count) == count):
         raise SceneError(f"burst: count = {count} is no count; give a whole number of 1 or more, or leave it out")

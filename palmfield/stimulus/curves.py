@@ -11,6 +11,7 @@ from palmfield.errors import SceneError
 from palmfield.stimulus.letters import strokes
 from palmfield.types import Float
 
+MOST_TURNS = 1000
 CIRCLE_POINTS = 256
 """An inscribed polygon of n sides is shorter than its circle by pi^2 / (6 n^2): 2.5e-5 here."""
 
@@ -84,6 +85,8 @@ def folded(arc_m: ArrayLike, length_m: float, closed: bool) -> Float:
 def line(length_m: float, direction_deg: float = 0.0) -> PlanePath:
     """A straight line in a direction from x towards y; starts at its end behind. Raises SceneError for a bad length."""
     half = 0.5 * _size("line", length_m=length_m)[0]
+    if not math.isfinite(direction_deg):
+        raise SceneError(f"line: direction_deg = {direction_deg} is no direction; give degrees")
     along = np.array([math.cos(math.radians(direction_deg)), math.sin(math.radians(direction_deg))])
     return PlanePath(half * np.array([-along, along]), closed=False)
 
@@ -226,6 +229,6 @@ def _size(shape: str, **sizes: float) -> list[float]:
 
 def _whole(shape: str, **counts: float) -> list[int]:
     for name, count in counts.items():
-        if not (math.isfinite(count) and count >= 1 and int(count) == count):
-            raise SceneError(f"{shape}: {name} = {count} is no count; give a whole number of 1 or more")
+        if not (1 <= count <= MOST_TURNS and int(count) == count):
+            raise SceneError(f"{shape}: {name} = {count} is no count; give a whole number from 1 to {MOST_TURNS}")
     return [int(count) for count in counts.values()]

@@ -42,7 +42,7 @@ from palmfield.skin.reduction.krylov import Krylov
 from palmfield.skin.reduction.reduced import Projection
 from palmfield.skin.reduction.reduced_stepper import ReducedStepper
 from palmfield.skin.reduction.reducer import SAFETY, SHIFT, TooManyVectorsError, grow_until
-from palmfield.skin.solvers.wedges import GROWTH, expected_dofs, first_sizes, refusal_wedges, slowest_wave
+from palmfield.skin.solvers.wedges import first_sizes, last_dofs, refusal_wedges, slowest_wave
 from palmfield.skin.stepper import SurfaceLoads
 from palmfield.types import Float, Int
 
@@ -88,10 +88,8 @@ def patterns(load: Traction) -> tuple[Float, Float]:
 
 def cost_reduced(body: Body, load: Load, times: Float, at: Float, accuracy: float) -> float:
     """Predicted time [s] on one core, to a factor of a few."""
-    first = expected_dofs(body, first_sizes(body, load, np.asarray(at, dtype=float), accuracy))
-    grown = max(1.0, GROWTH * 0.05 / accuracy) if isinstance(body, Slab) else 1.0
-    dofs = grown * first
-    return 0.1 + 1.3 * (assembly_s(dofs) + reduced_s(dofs, len(times) + len(load.times_s), VECTORS))
+    dofs = last_dofs(body, load, at, accuracy)
+    return 0.1 + 1.15 * (assembly_s(dofs) + reduced_s(dofs, len(times) + len(load.times_s), VECTORS))
 
 
 def solve_reduced(

@@ -70,17 +70,21 @@ def cost_wedges(body: Body, load: Load, times: Float, at: Float, accuracy: float
 
     The time of a run is known to a factor of 1.5; how fine mesh and steps will have to be only to one of 4.
     """
-    first = expected_dofs(body, first_sizes(body, load, np.asarray(at, dtype=float), accuracy))
     span = max(float(np.max(times)) - float(load.times_s[0]), 0.0)
-    growth = 1.0
-    if isinstance(body, Slab):
-        growth = max(1.0, (ENDLESS_GROWTH if body.shape == "infinite" else GROWTH) * 0.05 / accuracy)
-        # Few elements tell little of one another, so that they are refined more often
-        growth *= max(1.0, math.sqrt(OFTEN_DOFS / (growth * first)))
     # The first step is halved twice or so; the runs before the last together cost as much as that, and some problems
     # are solved again, finer.
     steps = 4.0 * span / first_step(body, load, accuracy)
-    return 0.05 + 3.0 * run_cost(growth * first, steps)
+    return 0.05 + 3.0 * run_cost(last_dofs(body, load, at, accuracy), steps)
+
+
+def last_dofs(body: Body, load: Load, at: Float, accuracy: float) -> float:
+    """About how many unknowns the finest mesh of a solution will have."""
+    first = expected_dofs(body, first_sizes(body, load, np.asarray(at, dtype=float), accuracy))
+    if not isinstance(body, Slab):
+        return first
+    grown = first * max(1.0, (ENDLESS_GROWTH if body.shape == "infinite" else GROWTH) * 0.05 / accuracy)
+    # Few elements tell little of one another, so that they are refined more often
+    return grown * max(1.0, math.sqrt(OFTEN_DOFS / grown))
 
 
 OFTEN_DOFS = 9e3

@@ -10,8 +10,12 @@ from palmfield.skin.analytic.layer_oracle import centre_response
 from palmfield.skin.materials.catalogue import preset
 from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson
 from palmfield.skin.problem import ONLY_WEDGES, Foundation, Layer, Sheet, Slab, Spot
+from palmfield.skin.solvers.spectral_elements.mesh import plan
+from palmfield.skin.solvers.spectral_elements.model import SAFETY
 from palmfield.skin.solvers.spectral_elements.solve import (
     cost_spectral_elements,
+    likely_step,
+    prepared,
     refusal_spectral_elements,
     solve_spectral_elements,
 )
@@ -186,6 +190,16 @@ def test_a_softer_bulk_is_used_only_where_it_changes_little():
     disc = Slab((Sheet(tissue, DEPTH),), "disc", "bonded", "fixed", radius_m=0.03)
     motion = solve_spectral_elements(disc, pressed(0.005), times, PLACES, nu_at_most=0.495)
     assert "for a bulk modulus of 2.99e+06 Pa" in motion.error_source
+
+
+@pytest.mark.parametrize("viscosity", [0.0, 50.0])
+def test_the_step_of_a_cost_is_the_one_that_is_taken(viscosity):
+    # With 50 Pa s the dashpot makes the step 10 times as short
+    soft = Material("kelvin_voigt", 1000.0, 20e3, (), bulk_from_poisson(0.49, 20e3), "test", viscosity)
+    body = Slab((Sheet(soft, 0.005),), "disc", "bonded", "roller", radius_m=0.02)
+    made = prepared(body, plan(body, pressed(), PLACES, 0.05), "cpu", "float32")
+    likely = likely_step(made[0].solid, body.sheets)
+    assert 0.9 < likely / (SAFETY * made[2]) < 1.7
 
 
 def test_cost_grows_with_what_is_asked():

@@ -32,7 +32,7 @@ from palmfield.skin.problem import (
 )
 from palmfield.skin.solvers.spectral_elements.loads import table_of
 from palmfield.skin.solvers.spectral_elements.mesh import Plan, build, fast_speed, plan
-from palmfield.skin.solvers.spectral_elements.model import SAFETY, Model, hold
+from palmfield.skin.solvers.spectral_elements.model import SAFETY, Holds, Model, hold
 from palmfield.skin.solvers.spectral_elements.places import find
 from palmfield.skin.solvers.spectral_elements.run import Points, Stepper
 from palmfield.skin.solvers.spectral_elements.solid import Solid
@@ -73,11 +73,11 @@ COURANT = {1: 0.587, 2: 0.477, 3: 0.406, 4: 0.345, 5: 0.295}
 CPU_COST = (8.5e-9, 12e-9, 15e-6)
 """Seconds by element node, by node and by step on one CPU core (AMD EPYC), scripts/bench_spectral_elements.py."""
 
-MAKING = (0.012, 1.5e-4)
+MAKING = (0.012, 6e-5)
 """Seconds that a mesh and its stable step take, and by element (docs/bench/skin_costs.md)."""
 
-AGAIN = (1.2, 0.1, 0.7, 2.5)
-"""Solutions that a target accuracy takes, in the mean: at one of 0.1, by what power more below, and at most; 1 to 4."""
+LIKELY = 1.2
+"""Step that is likely over the one found: 1.05 to 1.4 on 11 slabs and layers without much viscosity."""
 
 GPU_COST = (0.035e-9, 0.1e-9, 5e-6)
 """The same on a GPU: layers of 13 k to 40 k elements of order 1 and 2 on an H200."""
@@ -125,56 +125,16 @@ def cost_spectral_elements(
     if second.order == chosen.order > 1:
         runs.append((at_lower_order(chosen), ends[0], 1.0))
     for each, end, shorter in runs:
-        nodes, step = size_of(body, each)
-        rates = CPU_COST if device == "cpu" else GPU_COST
+        solid, _ = build(body, each)
+        step = likely_step(solid, body.sheets) / LIKELY
         steps = shorter * max(0.0, end - start) / step
-        repeated = nodes * ((each.order + 1) / each.order) ** 3
-        elements = nodes * sum(each.deep) / (each.order**2 * (sum(each.deep) * each.order + 1))
-        total += steps * (repeated * rates[0] + nodes * rates[1] + rates[2]) + MAKING[0] + MAKING[1] * elements
+        total += steps * step_seconds(solid, device != "cpu") + MAKING[0] + MAKING[1] * len(solid.elements)
         if not total <= LONGEST_S:
             raise SceneError(
                 f"spectral elements would take about {total:.2g} s in steps of {step:.2g} s, above {LONGEST_S:g} s: "
                 "use solver 'wedges'"
             )
-    again, near, power, most = AGAIN
-    return float(np.clip(again * (near / accuracy) ** power, 1.0, most)) * total
-
-
-def size_of(body: Body, chosen: Plan) -> tuple[float, float]:
-    """Nodes and step [s], roughly, of a mesh that is not built."""
-    n, thinnest = chosen.order, math.inf
-    if isinstance(body, Layer):
-        corners = body.patch.vertices[body.patch.faces]
-        twice = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-        round_m = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).sum(axis=1)
-        # Circle in the thinnest triangle: its quadrilaterals set the step
-        thinnest = float((twice / round_m).min())
-        area = 3.0 * len(body.patch.faces) * chosen.size_m**2
-        thickness = float(np.mean(body.patch.depth))
-    else:
-        thickness = body.thickness_m
-        reach = chosen.watched_m[:, 1] - chosen.watched_m[:, 0] + 2.0 * (chosen.sponge_m + chosen.margin_m)
-        area = {
-            "infinite": 0.6 * float(np.prod(reach)),
-            "box": float(np.prod(np.asarray(body.size_m or (0.0, 0.0)) + 2.0 * chosen.sponge_m)),
-            "disc": math.pi * ((body.radius_m or 0.0) + chosen.sponge_m) ** 2,
-        }[body.shape]
-        # Cells outside what is watched are wider
-        area *= 0.6
-    nodes = area / chosen.size_m**2 * n**2 * (sum(chosen.deep) * n + 1)
-    total = sum(sheet.thickness_m for sheet in body.sheets)
-    step = math.inf
-    for sheet, count in zip(body.sheets, chosen.deep, strict=True):
-        deep = thickness * sheet.thickness_m / total / count
-        across = min(0.6 * chosen.size_m, 0.79 * thinnest) if isinstance(body, Layer) else 0.85 * chosen.size_m
-        spacing = math.sqrt(3.0 / (2.0 / across**2 + 1.0 / deep**2)) / n
-        courant = COURANT.get(n, 1.5 / (n + 0.1))
-        elastic = courant * spacing / fast_speed(sheet.material)
-        # A dashpot's force of half a step before: h^2 rate + 2 h t (its share of the rate) = 4
-        speed = math.sqrt(sheet.material.shear_instant_Pa / sheet.material.density_kg_m3)
-        late = 4.0 / 3.0 * (speed / fast_speed(sheet.material)) ** 2 * sheet.material.viscous_time_s
-        step = min(step, SAFETY * elastic**2 / (late + math.hypot(late, elastic)))
-    return nodes, step
+    return total
 
 
 def comparison_plan(body: Body, chosen: Plan, singular: bool) -> Plan:
@@ -276,14 +236,15 @@ def solve_spectral_elements(
     if reason is not None:
         raise SceneError(reason)
     chosen = plan(body, load, points, accuracy, order, size_m, deep)
-    fine = march(body, chosen, load, requested, points, device, precision, step_s)
+    fine = march(prepared(body, chosen, device, precision), load, requested, points, step_s)
     errors, source = np.full(3, math.nan), "not estimated"
     if estimate:
         singular = edge_is_felt(body, load, points)
         other = comparison_plan(body, chosen, singular)
         early = requested[requested <= window(body, chosen, singular, load, requested)]
-        rough = march(body, other, load, early, points, device, precision, None)
-        shorter = march(body, other, load, early, points, device, precision, 0.5 * rough[3])
+        made = prepared(body, other, device, precision)
+        rough = march(made, load, early, points)
+        shorter = march(made, load, early, points, 0.5 * rough[3])
         normals = normals_on_face(body, lifted_points(body, points))
         gap = differences(rough[:2], (fine[0][: len(early)], fine[1][: len(early)]), normals)
         by_steps = differences(rough[:2], shorter[:2], normals)
@@ -304,7 +265,7 @@ def solve_spectral_elements(
             errors, source = gap, f"the difference to elements {COARSER} times as wide"
             if chosen.order > 1:
                 # Wider elements may miss as much of a sudden velocity: by them a step on a short branch told a quarter
-                same = march(body, at_lower_order(chosen), load, requested, points, device, precision, None)
+                same = march(prepared(body, at_lower_order(chosen), device, precision), load, requested, points)
                 shares = LOWER * differences(same[:2], fine[:2], normals)
                 errors[1] = max(errors[1], shares[1])
             if chosen.sponge_m > 0.0:
@@ -334,17 +295,8 @@ def lifted_points(body: Body, points: Float) -> Float:
     return points_on_face(body, points)
 
 
-def march(
-    body: Body,
-    chosen: Plan,
-    load: Load,
-    times: Float,
-    points: Float,
-    device: str,
-    precision: str,
-    step_s: float | None,
-) -> tuple[Float, Float, int, float]:
-    """Displacement and velocity, (t, n, 3), elements and step of one run."""
+def prepared(body: Body, chosen: Plan, device: str, precision: str) -> tuple[Model, Holds, float]:
+    """Elements, what holds them, and their stable step [s]: what runs on one mesh share."""
     solid, damping = build(body, chosen)
     model = Model(solid, body.sheets, device, precision)
     side = "absorbing" if isinstance(body, Layer) and body.side == "absorbing" else body.side
@@ -354,8 +306,15 @@ def march(
     holds = hold(model, body.base, side, damping)
     rows = model.mass[holds.rows, None, None]
     spring_rate = float((np.abs(holds.spring) / rows).sum(axis=2).max(initial=0.0))
-    stable = model.stable_step(spring_rate)
-    step = SAFETY * stable if step_s is None else step_s
+    return model, holds, model.stable_step(spring_rate)
+
+
+def march(
+    made: tuple[Model, Holds, float], load: Load, times: Float, points: Float, step_s: float | None = None
+) -> tuple[Float, Float, int, float]:
+    """Displacement and velocity, (t, n, 3), elements and step of one run."""
+    model, holds, stable = made
+    solid, step = model.solid, SAFETY * stable if step_s is None else step_s
     start = float(load.times_s[0])
     late = np.maximum(times - start, 0.0) / step
     first = np.floor(late).astype(np.int64)
@@ -378,7 +337,7 @@ def march(
     speed = np.where(part < 0.5, here + (part - 0.5) * (here - before), here + (part - 0.5) * (after - here))
     resting = (times < start)[:, None, None]
     place, speed = np.where(resting, 0.0, place), np.where(resting, 0.0, speed)
-    wp.synchronize_device(device)
+    wp.synchronize_device(model.device)
     return place, speed, len(solid.elements), step
 
 
@@ -389,15 +348,22 @@ def step_seconds(solid: Solid, gpu: bool) -> float:
 
 
 def likely_step(solid: Solid, sheets: tuple[Sheet, ...]) -> float:
-    """About the step that will be taken [s], from heights in the middle of elements: 1.1 to 1.3 of it on layers."""
+    """About the step that will be taken [s], from heights in the middle of elements: 1.1 to 1.4 of it on layers."""
     n = solid.order + 1
     corners = solid.nodes[solid.elements.reshape(-1, n, n, n)[:, [0, -1]][:, :, [0, -1]][..., [0, -1]]]
     edges = [np.diff(corners, axis=axis).squeeze(axis).mean(axis=(1, 2)) for axis in (1, 2, 3)]
     slopes = np.linalg.inv(np.stack(edges, axis=1))
-    speed = np.array([fast_speed(sheet.material) for sheet in sheets])[solid.sheet]
     spacing = np.sqrt(3.0 / (slopes**2).sum(axis=(1, 2))) / solid.order
     courant = COURANT.get(solid.order, 1.5 / (solid.order + 0.1))
-    return SAFETY * courant * float((spacing / speed).min())
+    step = math.inf
+    for number, material in enumerate(sheet.material for sheet in sheets):
+        fast = fast_speed(material)
+        elastic = courant * float(spacing[solid.sheet == number].min()) / fast
+        # A dashpot's force of half a step before: h^2 rate + 2 h t (its share of the rate) = 4
+        speed = math.sqrt(material.shear_instant_Pa / material.density_kg_m3)
+        late = 4.0 / 3.0 * (speed / fast) ** 2 * material.viscous_time_s
+        step = min(step, SAFETY * elastic**2 / (late + math.hypot(late, elastic)))
+    return step
 
 
 def check_time(model: Model, steps: int, step_s: float) -> None:
