@@ -171,13 +171,13 @@ def far_stm(setting: Setting) -> Answer:
 
 def am_over_held(setting: Setting) -> Answer:
     """Rms under AM over that of the held focus, both through the vibrometer, in the window of the reading."""
-    mean = "removed" if reading(setting, "chilles_mean") == "mean removed" else "kept"
+    removed = reading(setting, "chilles_mean") == "mean removed"
     sight = sight_of(setting)
 
     def one(case: Case, stimulus: Stimulus, sight: Sight) -> float:
         trace = measured(case, stimulus, sight)
         window = measured_window(reading(setting, "chilles_window"), "am_pressure")
-        return rms(trace.times_s, trace.values, window, mean=mean)
+        return rms(trace.times_s, trace.values, window, mean="removed" if removed else "kept")
 
     def value(case: Case) -> float:
         return one(case, "am_pressure", sight) / one(case, "step", sight)
