@@ -15,13 +15,17 @@ SHARE = 3
 
 WEIGHTLESS = {
     "C14c": "a factor of 2, which the order of a filter that the paper does not name takes up alone",
+    "C19f": "a high-pass that leaves next to nothing of a held focus; without it the ratio is 0.45",
     "C21a": "the focus runs on the circle where the largest motion is looked for",
     "C21b": "the motion far from the focus, against half of that under it",
     "C21c": "the motion far from the circle, against that under the focus",
+    "C21d": "the focus itself runs over a larger area",
     "R11f": "the focus turns at the corners and rests there longer",
     "R12l": "a rate twice as low differs more from the highest, whatever the slab does",
     "R16-R18l": "a longer way in the same time leaves a longer wake",
     "R20d": "a spot that passes faster is a shorter pulse",
+    "R20e": "a spot that passes faster is a shorter pulse",
+    "H6d": "sounds in step add up to more than with any other phases",
     "H12a": "the sound does not depend on the modulation frequency without the transducers' response",
     "H17a": "delays rounded to 1/50 of a period move a focus by far less than 1 mm",
     "H22a": "34 dB lie between both sides",

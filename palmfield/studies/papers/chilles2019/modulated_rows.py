@@ -4,12 +4,14 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from scipy.interpolate import RegularGridInterpolator
 
+from palmfield.metrics.maps import area_above
 from palmfield.metrics.spectra import harmonics, strongest_line
 from palmfield.metrics.traces import peak_to_peak, rms, within
 from palmfield.skin.materials.material import shear_wave
 from palmfield.studies.papers.answer import Answer, Cause, Compute, Setting
-from palmfield.studies.papers.chilles2019.maps import Circles, Map, measured_circles, measured_map
+from palmfield.studies.papers.chilles2019.maps import Circles, Map, grid_axis, measured_circles, measured_map
 from palmfield.studies.papers.chilles2019.setup import (
     AM_HZ,
     CIRCLE_HZ,
@@ -23,7 +25,7 @@ from palmfield.studies.papers.chilles2019.setup import (
     reading,
     sight_of,
 )
-from palmfield.studies.papers.chilles2019.step_rows import banded, step_peak
+from palmfield.studies.papers.chilles2019.step_rows import LEVEL, banded, step_peak
 from palmfield.studies.papers.chilles2019.traces import Trace, fem_window, measured, measured_window, raw
 
 STEP_PEAK_UM = -1.02
@@ -167,6 +169,58 @@ def far_stm(setting: Setting) -> Answer:
     return Answer(ours, 2.0 * circles.error * ours, _map_band(setting, case, value), 1.0 - ours, note, shown)
 
 
+def am_over_held(setting: Setting) -> Answer:
+    """Rms under AM over that of the held focus, both through the vibrometer, in the window of the reading."""
+    removed = reading(setting, "chilles_mean") == "mean removed"
+    sight = sight_of(setting)
+
+    def one(case: Case, stimulus: Stimulus, sight: Sight) -> float:
+        trace = measured(case, stimulus, sight)
+        window = measured_window(reading(setting, "chilles_window"), "am_pressure")
+        return rms(trace.times_s, trace.values, window, mean="removed" if removed else "kept")
+
+    def value(case: Case) -> float:
+        return one(case, "am_pressure", sight) / one(case, "step", sight)
+
+    case = case_of(setting)
+    ours = value(case)
+    error = ours * sum(
+        measured(case, stimulus, sight).error / one(case, stimulus, sight) for stimulus in ("am_pressure", "step")
+    )
+    plain = replace(sight, highpass=False)
+    shown = {"without the high-pass": one(case, "am_pressure", plain) / one(case, "step", plain)}
+    return Answer(ours, error, banded(setting, case, value), ours - 1.0 - 1e-9, shown=shown)
+
+
+def area_of(one: Map) -> float:
+    """Where a map exceeds 20 % of its largest [m2]."""
+    return area_above(one.values, one.axis_m, one.axis_m, LEVEL * float(one.values.max()))
+
+
+def as_map(circles: Circles) -> Map:
+    """On a grid of 1 mm, linear between the circles and their angles, 0 beyond the disc."""
+    axis = grid_axis()
+    x, y = np.meshgrid(axis, axis, indexing="ij")
+    steps = 2.0 * np.pi / circles.values.shape[1] * np.arange(circles.values.shape[1] + 1)
+    inner = np.full((1, len(steps)), circles.middle)
+    values = np.vstack([inner, np.column_stack([circles.values, circles.values[:, 0]])])
+    radii = np.concatenate([[0.0], circles.radii_m])
+    lines = RegularGridInterpolator((radii, steps), values, bounds_error=False, fill_value=0.0)
+    return Map(axis, lines((np.hypot(x, y), np.arctan2(y, x) % (2.0 * np.pi))), circles.error)
+
+
+def stm_over_am_area(setting: Setting) -> Answer:
+    """Area under STM over that under AM."""
+    sight = sight_of(setting)
+
+    def areas(case: Case) -> tuple[float, float]:
+        return area_of(as_map(measured_circles(case, sight))), area_of(measured_map(case, "am_pressure", sight))
+
+    moving, held = areas(case_of(setting))
+    shown = {"STM [cm2]": 1e4 * moving, "AM [cm2]": 1e4 * held}
+    return Answer(moving / held, margin=moving / held - 1.0 - 1e-9, shown=shown)
+
+
 def load_ratio(setting: Setting) -> Answer:
     times = np.arange(4000) / 80e3
     lines = harmonics(times, course("am_pressure", times), AM_HZ, 2)
@@ -231,6 +285,7 @@ ANSWERS: dict[str, Compute] = {
     "C19c": size("am", measured_trace, "rms"),
     "C19d": size("am", fem_trace, "rms"),
     "C19e": least_rms,
+    "C19f": am_over_held,
     "C20a": size("stm", measured_trace, "p-p"),
     "C20b": size("stm", fem_trace, "p-p"),
     "C20c": size("stm", measured_trace, "rms"),
@@ -243,6 +298,7 @@ ANSWERS: dict[str, Compute] = {
     "C21a": loudest_radius,
     "C21b": far_am,
     "C21c": far_stm,
+    "C21d": stm_over_am_area,
 }
 
 

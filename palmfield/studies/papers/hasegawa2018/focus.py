@@ -1,6 +1,7 @@
 """Rows H1, H13 to H15, H17 and H22: the focus at six depths, its force, and its steps."""
 
 import math
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -8,7 +9,7 @@ import numpy as np
 from palmfield.acoustics.arp import arp
 from palmfield.acoustics.nonlinear import beam_steepening
 from palmfield.acoustics.reference import pressure64
-from palmfield.drive.boards.autd2018 import BOARD
+from palmfield.drive.boards.autd2018 import BOARD, CARRIER_HZ, PACKET_RATE_HZ, TRANSDUCERS
 from palmfield.drive.pulse_width import HASEGAWA_TICKS
 from palmfield.instruments import Plate, plate_force
 from palmfield.metrics import level_depth
@@ -33,6 +34,8 @@ from palmfield.studies.papers.hasegawa2018.units import (
 from palmfield.types import Complex, Float
 
 JIG_M = 0.012
+DRIFT_PPM, SKEW_S = 20.0, 1e-6
+"""By how much clocks of units that run free differ at most (ours), and how late those in step are (section 3.2)."""
 GRID_M = 1e-3
 THRESHOLD_DB = -34.0
 PRINTED_JIG_N, PRINTED_ALL_N = 20e-3, 40.8e-3
@@ -324,6 +327,35 @@ def reach(setting: Setting) -> Answer:
     )
 
 
+@cache
+def _of_units(units: Units) -> Complex:
+    """Each unit's pressure at the focus of all [Pa]."""
+    array, drive = array_of(units), drive_of(units, FORCE_DEPTH_M)
+    mine = np.arange(len(array)) // TRANSDUCERS == np.arange(units.count)[:, None]
+    return np.array([pressure64(np.array([[0.0, 0.0, FORCE_DEPTH_M]]), array, drive * one, ROOM)[0][0] for one in mine])
+
+
+def level_of_units(units: Units, since_sync_s: Float) -> Float:
+    """Pressure at the focus over that of units in step, by the time since their clocks were set [s]."""
+    board = replace(BOARD.sized(units.count * TRANSDUCERS), clock_drift_ppm=DRIFT_PPM, skew_s=SKEW_S)
+    late = np.array([board.unit_delays(float(one)) for one in since_sync_s])
+    parts = _of_units(units)
+    return np.asarray(np.abs(np.exp(2j * np.pi * CARRIER_HZ * late) @ parts) / abs(parts.sum()))
+
+
+def synchronised(setting: Setting) -> Answer:
+    """H6d."""
+    units = units_of(setting)
+    times = np.linspace(0.0, 1.0, 4001)
+    set_often = float(level_of_units(units, times % (1.0 / PACKET_RATE_HZ)).mean())
+    free, coarser = (float(level_of_units(units, times[::every]).mean()) for every in (1, 2))
+    ratio_of_means = set_often / free
+    return Answer(
+        ratio_of_means, ratio_of_means * abs(coarser / free - 1.0), margin=ratio_of_means - 1.0 - 1e-9,
+        note="error: of the sampling of 1 s", shown={"set every 500 us, over units in step": set_often, "free": free},
+    )  # fmt: skip
+
+
 def misapplied_law(setting: Setting) -> Answer:
     return Answer(20.0 * math.log10(0.4**1.5), error=0.0, note="0.4 to the power 1.5 of the drive")
 
@@ -416,6 +448,7 @@ ANSWERS: dict[str, Compute] = {
     "H15f": amplitude_of_forces("piston"),
     "H15g": amplitude_of_forces("table"),
     "H17a": largest_step,
+    "H6d": synchronised,
     "H22a": reach,
     "H22b": printed_reach,
     "H22c": misapplied_law,

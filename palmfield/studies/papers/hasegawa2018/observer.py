@@ -6,7 +6,7 @@ square wave on a steady part, detected where an observer reaches 1. Nothing is s
 
 import math
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -17,11 +17,13 @@ from palmfield.perception.force_threshold import FORCE_OBSERVER
 from palmfield.perception.observers import OBSERVERS, Observer, level_dB_SL, threshold_m
 from palmfield.studies.papers.answer import Answer, Cause, Compute, Picture, Setting
 from palmfield.studies.papers.entries import book
+from palmfield.studies.papers.hasegawa2018.focus import force
 from palmfield.studies.papers.hasegawa2018.palm_focus import JIG_M, MATERIALS, force_N, motion_m_per_N, moved_area_m2
+from palmfield.studies.papers.hasegawa2018.units import units_of
 
 SINES_Hz = (5.0, 10.0, 20.0, 30.0, 50.0, 100.0, 200.0, 300.0, 500.0, 1000.0)
 RECTANGLES_Hz = (10.0, 50.0, 100.0)
-BEST_Hz, SLOW_Hz = 200.0, 10.0
+BEST_Hz, SLOW_Hz, SLOWEST_FELT_Hz = 200.0, 10.0, 60.0
 FULL_N = 2e-3 * 9.80665
 """0 dB of Figure 14: 2 gf."""
 PRINTED_N = 0.4e-3
@@ -204,6 +206,25 @@ def rectangle_against_sine(setting: Setting) -> Answer:
     )
 
 
+def one_unit_slow(setting: Setting, *, lower_dB: float = 0.0) -> Answer:
+    """H19-H21p. lower_dB: of the level, for causes"""
+    observer, depth = _chosen(setting)
+    slow = [f for f in _inside(observer) if f < SLOWEST_FELT_Hz]
+    if not slow:
+        return Answer(None, note=f"{observer.name} has no threshold below {SLOWEST_FELT_Hz:g} Hz.")
+    four, one = (force(units_of(setting, count), JIG_M, device=setting.device) for count in (4, 1))
+    share = 20.0 * math.log10(one[0] / four[0])
+    error = 20.0 / math.log(10.0) * sum(abs(of - coarse) / of for of, coarse in (four, one)) / 3.0
+    levels = {f: share - relative_dB(sine_N(observer, f, depth)) - lower_dB for f in slow}
+    value = max(levels.values())
+    return Answer(
+        value, error + _error_dB(tuple(slow), depth), (value - PERSONS_dB, value + PERSONS_dB), margin=-value,
+        note=f"One unit has {share:.1f} dB of the force of four. The band is that of persons. {_told(observer)}",
+        shown={f"one unit at {f:g} Hz, dB SL": level for f, level in levels.items()}
+        | {f"four units at {f:g} Hz, dB SL": level - share for f, level in levels.items()},
+    )  # fmt: skip
+
+
 def _told(observer: Observer) -> str:
     return LOWER_BOUND if observer.name == "morioka_griffin_2006" else ""
 
@@ -237,6 +258,7 @@ ANSWERS: dict[str, Compute] = {
     "H19-H21l": _meaning,
     "H19-H21m": _no_value("An observer stands for one person, and one of the tables begins above 5 Hz."),
     "H19-H21n": _no_value("The observers' tables end at 315, 350 and 500 Hz."),
+    "H19-H21p": one_unit_slow,
 }
 
 CAUSES: dict[str, tuple[Cause, ...]] = {
@@ -249,6 +271,16 @@ CAUSES: dict[str, tuple[Cause, ...]] = {
             _by_small_area,
         ),
         Cause("The sine lasts under a Hann window of 1 s, and energy is summed over time.", _by_window),
+    ),
+    "H19-H21p": (
+        Cause(
+            "The strongest sine has half the force of the unit (the 1/2 that eq. 8 lacks).",
+            partial(one_unit_slow, lower_dB=20.0 * math.log10(2.0)),
+        ),
+        Cause(
+            "A person whose threshold lies 10 dB higher, the spread that is printed.",
+            partial(one_unit_slow, lower_dB=PERSONS_dB),
+        ),
     ),
 }
 

@@ -1,13 +1,10 @@
 """Figures 3, 6, 7, 9, 11 and 13 of Hasegawa & Shinoda 2018 from our data, and what its sections 3 and 4 say."""
 
-from dataclasses import replace
-
 import numpy as np
 from matplotlib.figure import Figure
 from scipy.signal import butter, sosfiltfilt
 
-from palmfield.acoustics.reference import pressure64
-from palmfield.drive.boards.autd2018 import BOARD, CARRIER_HZ, PACKET_RATE_HZ, TRANSDUCERS
+from palmfield.drive.boards.autd2018 import CARRIER_HZ, PACKET_RATE_HZ
 from palmfield.drive.pulse_width import HASEGAWA_TICKS, Edge, edge_phase, resample
 from palmfield.outputs.style import COLOURS
 from palmfield.stimulus.duty_law import relative_pressure
@@ -20,13 +17,11 @@ from palmfield.studies.papers.hasegawa2018.drive import (
     levels_dB,
     packets,
 )
-from palmfield.studies.papers.hasegawa2018.focus import STEPS_M, force, peaks_mm
+from palmfield.studies.papers.hasegawa2018.focus import DRIFT_PPM, STEPS_M, force, level_of_units, peaks_mm
 from palmfield.studies.papers.hasegawa2018.units import (
     DEPTHS_M,
     FORCE_DEPTH_M,
-    ROOM,
     Units,
-    array_of,
     drive_of,
     focal_pressure,
     pressure_at,
@@ -35,8 +30,6 @@ from palmfield.studies.papers.hasegawa2018.units import (
 HALF_MAP_M = 0.05
 SHADES = ("#fdba74", "#f97316", "#c2410c", "#7c2d12", "#4338ca", "#1e1b4b")
 """Of the six depths, near to far."""
-DRIFT_PPM = 20.0
-SKEW_S = 1e-6
 
 
 def focus_maps(setting: Setting) -> Figure:
@@ -189,15 +182,6 @@ def flatness_curves(setting: Setting) -> Figure:
 
 def beat(setting: Setting) -> Figure:
     """Pressure in the focus over time with clocks that drift, set every 500 us or never."""
-    board = replace(BOARD.sized(4 * TRANSDUCERS), clock_drift_ppm=DRIFT_PPM, skew_s=SKEW_S)
-    units, point = Units(4), np.array([[0.0, 0.0, FORCE_DEPTH_M]])
-    array = array_of(units)
-    drive = drive_of(units, FORCE_DEPTH_M)
-    parts = []
-    for number in range(4):
-        mine = np.arange(len(array)) // TRANSDUCERS == number
-        parts.append(pressure64(point, array, drive * mine, ROOM)[0][0])
-    together = abs(sum(parts))
     times = np.linspace(0.0, 2.0, 801)
     figure = Figure(figsize=(6.5, 2.8), layout="constrained")
     panel = figure.subplots()
@@ -205,9 +189,7 @@ def beat(setting: Setting) -> Figure:
         ("never set", times, COLOURS[0]),
         ("set every 500 us, 1 us of skew", np.full(len(times), 0.5 / PACKET_RATE_HZ), COLOURS[1]),
     ):
-        late = np.array([board.unit_delays(float(one)) for one in since])
-        level = np.abs(np.exp(2j * np.pi * CARRIER_HZ * late) @ np.array(parts)) / together
-        panel.plot(times, level, color=colour, label=label)
+        panel.plot(times, level_of_units(Units(4), since), color=colour, label=label)
     panel.set(xlabel="time [s]", ylabel="pressure / in step", ylim=(0.0, 1.05))
     panel.legend(loc=(0.42, 0.72))
     return figure

@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
-from palmfield.metrics import wake_length
+from palmfield.metrics import amplitude_spectrum, wake_length
 from palmfield.perception import OBSERVERS, direction_share, level_course, noise_for, separation
 from palmfield.studies.papers.answer import Answer, Setting
 from palmfield.studies.papers.reardon2023.configuration import Course, Plate, tissue_of
 from palmfield.studies.papers.reardon2023.figures import zigzag_corners
 from palmfield.studies.papers.reardon2023.held import answered, level_of
 from palmfield.studies.papers.reardon2023.lines import LATERAL_m
+from palmfield.studies.papers.reardon2023.phantom import BAND_Hz
 from palmfield.studies.papers.reardon2023.runs import FULL, QUICK, line_run, sampled
 from palmfield.types import Float
 
@@ -34,19 +35,22 @@ SILENCE_s = 0.04
 """After a pass; the slab is at rest by then."""
 RECEPTORS_m = 5e-3 * np.arange(-16, 17)
 """Along the path."""
+CROSSINGS_Hz = ACROSS_m_s / WIDTH_m
+"""How often a second the focus crosses the axis of the zigzag."""
 CHANCE = 6.3
 """Points from 50 % within which 240 fair trials lie at 95 %."""
 
 
 @dataclass(frozen=True)
 class Pass:
-    """One pass along the hand. snapshot: at seven eighths of the path, on places_m both ways; displacement_m: at
-    RECEPTORS_m and times_s, silence after it included, shape (t, 33); end_s: of the path"""
+    """One pass along the hand. snapshot: at seven eighths of the path, on places_m both ways; displacement_m and
+    velocity_m_s: at RECEPTORS_m and times_s, silence after it included, shape (t, 33); end_s: of the path"""
 
     places_m: Float
     snapshot: Float
     times_s: Float
     displacement_m: Float
+    velocity_m_s: Float
     end_s: float
 
 
@@ -70,12 +74,13 @@ def passed(plate: Plate, along: float, level: int, device: str, *, back: bool = 
     """A pass at a speed along the path; back: of which the snapshot is not to be used."""
     if back and own_mirror(along):
         ahead = passed(plate, along, level, device)
-        return replace(ahead, displacement_m=ahead.displacement_m[:, ::-1])
+        return replace(ahead, displacement_m=ahead.displacement_m[:, ::-1], velocity_m_s=ahead.velocity_m_s[:, ::-1])
     course = hand_course(along, level, back=back)
     motion, line = line_run(plate, course, level, device, course.steps * 7 // 8 - 1)
     columns = np.abs(motion.places_m[:, None] - RECEPTORS_m).argmin(axis=0)
-    moved = cumulative_trapezoid(line[:, columns].astype(float), motion.times_s, axis=0, initial=0.0)
-    return Pass(motion.places_m, motion.velocity[0].astype(float), motion.times_s, moved, PATH_m / along)
+    velocity = line[:, columns].astype(float)
+    moved = cumulative_trapezoid(velocity, motion.times_s, axis=0, initial=0.0)
+    return Pass(motion.places_m, motion.velocity[0].astype(float), motion.times_s, moved, velocity, PATH_m / along)
 
 
 def wake_cm(one: Pass) -> float:
@@ -120,6 +125,29 @@ def _long(**changes: Any) -> Callable[[Setting], Answer]:
         return answered(
             number, setting, changes=changes, margin=lambda v: v - 10.0, shown=_shown_wakes(setting, **changes)
         )
+
+    return answer
+
+
+def near_lines(one: Pass) -> float:
+    """Share of the power of normal velocity on the axis, 10 to 1000 Hz, within a quarter of CROSSINGS_Hz from its
+    multiples; mean power of the places."""
+    spectra = [amplitude_spectrum(one.times_s, place, taper="none") for place in one.velocity_m_s.T]
+    f, power = spectra[0][0], np.sum([amplitude**2 for _, amplitude in spectra], axis=0)
+    power = np.where((f >= BAND_Hz[0]) & (f <= BAND_Hz[1]), power, 0.0)
+    order = np.rint(f / CROSSINGS_Hz)
+    near = (order >= 1.0) & (np.abs(f - order * CROSSINGS_Hz) <= 0.25 * CROSSINGS_Hz)
+    return float(power[near].sum() / power.sum())
+
+
+def _concentrated(**changes: Any) -> Callable[[Setting], Answer]:
+    def number(setting: Setting, level: int) -> float:
+        return near_lines(passed(tissue_of(setting, **changes), 1.0, level, setting.device))
+
+    def answer(setting: Setting) -> Answer:
+        plate = tissue_of(setting, **changes)
+        shown = {f"{v:g} m/s": near_lines(passed(plate, v, level_of(setting), setting.device)) for v in SPEEDS}
+        return answered(number, setting, changes=changes, margin=lambda v: v - 0.75, shown=shown)
 
     return answer
 
@@ -265,6 +293,7 @@ def _duration(speed: float) -> Callable[[Setting], Answer]:
 VARIED: dict[str, Callable[..., Callable[[Setting], Answer]]] = {
     "R16-R18l": _grows,
     "R16-R18m": _long,
+    "R16-R18p": _concentrated,
     "R19a": lambda **changes: _chance(4.0, **changes),
     "R19b": lambda **changes: _chance(7.0, **changes),
     "R19c": lambda **changes: _chance(11.0, **changes),

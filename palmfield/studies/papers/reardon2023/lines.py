@@ -119,6 +119,18 @@ def _largest_at_one(**changes: Any) -> Callable[[Setting], Answer]:
     return answer
 
 
+def _smallest_when_slow(**changes: Any) -> Callable[[Setting], Answer]:
+    def number(setting: Setting, level: int) -> float:
+        of = amplitudes(setting, level, **changes)
+        return of[3.0] / min(of[5.0], of[7.0], of[10.0])
+
+    def answer(setting: Setting) -> Answer:
+        # Less than 1: as large would not do
+        return answered(number, setting, changes=changes, margin=lambda value: 1.0 - value - 1e-9)
+
+    return answer
+
+
 def _angle(speed: float, **changes: Any) -> Callable[[Setting], Answer]:
     def number(setting: Setting, level: int) -> float:
         return angle_deg(seen(setting, level, speed, PATH_m, **changes))
@@ -358,6 +370,7 @@ ANSWERS = {
     "R5i": wake_by_viscosity(1.0),
     "R5j": wake_by_viscosity(3.0),
     "R6b": _largest_at_one(),
+    "R6c": _smallest_when_slow(),
     "R7a": _angle(7.0),
     "R7b": _angle(10.0),
     "R7c": own_angle,
@@ -375,6 +388,7 @@ ANSWERS = {
 }
 VARIED = {
     "R6b": _largest_at_one,
+    "R6c": _smallest_when_slow,
     "R7a": lambda **changes: _angle(7.0, **changes),
     "R7b": lambda **changes: _angle(10.0, **changes),
     "R8-R9a": _wake_at_seven,

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from palmfield.metrics import spectral_centroid, wake_length
+from palmfield.metrics import amplitude_spectrum, spectral_centroid, wake_length
 from palmfield.studies.papers.answer import Answer, Setting
 from palmfield.studies.papers.reardon2023.configuration import length_of, plate_of
 from palmfield.studies.papers.reardon2023.held import answered, level_of
@@ -33,14 +33,29 @@ def scanned_wake_cm(one: Straight) -> float:
     )
 
 
-def centroid_Hz(one: Straight) -> float:
-    """[metrics.spectral_centroid]: mean over the scan's places on the middle half of the path [Hz]."""
+def _tracks(one: Straight) -> Float:
+    """Velocities at the scan's places on the middle half of the path, shape (k, t)."""
     inside = np.abs(one.places_m) <= 0.25 * one.length_m * (1.0 + 1e-9)
     places = one.places_m[inside]
     on_grid = np.abs(places / 5e-3 - np.round(places / 5e-3)) < 1e-6
     # A record of whole samples from the start to the end of the path
-    tracks = one.track[:, on_grid].T
-    return float(np.mean([spectral_centroid(one.times_s, track, BAND_Hz) for track in tracks]))
+    return one.track[:, on_grid].T
+
+
+def centroid_Hz(one: Straight) -> float:
+    """[metrics.spectral_centroid]: mean over the places [Hz]."""
+    return float(np.mean([spectral_centroid(one.times_s, track, BAND_Hz) for track in _tracks(one)]))
+
+
+def width_Hz(one: Straight) -> float:
+    """Root of the mean square distance from the centroid by power, mean over the places of `centroid_Hz` [Hz]."""
+    found = []
+    for track in _tracks(one):
+        frequency, amplitude = amplitude_spectrum(one.times_s, track, taper="none")
+        inside = (frequency >= BAND_Hz[0]) & (frequency <= BAND_Hz[1])
+        f, power = frequency[inside], amplitude[inside] ** 2
+        found.append(np.sqrt(np.average((f - np.average(f, weights=power)) ** 2, weights=power)))
+    return float(np.mean(found))
 
 
 def _wakes(setting: Setting, level: int, speeds: tuple[float, ...], **changes: Any) -> dict[float, float]:
@@ -74,16 +89,15 @@ def _short(**changes: Any) -> Callable[[Setting], Answer]:
     return answer
 
 
-def _centroids(setting: Setting, level: int, **changes: Any) -> list[float]:
-    return [centroid_Hz(seen(setting, level, v, **changes)) for v in SPEEDS]
+def _rises(what: Callable[[Straight], float], **changes: Any) -> Callable[[Setting], Answer]:
+    def by_speed(setting: Setting, level: int) -> list[float]:
+        return [what(seen(setting, level, v, **changes)) for v in SPEEDS]
 
-
-def _rises(**changes: Any) -> Callable[[Setting], Answer]:
     def number(setting: Setting, level: int) -> float:
-        return float(np.diff(_centroids(setting, level, **changes)).min())
+        return float(np.diff(by_speed(setting, level)).min())
 
     def answer(setting: Setting) -> Answer:
-        found = _centroids(setting, level_of(setting), **changes)
+        found = by_speed(setting, level_of(setting))
         shown = {f"{v:g} m/s [Hz]": one for v, one in zip(SPEEDS, found, strict=True)}
         note = "the least rise from one speed to the next [Hz]"
         return answered(number, setting, changes=changes, margin=lambda v: v - 1e-9, note=note, shown=shown)
@@ -91,6 +105,11 @@ def _rises(**changes: Any) -> Callable[[Setting], Answer]:
     return answer
 
 
-VARIED = {"R20b": _long, "R20c": _short, "R20d": _rises}
+VARIED: dict[str, Callable[..., Callable[[Setting], Answer]]] = {
+    "R20b": _long,
+    "R20c": _short,
+    "R20d": lambda **changes: _rises(centroid_Hz, **changes),
+    "R20e": lambda **changes: _rises(width_Hz, **changes),
+}
 """Answers with changed fields of the slab, to look for causes."""
 ANSWERS = {name: make() for name, make in VARIED.items()}
