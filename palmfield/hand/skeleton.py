@@ -11,6 +11,8 @@ from palmfield.hand.preset import DIGITS, Digit, HandPreset
 from palmfield.types import Float
 
 Palm = Callable[[str, ArrayLike, ArrayLike, ArrayLike, ArrayLike], None]
+MIRROR = np.array([-1.0, 1.0, 1.0])
+"""From a right hand to a left one."""
 PALM, THUMB = 0, 1
 PALM_BLEND_m, JOINT_BLEND_m = 0.011, 0.003
 THUMB_BLEND_m, FINGER_BLEND_m, BETWEEN_FINGERS_BLEND_m = 0.012, 0.008, 0.0025
@@ -112,11 +114,10 @@ def build_skeleton(preset: HandPreset) -> Skeleton:
 
 def _reflected(skeleton: Skeleton) -> Skeleton:
     """The other hand: x turned round."""
-    mirror = np.array([-1.0, 1.0, 1.0])
     return Skeleton(
-        [replace(s, start=mirror * s.start, end=mirror * s.end, dorsal=mirror * s.dorsal) for s in skeleton.skin],
-        [replace(b, start=mirror * b.start, end=mirror * b.end) for b in skeleton.bones],
-        {name: mirror * position for name, position in skeleton.landmarks.items()},
+        [replace(s, start=MIRROR * s.start, end=MIRROR * s.end, dorsal=MIRROR * s.dorsal) for s in skeleton.skin],
+        [replace(b, start=MIRROR * b.start, end=MIRROR * b.end) for b in skeleton.bones],
+        {name: MIRROR * position for name, position in skeleton.landmarks.items()},
     )
 
 

@@ -23,6 +23,7 @@ from palmfield.hand import preset as preset_module
 from palmfield.hand import skeleton as skeleton_module
 from palmfield.hand.preset import HandPreset
 from palmfield.hand.skeleton import (
+    MIRROR,
     BETWEEN_FINGERS_BLEND_m,
     Bone,
     FINGER_BLEND_m,
@@ -80,10 +81,16 @@ def hand_surface(preset: HandPreset, edge_m: float = 0.003) -> HandSurface:
         mesh = trimesh.load_mesh(io.BytesIO(data), file_type="ply", process=False)
     vertices = np.asarray(mesh.vertices, dtype=np.float64)
     faces = np.asarray(mesh.faces, dtype=np.int32)
-    if preset.side == "left":
-        vertices, faces = vertices * [-1.0, 1.0, 1.0], np.ascontiguousarray(faces[:, ::-1])
     surface = Surface(vertices, faces, vertex_normals(vertices, faces))
-    return HandSurface(surface, bone_distance(vertices, skeleton.bones), skeleton.landmarks)
+    if preset.side == "left":
+        surface = mirrored_surface(surface)
+    return HandSurface(surface, bone_distance(surface.vertices, skeleton.bones), skeleton.landmarks)
+
+
+def mirrored_surface(surface: Surface) -> Surface:
+    """The other hand's, across x = 0."""
+    vertices, faces = surface.vertices * MIRROR, np.ascontiguousarray(surface.faces[:, ::-1])
+    return Surface(vertices, faces, vertex_normals(vertices, faces))
 
 
 def centred_skeleton(preset: HandPreset) -> Skeleton:

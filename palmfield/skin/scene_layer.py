@@ -9,9 +9,12 @@ from typing import TypeVar
 import numpy as np
 from scipy import sparse
 
-from palmfield.config.skin import Side, SkinConfig
+from palmfield.config.skin import OF_SHAPES, Side, SkinConfig
 from palmfield.errors import SceneError
 from palmfield.hand.patch import surface_patch
+from palmfield.hand.preset import load_preset
+from palmfield.hand.skeleton import MIRROR
+from palmfield.hand.surface import mirrored_surface
 from palmfield.locked import locked_cached_property
 from palmfield.skin.approximation.estimate import choose_sizes
 from palmfield.skin.fem.assembly import SkinSystem, assemble
@@ -183,23 +186,30 @@ class SceneLayer:
             edges = sizes.edge_fine_m, sizes.edge_coarse_m, sizes.fine_radius_m
             return disc_patch(config.radius_m, config.thickness_m, *edges, (x, y))
         assert self.surface is not None
-        surface = self.surface
+        surface, mirror = self.surface, np.ones(3)
+        if config.shape in OF_SHAPES["hand"] and load_preset(config.hand).side == "left":
+            # A left hand's skin gets the mirror image of the right one's mesh, as its surface is
+            surface, mirror = mirrored_surface(surface), MIRROR
         # A hand knows where its bones are, so the layer may reach past the middle; any other body is all there is.
         fraction = 0.45 if config.shape in ("mesh", "rigged", "cylinder") else 0.6
         patch = self.with_keys(
             lambda: surface_patch(
                 surface,
                 self.depth_m,
-                self.centre_m,
+                self.centre_m * mirror,
                 sizes.radius_m,
                 sizes.edge_fine_m,
                 sizes.edge_coarse_m,
                 sizes.fine_radius_m,
                 max_depth_m=config.depth_m,
                 max_fraction=fraction,
-                fine_at=self.centre_m + beside if any(beside) else None,
+                fine_at=(self.centre_m + beside) * mirror if any(beside) else None,
             )
         )
+        if mirror is MIRROR:
+            patch = replace(
+                patch, vertices=patch.vertices * MIRROR, inward=patch.inward * MIRROR, faces=patch.faces[:, ::-1].copy()
+            )
         through = patch.report["through_m"]
         if "depth_m" in config.model_fields_set and config.depth_m > through:
             raise SceneError(

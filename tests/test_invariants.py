@@ -1,0 +1,38 @@
+"""All shipped scenes, coarse and for a few steps, show the same when they are written in another way.
+
+At their own accuracy: docs/bench/invariants.md, by scripts/verification/invariants.py.
+"""
+
+import pytest
+from scene_variants import SCENES, VARIANTS, changes, exceeded, plain, scene_file, seen, variants
+
+COARSE = {"skin.accuracy": 0.5, "skin.max_frequency_Hz": 250.0, "skin.element_m": None}
+STEPS = 3
+
+
+def coarse(name):
+    on_hand = 'hand"' in scene_file(name).read_text()
+    return COARSE | ({"skin.patch_radius_m": 0.012} if on_hand else {})
+
+
+@pytest.fixture(scope="module")
+def own(tmp_path_factory):
+    """What a scene shows as it is, computed once for equal keys."""
+    kept = {}
+
+    def shown(name, **keys):
+        known = name, str(keys)
+        if known not in kept:
+            kept[known] = seen(plain(name, tmp_path_factory.mktemp("own")), name, STEPS, coarse(name) | keys)
+        return kept[known]
+
+    return shown
+
+
+@pytest.mark.parametrize(("name", "words"), [(name, words) for name in SCENES for words in variants(name)])
+def test_a_scene_shows_the_same_when_it_is_written_in_another_way(name, words, own, tmp_path):
+    variant = VARIANTS[words](name, tmp_path)
+    truth = own(name, **variant.truth)
+    found = changes(seen(variant, name, STEPS, coarse(name)), truth)
+    assert exceeded(name, words, found, truth) == ""
+    assert max(abs(fields["displacement"]).max() for fields in truth.skins.values()) > 1e-9
