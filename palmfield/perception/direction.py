@@ -31,11 +31,13 @@ def weighted(times_s: ArrayLike, displacement_m: ArrayLike, observer: Observer) 
 
     times_s: even [s], shape (t,); displacement_m: of n places along the normal [m], shape (t, n)
     Of a sine at one of the table's frequencies it is the sine in units of its threshold, which is a peak amplitude.
-    Raises OutputError for other shapes and times that are not even.
+    Raises OutputError for other shapes, infinity, and times that are not even.
     """
     times, motion = np.asarray(times_s, dtype=float), np.asarray(displacement_m, dtype=float)
     if motion.ndim != 2 or times.shape != motion.shape[:1] or len(times) < 2:
         raise OutputError(f"times have shape {times.shape} and displacements {motion.shape}; give (t,) and (t, n)")
+    if np.isinf(motion).any():
+        raise OutputError(f"displacement {motion[np.isinf(motion)][0]} m is infinite; give finite ones")
     steps = np.diff(times)
     if not steps.min() > 0.0 or np.ptp(steps) > 1e-3 * steps.mean():
         raise OutputError(f"times are {steps.min():g} to {steps.max():g} s apart; give even ones")
