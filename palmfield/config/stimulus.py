@@ -43,9 +43,9 @@ AM_OPTIONAL: dict[str, tuple[str, ...]] = {"hann": ("am_waveform_duty",), "burst
 OF_WAVEFORMS = ("am_waveform_duty", "am_burst_length_s", "am_burst_period_s", "am_burst_phase_deg", "am_file")
 AM_KEYS = ("am_quantity", "am_frequency_Hz", "am_depth", "am_waveform", "am_normalisation", *OF_WAVEFORMS)
 FARTHEST_FOCUS_M = 10.0
+"""No array focuses there: at 40 kHz air takes 13 dB on the way."""
 Extent = Annotated[float, Field(gt=0.0, le=2.0 * FARTHEST_FOCUS_M)]
 """Of a path [m]; none reaches farther than a focus may be."""
-"""No array focuses there: at 40 kHz air takes 13 dB on the way."""
 USUAL_FOCUS_M = 0.2
 MOVING = ("path_rate_Hz", "path_speed_m_s", "path_end", "path_points")
 STEPS = 1e-6
