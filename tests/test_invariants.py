@@ -7,13 +7,21 @@ import pytest
 from scene_variants import SCENES, VARIANTS, changes, exceeded, plain, scene_file, seen, variants
 
 COARSE = {"skin.accuracy": 0.5, "skin.max_frequency_Hz": 250.0, "skin.element_m": None}
-STEPS = 3
+STEPS = 2
 CASES = [(name, words) for name in SCENES for words in variants(name)]
 
 
 def coarse(name):
     on_hand = 'hand"' in scene_file(name).read_text()
     return COARSE | ({"skin.patch_radius_m": 0.012} if on_hand else {})
+
+
+@pytest.fixture(scope="module", autouse=True)
+def kept_modes(tmp_path_factory):
+    """A cache of this file's own: a variant makes new modes only if what they are made of is new."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PALMFIELD_CACHE", str(tmp_path_factory.mktemp("cache")))
+        yield
 
 
 @pytest.fixture(scope="module")
