@@ -131,6 +131,9 @@ def page(
                 cells.append(f"{value:.2g}" if value else "0")
             lines.append(" | ".join([f"| {label}", *cells]) + " |")
         lines.append("")
+    missing = [f"`{name}`" for name in SCENES if name not in found]
+    if missing:
+        lines += [f"Not run at their own accuracy: {', '.join(missing)}.", ""]
     apart = max((rows["turned and shifted"]["position"] for rows in found.values()), default=0.0)
     elsewhere = max((rows["mirrored"]["mesh"] for rows in found.values()), default=0.0)
     figures = {"apart_mm": 1e3 * apart, "elsewhere": 100.0 * elsewhere}
