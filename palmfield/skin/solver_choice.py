@@ -8,7 +8,8 @@ import inspect
 import math
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 from importlib import import_module
 from typing import Any, Literal, Protocol
 
@@ -18,6 +19,7 @@ from numpy.typing import ArrayLike
 from palmfield import cache
 from palmfield.device import resolve
 from palmfield.errors import SceneError
+from palmfield.skin.approximation.reduce_bulk_modulus import reduce_bulk_modulus
 from palmfield.skin.approximation.truncate_domain import truncate_domain
 from palmfield.skin.costs import modal_step_s, modes_s, reduced_s, wedges_s
 from palmfield.skin.fem.on_body import on_body
@@ -55,7 +57,7 @@ WHERE = {
     "axisymmetric": dict.fromkeys((*FUNCTIONS, "static"), "solvers.axisymmetric.solve"),
     "reduced": dict.fromkeys(FUNCTIONS, "solvers.reduced"),
     "wedges": dict.fromkeys((*FUNCTIONS, "static"), "solvers.wedges"),
-    "spectral_elements": dict.fromkeys(FUNCTIONS, "solvers.spectral_elements.solve"),
+    "spectral_elements": dict.fromkeys((*FUNCTIONS, "finer"), "solvers.spectral_elements.solve"),
     "particles": {
         "solve": "solvers.particles.solve",
         "refusal": "solvers.particles.resolution",
@@ -94,9 +96,6 @@ SLAB_S, LAYER_S = 0.02, 0.12
 FINER = 3
 """How often a solution is made finer when its estimate misses the target accuracy."""
 
-BOLDER = {"spectral_elements": 2.0}
-"""Power of the miss by which a target falls: these meshes follow it by a sixth, and were often the same ones again."""
-
 
 class HistorySolver(Protocol):
     """What solves for a load that is known from beginning to end: solve_NAME of every solver.
@@ -119,6 +118,8 @@ class Choice:
     name: str
     seconds: float
     refusal: str | None = None
+    found: dict[str, Any] = field(default_factory=dict)
+    """What its cost took long to find and its solution takes up."""
 
 
 def ranked(options: Iterable[Choice]) -> list[Choice]:
@@ -179,14 +180,19 @@ def ranking(
     options = []
     for name in WHERE:
         refusal, seconds = function(name, "refusal")(body, load), math.inf
+        found: dict[str, Any] = {}
         if refusal is None:
             try:
-                seconds = cost(name, body, load, times, at, HARDER[accuracy_of] * accuracy, device)
+                wanted, part = HARDER[accuracy_of] * accuracy, body
+                if name == "spectral_elements":
+                    found["softened"] = reduce_bulk_modulus(body, load, float(times[-1]), at, wanted, None)
+                    part = found["softened"][0]
+                seconds = cost(name, part, load, times, at, wanted, device)
             except (SceneError, MemoryError) as reason:
                 refusal = f"{reason}"
             except Exception:
                 seconds = math.inf
-        options.append(Choice(name, math.inf if math.isnan(seconds) else seconds, refusal))
+        options.append(Choice(name, math.inf if math.isnan(seconds) else seconds, refusal, found))
     return ranked(options)
 
 
@@ -249,18 +255,23 @@ def solve(
         able = [choice for choice in options if choice.refusal is None and choice.name not in PREVIEW]
         if not able:
             raise SceneError("no solver can do this: " + "; ".join(f"{c.name}: {c.refusal}" for c in options))
-        name, motion, why = _first_that_can(able, body, load, moments, points, accuracy, accuracy_of, where)
+        taken, motion, why = _first_that_can(able, body, load, moments, points, accuracy, accuracy_of, where)
+        name, more = taken.name, taken.found
     else:
-        name, why = solver, "asked for"
+        name, why, more = solver, "asked for", {}
         motion = _by_name(name, body, load, moments, points, accuracy, accuracy_of, where, resolution)
-    finer: HistorySolver = function(name, "solve")
-    target = accuracy
+    again = partial(function(name, "solve"), body, load, moments, points, accuracy_of=accuracy_of, device=where, **more)
+    target, mesh = accuracy, dict[str, Any]()
     for _ in range(FINER):
-        if motion.error + cut <= accuracy or resolution:
+        miss = (motion.error + cut) / accuracy
+        if miss <= 1.0 or resolution:
             break
-        target *= (0.7 * accuracy / (motion.error + cut)) ** BOLDER.get(name, 1.0)
+        if "finer" in WHERE[name]:
+            mesh = function(name, "finer")(body, load, points, accuracy, miss, **mesh)
+        else:
+            target *= 0.7 / miss
         try:
-            motion = finer(body, load, moments, points, accuracy=target, accuracy_of=accuracy_of, device=where)
+            motion = again(accuracy=target, **mesh)
         except SceneError as reason:
             why += f"; not solved finer: {reason}"
             break
@@ -285,19 +296,21 @@ def _first_that_can(
     accuracy: float,
     accuracy_of: Quantity,
     device: str,
-) -> tuple[str, Motion, str]:
+) -> tuple[Choice, Motion, str]:
     """The first solver of a list that doesn't refuse once it has begun, what it found, and why it, in words."""
     refused: list[str] = []
     for place, choice in enumerate(able):
         try:
             run: HistorySolver = function(choice.name, "solve")
-            motion = run(body, load, times, at, accuracy=accuracy, accuracy_of=accuracy_of, device=device)
+            motion = run(
+                body, load, times, at, accuracy=accuracy, accuracy_of=accuracy_of, device=device, **choice.found
+            )
         except (SceneError, MemoryError) as reason:
             refused.append(f"{choice.name} refused: {reason}")
             continue
         others = ", ".join(f"{c.name} {seconds_in_words(c)}" for c in able[place + 1 :])
         words = [f"auto: predicted {seconds_in_words(choice)}", *([others] if others else []), *refused]
-        return choice.name, motion, "; ".join(words)
+        return choice, motion, "; ".join(words)
     raise SceneError("no solver can do this: " + "; ".join(refused))
 
 
