@@ -10,7 +10,7 @@ import warp as wp
 
 from palmfield.device import resolve
 from palmfield.errors import SceneError
-from palmfield.skin.approximation.load_scales import edge_is_felt
+from palmfield.skin.approximation.load_scales import edge_is_felt, motion_width
 from palmfield.skin.approximation.reduce_bulk_modulus import reduce_bulk_modulus
 from palmfield.skin.approximation.richardson import differences, error_of_coarser, error_of_finer
 from palmfield.skin.approximation.trim_absorbing_rim import refusal_of_spot
@@ -79,9 +79,10 @@ MAKING = (0.012, 6e-5)
 LIKELY = 1.2
 """Step that is likely over the one found: 1.05 to 1.4 on 11 slabs and layers without much viscosity."""
 
-REPEATED, FEW = (1.2, 4.0), 50
-"""Seconds of all solutions of a slab over those of the first, of discs of FEW elements or less where a held edge is
-felt: 8 of 20 of these missed their target, by 1.5 to 16 times, and were solved up to three times more."""
+REPEATED, FEW, THIN = (1.2, 3.0), 50, 0.5
+"""Seconds of all solutions of a slab over those of the first; the second on discs of less than FEW elements where a
+held edge is felt, 8 of 20 of which missed their target by 1.5 to 16 times, and where it is THIN, in widths of the load:
+8 of 11 missed."""
 
 BY_NODES, ROOM, MOST_MISS = 1.5, 0.8, 10.0
 """Power of its nodes by which a mesh's error falls, 0.4 to 2.5 on 40 bodies; share of the target; miss at once."""
@@ -144,7 +145,7 @@ def cost_spectral_elements(
     if isinstance(body, Layer):
         return total
     few = singular and body.shape == "disc" and len(build(body, chosen)[0].elements) < FEW
-    return total * REPEATED[few]
+    return total * REPEATED[few or body.thickness_m < THIN * motion_width(body, load)]
 
 
 def finer_spectral_elements(
