@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib import import_module
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -64,7 +64,11 @@ WHERE = {
         "cost": "solvers.particles.resolution",
     },
 }
-"""Modules of palmfield.skin that hold each solver's solve_NAME, refusal_NAME and cost_NAME."""
+"""Modules of palmfield.skin that hold each solver's solve_NAME, refusal_NAME and cost_NAME.
+
+solve_NAME takes what `solve` does and its own resolution, and raises SceneError where it can't; finer_NAME, where there
+is one, returns the resolution with which to solve again.
+"""
 
 FORMER = {
     "spectral": "lateral_waves",
@@ -95,17 +99,6 @@ SLAB_S, LAYER_S = 0.02, 0.12
 
 FINER = 3
 """How often a solution is made finer when its estimate misses the target accuracy."""
-
-
-class HistorySolver(Protocol):
-    """What solves for a load that is known from beginning to end: solve_NAME of every solver.
-
-    Arguments as for `solve`, and the solver's own resolution. Raises SceneError where it can't.
-    """
-
-    def __call__(
-        self, body: Body, load: Load, times: Float, at: Float, *, accuracy: float, device: str, **resolution: Any
-    ) -> Motion: ...
 
 
 @dataclass(frozen=True)
@@ -179,15 +172,13 @@ def ranking(
     """Choices for arguments that are checked. A solver whose cost can't be computed comes after those whose can."""
     options = []
     for name in WHERE:
-        refusal, seconds = function(name, "refusal")(body, load), math.inf
-        found: dict[str, Any] = {}
+        refusal, seconds, found = function(name, "refusal")(body, load), math.inf, dict[str, Any]()
         if refusal is None:
             try:
-                wanted, part = HARDER[accuracy_of] * accuracy, body
+                wanted = HARDER[accuracy_of] * accuracy
                 if name == "spectral_elements":
                     found["softened"] = reduce_bulk_modulus(body, load, float(times[-1]), at, wanted, None)
-                    part = found["softened"][0]
-                seconds = cost(name, part, load, times, at, wanted, device)
+                seconds = cost(name, found["softened"][0] if found else body, load, times, at, wanted, device)
             except (SceneError, MemoryError) as reason:
                 refusal = f"{reason}"
             except Exception:
@@ -301,10 +292,8 @@ def _first_that_can(
     refused: list[str] = []
     for place, choice in enumerate(able):
         try:
-            run: HistorySolver = function(choice.name, "solve")
-            motion = run(
-                body, load, times, at, accuracy=accuracy, accuracy_of=accuracy_of, device=device, **choice.found
-            )
+            asked = {"accuracy": accuracy, "accuracy_of": accuracy_of, "device": device, **choice.found}
+            motion = function(choice.name, "solve")(body, load, times, at, **asked)
         except (SceneError, MemoryError) as reason:
             refused.append(f"{choice.name} refused: {reason}")
             continue
@@ -329,7 +318,7 @@ def _by_name(
     refusal = None if resolution else function(name, "refusal")(body, load)
     if refusal is not None:
         raise SceneError(f"solver '{name}': {refusal}")
-    run: HistorySolver = function(name, "solve")
+    run: Callable[..., Motion] = function(name, "solve")
     known = inspect.signature(run).parameters
     for key in resolution:
         if key not in known:

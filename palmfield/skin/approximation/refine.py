@@ -193,17 +193,12 @@ def refine_in_depth(
     return now, coarse, error
 
 
-def same_mesh(one: MeshSolution, other: MeshSolution) -> bool:
-    """Whether two meshes have the same triangles, whatever the sizes that they were made for."""
-    return one.triangles == other.triangles
-
-
 def error_by_meshes(coarse: MeshSolution, fine: MeshSolution) -> Float:
     """Errors of the finer of two meshes from their difference, at MESH_ORDER and the edges that they really have, (3,).
 
     UNKNOWN where the two have the same triangles.
     """
-    if same_mesh(coarse, fine):
+    if coarse.triangles == fine.triangles:
         return np.full(3, UNKNOWN)
     ratio = max(math.sqrt(fine.triangles / coarse.triangles), LEAST_MORE)
     return error_of_finer(difference(fine, coarse), ratio, MESH_ORDER)

@@ -81,8 +81,7 @@ LIKELY = 1.2
 
 REPEATED, FEW, THIN = (1.2, 3.0), 50, 0.5
 """Seconds of all solutions of a slab over those of the first; the second on discs of less than FEW elements where a
-held edge is felt, 8 of 20 of which missed their target by 1.5 to 16 times, and where it is THIN, in widths of the load:
-8 of 11 missed."""
+held edge is felt (8 of 20 missed) and where it is THIN, in widths of the load (8 of 11)."""
 
 BY_NODES, ROOM, MOST_MISS = 1.5, 0.8, 10.0
 """Power of its nodes by which a mesh's error falls, 0.4 to 2.5 on 40 bodies; share of the target; miss at once."""
@@ -148,9 +147,7 @@ def cost_spectral_elements(
     return total * REPEATED[few or body.thickness_m < THIN * motion_width(body, load)]
 
 
-def finer_spectral_elements(
-    body: Body, load: Load, at: Float, accuracy: float, miss: float, **last: Any
-) -> dict[str, Any]:
+def finer_spectral_elements(body: Body, load: Load, at: Float, accuracy: float, miss: float, **last: Any) -> Any:
     """Order, width and depth of likely elements where the `last` ones, if not the first, missed by a factor `miss`."""
     finer = plan(body, load, at, accuracy, **last)
     wanted = (min(miss, MOST_MISS) / ROOM) ** (1.0 / BY_NODES) * len(build(body, finer)[0].nodes)
