@@ -126,7 +126,7 @@ NARROWEST = 3.0
 
 GROWTH, EDGE_GROWTH, ENDLESS_GROWTH = 1.7, 6.0, 10.0
 """Unknowns of the last mesh over those first expected, at 5 %: 1.3 to 2.4 on four discs of 2 to 10 %; 4 to 30 on three
-where a held edge is felt; 7 to 20 on three endless slabs, which are widened. A layer's triangles are quartered first."""
+where a held edge is felt; 7 to 20 on three endless slabs, widened. A layer's triangles are quartered first."""
 
 
 def solve_wedges(
