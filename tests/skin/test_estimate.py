@@ -81,7 +81,7 @@ def test_mesh_error_is_of_the_size_of_the_true_error():
 
 @pytest.mark.parametrize(("taken", "runs"), [(0.0, 1), (0.025, 2)])
 def test_a_mesh_is_refined_where_its_error_and_what_is_taken_exceed_the_accuracy(taken, runs):
-    """A law of order 1.5, with 3.7 % at the first mesh: enough for 5 %, and not where 2.5 % are taken by other errors."""
+    """A law of order 1.5, with 3.7 % at the first mesh: enough for 5 %, not where others take 2.5 %."""
     body = Slab((Sheet(PRESETS["ecoflex_00-10"], 0.02),), "disc", "bonded", "roller", radius_m=0.06)
     load, meshes = Spot(0.0103, [0.0, 1e-3], [0.0, 1.0]), []
     first = first_sizes(body, load, np.zeros((1, 3)), 0.05)
