@@ -3,6 +3,7 @@
 import gc
 import os
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -92,6 +93,29 @@ def python_calls() -> Callable[[Callable[[], object]], int]:
             if collects:
                 gc.enable()
         return seen - 1
+
+    return count
+
+
+@pytest.fixture
+def yardsticks() -> Callable[[Callable[[], object]], float]:
+    """How many times as long as a fixed loop in Python a call takes, in seconds of the process; least of three loops.
+
+    One is some 5 ms of a core of 2023. Both are measured at one time, so that a slow or busy machine fails nothing.
+    """
+
+    def busy(call: Callable[[], object]) -> float:
+        begin = time.process_time()
+        call()
+        return time.process_time() - begin
+
+    def loop() -> int:
+        return sum(i * i for i in range(100_000))
+
+    def count(call: Callable[[], object]) -> float:
+        before = [busy(loop) for _ in range(2)]
+        taken = busy(call)
+        return taken / min(*before, busy(loop))
 
     return count
 

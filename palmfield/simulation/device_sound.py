@@ -924,8 +924,8 @@ def _of_course(course: EmittedCourse) -> Sounding | None:
 
 def _of_mean(mean: MeanDrives) -> tuple[Sounding | None, float]:
     """What presses on bodies over a step, and a factor of it; None in silence."""
-    if len(mean.drives) == 0:
+    if len(mean.weights) == 0:
         return None, 0.0
-    if len(mean.drives) == 1:
-        return Sounding(mean.drives, None, np.ones(1)), float(mean.weights[0])
-    return Sounding(mean.drives, None, mean.weights), 1.0
+    if len(mean.weights) == 1:
+        return Sounding(mean.units, None, np.ones(1)), float(mean.weights[0])
+    return Sounding(*mean), 1.0

@@ -40,13 +40,17 @@ NEGLIGIBLE = 1e-5
 
 
 class MeanDrives(NamedTuple):
-    """Drives of ARPs whose weighted sum is a mean ARP, shape (m, N), and the weights, shape (m,); none in silence."""
+    """What gives a mean ARP: weights @ ARP(levels @ units). weights: shape (m,), none in silence.
 
-    drives: Complex
+    units: drives, shape (k, N); levels: complex, shape (m, k)
+    """
+
+    units: Complex
+    levels: Complex
     weights: Float
 
 
-SILENCE = MeanDrives(np.zeros((0, 0), np.complex128), np.zeros(0))
+SILENCE = MeanDrives(np.zeros((0, 0), np.complex128), np.zeros((0, 0), np.complex128), np.zeros(0))
 
 
 class PlacedStimulus(NamedTuple):
@@ -225,7 +229,7 @@ class Emission:
             else:
                 moments = substep_moments(model.configs, t0, timestep_s / count, count, hold=hold)
                 course = self._course(posed, emitted, t0, moments)
-            return few_drives(course, mean_weights(moments))
+            return of_moments(course, mean_weights(moments))
         level = mean_arp_factor(part.config, t0, t0 + timestep_s, count)
         if part.silent or level == 0.0:
             return SILENCE
@@ -236,9 +240,9 @@ class Emission:
             points, factors = frames_at(part.config, np.array([t0]))
             first = self._first(posed, emitted, t0)
             if first is not None and factors[0] > 0.0:
-                return MeanDrives(first, np.array([level / factors[0]]))
+                return of_one(first[0], level / factors[0])
             point = points[0]
-        return MeanDrives(drive.unit_drive_at(place, point).amplitudes[None], np.array([level]))
+        return of_one(drive.unit_drive_at(place, point).amplitudes, level)
 
 
 def mean_weights(moments: Moments) -> Float:
@@ -246,21 +250,27 @@ def mean_weights(moments: Moments) -> Float:
     return np.asarray(0.5 * np.add.reduce(moments.first + moments.last, axis=0) / len(moments.first))
 
 
-def few_drives(course: EmittedCourse, weights: Float) -> MeanDrives:
-    """The fewest drives with the mean ARP of a course; weights: of its moments in the mean, shape (m,).
+def of_one(unit: Complex, weight: float) -> MeanDrives:
+    """The mean ARP of one drive, shape (N,), that gets louder and softer."""
+    return MeanDrives(unit[None], np.ones((1, 1), np.complex128), np.array([weight]))
 
-    ARP is a Hermitian form of the drive, so that the mean over any drives is that over the principal ones of their
-    weighted covariance.
+
+def of_moments(course: EmittedCourse, weights: Float) -> MeanDrives:
+    """The mean ARP over a course, by as few drives as its moments are sums of; weights: of its moments, shape (m,).
+
+    The moments stay apart: which points are lit goes by each moment's own flow of energy.
     """
     if course.levels is not None:
         level = float(weights @ np.abs(course.levels) ** 2)
-        return SILENCE if course.unit is None or level == 0.0 else MeanDrives(course.unit[None], np.array([level]))
-    scaled = np.sqrt(weights)[:, None] * rows(course)
-    powers, shares = np.linalg.eigh(scaled @ scaled.conj().T)
-    told = powers > NEGLIGIBLE * powers[-1]
-    if not np.logical_or.reduce(told):
+        return SILENCE if course.unit is None or level == 0.0 else of_one(course.unit, level)
+    if course.parts is not None:
+        return MeanDrives(*course.parts, weights)
+    emitted = rows(course)
+    powers, shares = np.linalg.eigh(emitted @ emitted.conj().T)
+    kept = powers > NEGLIGIBLE * powers[-1]
+    if not np.logical_or.reduce(kept):
         return SILENCE
-    return MeanDrives(shares.conj().T[told] @ scaled, told[told].astype(np.float64))
+    return MeanDrives(shares.conj().T[kept] @ emitted, np.ascontiguousarray(shares[:, kept]), weights)
 
 
 def _moves_alone(model: HapticModel, drives: list[ArrayDrive]) -> bool:

@@ -33,27 +33,28 @@ class BodyForces:
         The mean over the MuJoCo step that begins at t0 [s]: a modulation faster than the step gives the right impulse.
         emitted: by all transducers at t0, shape (N,)
         """
-        drives, weights = emission.mean_drives(posed, emitted, t0)
+        mean = emission.mean_drives(posed, emitted, t0)
         forces = []
         for body, shape in enumerate(self._shapes):
             self._pressed.pop(body, None)
-            if len(drives) == 0:
+            if len(mean.weights) == 0:
                 forces.append((np.zeros(shape), np.zeros(shape)))
                 continue
             skin, arp = self._skins[body], None
             if self._path_sound is not None:
-                arp = self._path_sound.arp(posed, skin, "samples", drives)
-            if arp is None and len(drives) > 1:
-                arp = self.radiation.many(posed, skin, drives, "samples")
+                arp = self._path_sound.arp(posed, skin, "samples", mean.levels @ mean.units)
+            if arp is None and len(mean.weights) > 1:
+                arp = self.radiation.sums(posed, skin, mean.units, mean.levels, "samples")
             if arp is None:
-                force, torque = self.under(posed, body, drives[0])
+                weight = float(mean.weights[0])
+                force, torque = self.under(posed, body, mean.units[0])
                 sound, _, samples = self._last[body]
-                self._pressed[body] = samples, sound.arp, float(weights[0])
-                forces.append((weights[0] * force, weights[0] * torque))
+                self._pressed[body] = samples, sound.arp, weight
+                forces.append((weight * force, weight * torque))
                 continue
-            mean = weights @ arp
-            forces.append(self._resultants(posed, body, mean))
-            self._pressed[body] = self._pushes[body][0], mean, 1.0
+            pressed = mean.weights @ arp
+            forces.append(self._resultants(posed, body, pressed))
+            self._pressed[body] = self._pushes[body][0], pressed, 1.0
         return forces
 
     def pressed(self, body: int) -> tuple[SeenSamples, Float] | None:

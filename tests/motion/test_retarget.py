@@ -1,5 +1,3 @@
-import time
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -168,12 +166,6 @@ def test_a_bad_stream_predicted_ahead_is_followed(median, swing, disturbed):
     assert predicted < 0.003 and predicted < plain
 
 
-def test_a_frame_takes_less_than_10_ms(median, swing, times):
+def test_a_frame_takes_some_milliseconds(median, swing, times, yardsticks):
     seen = stream_of(articulate(load_preset("open_men_p95")), swing, times)
-
-    def per_frame():
-        start = time.process_time()
-        retarget(median, seen)
-        return (time.process_time() - start) / len(times)
-
-    assert min(per_frame() for _ in range(3)) < 0.01
+    assert min(yardsticks(lambda: retarget(median, seen)) for _ in range(3)) < 2.0 * len(times)

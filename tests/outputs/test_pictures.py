@@ -1,5 +1,3 @@
-import time
-
 import numpy as np
 import pytest
 import trimesh
@@ -219,11 +217,9 @@ def test_obstacles_are_drawn(tmp_path, whole, keep):
     assert bluish.sum() > 200
 
 
-def test_render_takes_less_than_five_seconds(tmp_path, result):
+def test_render_takes_a_few_seconds(tmp_path, result, yardsticks):
     render_scene(result, tmp_path / "small.png", (64, 48))
-    start = time.process_time()
-    render_scene(result, tmp_path / "scene.png")
-    assert time.process_time() - start < 5.0
+    assert yardsticks(lambda: render_scene(result, tmp_path / "scene.png")) < 1000.0
 
 
 def test_render_does_without_motion_focus_or_steps(tmp_path, still):

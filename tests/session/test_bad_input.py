@@ -3,7 +3,6 @@
 import re
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import get_args
 
@@ -22,8 +21,6 @@ from palmfield.skin.solver_choice import Name
 
 SKIN = "plugin 'palmfield.skin' instance 'skin': "
 STIMULUS = "plugin 'palmfield.stimulus' instance 'stimulus': "
-QUICK_S = 2.0
-"""A refusal takes less than this; it takes 0.15 s."""
 
 
 def instance(path: Path, plugin: str) -> tuple[str, int, int]:
@@ -96,12 +93,6 @@ def test_a_plugin_sensor_without_objtype(kind, small_scene):
 # -- costs ---------------------------------------------------------------------------------------------------------
 
 
-def quickly_refused(scene, *expected: str, **arguments) -> None:
-    start = time.perf_counter()
-    refused(scene, *expected, **arguments)
-    assert time.perf_counter() - start < QUICK_S
-
-
 @pytest.fixture
 def meshing_fails(monkeypatch):
     """Nothing may be meshed before a cost is refused."""
@@ -116,7 +107,7 @@ def meshing_fails(monkeypatch):
 @pytest.mark.parametrize("element_m", [1e-4, 1e-6, 1e-300])
 def test_elements_so_small_that_the_run_cannot_end(element_m, small_scene, meshing_fails):
     path = small_scene(skin={"element_m": element_m})
-    quickly_refused(
+    refused(
         path, f"{SKIN}elements of {1e3 * element_m:.3g} mm make about", "unknowns",
         f"allowed: at most {MOST_UNKNOWNS:.2g}; set element_m or accuracy larger",
     )  # fmt: skip
@@ -125,7 +116,7 @@ def test_elements_so_small_that_the_run_cannot_end(element_m, small_scene, meshi
 @pytest.mark.parametrize("step_s", [5e-8, 1e-12, 1e-300])
 def test_steps_so_small_that_the_run_cannot_end(step_s, small_scene, meshing_fails):
     path = small_scene(skin={"step_s": step_s})
-    quickly_refused(
+    refused(
         path, f"{SKIN}steps of {step_s:.2g} s are {1e-3 / step_s:.2g} in each of MuJoCo's",
         f"allowed: at most {MOST_SUBSTEPS:,}; set step_s larger, or timestep smaller",
     )  # fmt: skip
@@ -135,14 +126,14 @@ def test_a_layer_for_which_memory_is_short(small_scene, meshing_fails, monkeypat
     monkeypatch.setattr("palmfield.simulation.validate.available_bytes", lambda: 10**5)
     # Of a size of its own: equal scenes share a model
     path = small_scene(skin={"element_m": 0.00347})
-    quickly_refused(path, f"{SKIN}elements of 3.47 mm", "factors take about", "there are 0.0001 GB free; set element_m")
+    refused(path, f"{SKIN}elements of 3.47 mm", "factors take about", "there are 0.0001 GB free; set element_m")
 
 
 @pytest.mark.parametrize("timestep", [1e-12, 1e-300])
 def test_timesteps_so_small_that_the_run_cannot_end(timestep, small_scene, meshing_fails):
     path = small_scene()
     path.write_text(path.read_text().replace('timestep="0.001"', f'timestep="{timestep}"'))
-    quickly_refused(path, f"option 'timestep' has value {timestep:g}: a run of", "would not end", "set timestep larger")
+    refused(path, f"option 'timestep' has value {timestep:g}: a run of", "would not end", "set timestep larger")
 
 
 def test_a_duration_so_long_that_the_run_cannot_end(small_scene):
@@ -153,15 +144,13 @@ def test_a_duration_so_long_that_the_run_cannot_end(small_scene):
 def test_the_second_skin_alone_costs_too_much(small_scene, add_skin, meshing_fails):
     path = add_skin(small_scene(), "0.05 0 0.12")
     refusal = "plugin 'palmfield.skin' instance 'second': elements of 0.001 mm make about"
-    quickly_refused(path, refusal, keys={"second.element_m": 1e-6})
+    refused(path, refusal, keys={"second.element_m": 1e-6})
 
 
-def test_stock_mujoco_refuses_a_cost_as_quickly(small_scene, meshing_fails):
+def test_stock_mujoco_refuses_a_cost_before_it_meshes(small_scene, meshing_fails):
     path = small_scene(skin={"element_m": 1e-6})
-    start = time.perf_counter()
     with pytest.raises(ValueError, match=r"elements of 0\.001 mm make about 3\.4e\+10 unknowns"):
         mujoco.MjModel.from_xml_path(str(path))
-    assert time.perf_counter() - start < QUICK_S
 
 
 # -- skins and stimuli ---------------------------------------------------------------------------------------------

@@ -17,7 +17,7 @@ from palmfield.errors import DeviceError, PalmfieldError
 from palmfield.simulation import device_sound, validate
 from palmfield.simulation import step as step_module
 from palmfield.simulation.device_sound import DeviceSound, serves
-from palmfield.simulation.emission import MeanDrives
+from palmfield.simulation.emission import of_one
 from palmfield.simulation.forces import BodyForces
 from palmfield.simulation.radiation import Radiation
 from palmfield.simulation.step import gather
@@ -67,16 +67,8 @@ def graphs(sim: palmfield.Simulation, seen: dict[str, Any]) -> dict[str, Any]:
     return {"loads": loads, "forces": forces}
 
 
-MIXED = 2e-3
-"""Of a mean force of several drives. The CPU takes the principal drives of what is emitted, a graph what is emitted at
-each moment: they differ where sound grazes, as the rule of lit points goes by each drive's own flow of energy."""
-
-
-def agree(sim: palmfield.Simulation, flipped: float = 0.0, atol: float = 1e-5) -> None:
-    """Loads and forces agree; flipped: share of the points where a ray grazes an edge and rounding decides.
-
-    atol: of forces, over the largest; where a force is of several drives it is larger, see MIXED
-    """
+def agree(sim: palmfield.Simulation, flipped: float = 0.0) -> None:
+    """Loads and forces agree; flipped: share of the points where a ray grazes an edge and rounding decides."""
     one = stages(sim)
     other = graphs(sim, one)
     for mine, its in zip(one["loads"], other["loads"], strict=True):
@@ -85,8 +77,8 @@ def agree(sim: palmfield.Simulation, flipped: float = 0.0, atol: float = 1e-5) -
     for (force, torque), (its_force, its_torque) in zip(one["forces"], other["forces"], strict=True):
         largest = np.linalg.norm(force, axis=1).max()
         assert largest > 0.0
-        np.testing.assert_allclose(its_force, force, rtol=0.0, atol=atol * largest)
-        np.testing.assert_allclose(its_torque, torque, rtol=0.0, atol=atol * largest * LEVER_M)
+        np.testing.assert_allclose(its_force, force, rtol=0.0, atol=1e-5 * largest)
+        np.testing.assert_allclose(its_torque, torque, rtol=0.0, atol=1e-5 * largest * LEVER_M)
 
 
 def test_only_scenes_on_a_gpu_take_it(small_scene: Any) -> None:
@@ -120,8 +112,7 @@ def test_a_pad_that_slides(small_scene: Any, by_graph: Any, path: dict[str, obje
         other.step()
         assert sim.data.sensordata[2] != 0.0
         largest = np.abs(other.data.sensordata).max() * 1e-5
-        rtol = MIXED if path and response == "on" else 2e-5
-        np.testing.assert_allclose(sim.data.sensordata[2:], other.data.sensordata[2:], rtol=rtol, atol=1e-4 * largest)
+        np.testing.assert_allclose(sim.data.sensordata[2:], other.data.sensordata[2:], rtol=2e-5, atol=1e-4 * largest)
     agree(sim)
 
 
@@ -250,7 +241,7 @@ def test_shadows_of_an_obstacle_and_of_the_hand(by_graph: Any, edges: str) -> No
 def test_two_skins_two_arrays_two_stimuli(by_graph: Any) -> None:
     sim = by_graph(SCENES / "two_hands_both_feel.xml", accuracy=0.5)
     sim.step(3)
-    agree(sim, atol=MIXED)
+    agree(sim)
 
 
 def test_one_launch_a_step_and_none_where_only_the_level_changes(small_scene: Any, by_graph: Any) -> None:
@@ -353,11 +344,11 @@ def test_what_is_not_finite_is_named(small_scene: Any, by_graph: Any) -> None:
     course = sim.runtime.work.emission.now(posed, drive, 0.0)
     drive[7] = np.nan
     with pytest.raises(PalmfieldError, match=r"drive of transducer 7 = .*nan.* is not finite"):
-        sound.update(posed, MeanDrives(drive[None], np.ones(1)), course, None)
+        sound.update(posed, of_one(drive, 1.0), course, None)
     posed.bodies[0].frame.position[1] = np.inf
     with pytest.raises(PalmfieldError, match=r"pose of 'pad' at .*inf.* is not finite"):
         DeviceSound(sim.runtime.model, sim.runtime.work.reference).update(
-            posed, MeanDrives(np.ones((1, 256), complex), np.ones(1)), course, None
+            posed, of_one(np.ones(256, complex), 1.0), course, None
         )
 
 

@@ -11,7 +11,7 @@ from palmfield.drive.transducer_response import EmittedCourse
 from palmfield.interrupts import interrupts_held
 from palmfield.session.duration import step_count
 from palmfield.session.simulation import Simulation
-from palmfield.simulation.emission import Emission, MeanDrives, few_drives
+from palmfield.simulation.emission import Emission, MeanDrives, of_moments
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.stimulus.schedule import Moments, substep_moments
@@ -53,7 +53,7 @@ class PlayedEmission(Emission):
 
     def mean_drives(self, posed: PosedScene, emitted: Complex, t0: float) -> MeanDrives:
         moments, course = self.over(posed, emitted, t0, self.model.substeps)
-        return few_drives(course, np.add.reduce(moments.first, axis=0) / self.model.substeps)
+        return of_moments(course, np.add.reduce(moments.first, axis=0) / self.model.substeps)
 
 
 class Felt(NamedTuple):
