@@ -305,11 +305,11 @@ def _numbers(
     run = recorder.loudest, recorder.peak_drive
     stimuli = stimulus_numbers(sim, *run, recorder.turns)
     for name, numbers in stimuli.items():
-        if times := numbers.get("phase_turn_times_s"):
+        if turned := numbers.get("phase_turn_times_s"):
             LOG.warning(
                 "the phases between the foci of stimulus '%s' turn at once %d times, first at %.6g s, where two "
-                "eigenvalues cross: drive and sound may jump there, as they would on a real board", name, len(times),
-                times[0],
+                "eigenvalues cross: drive and sound may jump there, as they would on a real board", name, len(turned),
+                turned[0],
             )  # fmt: skip
     return scene_numbers(sim, *run), skins, stimuli
 
