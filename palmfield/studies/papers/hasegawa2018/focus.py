@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 
 from palmfield.acoustics.arp import arp
-from palmfield.acoustics.nonlinear import beam_steepening
+from palmfield.acoustics.nonlinear import beam_steepening, fundamental_left
 from palmfield.acoustics.reference import pressure64
 from palmfield.drive.boards.autd2018 import BOARD, CARRIER_HZ, PACKET_RATE_HZ, TRANSDUCERS
 from palmfield.drive.pulse_width import HASEGAWA_TICKS
@@ -80,6 +80,21 @@ def pressure_ratio(count: int, depth_m: float) -> Compute:
                 "at a point": ratio(units, depth_m, reference, "point"),
             },
         )
+
+    return compute
+
+
+def lossy_ratio(count: int, depth_m: float, drive: float) -> Compute:
+    """The ratio of the carrier's line alone, less what goes into harmonics on the way to either depth."""
+
+    def compute(setting: Setting) -> Answer:
+        units = units_of(setting, count)
+        reference = reference_m(setting, units)
+        far, near = (
+            fundamental_left(drive * beam_steepening(array_of(units), drive_of(units, z), [0.0, 0.0, z], ROOM))
+            for z in (depth_m, reference)
+        )
+        return Answer(ratio(units, depth_m, reference) * far / near)
 
     return compute
 
@@ -461,6 +476,13 @@ CAUSES = {
         Cause("the law of a rigid wall on a plate of 0.4 m, instead of alpha p^2/(rho c^2)", force_by(Units(4), 0.4)),
         Cause("the table of the T4010A1 on a plate of 0.3 m", force_by(Units(4, "table"), 0.3)),
     ),
+}
+FOUND_LATER = {
+    f"H13-H14{letter}": tuple(
+        Cause(f"sound lost to harmonics on the way, {name} drive, p0 of the layout", lossy_ratio(count, depth, drive))
+        for name, drive in (("full", 1.0), ("half", 0.5))
+    )
+    for letter, count, depth in (("b", 1, 0.4), ("c", 4, 0.8), ("d", 4, 1.0))
 }
 LATER = {
     "H13-H14b": (
