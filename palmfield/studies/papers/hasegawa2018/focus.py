@@ -89,12 +89,10 @@ def lossy_ratio(count: int, depth_m: float, drive: float) -> Compute:
 
     def compute(setting: Setting) -> Answer:
         units = units_of(setting, count)
-        reference = reference_m(setting, units)
-        far, near = (
-            fundamental_left(drive * beam_steepening(array_of(units), drive_of(units, z), [0.0, 0.0, z], ROOM))
-            for z in (depth_m, reference)
-        )
-        return Answer(ratio(units, depth_m, reference) * far / near)
+        depths = (depth_m, reference_m(setting, units))
+        sigmas = (beam_steepening(array_of(units), drive_of(units, z), [0.0, 0.0, z], ROOM) for z in depths)
+        far, near = (fundamental_left(drive * sigma) for sigma in sigmas)
+        return Answer(ratio(units, *depths) * far / near)
 
     return compute
 
@@ -444,13 +442,13 @@ def force_by(units: Units, edge: float) -> Compute:
     return compute
 
 
+RATIOS = {"H13-H14b": (1, 0.4), "H13-H14c": (4, 0.8), "H13-H14d": (4, 1.0)}
+"""Units and depth [m] of each ratio of pressures."""
 ANSWERS: dict[str, Compute] = {
     "H1a": count_of_transducers,
     "H1c": extent(1),
     "H1e": extent(4),
-    "H13-H14b": pressure_ratio(1, 0.4),
-    "H13-H14c": pressure_ratio(4, 0.8),
-    "H13-H14d": pressure_ratio(4, 1.0),
+    **{name: pressure_ratio(*at) for name, at in RATIOS.items()},
     "H13-H14e": over_200(4, 0.8, "piston"),
     "H13-H14f": over_200(4, 1.0, "piston"),
     "H13-H14g": over_200(4, 0.8, "table"),
@@ -469,20 +467,18 @@ ANSWERS: dict[str, Compute] = {
     "H22c": misapplied_law,
 }
 CAUSES = {
-    "H13-H14b": causes(1, 0.4),
-    "H13-H14c": causes(4, 0.8),
-    "H13-H14d": causes(4, 1.0),
+    **{name: causes(*at) for name, at in RATIOS.items()},
     "H15c": (
         Cause("the law of a rigid wall on a plate of 0.4 m, instead of alpha p^2/(rho c^2)", force_by(Units(4), 0.4)),
         Cause("the table of the T4010A1 on a plate of 0.3 m", force_by(Units(4, "table"), 0.3)),
     ),
 }
 FOUND_LATER = {
-    f"H13-H14{letter}": tuple(
-        Cause(f"sound lost to harmonics on the way, {name} drive, p0 of the layout", lossy_ratio(count, depth, drive))
-        for name, drive in (("full", 1.0), ("half", 0.5))
+    name: tuple(
+        Cause(f"sound lost to harmonics on the way, {drive} drive, p0 of the layout", lossy_ratio(*at, level))
+        for drive, level in (("full", 1.0), ("half", 0.5))
     )
-    for letter, count, depth in (("b", 1, 0.4), ("c", 4, 0.8), ("d", 4, 1.0))
+    for name, at in RATIOS.items()
 }
 LATER = {
     "H13-H14b": (
