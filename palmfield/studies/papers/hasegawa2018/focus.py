@@ -84,15 +84,15 @@ def pressure_ratio(count: int, depth_m: float) -> Compute:
     return compute
 
 
-def lossy_ratio(count: int, depth_m: float, drive: float) -> Compute:
-    """The ratio of the carrier's line alone, less what goes into harmonics on the way to either depth."""
+def lossy_ratio(count: int, depth_m: float, drive: float, far: bool) -> Compute:
+    """The ratio of the carrier's line alone, less what goes into harmonics to the reference and, if far, to both."""
 
     def compute(setting: Setting) -> Answer:
         units = units_of(setting, count)
         depths = (depth_m, reference_m(setting, units))
         sigmas = (beam_steepening(array_of(units), drive_of(units, z), [0.0, 0.0, z], ROOM) for z in depths)
-        far, near = (fundamental_left(drive * sigma) for sigma in sigmas)
-        return Answer(ratio(units, *depths) * far / near)
+        there, near = (fundamental_left(drive * sigma) for sigma in sigmas)
+        return Answer(ratio(units, *depths) * (there if far else 1.0) / near)
 
     return compute
 
@@ -475,7 +475,8 @@ CAUSES = {
 }
 FOUND_LATER = {
     name: tuple(
-        Cause(f"sound lost to harmonics on the way, {drive} drive, p0 of the layout", lossy_ratio(*at, level))
+        Cause(f"sound lost to harmonics {way}, {drive} drive, p0 of the layout", lossy_ratio(*at, level, far))
+        for way, far in (("on the way to either depth", True), ("at the reference alone", False))
         for drive, level in (("full", 1.0), ("half", 0.5))
     )
     for name, at in RATIOS.items()
