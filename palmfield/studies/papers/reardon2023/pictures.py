@@ -118,7 +118,9 @@ def closed(setting: Setting) -> Figure:
     return figure
 
 
-def _places(setting: Setting, of: Any, size: float, speeds: Any, profile: Any, place: Any) -> tuple[Figure, Any, Any]:
+def _places(
+    setting: Setting, of: Any, size: float, speeds: tuple[float, ...], profile: Any, place: Any, labels: tuple[str, str]
+) -> tuple[Figure, Any, Any]:
     """By slab: a profile at the first of some speeds, and the place of its largest at all [mm]."""
     figure = Figure(figsize=(8.6, 3.2), layout="constrained")
     left, right = figure.subplots(1, 2)
@@ -127,38 +129,35 @@ def _places(setting: Setting, of: Any, size: float, speeds: Any, profile: Any, p
         at, values = profile(found[0])
         left.plot(at, values / values.max(), line, color=colour, label=name)
         right.plot(speeds, [place(one, size) for one in found], line, marker="o", color=colour)
-    left.set(ylabel=f"rms velocity at {speeds[0]:g} m/s / largest", ylim=(0.0, None))
-    left.legend(fontsize=7, loc="lower left")
-    right.set(xlabel="speed of the focus [m/s]", xticks=speeds)
+    left.set(xlabel=labels[0], ylabel=f"rms velocity at {speeds[0]:g} m/s / largest", ylim=(0.0, None))
+    right.set(xlabel="speed of the focus [m/s]", ylabel=labels[1], xticks=speeds)
+    left.legend(fontsize=7)
     return figure, left, right
 
 
 def square_place(setting: Setting) -> Figure:
-    """R13c: where the square's largest rms velocity lies."""
+    """R13c: the largest rms velocity of the square at each distance inside its path, and where that of all is."""
 
     def profile(drawn: figures.Drawn) -> tuple[Float, Float]:
         across, at = 1e3 * np.abs(drawn.places_m), np.arange(-10.0, 16.0)
         inside = np.rint(15.0 - np.maximum(across[:, None], across))
         return at, np.array([drawn.values[inside == one].max() for one in at])
 
-    figure, left, right = _places(setting, figures.square_rms, 0.03, (8.0, 9.0, 10.0), profile, figures.inside_mm)
+    names, speeds = ("distance inside the path [mm]", "largest of all, inside the path [mm]"), (8.0, 9.0, 10.0)
+    figure, left, right = _places(setting, figures.square_rms, 0.03, speeds, profile, figures.inside_mm, names)
     left.axvspan(3.0, 15.0, color="#e5e5e5", zorder=0)
-    left.set(xlabel="distance inside the path [mm]")
     right.bar([8.0], [12.0], 0.2, 3.0, color="#e5e5e5", zorder=0)
-    right.set(ylabel="largest of all, inside the path [mm]")
     return figure
 
 
 def ring_place(setting: Setting) -> Figure:
-    """R14a: the ring of largest rms velocity by speed."""
+    """R14a: the mean rms velocity of the circle by radius, and the ring's radius by speed."""
     figure, left, right = _places(
         setting, figures.circled, 0.015, (10.0, 7.0, 5.0), lambda one: (1e3 * one.radii_m[:61], one.ring[:61]),
-        lambda one, path: 1e3 * figures.ring_radius(one, path),
+        lambda one, path: 1e3 * figures.ring_radius(one, path), ("radius [mm]", "radius of the ring [mm]"),
     )  # fmt: skip
     left.axvline(15.0, color="#888888", lw=0.8)
-    left.set(xlabel="radius [mm]")
     right.bar([10.0, 7.0], right.lines[0].get_ydata()[1:], 0.6, color="#e5e5e5", zorder=0)
-    right.set(ylabel="radius of the ring [mm]", ylim=(0.0, 18.0))
     return figure
 
 
@@ -238,18 +237,8 @@ PICTURES = (
         "five, each over its largest; dashed: path.",
         closed,
     ),
-    Picture(
-        "r13c_square",
-        "R13c, not explained: square of 3 cm, the largest rms velocity at each distance inside the path, and where the "
-        "largest of all lies by speed. Grey: where the paper has it at 8 m/s.",
-        square_place,
-    ),
-    Picture(
-        "r14a_ring",
-        "R14a, not explained: circle of 1.5 cm, mean rms velocity by radius, and the ring by speed. Grey: "
-        "inside the free slab's ring at the speed before, where the paper has it.",
-        ring_place,
-    ),
+    Picture("r13c_square", "R13c, not explained: square of 3 cm. Grey: the paper's place, at 8 m/s.", square_place),
+    Picture("r14a_ring", "R14a, not explained: circle of 1.5 cm. Grey: inside the ring one speed below.", ring_place),
     Picture(
         "fig6b_plate",
         "Figure 6B: 10 % wake on the scan grid, with the paper's 12 cm, and spectral centroid on the path.",
