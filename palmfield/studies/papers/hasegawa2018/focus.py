@@ -401,9 +401,7 @@ def ratio_at_200(count: int, depth_m: float) -> Compute:
 
 def causes(count: int, depth_m: float) -> tuple[Cause, ...]:
     return (
-        Cause(
-            "the measured table of the T4010A1 in place of the piston", ratio_of(Units(count, "table"), count, depth_m)
-        ),
+        Cause("the T4010A1's table in place of the piston", ratio_of(Units(count, "table"), count, depth_m)),
         Cause("a microphone that is a point", ratio_of("point", count, depth_m)),
         Cause("transducers that radiate alike in all directions", ratio_of(Units(count, "point"), count, depth_m)),
         Cause(

@@ -128,7 +128,8 @@ def _places(
         found = [of(plate, size, v, level_of(setting), setting.device) for v in speeds]
         at, values = profile(found[0])
         left.plot(at, values / values.max(), line, color=colour, label=name)
-        right.plot(speeds, [place(one, size) for one in found], line, marker="o", color=colour)
+        marks: dict[str, Any] = {"marker": "o", "mfc": "none", "ms": 10.0 - 3.0 * len(right.lines)}
+        right.plot(speeds, [place(one, size) for one in found], line, color=colour, **marks)
     left.set(xlabel=labels[0], ylabel=f"rms velocity at {speeds[0]:g} m/s / largest", ylim=(0.0, None))
     right.set(xlabel="speed of the focus [m/s]", ylabel=labels[1], xticks=speeds)
     left.legend(fontsize=7)
@@ -158,6 +159,7 @@ def ring_place(setting: Setting) -> Figure:
     )  # fmt: skip
     left.axvline(15.0, color="#888888", lw=0.8)
     right.bar([10.0, 7.0], right.lines[0].get_ydata()[1:], 0.6, color="#e5e5e5", zorder=0)
+    right.set_ylim(10.0, 16.0)
     return figure
 
 
