@@ -240,7 +240,7 @@ PICTURES = (
         closed,
     ),
     Picture("r13c_square", "R13c, not explained: square of 3 cm. Grey: the paper's place, at 8 m/s.", square_place),
-    Picture("r14a_ring", "R14a, not explained: circle of 1.5 cm. Grey: inside the ring one speed below.", ring_place),
+    Picture("r14a_ring", "R14a, not explained. Grey: the paper's, within the free ring one speed below.", ring_place),
     Picture(
         "fig6b_plate",
         "Figure 6B: 10 % wake on the scan grid, with the paper's 12 cm, and spectral centroid on the path.",
