@@ -20,7 +20,7 @@ def assembly_s(dofs: float) -> float:
 
 def factor_s(dofs: float) -> float:
     """One real factorisation; a complex one takes twice as long."""
-    return 2.2e-8 * dofs**1.82
+    return 2e-5 * dofs + 3e-9 * dofs**1.82
 
 
 def wedge_step_s(dofs: float) -> float:

@@ -8,9 +8,10 @@ import inspect
 import math
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 from importlib import import_module
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,6 +19,7 @@ from numpy.typing import ArrayLike
 from palmfield import cache
 from palmfield.device import resolve
 from palmfield.errors import SceneError
+from palmfield.skin.approximation.reduce_bulk_modulus import reduce_bulk_modulus
 from palmfield.skin.approximation.truncate_domain import truncate_domain
 from palmfield.skin.costs import modal_step_s, modes_s, reduced_s, wedges_s
 from palmfield.skin.fem.on_body import on_body
@@ -55,14 +57,18 @@ WHERE = {
     "axisymmetric": dict.fromkeys((*FUNCTIONS, "static"), "solvers.axisymmetric.solve"),
     "reduced": dict.fromkeys(FUNCTIONS, "solvers.reduced"),
     "wedges": dict.fromkeys((*FUNCTIONS, "static"), "solvers.wedges"),
-    "spectral_elements": dict.fromkeys(FUNCTIONS, "solvers.spectral_elements.solve"),
+    "spectral_elements": dict.fromkeys((*FUNCTIONS, "finer"), "solvers.spectral_elements.solve"),
     "particles": {
         "solve": "solvers.particles.solve",
         "refusal": "solvers.particles.resolution",
         "cost": "solvers.particles.resolution",
     },
 }
-"""Modules of palmfield.skin that hold each solver's solve_NAME, refusal_NAME and cost_NAME."""
+"""Modules of palmfield.skin that hold each solver's solve_NAME, refusal_NAME and cost_NAME.
+
+solve_NAME takes what `solve` does and its own resolution, and raises SceneError where it can't; finer_NAME, where there
+is one, returns the resolution with which to solve again.
+"""
 
 FORMER = {
     "spectral": "lateral_waves",
@@ -94,20 +100,6 @@ SLAB_S, LAYER_S = 0.02, 0.12
 FINER = 3
 """How often a solution is made finer when its estimate misses the target accuracy."""
 
-BOLDER = {"spectral_elements": 2.0}
-"""Power of the miss by which a target falls: these meshes follow it by a sixth, and were often the same ones again."""
-
-
-class HistorySolver(Protocol):
-    """What solves for a load that is known from beginning to end: solve_NAME of every solver.
-
-    Arguments as for `solve`, and the solver's own resolution. Raises SceneError where it can't.
-    """
-
-    def __call__(
-        self, body: Body, load: Load, times: Float, at: Float, *, accuracy: float, device: str, **resolution: Any
-    ) -> Motion: ...
-
 
 @dataclass(frozen=True)
 class Choice:
@@ -119,6 +111,8 @@ class Choice:
     name: str
     seconds: float
     refusal: str | None = None
+    found: dict[str, Any] = field(default_factory=dict)
+    """What its cost took long to find and its solution takes up."""
 
 
 def ranked(options: Iterable[Choice]) -> list[Choice]:
@@ -178,15 +172,18 @@ def ranking(
     """Choices for arguments that are checked. A solver whose cost can't be computed comes after those whose can."""
     options = []
     for name in WHERE:
-        refusal, seconds = function(name, "refusal")(body, load), math.inf
+        refusal, seconds, found = function(name, "refusal")(body, load), math.inf, dict[str, Any]()
         if refusal is None:
             try:
-                seconds = cost(name, body, load, times, at, HARDER[accuracy_of] * accuracy, device)
+                wanted = HARDER[accuracy_of] * accuracy
+                if name == "spectral_elements":
+                    found["softened"] = reduce_bulk_modulus(body, load, float(times[-1]), at, wanted, None)
+                seconds = cost(name, found["softened"][0] if found else body, load, times, at, wanted, device)
             except (SceneError, MemoryError) as reason:
                 refusal = f"{reason}"
             except Exception:
                 seconds = math.inf
-        options.append(Choice(name, math.inf if math.isnan(seconds) else seconds, refusal))
+        options.append(Choice(name, math.inf if math.isnan(seconds) else seconds, refusal, found))
     return ranked(options)
 
 
@@ -249,18 +246,23 @@ def solve(
         able = [choice for choice in options if choice.refusal is None and choice.name not in PREVIEW]
         if not able:
             raise SceneError("no solver can do this: " + "; ".join(f"{c.name}: {c.refusal}" for c in options))
-        name, motion, why = _first_that_can(able, body, load, moments, points, accuracy, accuracy_of, where)
+        taken, motion, why = _first_that_can(able, body, load, moments, points, accuracy, accuracy_of, where)
+        name, more = taken.name, taken.found
     else:
-        name, why = solver, "asked for"
+        name, why, more = solver, "asked for", {}
         motion = _by_name(name, body, load, moments, points, accuracy, accuracy_of, where, resolution)
-    finer: HistorySolver = function(name, "solve")
-    target = accuracy
+    again = partial(function(name, "solve"), body, load, moments, points, accuracy_of=accuracy_of, device=where, **more)
+    target, mesh = accuracy, dict[str, Any]()
     for _ in range(FINER):
-        if motion.error + cut <= accuracy or resolution:
+        miss = (motion.error + cut) / accuracy
+        if miss <= 1.0 or resolution:
             break
-        target *= (0.7 * accuracy / (motion.error + cut)) ** BOLDER.get(name, 1.0)
+        if "finer" in WHERE[name]:
+            mesh = function(name, "finer")(body, load, points, accuracy, miss, **mesh)
+        else:
+            target *= 0.7 / miss
         try:
-            motion = finer(body, load, moments, points, accuracy=target, accuracy_of=accuracy_of, device=where)
+            motion = again(accuracy=target, **mesh)
         except SceneError as reason:
             why += f"; not solved finer: {reason}"
             break
@@ -285,19 +287,19 @@ def _first_that_can(
     accuracy: float,
     accuracy_of: Quantity,
     device: str,
-) -> tuple[str, Motion, str]:
+) -> tuple[Choice, Motion, str]:
     """The first solver of a list that doesn't refuse once it has begun, what it found, and why it, in words."""
     refused: list[str] = []
     for place, choice in enumerate(able):
         try:
-            run: HistorySolver = function(choice.name, "solve")
-            motion = run(body, load, times, at, accuracy=accuracy, accuracy_of=accuracy_of, device=device)
+            asked = {"accuracy": accuracy, "accuracy_of": accuracy_of, "device": device, **choice.found}
+            motion = function(choice.name, "solve")(body, load, times, at, **asked)
         except (SceneError, MemoryError) as reason:
             refused.append(f"{choice.name} refused: {reason}")
             continue
         others = ", ".join(f"{c.name} {seconds_in_words(c)}" for c in able[place + 1 :])
         words = [f"auto: predicted {seconds_in_words(choice)}", *([others] if others else []), *refused]
-        return choice.name, motion, "; ".join(words)
+        return choice, motion, "; ".join(words)
     raise SceneError("no solver can do this: " + "; ".join(refused))
 
 
@@ -316,7 +318,7 @@ def _by_name(
     refusal = None if resolution else function(name, "refusal")(body, load)
     if refusal is not None:
         raise SceneError(f"solver '{name}': {refusal}")
-    run: HistorySolver = function(name, "solve")
+    run: Callable[..., Motion] = function(name, "solve")
     known = inspect.signature(run).parameters
     for key in resolution:
         if key not in known:

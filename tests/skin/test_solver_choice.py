@@ -1,5 +1,6 @@
 """One call for every solver: who is chosen, what is refused, and what happens where an estimate misses."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -8,8 +9,8 @@ import pytest
 from palmfield.errors import SceneError
 from palmfield.skin import Motion, Sheet, Slab, Spot, choices, preset, solve, static
 from palmfield.skin import solver_choice as module
-from palmfield.skin.analytic.layer_oracle import centre_response
-from palmfield.skin.materials.material import kelvin_voigt
+from palmfield.skin.analytic.layer_oracle import centre_response, centre_responses
+from palmfield.skin.materials.material import bulk_from_poisson, kelvin_voigt
 from palmfield.skin.problem import QUANTITIES
 from palmfield.skin.solvers.particles.resolution import choose_spacing, law_error
 
@@ -219,6 +220,27 @@ def test_scenes_take_modes_where_runs_are_long_or_many(monkeypatch: pytest.Monke
         by_name = {choice.name: choice for choice in module.scene_choices(7_000, 100, 0, "it moves", 500, None)}
         kept.append(by_name["modal"].seconds)
     assert kept[1] < 0.5 * kept[0]
+
+
+def test_what_a_cost_has_found_is_not_computed_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The bulk modulus that is enough takes up to a second, and was looked for in the cost and in the solution."""
+    looked_up: list[int] = []
+    monkeypatch.setattr(module, "WHERE", {"spectral_elements": module.WHERE["spectral_elements"]})
+
+    def counted(frequencies: Any, *rest: Any) -> Any:
+        looked_up.append(len(frequencies))
+        return centre_responses(frequencies, *rest)
+
+    monkeypatch.setattr("palmfield.skin.approximation.reduce_bulk_modulus.centre_responses", counted)
+    stiff = replace(ECOFLEX, bulk_Pa=bulk_from_poisson(0.4995, ECOFLEX.shear_instant_Pa))
+    asked = (Slab((Sheet(stiff, 0.02),)), HELD, [1e-3, 2e-3], CENTRE)
+    motion = solve(*asked, accuracy=0.15, device="cpu")
+    once = len(looked_up)
+    choices(*asked, accuracy=0.15, device="cpu")
+    assert len(looked_up) == 2 * once > 0
+    by_name = solve(*asked, solver="spectral_elements", accuracy=0.15, device="cpu")
+    assert "bulk modulus" in motion.error_source
+    assert motion.error == by_name.error and np.array_equal(motion.displacement_m, by_name.displacement_m)
 
 
 def test_a_cost_that_cannot_be_computed_ends_no_run(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -52,7 +52,9 @@ def reduce_bulk_modulus(
                 f"{change:.2g}, above the accuracy of {accuracy:g}: leave it out, or use wedges or lateral_waves"
             )
         return result, change
-    if plain and (isinstance(body, Layer) or body.shape == "infinite"):
+    material = body.sheets[0].material
+    soft = material.bulk_Pa <= bulk_from_poisson(RATIOS[0], material.shear_instant_Pa)
+    if plain and not soft and (isinstance(body, Layer) or body.shape == "infinite"):
         try:
             change_of = relative_change(body, load, end_s, at)
             for nu in RATIOS:

@@ -110,10 +110,12 @@ def refine_until_converged(
     accuracy: float,
     pinned: bool,
     judged: int = 0,
+    taken: float = 0.0,
 ) -> ConvergedSolution:
     """Widen what absorbs, then add rows, then refine, until the errors fit the accuracy; at most ROUNDS times each.
 
     coarse: the solution of `now`, one mesh coarser; pinned: neither widen nor refine, only estimate the errors
+    taken: what other errors, not estimated here, take of the accuracy
     judged: place among QUANTITIES of the one whose error must fit
     """
     reach_error = np.zeros(3)
@@ -139,14 +141,15 @@ def refine_until_converged(
         now = replace(now, sizes=resized(now.sizes, 1.0 / ratio_of(body, now.sizes), 1.0))
         fine = run(now)
     mesh_error = error_by_meshes(coarse, fine)
+    left = max(accuracy - taken - float(rows_error[judged] + reach_error[judged]), 0.2 * accuracy)
     for _ in range(ROUNDS):
         room = min(FINEST_RATIO, (MOST_DOFS / fine.dofs) ** (1.0 / 3.0))
         # Rounded, so that another unit of load does not make another mesh
         ratio = max(
             ratio_of(body, now.sizes),
-            round(min((float(mesh_error[judged]) / (0.5 * accuracy)) ** (1.0 / 3.0), room), 2),
+            round(min((float(mesh_error[judged]) / (0.8 * left)) ** (1.0 / 3.0), room), 2),
         )
-        if pinned or mesh_error[judged] <= 0.6 * accuracy or fine.dofs * ratio**3 > MOST_DOFS:
+        if pinned or mesh_error[judged] <= left or fine.dofs * ratio**3 > MOST_DOFS:
             break
         now, coarse = replace(now, sizes=resized(now.sizes, 1.0 / ratio, 1.0)), fine
         fine = run(now)
@@ -190,17 +193,12 @@ def refine_in_depth(
     return now, coarse, error
 
 
-def same_mesh(one: MeshSolution, other: MeshSolution) -> bool:
-    """Whether two meshes have the same triangles, whatever the sizes that they were made for."""
-    return one.triangles == other.triangles
-
-
 def error_by_meshes(coarse: MeshSolution, fine: MeshSolution) -> Float:
     """Errors of the finer of two meshes from their difference, at MESH_ORDER and the edges that they really have, (3,).
 
     UNKNOWN where the two have the same triangles.
     """
-    if same_mesh(coarse, fine):
+    if coarse.triangles == fine.triangles:
         return np.full(3, UNKNOWN)
     ratio = max(math.sqrt(fine.triangles / coarse.triangles), LEAST_MORE)
     return error_of_finer(difference(fine, coarse), ratio, MESH_ORDER)

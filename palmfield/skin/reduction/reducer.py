@@ -84,6 +84,7 @@ def reduce(
     order: Int | None = None,
     points: int = 64,
     most_vectors: int = 1200,
+    beyond: bool = False,
 ) -> Reduced:
     """Reduced model of a body between its inputs and outputs, for any course of the inputs.
 
@@ -95,6 +96,7 @@ def reduce(
         which is closer at low w: sharper resonances are seen at this width. Relative to the largest answer at this or
         a higher frequency, or WEAK times the largest of all.
     order: elimination order of the unknowns, shape (n,), for the factor; None lets SuperLU choose
+    beyond: grow once more after that: a model that another is held against errs less than it, whatever both reach
     Raises SceneError for shapes that do not fit, a tolerance or band outside these ranges, or no end at most_vectors.
     """
     forces = np.asarray(inputs.toarray() if sparse.issparse(inputs) else inputs, dtype=float)
@@ -125,5 +127,8 @@ def reduce(
         return float((np.linalg.norm(now - before, axis=(1, 2)) / scale).max())
 
     _, error = grow_until(krylov, responses, change, tolerance, most_vectors)
+    target = krylov.order + ROUND
+    while beyond and krylov.order < target and krylov.grow():
+        pass
     vectors = krylov.vectors
     return Reduced(Projection(krylov.projected, dynamics.materials, vectors.T @ forces, read @ vectors), error)

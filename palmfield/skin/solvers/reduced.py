@@ -53,7 +53,7 @@ MOST_VECTORS = 300
 SHARE = 0.1
 """Part of the target accuracy that the reduction may take."""
 
-VECTORS = 60.0
+VECTORS = 33.0
 """Vectors that a model takes, about."""
 
 SAME_LENGTH = 1e-9
@@ -89,7 +89,7 @@ def patterns(load: Traction) -> tuple[Float, Float]:
 def cost_reduced(body: Body, load: Load, times: Float, at: Float, accuracy: float) -> float:
     """Predicted time [s] on one core, to a factor of a few."""
     dofs = last_dofs(body, load, at, accuracy)
-    return 0.1 + 1.15 * (assembly_s(dofs) + reduced_s(dofs, len(times) + len(load.times_s), VECTORS))
+    return 0.2 + 1.15 * (assembly_s(dofs) + reduced_s(dofs, len(times) + len(load.times_s), VECTORS))
 
 
 def solve_reduced(
@@ -128,7 +128,8 @@ def solve_reduced(
         models.append((order, error))
         return solution
 
-    result = refine_until_converged(body, now, run, run(now, ratio_of(body, now.sizes)), accuracy, False, judged)
+    coarse = run(now, ratio_of(body, now.sizes))
+    result = refine_until_converged(body, now, run, coarse, accuracy, False, judged, SHARE * accuracy)
     order, reduction = models[-1]
     return Motion(
         times_s=requested,

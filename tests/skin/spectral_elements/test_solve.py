@@ -10,10 +10,11 @@ from palmfield.skin.analytic.layer_oracle import centre_response
 from palmfield.skin.materials.catalogue import preset
 from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson
 from palmfield.skin.problem import ONLY_WEDGES, Foundation, Layer, Sheet, Slab, Spot
-from palmfield.skin.solvers.spectral_elements.mesh import plan
+from palmfield.skin.solvers.spectral_elements.mesh import build, plan
 from palmfield.skin.solvers.spectral_elements.model import SAFETY
 from palmfield.skin.solvers.spectral_elements.solve import (
     cost_spectral_elements,
+    finer_spectral_elements,
     likely_step,
     prepared,
     refusal_spectral_elements,
@@ -208,6 +209,25 @@ def test_cost_grows_with_what_is_asked():
     costs = [cost_spectral_elements(body, pressed(), np.array([t]), PLACES, a) for t, a in asked]
     assert costs[1] == pytest.approx(2.0 * costs[0], rel=0.1)
     assert costs[2] > 3.0 * costs[0]
+
+
+@pytest.mark.parametrize("layer", [False, True])
+def test_elements_that_missed_give_way_to_as_many_more_as_the_miss_needs(layer):
+    """They were the same ones again, or had ten times the cost."""
+    sheets = (Sheet(ECOFLEX, DEPTH),)
+    slab = Slab(sheets, "disc", "bonded", "fixed", radius_m=0.03)
+    body = Layer(disc_of_triangles(), sheets, "bonded", "fixed") if layer else slab
+
+    def nodes(**given):
+        return len(build(body, plan(body, pressed(), PLACES, 0.1, **given))[0].nodes)
+
+    first = nodes()
+    second = finer_spectral_elements(body, pressed(), PLACES, 0.1, 1.05)
+    assert 1.19 * first < nodes(**second) < 3.0 * first
+    third = finer_spectral_elements(body, pressed(), PLACES, 0.1, 1.05, **second)
+    assert nodes(**third) > 1.19 * nodes(**second)
+    # With the error by nodes^-1.5, 0.8 of the target
+    assert nodes(**finer_spectral_elements(body, pressed(), PLACES, 0.1, 4.0)) > (4.0 / 0.8) ** (2.0 / 3.0) * first
 
 
 def test_a_run_of_hours_is_refused_with_the_element_to_blame():

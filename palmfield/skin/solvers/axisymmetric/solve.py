@@ -117,7 +117,8 @@ def solve_axisymmetric(
     problem = _problem(body, load, times, points, accuracy, harmonics)
     first = degree or first_degree(accuracy)
     band = problem.band_Hz
-    tighter = _problem(body, load, times, points, max(TIGHTER * accuracy, TIGHTEST), harmonics)
+    # Both tolerances may be met by one size of the reduced models, whose error no difference would show then
+    tighter = replace(_problem(body, load, times, points, max(TIGHTER * accuracy, TIGHTEST), harmonics), beyond=True)
     while True:
         wider = BAND_STEP * max(band, tighter.band_Hz)
         finer, result = _motions([(tighter, first + 1, wider), (problem, first, band)], fine)
@@ -233,6 +234,7 @@ class _Problem:
     """What all resolutions share.
 
     share: pressure of each harmonic per peak; dropped: of those left out; path: mean error of its samples
+    beyond: whether its reduced models are larger than their tolerance takes
     """
 
     body: Slab
@@ -246,6 +248,7 @@ class _Problem:
     path: float
     tolerance: float
     band_Hz: float
+    beyond: bool = False
 
 
 @dataclass(frozen=True)
@@ -396,8 +399,9 @@ def _harmonic(grid: DiscGrid, problem: _Problem, m: int, band_Hz: float) -> tupl
         problem.tolerance if m < 2 else min(0.1, problem.tolerance * float(problem.share.max() / problem.share[m]))
     )
     shape = _SpotShape(
-        grid, m, problem.load.fwhm_m, near, far, tuple(radii.tolist()), band_Hz, tolerance, problem.tolerance
-    )
+        grid, m, problem.load.fwhm_m, near, far, tuple(radii.tolist()), band_Hz, tolerance, problem.tolerance,
+        problem.beyond,
+    )  # fmt: skip
     # A spot that moves has tens of models, which would push those of spots at rest out
     small, table, shares = _kept(shape) if far == 0.0 else _small(shape)
     if shares is None:
@@ -424,6 +428,7 @@ class _SpotShape:
     band_Hz: float
     tolerance: float
     shape_tolerance: float
+    beyond: bool
 
 
 def _small(of: _SpotShape) -> tuple[Reduced, Float, Float | None]:
@@ -443,7 +448,7 @@ def _small(of: _SpotShape) -> tuple[Reduced, Float, Float | None]:
     else:
         forces, shares = principal_shapes(forces, of.shape_tolerance)
     reader = of.grid.face_reader(np.array(of.radii_m)) @ system.spread
-    return reduce(system, forces, reader, (0.0, of.band_Hz), of.tolerance), table, shares
+    return reduce(system, forces, reader, (0.0, of.band_Hz), of.tolerance, beyond=of.beyond), table, shares
 
 
 _kept = lru_cache(maxsize=KEPT)(_small)

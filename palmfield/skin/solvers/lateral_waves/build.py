@@ -14,7 +14,7 @@ from palmfield.skin.solvers.lateral_waves.depth import depth_problem
 from palmfield.skin.solvers.lateral_waves.drive import spot_transform
 from palmfield.skin.solvers.lateral_waves.modes import FaceModes, face_modes, still_modes
 from palmfield.skin.solvers.lateral_waves.radial import compute_modes, radial_rule
-from palmfield.skin.solvers.lateral_waves.resolution import Resolution
+from palmfield.skin.solvers.lateral_waves.resolution import SUDDEN_1_S, Resolution
 from palmfield.skin.solvers.lateral_waves.waves import (
     WaveSet,
     fourier_bessel,
@@ -40,6 +40,9 @@ MODES = 0.1
 """Tolerance of the modes in depth relative to that of the wavenumbers, whose panels see a change of modes as a kink."""
 LOOSEST = 0.03
 """Loosest tolerance of the modes in depth, at wavenumbers that the load hardly has."""
+JUMP = 0.05
+"""The same after a sudden load, in a run that tells another's error: modes are left out by their displacement, and the
+velocity that they take along falls by the root of that at best, or not at all from one tolerance to a fifth of it."""
 RINGS = 60
 
 
@@ -129,7 +132,8 @@ def build_waves(
 ) -> tuple[WaveSet, Float | None]:
     """Waves for a load on a slab, for points (n, 2) and times up to horizon_s [s] after its begin; and the panels of
     wavenumbers of an endless slab, which a finer set may begin with. still: modes that come to rest at once, at the
-    static answer; farther: with a wavenumber of a disc or box beyond those that the resolution asks for."""
+    static answer; farther: with a wavenumber of a disc or box beyond those that the resolution asks for, and more modes
+    after sudden loads."""
     if isinstance(load, Spot):
         k_end = resolution.cut(load.fwhm_m)
         sources = load.centres()
@@ -150,6 +154,8 @@ def build_waves(
     def modes_at(k: float) -> FaceModes:
         share = float(profile(np.array([k]))[0] / profile(np.zeros(1))[0])
         tolerance = MODES * min(resolution.tolerance / max(share, 1e-12), LOOSEST)
+        if farther and resolution.pace_1_s > SUDDEN_1_S:
+            tolerance *= JUMP
         problem = depth_problem(body, k, resolution.degrees(body, k))
         return still_modes(problem) if still else face_modes(problem, horizon_s, tolerance)
 

@@ -10,7 +10,7 @@ import warp as wp
 
 from palmfield.device import resolve
 from palmfield.errors import SceneError
-from palmfield.skin.approximation.load_scales import edge_is_felt
+from palmfield.skin.approximation.load_scales import edge_is_felt, motion_width
 from palmfield.skin.approximation.reduce_bulk_modulus import reduce_bulk_modulus
 from palmfield.skin.approximation.richardson import differences, error_of_coarser, error_of_finer
 from palmfield.skin.approximation.trim_absorbing_rim import refusal_of_spot
@@ -79,6 +79,13 @@ MAKING = (0.012, 6e-5)
 LIKELY = 1.2
 """Step that is likely over the one found: 1.05 to 1.4 on 11 slabs and layers without much viscosity."""
 
+REPEATED, FEW, THIN = (1.2, 3.0), 50, 0.5
+"""Seconds of all solutions of a slab over those of the first; the second on discs of less than FEW elements where a
+held edge is felt (8 of 20 missed) and where it is THIN, in widths of the load (8 of 11)."""
+
+BY_NODES, ROOM, MOST_MISS = 1.5, 0.8, 10.0
+"""Power of its nodes by which a mesh's error falls, 0.4 to 2.5 on 40 bodies; share of the target; miss at once."""
+
 GPU_COST = (0.035e-9, 0.1e-9, 5e-6)
 """The same on a GPU: layers of 13 k to 40 k elements of order 1 and 2 on an H200."""
 
@@ -111,10 +118,10 @@ def cost_spectral_elements(
 ) -> float:
     """Predicted seconds of `solve_spectral_elements`, from the size of its mesh and its step.
 
+    body: with the bulk modulus that it takes (reduce_bulk_modulus)
     Raises SceneError above LONGEST_S.
     """
     points = np.atleast_2d(np.asarray(at, dtype=float))
-    body, _ = reduce_bulk_modulus(body, load, float(np.max(times)), points, accuracy, None)
     chosen, singular = plan(body, load, points, accuracy), edge_is_felt(body, load, points)
     total = 0.0
     requested, start = np.asarray(times, dtype=float), float(load.times_s[0])
@@ -134,7 +141,20 @@ def cost_spectral_elements(
                 f"spectral elements would take about {total:.2g} s in steps of {step:.2g} s, above {LONGEST_S:g} s: "
                 "use solver 'wedges'"
             )
-    return total
+    if isinstance(body, Layer):
+        return total
+    few = singular and body.shape == "disc" and len(build(body, chosen)[0].elements) < FEW
+    return total * REPEATED[few or body.thickness_m < THIN * motion_width(body, load)]
+
+
+def finer_spectral_elements(body: Body, load: Load, at: Float, accuracy: float, miss: float, **last: Any) -> Any:
+    """Order, width and depth of likely elements where the `last` ones, if not the first, missed by a factor `miss`."""
+    finer = plan(body, load, at, accuracy, **last)
+    wanted = (min(miss, MOST_MISS) / ROOM) ** (1.0 / BY_NODES) * len(build(body, finer)[0].nodes)
+    while len(build(body, finer)[0].nodes) < wanted:
+        accuracy *= ROOM
+        finer = plan(body, load, at, accuracy)
+    return {"order": finer.order, "size_m": finer.size_m, "deep": finer.deep}
 
 
 def comparison_plan(body: Body, chosen: Plan, singular: bool) -> Plan:
@@ -200,6 +220,7 @@ def solve_spectral_elements(
     precision: str = "float32",
     nu_at_most: float | None = None,
     estimate: bool = True,
+    softened: tuple[Body, float] | None = None,
 ) -> Motion:
     """Motion of the face by explicit spectral elements, matrix-free (Patera 1984; Komatitsch & Vilotte 1998).
 
@@ -211,6 +232,7 @@ def solve_spectral_elements(
     as it is. What it changes is in the error
     accuracy, accuracy_of: target relative error, and of what
     estimate: False leaves the second run out; the error is then NaN
+    softened: what reduce_bulk_modulus returns for the body, where it is known
     Raises SceneError for a problem that `refusal_spectral_elements` names, an element inside out, a step above the
     stable one, times that do not rise, and points off the face.
     """
@@ -231,7 +253,7 @@ def solve_spectral_elements(
             f"solver 'spectral_elements': deep is {deep}; give 1 or more for each of {len(body.sheets)} sheets"
         )
     points = np.atleast_2d(np.asarray(at, dtype=float))
-    body, bulk_error = reduce_bulk_modulus(body, load, float(requested[-1]), points, accuracy, nu_at_most)
+    body, bulk_error = softened or reduce_bulk_modulus(body, load, requested[-1], points, accuracy, nu_at_most)
     reason = refusal_spectral_elements(body, load)
     if reason is not None:
         raise SceneError(reason)
