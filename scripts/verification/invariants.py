@@ -42,7 +42,8 @@ Changes are those of all nodes and steps together, ||changed - own|| / ||own||, 
 LAST = """## Limits
 
 ARP and force: single precision ({rounding:g}; p0 x 2: {p0:g}, as the sound moves what feels it). Displacement:
-a tenth of the error that modes or the small model state; without these of the scene's key `accuracy`. {over} `tests/test_invariants.py` holds smaller scenes to the same limits. Where more is allowed:
+a tenth of the error that modes or the small model state; without these of the scene's key `accuracy`. {over}
+`tests/test_invariants.py` holds smaller scenes to the same limits. Where more is allowed:
 
 - step / 2 (up to the `accuracy`): what leads a hand moves once in a step of MuJoCo's, and its integrator is of first
   order in the step.
@@ -50,8 +51,8 @@ a tenth of the error that modes or the small model state; without these of the s
   stays between two keys in each of them ([motion](../motion.md)). Between keys it depends on these axes: this hand is
   {apart_mm:.2f} mm elsewhere. Exchanging the axes changes nothing.
 
-A left hand has the mirror image of the right one's mesh, and discs are their own mirror images: {elsewhere:.2g} % of the
-nodes of mirrored scenes lie elsewhere, at most.
+A left hand has the mirror image of the right one's mesh, and discs are their own mirror images: {elsewhere:.2g} % of
+the nodes of mirrored scenes lie elsewhere, at most.
 """
 
 
