@@ -307,7 +307,7 @@ def _numbers(
     for name, numbers in stimuli.items():
         if turned := numbers.get("phase_turn_times_s"):
             LOG.warning(
-                "the phases between the foci of stimulus '%s' turn at once %d times, first at %.6g s, where two "
+                "the phases between the foci of stimulus '%s' turn at once (count: %d, first at %.6g s), where two "
                 "eigenvalues cross: drive and sound may jump there, as they would on a real board", name, len(turned),
                 turned[0],
             )  # fmt: skip

@@ -70,7 +70,7 @@ def test_turns_are_counted_and_named_where_the_drive_jumps(small_scene, tmp_path
     times, changed = changes(result)
     assert sorted(times[changed > 0.5]) == pytest.approx(numbers["phase_turn_times_s"], abs=1e-6)
     (line,) = [record.getMessage() for record in caplog.records if "turn at once" in record.getMessage()]
-    assert f"'stimulus' turn at once 2 times, first at {numbers['phase_turn_times_s'][0]:.6g} s" in line
+    assert f"'stimulus' turn at once (count: 2, first at {numbers['phase_turn_times_s'][0]:.6g} s)" in line
 
 
 @pytest.mark.parametrize(
