@@ -265,12 +265,14 @@ def of_moments(course: EmittedCourse, weights: Float) -> MeanDrives:
         return SILENCE if course.unit is None or level == 0.0 else of_one(course.unit, level)
     if course.parts is not None:
         return MeanDrives(*course.parts, weights)
-    emitted = rows(course)
-    powers, shares = np.linalg.eigh(emitted @ emitted.conj().T)
+    counted = weights > 0.0
+    roots = np.sqrt(weights[counted])[:, None]
+    scaled = roots * rows(course)[counted]
+    powers, shares = np.linalg.eigh(scaled @ scaled.conj().T)
     kept = powers > NEGLIGIBLE * powers[-1]
     if not np.logical_or.reduce(kept):
         return SILENCE
-    return MeanDrives(shares.conj().T[kept] @ emitted, np.ascontiguousarray(shares[:, kept]), weights)
+    return MeanDrives(shares.conj().T[kept] @ scaled, shares[:, kept] / roots, weights[counted])
 
 
 def _moves_alone(model: HapticModel, drives: list[ArrayDrive]) -> bool:
