@@ -13,7 +13,7 @@ from palmfield.acoustics.air import absorption_Np_m, sound_speed
 from palmfield.acoustics.focus import focus
 from palmfield.acoustics.reference import directivity
 from palmfield.drive.board import Board, play
-from palmfield.drive.foci import solve_foci, together
+from palmfield.drive.foci import leading_vector, solve_foci, together
 from palmfield.errors import DeviceError, SceneError
 from palmfield.stimulus.focal_points import FocalPoints
 from palmfield.types import Air, Array, Complex, Float, Int
@@ -344,6 +344,12 @@ class ArrayDrive:
         phases = np.zeros(len(self.chosen), np.complex128)
         phases[facing] = together(self._transfer(distances, heights)[:, facing], loudness)
         return phases
+
+    def leading_of(self, foci: Float, loudness: Float) -> Complex:
+        """What the phases of foci at once [m], shape (m, 3), begin with (`leading_vector`); loudness: shape (m,)"""
+        distances, heights = self._rays(*foci.T[:, :, None])
+        facing = np.logical_and.reduce(heights > 0.0, axis=0)
+        return leading_vector(self._transfer(distances, heights)[:, facing], loudness)
 
     def _check_several(self, foci: Float, facing: Bool) -> None:
         """Raises SceneError for foci at once that can't be: none faces them all, they are too many or coincide."""

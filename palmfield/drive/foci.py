@@ -22,7 +22,7 @@ from palmfield.errors import SceneError
 from palmfield.types import Air, Array, Complex, Float
 
 Method = Literal["naive", "gs", "gsw", "lbfgs", "tikhonov"]
-ITERATIONS: dict[Method, int] = {"naive": 0, "gs": 50, "gsw": 80, "lbfgs": 300, "tikhonov": 0}
+ITERATIONS: dict[Method, int] = {"naive": 0, "gs": 2, "gsw": 80, "lbfgs": 300, "tikhonov": 0}
 """Iterations that each method may take by default; the first and last are direct."""
 
 MOST_ITERATIONS = 100_000
@@ -43,10 +43,13 @@ louder; at 0.6 it was one in fifty, at 0.4 none of 400. More foci settle at any 
 """
 
 FREE = 2
-"""Iterations of "gsw" that may turn the phases of the foci; the rest mend their weights alone.
+"""Iterations of "gsw" that may turn the phases of the foci; the rest mend their weights alone. "gs" ends there.
 
-With all of 80 free, 45 of 2,856 steps of 20 um of 2 to 5 foci turned the drive by more than 0.15 of itself, as poses on
-either side of a separatrix end at different optima; with 2 none, for at most 0.8 % of mean pressure on average.
+With all free, poses on either side of a separatrix end at different optima. Of 5,712 steps of 20 um of 2 to 5 foci "gs"
+with 50 turned the drive by more than 0.15 of itself in 52 (by 1.5 at most), with 2 in 22 (0.28), for at most 0.6 % of
+mean pressure on average (7 % of the quietest of 16 foci). "gsw": 0 of the half by which this was chosen (45 before), 14
+of the other half (0.27), where its first phases alone have 12 (0.2); "naive" and "tikhonov" 0 of 4,284;
+"lbfgs" 14 of 720 (0.58). Two of 256 transducers that turn by pi make 0.18.
 """
 
 SHARPNESS = (10.0, 40.0, 160.0, 640.0)
@@ -168,9 +171,11 @@ def solve_transfer(
 
     method:
         "naive": the sum of the single foci under random phases, its amplitude set to 1 (Di Leonardo's "SR")
-        "gs": Gerchberg-Saxon between the foci's magnitudes and the drive's (Di Leonardo et al. 2007)
+        "gs": Gerchberg-Saxon between the foci's magnitudes and the drive's (Di Leonardo et al. 2007); more
+            iterations than FREE are somewhat louder, but foci that move may get drives that jump
         "gsw": the same with weights that make the foci as loud as wanted (the same paper), phases kept after FREE
-        "lbfgs": phases that raise the quietest focus, by L-BFGS on a soft minimum with its exact gradient
+        "lbfgs": phases that raise the quietest focus, by L-BFGS on a soft minimum with its exact gradient;
+            not for foci that move: of steps of 20 um one in fifty made the drive jump
         "tikhonov": amplitudes and phases, by regularised least squares (after Long et al. 2014), scaled to max |a| = 1
     The first four drive every live transducer fully. All but the first begin with the phases of `reinforcing_phases`.
     The common phase of the drive is that of `in_gauge`.
@@ -267,10 +272,16 @@ def reinforcing_phases(matrix: Complex, targets: Float) -> Complex:
     G = H H* and W = diag(target_k/G_kk); its dominant eigenvector is found from the Hermitian form of the same problem.
     From here "gsw" ends about as loud as from the best of ten random starts (docs/bench/foci.md).
     """
+    leading = leading_vector(matrix, targets)
+    return np.exp(1j * np.arctan2(leading.imag, leading.real))
+
+
+def leading_vector(matrix: Complex, targets: Float) -> Complex:
+    """The eigenvector of `reinforcing_phases`, shape (m,), of norm 1: where two eigenvalues cross it is another one."""
     half = np.sqrt(targets / np.add.reduce(np.abs(matrix) ** 2, axis=1))
     scaled = matrix * half[:, None]
-    leading = np.linalg.eigh(scaled @ scaled.conj().T)[1][:, -1]
-    return np.exp(1j * np.arctan2(leading.imag, leading.real))
+    leading: Complex = np.linalg.eigh(scaled @ scaled.conj().T)[1][:, -1]
+    return leading
 
 
 def superposed(matrix: Complex, targets: Float, phases: Complex) -> tuple[Complex, Float]:

@@ -89,8 +89,8 @@ def hand_surface(preset: HandPreset, edge_m: float = 0.003) -> HandSurface:
 
 def mirrored_surface(surface: Surface) -> Surface:
     """The other hand's, across x = 0."""
-    vertices, faces = surface.vertices * MIRROR, np.ascontiguousarray(surface.faces[:, ::-1])
-    return Surface(vertices, faces, vertex_normals(vertices, faces))
+    faces = np.ascontiguousarray(surface.faces[:, ::-1])
+    return Surface(surface.vertices * MIRROR, faces, surface.normals * MIRROR)
 
 
 def centred_skeleton(preset: HandPreset) -> Skeleton:

@@ -15,6 +15,7 @@ from palmfield.hand.triangles import vertex_normals
 from palmfield.outputs.schema import MUJOCO_SCENE, Arrays, group, sensor_channels
 from palmfield.session.loudest_moment import LoudestMoment
 from palmfield.session.mujoco_scene import mujoco_arrays
+from palmfield.session.phase_turns import PhaseTurns
 from palmfield.simulation.emission import Emission
 from palmfield.simulation.model import HapticModel, SkinModel
 from palmfield.simulation.posed_scene import PosedScene
@@ -66,6 +67,7 @@ class Recorder:
     loudest: by skin, the moment of the highest ARP on it so far, None where no sound pushed it
     peak_drive: largest amplitude that each transducer was told so far, relative to full drive, shape (N,)
     begun_s: MuJoCo's clock when it started [s]
+    turns: of each stimulus, where the phases between its foci turned at once
     """
 
     def __init__(self, runtime: SceneRuntime, world: World, sink: Sink, body_poses: Callable[[], Float]):
@@ -76,6 +78,7 @@ class Recorder:
         self.loudest: list[LoudestMoment | None] = [None] * len(self.model.skins)
         self._loudest_Pa = [0.0] * len(self.model.skins)
         self.peak_drive: Float = np.zeros(len(self.model.arrays))
+        self.turns = [PhaseTurns() for _ in self.model.stimuli]
         self._drive: Complex | None = None
         self._trace: StepTrace | None = None
         self.begun_s = 0.0
@@ -200,11 +203,14 @@ class Recorder:
         return sound
 
     def _add_stimuli(self, block: Block, times: Float, posed: PosedScene) -> None:
-        foci = self.runtime.work.emission.foci(posed, times)
-        for part, places in zip(self.model.stimuli, foci, strict=True):
-            _, factors = frames_at(part.config, times)
+        emission = self.runtime.work.emission
+        placed, foci = emission.placed(posed, float(times[0])), emission.foci(posed, times)
+        for (part, drive, now), places, turns in zip(placed, foci, self.turns, strict=True):
+            points, factors = frames_at(part.config, times)
             world = posed.array_frame.points(places.reshape(-1, 3)).reshape(places.shape)
             sounding = (factors > 0.0) & (not part.silent)
+            for i in np.flatnonzero(sounding) if places.shape[1] > 1 else ():
+                turns.see(float(times[i] - self.begun_s), drive, places[i], now.loudness(points[i]))
             block[group("stimulus", part.spec.name)] = {"foci": world, "sounding": sounding}
 
     def _add_drive(self, block: Block, times: Float, posed: PosedScene) -> None:

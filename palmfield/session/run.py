@@ -303,7 +303,15 @@ def _numbers(
             begun_s=recorder.begun_s,
         )
     run = recorder.loudest, recorder.peak_drive
-    return scene_numbers(sim, *run), skins, stimulus_numbers(sim, *run)
+    stimuli = stimulus_numbers(sim, *run, recorder.turns)
+    for name, numbers in stimuli.items():
+        if turned := numbers.get("phase_turn_times_s"):
+            LOG.warning(
+                "the phases between the foci of stimulus '%s' turn at once (count: %d, first at %.6g s), where two "
+                "eigenvalues cross: drive and sound may jump there, as they would on a real board", name, len(turned),
+                turned[0],
+            )  # fmt: skip
+    return scene_numbers(sim, *run), skins, stimuli
 
 
 def _whole_summary(

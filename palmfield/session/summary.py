@@ -17,6 +17,7 @@ from palmfield.session.array_inputs import p0_band_at
 from palmfield.session.error_budget import error_budget
 from palmfield.session.loudest_moment import LoudestMoment, loudest_place
 from palmfield.session.numerical_error import Course, error_estimate
+from palmfield.session.phase_turns import PhaseTurns
 from palmfield.session.sensation_levels import felt_levels
 from palmfield.session.simulation import Simulation
 from palmfield.simulation.model import HapticModel, array_instances
@@ -124,7 +125,10 @@ def _or_reason(estimate: Callable[[], T]) -> T | str:
 
 
 def stimulus_numbers(
-    simulation: Simulation, loudest: Iterable[LoudestMoment | None], peak_drive: Float | None = None
+    simulation: Simulation,
+    loudest: Iterable[LoudestMoment | None],
+    peak_drive: Float | None = None,
+    turns: Iterable[PhaseTurns] = (),
 ) -> dict[str, dict[str, Any]]:
     """Of each stimulus, by name: `drive_level`, the largest amplitude of its transducers at the skins' loudest moments.
 
@@ -133,13 +137,20 @@ def stimulus_numbers(
     any skin it is what the transducers were told: the array may have run beside them.
 
     peak_drive: largest amplitude that each transducer was told in the run, shape (N,); 0 by default
+    turns: of each stimulus; one of several foci has `phase_turns`, their number, and `phase_turn_times_s` [s]
     """
     model = simulation.runtime.model
     moments = list(loudest)
     levels = drive_levels(model, moments)
     if peak_drive is not None and not any(moments):
         levels = [float(peak_drive[stimulus.transducers].max()) for stimulus in model.stimuli]
-    return {part.spec.name: {"drive_level": level} for part, level in zip(model.stimuli, levels, strict=True)}
+    result: dict[str, dict[str, Any]] = {
+        part.spec.name: {"drive_level": level} for part, level in zip(model.stimuli, levels, strict=True)
+    }
+    for part, turned in zip(model.stimuli, turns, strict=False):
+        if len(part.offsets):
+            result[part.spec.name] |= {"phase_turns": len(turned.times), "phase_turn_times_s": turned.times}
+    return result
 
 
 def array_numbers(model: HapticModel) -> dict[str, dict[str, Any]]:

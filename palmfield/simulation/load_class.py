@@ -151,7 +151,7 @@ def examples(model: HapticModel, skin: int, posed: PosedScene) -> Float:
 
     Where the skin's sound has shadows, those of the examples lie anywhere, whatever casts one in the reference.
     """
-    rng = np.random.default_rng(0)
+    rng, shading = np.random.default_rng(0), np.random.default_rng(1)
     arrays, layer = posed.arrays, model.skins[skin].layer
     surface = SurfaceArp(arrays.field, len(layer.quadrature.weights), model.skins[skin].spec.arp_law)
     frame = posed.skins[skin].body.frame
@@ -161,24 +161,24 @@ def examples(model: HapticModel, skin: int, posed: PosedScene) -> Float:
     offsets = (posed.skins[skin].quadrature[0] - centre) @ axes
     gap = float(np.linalg.norm(arrays.array.positions - centre, axis=1).min())
     sources = _sources(arrays, centre, axes)
-    loads = []
+    loads: list[Float] = []
+    edges = _has_edges(model.skins[skin].spec)
     for shift, tilt, one, two in MOVES:
         way = np.array(shift) * min(1.0, NEAREST * gap / max(float(np.linalg.norm(shift)), 1e-9))
         single = _foci(rng, offsets, region, -(-one // len(sources)))
         pairs = _foci(rng, offsets, region, 2 * -(-two // len(sources) ** 2))
         phases = np.exp(2j * math.pi * rng.random(pairs.shape[1] // 2))
+        lit = [_lit(offsets, region, count, shading) for count in (single.shape[1], len(phases)) if edges]
         for move in _images_of(np.array([*way, *tilt])):
             turn = axes @ Rotation.from_rotvec([*move[3:], 0.0]).as_matrix() @ axes.T
             moved = _moved(model, skin, posed, centre, turn, axes @ move[:3]) if move.any() else posed
             points, normals = moved.skins[skin].quadrature
             here, origin = turn @ axes, moved.skins[skin].body.frame.points(middle)
-            drives = _drives(model, arrays, sources, origin + single @ here.T, origin + pairs @ here.T, phases)
+            drives, numbers = _drives(model, arrays, sources, origin + single @ here.T, origin + pairs @ here.T, phases)
             arp = surface.evaluate_many(points, normals, drives).astype(np.float64)
-            loads.append(arp / np.sqrt((arp**2 @ layer.quadrature.weights).max()))
-    alone = np.concatenate(loads)
-    if not _has_edges(model.skins[skin].spec):
-        return alone
-    return np.concatenate([alone, alone * _lit(offsets, region, len(alone), rng)])
+            arp /= np.sqrt((arp**2 @ layer.quadrature.weights).max())
+            loads += [arp, arp * np.concatenate(lit)[numbers]] if edges else [arp]
+    return np.concatenate(loads)
 
 
 def _skin_axes(layer: SceneLayer, middle: Float, region_m: float) -> Float:
@@ -247,16 +247,18 @@ def _has_edges(skin: SkinSpec) -> bool:
 
 
 def _lit(offsets: Float, region_m: float, count: int, rng: np.random.Generator) -> NDArray[np.bool_]:
-    """Which points lie outside the shadow of a straight finger, or of all beyond a straight edge, shape (count, q).
+    """Which points lie outside the shadow of a straight finger, or of all beyond a straight edge, and of its images.
 
     offsets: of the points from the region's middle in the skin's frame [m], shape (q, 3)
+    Returns shape (images * count, q), image by image, as foci come.
     """
     angle = 2.0 * math.pi * rng.random((count, 1))
-    beyond = np.hstack([np.cos(angle), np.sin(angle)]) @ offsets[:, :2].T
+    across = np.hstack([np.cos(angle), np.sin(angle)])
+    beyond = np.array([across @ (offsets @ image)[:, :2].T for image in _images()])
     beyond -= rng.uniform(-region_m, region_m, (count, 1))
     half = 0.5 * rng.uniform(*FINGER_m, (count, 1))
     finger = rng.random((count, 1)) < 0.5
-    return np.where(finger, np.abs(beyond) > half, beyond > 0.0)
+    return np.where(finger, np.abs(beyond) > half, beyond > 0.0).reshape(-1, len(offsets))
 
 
 def _moved(model: HapticModel, skin: int, posed: PosedScene, centre: Float, turn: Float, shift_m: Float) -> PosedScene:
@@ -275,9 +277,10 @@ def _moved(model: HapticModel, skin: int, posed: PosedScene, centre: Float, turn
 
 def _drives(
     model: HapticModel, arrays: PhasedArray, sources: Sequence[Int], single: Float, pairs: Float, phases: Complex
-) -> Complex:
+) -> tuple[Complex, Int]:
     """Drives of each source for single foci, and of each two sources for pairs of foci, shape (d, N).
 
+    And for which of the foci, and then the pairs, each is, shape (d,): none is for what lies behind an array.
     sources: transducers, see `_sources`; single, pairs: foci, array frame [m], shapes (i, s, 3) and (i, 2 p, 3)
     phases: of the second focus of each pair, as a factor, shape (p,)
     """
@@ -289,19 +292,18 @@ def _drives(
         except SceneError:
             return None  # behind the array
 
-    made = [amplitudes(drive, focus) for foci in single for focus in foci for drive in drives]
-    for foci in pairs:
-        both = zip(foci[::2], foci[1::2], phases, strict=True)
-        parts = [([amplitudes(d, a) for d in drives], [amplitudes(d, b) for d in drives], p) for a, b, p in both]
-        for first, second, phase in parts:
-            made += [
-                0.5 * (one + phase * other)
-                for one in first for other in second if one is not None and other is not None
-            ]  # fmt: skip
-    heard = [drive for drive in made if drive is not None]
+    alone = single.reshape(-1, 3)
+    made = [(number, amplitudes(drive, focus)) for number, focus in enumerate(alone) for drive in drives]
+    for number, both in enumerate(pairs.reshape(-1, 2, 3)):
+        first, second = ([amplitudes(drive, focus) for drive in drives] for focus in both)
+        made += [
+            (len(alone) + number, 0.5 * (one + phases[number % len(phases)] * other))
+            for one in first for other in second if one is not None and other is not None
+        ]  # fmt: skip
+    heard = [(number, drive) for number, drive in made if drive is not None]
     if not heard:
         raise SceneError("no modes of this skin: none of the arrays' transducers faces it in the reference pose")
-    return np.array(heard)
+    return np.array([drive for _, drive in heard]), np.array([number for number, _ in heard], dtype=np.int32)
 
 
 def corner_Hz(stimulus: StimulusModel, spot_m: float) -> float:

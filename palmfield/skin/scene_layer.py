@@ -186,10 +186,9 @@ class SceneLayer:
             edges = sizes.edge_fine_m, sizes.edge_coarse_m, sizes.fine_radius_m
             return disc_patch(config.radius_m, config.thickness_m, *edges, (x, y))
         assert self.surface is not None
-        surface, mirror = self.surface, np.ones(3)
-        if config.shape in OF_SHAPES["hand"] and load_preset(config.hand).side == "left":
-            # A left hand's skin gets the mirror image of the right one's mesh, as its surface is
-            surface, mirror = mirrored_surface(surface), MIRROR
+        # A left hand's skin gets the mirror image of the right one's mesh, as its surface is
+        left = config.shape in OF_SHAPES["hand"] and load_preset(config.hand).side == "left"
+        surface, mirror = (mirrored_surface(self.surface), MIRROR) if left else (self.surface, np.ones(3))
         # A hand knows where its bones are, so the layer may reach past the middle; any other body is all there is.
         fraction = 0.45 if config.shape in ("mesh", "rigged", "cylinder") else 0.6
         patch = self.with_keys(
@@ -206,10 +205,9 @@ class SceneLayer:
                 fine_at=(self.centre_m + beside) * mirror if any(beside) else None,
             )
         )
-        if mirror is MIRROR:
-            patch = replace(
-                patch, vertices=patch.vertices * MIRROR, inward=patch.inward * MIRROR, faces=patch.faces[:, ::-1].copy()
-            )
+        if left:
+            faces = patch.faces[:, ::-1].copy()
+            patch = replace(patch, vertices=patch.vertices * mirror, inward=patch.inward * mirror, faces=faces)
         through = patch.report["through_m"]
         if "depth_m" in config.model_fields_set and config.depth_m > through:
             raise SceneError(

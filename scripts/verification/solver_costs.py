@@ -136,9 +136,9 @@ def page(seed: int, rows: list[dict[str, Any]]) -> str:
         f"{within(ratios, 5.0)}; median of measured / predicted {np.median(ratios):.2f}.**",
         "",
         "What is not known before is how often a target accuracy makes a solver refine: a problem is solved up to four "
-        "times, and spectral elements on few elements or a patch's own triangles jump far below the target then. "
-        "Nor are the choice itself on layers and endless sheets, where the bulk modulus that is enough is looked for "
-        "(0.05 to 1.3 s), and how many vectors large discs with small losses take.",
+        "times. The next mesh comes from the error of the one before (`finer_spectral_elements`), and a likely second "
+        "solution is in the cost. What is left: meshes of wedges and reduced models under a held edge and on thin "
+        "sheets, whose errors fall slowly, and the search for a bulk modulus that is enough on layers (up to 1 s).",
         "",
         "| kind | cases | within 2 | within 3 | median measured / predicted |",
         "|---|---|---|---|---|",

@@ -6,10 +6,10 @@ from scipy.spatial import cKDTree
 
 from palmfield.errors import SceneError
 from palmfield.hand.meshquery import exit_distances
-from palmfield.hand.preset import load_preset
+from palmfield.hand.preset import load_preset, mirrored
 from palmfield.hand.skeleton import Bone
 from palmfield.hand.surface import bone_distance, centred_skeleton, hand_surface, skin_distance
-from palmfield.hand.triangles import corner_angles, unique_edges
+from palmfield.hand.triangles import corner_angles, unique_edges, vertex_normals
 
 PRESETS = ("open_men_p50", "open_women_p50")
 
@@ -38,6 +38,11 @@ def self_intersections(vertices, faces):
     pierces = side(a, b, c, p) * side(a, b, c, q) < 0
     turns = np.stack([side(p, q, a, b), side(p, q, b, c), side(p, q, c, a)])
     return int((pierces & (np.abs(turns.sum(axis=0)) == 3)).sum())
+
+
+def test_a_left_hand_has_the_normals_of_its_triangles():
+    left = hand_surface(mirrored(load_preset("open_men_p50"))).surface
+    np.testing.assert_allclose(left.normals, vertex_normals(left.vertices, left.faces), atol=1e-12)
 
 
 def test_the_intersection_counter_sees_two_crossing_spheres():

@@ -23,7 +23,7 @@ MANY = 400
 """Shapes from which pivoted QR takes seconds, and LU a tenth of that."""
 BLOCK = 2048
 """Points at which pressures are held in double precision at a time."""
-CLOSENESS = 0.03
+CLOSENESS = 0.003
 """Of the tolerance, what the examples that are taken may leave out of the others: which ones are taken hardly matters
 then."""
 LEVEL = 0.005

@@ -221,7 +221,7 @@ def told(row: Row) -> str:
     tried = [(_by_itself(row, one), one) for one in row.tried]
     tried += [(f"control {name}", one) for name, one in row.controls.items()]
     tried += [(f"cause: {what}", one) for what, one in row.causes]
-    tried += [(f"later: {what}", one) for what, one in row.later]
+    tried += [(f"later: {what}", one) for what, one in (*row.later, *row.found_later)]
     for what, one in tried:
         ours, error, band = _ours(one)
         lines.append(f"  {what}: {ours} (error {error}, band {band}), distance {_distance(one)} {_note(one)}".rstrip())

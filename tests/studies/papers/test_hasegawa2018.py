@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import j1
 
-from palmfield.acoustics.air import absorption_Np_m
+from palmfield.acoustics.air import absorption_Np_m, density, sound_speed
 from palmfield.drive.response import Pole, filter_frames
 from palmfield.studies.papers.answer import Setting
 from palmfield.studies.papers.entries import book
@@ -36,6 +36,29 @@ def test_at_its_focus_every_transducer_adds_its_magnitude(count, depth):
     loss = np.exp(-absorption_Np_m(units.ROOM, 40e3) * distance)
     exact = (array.p0_Pa_m / distance * shape * loss).sum() / np.sqrt(2.0)
     assert units.focal_pressure(Units(count), depth, "point") == pytest.approx(exact, rel=1e-4)
+
+
+def test_losses_to_harmonics_by_fubinis_series():
+    """Of a quiet drive, by sums of our own along the axis: 2 J1(s)/s = 1 - s^2/8 + s^4/192."""
+    drive, array, room = 0.1, units.array_of(Units(4)), units.ROOM
+    left = []
+    for depth in (0.8, 0.2):
+        at = np.linspace(5e-3, depth, 1501)
+        rays = np.stack([np.zeros_like(at), np.zeros_like(at), at], axis=1)[:, None] - array.positions
+        distance = np.linalg.norm(rays, axis=2)
+        x = units.wavenumber() * 4.5e-3 * np.hypot(rays[..., 0], rays[..., 1]) / distance
+        shape = np.where(x > 1e-9, 2.0 * j1(x) / np.maximum(x, 1e-9), 1.0)
+        phase = np.exp(1j * units.wavenumber() * (distance - distance[-1]))
+        loss = np.exp(-absorption_Np_m(room, 40e3) * distance)
+        loud = np.abs((array.p0_Pa_m / distance * shape * loss * phase).sum(axis=1))
+        s = drive * 1.2 * 2.0 * np.pi * 40e3 / (density(room) * sound_speed(room) ** 3) * np.trapezoid(loud, at)
+        left.append(1.0 - s**2 / 8.0 + s**4 / 192.0)
+    setting = Setting(readings=tuple(book().base(ENTRIES["H13-H14c"])))
+    linear = focus.ratio(Units(4), 0.8, 0.2)
+    for far, expected in ((True, left[0] / left[1]), (False, 1.0 / left[1])):
+        found = focus.lossy_ratio(4, 0.8, drive, far)(setting).value / linear
+        assert abs(expected - 1.0) > 5e-4
+        assert found - 1.0 == pytest.approx(expected - 1.0, rel=0.1)
 
 
 def test_the_microphone_takes_most_of_the_nearest_focus():

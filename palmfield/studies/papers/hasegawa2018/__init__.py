@@ -15,6 +15,7 @@ PAPER = Paper(
     answers={**focus.ANSWERS, **drive.ANSWERS, **observer.ANSWERS},
     causes={**focus.CAUSES, **drive.CAUSES, **observer.CAUSES},
     later={**focus.LATER, **drive.LATER},
+    found_later=focus.FOUND_LATER,
     pictures=(*PICTURES, *observer.PICTURES),
     notes=notes,
 )

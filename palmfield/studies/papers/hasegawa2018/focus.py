@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 
 from palmfield.acoustics.arp import arp
-from palmfield.acoustics.nonlinear import beam_steepening
+from palmfield.acoustics.nonlinear import beam_steepening, fundamental_left
 from palmfield.acoustics.reference import pressure64
 from palmfield.drive.boards.autd2018 import BOARD, CARRIER_HZ, PACKET_RATE_HZ, TRANSDUCERS
 from palmfield.drive.pulse_width import HASEGAWA_TICKS
@@ -84,6 +84,19 @@ def pressure_ratio(count: int, depth_m: float) -> Compute:
     return compute
 
 
+def lossy_ratio(count: int, depth_m: float, drive: float, far: bool) -> Compute:
+    """The ratio of the carrier's line alone, less what goes into harmonics to the reference and, if far, to both."""
+
+    def compute(setting: Setting) -> Answer:
+        units = units_of(setting, count)
+        depths = (depth_m, reference_m(setting, units))
+        sigmas = (beam_steepening(array_of(units), drive_of(units, z), [0.0, 0.0, z], ROOM) for z in depths)
+        there, near = (fundamental_left(drive * sigma) for sigma in sigmas)
+        return Answer(ratio(units, *depths) * (there if far else 1.0) / near)
+
+    return compute
+
+
 def over_200(count: int, depth_m: float, directivity: str) -> Compute:
     """A check of ours, at a point."""
 
@@ -120,10 +133,6 @@ def halved_depth(setting: Setting) -> Answer:
             "four units, pistons [mm]": depth_mm(Units(4), 0.02),
         },
     )
-
-
-def ka_of_microphone(setting: Setting) -> Answer:
-    return Answer(0.5 * EIGHTH_INCH_M * wavenumber(), error=0.0)
 
 
 # -- force ---------------------------------------------------------------------------------------------------------
@@ -287,14 +296,6 @@ def step_with_delays(delays: int) -> Compute:
     return compute
 
 
-def ratio_of_wide_pistons(count: int, depth_m: float, radius_m: float) -> Compute:
-    def compute(setting: Setting) -> Answer:
-        units = Units(count, "piston", radius_m)
-        return Answer(ratio(units, depth_m, reference_m(setting, units)))
-
-    return compute
-
-
 def reach_without_focusing(setting: Setting) -> Answer:
     """As `reach`, with the focus left at 200 mm."""
     units = units_of(setting)
@@ -356,19 +357,7 @@ def synchronised(setting: Setting) -> Answer:
     )  # fmt: skip
 
 
-def misapplied_law(setting: Setting) -> Answer:
-    return Answer(20.0 * math.log10(0.4**1.5), error=0.0, note="0.4 to the power 1.5 of the drive")
-
-
-def printed_reach(setting: Setting) -> Answer:
-    return Answer(20.0 * math.log10(0.4**2), error=0.0)
-
-
 # -- counts --------------------------------------------------------------------------------------------------------
-
-
-def count_of_transducers(setting: Setting) -> Answer:
-    return Answer(float(len(array_of(Units(1)))), error=0.0)
 
 
 def extent(count: int) -> Compute:
@@ -382,13 +371,13 @@ def extent(count: int) -> Compute:
     return compute
 
 
-def ratio_of(change: str, count: int, depth_m: float) -> Compute:
-    """The ratio with one thing changed: another directivity, or another receiver."""
+def ratio_of(change: str | Units, count: int, depth_m: float) -> Compute:
+    """The ratio with one thing changed: other transducers, or another receiver."""
 
     def compute(setting: Setting) -> Answer:
         units = units_of(setting, count)
-        if change in ("piston", "table", "point source"):
-            return Answer(ratio(Units(count, change.removesuffix(" source")), depth_m, reference_m(setting, units)))
+        if isinstance(change, Units):
+            return Answer(ratio(change, depth_m, reference_m(setting, units)))
         return Answer(ratio(units, depth_m, reference_m(setting, units), change))
 
     return compute
@@ -412,9 +401,9 @@ def ratio_at_200(count: int, depth_m: float) -> Compute:
 
 def causes(count: int, depth_m: float) -> tuple[Cause, ...]:
     return (
-        Cause("the measured table of the T4010A1 in place of the piston", ratio_of("table", count, depth_m)),
+        Cause("the T4010A1's table in place of the piston", ratio_of(Units(count, "table"), count, depth_m)),
         Cause("a microphone that is a point", ratio_of("point", count, depth_m)),
-        Cause("transducers that radiate alike in all directions", ratio_of("point source", count, depth_m)),
+        Cause("transducers that radiate alike in all directions", ratio_of(Units(count, "point"), count, depth_m)),
         Cause(
             "the largest pressure along the axis, which lies nearer, in place of that at the focus",
             ratio_at_200(count, depth_m),
@@ -429,19 +418,19 @@ def force_by(units: Units, edge: float) -> Compute:
     return compute
 
 
+RATIOS = {"H13-H14b": (1, 0.4), "H13-H14c": (4, 0.8), "H13-H14d": (4, 1.0)}
+"""Units and depth [m] of each ratio of pressures."""
 ANSWERS: dict[str, Compute] = {
-    "H1a": count_of_transducers,
+    "H1a": lambda setting: Answer(float(len(array_of(Units(1)))), error=0.0),
     "H1c": extent(1),
     "H1e": extent(4),
-    "H13-H14b": pressure_ratio(1, 0.4),
-    "H13-H14c": pressure_ratio(4, 0.8),
-    "H13-H14d": pressure_ratio(4, 1.0),
+    **{name: pressure_ratio(*at) for name, at in RATIOS.items()},
     "H13-H14e": over_200(4, 0.8, "piston"),
     "H13-H14f": over_200(4, 1.0, "piston"),
     "H13-H14g": over_200(4, 0.8, "table"),
     "H13-H14h": over_200(4, 1.0, "table"),
     "H13-H14i": halved_depth,
-    "H13-H14j": ka_of_microphone,
+    "H13-H14j": lambda setting: Answer(0.5 * EIGHTH_INCH_M * wavenumber(), error=0.0),
     "H15c": force_ratio,
     "H15d": force_ratio_on(0.4),
     "H15e": force_ratio_on(0.2),
@@ -450,21 +439,29 @@ ANSWERS: dict[str, Compute] = {
     "H17a": largest_step,
     "H6d": synchronised,
     "H22a": reach,
-    "H22b": printed_reach,
-    "H22c": misapplied_law,
+    "H22b": lambda setting: Answer(20.0 * math.log10(0.4**2), error=0.0),
+    "H22c": lambda setting: Answer(20.0 * math.log10(0.4**1.5), error=0.0, note="0.4 to the power 1.5 of the drive"),
 }
 CAUSES = {
-    "H13-H14b": causes(1, 0.4),
-    "H13-H14c": causes(4, 0.8),
-    "H13-H14d": causes(4, 1.0),
+    **{name: causes(*at) for name, at in RATIOS.items()},
     "H15c": (
         Cause("the law of a rigid wall on a plate of 0.4 m, instead of alpha p^2/(rho c^2)", force_by(Units(4), 0.4)),
         Cause("the table of the T4010A1 on a plate of 0.3 m", force_by(Units(4, "table"), 0.3)),
     ),
 }
+FOUND_LATER = {
+    name: tuple(
+        Cause(f"sound lost to harmonics {way}, {drive} drive, p0 of the layout", lossy_ratio(*at, level, far))
+        for way, far in (("on the way to either depth", True), ("at the reference alone", False))
+        for drive, level in (("full", 1.0), ("half", 0.5))
+    )
+    for name, at in RATIOS.items()
+}
 LATER = {
     "H13-H14b": (
-        Cause("pistons of 9 mm, twice as wide, which send less to the side", ratio_of_wide_pistons(1, 0.4, 9e-3)),
+        Cause(
+            "pistons of 9 mm, twice as wide, which send less to the side", ratio_of(Units(1, "piston", 9e-3), 1, 0.4)
+        ),
     ),
     "H17a": (Cause("delays rounded to a quarter of a period instead of a 640th", step_with_delays(4)),),
     "H22a": (Cause("the focus stays at 200 mm, so that sound at 1000 mm is spread wide", reach_without_focusing),),

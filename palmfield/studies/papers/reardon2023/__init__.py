@@ -5,6 +5,7 @@ from typing import Any
 
 from palmfield.studies.papers.answer import Cause, Paper
 from palmfield.studies.papers.reardon2023 import figures, given, hand, lines, phantom
+from palmfield.studies.papers.reardon2023.configuration import DEEP
 from palmfield.studies.papers.reardon2023.notes import notes
 from palmfield.studies.papers.reardon2023.pictures import PICTURES
 
@@ -25,6 +26,7 @@ HAND_CHANGES: Mapping[str, dict[str, Any]] = {
 
 
 LATER = {
+    "R6c": (Cause("shear waves of 2.5 m/s, which 3 m/s outruns too", lines.VARIED["R6c"](shear_speed_m_s=2.5)),),
     "R16-R18l": (Cause("losses of 10 Pa s in place of 1", hand.VARIED["R16-R18l"](viscosity_Pa_s=10.0)),),
     "R20d": (
         Cause(
@@ -34,11 +36,6 @@ LATER = {
     ),
 }
 """What the entries say they could fail by, done when answers were known."""
-
-
-DEEP: dict[str, Any] = {"back": "bonded", "thickness_m": 0.06}
-"""The paper's own solver ends its grid in an absorbing layer, below too. Shear waves need 24 ms to the base of 60 mm
-and back, about as long as the runs last."""
 
 
 def _causes(varied: Mapping[str, Any], changes: Mapping[str, dict[str, Any]]) -> dict[str, tuple[Cause, ...]]:

@@ -68,6 +68,11 @@ class Course:
     still_after_s: float = 0.0
 
 
+DEEP: dict[str, Any] = {"back": "bonded", "thickness_m": 0.06}
+"""The paper's own solver ends its grid in an absorbing layer, below too. Shear waves need 24 ms to the base of 60 mm
+and back, about as long as the runs last."""
+
+
 def plate_of(setting: Setting, **changes: Any) -> Plate:
     """The slab of rows R5 to R14 and R20; changes: of its fields, to look for causes."""
     readings = dict(setting.readings)

@@ -1,0 +1,39 @@
+"""Where the phases between several foci of a stimulus turn at once, as two eigenvalues cross."""
+
+import numpy as np
+
+from palmfield.drive.array_drive import ArrayDrive
+from palmfield.types import Complex, Float
+
+MOVED_WAVELENGTHS = 1.0 / 16.0
+"""A focus that moves by more between two records may well get other phases; its turns are not counted."""
+LOUDER = 1.0 / 16.0
+"""The same of the pressure of a focus relative to the loudest."""
+SAME = 0.7
+"""Least |v^H w| of the leading eigenvectors of two records that count as one and the same."""
+
+
+class PhaseTurns:
+    """Watches the leading eigenvector of a stimulus's foci from record to record.
+
+    times: of the records at which it was another one than just before [s]
+    """
+
+    def __init__(self) -> None:
+        self.times: list[float] = []
+        self._last: tuple[Float, Float, Complex] | None = None
+
+    def see(self, time_s: float, drive: ArrayDrive, foci: Float, loudness: Float | None) -> None:
+        """A record of foci that sound, array frame [m], shape (m, 3), loudness: as of `FocalPoints.loudness`."""
+        wanted = np.ones(len(foci)) if loudness is None else loudness
+        foci, wanted, last = foci[wanted > 0.0], wanted[wanted > 0.0], self._last
+        if len(foci) < 2:
+            self._last = None
+        elif last is None or not (np.array_equal(last[0], foci) and np.array_equal(last[1], wanted)):
+            vector = drive.leading_of(foci, wanted)
+            if last is not None and len(last[0]) == len(foci):
+                moved_m = np.linalg.norm(foci - last[0], axis=1).max()
+                near = moved_m <= MOVED_WAVELENGTHS * 2.0 * np.pi / drive.wavenumber
+                if near and np.abs(wanted - last[1]).max() <= LOUDER and abs(np.vdot(vector, last[2])) < SAME:
+                    self.times.append(time_s)
+            self._last = foci, wanted, vector
