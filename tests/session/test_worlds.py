@@ -365,11 +365,11 @@ def test_scripted_motions_lead_bodies_in_all_worlds(small_scene, tmp_path):
 def test_shadows_and_scattering_belong_to_their_world(body_sound, small_scene):
     """Buffers and trees are shared; answers are not."""
     path = led(small_scene(array={"response": "off"}, skin=SHARED | {"solver": "wedges", "body_sound": body_sound}))
-    poses = wandering(2, 4)
+    poses = wandering(2, 2)
     keys = {"stimulus.focus_m": FOCI[:2]}
     together = palmfield.Simulation(path, worlds=2, keys=keys, poses={"pad": poses})
     singles = singles_of(path, keys, 2)
-    for step in range(4):
+    for step in range(2):
         together.step()
         for single, pose in zip(singles, poses[:, step], strict=True):
             single.data.mocap_pos[0], single.data.mocap_quat[0] = pose[:3], pose[3:]
