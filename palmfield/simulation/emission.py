@@ -272,7 +272,8 @@ def of_moments(course: EmittedCourse, weights: Float) -> MeanDrives:
     kept = powers > NEGLIGIBLE * powers[-1]
     if not np.logical_or.reduce(kept):
         return SILENCE
-    return MeanDrives(shares.conj().T[kept] @ scaled, shares[:, kept] / roots, weights[counted])
+    levels = np.asarray(shares[:, kept] / roots, np.complex128)
+    return MeanDrives(shares.conj().T[kept] @ scaled, levels, weights[counted])
 
 
 def _moves_alone(model: HapticModel, drives: list[ArrayDrive]) -> bool:
