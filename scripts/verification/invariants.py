@@ -50,9 +50,9 @@ a tenth of the error that modes or the small model state; without these of the s
 - follow_fingertip, turned and shifted: a scripted motion is a monotone cubic in each of the file's axes, so that it
   stays between two keys in each of them ([motion](../motion.md)). Between keys it depends on these axes: this hand is
   {apart_mm:.2f} mm elsewhere. Exchanging the axes changes nothing.
-
-A left hand has the mirror image of the right one's mesh, and discs are their own mirror images: {elsewhere:.2g} % of
-the nodes of mirrored scenes lie elsewhere, at most.
+- mirrored discs: on the rings of a disc's mesh four neighbours can lie on one circle, which leaves the diagonal between
+  them to rounding. Up to {elsewhere:.2g} % of the nodes, all in the middle of edges, lie elsewhere; the others are
+  compared, to a tenth of the `accuracy`. A left hand has the mirror image of the right one's mesh.
 """
 
 

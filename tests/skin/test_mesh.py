@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.spatial import cKDTree
 
 from palmfield.errors import SceneError
 from palmfield.skin.mesh.disc import disc_patch
@@ -40,16 +39,6 @@ def test_disc_is_sound(radius, fine, growth, share):
     assert area == pytest.approx(0.5 * rim * radius**2 * np.sin(2 * np.pi / rim), rel=1e-9)
     longest = np.maximum.reduce([np.linalg.norm(x, axis=1) for x in (b - a, c - b, a - c)])
     assert np.min(normal[:, 2] / longest**2) > 0.2
-
-
-@settings(max_examples=25, deadline=None)
-@given(radius=st.floats(0.01, 0.1), fine=st.floats(0.03, 0.2), growth=st.floats(1.0, 3.0), share=st.floats(0.1, 1.0))
-def test_a_disc_is_its_own_mirror_image(radius, fine, growth, share):
-    patch = disc_patch(radius, 0.01, fine * radius, growth * fine * radius, share * radius)
-    away, image = cKDTree(patch.vertices).query(patch.vertices * [1.0, -1.0, 1.0])
-    assert away.max() < 1e-9 * radius
-    triangles = {frozenset(face) for face in patch.faces.tolist()}
-    assert {frozenset(face) for face in image[patch.faces].tolist()} == triangles
 
 
 def test_disc_edges_follow_the_request():

@@ -12,8 +12,8 @@ from palmfield.types import Float, Int, Patch
 
 STEEPEST = 0.4
 """Growth of the edge with distance from the centre above which rings of triangles turn into slivers."""
-LEAN = 1e-6
-"""Of the radius, by which points lean along x, the more the farther off x = 0 they are, for the choice of diagonals."""
+
+
 OUTLINE, GRID = 720, 257
 """Points of a circle's outline, and of a grid along each side of its square."""
 
@@ -70,13 +70,11 @@ def _ringed(radius_m: float, fine_m: float, coarse_m: float, fine_radius_m: floa
     radii = [min(r * radius_m / radii[-1], radius_m) for r in radii]
     rings = [np.zeros((1, 2))]
     for number, r in enumerate(radii[1:]):
-        # Even, so that rings have a point and a gap in turn where the axis y = 0 meets them, at both ends
-        count = 2 * max(3, round(math.pi * r / edge(r)))
+        count = max(6, round(2.0 * math.pi * r / edge(r)))
         angle = 2.0 * math.pi * (np.arange(count) + 0.5 * (number % 2)) / count
         rings.append(r * np.column_stack([np.cos(angle), np.sin(angle)]))
     points = np.concatenate(rings)
-    # Four neighbours of two rings lie on one circle: which diagonal they get has the mirror image y -> -y
-    return points, Delaunay(points + LEAN / radius_m * points[:, :1] ** 2 * [1.0, 0.0]).simplices
+    return points, Delaunay(points).simplices
 
 
 def _round(
