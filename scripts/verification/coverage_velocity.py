@@ -196,7 +196,7 @@ def report(rows: list[dict[str, Any]], out: Path) -> None:
         words = row.get("solver", row.get("missing", "")).split("(")[0].replace("|", "/").strip()[:80]
         kind = row["kind"] + (low if counted(row) else " (not judged)")
         lines.append(
-            f"| {row['key'].partition('-')[2]} | {kind} | {row['accuracy_of']} | {' | '.join(numbers)} | {by} "
+            f"| {row['key']} | {kind} | {row['accuracy_of']} | {' | '.join(numbers)} | {by} "
             f"| {row.get('seconds', math.nan):.2g} | {words} |"
         )
     out.write_text("\n".join(lines) + "\n")
