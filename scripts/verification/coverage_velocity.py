@@ -1,7 +1,7 @@
 """Is the estimated error of the velocity true? Random cases of ten kinds, answers of `auto`, and other solvers' truths.
 
     python scripts/verification/coverage_velocity.py run --seed 1 --count 60 [--limit 60]
-    python scripts/verification/coverage_velocity.py report [--out docs/bench/skin_velocity.md]
+    python scripts/verification/coverage_velocity.py report --count 60 [--out docs/bench/skin_velocity.md]
 
 `run` draws the cases, gives each to `auto` and asks another solver for the velocity at a tenth of the accuracy, on one
 core and within the limit of processor time for each. It appends a line per case to docs/bench/coverage/velocity.jsonl
@@ -152,8 +152,9 @@ def _own(row: dict[str, Any]) -> bool:
     return bool(row["by"] == solver_of(row))
 
 
-def report(rows: list[dict[str, Any]], out: Path) -> None:
-    """Write the page of all lines."""
+def report(rows: list[dict[str, Any]], out: Path, count: int) -> None:
+    """Write the page of all lines; count: of the cases that were drawn from each seed."""
+    drawn = count * len({row["key"].partition("-")[0] for row in rows})
 
     def cells(some: list[dict[str, Any]]) -> str:
         sure = [row for row in some if counted(row)]
@@ -176,7 +177,8 @@ def report(rows: list[dict[str, Any]], out: Path) -> None:
         "where that is less; where no other has an answer, against the same one so much finer (*own*). A case is "
         f"judged where the truth's own error is at most {CONVERGED:g} of the larger of estimate and true error. All "
         "materials but those of short branches have a dashpot: without one the bulk rings on after a jump, and no "
-        "solver's velocity has a truth within a minute. Intervals hold 95 %.",
+        "solver's velocity has a truth within a minute. "
+        f"Of {drawn} cases drawn {drawn - len(rows)} had no line when the run was over. Intervals hold 95 %.",
         "",
         "| kind | cases | judged | estimate >= true | below half | median estimate / true |",
         "|---|---|---|---|---|---|",
@@ -214,7 +216,7 @@ def main() -> None:
     kept = settings.kept
     rows = [json.loads(line) for line in kept.read_text().splitlines()] if kept.exists() else []
     if settings.step == "report":
-        report(rows, settings.out)
+        report(rows, settings.out, settings.count)
         return
     commit = subprocess.run(
         ["git", "-C", str(ROOT), "describe", "--always", "--dirty"], capture_output=True, text=True, check=True
