@@ -336,20 +336,23 @@ class ArrayDrive:
 
     def _several(self, foci: Float, loudness: Float | None) -> Complex:
         """Phases for foci at once [m], shape (m, 3), of the chosen transducers, shape (n,); loudness: shape (m,)"""
-        distances, heights = self._rays(*foci.T[:, :, None])
-        facing = np.logical_and.reduce(heights > 0.0, axis=0)
+        transfer, facing = self._towards(foci)
         if self._unchecked or np.add.reduce(facing) <= len(foci):
             self._check_several(foci, facing)
             self._unchecked = False
         phases = np.zeros(len(self.chosen), np.complex128)
-        phases[facing] = together(self._transfer(distances, heights)[:, facing], loudness)
+        phases[facing] = together(transfer, loudness)
         return phases
 
     def leading_of(self, foci: Float, loudness: Float) -> Complex:
         """What the phases of foci at once [m], shape (m, 3), begin with (`leading_vector`); loudness: shape (m,)"""
+        return leading_vector(self._towards(foci)[0], loudness)
+
+    def _towards(self, foci: Float) -> tuple[Complex, Bool]:
+        """Transfer matrix to foci, shape (m, f), of the transducers that face them all, and which these are, (n,)."""
         distances, heights = self._rays(*foci.T[:, :, None])
         facing = np.logical_and.reduce(heights > 0.0, axis=0)
-        return leading_vector(self._transfer(distances, heights)[:, facing], loudness)
+        return self._transfer(distances, heights)[:, facing], facing
 
     def _check_several(self, foci: Float, facing: Bool) -> None:
         """Raises SceneError for foci at once that can't be: none faces them all, they are too many or coincide."""

@@ -111,7 +111,7 @@ class Choice:
     name: str
     seconds: float
     refusal: str | None = None
-    found: dict[str, Any] = field(default_factory=dict)
+    found: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
     """What its cost took long to find and its solution takes up."""
 
 

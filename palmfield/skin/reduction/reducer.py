@@ -38,6 +38,14 @@ class TooManyVectorsError(SceneError):
         self.reached = reached
 
 
+def grown(krylov: Krylov, vectors: int) -> bool:
+    """Grow a space by so many vectors or more; False where it has ended."""
+    target, growing = krylov.order + vectors, True
+    while growing and krylov.order < target:
+        growing = krylov.grow() > 0
+    return growing
+
+
 def grow_until(
     krylov: Krylov,
     trial: Callable[[], T],
@@ -55,10 +63,7 @@ def grow_until(
     """
     before = trial()
     while True:
-        target = krylov.order + max(ROUND, krylov.order // 6)
-        growing = 1
-        while growing and krylov.order < target:
-            growing = krylov.grow()
+        growing = grown(krylov, max(ROUND, krylov.order // 6))
         now = trial()
         error = SAFETY * change(now, before)
         if error <= tolerance and residual is not None:
@@ -127,8 +132,7 @@ def reduce(
         return float((np.linalg.norm(now - before, axis=(1, 2)) / scale).max())
 
     _, error = grow_until(krylov, responses, change, tolerance, most_vectors)
-    target = krylov.order + ROUND
-    while beyond and krylov.order < target and krylov.grow():
-        pass
+    if beyond:
+        grown(krylov, ROUND)
     vectors = krylov.vectors
     return Reduced(Projection(krylov.projected, dynamics.materials, vectors.T @ forces, read @ vectors), error)
