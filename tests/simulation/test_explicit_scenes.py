@@ -7,7 +7,7 @@ import palmfield
 from palmfield.config.skin import EXPLICIT
 from palmfield.data import folder
 from palmfield.errors import SceneError
-from palmfield.session.plan import plan
+from palmfield.planning.scene_plan import plan
 from palmfield.session.simulation import load
 
 SCENES = folder("mjcf") / "scenes"
