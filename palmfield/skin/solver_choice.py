@@ -399,10 +399,7 @@ def check_rest(body: Body, load: Load, times: Float) -> None:
     base, last = body.base, float(load.times_s[-1])
     damped = isinstance(base, Springs) and max(base.normal_Pa_s_m, base.tangential_Pa_s_m) > 0.0
     endless = body.side == "absorbing" or (isinstance(body, Slab) and body.shape == "infinite")
-    lossy = any(
-        material.viscosity_Pa_s > 0.0 or any(b.shear_Pa > 0.0 and b.time_s > 0.0 for b in material.branches)
-        for material in (sheet.material for sheet in body.sheets)
-    )
+    lossy = any(sheet.material.relaxes for sheet in body.sheets)
     if lossy or damped or endless or isinstance(base, Foundation):
         return
     slowest = min(math.sqrt(s.material.shear_relaxed_Pa / s.material.density_kg_m3) for s in body.sheets)

@@ -14,7 +14,6 @@ from scipy import sparse
 from palmfield import cache
 from palmfield.blas import one_blas_thread
 from palmfield.skin.fem.assembly import SkinSystem
-from palmfield.skin.materials.material import stiffening
 from palmfield.skin.reduction.dynamic_stiffness import DynamicStiffness
 from palmfield.skin.reduction.krylov import Course, Krylov
 from palmfield.skin.reduction.load_shapes import LoadShapes
@@ -192,7 +191,7 @@ class ReducedStepper(SkinStepper):
         mass, damping, elastic, *parts = self.small.matrices
         matrix: Any = s**2 * mass + s * damping + elastic
         for material, part in zip(self.small.materials, parts, strict=True):
-            matrix = matrix + stiffening(material, s) * part
+            matrix = matrix + material.relaxation.stiffening(s) * part
         return np.asarray(
             (operator @ self.vectors) @ np.linalg.solve(matrix, self.small.force @ (pressure_Pa @ self.shares)),
             dtype=complex,

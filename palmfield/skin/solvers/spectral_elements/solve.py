@@ -391,7 +391,7 @@ def likely_step(solid: Solid, sheets: tuple[Sheet, ...]) -> float:
         elastic = courant * float(spacing[solid.sheet == number].min()) / fast
         # A dashpot's force of half a step before: h^2 rate + 2 h t (its share of the rate) = 4
         speed = math.sqrt(material.shear_instant_Pa / material.density_kg_m3)
-        late = 4.0 / 3.0 * (speed / fast) ** 2 * material.viscous_time_s
+        late = 4.0 / 3.0 * (speed / fast) ** 2 * material.relaxation.viscous_time_s
         step = min(step, SAFETY * elastic**2 / (late + math.hypot(late, elastic)))
     return step
 
