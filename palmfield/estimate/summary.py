@@ -8,7 +8,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from palmfield.config.skin import EXPLICIT
 from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.errors import PalmfieldError
 from palmfield.estimate.array_inputs import p0_band_at
@@ -23,10 +22,6 @@ from palmfield.session.simulation import Simulation
 from palmfield.simulation.model import HapticModel, array_instances
 from palmfield.simulation.radiation import Radiation
 from palmfield.simulation.state import WHOLE
-from palmfield.skin.explicit_layer import explicit_layer
-from palmfield.skin.reduction.modal_stepper import ModalStepper
-from palmfield.skin.reduction.reduced_stepper import ReducedStepper
-from palmfield.skin.solver_choice import PREVIEW
 from palmfield.types import Float
 
 T = TypeVar("T")
@@ -61,7 +56,7 @@ def skin_numbers(
     skin = model.skins[number]
     left_small_model = _left_small_model(runtime, number)
     result: dict[str, Any] = {
-        "dofs": explicit_layer(skin.layer).unknowns if skin.choice.name in EXPLICIT else skin.layer.system.ndof,
+        "dofs": model.begin[number].value.unknowns,
         "solver": _solver_in_words(model, number, left_small_model),
         "solver_why": _why(model, number),
         "accuracy_wanted_relative": skin.spec.config.accuracy,
@@ -84,8 +79,9 @@ def skin_numbers(
         result["input_band_parts"] = [dict(zip(("what", "low", "high"), part, strict=True)) for part in parts]
         result |= {"peak_displacement_low_m": peak * low, "peak_displacement_high_m": peak * high}
     stepper = model.begin[number].value
-    if isinstance(stepper, ModalStepper) and not left_small_model:
-        result["reduction_velocity_error_relative"] = runtime.work.outside[number].errors(stepper)[1]
+    if stepper.adds_error is not None and not left_small_model:
+        velocity_error = runtime.work.outside[number].errors(stepper.adds_error)[1]
+        result |= {} if velocity_error is None else {"reduction_velocity_error_relative": velocity_error}
     reference = runtime.work.reference
     result |= felt_levels(model, number, loudest, radiation, reference, times, normal, arp_peaks, begun_s=begun_s)
     return result | {"verdict": verdict(result)}
@@ -201,20 +197,14 @@ def _radiation(runtime: SceneRuntime) -> Radiation:
 
 def _left_small_model(runtime: SceneRuntime, skin: int) -> bool:
     """Whether a run that began with a small model of a skin went on with its whole layer."""
-    begun = isinstance(runtime.model.begin[skin].value, ReducedStepper | ModalStepper)
+    begun = runtime.model.begin[skin].value.adds_error is not None
     return begun and bool(runtime.state.skins[skin][0, 0] == WHOLE)
 
 
 def _solver_in_words(model: HapticModel, skin: int, left_small_model: bool) -> str:
     """What stepped a skin."""
     stepper = model.begin[skin].value
-    if stepper.name in EXPLICIT:
-        preview = ", a preview" if stepper.name in PREVIEW else ""
-        return f"{stepper.name}{preview}: {explicit_layer(model.skins[skin].layer).resolution}"
-    if not isinstance(stepper, ReducedStepper | ModalStepper):
-        return stepper.name
-    words = f"{stepper.name}, {stepper.order} {'modes' if isinstance(stepper, ModalStepper) else 'vectors'}"
-    return f"{words}; then wedges" if left_small_model else words
+    return f"{stepper.describe()}; then wedges" if left_small_model else stepper.describe()
 
 
 def _why(model: HapticModel, skin: int) -> str:

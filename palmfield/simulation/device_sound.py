@@ -52,8 +52,7 @@ from palmfield.simulation.radiation import (
 from palmfield.simulation.sensors import SensorPlace
 from palmfield.skin.reduction import device_models
 from palmfield.skin.reduction.device_models import DeviceModel, StepMemory, device_model
-from palmfield.skin.reduction.modal_stepper import Outside
-from palmfield.skin.stepper import SkinStepper
+from palmfield.skin.stepper import Outside, SkinStepper
 from palmfield.stimulus.schedule import Moments
 from palmfield.types import Complex, Float, Float32, Int
 from warp_kernels import carried_points as carrying

@@ -27,7 +27,6 @@ from palmfield.errors import SceneError
 from palmfield.simulation.model import HapticModel, StimulusModel
 from palmfield.simulation.posed_scene import PosedScene, PosedSkin, PosedSurface, reference_scene
 from palmfield.simulation.spec import SkinSpec
-from palmfield.skin.fem.assembly import relaxation_law
 from palmfield.skin.reduction.load_shapes import POINTS
 from palmfield.skin.reduction.modal_stepper import ModalBody, ModalStepper, modal_body
 from palmfield.skin.scene_layer import SceneLayer
@@ -86,7 +85,7 @@ def refusal(skin: SkinSpec, layer: SceneLayer) -> str | None:
 
 def laws(layer: SceneLayer) -> int:
     """By how many laws a layer's sheets relax."""
-    return len({relaxation_law(sheet.material) for sheet in layer.sheets})
+    return len({sheet.material.law for sheet in layer.sheets})
 
 
 def expected_modes(skin: SkinSpec, layer: SceneLayer) -> float:

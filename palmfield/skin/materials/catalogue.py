@@ -279,8 +279,8 @@ def hand_skin(site: str, depth_m: float | None = None) -> tuple[Sheet, ...]:
             f"{site}, {tissue.name}",
             tissue.density_kg_m3,
             shear,
-            [ratio * shear for ratio in whole.ratios],
-            whole.times_s,
+            [ratio * shear for ratio, _ in whole.relaxation.branches],
+            [time_s for _, time_s in whole.relaxation.branches],
             source=f"{tissue.source}; relaxes as '{site}'",
         )
         sheets.append(Sheet(material, rest if thickness is None else thickness))

@@ -21,7 +21,7 @@ from palmfield.skin.solvers.particles.run import (
     stable_step,
     state_size,
 )
-from palmfield.skin.stepper import Reader, SurfaceLoads, check_step, world_by_world
+from palmfield.skin.stepper import Reader, SkinStepper, SurfaceLoads, check_step, world_by_world
 from palmfield.types import Float
 
 HALVINGS = 3
@@ -35,11 +35,12 @@ def face_weights(cloud: Cloud, points: Float) -> sparse.csr_matrix:
     return sparse.csr_matrix((weights.ravel(), (rows, near.ravel())), shape=(len(near), len(cloud.face_area)))
 
 
-class ParticleStepper:
+class ParticleStepper(SkinStepper):
     """Particles at finite strain under a dead load, in steps that divide a substep; see SkinStepper.
 
     cloud: the particles; transfer: from and to the scene's wedges; step_s: length of a substep [s]
     device: of `palmfield.device.resolve`; estimate: gives the error when asked for it
+    resolution: the particles, in words
     A state has displacement, velocity and memory by particle and the stresses by site (see run.Particles.begin), as
     float32 in float64, so that it is the same on every device. Velocities are those of half a particles' step before.
     `step` also raises SceneError, and leaves the state as it was, for a body that is crushed or turned inside out.
@@ -49,20 +50,30 @@ class ParticleStepper:
     points = None
 
     def __init__(
-        self, cloud: Cloud, transfer: FaceTransfer, step_s: float, device: str, estimate: Callable[[], float]
+        self,
+        cloud: Cloud,
+        transfer: FaceTransfer,
+        step_s: float,
+        device: str,
+        estimate: Callable[[], float],
+        resolution: str,
     ) -> None:
         self.step_s, self._cloud, self._transfer = step_s, cloud, transfer
         self._device, self._estimate = device, estimate
-        self.state_size = state_size(cloud)
+        self.state_size, self.unknowns, self._resolution = state_size(cloud), 3 * len(cloud.points), resolution
         self._stable_s = stable_step(cloud)
         self.steps = math.ceil(step_s / (SAFETY * self._stable_s))
         """Of the particles in each substep."""
         self._rooms: list[dict[int, Particles]] = []
 
     @cached_property
-    def error(self) -> float:
+    def error(self) -> float:  # type: ignore[override]  # found when it is asked for
         """See SkinStepper."""
         return self._estimate()
+
+    def describe(self) -> str:
+        """See SkinStepper."""
+        return f"{self.name}, a preview: {self._resolution}"
 
     def step(
         self, state: Float, loads: SurfaceLoads, t0: float, t1: float, observe: Reader | None = None

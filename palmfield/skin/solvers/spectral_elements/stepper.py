@@ -15,7 +15,7 @@ from palmfield.skin.solvers.spectral_elements.model import SAFETY, Model, hold
 from palmfield.skin.solvers.spectral_elements.places import find
 from palmfield.skin.solvers.spectral_elements.run import Points, Stepper, state_size
 from palmfield.skin.solvers.spectral_elements.solid import Solid
-from palmfield.skin.stepper import Reader, SurfaceLoads, check_step, world_by_world
+from palmfield.skin.stepper import Reader, SkinStepper, SurfaceLoads, check_step, world_by_world
 from palmfield.types import Float
 
 LONGEST_GRAPH = 2000
@@ -29,11 +29,12 @@ def face_weights(solid: Solid, points: Float) -> sparse.csr_matrix:
     return sparse.csr_matrix((shares.ravel(), (rows, nodes.ravel())), shape=(len(nodes), solid.surface_nodes))
 
 
-class SpectralElementStepper:
+class SpectralElementStepper(SkinStepper):
     """A body on spectral elements, in steps of the scheme that divide a substep; see SkinStepper.
 
     solid: the elements; body: its sheets, base and sides; transfer: from and to the scene's wedges
     step_s: length of a substep [s]; device: of `palmfield.device.resolve`; estimate: gives the error when asked for it
+    resolution: the elements, in words
     A state has u and v by node, w and y of each branch by copy (see run.Stepper), as float32 in float64, so that it is
     the same on every device. Velocities are those of half a step of the scheme before.
     Raises SceneError for an element that is flat or inside out.
@@ -50,11 +51,13 @@ class SpectralElementStepper:
         step_s: float,
         device: str,
         estimate: Callable[[], float],
+        resolution: str,
     ) -> None:
         assert not isinstance(body.base, Foundation)
         self.step_s, self._transfer, self._estimate = step_s, transfer, estimate
         self._model = Model(solid, body.sheets, device)
-        self.state_size = state_size(solid, self._model.materials)
+        self.state_size, self.unknowns = state_size(solid, self._model.materials), 3 * len(solid.nodes)
+        self._resolution = resolution
         self._holds = hold(self._model, body.base, body.side)
         rows = self._model.mass[self._holds.rows, None, None]
         rate = float((np.abs(self._holds.spring) / rows).sum(axis=2).max(initial=0.0))
@@ -64,9 +67,13 @@ class SpectralElementStepper:
         self._rooms: list[Stepper] = []
 
     @cached_property
-    def error(self) -> float:
+    def error(self) -> float:  # type: ignore[override]  # found when it is asked for
         """See SkinStepper."""
         return self._estimate()
+
+    def describe(self) -> str:
+        """See SkinStepper."""
+        return f"{self.name}: {self._resolution}"
 
     def step(
         self, state: Float, loads: SurfaceLoads, t0: float, t1: float, observe: Reader | None = None
