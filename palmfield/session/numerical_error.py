@@ -7,12 +7,10 @@ not in these; the plan names them.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from palmfield import cache
-from palmfield.config.skin import EXPLICIT
 from palmfield.errors import SceneError
 from palmfield.session.array_inputs import stimulus_of
 from palmfield.session.loudest_moment import LoudestMoment, place_under_focus
@@ -30,8 +28,6 @@ from palmfield.session.numerics.point_response import Response, course_change, s
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.radiation import Radiation
 from palmfield.skin.from_config import softest_and_stiffest_sheets
-from palmfield.skin.reduction.modal_stepper import ModalStepper
-from palmfield.skin.reduction.reduced_stepper import ReducedStepper
 from palmfield.skin.scene_layer import SceneLayer
 from palmfield.skin.stepper import SkinStepper
 from palmfield.stimulus.schedule import frames_at
@@ -71,7 +67,7 @@ def error_estimate(
     radiation: of the model; its solution by boundary elements for that moment serves again
     materials: whether other materials are solved for as well
 
-    mesh: of a solver of EXPLICIT its own estimate, of its elements or particles, and of its steps. Else the static and
+    mesh: of a solver with an ExplicitLayer its own estimate, of its mesh and steps. Else the static and
         harmonic response on the scene's mesh and on one RATIO or more finer (RATIO or more coarser, for more than
         FINER_BELOW unknowns and at least LAYERS rows of elements), by Richardson's rule; and so the motion from the
         sound's beginning on, as it rings, under the stimulus's level with the focus held where it is (L2 over time, to
@@ -94,7 +90,7 @@ def error_estimate(
     be made.
     """
     layer, stepper = model.skins[skin].layer, model.begin[skin].value
-    small = stepper if isinstance(stepper, ReducedStepper | ModalStepper) else None
+    small = None if stepper.adds_error is None else stepper
     sound, point = LoudestSound(model, skin, loudest, radiation), place_under_focus(model, skin, loudest)
     finer = compares_with_finer(layer, layer.system.ndof)
     ends = softest_and_stiffest_sheets(layer.config) if materials else None
@@ -107,7 +103,7 @@ def error_estimate(
         return times, frames_at(config, config.start_s + times)[1]
 
     def make() -> cache.Arrays:
-        if stepper.name in EXPLICIT:
+        if model.skins[skin].explicit is not None:
             result = _explicit_estimate(layer, stepper, sound, point, ends)
             return {name: np.array(value) for name, value in result.items()}
         try:
@@ -135,7 +131,7 @@ def error_estimate(
             lasted_s,
             materials,
         ),
-        None if small is None else _numbers_of(small),
+        None if small is None else small.made_of,
     )
     result = {name: float(value) for name, value in cache.kept("error-estimate", depends_on, make).items()}
     result["reduction_error_relative"] = math.hypot(result["reduction_error_relative"], course.outside_class)
@@ -143,17 +139,9 @@ def error_estimate(
     return result | {"displacement_error_relative": math.hypot(*sources)}
 
 
-def _numbers_of(small: ReducedStepper | ModalStepper) -> tuple[Any, ...]:
-    """All that a small model's or modes' answers follow from."""
-    if isinstance(small, ModalStepper):
-        modes = small.body.modes
-        return modes.elastic, modes.stiffness, modes.coupling, modes.shares, small.body.forces, small.error
-    return small.small.matrices, small.vectors, small.error, small.any_course
-
-
 def _estimate(
     layer: SceneLayer,
-    small: ReducedStepper | ModalStepper | None,
+    small: SkinStepper | None,
     sound: LoudestSound,
     point: Float,
     finer: bool,
@@ -164,7 +152,7 @@ def _estimate(
     frequency, step_s = layer.demand.main_frequency_Hz, layer.sizes.step_s
     other, ratio, middles = meshes_to_compare(layer, finer)
     low, high = (layer, other) if finer else (other, layer)
-    exact_in_time = isinstance(small, ReducedStepper) and not left_small_model
+    exact_in_time = small is not None and small.exact_in_time and not left_small_model
     coarse = Response(low, sound.on(low), point, scheme_too=not exact_in_time)
     fine = Response(high, sound.on(high), point)
     between = [Response(middle, sound.on(middle), point) for middle in middles]
@@ -193,12 +181,12 @@ def _estimate(
     return _as_numbers(mesh, step, reduction, edge_error(coarse, cut)) | material_band(coarse, ends)
 
 
-def _reduction_error(small: ReducedStepper | ModalStepper, own: Response) -> float:
+def _reduction_error(small: SkinStepper, own: Response) -> float:
     """Of a small model: its own estimate, or what it misses of the whole layer's response, if that is larger.
 
     own: the response of the scene's layer, on its own mesh
     """
-    if isinstance(small, ReducedStepper) and not small.any_course:
+    if not small.any_course:
         return small.error
     layer, frequency = own.layer, own.layer.demand.main_frequency_Hz
     pressure, read = own.pressure, layer.probe(own.point).operator

@@ -8,7 +8,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from palmfield.config.skin import EXPLICIT
 from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.errors import PalmfieldError
 from palmfield.outputs.budget_text import combined, input_parts
@@ -23,8 +22,6 @@ from palmfield.session.simulation import Simulation
 from palmfield.simulation.model import HapticModel, array_instances
 from palmfield.simulation.radiation import Radiation
 from palmfield.simulation.state import WHOLE
-from palmfield.skin.explicit_layer import explicit_layer
-from palmfield.skin.solver_choice import PREVIEW
 from palmfield.types import Float
 
 T = TypeVar("T")
@@ -59,7 +56,7 @@ def skin_numbers(
     skin = model.skins[number]
     left_small_model = _left_small_model(runtime, number)
     result: dict[str, Any] = {
-        "dofs": explicit_layer(skin.layer).unknowns if skin.choice.name in EXPLICIT else skin.layer.system.ndof,
+        "dofs": model.begin[number].value.unknowns,
         "solver": _solver_in_words(model, number, left_small_model),
         "solver_why": _why(model, number),
         "accuracy_wanted_relative": skin.spec.config.accuracy,
@@ -207,9 +204,6 @@ def _left_small_model(runtime: SceneRuntime, skin: int) -> bool:
 def _solver_in_words(model: HapticModel, skin: int, left_small_model: bool) -> str:
     """What stepped a skin."""
     stepper = model.begin[skin].value
-    if stepper.name in EXPLICIT:
-        preview = ", a preview" if stepper.name in PREVIEW else ""
-        return f"{stepper.name}{preview}: {explicit_layer(model.skins[skin].layer).resolution}"
     return f"{stepper.describe()}; then wedges" if left_small_model else stepper.describe()
 
 

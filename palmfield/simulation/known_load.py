@@ -12,7 +12,6 @@ import numpy as np
 
 from palmfield import cache
 from palmfield.config import StimulusConfig
-from palmfield.config.skin import EXPLICIT
 from palmfield.drive.response import Pole
 from palmfield.drive.transducer_response import commanded_drive
 from palmfield.errors import SceneError
@@ -23,7 +22,7 @@ from palmfield.simulation.posed_scene import PosedScene, reference_scene
 from palmfield.simulation.radiation import Radiation
 from palmfield.simulation.spec import SceneSpec, SkinSpec
 from palmfield.skin.costs import wedges_s
-from palmfield.skin.explicit_layer import explicit_layer, refuse_explicit
+from palmfield.skin.explicit_layer import explicit_layer
 from palmfield.skin.reduction.krylov import Fade, harmonics, level, periodic
 from palmfield.skin.reduction.load_shapes import load_shapes
 from palmfield.skin.reduction.reduced_stepper import (
@@ -90,9 +89,10 @@ def choose_stepper(
     Raises SceneError where a small model or modes are asked for and can't be.
     """
     substeps = spec.duration_s / layer.sizes.step_s
-    if skin.config.solver in EXPLICIT:
-        refuse_explicit(layer)
-        own_s = explicit_layer(layer).seconds(spec.duration_s, spec.device)
+    explicit = explicit_layer(layer)
+    if explicit is not None:
+        explicit.refuse()
+        own_s = explicit.seconds(spec.duration_s, spec.device)
         return StepperChoice(skin.config.solver, "asked for", own_s, wedges_s(layer.dofs, substeps))
     reason = refusal(skin, layer, stimuli, pole, response_on)
     requested = skin.config.solver
@@ -225,8 +225,8 @@ def first_stepper(model: HapticModel, skin: int) -> SkinStepper:
             if part.spec.config.solver == "modal":
                 raise SceneError(f"plugin 'palmfield.skin' instance '{part.spec.name}': {error}") from None
             return model.whole[skin].value
-    if part.choice.name in EXPLICIT:
-        return explicit_layer(part.layer).stepper(model.spec.device)
+    if part.explicit is not None:
+        return part.explicit.stepper(model.spec.device)
     try:
         return _known_stepper(model, skin)
     except SceneError:

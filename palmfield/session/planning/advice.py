@@ -8,7 +8,6 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from palmfield.acoustics import validity
-from palmfield.config.skin import EXPLICIT
 from palmfield.config.stimulus import AM_KEYS
 from palmfield.drive.array_drive import ArrayDrive
 from palmfield.drive.boards.ideal import BOARD as IDEAL
@@ -25,9 +24,7 @@ from palmfield.session.planning.sight import out_of_sight
 from palmfield.session.preview import Preview
 from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
 from palmfield.simulation.posed_scene import PosedScene
-from palmfield.skin.explicit_layer import explicit_layer
 from palmfield.skin.from_config import cutoff_Hz
-from palmfield.skin.solver_choice import PREVIEW
 from palmfield.stimulus.schedule import frames_at, main_frequencies, turn_rate_Hz
 from palmfield.types import Float
 
@@ -277,16 +274,16 @@ def _path_off_the_skin(model: HapticModel, stimulus: StimulusModel) -> list[str]
 def _own_mesh(skin: SkinModel, view: Preview) -> list[str]:
     """What a solver with a mesh of its own costs on a CPU, and what a preview is worth."""
     solver, device = skin.choice.name, view.runtime.model.spec.device
-    if solver not in EXPLICIT:
+    own, result = skin.explicit, list[str]()
+    if own is None:
         return []
-    own, result = explicit_layer(skin.layer), []
-    if solver in PREVIEW and own.expected_error is not None:
+    if own.preview and own.expected_error is not None:
         result.append(
             f"solver '{solver}' of skin '{skin.spec.name}' is a preview: expect its displacement to be off by about "
             f"{100 * own.expected_error:.2g} %"
         )
-    if solver not in PREVIEW and device == "cpu":
-        cpu_s, gpu_s = (own.seconds(view.duration_s, where) for where in (device, "cuda:0"))
+    cpu_s, gpu_s = (own.seconds(view.duration_s, where) for where in ("cpu", "cuda:0"))
+    if not own.preview and device == "cpu" and gpu_s < cpu_s:
         result.append(
             f"solver '{solver}' of skin '{skin.spec.name}' is made for a GPU: on the CPU it takes about {cpu_s:.2g} s, "
             f"on a GPU (palmfield_device) {gpu_s:.2g} s"

@@ -4,7 +4,6 @@ from typing import NamedTuple
 
 from palmfield.acoustics.air import sound_speed
 from palmfield.acoustics.body_scattering import boundary_mesh
-from palmfield.config.skin import EXPLICIT
 from palmfield.session.numerics.mesh_error import RATIO, compares_with_finer
 from palmfield.session.planning.facts import pushed_faces
 from palmfield.session.preview import Preview
@@ -72,7 +71,7 @@ def estimate_s(skin: SkinModel) -> float:
     # A complex factorisation counts twice
     materials = 0 if softest_and_stiffest_sheets(skin.spec.config) is None else 6
     edge = 0 if skin.spec.config.shape == "disc" else 2
-    if skin.choice.name in EXPLICIT:
+    if skin.explicit is not None:
         # Its own estimate is among the solver's seconds.
         return (3 + edge + materials) * factor_s(dofs) if edge or materials else 0.0
     low, high = (dofs, more * dofs) if compares_with_finer(skin.layer, dofs) else (dofs / more, dofs)

@@ -1,11 +1,9 @@
 """What error of the skin displacement a plan expects, from mesh, material and p0."""
 
-from palmfield.config.skin import EXPLICIT
 from palmfield.session.array_inputs import p0_band, p0_known
 from palmfield.session.planning.pins import coarse_pins
 from palmfield.session.planning.rows import Row
 from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
-from palmfield.skin.explicit_layer import explicit_layer
 from palmfield.skin.from_config import softest_and_stiffest_sheets
 from palmfield.skin.materials.catalogue import CATALOGUE
 from palmfield.skin.materials.material import Material
@@ -30,17 +28,14 @@ def _mesh_row(skin: SkinModel, pinned: list[str]) -> Row:
     if pinned:
         why = f"keys make it coarser than that takes: {', '.join(pinned)}; the run estimates what was reached"
         return Row("mesh and time step", wanted, why, skin.spec.name)
-    if skin.choice.name not in EXPLICIT:
+    own = skin.explicit
+    if own is None:
         why = "sizes follow a convergence study on a disc (docs/bench/skin_c0.md); the run estimates what was reached"
         return Row("mesh and time step", wanted, why, skin.spec.name)
-    own = explicit_layer(skin.layer)
     if own.expected_error is None:
-        why = "elements follow studies on discs (docs/bench/skin_spectral_elements.md); the run estimates what was "
-        why += "reached"
-        return Row("mesh and time step", wanted, why, skin.spec.name)
-    size = f"a preview, about {100 * own.expected_error:.2g} %; {wanted}"
-    why = "what such particles had on discs (docs/bench/skin_particles.md); the run states at least as much"
-    return Row("particles", size, why, skin.spec.name)
+        return Row("mesh and time step", wanted, own.sizes_follow, skin.spec.name)
+    size = f"{'a preview, ' * own.preview}about {100 * own.expected_error:.2g} %; {wanted}"
+    return Row(skin.choice.name, size, own.sizes_follow, skin.spec.name)
 
 
 def _material_row(material: Material, ranges: bool, skin: str) -> Row:

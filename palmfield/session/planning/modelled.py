@@ -2,7 +2,6 @@
 
 from palmfield import cache
 from palmfield.acoustics.body_scattering import BODY_SOUNDS
-from palmfield.config.skin import EXPLICIT
 from palmfield.outputs.summary_table import of_full
 from palmfield.session.array_inputs import qualities
 from palmfield.session.numerics.mesh_error import RATIO
@@ -13,10 +12,8 @@ from palmfield.session.sending import offset_words, peak_offset, sending
 from palmfield.simulation.emission import array_drives
 from palmfield.simulation.known_load import SHARE
 from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
-from palmfield.skin.explicit_layer import explicit_layer
 from palmfield.skin.from_config import sheets_in_words
 from palmfield.skin.materials.material import shear_wave
-from palmfield.skin.solver_choice import PREVIEW
 from palmfield.stimulus.modulation import arp_lines
 
 
@@ -106,8 +103,8 @@ def _layer(skin: SkinModel) -> list[Row]:
     elif skin.spec.config.patch_radius_m is not None:
         whole = "the part of the surface that key patch_radius_m takes"
     own = []
-    if skin.choice.name in EXPLICIT:
-        resolution, why = explicit_layer(layer).resolution, "below the same face; loads and results are on the wedges'"
+    if skin.explicit is not None:
+        resolution, why = skin.explicit.resolution, "below the same face; loads and results are on the wedges'"
         own.append(Row(f"mesh of {skin.choice.name}", resolution, why, name))
         estimate = "cut sides; the rest is the solver's own, and in its time"
     return [
@@ -134,9 +131,8 @@ def _layer(skin: SkinModel) -> list[Row]:
 def _solver(skin: SkinModel, still_m: float) -> Row:
     """Which stepper steps a skin, and why; still_m: how far its body may move and count as still [m]."""
     choice, config, name = skin.choice, skin.spec.config, skin.spec.name
-    if choice.name in EXPLICIT:
-        preview = ", a preview" if choice.name in PREVIEW else ""
-        why = f"explicit steps, in each of which a pressure wave crosses an element or less; {choice.why}"
+    if skin.explicit is not None:
+        preview, why = ", a preview" * skin.explicit.preview, f"{skin.explicit.steps}; {choice.why}"
         size = f"about {choice.seconds:.0f} s, wedges about {choice.wedges_s:.0f} s on the CPU"
         return Row(f"skin solver {choice.name}{preview}", size, why, name)
     if choice.name == "wedges":

@@ -3,13 +3,11 @@
 from dataclasses import asdict
 from typing import Any
 
-from palmfield.config.skin import EXPLICIT
 from palmfield.session.duration import step_count
 from palmfield.session.planning.facts import first_drive
 from palmfield.session.preview import Preview
 from palmfield.session.sending import sending
 from palmfield.simulation.emission import array_drives
-from palmfield.skin.explicit_layer import explicit_layer
 from palmfield.stimulus.modulation import arp_lines
 
 
@@ -52,7 +50,7 @@ def plan_numbers(view: Preview) -> dict[str, Any]:
                 "name": skin.spec.name,
                 "solver": skin.choice.name,
                 "expected_solver_s": float(skin.choice.seconds),
-                "unknowns": int(explicit_layer(layer).unknowns if skin.choice.name in EXPLICIT else layer.dofs),
+                "unknowns": int(layer.dofs if skin.explicit is None else skin.explicit.unknowns),
                 "edge_fine_m": float(sizes.edge_fine_m),
                 "edge_coarse_m": float(sizes.edge_coarse_m),
                 "radius_m": float(sizes.radius_m),

@@ -1,6 +1,5 @@
 """Keys of a skin that pin what the plan would choose, and make it coarser than the wanted accuracy takes."""
 
-from palmfield.config.skin import EXPLICIT
 from palmfield.session.array_inputs import stimulus_of
 from palmfield.simulation.model import HapticModel
 from palmfield.skin.from_config import sheets_of
@@ -21,7 +20,7 @@ def coarse_pins(model: HapticModel, number: int) -> list[str]:
     highest_Hz = max(main_frequencies(stimulus.config), default=0.0)
     if config.max_frequency_Hz is not None and config.max_frequency_Hz < highest_Hz:
         result.append(f"max_frequency_Hz {config.max_frequency_Hz:g} for a stimulus of {highest_Hz:g} Hz")
-    if skin.choice.name in EXPLICIT:
+    if skin.explicit is not None:
         return result
     free, sheets = config.model_copy(update={"element_m": None, "step_s": None}), sheets_of(config)
     chosen = layer_sizes(

@@ -147,6 +147,14 @@ def cost_spectral_elements(
     return total * REPEATED[few or body.thickness_m < THIN * motion_width(body, load)]
 
 
+def prepared_spectral_elements(
+    body: Body, load: Load, times: Float, at: Float, accuracy: float
+) -> tuple[Body, dict[str, Any]]:
+    """The body with the bulk modulus that it takes, and what `solve_spectral_elements` takes up of that."""
+    softened = reduce_bulk_modulus(body, load, float(times[-1]), at, accuracy, None)
+    return softened[0], {"softened": softened}
+
+
 def finer_spectral_elements(body: Body, load: Load, at: Float, accuracy: float, miss: float, **last: Any) -> Any:
     """Order, width and depth of likely elements where the `last` ones, if not the first, missed by a factor `miss`."""
     finer = plan(body, load, at, accuracy, **last)
