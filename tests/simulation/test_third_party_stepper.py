@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from palmfield.session.plan import plan
+from palmfield.planning.scene_plan import plan
 
 import palmfield
 from palmfield.config import SkinConfig
