@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from palmfield.planning.scene_plan import plan
 
 import palmfield
 from palmfield.config import SkinConfig
 from palmfield.errors import SceneError
+from palmfield.planning.scene_plan import plan
 from palmfield.session.simulation import load
 
 PACKAGE = '''
