@@ -22,7 +22,7 @@ from palmfield.drive.transducer_response import (
     emitted_over,
     rows,
 )
-from palmfield.simulation.model import HapticModel, StimulusModel
+from palmfield.simulation.model import HapticModel, StimulusModel, about_stimulus
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.stimulus.focal_points import FocalPoints
 from palmfield.stimulus.modulation import peak_amplitude
@@ -290,7 +290,9 @@ def _moves_alone(model: HapticModel, drives: list[ArrayDrive]) -> bool:
 def array_drives(model: HapticModel, arrays: PhasedArray, board: Board | None = None) -> list[ArrayDrive]:
     """How each stimulus drives its transducers, with the arrays in one relative pose; board: None for the model's."""
     board = model.board if board is None else board
-    return [
-        ArrayDrive(arrays, part.transducers, part.config.arp_peak_Pa, peak_amplitude(part.config), board)
-        for part in model.stimuli
-    ]
+    drives = []
+    for part in model.stimuli:
+        about, config = about_stimulus(part.spec.name), part.config
+        level = peak_amplitude(config)
+        drives.append(ArrayDrive(arrays, part.transducers, config.arp_peak_Pa, level, board, about[:1], about))
+    return drives
