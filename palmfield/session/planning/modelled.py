@@ -10,8 +10,8 @@ from palmfield.session.planning.facts import pushed_faces
 from palmfield.session.planning.rows import Row
 from palmfield.session.sending import offset_words, peak_offset, sending
 from palmfield.simulation.emission import array_drives
-from palmfield.simulation.known_load import SHARE
 from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
+from palmfield.simulation.small_models.known_load import SHARE
 from palmfield.skin.from_config import sheets_in_words
 from palmfield.skin.materials.material import shear_wave
 from palmfield.stimulus.modulation import arp_lines
