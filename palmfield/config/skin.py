@@ -95,7 +95,7 @@ class SkinConfig(Config):
         description="greatest depth of the layer, of all shapes but disc; a hand's own depth to bone applies where it "
         "is less",
     )
-    material: str = Field("palm", description="a preset of palmfield.skin.materials.material")
+    material: str = Field("palm", description="a preset, by name (materials.md)")
     materials: Names = Field(
         (), description="presets of several sheets from the surface down, in place of `material`; needs `shares`"
     )

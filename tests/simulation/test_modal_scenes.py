@@ -7,8 +7,8 @@ from check_turned import moved, quaternion
 
 from palmfield.engine.host import raise_errors
 from palmfield.errors import SceneError
-from palmfield.session.plan import plan
-from palmfield.session.run import run
+from palmfield.estimate.estimated_run import run
+from palmfield.planning.scene_plan import plan
 from palmfield.session.simulation import Simulation, load
 from palmfield.simulation.small_models.load_class import corner_Hz
 from palmfield.simulation.state import BEGUN, WHOLE
