@@ -34,7 +34,7 @@ def section(heading: str) -> str:
 def table(first_heading: str) -> list[list[str]]:
     """Cells of the table whose first column has this heading."""
     rows = PAGE.split(f"\n| {first_heading} |")[1].split("\n\n")[0].split("\n")[2:]
-    return [[cell.strip() for cell in row.strip().strip("|").split(" | ")] for row in rows]
+    return [[cell.strip().replace("\\|", "|") for cell in row.strip().strip("|").split(" | ")] for row in rows]
 
 
 def code_words(text: str) -> list[str]:
@@ -67,7 +67,7 @@ def test_every_file_and_name_that_the_page_refers_to_exists():
 def test_every_module_and_class_that_the_page_names_exists():
     plugins = {config.plugin for config in CONFIGS}
     # In a row such as "`--help` and `a : b`" each part is a name.
-    words = {part.strip("() ") for word in code_words(PAGE) for part in word.split(" : ")}
+    words = {part.strip("() ") for word in code_words(PAGE) for part in re.split(r" : | \\?\| ", word)}
     classes = {
         node.name
         for path in (ROOT / "palmfield").rglob("*.py")

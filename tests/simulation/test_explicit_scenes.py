@@ -6,7 +6,7 @@ import pytest
 import palmfield
 from palmfield.data import folder
 from palmfield.errors import SceneError
-from palmfield.session.plan import plan
+from palmfield.planning.scene_plan import plan
 from palmfield.session.simulation import load
 
 SCENES = folder("mjcf") / "scenes"

@@ -11,7 +11,7 @@ import pytest
 import palmfield
 from palmfield.config import SkinConfig
 from palmfield.errors import SceneError
-from palmfield.session.plan import plan
+from palmfield.planning.scene_plan import plan
 from palmfield.session.simulation import load
 
 PACKAGE = '''
