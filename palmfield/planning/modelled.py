@@ -10,8 +10,8 @@ from palmfield.outputs.summary_table import of_full
 from palmfield.planning.facts import pushed_faces
 from palmfield.planning.rows import Row
 from palmfield.simulation.emission import array_drives
-from palmfield.simulation.known_load import SHARE
 from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
+from palmfield.simulation.small_models.known_load import SHARE
 from palmfield.skin.from_config import sheets_in_words
 from palmfield.skin.materials.material import shear_wave
 from palmfield.stimulus.modulation import arp_lines

@@ -93,6 +93,9 @@ class Material:
         for name, value in values.items():
             if not (math.isfinite(value) and value >= 0.0):
                 raise SceneError(f"material '{self.name}': {name} is {value}; give a finite number, 0 or above")
+        at_rest = complex(self.stiffening(0.0))
+        if not abs(at_rest - 1.0) < 1e-9:
+            raise SceneError(f"material '{self.name}': G(0) is {at_rest:g} G_r; give a law that has G_r at rest")
 
     @property
     def series(self) -> tuple[Branch, ...]:
@@ -126,7 +129,7 @@ class Material:
         return self.bulk_Pa * (self.shear_instant_Pa / self.shear_relaxed_Pa if self.bulk_relaxes else 1.0)
 
     def stiffening(self, s: complex | Complex) -> complex | Complex:
-        """G(s) / G_r at complex rates s [1/s] of e^{st}, any shape."""
+        """G(s) / G_r at complex rates s [1/s] of e^{st}, any shape; 1 at s = 0."""
         return self.relaxation.stiffening(s)
 
     def modulus(self, s: complex | Complex) -> complex | Complex:

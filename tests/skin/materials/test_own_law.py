@@ -105,6 +105,15 @@ def test_moduli_and_bounds(gel):
     assert replace(gel, exponent=0.4).law != gel.law
 
 
+def test_a_law_without_a_spring_is_refused(gel):
+    class Springpot(type(gel)):
+        def stiffening(self, s):
+            return super().stiffening(s) - 1.0
+
+    with pytest.raises(SceneError, match=r"'pot': G\(0\) is 0\+0j G_r"):
+        Springpot("pot", DENSITY, G_Pa, (), K_Pa, "", time_s=1.0, exponent=0.3)
+
+
 def test_scenes_find_it_and_refuse_branches_for_it(gel):
     keys = {"shape": "disc", "radius_m": 0.02, "thickness_m": 0.01}
     changed = material_of(SkinConfig(material=NAME, shear_relaxed_Pa=1e4, **keys))
