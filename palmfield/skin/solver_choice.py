@@ -58,13 +58,13 @@ WHERE = {
     "wedges": dict.fromkeys((*FUNCTIONS, "static"), "solvers.wedges"),
     "spectral_elements": {
         **dict.fromkeys((*FUNCTIONS, "finer", "prepared"), "solvers.spectral_elements.solve"),
-        "scene": "solvers.spectral_elements.scene",
+        "scene": "solvers.spectral_elements.stepper",
     },
     "particles": {
         "solve": "solvers.particles.solve",
         "refusal": "solvers.particles.resolution",
         "cost": "solvers.particles.resolution",
-        "scene": "solvers.particles.scene",
+        "scene": "solvers.particles.stepper",
     },
 }
 """Modules of palmfield.skin that hold each solver's solve_NAME, refusal_NAME and cost_NAME.
