@@ -143,12 +143,13 @@ def ring_along(
     weights: for each moment those of what was emitted before, of the drives at the moment before and at this one, and,
         for a part that is held, of what was emitted and of the drive, for half of it; complex, shape (m, 5)
     scales: strength at full drive [Pa m]; order: each transducer's column in the tables of drives
-    begun, end: what it emits at the step's beginning and end, relative to full drive
+    begun, end: what it emits at the step's beginning and end, relative to full drive; nothing in the end without foci
     load, force, now: the tables of the moments' drives; of the same for transducers that ring, else of the focus at the
         beginning at the loudest moment's level; and of what sounds at the beginning [Pa m]
     """
     w, e = wp.tid()
     if counts[w, 0] == 0:
+        end[w, e] = wp.vec2d()
         return
     column = order[e]
     scale = scales[e]

@@ -35,21 +35,27 @@ class WorldPoses:
         self._resting: NDArray[np.bool_] = np.zeros(count, dtype=bool)
         self._where: Float = np.zeros((count, self._fixed, 12))
 
-    def now(self) -> list[PosedScene]:
-        """The pose of each world. Raises SceneError where a body reaches into an array, with the world's number."""
+    def take(self) -> None:
+        """Take the world frames of all worlds."""
         for world, runtime in enumerate(self.runtimes):
             for kind, chosen, rows in self._taken:
                 positions, matrices = runtime.view.frames[kind]
                 positions.take(chosen, 0, self._positions[world, rows], "clip")
                 matrices.take(chosen, 0, self._matrices[world, rows], "clip")
+
+    def now(self, some: NDArray[np.bool_]) -> dict[int, PosedScene]:
+        """The pose of some worlds, shape (worlds,), by what `take` has found.
+
+        Raises SceneError where a body reaches into an array, with the world's number.
+        """
         # All worlds have the same one, in a copy that of the origin
         reference = self.runtimes[0].work.reference
         fixed = np.concatenate((self._positions[:, : self._fixed], self._matrices[:, : self._fixed]), axis=2)
-        same = self._resting & np.logical_and.reduce(fixed == self._where, axis=(1, 2))
+        same = self._resting & some & np.logical_and.reduce(fixed == self._where, axis=(1, 2))
         if np.logical_or.reduce(same):
             turns = self._matrices.reshape(*self._positions.shape, 3)
             same &= settled_worlds(self._model, self._layout, self._positions, turns, reference)
-        for world in (~same).nonzero()[0].tolist():
+        for world in (some & ~same).nonzero()[0].tolist():
             with naming_world(world):
                 posed = self._posed[world] = self.runtimes[world].posed
             self._where[world] = fixed[world]
@@ -58,4 +64,4 @@ class WorldPoses:
                 and posed.skins == reference.skins
                 and posed.arrays is self._model.arrays
             )
-        return list(self._posed)
+        return {world: self._posed[world] for world in some.nonzero()[0].tolist()}

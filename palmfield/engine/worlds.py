@@ -21,6 +21,7 @@ from palmfield.engine.world_poses import WorldPoses
 from palmfield.errors import SceneError, explaining, naming_world
 from palmfield.mujoco_host.mujoco_view import PluginSensor
 from palmfield.simulation.model import HapticModel
+from palmfield.simulation.moving_worlds import MovingWorlds
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.sensors import channels, skin_reading
 from palmfield.simulation.state import HEADER, HapticState, new_state
@@ -73,7 +74,9 @@ class SceneWorlds:
             skins = [module for module in world.modules.values() if isinstance(module, SkinModule)]
             self._sensors.append([module.hand_over() for module in sorted(skins, key=lambda skin: skin.number)])
         self.together = TogetherStep(models, works, self.state)
-        self._poses = WorldPoses(self.runtimes, positions, matrices)
+        self.moving = MovingWorlds(models, works, self.state)
+        self._watched: list[list[int]] = []  # numbers of the sensors' places, by skin
+        self._poses, self._frames = WorldPoses(self.runtimes, positions, matrices), (positions, matrices)
         self._threads = min(cores(), max(1, count * self.mujoco_model.nv // FREEDOMS_PER_THREAD))
         # The ARP of the unit drives at a sensor, by skin and number, with the poses for which it holds
         self._probed: dict[tuple[int, int], tuple[bytes, list[PosedScene], Float]] = {}
@@ -99,6 +102,7 @@ class SceneWorlds:
             if time_s is not None:
                 one.time = time_s
             place(one)
+        self.moving.forget()
         for part in (*self.state.arrays, *self.state.skins):
             part[:] = 0.0
         for runtime in self.runtimes:
@@ -160,27 +164,49 @@ class SceneWorlds:
             for runtime, pose in zip(self.runtimes, poses[:, row], strict=True):
                 runtime.view.put_mocap(mocap, pose[:3], pose[3:])
 
-    def _push(self, t0: float) -> list[PosedScene]:
-        """Poses of all worlds; the sound's forces are added to MuJoCo's passive ones."""
-        posed, together = self._poses.now(), self.together
+    def settle(self) -> None:
+        """Bring the state up to date, where a device has what is newer."""
+        self.moving.fetch()
+
+    def _watch(self) -> None:
+        """Have the places of all sensors watched, once: before a state has been given to a device."""
+        if not self._watched and self.moving.some:
+            for skin, sensors in enumerate(self._sensors[0]):
+                places = [self.runtimes[0].place(skin, sensor) for sensor in sensors]
+                self._watched.append([self.moving.watch(skin, place) for place in places])
+
+    def _push(self, t0: float) -> dict[int, PosedScene]:
+        """Poses of worlds that nothing else carries; the sound's forces are added to MuJoCo's passive ones."""
+        self._watch()
+        self._poses.take()
+        together, first = self.together, self.runtimes[0].work
+        watched = any(operator is not None for operator in first.observe) or first.observer is not None
+        self.moving.begin(*self._frames, t0, watched or together.observer is not None)
+        alone = np.ones(len(self.data), dtype=bool)
+        alone[self.moving.joined] = False
+        posed = self._poses.now(alone)
         together.begin(posed, t0)
         if together.apart:
             for number in together.apart:
                 with naming_world(number):
                     self.runtimes[number].push()
                 self.forces[number] = self.runtimes[number].applied
-        worlds = together.joined.tolist()
-        for body, (pushes, turns) in enumerate(together.mean_forces(t0)):
-            self.forces[together.joined, body] = np.add.reduce(pushes, axis=1)
-            for number, push, turn in zip(worlds, pushes, turns, strict=True):
+        self._apply(together.joined, together.mean_forces(t0))
+        self._apply(self.moving.joined, self.moving.mean_forces())
+        return posed
+
+    def _apply(self, worlds: NDArray[np.intp], forces: Sequence[tuple[Float, Float]]) -> None:
+        """Push the bodies of some worlds: forces on the parts of each and torques about their origins, (g, b, 3)."""
+        for body, (pushes, turns) in enumerate(forces):
+            self.forces[worlds, body] = np.add.reduce(pushes, axis=1)
+            for number, push, turn in zip(worlds.tolist(), pushes, turns, strict=True):
                 runtime = self.runtimes[number]
                 outlet = runtime.outlets[body]
                 outlet.forces[:], outlet.torques[:] = push, turn
                 outlet.apply()
                 runtime.applied_parts[body], runtime.applied[body] = (push, turn), self.forces[number, body]
-        return posed
 
-    def _sense(self, posed: Sequence[PosedScene], t0: float) -> None:
+    def _sense(self, posed: Mapping[int, PosedScene], t0: float) -> None:
         """Fill the sensors of all worlds."""
         together = self.together
         for number in together.apart:
@@ -188,19 +214,26 @@ class SceneWorlds:
                 if sensors:
                     with naming_world(number):
                         self.runtimes[number].sense(skin, sensors)
+        if len(self.moving.joined):
+            for skin, numbers in enumerate(self._watched):
+                for which, number in enumerate(numbers):
+                    arp, motion = self.moving.sensed(number)
+                    self._tell(skin, which, self.moving.joined, motion, arp)
         worlds = together.joined
         if len(worlds) == 0 or not any(self._sensors[0]):
             return
         factors = together.present_factors(t0)
         where = [posed[world] for world in worlds.tolist()]
         for skin, sensors in enumerate(self._sensors[0]):
-            body = self.models[0].skins[skin].body
             for which in range(len(sensors)):
                 motion = self._motion_at(skin, which, worlds)
-                arp = factors * self._probe(skin, which, worlds, where)
-                rows = zip(self.forces[worlds, body], motion, arp, strict=True)
-                for world, row in zip(worlds.tolist(), rows, strict=True):
-                    self._sensors[world][skin][which].data[:] = channels(skin_reading(*row))
+                self._tell(skin, which, worlds, motion, factors * self._probe(skin, which, worlds, where))
+
+    def _tell(self, skin: int, which: int, worlds: NDArray[np.intp], motion: Float, arp: Float) -> None:
+        """Fill a sensor in some worlds: displacement [m] and velocity [m/s], shape (g, 2), and ARP [Pa], shape (g,)."""
+        body = self.models[0].skins[skin].body
+        for world, *row in zip(worlds.tolist(), self.forces[worlds, body], motion, arp, strict=True):
+            self._sensors[world][skin][which].data[:] = channels(skin_reading(*row))
 
     def _motion_at(self, skin: int, which: int, worlds: NDArray[np.intp]) -> Float:
         """Displacement [m] and velocity [m/s] of the skin at a sensor in some worlds, shape (g, 2)."""
@@ -230,6 +263,7 @@ class SceneWorlds:
 
     def _advance(self, t1: float) -> None:
         """Carry transducers and skins of all worlds over MuJoCo's last step, with the poses at its beginning."""
+        self.moving.advance()
         self.together.advance(t1 - self.models[0].spec.timestep_s, t1)
         for number in self.together.apart:
             with naming_world(number):

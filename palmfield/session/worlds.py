@@ -1,7 +1,7 @@
 """Several worlds of one scene, which differ in what their stimuli do and where hands are, stepped together."""
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import mujoco
@@ -93,6 +93,7 @@ class Worlds:
     @property
     def runtimes(self) -> list[SceneRuntime]:
         """What carries each world."""
+        self._scenes.settle()
         return self._scenes.runtimes
 
     @property
@@ -151,6 +152,7 @@ class Worlds:
         twin.name, twin.path, twin.model = self.name, self.path, self.model
         with interrupts_held():
             scenes = self._scenes
+            scenes.settle()
             data = [copy.copy(one) for one in scenes.data]
             twin._attach(SceneWorlds(data, scenes.models, scenes.poses, scenes.state.copy()))
             twin._scenes.adopt(scenes)
@@ -181,7 +183,8 @@ class Worlds:
         names = self.skins
         name = chosen_name(names, name)
         if name not in self._skins:
-            self._skins[name] = WorldsSkin([Skin(runtime, names.index(name)) for runtime in self._scenes.runtimes])
+            skins = [Skin(runtime, names.index(name)) for runtime in self._scenes.runtimes]
+            self._skins[name] = WorldsSkin(skins, self._scenes.settle)
         return self._skins[name]
 
     @property
@@ -195,7 +198,7 @@ class Worlds:
     def emitted(self) -> Complex:
         """What the transducers emit now, after their ring-up, shape (worlds, N)."""
         result = np.zeros((self.count, len(self._scenes.models[0].arrays)), np.complex128)
-        for row, runtime in zip(result, self._scenes.runtimes, strict=True):
+        for row, runtime in zip(result, self.runtimes, strict=True):
             _, course = runtime.now()
             if course.emitted is not None or course.unit is not None:
                 row[:] = rows(course)[0]
@@ -228,8 +231,14 @@ class WorldsSkin:
     The skin at rest is the same in all worlds: `rest_position`, `rest_normal` and `faces` are as `Skin` has them.
     """
 
-    def __init__(self, skins: list[Skin]):
-        self._skins = skins
+    def __init__(self, skins: list[Skin], settle: Callable[[], None]):
+        """settle: brings the state up to date"""
+        self._all, self._settle = skins, settle
+
+    @property
+    def _skins(self) -> list[Skin]:
+        self._settle()
+        return self._all
 
     @property
     def name(self) -> str:

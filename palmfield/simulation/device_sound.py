@@ -71,6 +71,10 @@ FOCI = "foci"
 """Where they come from, if kernels make them."""
 PATH = "counts", "group", "foci", "wanted", "aims", "ring", "begun", "end", "totals"
 """Parts of a PathMemory that a step's inputs and results hold."""
+GOING = "load_counts", "force_counts", "now_counts", "path_counts", "path_wanted", "weights"
+COMING = "forces", "probes", "path_totals"
+"""What goes to a device in each step of several worlds, and comes from there."""
+Parts = Mapping[str, tuple[tuple[int, ...], Any]]
 
 
 class Sounding(NamedTuple):
@@ -445,9 +449,14 @@ class DeviceWork:
         models: Mapping[int, DeviceModel] | None = None,
         drives: PathDrives | None = None,
         worlds: int = 1,
-        chosen: bool = False,
+        more: tuple[Parts, Parts] | None = None,
     ):
-        """chosen: whether skins get pressure only where the steppers of `models` take it"""
+        """worlds: how many
+
+        more: further inputs and results, for worlds that are stepped together: of what is usual, only what GOING and
+            COMING name goes in and out then, and skins get pressure only where the steppers of `models` take it
+        """
+        chosen, (asked, told) = more is not None, more or ({}, {})
         self.models, self.drives = dict(models or {}), drives
         self.model, self.device, self.probes = model, transducers.device, tuple(probes)
         self._rows = _motion_rows(model)
@@ -472,8 +481,16 @@ class DeviceWork:
         if drives is not None:
             parts |= PathMemory.inputs(sizes[LOAD][0], sizes[FOCI][0], transducers.count, worlds)
             results |= PathMemory.results(sizes[FOCI][0], transducers.count, worlds)
-        self.inputs = SharedBlock(parts, self.device)
-        arrays = self.inputs.arrays
+        kept = {name: part for name, part in (parts | results).items() if chosen and name not in GOING + COMING}
+        self.inputs = SharedBlock(
+            {name: part for name, part in parts.items() if name not in kept} | dict(asked), self.device
+        )
+        self.forces = SharedBlock(
+            {name: part for name, part in results.items() if name not in kept} | dict(told), self.device
+        )
+        arrays = self.arrays = self.inputs.arrays | self.forces.arrays
+        for name, (shape, dtype) in kept.items():
+            arrays[name] = wp.zeros(shape, dtype=dtype, device=self.device)
         motions = filled(carrying.Motions(), turns=arrays["turns"], shifts=arrays["shifts"])
         meshes = self._meshes(reference)
         steppers = {number: one.stepper for number, one in self.models.items()} if chosen else {}
@@ -483,9 +500,8 @@ class DeviceWork:
         owners = _Owners(reference, self._rows, points.samples)
         counts = {LOAD: points.loaded.stop, NOW: len(probes), FORCE: points.count - points.sampled.start}
         self.load = SharedArray((worlds * sizes[LOAD][1], counts[LOAD]), wp.float32, self.device)
-        self.forces = SharedBlock(results, self.device)
         pressed: Any = wp.zeros((worlds * sizes[FORCE][1], counts[FORCE]), dtype=wp.float32, device=self.device)
-        arps = {LOAD: self.load.array, NOW: self.forces.arrays["probes"], FORCE: pressed}
+        arps = {LOAD: self.load.array, NOW: arrays["probes"], FORCE: pressed}
         places = {LOAD: points.loaded, NOW: points.probed, FORCE: points.sampled}
         surfaces: dict[str, list[Surface]] = {LOAD: [], NOW: [], FORCE: []}
         weighing: list[Callable[[], object]] = []
@@ -528,7 +544,7 @@ class DeviceWork:
         ]
         self._sound[FORCE] += [
             launch(summing.mean_load, loads.shape, weighed, self.device),
-            *owners.calls(loads, *sampled, arrays["origins"], self.forces.arrays["forces"], self.device),
+            *owners.calls(loads, *sampled, arrays["origins"], arrays["forces"], self.device),
         ]
         self._pose = points.calls(motions)
         for skin, mesh in meshes.items():
@@ -545,7 +561,7 @@ class DeviceWork:
 
     def _path_memory(self) -> PathMemory:
         """Where a moving focus's numbers are."""
-        here = self.inputs.arrays | self.forces.arrays
+        here = self.arrays
         own = (here[f"path_{name}"] for name in PATH)
         return PathMemory(*own, *(here[f"{name}_drives"] for name in (LOAD, FORCE, NOW)))
 
@@ -573,7 +589,7 @@ class DeviceWork:
 
     def _memory(self, skin: int) -> StepMemory:
         """Where a skin's step finds its numbers."""
-        inputs, results = self.inputs.arrays, self.forces.arrays
+        inputs = results = self.arrays
         pressure = self.load.array[:, self.quadrature[skin]]
         weights, before = inputs[f"weights_{skin}"], inputs[f"before_{skin}"]
         squares = results[f"squares_{skin}"]
@@ -880,7 +896,12 @@ class _Owners:
         sums: Any = wp.zeros((worlds, runs, 6), dtype=wp.float64, device=device)
         lanes: Any = wp.zeros((worlds, summing.LANES, self._parts, 6), dtype=wp.float64, device=device)
         return [
-            launch(summing.sums_of_runs, (worlds, runs), [loads, points, normals, order, starts, parts, origins, sums], device),
+            launch(
+                summing.sums_of_runs,
+                (worlds, runs),
+                [loads, points, normals, order, starts, parts, origins, sums],
+                device,
+            ),
             launch(summing.sums_of_parts, lanes.shape, [sums, of_parts, lanes], device),
             launch(summing.sums_of_lanes, result.shape, [lanes, result], device),
         ]
