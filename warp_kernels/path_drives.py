@@ -128,6 +128,7 @@ def ring_along(
     waves: wp.array3d(dtype=wp.vec2d),
     levels: wp.array2d(dtype=wp.float64),
     weights: wp.array2d(dtype=wp.vec2d),
+    pushes: wp.array(dtype=wp.int32),
     scales: wp.array(dtype=wp.vec2d),
     order: wp.array(dtype=wp.int32),
     begun: wp.array2d(dtype=wp.vec2d),
@@ -138,10 +139,11 @@ def ring_along(
 ):
     """What a transducer emits at the moments of a step, as a pole rings along the drives; dim: (w, n).
 
-    The last of counts[w, 0] foci is where the step begins, the others are the moments', counts[w, 1] for each, of which a
-    transducer takes the one that `group` names. rings: 0 where what is commanded sounds at once
+    The last of counts[w, 0] foci is where the step begins, the others are the moments', counts[w, 1] for each, of which
+    a transducer takes the one that `group` names. rings: 0 where what is commanded sounds at once
     weights: for each moment those of what was emitted before, of the drives at the moment before and at this one, and,
         for a part that is held, of what was emitted and of the drive, for half of it; complex, shape (m, 5)
+    pushes: which row of `force` takes each moment, -1 for none, shape (m,)
     scales: strength at full drive [Pa m]; order: each transducer's column in the tables of drives
     begun, end: what it emits at the step's beginning and end, relative to full drive; nothing in the end without foci
     load, force, now: the tables of the moments' drives; of the same for transducers that ring, else of the focus at the
@@ -174,7 +176,8 @@ def ring_along(
             push = times(weights[j, 4], drive)
             emitted = times(weights[j, 3], emitted) + push
             load[load_row + j, column] = single(times(scale, emitted))
-            force[force_row + j, column] = load[load_row + j, column]
+            if pushes[j] >= 0:
+                force[force_row + pushes[j], column] = load[load_row + j, column]
             emitted = times(weights[j, 3], emitted) + push
         before = drive
     for j in range(moments, loads):

@@ -74,7 +74,8 @@ def fields(rows: int, gpu: bool, shaded: bool = False) -> Any:
     ):
         """Of the transducers [first, stop) in runs of `size`; what the runs give begins at result[:, run].
 
-        points, normals: of each world, (w, n); normals: unit, outward, of the opaque surfaces on which the points lie; see `pressure.from_front`
+        points, normals: of each world, (w, n); normals: unit, outward, of the opaque surfaces on which the points
+            lie; see `pressure.from_front`
         places, facing: position [m] and unit direction of each transducer, the fourth number is unused
         shapes: directivity and slope, see `pressure.Sound`
         counts: how many drives there are in each world; drives: complex amplitude of each transducer [Pa m], shape

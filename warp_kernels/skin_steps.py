@@ -192,7 +192,7 @@ def state_products(
     size: wp.int32,
     result: wp.array3d(dtype=wp.float64),
 ):
-    """State (w, n) and forces (w, f), side by side, times a matrix (n + f, n), in chunks of `size` rows; (w, chunks, n).
+    """State (w, n) and forces (w, f), side by side, times a matrix (n + f, n), in chunks of `size`, (w, chunks, n).
 
     dim: the result's
     """

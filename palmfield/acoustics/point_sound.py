@@ -29,7 +29,7 @@ THREADS_ENOUGH = 2**18
 """Threads that fill a GPU: fewer points and drives share out the transducers as well."""
 SHORTEST_RUN = 32
 """Transducers that a thread takes at least."""
-ROWS = 4
+ROWS = 5
 """Drives that a thread takes where there are more than two: what a pair of transducer and point costs is shared."""
 
 

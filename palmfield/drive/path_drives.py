@@ -49,7 +49,8 @@ class PathMemory(NamedTuple):
     counts: foci and groups, int32, shape (w, 2); group: of each transducer, int32, shape (w, n)
     foci: [m], vec3d, shape (w, f); wanted: levels, float64, shape (w, f + 1)
     aims: what is asked for at the focus, vec2d, shape (w,), see `PathDrives.aim`
-    ring: weights of the pole for each moment, vec2d, shape (m, 5); begun, end: what is emitted, vec2d, shape (w, n)
+    ring: weights of the pole for each moment, vec2d, shape (m, 5); pushes: which row of `force` takes it, -1 for none,
+        int32, shape (m,); begun, end: what is emitted, vec2d, shape (w, n)
     totals: pressure at the foci at full drive and number of transducers that face them, vec3d, shape (w, f)
     load, force, now: tables of drives, vec2, see `palmfield.acoustics.point_sound.DriveTable`
     """
@@ -60,6 +61,7 @@ class PathMemory(NamedTuple):
     wanted: Any
     aims: Any
     ring: Any
+    pushes: Any
     begun: Any
     end: Any
     totals: Any
@@ -77,6 +79,7 @@ class PathMemory(NamedTuple):
             "path_wanted": ((worlds, foci + 1), wp.float64),
             "path_aims": ((worlds,), wp.vec2d),
             "path_ring": ((moments, 5), wp.vec2d),
+            "path_pushes": ((moments,), wp.int32),
             "path_begun": ((worlds, transducers), wp.vec2d),
         }
 
@@ -138,6 +141,7 @@ class PathDrives:
             waves,
             levels,
             memory.ring,
+            memory.pushes,
             self._scales,
             self._order,
             memory.begun,
@@ -179,6 +183,12 @@ class PathDrives:
         good[:count] |= step.levels == 0.0
         good[count] |= step.mean == 0.0 and step.now == 0.0
         return bool(np.logical_and.reduce(good))
+
+
+def push_rows(weights: Float) -> Int:
+    """Of moments that push bodies with these weights, shape (m,), the row that each takes among them; -1 without."""
+    counted = weights > 0.0
+    return np.where(counted, np.add.accumulate(counted, dtype=np.int32) - 1, -1).astype(np.int32)
 
 
 def aim_of(drive: ArrayDrive) -> tuple[float, float]:

@@ -24,8 +24,6 @@ from palmfield.simulation.model import HapticModel, array_instances
 from palmfield.simulation.radiation import Radiation
 from palmfield.simulation.state import WHOLE
 from palmfield.skin.explicit_layer import explicit_layer
-from palmfield.skin.reduction.modal_stepper import ModalStepper
-from palmfield.skin.reduction.reduced_stepper import ReducedStepper
 from palmfield.skin.solver_choice import PREVIEW
 from palmfield.types import Float
 
@@ -84,8 +82,9 @@ def skin_numbers(
         result["input_band_parts"] = [dict(zip(("what", "low", "high"), part, strict=True)) for part in parts]
         result |= {"peak_displacement_low_m": peak * low, "peak_displacement_high_m": peak * high}
     stepper = model.begin[number].value
-    if isinstance(stepper, ModalStepper) and not left_small_model:
-        result["reduction_velocity_error_relative"] = runtime.work.outside[number].errors(stepper)[1]
+    if stepper.adds_error is not None and not left_small_model:
+        velocity_error = runtime.work.outside[number].errors(stepper.adds_error)[1]
+        result |= {} if velocity_error is None else {"reduction_velocity_error_relative": velocity_error}
     reference = runtime.work.reference
     result |= felt_levels(model, number, loudest, radiation, reference, times, normal, arp_peaks, begun_s=begun_s)
     return result | {"verdict": verdict(result)}
@@ -201,7 +200,7 @@ def _radiation(runtime: SceneRuntime) -> Radiation:
 
 def _left_small_model(runtime: SceneRuntime, skin: int) -> bool:
     """Whether a run that began with a small model of a skin went on with its whole layer."""
-    begun = isinstance(runtime.model.begin[skin].value, ReducedStepper | ModalStepper)
+    begun = runtime.model.begin[skin].value.adds_error is not None
     return begun and bool(runtime.state.skins[skin][0, 0] == WHOLE)
 
 
@@ -211,10 +210,7 @@ def _solver_in_words(model: HapticModel, skin: int, left_small_model: bool) -> s
     if stepper.name in EXPLICIT:
         preview = ", a preview" if stepper.name in PREVIEW else ""
         return f"{stepper.name}{preview}: {explicit_layer(model.skins[skin].layer).resolution}"
-    if not isinstance(stepper, ReducedStepper | ModalStepper):
-        return stepper.name
-    words = f"{stepper.name}, {stepper.order} {'modes' if isinstance(stepper, ModalStepper) else 'vectors'}"
-    return f"{words}; then wedges" if left_small_model else words
+    return f"{stepper.describe()}; then wedges" if left_small_model else stepper.describe()
 
 
 def _why(model: HapticModel, skin: int) -> str:

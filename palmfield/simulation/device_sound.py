@@ -32,7 +32,7 @@ from palmfield.device import (
     resolve,
     whole_numbers,
 )
-from palmfield.drive.path_drives import PathDrives, PathMemory, PathStep
+from palmfield.drive.path_drives import PathDrives, PathMemory, PathStep, push_rows
 from palmfield.drive.transducer_response import EmittedCourse, present_drive
 from palmfield.errors import PalmfieldError
 from palmfield.hand.posed_surface import SkinBinding
@@ -52,8 +52,7 @@ from palmfield.simulation.radiation import (
 from palmfield.simulation.sensors import SensorPlace
 from palmfield.skin.reduction import device_models
 from palmfield.skin.reduction.device_models import DeviceModel, StepMemory, device_model
-from palmfield.skin.reduction.modal_stepper import Outside
-from palmfield.skin.stepper import SkinStepper
+from palmfield.skin.stepper import Outside, SkinStepper
 from palmfield.stimulus.schedule import Moments
 from palmfield.types import Complex, Float, Float32, Int
 from warp_kernels import carried_points as carrying
@@ -69,7 +68,7 @@ LOAD, FORCE, NOW = "load", "force", "now"
 """What drives are for: the skins' load over the step, the mean force over it, and the sensors at its beginning."""
 FOCI = "foci"
 """Where they come from, if kernels make them."""
-PATH = "counts", "group", "foci", "wanted", "aims", "ring", "begun", "end", "totals"
+PATH = "counts", "group", "foci", "wanted", "aims", "ring", "pushes", "begun", "end", "totals"
 """Parts of a PathMemory that a step's inputs and results hold."""
 GOING = "load_counts", "force_counts", "now_counts", "path_counts", "path_wanted", "weights"
 COMING = "forces", "probes", "path_totals"
@@ -238,7 +237,7 @@ class DeviceSound:
         self._path = known = _PathKnown(posed, t0, emitted.copy(), path.moments, course)
         steps = self._steps(posed, path.moments, course, skins)
         count = len(path.moments.times)
-        pushes = count if self._drives.rings else 1
+        pushes = int(np.count_nonzero(path.weights)) if self._drives.rings else 1
         needs = {LOAD: (count, count), FORCE: (pushes, pushes), NOW: (1, 1), FOCI: (len(path.foci), 0)}
         work, moved = self._room(needs, posed, steps)
         self._skins, self._sounding, self._path = NO_SKINS, {}, None  # should the launch fail, nothing is known
@@ -579,8 +578,10 @@ class DeviceWork:
         ring = drives.ring(path.moments)
         hosts["path_ring"].view(np.complex128)[: len(ring), :, 0] = ring
         hosts["path_begun"].view(np.complex128)[0, :, 0] = emitted
-        pushes = moments if drives.rings else 1
-        hosts["weights"][0, :pushes] = path.weights if drives.rings else 1.0
+        counted = path.weights[path.weights > 0.0] if drives.rings else np.ones(1)
+        pushes = len(counted)
+        hosts["path_pushes"][:moments] = push_rows(path.weights)
+        hosts["weights"][0, :pushes] = counted
         for name, sums in ((LOAD, moments), (FORCE, pushes), (NOW, 1)):
             if hosts[f"{name}_counts"][0, 0] != sums or hosts[f"{name}_counts"][0, 1] != sums or not self._led:
                 hosts[f"{name}_counts"][0] = sums

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from palmfield.acoustics.point_sound import Transducers
 from palmfield.acoustics.surface_load import CLEARANCE_M
 from palmfield.device import Branches, SharedArray, launch, launching, replayed, resolve, whole_numbers
-from palmfield.drive.path_drives import PathDrives, aim_of
+from palmfield.drive.path_drives import PathDrives, aim_of, push_rows
 from palmfield.drive.transducer_response import SILENT
 from palmfield.simulation.device_sound import FOCI, FORCE, LOAD, NOW, DeviceWork, serves
 from palmfield.simulation.emission import LEAST_MEANS, array_drives, mean_weights
@@ -219,7 +219,7 @@ class MovingWorlds:
         else:
             hosts["weights"][:, 0] = means[kinds]
         sounds &= joins
-        pushes = moments if self._rings else 1
+        pushes = hosts["weights"].shape[1]
         for name, count in ((LOAD, moments), (FORCE, pushes), (NOW, 1)):
             hosts[f"{name}_counts"][:] = np.where(sounds, count, 0)[:, None]
         hosts["path_counts"][:] = np.where(sounds[:, None], (moments + 1, 1), 0)
@@ -251,7 +251,7 @@ class MovingWorlds:
         return _Ahead(starts, np.array(foci), np.array(levels), np.array(means))
 
     def _good(self, work: "_WorldsWork", sounds: Bool) -> Bool:
-        """In which worlds what came out is the step: nothing near a board, foci that can be made, loads of the class."""
+        """In which worlds what came out holds: nothing near a board, foci that can be made, loads of the class."""
         hosts = work.forces.hosts
         good = np.logical_and.reduce(hosts["heights"] >= CLEARANCE_M, axis=1)
         totals, levels = hosts["path_totals"], self._levels[self._kinds]
@@ -286,7 +286,7 @@ class MovingWorlds:
         return result
 
     def sensed(self, number: int) -> tuple[Float, Float]:
-        """ARP [Pa], shape (g,), and displacement [m] and velocity [m/s], (g, 2), at what `watch` has given this number."""
+        """ARP [Pa], shape (g,), displacement [m] and velocity [m/s], (g, 2), at what `watch` has given this number."""
         work, rows = self._work, self.joined
         assert work is not None
         skin = self._probes[number][0]
@@ -330,7 +330,10 @@ class _WorldsWork(DeviceWork):
         drive = array_drives(first, first.arrays)[0]
         drives = PathDrives(drive, transducers, response.stepper if first.response_on else None)
         moments = first.substeps + 1
-        pushes = moments if drives.rings else 1
+        straight = substep_moments((), 0.0, first.step_s, first.substeps)
+        weights = mean_weights(straight)
+        counted = weights[weights > 0.0] if drives.rings else np.ones(1)
+        pushes = len(counted)
         sizes = {LOAD: (moments, moments), FORCE: (pushes, pushes), NOW: (1, 1), FOCI: (moments + 1, 0)}
         frames, parts = layout.bodies[-1][1].stop, sum(body.parts for body in first.bodies)
         asked: dict[str, Any] = {
@@ -345,17 +348,17 @@ class _WorldsWork(DeviceWork):
         super().__init__(first, work.reference, transducers, probes, sizes, steppers, drives, worlds, (asked, told))
         self.aims, arrays, device = aims, self.arrays, self.device
         arrays["path_aims"].assign(aims)
-        straight = substep_moments((), 0.0, first.step_s, first.substeps)
+        arrays["path_pushes"].assign(push_rows(weights))
         arrays["path_ring"].assign(drives.ring(straight).view(np.float64).reshape(-1, 5, 2))
-        self.inputs.hosts["weights"][:] = mean_weights(straight) if drives.rings else 1.0
+        self.inputs.hosts["weights"][:] = counted
         for name in (LOAD, FORCE, NOW):
             own = np.zeros((*arrays[f"{name}_levels"].shape, 2), np.float32)
             sums = len(own) // worlds
             own[..., 0] = np.tile(np.eye(sums, own.shape[1]), (worlds, 1))
             arrays[f"{name}_levels"].assign(own)
         for number, model in steppers.items():
-            weights = model.weights(straight.first, straight.last)
-            arrays[f"weights_{number}"].assign(np.tile(weights, (worlds, 1, 1)))
+            patterns = model.weights(straight.first, straight.last)
+            arrays[f"weights_{number}"].assign(np.tile(patterns, (worlds, 1, 1)))
         centres, halves, rest, rows = _parts(first, layout)
         places, axes = arrays["places"], arrays["axes"]
         moved = [arrays["turns"], arrays["shifts"], arrays["origins"]]

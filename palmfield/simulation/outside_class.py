@@ -10,8 +10,7 @@ from palmfield.simulation.emission import array_drives
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.radiation import Radiation
-from palmfield.skin.reduction.modal_stepper import ModalStepper, Outside
-from palmfield.skin.stepper import SurfaceLoads
+from palmfield.skin.stepper import Outside, SkinStepper, SurfaceLoads
 
 SHORT_WAVES = 3.0
 """Times its share of the pressure, what a load outside the class adds to the velocity's error, about: it is of shorter
@@ -57,28 +56,31 @@ class OutsideClass:
         """Of the pressure's norm, what was outside."""
         return math.sqrt(self.sums.plain / self.sums.plain_of_all) if self.sums.plain_of_all > 0.0 else 0.0
 
-    def errors(self, modes: ModalStepper) -> tuple[float, float]:
-        """Relative errors of displacement and velocity that modes state of a run, with what lay outside their class."""
+    def errors(self, added: tuple[float, float | None]) -> tuple[float, float | None]:
+        """What a small model adds to a run's errors (`SkinStepper.adds_error`), with what lay outside its class."""
+        displacement, velocity = added
         quick = SHORT_WAVES * self.pressure_share
-        return math.hypot(modes.error, self.energy_share), math.hypot(modes.velocity_error, quick)
+        return math.hypot(displacement, self.energy_share), None if velocity is None else math.hypot(velocity, quick)
 
 
 def leaves_class(model: HapticModel, skin: int, share: Any) -> Any:
     """Whether a skin's modes end here: more of a step's load than the wanted accuracy lies outside their class.
 
-    share: see OutsideClass.add, one number or several. Where key `solver` asks for modes they go on, and the run's error says it.
+    share: see OutsideClass.add, one number or several. Where key `solver` asks for modes they go on, and the run's
+    error says it.
     """
     config = model.skins[skin].spec.config
-    return (config.solver != "modal") & (share > config.accuracy)
+    return (config.solver == "auto") & (share > config.accuracy)
 
 
 def loudest_load(
-    model: HapticModel, skin: int, stepper: ModalStepper, reference: PosedScene, radiation: Radiation
+    model: HapticModel, skin: int, stepper: SkinStepper, reference: PosedScene, radiation: Radiation
 ) -> float:
     """Energy over a step of a stimulus's steady focus in the middle of a skin, in the reference pose: what sound beside
     the skin is little against."""
     frame = reference.skins[skin].body.frame
     centre = frame.points(np.array(model.skins[skin].spec.patch_centre))
+    assert stepper.points is not None
     radiation.choose(skin, stepper.points)
     loudest = 0.0
     for drive in array_drives(model, reference.arrays):

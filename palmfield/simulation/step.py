@@ -23,9 +23,7 @@ from palmfield.simulation.prefetch import LoadPrefetch
 from palmfield.simulation.radiation import Radiation, Role
 from palmfield.simulation.state import WHOLE, HapticState, at_rest, claim, stepper_of
 from palmfield.simulation.whole_layer import continue_on_whole_layer, leaves_small_model
-from palmfield.skin.reduction.modal_stepper import ModalStepper, Outside
-from palmfield.skin.reduction.reduced_stepper import ReducedStepper
-from palmfield.skin.stepper import Reader, SkinStepper, SurfaceLoads
+from palmfield.skin.stepper import Outside, Reader, SkinStepper, SurfaceLoads
 from palmfield.stimulus.schedule import Moments
 from palmfield.types import Complex, Float, Float32, Int
 
@@ -101,7 +99,7 @@ class Workspace:
         self.served = [None] * len(self.served)
         self.outside = [OutsideClass() for _ in self.outside]
 
-    def outside_share(self, model: HapticModel, skin: int, stepper: ModalStepper, seen: Outside) -> float:
+    def outside_share(self, model: HapticModel, skin: int, stepper: SkinStepper, seen: Outside) -> float:
         """What of a step's load on a skin lies outside the class of its modes, see OutsideClass.add."""
         outside = self.outside[skin]
         if outside.loudest is None:
@@ -166,14 +164,14 @@ def _step_skin(
         if leaves_small_model(model, state, number, posed, work.reference, emission, t0):
             stepper, numbers = continue_on_whole_layer(model, state, number, posed, emission, work.radiation, begun, t0)
         # One that serves only from the beginning of the sound on must be asked again, and so where points are held
-        elif not emission.holds and not (isinstance(stepper, ReducedStepper) and not stepper.any_course):
+        elif not emission.holds and stepper.any_course:
             work.served[number] = posed
     reader = None if work.observe[number] is None else work.reader(number, stepper)
     end = None
     if device is not None and reader is None:
         end = device.stepped(number, stepper, numbers[0], posed, moments, course)
     loads = skin_loads(work, posed, number, stepper.points, moments, course) if end is None else None
-    if isinstance(stepper, ModalStepper):
+    if stepper.of_class:
         seen = end.outside if end is not None else None
         if seen is None:
             assert loads is not None

@@ -23,10 +23,8 @@ from palmfield.simulation.radiation import Role
 from palmfield.simulation.state import BEGUN, HEADER, WHOLE, HapticState, check_arrays, claim, stepper_of
 from palmfield.simulation.step import Workspace
 from palmfield.simulation.whole_layer import continue_on_whole_layer, leaves_small_model
-from palmfield.skin.reduction.device_worlds import DeviceWorlds
-from palmfield.skin.reduction.modal_stepper import ModalStepper, Outside
-from palmfield.skin.reduction.reduced_stepper import ReducedStepper
-from palmfield.skin.stepper import Reader, SkinStepper, SurfaceLoads
+from palmfield.skin.reduction.device_worlds import DeviceWorlds, device_worlds
+from palmfield.skin.stepper import Outside, Reader, SkinStepper, SurfaceLoads
 from palmfield.stimulus.levels import Levels, goes_smoothly
 from palmfield.stimulus.schedule import Moments, first_point, substep_moments
 from palmfield.types import Complex, Float, Float32, Int
@@ -94,7 +92,7 @@ class TogetherStep:
         self._serves: list[list[PosedScene | None]] = [[None] * worlds for _ in first.skins]
         self._groups: dict[tuple[int, bytes, bytes], list[tuple[SkinStepper, Rows]]] = {}
         self._device = resolve(first.spec.device)
-        self._on_devices: dict[int, DeviceWorlds] = {}
+        self._on_devices: dict[tuple[int, SkinStepper], DeviceWorlds | None] = {}
         self.observer: Callable[[TogetherTrace], None] | None = None
         self.joined: Rows = np.zeros(0, dtype=np.intp)
         self.apart: list[int] = list(range(worlds))
@@ -265,7 +263,7 @@ class TogetherStep:
                 continue
             stepper = model.begin[skin].value
             # One that serves only from the beginning of the sound on must be asked again
-            if not isinstance(stepper, ReducedStepper) or stepper.any_course:
+            if stepper.any_course:
                 serves[world] = posed
 
     def _leave_class(self, skin: int, first: Float, last: Float, t0: float) -> None:
@@ -274,7 +272,7 @@ class TogetherStep:
         first, last: ARP relative to the unit drives at the ends of the substeps, shape (worlds, s)
         """
         for stepper, own in self.groups(skin, self.joined):
-            if not isinstance(stepper, ModalStepper):
+            if not stepper.of_class:
                 continue
             ends = first[own][..., None], last[own][..., None]
             mixed = stepper.mixed(SurfaceLoads(np.zeros(0), *ends))
@@ -333,12 +331,10 @@ class TogetherStep:
 
     def _on_device(self, skin: int, stepper: SkinStepper) -> Step | None:
         """What steps a skin in place of its stepper, where the device is a GPU and has it; kept."""
-        if self._device == "cpu" or not isinstance(stepper, ModalStepper) or stepper.coupled:
-            return None
-        known = self._on_devices.get(skin)
-        if known is None or known.stepper is not stepper:
-            known = self._on_devices[skin] = DeviceWorlds(stepper, len(self.models), self._device)
-        return known.step
+        if (skin, stepper) not in self._on_devices:
+            self._on_devices[skin, stepper] = device_worlds(stepper, len(self.models), self._device)
+        known = self._on_devices[skin, stepper]
+        return None if known is None else known.step
 
     def _pressure(self, skin: int, stepper: SkinStepper, world: int) -> "_Pressure":
         """The pressure of a world's unit drive on a skin, at the points where a stepper takes it; the last is kept."""
@@ -353,7 +349,7 @@ class TogetherStep:
         # A copy, as the drive that fields are kept for must not change
         arp = radiation.on(posed, skin, role, self._units[world].copy()).arp
         outside = None
-        if isinstance(stepper, ModalStepper):
+        if stepper.of_class:
             one = np.ones((1, 1, 1))
             outside = stepper.outside(SurfaceLoads(arp[None, None], one, one))
         found = self._pressures[skin][world] = _Pressure(posed, stepper.points, arp, outside)

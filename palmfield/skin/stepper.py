@@ -4,14 +4,15 @@ A stepper is made once for a layer and never changes, so that threads share it; 
 have a leading axis for worlds: several bodies alike, each with its own state and loads, are stepped in one call.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from scipy import sparse
 
 from palmfield.errors import SceneError
-from palmfield.types import Float, Float32, Int
+from palmfield.types import Complex, Float, Float32, Int
 
 CLOCK = 1e-6
 """Of a substep, by which t1 - t0 may differ from the substeps that the loads are for: MuJoCo adds up its time."""
@@ -45,25 +46,41 @@ class Reader:
     single: Any = None
 
 
+class Outside(NamedTuple):
+    """Squares of what of a load lies outside its class, and of the whole load, summed over substeps.
+
+    energy, energy_of_all: in the energy norm of the skin; plain, plain_of_all: of the pressures at the points [Pa^2]
+    """
+
+    energy: float
+    energy_of_all: float
+    plain: float
+    plain_of_all: float
+
+
 class SkinStepper(Protocol):
-    """Steps one skin in time. Immutable, and safe to use from several threads.
+    """Steps one skin in time. Immutable, and safe to use from several threads. A class of it need not be known by name:
+    what others want to know is here, and what it doesn't say itself is as of a solver that takes any load anywhere.
 
     name: the solver; step_s: length of a substep [s]; state_size: numbers of a state, all 0 at rest
     points: numbers of the layer's quadrature points at which it takes pressure, shape (p,), None for all of them
     error: what the stepper itself adds to the displacement's relative error by its own estimate; 0 where it adds none.
         One with a mesh of its own counts all that this mesh does, and may take as long as a short run to tell
+    any_pose, any_course: whether it serves where body, arrays or focus have moved, and from rest in the midst of sound
+    of_class: whether it serves a class of loads only
+    adds_error: relative errors of displacement and velocity that a small model adds to its layer's for what it serves,
+        the second None where it states none; None for what is no small model
     """
 
-    @property
-    def name(self) -> str: ...
-    @property
-    def step_s(self) -> float: ...
-    @property
-    def state_size(self) -> int: ...
-    @property
-    def error(self) -> float: ...
-    @property
-    def points(self) -> Int | None: ...
+    name: str
+    step_s: float
+    state_size: int
+    error: float
+    points: Int | None
+    any_pose: bool = True
+    any_course: bool = True
+    of_class: bool = False
+    adds_error: tuple[float, float | None] | None = None
 
     def step(
         self, state: Float, loads: SurfaceLoads, t0: float, t1: float, observe: Reader | None = None
@@ -82,6 +99,30 @@ class SkinStepper(Protocol):
     def read(self, state: Float, reader: Reader) -> Float:
         """Displacement [m] and velocity [m/s] through a reader, shape (w, 2, m)."""
         ...
+
+    def describe(self) -> str:
+        """What it is, in words, for a run's summary."""
+        return self.name
+
+    def outside(self, loads: SurfaceLoads) -> Outside:
+        """Of one for a class: what of loads lies outside it."""
+        raise TypeError(f"solver '{self.name}' serves any load")
+
+    def mixed(self, loads: SurfaceLoads) -> Float32:
+        """Of one for a class: each pattern's weight where the scheme takes the force in a substep, shape (w, s, k)."""
+        raise TypeError(f"solver '{self.name}' serves any load")
+
+    def lifted(self, state: Float, pressure_Pa: Callable[[], Float]) -> Float:
+        """Of a small model: the same motion as a state of WedgeStepper, (w, its state_size).
+
+        pressure_Pa: gives the present inward pressure at its points, shape (p,)
+        """
+        raise TypeError(f"solver '{self.name}' is no small model")
+
+    def harmonic(self, pressure_Pa: Float, f_Hz: float, operator: sparse.csr_matrix) -> Complex:
+        """Of a small model: operator @ displacement [m], shape (m,), under a pressure at its points, (p,), times
+        e^{-i w t}."""
+        raise TypeError(f"solver '{self.name}' is no small model")
 
 
 def check_step(

@@ -419,7 +419,7 @@ def _jumps(config: StimulusConfig, timing: "_Timing", start: float, end: float) 
 
 
 def edges_of(config: StimulusConfig) -> tuple[float, ...] | None:
-    """Times [s] at which a stimulus begins and ends, if neither focus nor level jump or are held otherwise; else None."""
+    """When a stimulus begins and ends [s], if neither focus nor level jump or are held otherwise; else None."""
     _, timing = _timings.get(id(config)) or _timed(config)
     return timing.edges if timing.smooth and not timing.grids else None
 

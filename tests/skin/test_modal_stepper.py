@@ -191,7 +191,7 @@ def test_the_whole_layer_goes_on_from_the_state_of_coupled_modes(sheets):
     course = loads(parts, 20)
     truth, _ = march(parts.whole, course, parts)
     _, state = march(stepper, course[:10], parts)
-    motion, _ = march(parts.whole, course[10:], parts, stepper.lifted(state))
+    motion, _ = march(parts.whole, course[10:], parts, stepper.lifted(state, lambda: None))
     assert relative(motion, truth[10 * SUBSTEPS :])[0] < 0.03
 
 
@@ -232,7 +232,7 @@ def test_the_whole_layer_goes_on_from_the_modes_state(disc, modes):
     parts = loads(disc, 20)
     truth, _ = march(disc.whole, parts, disc)
     _, state = march(modes, parts[:10], disc)
-    lifted = modes.lifted(state)
+    lifted = modes.lifted(state, lambda: None)
     seen = disc.whole.read(lifted, disc.whole.reader(disc.surface))
     np.testing.assert_allclose(seen, modes.read(state, modes.reader(disc.surface)), atol=1e-5 * np.abs(seen).max())
     motion, _ = march(disc.whole, parts[10:], disc, lifted)

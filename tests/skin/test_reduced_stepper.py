@@ -150,7 +150,7 @@ def test_a_state_goes_on_in_the_whole_body(disc, at_one_place):
     seen, _ = stepped(at_one_place, surface, lambda t: am(t) * spot.force, 200)
     _, state = stepped(at_one_place, surface, lambda t: am(t) * spot.force, 100)
     whole = WedgeStepper(spot.system, forced(spot), STEP)
-    state = at_one_place.lifted(state, am(100 * STEP) * spot.force)
+    state = at_one_place.lifted(state, lambda: am(100 * STEP) * spot.force)
     assert state.shape == (1, whole.state_size)
     there = whole.read(state, whole.reader(surface))[0]
     np.testing.assert_allclose(there, seen[99], atol=1e-12 * np.abs(seen[99]).max())

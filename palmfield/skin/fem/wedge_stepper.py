@@ -24,7 +24,7 @@ from palmfield.skin.fem.assembly import SkinSystem
 from palmfield.skin.fem.block_factor import BlockFactor, block_factor
 from palmfield.skin.fem.generalised_alpha import RHO_INF, Scheme
 from palmfield.skin.fem.grouped_rows import grouped_rows
-from palmfield.skin.stepper import Reader, SurfaceLoads, check_step, checked_operator
+from palmfield.skin.stepper import Reader, SkinStepper, SurfaceLoads, check_step, checked_operator
 from palmfield.threads import Calls, cores, share
 from palmfield.types import Float, Float32
 from warp_kernels import supernodes as kernels
@@ -53,7 +53,7 @@ class _Room:
     end: list[Calls]
 
 
-class WedgeStepper:
+class WedgeStepper(SkinStepper):
     """The whole layer; see SkinStepper.
 
     inputs: csr, shape (n, q): consistent nodal force [N] = inputs @ inward pressure [Pa]

@@ -11,9 +11,9 @@ import numpy as np
 import warp as wp
 
 from palmfield.device import launch, whole_numbers
-from palmfield.skin.reduction.modal_stepper import ModalStepper, Outside
+from palmfield.skin.reduction.modal_stepper import ModalStepper
 from palmfield.skin.reduction.reduced_stepper import ReducedStepper
-from palmfield.skin.stepper import SkinStepper, SurfaceLoads
+from palmfield.skin.stepper import Outside, SkinStepper, SurfaceLoads
 from palmfield.threads import Calls
 from palmfield.types import Float
 from warp_kernels import skin_steps as kernels

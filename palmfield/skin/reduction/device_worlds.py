@@ -10,7 +10,7 @@ import warp as wp
 
 from palmfield.device import SharedArray, launch, launching, matrix_product, replayed
 from palmfield.skin.reduction.modal_stepper import ModalStepper
-from palmfield.skin.stepper import Reader, SurfaceLoads, check_step
+from palmfield.skin.stepper import Reader, SkinStepper, SurfaceLoads, check_step
 from palmfield.types import Float, Float32
 from warp_kernels import skin_steps as kernels
 
@@ -83,3 +83,10 @@ class DeviceWorlds:
         work = _Work(mixed, motion, replayed([*calls, self._states.download], device))
         self._works[substeps, observe] = work
         return work
+
+
+def device_worlds(stepper: SkinStepper, most: int, device: str) -> DeviceWorlds | None:
+    """A stepper for several worlds on a device; None where it stays on the CPU."""
+    if device == "cpu" or not isinstance(stepper, ModalStepper) or stepper.coupled:
+        return None
+    return DeviceWorlds(stepper, most, device)

@@ -9,7 +9,7 @@ the substep, one dense product for each law but one. The pressure is looked at i
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -25,7 +25,7 @@ from palmfield.skin.fem.generalised_alpha import RHO_INF, Scheme
 from palmfield.skin.fem.load import SurfaceQuadrature
 from palmfield.skin.reduction.load_shapes import POINTS, LoadShapes, load_shapes
 from palmfield.skin.reduction.ritz import RitzModes, laws_at, refusal, ritz_modes, shifted
-from palmfield.skin.stepper import Reader, SurfaceLoads, check_step, checked_operator
+from palmfield.skin.stepper import Outside, Reader, SkinStepper, SurfaceLoads, check_step, checked_operator
 from palmfield.threads import cores, share
 from palmfield.types import Complex, Float, Float32, Int
 from warp_kernels import modes as kernels
@@ -34,18 +34,6 @@ MOST_SHARE = 0.4
 """Of a layer's unknowns, up to which vectors are made: beyond, modes save nothing."""
 COMPLIANCE_LEFT_OUT = 1e-4
 """Share of the compliance of the points that its low rank leaves out: 1 % of a norm."""
-
-
-class Outside(NamedTuple):
-    """Squares of what of a load lies outside its class, and of the whole load, summed over substeps.
-
-    energy, energy_of_all: in the energy norm of the skin; plain, plain_of_all: of the pressures at the points [Pa^2]
-    """
-
-    energy: float
-    energy_of_all: float
-    plain: float
-    plain_of_all: float
 
 
 @dataclass(frozen=True)
@@ -136,7 +124,7 @@ class _Room:
     launch: Callable[[], object]
 
 
-class ModalStepper:
+class ModalStepper(SkinStepper):
     """Modes of a layer; see SkinStepper.
 
     body: see ModalBody; system: the layer; step_s: length of a substep [s]
@@ -153,11 +141,12 @@ class ModalStepper:
     """
 
     name = "modal"
+    of_class = True
 
     def __init__(self, body: ModalBody, system: SkinSystem, step_s: float, corner_Hz: float) -> None:
         modes, shapes = body.modes, body.shapes
         self.body, self.step_s, self.order, self.ndof = body, step_s, len(modes.elastic), system.ndof
-        self.error, self.velocity_error = modes.errors(corner_Hz)
+        self.adds_error = self.error, self.velocity_error = modes.errors(corner_Hz)
         self.points: Int = shapes.points
         self._materials = system.materials
         parts = [Part(sparse.diags(own).tocsr(), of) for own, of in zip(modes.stiffness, self._materials, strict=True)]
@@ -237,8 +226,12 @@ class ModalStepper:
             self._pushed = loads.pressure_Pa, pushes
         return pushes
 
+    def describe(self) -> str:
+        """See SkinStepper."""
+        return f"{self.name}, {self.order} modes"
+
     def outside(self, loads: SurfaceLoads) -> Outside:
-        """What of the loads lies outside the class."""
+        """See SkinStepper."""
         with one_blas_thread:
             pressure = loads.pressure_Pa.astype(np.float32, copy=False)
             residual = pressure - (pressure @ self._fit) @ self._back
@@ -272,7 +265,7 @@ class ModalStepper:
         return result
 
     def harmonic(self, pressure_Pa: Float, f_Hz: float, operator: sparse.csr_matrix) -> Complex:
-        """operator @ displacement [m], shape (m,), under a pressure at the points, (p,), times e^{-i w t}."""
+        """See SkinStepper."""
         modes, s = self.body.modes, -2j * np.pi * f_Hz
         force = (self.body.shapes.fit @ pressure_Pa) @ self.body.forces
         laws = laws_at(self._materials, s)
@@ -287,15 +280,15 @@ class ModalStepper:
     def coupled(self) -> bool:
         return len(self.felt) > 0
 
-    def lifted(self, state: Float) -> Float:
-        """The same motion as a state of WedgeStepper, (w, its state_size)."""
+    def lifted(self, state: Float, pressure_Pa: Callable[[], Float]) -> Float:
+        """See SkinStepper; the pressure is not looked at."""
         rows = state.reshape(len(state), self.state_rows, self.padded)[..., : self.order]
         with one_blas_thread:
             whole = rows @ self.body.modes.vectors.T
         return whole.reshape(len(state), -1)
 
     def mixed(self, loads: SurfaceLoads) -> Float32:
-        """Weight of each pattern where the scheme takes the force in a substep, shape (w, s, k)."""
+        """See SkinStepper."""
         alpha = self._alpha_f
         return (alpha * loads.first + (1.0 - alpha) * loads.last).astype(np.float32)
 

@@ -20,7 +20,7 @@ from palmfield.skin.reduction.krylov import Course, Krylov
 from palmfield.skin.reduction.load_shapes import LoadShapes
 from palmfield.skin.reduction.reduced import Projection, Reduced
 from palmfield.skin.reduction.reducer import SHIFT, grow_until
-from palmfield.skin.stepper import Reader, SurfaceLoads, check_step, checked_operator
+from palmfield.skin.stepper import Reader, SkinStepper, SurfaceLoads, check_step, checked_operator
 from palmfield.types import Complex, Float, Float32, Int
 
 MOST_VECTORS = 400
@@ -44,7 +44,7 @@ class KnownLoad:
     spectrum: list[tuple[float, Complex]]
 
 
-class ReducedStepper:
+class ReducedStepper(SkinStepper):
     """Galerkin in the vectors V, exact in time for loads that change linearly within a substep; see SkinStepper.
 
     Any load may be given, but only for that course of it for which the model was made is the error as estimated.
@@ -62,6 +62,7 @@ class ReducedStepper:
     """
 
     name = "reduced"
+    any_pose = False
 
     def __init__(
         self,
@@ -76,6 +77,7 @@ class ReducedStepper:
         self.small, self.vectors, self.model = small, vectors, Reduced(small, error)
         self.points = points
         self.step_s, self.error, self.any_course = step_s, error, any_course
+        self.adds_error = error, None
         self.state_size, self.order = self.model.state_size, vectors.shape[1]
         self.shares = np.ascontiguousarray(shares)
         # Pressures come in single precision, and half the memory to read is half the time
@@ -184,7 +186,7 @@ class ReducedStepper:
         return seen.reshape(-1, 2, reader.count)
 
     def harmonic(self, pressure_Pa: Float, f_Hz: float, operator: sparse.csr_matrix) -> Complex:
-        """operator @ displacement [m], shape (m,), under an inward pressure (q,) times e^{-i w t}."""
+        """See SkinStepper."""
         s = -2j * np.pi * f_Hz
         mass, damping, elastic, *parts = self.small.matrices
         matrix: Any = s**2 * mass + s * damping + elastic
@@ -195,10 +197,14 @@ class ReducedStepper:
             dtype=complex,
         )
 
-    def lifted(self, state: Float, pressure_Pa: Float) -> Float:
-        """The same motion as a state of WedgeStepper, (w, its state_size), under the present inward pressure (q,)."""
+    def describe(self) -> str:
+        """See SkinStepper."""
+        return f"{self.name}, {self.order} vectors"
+
+    def lifted(self, state: Float, pressure_Pa: Callable[[], Float]) -> Float:
+        """See SkinStepper."""
         model = self.model
-        rates = state @ model.rates.T + (pressure_Pa @ self.shares) @ model.inputs.T
+        rates = state @ model.rates.T + (pressure_Pa() @ self.shares) @ model.inputs.T
         rows = [state @ model.displaces.T, state @ model.moves.T, rates @ model.moves.T]
         rows += [state @ internal.T for internal in model.internals]
         return np.concatenate([row @ self.vectors.T for row in rows], axis=1)

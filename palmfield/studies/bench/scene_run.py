@@ -23,8 +23,6 @@ from palmfield.session.simulation import Simulation
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.state import stepper_of
 from palmfield.skin.fem.probe import SurfaceProbe
-from palmfield.skin.reduction.modal_stepper import ModalStepper
-from palmfield.skin.reduction.reduced_stepper import ReducedStepper
 from palmfield.skin.stepper import Reader
 from palmfield.stimulus.schedule import frames_at
 from palmfield.studies.bench.consumer_card import predicted_s
@@ -179,10 +177,8 @@ def stated(sim: Simulation) -> tuple[float, float | None] | None:
     errors: list[tuple[float, float | None]] = []
     for lazy, outside in zip(sim.runtime.model.begin, sim.runtime.work.outside, strict=True):
         stepper = lazy.value
-        if isinstance(stepper, ModalStepper):
-            errors.append(outside.errors(stepper))
-        elif isinstance(stepper, ReducedStepper):
-            errors.append((stepper.error, None))
+        if stepper.adds_error is not None:
+            errors.append(outside.errors(stepper.adds_error))
     return max(errors, key=lambda error: error[0], default=None)
 
 

@@ -21,7 +21,7 @@ from palmfield.skin.solvers.particles.run import (
     stable_step,
     state_size,
 )
-from palmfield.skin.stepper import Reader, SurfaceLoads, check_step, world_by_world
+from palmfield.skin.stepper import Reader, SkinStepper, SurfaceLoads, check_step, world_by_world
 from palmfield.types import Float
 
 HALVINGS = 3
@@ -35,7 +35,7 @@ def face_weights(cloud: Cloud, points: Float) -> sparse.csr_matrix:
     return sparse.csr_matrix((weights.ravel(), (rows, near.ravel())), shape=(len(near), len(cloud.face_area)))
 
 
-class ParticleStepper:
+class ParticleStepper(SkinStepper):
     """Particles at finite strain under a dead load, in steps that divide a substep; see SkinStepper.
 
     cloud: the particles; transfer: from and to the scene's wedges; step_s: length of a substep [s]
@@ -60,7 +60,7 @@ class ParticleStepper:
         self._rooms: list[dict[int, Particles]] = []
 
     @cached_property
-    def error(self) -> float:
+    def error(self) -> float:  # type: ignore[override]  # found when it is asked for
         """See SkinStepper."""
         return self._estimate()
 

@@ -15,7 +15,7 @@ from palmfield.skin.solvers.spectral_elements.model import SAFETY, Model, hold
 from palmfield.skin.solvers.spectral_elements.places import find
 from palmfield.skin.solvers.spectral_elements.run import Points, Stepper, state_size
 from palmfield.skin.solvers.spectral_elements.solid import Solid
-from palmfield.skin.stepper import Reader, SurfaceLoads, check_step, world_by_world
+from palmfield.skin.stepper import Reader, SkinStepper, SurfaceLoads, check_step, world_by_world
 from palmfield.types import Float
 
 LONGEST_GRAPH = 2000
@@ -29,7 +29,7 @@ def face_weights(solid: Solid, points: Float) -> sparse.csr_matrix:
     return sparse.csr_matrix((shares.ravel(), (rows, nodes.ravel())), shape=(len(nodes), solid.surface_nodes))
 
 
-class SpectralElementStepper:
+class SpectralElementStepper(SkinStepper):
     """A body on spectral elements, in steps of the scheme that divide a substep; see SkinStepper.
 
     solid: the elements; body: its sheets, base and sides; transfer: from and to the scene's wedges
@@ -64,7 +64,7 @@ class SpectralElementStepper:
         self._rooms: list[Stepper] = []
 
     @cached_property
-    def error(self) -> float:
+    def error(self) -> float:  # type: ignore[override]  # found when it is asked for
         """See SkinStepper."""
         return self._estimate()
 
