@@ -1,6 +1,5 @@
 """Worlds whose bodies move, in one graph on a device (here the CPU as one), against simulations by themselves."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
