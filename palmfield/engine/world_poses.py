@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from palmfield.engine.many_data import Field, ManyData
 from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.errors import naming_world
 from palmfield.simulation.posed_scene import PosedScene, settled_worlds
@@ -20,7 +21,8 @@ class WorldPoses:
     positions, matrices: where the runtimes put the world frames that they take, shapes (worlds, m, 3), (worlds, m, 9)
     """
 
-    def __init__(self, runtimes: Sequence[SceneRuntime], positions: Float, matrices: Float):
+    def __init__(self, runtimes: Sequence[SceneRuntime], many: ManyData, positions: Float, matrices: Float):
+        self._many = many
         self.runtimes, self._positions, self._matrices = runtimes, positions, matrices
         first = runtimes[0]
         self._model, self._layout, self._taken = first.model, first.layout, first.taken
@@ -37,11 +39,14 @@ class WorldPoses:
 
     def take(self) -> None:
         """Take the world frames of all worlds."""
-        for world, runtime in enumerate(self.runtimes):
-            for kind, chosen, rows in self._taken:
-                positions, matrices = runtime.view.frames[kind]
-                positions.take(chosen, 0, self._positions[world, rows], "clip")
-                matrices.take(chosen, 0, self._matrices[world, rows], "clip")
+        fields: dict[str, tuple[Field, Field]] = {"body": ("xpos", "xmat"), "site": ("site_xpos", "site_xmat")}
+        for kind, chosen, rows in self._taken:
+            for field, result in zip(fields[kind], (self._positions, self._matrices), strict=True):
+                own = result[:, rows]
+                width = own.shape[2]
+                offsets = (width * chosen[:, None] + np.arange(width)).ravel().tolist()
+                flat = np.lib.stride_tricks.as_strided(own, (len(own), len(offsets)), (own.strides[0], own.strides[2]))
+                self._many.take(field, offsets, flat)
 
     def now(self, some: NDArray[np.bool_]) -> dict[int, PosedScene]:
         """The pose of some worlds, shape (worlds,), by what `take` has found.

@@ -12,7 +12,7 @@ from palmfield.config import StimulusConfig, known_keys
 from palmfield.drive.transducer_response import rows
 from palmfield.engine.host import world_of
 from palmfield.engine.scene_runtime import SceneRuntime
-from palmfield.engine.worlds import SceneWorlds
+from palmfield.engine.worlds import SceneWorlds, plain_model
 from palmfield.errors import SceneError
 from palmfield.interrupts import interrupts_held
 from palmfield.session.duration import check_duration, check_steps, check_time, step_count
@@ -70,11 +70,16 @@ class Worlds:
             raise SceneError(f"{self.name} has no plugin 'palmfield.skin'; it is a plain MuJoCo model")
         spec = world.scene.spec
         specs = world_specs(spec, stimulus_texts(world.scene), split, worlds)
+        plain = plain_model(self.model)
         models = build_worlds(specs, None if base is None else spec, shared)
         led = {_mocap(self.model, body): _poses(body, given, worlds) for body, given in (poses or {}).items()}
-        data = [first, *(fresh_data(self.model, self.name) for _ in range(worlds - 1))]
-        self._attach(SceneWorlds(data, models, led))
+        if plain is self.model:
+            data = [first, *(fresh_data(self.model, self.name) for _ in range(worlds - 1))]
+        else:
+            self.model, data = plain, [mujoco.MjData(plain) for _ in range(worlds)]
+        self._attach(SceneWorlds(first, data, models, led))
         with interrupts_held():
+            self._scenes.place()
             self._scenes.look()
 
     def _attach(self, scenes: SceneWorlds) -> None:
@@ -154,7 +159,7 @@ class Worlds:
             scenes = self._scenes
             scenes.settle()
             data = [copy.copy(one) for one in scenes.data]
-            twin._attach(SceneWorlds(data, scenes.models, scenes.poses, scenes.state.copy()))
+            twin._attach(SceneWorlds(scenes.template, data, scenes.models, scenes.poses, scenes.state.copy()))
             twin._scenes.adopt(scenes)
         return twin
 
