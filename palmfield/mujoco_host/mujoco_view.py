@@ -211,7 +211,7 @@ class DataView:
                 data = whole[offsets[0] : offsets[-1] + 1]
                 name = library().mj_id2name(self.model.address, int(mujoco.mjtObj.mjOBJ_SENSOR), i)
                 kind, target = kinds.get(raw.sensor_objtype[i], ""), int(raw.sensor_objid[i])
-                result.append(PluginSensor(name.decode() if name else f"sensor_{i}", kind, target, data, offsets))
+                result.append(PluginSensor(name.decode() if name else f"sensor_{i}", kind, target, offsets, data))
         return result
 
 
@@ -231,13 +231,13 @@ def mocap_writes(mocap: int, position: Float, quaternion: Float) -> list[Write]:
 
 class PluginSensor(NamedTuple):
     """A sensor of a plugin instance. kind: "site", "body" or "" of what it is attached to; target: its number;
-    data: view of what it reads, shape (channels,); offsets: where that is among all sensors' data"""
+    data: view of what it reads, shape (channels,), at `offsets` among all sensors' data"""
 
     name: str
     kind: str
     target: int
-    data: Float
     offsets: list[int]
+    data: Float
 
 
 class ForceOutlet:
