@@ -16,7 +16,7 @@ from palmfield.engine.worlds import SceneWorlds, plain_model
 from palmfield.errors import SceneError
 from palmfield.interrupts import interrupts_held
 from palmfield.session.duration import check_duration, check_steps, check_time, step_count
-from palmfield.session.load import Source, compiled, fresh_data, opened
+from palmfield.session.open_scene import Source, compiled, fresh_data, opened
 from palmfield.session.skin import Skin, chosen_name
 from palmfield.session.world_keys import split_keys, world_specs
 from palmfield.simulation.build_worlds import Shared, build_worlds
@@ -50,8 +50,8 @@ class Worlds:
     ):
         """worlds: how many
 
-        keys: as `palmfield.session.load.compiled` takes them; a key of a stimulus may have one axis more than its own,
-            of length `worlds`, with a value for each
+        keys: as `palmfield.session.open_scene.compiled` takes them; a key of a stimulus may have one axis more than its
+            own, of length `worlds`, with a value for each
         poses: by name of a mocap body, its position [m] and quaternion (w, x, y, z) in each step of MuJoCo's, shape
             (worlds, steps, 7); after the last step it stays
         base: keys with which MuJoCo's model is made, in place of the first world's; then all of `keys` differ

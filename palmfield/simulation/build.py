@@ -25,10 +25,10 @@ from palmfield.hand.skinning import SkinnedHand, rigged_file, skinned_mesh
 from palmfield.hand.surface import hand_surface
 from palmfield.locked import Lazy
 from palmfield.simulation.array_face import wall_distance
-from palmfield.simulation.known_load import choose_stepper, first_stepper
-from palmfield.simulation.load_class import corner_Hz
 from palmfield.simulation.model import BodyModel, HapticModel, SkinModel, StimulusModel, array_instances
 from palmfield.simulation.posed_scene import STILL
+from palmfield.simulation.small_models.choice import choose_stepper, first_stepper
+from palmfield.simulation.small_models.load_class import corner_Hz
 from palmfield.simulation.spec import SceneSpec, SkinSpec, StimulusSpec
 from palmfield.simulation.validate import (
     check_apart,

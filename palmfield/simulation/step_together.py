@@ -17,12 +17,11 @@ from palmfield.drive.transducer_response import SILENT, ring
 from palmfield.errors import PalmfieldError, naming_world
 from palmfield.simulation.emission import LEAST_MEANS
 from palmfield.simulation.model import HapticModel
-from palmfield.simulation.outside_class import leaves_class
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.radiation import Role
+from palmfield.simulation.small_models.leaving import continue_on_whole_layer, leaves_class, leaves_small_model
 from palmfield.simulation.state import BEGUN, HEADER, WHOLE, HapticState, check_arrays, claim, stepper_of
 from palmfield.simulation.step import Workspace
-from palmfield.simulation.whole_layer import continue_on_whole_layer, leaves_small_model
 from palmfield.skin.reduction.device_worlds import DeviceWorlds, device_worlds
 from palmfield.skin.stepper import Outside, Reader, SkinStepper, SurfaceLoads
 from palmfield.stimulus.levels import Levels, goes_smoothly

@@ -92,6 +92,11 @@ def material_of(skin: SkinConfig) -> Material:
     values = {key: value for key, value in changed.items() if key not in of_branch}
     branch = [changed.get(key) for key in of_branch]
     if branch != [None, None]:
+        if base.series != base.branches:
+            raise SceneError(
+                f"plugin 'palmfield.skin': material '{base.name}' follows a law of its own, without branches; "
+                f"leave out {' and '.join(key for key in of_branch if key in changed)}"
+            )
         if None in branch and len(base.branches) != 1:
             raise SceneError(
                 f"plugin 'palmfield.skin': material '{base.name}' has {len(base.branches)} branches; "

@@ -273,5 +273,5 @@ class SceneLayer:
     @property
     def state_room(self) -> int:
         """Numbers of state that the layer can need, whatever steps it: an upper bound, without the matrices."""
-        branches = sum(len(material.branches) for material in {sheet.material for sheet in self.sheets})
+        branches = sum(len(material.relaxation.branches) for material in {sheet.material for sheet in self.sheets})
         return (3 + branches) * 3 * len(self.mesh.nodes)

@@ -58,11 +58,22 @@ class Outside(NamedTuple):
     plain_of_all: float
 
 
+class StepWork(NamedTuple):
+    """What all substeps take as dense products: operations and numbers read in either precision, and kernels."""
+
+    single: float
+    double: float
+    single_read: float
+    double_read: float
+    kernels: int
+
+
 class SkinStepper(Protocol):
     """Steps one skin in time. Immutable, and safe to use from several threads. A class of it need not be known by name:
     what others want to know is here, and what it doesn't say itself is as of a solver that takes any load anywhere.
 
     name: the solver; step_s: length of a substep [s]; state_size: numbers of a state, all 0 at rest
+    unknowns: of the mesh that it moves
     points: numbers of the layer's quadrature points at which it takes pressure, shape (p,), None for all of them
     error: what the stepper itself adds to the displacement's relative error by its own estimate; 0 where it adds none.
         One with a mesh of its own counts all that this mesh does, and may take as long as a short run to tell
@@ -70,17 +81,22 @@ class SkinStepper(Protocol):
     of_class: whether it serves a class of loads only
     adds_error: relative errors of displacement and velocity that a small model adds to its layer's for what it serves,
         the second None where it states none; None for what is no small model
+    exact_in_time: whether its substeps add no error
+    made_of: all that a small model's answers follow from
     """
 
     name: str
     step_s: float
     state_size: int
+    unknowns: int
     error: float
     points: Int | None
     any_pose: bool = True
     any_course: bool = True
     of_class: bool = False
     adds_error: tuple[float, float | None] | None = None
+    exact_in_time: bool = False
+    made_of: tuple[Any, ...] = ()
 
     def step(
         self, state: Float, loads: SurfaceLoads, t0: float, t1: float, observe: Reader | None = None
@@ -103,6 +119,10 @@ class SkinStepper(Protocol):
     def describe(self) -> str:
         """What it is, in words, for a run's summary."""
         return self.name
+
+    def work(self, patterns: int, substeps: int) -> StepWork | None:
+        """What substeps under some patterns of pressure at its points take, None where they are no dense products."""
+        return None
 
     def outside(self, loads: SurfaceLoads) -> Outside:
         """Of one for a class: what of loads lies outside it."""

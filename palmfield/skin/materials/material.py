@@ -4,7 +4,8 @@ import cmath
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from functools import cached_property
+from typing import Literal, NamedTuple
 
 from palmfield.errors import SceneError
 from palmfield.types import Complex
@@ -30,12 +31,36 @@ class Branch:
     time_s: float
 
 
+class Relaxation(NamedTuple):
+    """G(s) / G_r = 1 + sum g s tau / (1 + s tau) + t s: what time steppers, and models made for them, take a law for.
+
+    branches: (g, tau [s]) of each Maxwell branch; viscous_time_s: t = eta / G_r [s]
+    """
+
+    branches: tuple[tuple[float, float], ...]
+    viscous_time_s: float
+
+    @property
+    def active(self) -> tuple[tuple[float, float], ...]:
+        """The branches that carry something: they have stiffness and time."""
+        return tuple((ratio, time_s) for ratio, time_s in self.branches if ratio > 0.0 and time_s > 0.0)
+
+    def stiffening(self, s: complex | Complex) -> complex | Complex:
+        """G(s) / G_r at complex rates s [1/s] of e^{st}, any shape."""
+        total = 1.0 + self.viscous_time_s * s
+        for ratio, time_s in self.branches:
+            total = total + ratio * (s * time_s) / (1.0 + s * time_s)
+        return total
+
+
 @dataclass(frozen=True)
 class Material:
     """Spring G_r beside Maxwell branches and a dashpot, in shear: G(s) = G_r + sum G_i s tau_i / (1 + s tau_i) + eta s.
 
     No branch and no dashpot: elastic. A dashpot alone: Kelvin-Voigt. One branch: standard linear solid. More: Prony
-    series.
+    series. A law of another form is a subclass (docs/materials.md) with `stiffening` of its own, by ratios to G_r and
+    times, and a `series` that stands for it in time. Solvers compute with `stiffening`, `modulus` and `bulk_modulus` at
+    rates s, with `relaxation` in time, and with G_r, K and `shear_instant_Pa`, `bulk_instant_Pa` as bounds.
 
     density_kg_m3: rho [kg/m^3], > 0
     shear_relaxed_Pa: G_r [Pa], > 0
@@ -68,26 +93,52 @@ class Material:
         for name, value in values.items():
             if not (math.isfinite(value) and value >= 0.0):
                 raise SceneError(f"material '{self.name}': {name} is {value}; give a finite number, 0 or above")
+        at_rest = complex(self.stiffening(0.0))
+        if not abs(at_rest - 1.0) < 1e-9:
+            raise SceneError(f"material '{self.name}': G(0) is {at_rest:g} G_r; give a law that has G_r at rest")
 
     @property
-    def ratios(self) -> tuple[float, ...]:
-        """g_i = G_i / G_r of each branch."""
-        return tuple(branch.shear_Pa / self.shear_relaxed_Pa for branch in self.branches)
+    def series(self) -> tuple[Branch, ...]:
+        """Maxwell branches that stand for the law in time, beside spring and dashpot."""
+        return self.branches
+
+    @cached_property
+    def relaxation(self) -> Relaxation:
+        """The law in time, by `series` and the dashpot."""
+        branches = tuple((branch.shear_Pa / self.shear_relaxed_Pa, branch.time_s) for branch in self.series)
+        return Relaxation(branches, self.viscosity_Pa_s / self.shear_relaxed_Pa)
 
     @property
-    def times_s(self) -> tuple[float, ...]:
-        """tau_i of each branch [s]."""
-        return tuple(branch.time_s for branch in self.branches)
+    def law(self) -> tuple[type, Relaxation]:
+        """Equal of materials that relax alike."""
+        return type(self), self.relaxation
 
     @property
-    def viscous_time_s(self) -> float:
-        """eta / G_r [s]."""
-        return self.viscosity_Pa_s / self.shear_relaxed_Pa
+    def relaxes(self) -> bool:
+        """Whether it loses energy: it is not elastic."""
+        return self.viscosity_Pa_s > 0.0 or len(self.relaxation.active) > 0
 
     @property
     def shear_instant_Pa(self) -> float:
         """G_r + sum G_i [Pa], the shear modulus at once; with a dashpot it is infinite, which this leaves out."""
-        return self.shear_relaxed_Pa + sum(b.shear_Pa for b in self.branches if b.time_s > 0.0)
+        return self.shear_relaxed_Pa + sum(b.shear_Pa for b in self.series if b.time_s > 0.0)
+
+    @property
+    def bulk_instant_Pa(self) -> float:
+        """The bulk modulus at once [Pa]."""
+        return self.bulk_Pa * (self.shear_instant_Pa / self.shear_relaxed_Pa if self.bulk_relaxes else 1.0)
+
+    def stiffening(self, s: complex | Complex) -> complex | Complex:
+        """G(s) / G_r at complex rates s [1/s] of e^{st}, any shape; 1 at s = 0."""
+        return self.relaxation.stiffening(s)
+
+    def modulus(self, s: complex | Complex) -> complex | Complex:
+        """G(s) [Pa]."""
+        return self.shear_relaxed_Pa * self.stiffening(s)
+
+    def bulk_modulus(self, s: complex | Complex) -> complex | Complex:
+        """K(s) [Pa]."""
+        return self.bulk_Pa * (self.stiffening(s) if self.bulk_relaxes else 1.0)
 
 
 def bulk_from_poisson(nu: float, shear: float) -> float:
@@ -186,22 +237,14 @@ def prony(
     return replace(springs, bulk_Pa=INCOMPRESSIBLE * shear if nu == 0.5 else bulk_from_poisson(nu, shear))
 
 
-def stiffening(material: Material, s: complex | Complex) -> complex | Complex:
-    """G(s) / G_r at complex rates s [1/s] of e^{st}, any shape."""
-    total = 1.0 + material.viscous_time_s * s
-    for ratio, time_s in zip(material.ratios, material.times_s, strict=True):
-        total = total + ratio * (s * time_s) / (1.0 + s * time_s)
-    return total
-
-
 def complex_shear(material: Material, f_Hz: float) -> complex:
     """Complex shear modulus G' - iG'' [Pa] at f [Hz] under e^{-i w t}."""
-    return complex(material.shear_relaxed_Pa * stiffening(material, -2j * math.pi * f_Hz))
+    return complex(material.modulus(-2j * math.pi * f_Hz))
 
 
 def complex_bulk(material: Material, f_Hz: float) -> complex:
     """Complex bulk modulus [Pa] at f [Hz] under e^{-i w t}; real unless it follows the shear modulus."""
-    return complex(material.bulk_Pa * (stiffening(material, -2j * math.pi * f_Hz) if material.bulk_relaxes else 1.0))
+    return complex(material.bulk_modulus(-2j * math.pi * f_Hz))
 
 
 def shear_wave(material: Material, f_Hz: float) -> tuple[float, float]:

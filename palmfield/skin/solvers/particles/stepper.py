@@ -40,6 +40,7 @@ class ParticleStepper(SkinStepper):
 
     cloud: the particles; transfer: from and to the scene's wedges; step_s: length of a substep [s]
     device: of `palmfield.device.resolve`; estimate: gives the error when asked for it
+    resolution: the particles, in words
     A state has displacement, velocity and memory by particle and the stresses by site (see run.Particles.begin), as
     float32 in float64, so that it is the same on every device. Velocities are those of half a particles' step before.
     `step` also raises SceneError, and leaves the state as it was, for a body that is crushed or turned inside out.
@@ -49,11 +50,17 @@ class ParticleStepper(SkinStepper):
     points = None
 
     def __init__(
-        self, cloud: Cloud, transfer: FaceTransfer, step_s: float, device: str, estimate: Callable[[], float]
+        self,
+        cloud: Cloud,
+        transfer: FaceTransfer,
+        step_s: float,
+        device: str,
+        estimate: Callable[[], float],
+        resolution: str,
     ) -> None:
         self.step_s, self._cloud, self._transfer = step_s, cloud, transfer
         self._device, self._estimate = device, estimate
-        self.state_size = state_size(cloud)
+        self.state_size, self.unknowns, self._resolution = state_size(cloud), 3 * len(cloud.points), resolution
         self._stable_s = stable_step(cloud)
         self.steps = math.ceil(step_s / (SAFETY * self._stable_s))
         """Of the particles in each substep."""
@@ -63,6 +70,10 @@ class ParticleStepper(SkinStepper):
     def error(self) -> float:  # type: ignore[override]  # found when it is asked for
         """See SkinStepper."""
         return self._estimate()
+
+    def describe(self) -> str:
+        """See SkinStepper."""
+        return f"{self.name}, a preview: {self._resolution}"
 
     def step(
         self, state: Float, loads: SurfaceLoads, t0: float, t1: float, observe: Reader | None = None

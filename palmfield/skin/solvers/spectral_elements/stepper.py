@@ -34,6 +34,7 @@ class SpectralElementStepper(SkinStepper):
 
     solid: the elements; body: its sheets, base and sides; transfer: from and to the scene's wedges
     step_s: length of a substep [s]; device: of `palmfield.device.resolve`; estimate: gives the error when asked for it
+    resolution: the elements, in words
     A state has u and v by node, w and y of each branch by copy (see run.Stepper), as float32 in float64, so that it is
     the same on every device. Velocities are those of half a step of the scheme before.
     Raises SceneError for an element that is flat or inside out.
@@ -50,11 +51,13 @@ class SpectralElementStepper(SkinStepper):
         step_s: float,
         device: str,
         estimate: Callable[[], float],
+        resolution: str,
     ) -> None:
         assert not isinstance(body.base, Foundation)
         self.step_s, self._transfer, self._estimate = step_s, transfer, estimate
         self._model = Model(solid, body.sheets, device)
-        self.state_size = state_size(solid, self._model.materials)
+        self.state_size, self.unknowns = state_size(solid, self._model.materials), 3 * len(solid.nodes)
+        self._resolution = resolution
         self._holds = hold(self._model, body.base, body.side)
         rows = self._model.mass[self._holds.rows, None, None]
         rate = float((np.abs(self._holds.spring) / rows).sum(axis=2).max(initial=0.0))
@@ -67,6 +70,10 @@ class SpectralElementStepper(SkinStepper):
     def error(self) -> float:  # type: ignore[override]  # found when it is asked for
         """See SkinStepper."""
         return self._estimate()
+
+    def describe(self) -> str:
+        """See SkinStepper."""
+        return f"{self.name}: {self._resolution}"
 
     def step(
         self, state: Float, loads: SurfaceLoads, t0: float, t1: float, observe: Reader | None = None
