@@ -53,7 +53,7 @@ class ManyData:
     def take(self, field: Field, offsets: Sequence[int], result: Float) -> None:
         """Read a field at offsets (n,) into an array of float64, shape (w, n), always the same one for a field."""
         if field not in self._taking:
-            target = wp.array(ptr=result.ctypes.data, dtype=wp.float64, shape=result.shape, strides=result.strides)
+            target: Any = wp.array(ptr=result.ctypes.data, dtype=wp.float64, shape=result.shape, strides=result.strides)
             inputs = [self._of(field), whole_numbers(offsets), target]
             self._taking[field] = recorded(kernels.take, result.shape, inputs, "cpu")
         self._taking[field]()
@@ -120,4 +120,4 @@ class ManyData:
 
 def _function(name: str) -> Any:
     """Address of one of MuJoCo's functions."""
-    return wp.uint64(ctypes.cast(getattr(library(), name), ctypes.c_void_p).value)
+    return wp.uint64(ctypes.cast(getattr(library(), name), ctypes.c_void_p).value or 0)

@@ -305,7 +305,8 @@ class DeviceSound:
         if model is None or not alike or not _same(weights, known.weights) or not _same(numbers, known.numbers):
             return None
         hosts = work.forces.hosts
-        return SkinEnd(hosts[f"after_{skin}"][0], model.outside(hosts[f"squares_{skin}"][0]))
+        sums = np.add.reduce(hosts[f"squares_{skin}"][0], axis=(1, 2))
+        return SkinEnd(hosts[f"after_{skin}"][0], model.outside(sums.tolist()))
 
     def _model(self, skin: int, stepper: SkinStepper) -> DeviceModel | None:
         """What steps a skin on the device, None where that is left to the CPU; kept."""

@@ -21,9 +21,9 @@ from palmfield.drive.transducer_response import SILENT
 from palmfield.simulation.device_sound import FOCI, FORCE, LOAD, NOW, DeviceWork, serves
 from palmfield.simulation.emission import LEAST_MEANS, array_drives, mean_weights
 from palmfield.simulation.model import HapticModel
-from palmfield.simulation.outside_class import leaves_class, loudest_load
 from palmfield.simulation.posed_scene import PoseLayout
 from palmfield.simulation.sensors import SensorPlace
+from palmfield.simulation.small_models.leaving import leaves_class, loudest_load
 from palmfield.simulation.state import HEADER, WHOLE, HapticState, check_arrays, claim, stepper_of
 from palmfield.simulation.step import Workspace
 from palmfield.skin.reduction.device_models import SECTIONS, DeviceModel, device_model
@@ -192,8 +192,8 @@ class MovingWorlds:
         self._most = np.maximum.reduce(np.abs(emitted), axis=1)
         work.arrays["path_begun"].assign(emitted.view(np.float64).reshape(*emitted.shape, 2))
         for number, model in work.models.items():
-            own = slice(HEADER, HEADER + model.stepper.state_size)
-            work.arrays[f"before_{number}"].assign(np.ascontiguousarray(self.state.skins[number][:, own]))
+            numbers = self.state.skins[number][:, HEADER : HEADER + model.stepper.state_size]
+            work.arrays[f"before_{number}"].assign(np.ascontiguousarray(numbers))
         self._here = joins.copy()
 
     def _fill(self, work: "_WorldsWork", places: Float, axes: Float, t0: float, joins: Bool) -> Bool:
@@ -236,7 +236,7 @@ class MovingWorlds:
         moments = [substep_moments((), start, first.step_s, first.substeps).times for start in starts]
         times = np.concatenate([np.append(own, start) for own, start in zip(moments, starts, strict=True)])
         shape = len(starts), len(moments[0]) + 1
-        foci, levels, means = [], [], []
+        foci, levels, means = [], [], list[list[float]]()
         for world in self._leading:
             config = self.models[world].stimuli[0].config
             table = FocalPoints(IDENTITY, table=self.models[world].spec.stimuli[0].focus_table)
@@ -244,7 +244,7 @@ class MovingWorlds:
             foci.append(table.along(points).reshape(*shape, 3))
             levels.append(np.sqrt(factors).reshape(shape))
             if self._rings:
-                means.append(np.ones(len(starts)))
+                means.append([1.0] * len(starts))
                 continue
             count = max(LEAST_MEANS, first.substeps)
             means.append([mean_arp_factor(config, start, start + timestep_s, count) for start in starts])
@@ -263,7 +263,7 @@ class MovingWorlds:
         good &= np.logical_and.reduce(makes[:, :moments], axis=1) | ~sounds
         good &= np.isfinite(np.add.reduce(hosts["forces"], axis=(1, 2)))
         for number in work.models:
-            energy, whole, *_ = work.models[number].stepper.weighed(hosts[f"sums_{number}"].T)
+            energy, whole, *_ = _outside(work, number)
             loudest = np.maximum(self._loudest[number], whole)
             share = np.sqrt(np.divide(energy, loudest, out=np.zeros_like(energy), where=loudest > 0.0))
             good &= ~np.asarray(leaves_class(self.models[0], number, share))
@@ -304,10 +304,11 @@ class MovingWorlds:
             return
         hosts = work.forces.hosts
         self._most = np.where(self._here, hosts["most"], 0.0)
-        for number, model in work.models.items():
-            seen = model.stepper.weighed(hosts[f"sums_{number}"].T)
+        for number in work.models:
+            seen = _outside(work, number)
             self._sums[number][:, rows] += np.array(seen)[:, rows]
-            self._loudest[number, rows] = np.maximum(self._loudest[number, rows], seen.energy_of_all[rows])
+            most = np.maximum(self._loudest[number], np.asarray(seen.energy_of_all))
+            self._loudest[number, rows] = most[rows]
         work.take_over(rows)
         self._fetched = False
 
@@ -364,7 +365,7 @@ class _WorldsWork(DeviceWork):
         moved = [arrays["turns"], arrays["shifts"], arrays["origins"]]
         placing = [places, axes, whole_numbers(rows, device), _vectors(rest, device), *moved]
         focusing = [places, axes, layout.frames.start, arrays["own_foci"], arrays["path_foci"]]
-        boards = wp.array(_boards(first), dtype=wp.vec4d, device=device)
+        boards: Any = wp.array(_boards(first), dtype=wp.vec4d, device=device)
         boxes = [_vectors(centres, device), _vectors(halves, device), boards]
         stepped, reading, taking = [], [], []
         self._active = SharedArray((worlds, 1), wp.int32, device)
@@ -372,16 +373,16 @@ class _WorldsWork(DeviceWork):
             squares, sums = arrays[f"squares_{number}"], arrays[f"sums_{number}"]
             stepped += [*self._skins[number], launch(kernels.sums_of_squares, sums.shape, [squares, sums], device)]
             before, after = arrays[f"before_{number}"], arrays[f"after_{number}"]
-            own = [place.reader(model.stepper).matrix for skin, place in probes if skin == number]
-            if own:
+            readers = [place.reader(model.stepper).matrix for skin, place in probes if skin == number]
+            if readers:
                 read = arrays[f"read_{number}"]
-                matrix = wp.array(np.hstack(own), dtype=wp.float64, device=device)
+                matrix: Any = wp.array(np.hstack(readers), dtype=wp.float64, device=device)
                 states = before.reshape((worlds, before.shape[1] // len(matrix), len(matrix)))
                 reading.append(launch(kernels.read_modes, read.shape, [states, matrix, read], device))
             taking.append(launch(kernels.take_over, before.shape, [self._active.array, after, before], device))
         begun, end = (_numbers(arrays[f"path_{name}"]) for name in ("begun", "end"))
         taking.append(launch(kernels.take_over, begun.shape, [self._active.array, end, begun], device))
-        self._calls = [
+        self._calls: list[Callable[[], object]] = [
             self.inputs.upload,
             launch(kernels.place_parts, (worlds, parts), placing, device),
             launch(kernels.place_foci, (worlds, moments + 1), focusing, device),
@@ -414,6 +415,13 @@ class _WorldsWork(DeviceWork):
             self._replays[1]()
 
 
+def _outside(work: _WorldsWork, skin: int) -> Outside:
+    """What of a skin's load in the last step was outside the modes' class, shape (w,) each."""
+    seen = work.models[skin].outside([*work.forces.hosts[f"sums_{skin}"].T])
+    assert seen is not None
+    return seen
+
+
 def may_join(model: HapticModel, layout: PoseLayout) -> bool:
     """Whether a world's sound and skins can be computed here: one focus of transducers that keep still and are alike,
     which moves and sounds without jumps, on surfaces without shadows whose skins move by modes."""
@@ -434,7 +442,8 @@ def may_join(model: HapticModel, layout: PoseLayout) -> bool:
 def _parts(model: HapticModel, layout: PoseLayout) -> tuple[Float, Float, Float, list[int]]:
     """Of all parts that the sound pushes: middles and half sizes of their boxes, their origins in the resting body [m],
     shapes (p, 3), and rows of their frames."""
-    low, high, rest, rows = [], [], [], []
+    low, high, rest = [], [], []
+    rows: list[int] = []
     for body, (row, bones) in zip(model.bodies, layout.bodies, strict=True):
         low.append(body.boxes.min(axis=1))
         high.append(body.boxes.max(axis=1))
@@ -460,6 +469,6 @@ def _vectors(values: Float, device: str) -> Any:
 def _numbers(pairs: Any) -> Any:
     """The same memory of pairs (w, n) as numbers, shape (w, 2 n)."""
     worlds, count = pairs.shape
-    numbers = wp.array(ptr=pairs.ptr, dtype=wp.float64, shape=(worlds, 2 * count), device=pairs.device)
-    numbers.pairs = pairs
+    numbers: Any = wp.array(ptr=pairs.ptr, dtype=wp.float64, shape=(worlds, 2 * count), device=pairs.device)
+    numbers.owner = pairs  # whose memory it is
     return numbers

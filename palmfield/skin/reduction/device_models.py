@@ -67,8 +67,9 @@ class DeviceModel(Protocol):
         """Launches that do all substeps."""
         ...
 
-    def outside(self, squares: Float) -> Outside | None:
-        """What of the load lies outside the class that the stepper serves, from the launches' sums, if it has one."""
+    def outside(self, sums: Sequence[Any]) -> Outside | None:
+        """What of the load lies outside the class that the stepper serves, from the launches' sums of squares, if it
+        has one; sums: SECTIONS numbers, or arrays of one for each world."""
         ...
 
 
@@ -142,9 +143,9 @@ class DeviceModes:
             launch(kernels.add_chunks, (worlds, self.stepper.order), [parts, substep, forces], self._device),
         ]
 
-    def outside(self, squares: Float) -> Outside:
+    def outside(self, sums: Sequence[Any]) -> Outside:
         """See DeviceModel."""
-        return self.stepper.weighed(np.add.reduce(squares, axis=(1, 2)).tolist())
+        return self.stepper.weighed(sums)
 
 
 class DeviceReduced:
@@ -178,7 +179,7 @@ class DeviceReduced:
         calls.append(launch(kernels.state_products, parts.shape, inputs, self._device))
         return [*calls, launch(kernels.sums_of_chunks, (worlds, size), [parts, memory.after], self._device)]
 
-    def outside(self, squares: Float) -> None:
+    def outside(self, sums: Sequence[Any]) -> None:
         """See DeviceModel."""
         return None
 
