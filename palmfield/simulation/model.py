@@ -322,6 +322,11 @@ class HapticModel:
         return [number for number, skin in enumerate(self.skins) if skin.body == body]
 
 
+def about_stimulus(name: str) -> tuple[str, str]:
+    """How errors name a stimulus of the scene, and where it says its foci."""
+    return f"plugin 'palmfield.stimulus' instance '{name}'", "key 'focus_m'"
+
+
 def array_instances(spec: SceneSpec) -> tuple[ArrayInstance, ...]:
     """A scene's arrays as `palmfield.acoustics.phased_array` takes them."""
     return tuple(ArrayInstance(one.config, one.placement, one.calibration, one.table) for one in spec.arrays)

@@ -5,7 +5,7 @@ operations on arrays with an entry for each world. Fields, forces and sensors of
 world, and kept while pose and drive stay. Any other world is stepped by `palmfield.simulation.step`.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from operator import is_
 from typing import NamedTuple
 
@@ -111,12 +111,15 @@ class TogetherStep:
 
     # -- the beginning of a step ---------------------------------------------------------------------------------------
 
-    def begin(self, posed: Sequence[PosedScene], t0: float) -> None:
-        """Take the poses of all worlds where a step begins at t0 [s], and find out who takes it together."""
+    def begin(self, posed: Mapping[int, PosedScene], t0: float) -> None:
+        """Take the poses of some worlds where a step begins at t0 [s], and find out who of them takes it together."""
         if not self._some:
+            self.apart = list(posed)
             return
-        joins = self._may_join.copy()
-        for world, now in enumerate(posed):
+        here = np.zeros(len(self.models), dtype=bool)
+        here[list(posed)] = True
+        joins = self._may_join & here
+        for world, now in posed.items():
             if self._posed[world] is not now and joins[world]:
                 try:
                     self._meet(world, now, t0)
@@ -125,7 +128,7 @@ class TogetherStep:
                     self._posed[world], joins[world] = None, False
         joins &= self._levels_alike()
         joins &= ~self._levels.jump(t0, t0 + self.models[0].spec.timestep_s)
-        self.joined, self.apart = joins.nonzero()[0], (~joins).nonzero()[0].tolist()
+        self.joined, self.apart = joins.nonzero()[0], (here & ~joins).nonzero()[0].tolist()
         self._known = joins
 
     def _meet(self, world: int, posed: PosedScene, t0: float) -> None:

@@ -4,7 +4,7 @@ A stepper is made once for a layer and never changes, so that threads share it; 
 have a leading axis for worlds: several bodies alike, each with its own state and loads, are stepped in one call.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
@@ -60,12 +60,12 @@ class Outside(NamedTuple):
 
 
 class StepMemory(NamedTuple):
-    """Where a step of a skin finds its numbers on a device, and where it leaves them.
+    """Where a step of a skin in w worlds finds its numbers on a device, and where it leaves them.
 
-    counts: drives and patterns, int32, shape (2,); pressure: patterns at all the layer's quadrature points [Pa],
-        float32, shape (m, q)
-    weights: of each pattern, float64, shape (`DeviceModel.weight_rows`, m)
-    before, after: the state, float64, shape (n,); squares: float64, shape (SECTIONS, s, `kernels.LANES`)
+    counts: drives and patterns, int32, shape (w, 2); pressure: patterns at all the layer's quadrature points [Pa],
+        float32, shape (w m, q), or, if `chosen`, at the stepper's own
+    weights: of each pattern, float64, shape (w, `DeviceModel.weight_rows`, m)
+    before, after: the state, float64, shape (w, n); squares: float64, shape (w, SECTIONS, s, `kernels.LANES`)
     """
 
     counts: Any
@@ -74,6 +74,7 @@ class StepMemory(NamedTuple):
     before: Any
     after: Any
     squares: Any
+    chosen: bool = False
 
 
 class StepWork(NamedTuple):
@@ -196,8 +197,9 @@ class DeviceModel(Protocol):
         """Launches that do all substeps."""
         ...
 
-    def outside(self, squares: Float) -> Outside | None:
-        """What of the load lies outside the class that the stepper serves, from the launches' sums, if it has one."""
+    def outside(self, sums: Sequence[Any]) -> Outside | None:
+        """What of the load lies outside the class that the stepper serves, from the launches' sums of squares, if it
+        has one; sums: SECTIONS numbers, or arrays of one for each world."""
         ...
 
 

@@ -4,6 +4,7 @@ What of a skin's loads lies outside the class that its modes serve is measured i
 """
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -141,13 +142,14 @@ class OutsideClass:
         return math.hypot(displacement, self.energy_share), None if velocity is None else math.hypot(velocity, quick)
 
 
-def leaves_class(model: HapticModel, skin: int, share: float) -> bool:
+def leaves_class(model: HapticModel, skin: int, share: Any) -> Any:
     """Whether a skin's modes end here: more of a step's load than the wanted accuracy lies outside their class.
 
-    share: see OutsideClass.add. Where key `solver` asks for modes they go on, and the run's error says it.
+    share: see OutsideClass.add, one number or several. Where key `solver` asks for modes they go on, and the run's
+    error says it.
     """
     config = model.skins[skin].spec.config
-    return config.solver == "auto" and share > config.accuracy
+    return (config.solver == "auto") & (share > config.accuracy)
 
 
 def loudest_load(

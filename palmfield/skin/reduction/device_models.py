@@ -42,7 +42,7 @@ class DeviceModes:
         self._advance: Any = wp.array(advance[: stepper.order], dtype=square, device=device)
         self._inputs: Any = wp.array(stepper.inputs[: stepper.order], dtype=numbers, device=device)
         self._felt: Any = wp.array(stepper.felt, dtype=wp.float64, device=device)
-        self._none: Any = wp.zeros(1, dtype=wp.float64, device=device)
+        self._none: Any = wp.zeros((1, 1), dtype=wp.float64, device=device)
         self._coupling: Any = wp.array(stepper.coupling, dtype=wp.float64, device=device)
 
     def weights(self, first: Float, last: Float) -> Float:
@@ -51,13 +51,14 @@ class DeviceModes:
 
     def calls(self, memory: StepMemory) -> Calls:
         """See DeviceModel."""
-        before, after = (part.reshape((self._rows, -1)) for part in (memory.before, memory.after))
+        worlds = memory.before.shape[0]
+        before, after = (part.reshape((worlds, self._rows, -1)) for part in (memory.before, memory.after))
         calls, forces = self._products.calls(memory)
         modes = kernels.lone_modes(self._rows)
 
         def carried(state: Any, first: int, last: int) -> Callable[[], object]:
             inputs = [self._advance, self._inputs, forces, first, last, state, after]
-            return launch(modes, self.stepper.order, inputs, self._device)
+            return launch(modes, (worlds, self.stepper.order), inputs, self._device)
 
         if not self.stepper.coupled:
             calls.append(carried(before, 0, self.substeps))
@@ -65,25 +66,25 @@ class DeviceModes:
             for substep in range(self.substeps):
                 state = after if substep else before
                 calls += [*self._pushes(state, forces, substep), carried(state, substep, substep + 1)]
-        dim = SECTIONS, self.substeps, kernels.LANES
-        return [*calls, launch(kernels.squares, dim, [forces, self._starts, memory.squares], self._device)]
+        squares = launch(kernels.squares, memory.squares.shape, [forces, self._starts, memory.squares], self._device)
+        return [*calls, squares]
 
     def _pushes(self, state: Any, forces: Any, substep: int) -> Calls:
         """Launches that add to the forces of a substep how modes push one another."""
-        count, (rows, columns) = len(self.stepper.felt), self._coupling.shape
+        worlds, count, (rows, columns) = len(state), len(self.stepper.felt), self._coupling.shape
         chunks = -(-rows // CHUNK)
-        mixed: Any = wp.zeros(rows, dtype=wp.float64, device=self._device)
-        parts: Any = wp.zeros((chunks, columns), dtype=wp.float64, device=self._device)
+        mixed: Any = wp.zeros((worlds, rows), dtype=wp.float64, device=self._device)
+        parts: Any = wp.zeros((worlds, chunks, columns), dtype=wp.float64, device=self._device)
         inputs = [self._coupling, mixed, self._none, CHUNK, parts]
         return [
-            launch(kernels.mixed_rows, (count, columns), [self._felt, state, mixed], self._device),
-            launch(kernels.state_products, (chunks, columns), inputs, self._device),
-            launch(kernels.add_chunks, self.stepper.order, [parts, substep, forces], self._device),
+            launch(kernels.mixed_rows, (worlds, count, columns), [self._felt, state, mixed], self._device),
+            launch(kernels.state_products, (worlds, chunks, columns), inputs, self._device),
+            launch(kernels.add_chunks, (worlds, self.stepper.order), [parts, substep, forces], self._device),
         ]
 
-    def outside(self, squares: Float) -> Outside:
+    def outside(self, sums: Sequence[Any]) -> Outside:
         """See DeviceModel."""
-        return self.stepper.weighed(np.add.reduce(squares, axis=(1, 2)).tolist())
+        return self.stepper.weighed(sums)
 
 
 def pays(size: int, shapes: int, substeps: int) -> bool:
@@ -117,12 +118,13 @@ class DeviceReduced:
         calls, forces = self._products.calls(memory)
         rows, size = self._matrix.shape
         chunks = -(-rows // CHUNK)
-        parts: Any = wp.zeros((chunks, size), dtype=wp.float64, device=self._device)
-        inputs = [self._matrix, memory.before, forces.flatten(), CHUNK, parts]
-        calls.append(launch(kernels.state_products, (chunks, size), inputs, self._device))
-        return [*calls, launch(kernels.sums_of_chunks, size, [parts, memory.after], self._device)]
+        worlds = memory.before.shape[0]
+        parts: Any = wp.zeros((worlds, chunks, size), dtype=wp.float64, device=self._device)
+        inputs = [self._matrix, memory.before, forces.reshape((worlds, -1)), CHUNK, parts]
+        calls.append(launch(kernels.state_products, parts.shape, inputs, self._device))
+        return [*calls, launch(kernels.sums_of_chunks, (worlds, size), [parts, memory.after], self._device)]
 
-    def outside(self, squares: Float) -> None:
+    def outside(self, sums: Sequence[Any]) -> None:
         """See DeviceModel."""
         return None
 
@@ -136,13 +138,14 @@ class _Products:
         self._matrix: Any = wp.array(np.ascontiguousarray(matrix, np.float32), dtype=wp.float32, device=device)
 
     def calls(self, memory: StepMemory) -> tuple[list[Callable[[], object]], Any]:
-        """Launches, and where they leave the products of each row of the weights, float64, shape (rows, c)."""
+        """Launches, and where they leave the products of each row of the weights, float64, shape (w, rows, c)."""
         points, columns = self._matrix.shape
-        blocks, chunks = -(-memory.pressure.shape[0] // kernels.ROWS), -(-points // CHUNK)
+        worlds, rows, patterns = memory.weights.shape
+        blocks, chunks = -(-patterns // kernels.ROWS) * worlds, -(-points // CHUNK)
         parts: Any = wp.zeros((chunks, blocks * kernels.ROWS, columns), dtype=wp.float32, device=self._device)
-        rows = memory.weights.shape[0]
-        mixed: Any = wp.zeros((rows, columns), dtype=wp.float64, device=self._device)
-        inputs = [memory.counts, memory.pressure, self._points, self._matrix, CHUNK, parts]
+        mixed: Any = wp.zeros((worlds, rows, columns), dtype=wp.float64, device=self._device)
+        given = whole_numbers(np.arange(points), self._device) if memory.chosen else self._points
+        inputs = [memory.counts, memory.pressure, given, self._matrix, CHUNK, parts]
         calls = [launch(kernels.pressure_products, (blocks, chunks, columns), inputs, self._device)]
         inputs = [memory.counts, memory.weights, parts, mixed]
-        return [*calls, launch(kernels.mixed_products, (rows, columns), inputs, self._device)], mixed
+        return [*calls, launch(kernels.mixed_products, mixed.shape, inputs, self._device)], mixed
