@@ -21,23 +21,24 @@ logging.getLogger("palmfield").addHandler(logging.NullHandler())
 
 if TYPE_CHECKING:
     from palmfield.engine.host import raise_errors
-    from palmfield.session.plan import Plan, plan
-    from palmfield.session.run import Result, recover, run
+    from palmfield.estimate.estimated_run import run
+    from palmfield.planning.scene_plan import Plan, plan
+    from palmfield.session.recorded_run import Result, recover
     from palmfield.session.simulation import Simulation, load
-    from palmfield.studies.sweep.run import sweep
+    from palmfield.studies.sweeps.whole_sweep import sweep
 
     __version__: str
 
 _WHERE = {
-    "Plan": "session.plan",
-    "Result": "session.run",
+    "Plan": "planning.scene_plan",
+    "Result": "session.recorded_run",
     "Simulation": "session.simulation",
     "load": "session.simulation",
-    "plan": "session.plan",
+    "plan": "planning.scene_plan",
     "raise_errors": "engine.host",
-    "recover": "session.run",
-    "run": "session.run",
-    "sweep": "studies.sweep.run",
+    "recover": "session.recorded_run",
+    "run": "estimate.estimated_run",
+    "sweep": "studies.sweeps.whole_sweep",
 }
 __all__ = [
     "DeviceError",

@@ -5,6 +5,7 @@ python scripts/draw_materials.py
 
 import subprocess
 from dataclasses import replace
+from itertools import cycle
 from pathlib import Path
 
 import numpy as np
@@ -18,10 +19,11 @@ from palmfield.skin.analytic import as_printed
 from palmfield.skin.analytic.hyperelastic import advance, at_rest, piola
 from palmfield.skin.analytic.layer_oracle import centre_response
 from palmfield.skin.analytic.observed import predicted
-from palmfield.skin.materials.catalogue import CATALOGUE, DEPTH_M, PRESETS, TISSUES, UNITS, hand_skin, varied
+from palmfield.skin.materials.catalogue import CATALOGUE, DEPTH_M, PRESETS, TISSUES, hand_skin, varied
 from palmfield.skin.materials.dispersion import Waves, describe
 from palmfield.skin.materials.material import Material, complex_shear, elastic, prony, standard_linear
 from palmfield.skin.materials.prony_fit import fractional, fractional_kelvin_voigt
+from palmfield.skin.materials.ranges import UNITS
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "docs" / "images" / "materials"
@@ -44,6 +46,46 @@ storage_Pa, loss_Pa = 2e4 + 50.0 * f_Hz**0.7, 40.0 * f_Hz**0.7
 fit_prony(f_Hz, storage_Pa, loss_Pa, branches=3).material("mine", 1000.0)
 hand_skin("palm")  # four sheets, skin to bone
 ```"""
+LAW = '''```python
+"""Fractional Kelvin-Voigt solid."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from palmfield.skin.materials.material import Branch, Material
+from palmfield.skin.materials.prony_fit import fit_prony
+from palmfield.skin.materials.ranges import Preset
+
+
+@dataclass(frozen=True, kw_only=True)
+class FractionalKelvinVoigt(Material):
+    """G(s) = G_r (1 + (s tau)^a): time_s: tau [s]; exponent: a; band_Hz: where `series` stands for it."""
+
+    time_s: float
+    exponent: float
+    band_Hz: tuple[float, float] = (1.0, 4000.0)
+
+    def stiffening(self, s):
+        return 1.0 + (s * self.time_s) ** self.exponent
+
+    @cached_property
+    def series(self):
+        f_Hz = np.geomspace(*self.band_Hz, 81)
+        shear = self.modulus(-2j * np.pi * f_Hz)
+        fit = fit_prony(f_Hz, shear.real, -shear.imag, 6, self.shear_relaxed_Pa)
+        return tuple(map(Branch, fit.branches_Pa, fit.times_s))
+
+
+PRESETS = (
+    Preset(
+        FractionalKelvinVoigt(
+            "fractional gel", 1000.0, 5e3, (), 2.5e7, "an example, not a measurement", time_s=1e-3, exponent=0.3
+        )
+    ),
+)
+```'''
 
 
 def waves_of(material: Material) -> list[Waves]:
@@ -53,7 +95,7 @@ def waves_of(material: Material) -> list[Waves]:
 def draw_presets() -> Figure:
     figure = Figure(figsize=(13.0, 4.4), layout="constrained")
     moduli, speed, length = figure.subplots(1, 3)
-    for colour, (name, entry) in zip(SHADES, CATALOGUE.items(), strict=True):
+    for colour, (name, entry) in zip(cycle(SHADES), CATALOGUE.items(), strict=False):
         waves = waves_of(entry.material)
         shear = np.array([wave.shear_Pa for wave in waves])
         moduli.loglog(BAND_HZ, shear.real / 1e3, color=colour, label=name)
@@ -244,7 +286,7 @@ def preset_rows() -> list[str]:
     ]
     for name, material in PRESETS.items():
         waves = describe(material, 200.0)
-        branches = ", ".join(f"{b.shear_Pa / 1e3:.4g} at {b.time_s * 1e3:.3g}" for b in material.branches) or "-"
+        branches = ", ".join(f"{b.shear_Pa / 1e3:.4g} at {b.time_s * 1e3:.3g}" for b in material.series) or "-"
         lines.append(
             f"| {name} | {material.density_kg_m3:g} | {material.shear_relaxed_Pa / 1e3:.4g} | {branches} | "
             f"{material.viscosity_Pa_s:g} | {material.bulk_Pa / 1e6:.3g} | {waves.shear_Pa.real / 1e3:.2f}, "
@@ -353,6 +395,13 @@ def page(traded: dict[int, tuple[list[float], list[float]]], fits: list[tuple[in
         "A fractional Kelvin-Voigt or Zener law becomes a Prony series over a band. For exponent "
         f"{EXPONENT} over three decades: {misfits} (rms).",
         "![fractional](images/materials/fractional.png)",
+        "## A law of your own",
+        "A law G(s) that is no Prony series is one file, `law_NAME.py` in `palmfield/skin/materials/`: a subclass "
+        "of `Material` with `stiffening`, G(s)/G_r, which is 1 at rest, and `series`, branches that stand for "
+        "it in time. Its parameters are ratios to G_r and times, so that a factor on the shear modulus is one on all "
+        "of it. Scenes find its `PRESETS` by name. Harmonic solutions take G(s) as it is; steppers and small models "
+        "take the series, and `solve` adds to its error how far that is from G(s), rms over 5 to 1000 Hz.",
+        LAW,
         "## Finite strain",
         "`palmfield.skin.analytic.hyperelastic`: compressible neo-Hookean with the material's branches. At small "
         "strain it is "

@@ -10,6 +10,9 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from second_of_something import add_array as add_array
+from second_of_something import add_skin as add_skin
+from second_of_something import moment as moment
 from small_scene import small_scene_texts
 
 from palmfield.acoustics import surface_arp

@@ -11,6 +11,7 @@ from palmfield.errors import PalmfieldError
 from palmfield.hand.articulated import articulate
 from palmfield.hand.meshfile import load_mesh
 from palmfield.hand.preset import load_preset
+from palmfield.hardware.decode import pieces_of
 from palmfield.instruments.settings import read_settings
 from palmfield.instruments.vibrometer import Vibrometer
 from palmfield.motion.alignment import read_alignment, read_touches
@@ -18,7 +19,6 @@ from palmfield.motion.source import read_keyframes
 from palmfield.motion.tracking import read_stream
 from palmfield.motion.trajectory import read_trajectory
 from palmfield.outputs.scan_files import read_scan
-from palmfield.session.decode import pieces_of
 from palmfield.session.migrate import migrated
 from palmfield.session.scene_text import read_scene_text
 from palmfield.stimulus.am_file import read_am_table
@@ -27,7 +27,7 @@ from palmfield.stimulus.focus_table import read_focus_table
 from palmfield.stimulus.standard import read_stimulus
 from palmfield.studies.experiment.design import read_design
 from palmfield.studies.experiment.log import read_experiment_log
-from palmfield.studies.sweep.texts import _read_table
+from palmfield.studies.sweeps.texts import _read_table
 from palmfield.studies.trial.recording import read_recording
 
 HAND = articulate(load_preset("open_women_p50"))

@@ -12,8 +12,8 @@ import palmfield
 
 FOLDER = Path(palmfield.__file__).parent
 PACKAGES = (
-    "session", "engine", "simulation", "outputs", "drive", "perception", "stimulus", "acoustics", "skin", "motion",
-    "hand", "instruments", "metrics", "mujoco_host", "config",
+    "hardware", "planning", "estimate", "session", "engine", "simulation", "outputs", "drive", "perception", "stimulus",
+    "acoustics", "skin", "motion", "hand", "instruments", "metrics", "mujoco_host", "config",
 )  # fmt: skip
 
 
@@ -52,6 +52,17 @@ def test_a_package_exports_names_that_no_module_hides(name):
 def test_every_package_with_names_is_in_the_list():
     found = {path.parent.name for path in FOLDER.glob("*/__init__.py") if "__all__" in path.read_text()}
     assert found == set(PACKAGES)
+
+
+def test_no_package_bears_the_name_of_a_public_function_nor_the_module_where_it_is():
+    """`palmfield.session.run` would be a module, or after another import a function."""
+    public = {name for name in palmfield.__all__ if callable(getattr(palmfield, name))}
+    assert {"load", "plan", "recover", "run", "sweep"} <= public
+    assert not {folder.name for folder in FOLDER.rglob("*") if folder.is_dir()} & public
+    assert not {path.stem for path in FOLDER.glob("*.py")} & public
+    assert not {getattr(palmfield, name).__module__.split(".")[-1] for name in public} & public
+    four = [FOLDER / name for name in ("hardware", "planning", "estimate", "session")]
+    assert not {path.stem for folder in four for path in folder.rglob("*.py")} & public
 
 
 @pytest.mark.parametrize("name", ["", *PACKAGES])

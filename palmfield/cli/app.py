@@ -276,8 +276,8 @@ def drive(
     with bars() as bar:
         bar.add_task("loading palmfield", total=None)
         from palmfield.cli.boards import show_performance
-        from palmfield.session.focus_board import FocusSound
-        from palmfield.session.play import Target, play_focus, play_scene
+        from palmfield.hardware.focus_board import FocusSound
+        from palmfield.hardware.play import Target, play_focus, play_scene
         from palmfield.types import Air
 
     if live is not None and scene is not None:
@@ -296,7 +296,7 @@ def drive(
     own = {name.removeprefix("driver."): value for name, value in given_keys(keys).items()}
     if live is not None:
         from palmfield.cli.live import live_input
-        from palmfield.session.live_focus import play_live
+        from palmfield.hardware.live_focus import play_live
 
         given = live_input(live, focus)
         done = play_live(given, board or "sonicsurface", target, duration, sound=sound, keys=own)
@@ -419,9 +419,9 @@ def decode(
     """
     import numpy as np
 
+    from palmfield.hardware.decode import as_table, write_csv
+    from palmfield.hardware.decode import decode as decoded_file
     from palmfield.outputs.foci_picture import draw_foci
-    from palmfield.session.decode import as_table, write_csv
-    from palmfield.session.decode import decode as decoded_file
 
     decoded = decoded_file(file, board, layout, calibration)
     print(as_table(decoded, most=40))
@@ -449,7 +449,7 @@ def replay(
     palmfield replay sent.jsonl --port /dev/ttyUSB0 --set driver.on_time_s=5
     """
     from palmfield.cli.boards import show_performance
-    from palmfield.session.replay import replay as replay_file
+    from palmfield.hardware.replay import replay as replay_file
 
     show_performance(replay_file(file, port, board, keys=given_keys(keys), progress=True))
 
@@ -999,7 +999,7 @@ def recover(out: Annotated[Path, typer.Argument(help="folder of a run that was c
 
     Example: palmfield recover out/palm
     """
-    from palmfield.session.run import recover as finish
+    from palmfield.session.recorded_run import recover as finish
 
     for path in finish(out, progress=True).values():
         print(f"wrote {path}")

@@ -4,9 +4,9 @@ import json
 from typing import Any
 
 from palmfield.acoustics.air import absorption_Np_m, density, sound_speed
+from palmfield.estimate.summary import array_numbers
 from palmfield.outputs.netcdf import plain
 from palmfield.session.preview import Preview
-from palmfield.session.summary import array_numbers
 from palmfield.skin.materials.material import complex_shear
 
 

@@ -11,7 +11,7 @@ from palmfield.drive.board import Board, frames_in_words
 from palmfield.drive.boards import BOARDS, playable_board
 from palmfield.drive.virtual import Faults, VirtualBoard
 from palmfield.errors import DeviceError, unwritable
-from palmfield.session.play import Performance
+from palmfield.hardware.play import Performance
 
 UNSENT_CODE = 4
 """Exit code where more frames were due than could be sent."""

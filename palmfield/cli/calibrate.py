@@ -60,7 +60,7 @@ def add(
     from palmfield.acoustics.air import check
     from palmfield.drive.calibration.readings import MEASUREMENTS, Circumstances
     from palmfield.errors import SceneError, did_you_mean
-    from palmfield.session.calibrate import add_readings
+    from palmfield.hardware.calibrate import add_readings
     from palmfield.types import Air
 
     if kind not in MEASUREMENTS:
@@ -84,7 +84,7 @@ def import_(
 
     Example: palmfield calibrate import board_10.pat board.json
     """
-    from palmfield.session.calibrate import imported
+    from palmfield.hardware.calibrate import imported
 
     for line in imported(file, board):
         print(line)
@@ -113,8 +113,8 @@ def sound(
     palmfield calibrate sound sonicsurface --port /dev/ttyUSB0 --element 17 --dwell 5
     """
     from palmfield.cli.boards import show_performance
-    from palmfield.session.one_by_one import sound_one_by_one
-    from palmfield.session.play import Target
+    from palmfield.hardware.one_by_one import sound_one_by_one
+    from palmfield.hardware.play import Target
 
     done = sound_one_by_one(
         board, Target(port, record, log), times, elements=element or None, dwell_s=dwell, pause_s=pause, progress=True
@@ -134,7 +134,7 @@ def show(
 
     Example: palmfield calibrate show board.json --png board.png
     """
-    from palmfield.session.calibrate import described
+    from palmfield.hardware.calibrate import described
 
     for line in described(board, png):
         print(line)
@@ -150,7 +150,7 @@ def rehearse(
 
     Example: palmfield calibrate rehearse trial
     """
-    from palmfield.session.calibrate import rehearsed
+    from palmfield.hardware.calibrate import rehearsed
 
     for line in rehearsed(layout, folder, seed):
         print(line)

@@ -34,7 +34,7 @@ def given_keys(keys: list[str] | None) -> dict[str, str]:
 
 def _file(name: str, value: str) -> str:
     """The value of a key, a file's whole path where it names one in the current folder."""
-    from palmfield.session.load import FILES
+    from palmfield.session.open_scene import FILES
 
     if name.rpartition(".")[2] not in {key for keys in FILES.values() for key in keys}:
         return value

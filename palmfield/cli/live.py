@@ -2,8 +2,8 @@
 
 import sys
 
+from palmfield.hardware.live_focus import LiveInput
 from palmfield.motion.replaying import address_by
-from palmfield.session.live_focus import LiveInput
 
 
 def live_input(text: str, offset: tuple[float, float, float] | None) -> LiveInput:

@@ -10,7 +10,7 @@ import palmfield
 from palmfield.cli.as_json import print_json
 from palmfield.cli.messages import complain
 from palmfield.outputs.summary_table import format_summary
-from palmfield.session.plan import warnings
+from palmfield.planning.scene_plan import warnings
 
 LOG = logging.getLogger("palmfield.cli")
 

@@ -5,10 +5,10 @@ from pathlib import Path
 
 from palmfield.cli.as_json import print_json
 from palmfield.errors import OutputError
+from palmfield.hardware.safety.sheet import safety_sheet
+from palmfield.hardware.safety.sheet_text import as_dict, as_markdown
 from palmfield.outputs.safety_picture import draw_levels
 from palmfield.session.preview import preview
-from palmfield.session.safety.sheet import safety_sheet
-from palmfield.session.safety.sheet_text import as_dict, as_markdown
 from palmfield.whole_files import whole
 
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import typer
 
 from palmfield.cli.messages import complain
-from palmfield.studies.sweep.run import Sweep, sweep
-from palmfield.studies.sweep.texts import read_design
+from palmfield.studies.sweeps.texts import read_design
+from palmfield.studies.sweeps.whole_sweep import Sweep, sweep
 
 MOST_REASONS = 3
 

@@ -1,8 +1,9 @@
 """Keys of palmfield.skin."""
 
+from importlib.metadata import entry_points
 from typing import Annotated, ClassVar, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from palmfield.config.base import Config, Names, NonNegative, Positive, Shares
 
@@ -13,9 +14,17 @@ Side = Literal["fixed", "free", "roller", "absorbing"]
 SPRINGS = ("base_normal_Pa_m", "base_tangential_Pa_m", "base_normal_Pa_s_m", "base_tangential_Pa_s_m")
 WHOLE_HISTORY = ("axisymmetric", "lateral_waves")
 """Solvers that no scene can step."""
-EXPLICIT = ("spectral_elements", "particles")
-"""Solvers that step a scene's layer on a mesh of their own."""
+Solver = Literal["auto", "wedges", "reduced", "modal", "spectral_elements", "particles"]
+SKIN_SOLVERS = "palmfield.skin_solvers"
+"""Entry points of other packages: a solver's name, and what makes a `palmfield.skin.explicit_layer.ExplicitLayer`."""
 OVERRIDES = ("density_kg_m3", "shear_relaxed_Pa", "shear_branch_Pa", "relaxation_time_s", "bulk_Pa")
+
+
+def _installed(solver: str) -> str:
+    """The name of a solver of another package. Raises ValueError where none is installed."""
+    if not entry_points(group=SKIN_SOLVERS, name=solver):
+        raise ValueError(solver)
+    return solver
 
 
 BODIES = ("hand", "articulated", "mesh", "rigged", "cylinder")
@@ -86,7 +95,7 @@ class SkinConfig(Config):
         description="greatest depth of the layer, of all shapes but disc; a hand's own depth to bone applies where it "
         "is less",
     )
-    material: str = Field("palm", description="a preset of palmfield.skin.materials.material")
+    material: str = Field("palm", description="a preset, by name (materials.md)")
     materials: Names = Field(
         (), description="presets of several sheets from the surface down, in place of `material`; needs `shares`"
     )
@@ -130,7 +139,7 @@ class SkinConfig(Config):
     max_frequency_Hz: Annotated[float, Field(gt=0, le=2000)] | None = Field(
         None, description="highest frequency to resolve (default: from the stimulus)"
     )
-    solver: Literal["auto", "wedges", "reduced", "modal", "spectral_elements", "particles"] = Field(
+    solver: Solver | Annotated[str, AfterValidator(_installed)] = Field(
         "auto",
         description="wedges: steps the whole layer; reduced: a small model of it for this stimulus; modal: modes for "
         "every stimulus and pose; auto: the cheapest of these; spectral_elements: explicit, for a GPU; particles: a "

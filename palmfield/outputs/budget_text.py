@@ -1,4 +1,4 @@
-"""A skin's error budget (`palmfield.session.error_budget.error_budget`) in words."""
+"""A skin's error budget (`palmfield.estimate.error_budget.error_budget`) in words."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence

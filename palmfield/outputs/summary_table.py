@@ -38,7 +38,7 @@ WIDTH = 110
 def format_summary(summary: Mapping[str, Any], details: bool = False) -> str:
     """The verdict of a run in one line, and a table of its numbers.
 
-    summary: of `palmfield.outputs.summary.summary`, with what `palmfield.session.summary` adds where it is there
+    summary: of `palmfield.outputs.summary.summary`, with what `palmfield.estimate.summary` adds where it is there
     details: whether all is in the table: drive, p0, solver, all observers and all parts of the error. Else 14 lines for
     one skin: pressure, ARP, force, displacement, one level, error and time.
     """

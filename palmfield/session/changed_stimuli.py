@@ -10,7 +10,6 @@ from palmfield.simulation.build import build, demands_of
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.scene_reader import element_of
 from palmfield.simulation.state import WHOLE, at_rest, claim, stepper_of
-from palmfield.skin.reduction.modal_stepper import ModalStepper
 
 LEAST_SPOT = 0.8
 """Of the spot for which a layer is meshed: a smaller one asks for finer elements."""
@@ -38,7 +37,7 @@ def change_stimuli(sim: Simulation, texts: Mapping[str, Mapping[str, str]]) -> b
     other = build(made, known)
     steppers = []
     for number, begun in enumerate(known.begin):
-        if not (begun.made and isinstance(begun.value, ModalStepper)) or state.skins[number][0, 0] == WHOLE:
+        if not (begun.made and begun.value.of_class) or state.skins[number][0, 0] == WHOLE:
             return False
         steppers.append(None if at_rest(state, number) else stepper_of(known, state, number)[0])
     if not _meshed_for(known, other):

@@ -6,7 +6,7 @@ from typing import NamedTuple
 from palmfield.config import CONFIGS, Config
 from palmfield.errors import OutputError, SceneError
 from palmfield.outputs.store import write_whole
-from palmfield.session.load import no_scene
+from palmfield.session.open_scene import no_scene
 from palmfield.session.scene_edit import Edit, edited, indent_of, tag_of, with_attribute, without
 from palmfield.session.scene_text import Element, elements_of, read_scene_text
 

@@ -11,7 +11,7 @@ from palmfield.engine.host import raise_errors, world_of
 from palmfield.engine.motion_plugin import place
 from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.errors import SceneError
-from palmfield.session.load import Source, compiled
+from palmfield.session.open_scene import Source, compiled
 from palmfield.session.simulation import Simulation
 from palmfield.simulation.posed_scene import PosedScene
 
@@ -87,7 +87,7 @@ def preview(
 ) -> Preview:
     """Open a scene, or take a simulation as it stands.
 
-    Arguments and errors as `palmfield.session.load.compiled`; a simulation's keys can't be changed (SceneError).
+    Arguments and errors as `palmfield.session.open_scene.compiled`; a simulation's keys can't be changed (SceneError).
     """
     if isinstance(scene, Simulation):
         if keys or any(value is not None for value in (device, accuracy, board)):

@@ -16,7 +16,7 @@ from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.errors import SceneError
 from palmfield.interrupts import interrupts_held
 from palmfield.session.duration import check_duration, check_steps, check_time, step_count
-from palmfield.session.load import Source, compiled
+from palmfield.session.open_scene import Source, compiled
 from palmfield.session.skin import Skin, chosen_name
 from palmfield.session.worlds import Worlds
 from palmfield.types import Complex, Float
@@ -64,7 +64,7 @@ class Simulation:
         worlds: None = None,
         poses: None = None,
     ):
-        """See `palmfield.session.load.compiled` for the arguments and what is raised."""
+        """See `palmfield.session.open_scene.compiled` for the arguments and what is raised."""
         self.name, self.model, self.data = compiled(scene, device=device, accuracy=accuracy, board=board, keys=keys)
         self.path = Path(scene) if isinstance(scene, str | Path) else None
         self._attach()

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from palmfield.errors import OutputError, SceneError, did_you_mean
-from palmfield.session.load import Source
+from palmfield.session.open_scene import Source
 from palmfield.session.preview import Preview, preview
 from palmfield.simulation.model import StimulusModel
 from palmfield.stimulus.autd3_stm import stm_of_table, write_foci_stm

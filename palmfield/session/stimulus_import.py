@@ -10,7 +10,7 @@ import numpy as np
 
 from palmfield.config.stimulus import AM_KEYS, PATH_KEYS
 from palmfield.errors import OutputError, SceneError, did_you_mean
-from palmfield.session.load import compiled, instances_of, no_scene, opened
+from palmfield.session.open_scene import compiled, instances_of, no_scene, opened
 from palmfield.session.scene_edit import Edit, edited, indent_of, tag_of, without
 from palmfield.session.scene_text import Element, elements_of
 from palmfield.stimulus.autd3_stm import read_foci_stm, table_of_stm

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from palmfield.config import CONFIGS, Config, StimulusConfig, parse
-from palmfield.errors import SceneError
-from palmfield.session.load import as_text
+from palmfield.errors import SceneError, naming_world
+from palmfield.session.open_scene import as_text
 from palmfield.simulation.scene_reader import STIMULUS_FILES, am_table_of, element_of, focus_table_of, with_files_found
 from palmfield.simulation.spec import SceneSpec, StimulusSpec
 
@@ -39,7 +39,7 @@ class WorldKeys:
 def split_keys(keys: Mapping[str, object], worlds: int, plugins: Mapping[str, str]) -> WorldKeys:
     """Tell keys with one value from those with one for each world, by one axis more than the key itself has.
 
-    keys: as `palmfield.session.load.compiled`; plugins: name of the plugin, by instance of the scene
+    keys: as `palmfield.session.open_scene.compiled`; plugins: name of the plugin, by instance of the scene
     Raises SceneError for another number of values than worlds, another shape, and a key that can't differ.
     """
     common: dict[str, object] = dict(keys)
@@ -84,8 +84,8 @@ def world_specs(
                 own.pop(key, None)
                 if values[world] is not None:
                     own[key] = as_text(values[world])
-            element = f"world {world}: {element_of(StimulusConfig, stimulus.name)}"
-            stimuli.append(with_texts(stimulus, own, element))
+            with naming_world(world):
+                stimuli.append(with_texts(stimulus, own, element_of(StimulusConfig, stimulus.name)))
         specs.append(replace(spec, stimuli=tuple(stimuli)))
     return specs
 

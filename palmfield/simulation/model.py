@@ -15,7 +15,6 @@ from scipy.spatial import cKDTree
 
 from palmfield.acoustics.phased_array import ArrayInstance, PhasedArray
 from palmfield.config import StimulusConfig
-from palmfield.config.skin import EXPLICIT
 from palmfield.drive.board import Board
 from palmfield.drive.response import Pole
 from palmfield.drive.transducer_response import TransducerResponse
@@ -24,7 +23,7 @@ from palmfield.hand.skinning import SkinnedSurface
 from palmfield.hand.subdivide import EDGE_m, short_edge_parents, with_short_edges
 from palmfield.locked import Lazy, locked_cached_property
 from palmfield.simulation.spec import SceneSpec, SkinSpec, StimulusSpec
-from palmfield.skin.explicit_layer import explicit_layer
+from palmfield.skin.explicit_layer import ExplicitLayer, explicit_layer
 from palmfield.skin.fem.probe import surface_vectors
 from palmfield.skin.fem.wedge_stepper import WedgeStepper
 from palmfield.skin.mesh.surface import closed_boundary, output_triangles
@@ -130,7 +129,7 @@ class BodyModel:
 class StepperChoice(NamedTuple):
     """Which stepper a skin begins with.
 
-    name: "wedges", "reduced", "modal" or one of `palmfield.config.skin.EXPLICIT`; why: in words
+    name: "wedges", "reduced", "modal" or that of a solver with an ExplicitLayer; why: in words
     seconds, wedges_s: predicted of making and stepping it, and the whole layer
     """
 
@@ -166,7 +165,12 @@ class SkinModel:
     @property
     def state_room(self) -> int:
         """Numbers of state that the skin can need, without its matrices."""
-        return explicit_layer(self.layer).state_size if self.choice.name in EXPLICIT else self.layer.state_room
+        return self.layer.state_room if self.explicit is None else self.explicit.state_size
+
+    @property
+    def explicit(self) -> ExplicitLayer | None:
+        """The layer as a solver has it that key `solver` names, None where the wedges themselves are stepped."""
+        return explicit_layer(self.layer)
 
     @locked_cached_property
     def nodes(self) -> tuple[Float, Float]:
@@ -316,6 +320,11 @@ class HapticModel:
     def carried(self, body: int) -> list[int]:
         """Numbers of the skins on a body; the first one's keys count for the force on the body."""
         return [number for number, skin in enumerate(self.skins) if skin.body == body]
+
+
+def about_stimulus(name: str) -> tuple[str, str]:
+    """How errors name a stimulus of the scene, and where it says its foci."""
+    return f"plugin 'palmfield.stimulus' instance '{name}'", "key 'focus_m'"
 
 
 def array_instances(spec: SceneSpec) -> tuple[ArrayInstance, ...]:

@@ -1,46 +1,30 @@
-"""A scene's layer on a mesh of its own, for the solvers that step explicitly: spectral elements and particles.
+"""A scene's layer as a solver steps it that key `solver` names, and of which the scene itself knows nothing else: those
+with elements or particles of their own, which step explicitly, and those of other packages.
 
-Body, loads and operators are those of the scene's wedges; what is here has its own elements or particles below the same
-face.
+Body, loads and operators are those of the scene's wedges; what is here lies below the same face.
 """
 
 import functools
 import math
 import threading
-from typing import Protocol
+from importlib.metadata import entry_points
+from typing import Any, Protocol, get_args
 
 import numpy as np
+from scipy import sparse
 from scipy.spatial import cKDTree
 
+from palmfield.blas import one_blas_thread
+from palmfield.config.skin import SKIN_SOLVERS, Solver
 from palmfield.errors import SceneError
-from palmfield.locked import locked_cached_property
-from palmfield.skin.approximation.reduce_bulk_modulus import reduce_bulk_modulus
 from palmfield.skin.approximation.trim_absorbing_rim import refusal_of_spot
-from palmfield.skin.fem.face_transfer import FaceTransfer
+from palmfield.skin.fem.face_transfer import FaceTransfer, ends_of_substeps, read
 from palmfield.skin.from_config import base_of
 from palmfield.skin.problem import GAUSSIAN, Body, Layer, Load, Sheet, Slab, Spot, Traction
 from palmfield.skin.scene_layer import SceneLayer
-from palmfield.skin.solvers.particles.cloud import Cloud, build_cloud
-from palmfield.skin.solvers.particles.resolution import SECONDS_A_STEP, choose_spacing, law_error, refusal_particles
-from palmfield.skin.solvers.particles.run import likely_step as likely_particle_step
-from palmfield.skin.solvers.particles.run import state_size as particle_state_size
-from palmfield.skin.solvers.particles.solve import solve_particles
-from palmfield.skin.solvers.particles.stepper import ParticleStepper
-from palmfield.skin.solvers.particles.stepper import face_weights as particle_weights
-from palmfield.skin.solvers.spectral_elements.mesh import Plan, build, plan
-from palmfield.skin.solvers.spectral_elements.run import state_size as element_state_size
-from palmfield.skin.solvers.spectral_elements.solid import Solid, face_areas
-from palmfield.skin.solvers.spectral_elements.solve import (
-    STIFFEST,
-    likely_step,
-    refusal_spectral_elements,
-    solve_spectral_elements,
-    step_seconds,
-)
-from palmfield.skin.solvers.spectral_elements.stepper import SpectralElementStepper
-from palmfield.skin.solvers.spectral_elements.stepper import face_weights as element_weights
-from palmfield.skin.stepper import SkinStepper
-from palmfield.types import Float
+from palmfield.skin.solver_choice import WHERE, function
+from palmfield.skin.stepper import Reader, SkinStepper, SurfaceLoads, check_step, world_by_world
+from palmfield.types import Float, Int
 
 TONE = 8
 """Periods of the load for which meshes are chosen: enough for a spectrum that is a line."""
@@ -53,14 +37,17 @@ MOST_STEPS = 20_000
 
 
 class ExplicitLayer(Protocol):
-    """A layer on a mesh of its own.
+    """What a solver knows of a layer before it steps it; made of the SceneLayer alone, and costly parts when asked for.
 
-    body: as the solver steps it; unknowns: of its mesh; state_size: numbers of its state
-    resolution: in words; expected_error: relative, of the displacement, before anything runs, or None
+    unknowns: of its mesh; state_size: numbers of its state; resolution: in words
+    expected_error: relative, of the displacement, before anything runs, or None
+    preview: whether it is one; steps, sizes_follow: how it steps, and what its sizes go by, in words
     """
 
-    @property
-    def body(self) -> Body: ...
+    preview: bool = False
+    steps: str = "steps of its own"
+    sizes_follow: str = "sizes are the solver's own; the run estimates what was reached"
+
     @property
     def unknowns(self) -> int: ...
     @property
@@ -68,7 +55,15 @@ class ExplicitLayer(Protocol):
     @property
     def resolution(self) -> str: ...
     @property
-    def expected_error(self) -> float | None: ...
+    def expected_error(self) -> float | None:
+        return None
+
+    def refuse(self) -> None:
+        """Raise SceneError, with element, key, value and what is allowed, for what the solver can't step.
+
+        Looks at keys and materials alone: nothing is meshed.
+        """
+        ...
 
     def seconds(self, duration_s: float, device: str) -> float:
         """Predicted time of a run of this length [s] on a device, with what estimates the error [s]."""
@@ -79,261 +74,218 @@ class ExplicitLayer(Protocol):
         ...
 
 
-@functools.lru_cache(maxsize=8)
-def explicit_layer(layer: SceneLayer) -> ExplicitLayer:
-    """The layer on the mesh of its key `solver`, "spectral_elements" or "particles"; the same for the same layer."""
-    return ElementLayer(layer) if layer.config.solver == "spectral_elements" else ParticleLayer(layer)
-
-
-def refuse_explicit(layer: SceneLayer) -> None:
-    """Raise SceneError, with element, key, value and what is allowed, for what the layer's solver can't step.
-
-    Looks at keys and materials alone: nothing is meshed.
-    """
-    config, solver = layer.config, layer.config.solver
-    element = f"{layer.element}: key 'solver' has value '{solver}'"
-    if config.side == "absorbing":
-        allowed = "fixed, free" + (", roller" if config.shape == "disc" else "")
-        raise SceneError(f"{element} and key 'side' value 'absorbing'; allowed with it: {allowed}; or solver wedges")
-    if config.foundation is not None:
-        raise SceneError(
-            f"{element} and key 'foundation_normal_Pa_m' value '{config.foundation[0]:g}'; allowed with it: no "
-            "foundation (base springs is one that spectral_elements has); or solver wedges"
-        )
-    for material in (sheet.material for sheet in layer.sheets):
-        ratio = material.bulk_Pa / material.shear_instant_Pa
-        if ratio > STIFFEST:
-            raise SceneError(
-                f"{element} and material '{material.name}' a bulk modulus of {ratio:.3g} times its shear modulus; "
-                f"allowed with it, as it steps with the pressure wave: at most {STIFFEST:g} (keys material, materials, "
-                "bulk_Pa); or solver wedges"
-            )
-    # A slab of the same sheets: what is asked of it here are base and materials
-    sheets = tuple(Sheet(sheet.material, 0.01 * sheet.thickness_m) for sheet in layer.sheets)
-    slab = Slab(sheets, "disc", base_of(config), "fixed", 0.1)
-    load = Spot(layer.demand.spot_fwhm_m, np.zeros(1), np.ones(1))
-    ask = refusal_spectral_elements if solver == "spectral_elements" else refusal_particles
-    reason = ask(slab, load)
-    if reason is not None:
-        raise SceneError(f"{element}, but {reason}")
-
-
-def body_of(layer: SceneLayer, refinement: float = 1.0) -> Body:
-    """The body below a layer's face, in its frame: a disc, or the sheets below its patch.
-
-    refinement: factor of the patch's edges, at most 1
-    """
-    config = layer.config
-    if config.shape == "disc":
-        assert config.radius_m and config.thickness_m
-        sheets = tuple(Sheet(sheet.material, sheet.thickness_m * config.thickness_m) for sheet in layer.sheets)
-        return Slab(sheets, "disc", base_of(config), config.side, config.radius_m)
-    patch = layer.patch if refinement >= 1.0 else layer.resized(refinement * layer.resizing).patch
-    return Layer(patch, layer.sheets, base_of(config), config.side)
-
-
-def planned_load(layer: SceneLayer) -> Spot:
-    """A spot as wide and a tone as high as the layer is made for, by which meshes are chosen."""
-    return _spot(layer, TONE, layer.demand.max_frequency_Hz)
-
-
-def _spot(layer: SceneLayer, periods: float, f_Hz: float) -> Spot:
-    """A spot in the layer's middle whose pressure goes up and down between 0 and 1 Pa."""
-    times = np.linspace(0.0, periods / f_Hz, math.ceil(SAMPLES * periods) + 1)
-    return Spot(layer.demand.spot_fwhm_m, times, np.sin(math.pi * f_Hz * times) ** 2, _middle(layer)[:2])
-
-
-def _middle(layer: SceneLayer) -> Float:
-    """The middle of the layer on its face, body frame [m], shape (3,)."""
-    if layer.config.shape == "disc":
-        return np.zeros(3)
-    vertices = layer.patch.vertices
-    return vertices[cKDTree(vertices).query(layer.centre_m)[1]]
-
-
-def _trial_s(layer: SceneLayer) -> float:
-    """Time under the load by which a solver estimates its error [s]."""
-    return min(TRIAL / layer.demand.main_frequency_Hz, LONGEST_TRIAL_s)
-
-
-def _trial(layer: SceneLayer, body: Body, points: Float, areas_m2: Float) -> tuple[Load, Float, Float]:
-    """The load under which a solver estimates its error, the times at which it looks, and two points of the face.
-
-    points, areas_m2: of the face [m], (f, 3) and (f,), for a face on which a spot can't be given by its x and y
-    """
-    f_Hz, middle = layer.demand.main_frequency_Hz, _middle(layer)
-    spot = _spot(layer, _trial_s(layer) * f_Hz, f_Hz)
-    load: Load = spot
-    if refusal_of_spot(body, spot) is not None:
-        away = np.linalg.norm(points - middle, axis=1)
-        shape = np.exp(-GAUSSIAN * (away / spot.fwhm_m) ** 2)
-        load = Traction(points, areas_m2, spot.times_s, spot.peak_Pa[:, None] * shape)
-    away = np.linalg.norm(points - middle, axis=1)
-    beside = points[np.argmin(np.abs(away - 0.5 * spot.fwhm_m))]
-    return load, spot.times_s[1:], np.stack([points[np.argmin(away)], beside])
-
-
-def _check_steps(layer: SceneLayer, steps: int) -> None:
-    """Raise SceneError where a substep of the scene takes so many steps of the scheme that a run would not end."""
-    in_one = steps * round(layer.demand.timestep_s / layer.step_s)
-    if in_one > MOST_STEPS:
-        raise SceneError(
-            f"{layer.element}: key 'solver' has value '{layer.config.solver}', which takes {in_one:,} steps in each of "
-            f"MuJoCo's, of {layer.demand.timestep_s:g} s, so that the run would not end; allowed: at most "
-            f"{MOST_STEPS:,}; set accuracy or depth_m larger, bulk_Pa or timestep smaller, or solver to wedges"
-        )
-
-
-class ElementLayer:
-    """Spectral elements; see ExplicitLayer."""
-
-    def __init__(self, layer: SceneLayer) -> None:
-        self.layer, self.lock = layer, threading.RLock()
-
-    @locked_cached_property
-    def _reduced(self) -> tuple[Body, float]:
-        """The body with a bulk modulus that allows longer steps, and the relative change of its motion."""
-        load, width = planned_load(self.layer), self.layer.demand.spot_fwhm_m
-        at = load.centres()[0] + np.array([[0.0, 0.0], [width, 0.0]])
-        accuracy = self.layer.config.accuracy
-        return reduce_bulk_modulus(body_of(self.layer), load, float(load.times_s[-1]), at, accuracy, None)
-
-    @property
-    def body(self) -> Body:
-        """See ExplicitLayer."""
-        return self._reduced[0]
-
-    @locked_cached_property
-    def chosen(self) -> Plan:
-        """Order and size of the elements."""
-        load, config = planned_load(self.layer), self.layer.config
-        demand = self.layer.demand
-        reach = min(demand.path_reach_m[1] + math.hypot(*demand.beside_m[:2]), config.radius_m or math.inf)
-        return plan(self.body, load, load.centres()[0] + reach * np.array([[-1.0, -1.0], [1.0, 1.0]]), config.accuracy)
-
-    @locked_cached_property
-    def solid(self) -> Solid:
-        """The elements."""
-        return self.layer.with_keys(lambda: build(self.body, self.chosen)[0])
-
-    @property
-    def unknowns(self) -> int:
-        """See ExplicitLayer."""
-        return 3 * len(self.solid.nodes)
-
-    @property
-    def state_size(self) -> int:
-        """See ExplicitLayer."""
-        return element_state_size(self.solid, [sheet.material for sheet in self.body.sheets])
-
-    @property
-    def resolution(self) -> str:
-        """See ExplicitLayer."""
-        solid, material = self.solid, self.body.sheets[0].material
-        words = f"{len(solid.elements)} elements of order {solid.order}, {len(solid.nodes)} nodes"
-        if self._reduced[1] > 0.0:
-            words += f", a bulk modulus of {material.bulk_Pa:.3g} Pa, which changes {100 * self._reduced[1]:.2g} %"
-        return words
-
-    @property
-    def expected_error(self) -> float | None:
-        """See ExplicitLayer: none, as it takes two runs to tell."""
+def explicit_layer(layer: SceneLayer) -> ExplicitLayer | None:
+    """The layer as its key `solver` has it, the same for the same layer; None for steppers of the wedges themselves."""
+    solver = layer.config.solver
+    if solver in get_args(Solver) and "scene" not in WHERE.get(solver, {}):
         return None
-
-    def seconds(self, duration_s: float, device: str) -> float:
-        """See ExplicitLayer."""
-        # The second run of an estimate is the coarser one
-        steps = (duration_s + 2.0 * _trial_s(self.layer)) / likely_step(self.solid, self.body.sheets)
-        return steps * step_seconds(self.solid, device != "cpu")
-
-    def stepper(self, device: str) -> SkinStepper:
-        """See ExplicitLayer."""
-        system, solid = self.layer.system, self.solid
-        face, nodes = solid.nodes[: solid.surface_nodes], system.mesh.nodes[: system.mesh.surface_nodes]
-        transfer = self.layer.with_keys(lambda: FaceTransfer(system, face, element_weights(solid, nodes)))
-        estimate = functools.partial(self._error, device)
-        stepper = self.layer.with_keys(
-            lambda: SpectralElementStepper(solid, self.body, transfer, self.layer.step_s, device, estimate)
-        )
-        _check_steps(self.layer, stepper.steps)
-        return stepper
-
-    def _error(self, device: str) -> float:
-        """What `palmfield.skin.solve` states for these elements under the trial load, and the bulk modulus's share."""
-        solid, chosen = self.solid, self.chosen
-        areas = np.linalg.norm(face_areas(solid), axis=1)
-        load, times, at = _trial(self.layer, self.body, solid.nodes[: solid.surface_nodes], areas)
-        motion = solve_spectral_elements(
-            self.body, load, times, at, accuracy=self.layer.config.accuracy, device=device, order=chosen.order,
-            size_m=chosen.size_m, deep=chosen.deep, nu_at_most=0.5,
-        )  # fmt: skip
-        return motion.error + self._reduced[1]
+    return _made(layer)
 
 
-class ParticleLayer:
-    """Particles, a preview; see ExplicitLayer."""
+@functools.lru_cache(maxsize=8)
+def _made(layer: SceneLayer) -> ExplicitLayer:
+    solver = layer.config.solver
+    if solver in WHERE:
+        made: ExplicitLayer = function(solver, "scene")(layer)
+        return made
+    [entry] = entry_points(group=SKIN_SOLVERS, name=solver)
+    try:
+        return entry.load()(layer)
+    except (ImportError, AttributeError) as error:
+        raise SceneError(
+            f"{layer.element}: key 'solver' has value '{solver}', whose entry point '{entry.value}' can't be loaded: "
+            f"{error}; install it anew, or set solver to auto"
+        ) from error
+
+
+class OwnMesh(ExplicitLayer, Protocol):
+    """A layer on a mesh of its own, which a solver steps explicitly.
+
+    face: its nodes [m], shape (f, 3); stiffest: bulk over shear modulus, at most
+    """
+
+    steps: str = "explicit steps, in each of which a pressure wave crosses an element or less"
+    stiffest: float
+    layer: SceneLayer
+    lock: Any
 
     def __init__(self, layer: SceneLayer) -> None:
         self.layer, self.lock = layer, threading.RLock()
 
-    @locked_cached_property
-    def spacing_m(self) -> float:
-        """Distance of particles for the wanted accuracy [m]."""
-        return choose_spacing(body_of(self.layer), planned_load(self.layer), self.layer.config.accuracy)
-
-    @locked_cached_property
-    def body(self) -> Body:
-        """See ExplicitLayer; a patch is meshed with edges as long as the particles are apart."""
-        return body_of(self.layer, self.spacing_m / self.layer.sizes.edge_fine_m)
-
-    @locked_cached_property
-    def cloud(self) -> Cloud:
-        """The particles."""
-        return self.layer.with_keys(lambda: build_cloud(self.body, self.spacing_m))
-
     @property
-    def unknowns(self) -> int:
+    def face(self) -> Float: ...
+
+    def refusal(self, body: Body, load: Load) -> str | None:
+        """Why the solver can't take a problem, in a sentence, or None."""
+        ...
+
+    def near(self, points: Float) -> tuple[Int, Float]:
+        """Nodes of the face whose motion is that at some points of it [m], (p, 3), and their shares, shapes (p, k)."""
+        ...
+
+    def made(self, transfer: FaceTransfer, device: str) -> "OwnMeshStepper":
+        """`stepper`; transfer: from and to the scene's wedges."""
+        ...
+
+    def error(self, device: str) -> float:
+        """What `palmfield.skin.solve` states for this mesh under the trial load, with all that it leaves out."""
+        ...
+
+    def stepper(self, device: str) -> "OwnMeshStepper":
         """See ExplicitLayer."""
-        return 3 * len(self.cloud.points)
+        system, mesh = self.layer.system, self.layer.mesh
 
-    @property
-    def state_size(self) -> int:
+        def make() -> OwnMeshStepper:
+            near, shares = self.near(mesh.nodes[: mesh.surface_nodes])
+            rows = np.repeat(np.arange(len(near)), near.shape[1])
+            weights = sparse.csr_matrix((shares.ravel(), (rows, near.ravel())), shape=(len(near), len(self.face)))
+            return self.made(FaceTransfer(system, self.face, weights), device)
+
+        made = self.layer.with_keys(make)
+        self._check_steps(made.steps)
+        return made
+
+    def refuse(self) -> None:
         """See ExplicitLayer."""
-        return particle_state_size(self.cloud)
+        config, solver = self.layer.config, self.layer.config.solver
+        element = f"{self.layer.element}: key 'solver' has value '{solver}'"
+        if config.side == "absorbing":
+            allowed = "fixed, free" + (", roller" if config.shape == "disc" else "")
+            raise SceneError(
+                f"{element} and key 'side' value 'absorbing'; allowed with it: {allowed}; or solver wedges"
+            )
+        if config.foundation is not None:
+            raise SceneError(
+                f"{element} and key 'foundation_normal_Pa_m' value '{config.foundation[0]:g}'; allowed with it: no "
+                "foundation (base springs is one that spectral_elements has); or solver wedges"
+            )
+        for material in (sheet.material for sheet in self.layer.sheets):
+            ratio = material.bulk_Pa / material.shear_instant_Pa
+            if ratio > self.stiffest:
+                raise SceneError(
+                    f"{element} and material '{material.name}' a bulk modulus of {ratio:.3g} times its shear modulus; "
+                    f"allowed with it, as it steps with the pressure wave: at most {self.stiffest:g} (keys material, "
+                    "materials, bulk_Pa); or solver wedges"
+                )
+        # A slab of the same sheets: what is asked of it here are base and materials
+        sheets = tuple(Sheet(sheet.material, 0.01 * sheet.thickness_m) for sheet in self.layer.sheets)
+        slab = Slab(sheets, "disc", base_of(config), "fixed", 0.1)
+        load = Spot(self.layer.demand.spot_fwhm_m, np.zeros(1), np.ones(1))
+        reason = self.refusal(slab, load)
+        if reason is not None:
+            raise SceneError(f"{element}, but {reason}")
 
-    @property
-    def resolution(self) -> str:
-        """See ExplicitLayer."""
-        return f"{len(self.cloud.points)} particles {1e3 * self.cloud.columns.spacing_m:.2g} mm apart"
+    def body_of(self, refinement: float = 1.0) -> Body:
+        """The body below a layer's face, in its frame: a disc, or the sheets below its patch.
 
-    @property
-    def expected_error(self) -> float:
-        """See ExplicitLayer: what particles at this distance had on discs."""
-        return law_error(self.body, planned_load(self.layer), self.cloud.columns.spacing_m)
+        refinement: factor of the patch's edges, at most 1
+        """
+        config = self.layer.config
+        if config.shape == "disc":
+            assert config.radius_m and config.thickness_m
+            sheets = tuple(Sheet(sheet.material, sheet.thickness_m * config.thickness_m) for sheet in self.layer.sheets)
+            return Slab(sheets, "disc", base_of(config), config.side, config.radius_m)
+        patch = self.layer.patch if refinement >= 1.0 else self.layer.resized(refinement * self.layer.resizing).patch
+        return Layer(patch, self.layer.sheets, base_of(config), config.side)
 
-    def seconds(self, duration_s: float, device: str) -> float:
-        """See ExplicitLayer."""
-        # A disc's own error takes two runs more
-        more = 2.0 * _trial_s(self.layer) if isinstance(self.body, Slab) else 0.0
-        each = len(self.cloud.points) * SECONDS_A_STEP["cpu" if device == "cpu" else "cuda"]
-        return (duration_s + more) / likely_particle_step(self.cloud) * each
+    def planned_load(self) -> Spot:
+        """A spot as wide and a tone as high as the layer is made for, by which meshes are chosen."""
+        return self._spot(TONE, self.layer.demand.max_frequency_Hz)
 
-    def stepper(self, device: str) -> SkinStepper:
-        """See ExplicitLayer."""
-        system, cloud = self.layer.system, self.cloud
-        nodes = system.mesh.nodes[: system.mesh.surface_nodes]
-        transfer = self.layer.with_keys(
-            lambda: FaceTransfer(system, cloud.columns.face, particle_weights(cloud, nodes))
-        )
-        stepper = ParticleStepper(cloud, transfer, self.layer.step_s, device, functools.partial(self._error, device))
-        _check_steps(self.layer, stepper.steps)
-        return stepper
+    def trial_s(self) -> float:
+        """Time under the load by which a solver estimates its error [s]."""
+        return min(TRIAL / self.layer.demand.main_frequency_Hz, LONGEST_TRIAL_s)
 
-    def _error(self, device: str) -> float:
-        """What `palmfield.skin.solve` states for particles so far apart under the trial load."""
-        body, face = self.body, self.cloud.columns.face
-        if isinstance(body, Layer):
-            return self.expected_error
-        load, times, at = _trial(self.layer, body, face, np.linalg.norm(self.cloud.face_area, axis=1))
-        motion = solve_particles(body, load, times, at, device=device, spacing_m=self.spacing_m)
-        return max(motion.error, self.expected_error)
+    def trial(self, body: Body, points: Float, areas_m2: Float) -> tuple[Load, Float, Float]:
+        """The load under which a solver estimates its error, the times at which it looks, and two points of the face.
+
+        points, areas_m2: of the face [m], (f, 3) and (f,), for a face on which a spot can't be given by its x and y
+        """
+        f_Hz, middle = self.layer.demand.main_frequency_Hz, self._middle()
+        spot = self._spot(self.trial_s() * f_Hz, f_Hz)
+        load: Load = spot
+        if refusal_of_spot(body, spot) is not None:
+            away = np.linalg.norm(points - middle, axis=1)
+            shape = np.exp(-GAUSSIAN * (away / spot.fwhm_m) ** 2)
+            load = Traction(points, areas_m2, spot.times_s, spot.peak_Pa[:, None] * shape)
+        away = np.linalg.norm(points - middle, axis=1)
+        beside = points[np.argmin(np.abs(away - 0.5 * spot.fwhm_m))]
+        return load, spot.times_s[1:], np.stack([points[np.argmin(away)], beside])
+
+    def _spot(self, periods: float, f_Hz: float) -> Spot:
+        """A spot in the layer's middle whose pressure goes up and down between 0 and 1 Pa."""
+        times = np.linspace(0.0, periods / f_Hz, math.ceil(SAMPLES * periods) + 1)
+        return Spot(self.layer.demand.spot_fwhm_m, times, np.sin(math.pi * f_Hz * times) ** 2, self._middle()[:2])
+
+    def _middle(self) -> Float:
+        """The middle of the layer on its face, body frame [m], shape (3,)."""
+        if self.layer.config.shape == "disc":
+            return np.zeros(3)
+        vertices = self.layer.patch.vertices
+        return vertices[cKDTree(vertices).query(self.layer.centre_m)[1]]
+
+    def _check_steps(self, steps: int) -> None:
+        """Raise SceneError where a substep of the scene takes so many steps of the scheme that a run would not end."""
+        in_one = steps * round(self.layer.demand.timestep_s / self.layer.step_s)
+        if in_one > MOST_STEPS:
+            raise SceneError(
+                f"{self.layer.element}: key 'solver' has value '{self.layer.config.solver}', which takes {in_one:,} "
+                f"steps in each of MuJoCo's, of {self.layer.demand.timestep_s:g} s, so that the run would not end; "
+                f"allowed: at most {MOST_STEPS:,}; set accuracy or depth_m larger, bulk_Pa or timestep smaller, or "
+                "solver to wedges"
+            )
+
+
+class OwnMeshStepper(SkinStepper, Protocol):
+    """Steps a layer on a mesh of its own, in steps of a scheme that divide a substep; see SkinStepper.
+
+    own: the layer; transfer: from and to the scene's wedges; device: of `palmfield.device.resolve`
+    steps: of the scheme in each substep
+    """
+
+    points: Int | None = None
+    steps: int
+    _own: OwnMesh
+    _transfer: FaceTransfer
+    _device: str
+
+    def __init__(self, own: OwnMesh, transfer: FaceTransfer, device: str) -> None:
+        self._own, self._transfer, self._device = own, transfer, device
+        self.step_s, self.unknowns = own.layer.step_s, own.unknowns
+
+    @functools.cached_property
+    def error(self) -> float:  # type: ignore[override]  # found when it is asked for
+        """See SkinStepper."""
+        return self._own.error(self._device)
+
+    def carried(self, state: Float, ends: Float, t0: float, t1: float, seen: bool) -> Float | None:
+        """Carry one world's state (state_size,) in place; motion of the face as seen after each substep, (s, 2, f, 3).
+
+        ends: pressure on the face at both ends of each substep, (2 s, f)
+        """
+        ...
+
+    def step(
+        self, state: Float, loads: SurfaceLoads, t0: float, t1: float, observe: Reader | None = None
+    ) -> Float | None:
+        """See SkinStepper."""
+        check_step(self, state, loads, self._transfer.pressure.shape[1], t0, t1)
+        if len(state) > 1:
+            return world_by_world(self, state, loads, t0, t1, observe)
+        with one_blas_thread:
+            ends = ends_of_substeps(self._transfer.pressure, loads.pressure_Pa[0], loads.first[0], loads.last[0])
+        motion = self.carried(state[0], ends, t0, t1, observe is not None)
+        return None if observe is None or motion is None else read(motion, observe)[None]
+
+    def describe(self) -> str:
+        """See SkinStepper."""
+        return f"{self.name}{', a preview' * self._own.preview}: {self._own.resolution}"
+
+    def reader(self, operator: sparse.csr_matrix) -> Reader:
+        """See SkinStepper. Raises SceneError for an operator that reads below the surface."""
+        return self._transfer.reader(operator)
+
+    def read(self, state: Float, reader: Reader) -> Float:
+        """See SkinStepper; a state begins with displacement and velocity of all nodes, those of the face first."""
+        face = 3 * len(self._own.face)
+        return read(np.stack([state[:, :face], state[:, self.unknowns : self.unknowns + face]], axis=1), reader)

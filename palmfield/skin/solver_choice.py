@@ -19,7 +19,6 @@ from numpy.typing import ArrayLike
 from palmfield import cache
 from palmfield.device import resolve
 from palmfield.errors import SceneError
-from palmfield.skin.approximation.reduce_bulk_modulus import reduce_bulk_modulus
 from palmfield.skin.approximation.truncate_domain import truncate_domain
 from palmfield.skin.costs import modal_step_s, modes_s, reduced_s, wedges_s
 from palmfield.skin.fem.on_body import on_body
@@ -57,17 +56,22 @@ WHERE = {
     "axisymmetric": dict.fromkeys((*FUNCTIONS, "static"), "solvers.axisymmetric.solve"),
     "reduced": dict.fromkeys(FUNCTIONS, "solvers.reduced"),
     "wedges": dict.fromkeys((*FUNCTIONS, "static"), "solvers.wedges"),
-    "spectral_elements": dict.fromkeys((*FUNCTIONS, "finer"), "solvers.spectral_elements.solve"),
+    "spectral_elements": {
+        **dict.fromkeys((*FUNCTIONS, "finer", "prepared"), "solvers.spectral_elements.solve"),
+        "scene": "solvers.spectral_elements.stepper",
+    },
     "particles": {
         "solve": "solvers.particles.solve",
         "refusal": "solvers.particles.resolution",
         "cost": "solvers.particles.resolution",
+        "scene": "solvers.particles.stepper",
     },
 }
 """Modules of palmfield.skin that hold each solver's solve_NAME, refusal_NAME and cost_NAME.
 
-solve_NAME takes what `solve` does and its own resolution, and raises SceneError where it can't; finer_NAME, where there
-is one, returns the resolution with which to solve again.
+solve_NAME takes what `solve` does and its own resolution, and raises SceneError where it can't. Where there is one,
+finer_NAME returns the resolution with which to solve again, prepared_NAME the body that the cost is of, with what
+solve_NAME takes up of finding it, and scene_NAME makes a scene's layer an ExplicitLayer.
 """
 
 FORMER = {
@@ -176,9 +180,10 @@ def ranking(
         if refusal is None:
             try:
                 wanted = HARDER[accuracy_of] * accuracy
-                if name == "spectral_elements":
-                    found["softened"] = reduce_bulk_modulus(body, load, float(times[-1]), at, wanted, None)
-                seconds = cost(name, found["softened"][0] if found else body, load, times, at, wanted, device)
+                own = body
+                if "prepared" in WHERE[name]:
+                    own, found = function(name, "prepared")(body, load, times, at, wanted)
+                seconds = cost(name, own, load, times, at, wanted, device)
             except (SceneError, MemoryError) as reason:
                 refusal = f"{reason}"
             except Exception:
@@ -233,7 +238,7 @@ def solve(
     check_rest(body, load, moments)
     # Points off the body would make every solver refuse.
     on_face = points_on_face(body, points)
-    cut = 0.0
+    cut, law = 0.0, max(sheet.material.series_error for sheet in body.sheets)
     if not whole and is_pressed(load):
         body, load, cut = truncate_domain(body, load, float(moments[-1]), points, accuracy)
     load = on_body(body, load)
@@ -254,7 +259,7 @@ def solve(
     again = partial(function(name, "solve"), body, load, moments, points, accuracy_of=accuracy_of, device=where, **more)
     target, mesh = accuracy, dict[str, Any]()
     for _ in range(FINER):
-        miss = (motion.error + cut) / accuracy
+        miss = (motion.error + cut + law) / accuracy
         if miss <= 1.0 or resolution:
             break
         if "finer" in WHERE[name]:
@@ -266,14 +271,14 @@ def solve(
         except SceneError as reason:
             why += f"; not solved finer: {reason}"
             break
-    error = motion.error + cut
-    source = motion.error_source
-    if cut > 0.0:
-        source += f"; {cut:.2g} for leaving out the layer beyond the reach of load and points"
+    error = motion.error + cut + law
+    reasons = "leaving out the layer beyond the reach of load and points", "branches in place of a material's law"
+    added = (f"; {part:.2g} for {what}" for part, what in zip((cut, law), reasons, strict=True) if part > 0.0)
+    source = motion.error_source + "".join(added)
     if error > accuracy:
         why += f"; error {100 * error:.2g} % NOT within the target of {100 * accuracy:.2g} %"
     spent = time.perf_counter() - begin
-    all_errors = {f"{quantity}_error": getattr(motion, f"{quantity}_error") + cut for quantity in QUANTITIES}
+    all_errors = {f"{quantity}_error": getattr(motion, f"{quantity}_error") + cut + law for quantity in QUANTITIES}
     solver_words = f"{motion.solver} ({why})"
     return replace(motion, error=error, error_source=source, solver=solver_words, seconds=spent, **all_errors)
 
@@ -394,10 +399,7 @@ def check_rest(body: Body, load: Load, times: Float) -> None:
     base, last = body.base, float(load.times_s[-1])
     damped = isinstance(base, Springs) and max(base.normal_Pa_s_m, base.tangential_Pa_s_m) > 0.0
     endless = body.side == "absorbing" or (isinstance(body, Slab) and body.shape == "infinite")
-    lossy = any(
-        material.viscosity_Pa_s > 0.0 or any(b.shear_Pa > 0.0 and b.time_s > 0.0 for b in material.branches)
-        for material in (sheet.material for sheet in body.sheets)
-    )
+    lossy = any(sheet.material.relaxes for sheet in body.sheets)
     if lossy or damped or endless or isinstance(base, Foundation):
         return
     slowest = min(math.sqrt(s.material.shear_relaxed_Pa / s.material.density_kg_m3) for s in body.sheets)

@@ -19,8 +19,8 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from palmfield.drive.calibration.readings import Circumstances
+from palmfield.hardware.calibrate import add_readings, rehearsed
 from palmfield.motion.tracking import write_stream
-from palmfield.session.calibrate import add_readings, rehearsed
 from palmfield.session.preview import preview
 from palmfield.studies.bench.field import git_commit
 from palmfield.studies.bench.table import processor

@@ -25,7 +25,7 @@ import palmfield
 from palmfield.cli.app import main as command
 from palmfield.errors import PalmfieldError
 from palmfield.hand.reportcard import report_card
-from palmfield.session.plan import warnings
+from palmfield.planning.scene_plan import warnings
 from palmfield.skin import Motion, Sheet, Slab, Spot, preset, solve, static
 from palmfield.studies.bench.field import git_commit
 from palmfield.studies.bench.table import processor

@@ -15,7 +15,7 @@ import pytest
 from scipy.linalg import expm
 
 from palmfield.acoustics.nonlinear import fundamental_left
-from palmfield.session.biases import _nonlinear
+from palmfield.estimate.biases import _nonlinear
 
 CELLS, OUTER, HARMONICS, STEPS = 120, 4.0, 20, 200
 U = (np.arange(CELLS) + 0.5) * OUTER / CELLS

@@ -12,7 +12,7 @@ import palmfield
 from palmfield.cli.app import main
 from palmfield.cli.completion import plugins, settings
 from palmfield.config import SkinConfig
-from palmfield.session import run as session_run
+from palmfield.session import recorded_run
 
 
 @pytest.fixture(autouse=True)
@@ -78,7 +78,7 @@ def test_the_library_prints_nothing_by_itself(small_scene, tmp_path, monkeypatch
     def fails(*_):
         raise palmfield.OutputError("no room for a picture")
 
-    monkeypatch.setattr(session_run, "PICTURES", (("pressure.png", fails),))
+    monkeypatch.setattr(recorded_run, "PICTURES", (("pressure.png", fails),))
     palmfield.run(small_scene(), tmp_path / "out", duration_s=0.002)
     assert capfd.readouterr() == ("", "")
     assert "no pressure.png: no room for a picture" in caplog.text

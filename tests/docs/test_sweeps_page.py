@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from palmfield.studies.sweep.batch import MOST_IN_BATCH
-from palmfield.studies.sweep.variables import variables
+from palmfield.studies.sweeps.batch import MOST_IN_BATCH
+from palmfield.studies.sweeps.variables import variables
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "sweeps.md").read_text()

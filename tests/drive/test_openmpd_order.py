@@ -12,8 +12,8 @@ from palmfield.acoustics.arrays import layout
 from palmfield.acoustics.calibration_file import Calibration, Elements, read_calibration, write_calibration
 from palmfield.cli.app import app
 from palmfield.drive.boards import BOARDS
-from palmfield.session.decode import decode
-from palmfield.session.focus_board import FocusSound, focus_board
+from palmfield.hardware.decode import decode
+from palmfield.hardware.focus_board import FocusSound, focus_board
 
 RUN = CliRunner()
 FOCUS = np.array([0.02, -0.03, 0.12])

@@ -1,4 +1,4 @@
-"""When frames are due. A line's pace is in player/test_sources.py, what frames hold in tests/session/test_play.py."""
+"""When frames are due. A line's pace is in player/test_sources.py, what frames hold in tests/hardware/test_play.py."""
 
 import pytest
 

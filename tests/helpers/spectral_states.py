@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import warp as wp
 
-from palmfield.skin.solvers.spectral_elements.run import branch_step, copies_of, law_of, state_size
+from palmfield.skin.solvers.spectral_elements.run import branch_step, copies_of, state_size
 
 
 class State(NamedTuple):
@@ -73,7 +73,7 @@ def energy(run, before, after):
     # Pressure that follows w takes the dashpot's and branches' shares as well
     total += 0.5 * (before.u * element_forces(model, after.u, after.u, shear)).sum()
     for law, (branches, viscous_s) in enumerate(laws):
-        mine = np.array([law_of(m) == laws[law] for m in model.materials])
+        mine = np.array([m.relaxation == laws[law] for m in model.materials])
         own = [g if here else 0.0 for g, here in zip(shear, mine, strict=True)]
         rows = np.flatnonzero(copy_law == law)
 

@@ -7,7 +7,7 @@ import pytest
 import palmfield
 from palmfield.errors import SceneError
 from palmfield.outputs.store import open_result
-from palmfield.session.plan import plan
+from palmfield.planning.scene_plan import plan
 
 
 def finished(path, out, **keys):

@@ -15,7 +15,7 @@ import palmfield
 from palmfield.cli.app import main
 from palmfield.config.skin import WHOLE_HISTORY, SkinConfig
 from palmfield.errors import PalmfieldError
-from palmfield.session.plan import warnings
+from palmfield.planning.scene_plan import warnings
 from palmfield.simulation.validate import MOST_SUBSTEPS, MOST_UNKNOWNS
 from palmfield.skin.solver_choice import Name
 

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 import palmfield
+from palmfield.estimate import estimated_run
 from palmfield.outputs import store
-from palmfield.session import run as session_run
+from palmfield.session import recorded_run
 from palmfield.session.recorder import Recorder
 
 
@@ -62,7 +63,7 @@ def test_what_was_computed_comes_with_the_error(small_scene, out, stop, kind, mo
     with pytest.raises(kind) as caught:
         palmfield.run(sim, out, progress=False)
     result = caught.value.result
-    assert isinstance(result, session_run.Result) and result.out == out
+    assert isinstance(result, recorded_run.Result) and result.out == out
     assert result.dataset.attrs["complete"] == 0 and result.summary["complete"] is False
     assert kind.__name__ in result.dataset.attrs["reason"] == result.summary["reason"]
     # An error of the sixth step comes before that is recorded; Ctrl-C waits for its end.
@@ -89,7 +90,7 @@ def test_ctrl_c_while_the_error_is_estimated_leaves_a_complete_result(small_scen
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(session_run, "estimated_budget", interrupted)
+    monkeypatch.setattr(estimated_run, "estimated_budget", interrupted)
     with pytest.raises(KeyboardInterrupt) as caught:
         palmfield.run(small_scene(), out, progress=False)
     result = caught.value.result
@@ -110,13 +111,13 @@ def test_ctrl_c_after_the_last_step_loses_the_loudest_moment_only(small_scene, o
 
 
 def test_ctrl_c_while_the_result_is_assembled_waits_for_it(small_scene, monkeypatch):
-    plain = session_run.MemoryStore.finish
+    plain = recorded_run.MemoryStore.finish
 
     def finish(*arguments, **options):
         ctrl_c()
         return plain(*arguments, **options)
 
-    monkeypatch.setattr(session_run.MemoryStore, "finish", finish)
+    monkeypatch.setattr(recorded_run.MemoryStore, "finish", finish)
     with pytest.raises(KeyboardInterrupt) as caught:
         palmfield.run(small_scene(), progress=False)
     assert caught.value.result.dataset.attrs["complete"] == 1
@@ -165,7 +166,7 @@ def test_a_disk_that_is_full_for_the_summary_too_leaves_the_result_on_the_error(
     def write_json(path, numbers):
         raise palmfield.OutputError(f"cannot write {path}")
 
-    monkeypatch.setattr(session_run, "write_json", write_json)
+    monkeypatch.setattr(recorded_run, "write_json", write_json)
     with pytest.raises(palmfield.OutputError, match="cannot write") as caught:
         palmfield.run(small_scene(), tmp_path / "out", progress=False)
     assert len(displacement(caught.value.result)) == 31
@@ -195,11 +196,11 @@ def cut_off_by_a_full_disk(sim, monkeypatch):
 
 
 def cut_off_in_the_first_picture(sim, monkeypatch):
-    monkeypatch.setattr(session_run, "PICTURES", (("pressure.png", interrupted), *session_run.PICTURES[1:]))
+    monkeypatch.setattr(recorded_run, "PICTURES", (("pressure.png", interrupted), *recorded_run.PICTURES[1:]))
 
 
 def no_room_for_a_picture(sim, monkeypatch):
-    monkeypatch.setattr(session_run, "PICTURES", (("pressure.png", no_room), ("scene.usdc", no_room)))
+    monkeypatch.setattr(recorded_run, "PICTURES", (("pressure.png", no_room), ("scene.usdc", no_room)))
 
 
 ENDS = [

@@ -8,9 +8,9 @@ from typer.testing import CliRunner
 import palmfield
 from palmfield.cli.app import app
 from palmfield.errors import OutputError, SceneError
-from palmfield.session.decode import decode
-from palmfield.session.plan import plan
-from palmfield.session.play import Target, play_scene
+from palmfield.hardware.decode import decode
+from palmfield.hardware.play import Target, play_scene
+from palmfield.planning.scene_plan import plan
 from palmfield.session.stimulus_export import export_stimulus, exported
 from palmfield.session.stimulus_import import import_stimulus
 from palmfield.stimulus.autd3_stm import stm_of_table, write_foci_stm

@@ -12,9 +12,9 @@ from palmfield.acoustics.phased_array import ArrayInstance, PhasedArray
 from palmfield.acoustics.reference import pressure64
 from palmfield.config import ArrayConfig
 from palmfield.errors import PalmfieldError, SceneError
-from palmfield.session.biases import ECHO, biases
+from palmfield.estimate.biases import ECHO, biases
+from palmfield.planning.facts import first_drive
 from palmfield.session.loudest_moment import loudest_place
-from palmfield.session.planning.facts import first_drive
 from palmfield.simulation.posed_scene import reference_scene
 from palmfield.simulation.radiation import Radiation
 from palmfield.transforms import IDENTITY, Placement

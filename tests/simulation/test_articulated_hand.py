@@ -5,6 +5,7 @@ import pytest
 from pxr import Usd, UsdGeom, UsdSkel
 
 from palmfield.data import folder
+from palmfield.estimate.estimated_run import run
 from palmfield.hand.articulated import bone_poses
 from palmfield.hand.poses import named_pose
 from palmfield.hand.preset import load_preset
@@ -12,7 +13,6 @@ from palmfield.hand.skinning import SkinnedHand
 from palmfield.outputs.frames import posed
 from palmfield.outputs.schema import instances
 from palmfield.outputs.usd import validate_usd
-from palmfield.session.run import run
 from palmfield.session.simulation import load
 from palmfield.simulation.emission import array_drives
 

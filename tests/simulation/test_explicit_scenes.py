@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 import palmfield
-from palmfield.config.skin import EXPLICIT
 from palmfield.data import folder
 from palmfield.errors import SceneError
-from palmfield.session.plan import plan
+from palmfield.planning.scene_plan import plan
 from palmfield.session.simulation import load
 
 SCENES = folder("mjcf") / "scenes"
+SOLVERS = ("spectral_elements", "particles")
 SCENARIOS = {
     "phantom_am200": {"skin.radius_m": 0.03, "skin.accuracy": 0.1},
     "palm_am200": {"skin.patch_radius_m": 0.02, "skin.accuracy": 0.2},
@@ -30,7 +30,7 @@ def by_wedges(request):
     return request.param, *ran(request.param, "wedges")
 
 
-@pytest.mark.parametrize("solver", EXPLICIT)
+@pytest.mark.parametrize("solver", SOLVERS)
 def test_a_scenario_moves_as_by_wedges_within_what_both_state(by_wedges, solver):
     """The cut edge is the same for both and left out."""
     name, expected, theirs = by_wedges
@@ -45,7 +45,7 @@ def test_a_scenario_moves_as_by_wedges_within_what_both_state(by_wedges, solver)
     assert own["dofs"] % 3 == 0
 
 
-@pytest.mark.parametrize("solver", EXPLICIT)
+@pytest.mark.parametrize("solver", SOLVERS)
 def test_the_plan_says_what_steps_and_what_it_is_worth(small_scene, solver):
     told = plan(small_scene(skin={"solver": solver, "accuracy": 0.1}))
     rows = {row.what: row for row in told.modelled}
@@ -61,7 +61,7 @@ def test_the_plan_says_what_steps_and_what_it_is_worth(small_scene, solver):
         assert "made for a GPU: on the CPU it takes about" in text
 
 
-@pytest.mark.parametrize("solver", EXPLICIT)
+@pytest.mark.parametrize("solver", SOLVERS)
 @pytest.mark.parametrize(
     ("keys", "expected"),
     [

@@ -6,8 +6,8 @@ import trimesh
 
 from palmfield.config import SkinConfig, parse
 from palmfield.errors import SceneError
-from palmfield.session.plan import plan
-from palmfield.session.run import run
+from palmfield.estimate.estimated_run import run
+from palmfield.planning.scene_plan import plan
 from palmfield.session.simulation import load
 from palmfield.simulation.emission import array_drives
 from palmfield.simulation.posed_scene import reference_scene

@@ -10,8 +10,8 @@ from palmfield.drive.boards import BOARDS
 from palmfield.drive.boards.sonicsurface import OFF_FRAME
 from palmfield.drive.playback import frame_times
 from palmfield.errors import DeviceError, SceneError
-from palmfield.session.load import compiled
-from palmfield.session.plan import plan
+from palmfield.planning.scene_plan import plan
+from palmfield.session.open_scene import compiled
 from palmfield.skin.reduction.reduced_stepper import ReducedStepper
 from palmfield.stimulus.schedule import turn_rate_Hz
 

@@ -6,7 +6,7 @@ import pytest
 import trimesh
 
 from palmfield.engine.host import raise_errors
-from palmfield.session.plan import plan
+from palmfield.planning.scene_plan import plan
 from palmfield.session.simulation import load
 from palmfield.simulation.state import BEGUN
 

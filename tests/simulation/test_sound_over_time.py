@@ -10,7 +10,7 @@ from palmfield.acoustics.scattering import scatter
 from palmfield.drive.response import Pole, envelope_response
 from palmfield.drive.transducer_response import commanded_drive
 from palmfield.errors import SceneError
-from palmfield.session.run import run
+from palmfield.estimate.estimated_run import run
 from palmfield.session.simulation import load
 from palmfield.simulation.emission import array_drives
 from palmfield.simulation.posed_scene import reference_scene

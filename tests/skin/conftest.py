@@ -63,7 +63,7 @@ class NodalStepper:
         self.whole = WedgeStepper(system, sparse.identity(system.ndof, format="csr"), step_s, rho_inf)
 
     def new_state(self) -> Float:
-        return np.zeros((self.whole.state_rows, self.whole.ndof))
+        return np.zeros((self.whole.state_rows, self.whole.unknowns))
 
     def step(self, state: Float, first: Float, last: Float) -> None:
         ends = np.eye(2)[:, None, None]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from palmfield.errors import SceneError
-from palmfield.session.plan import plan
+from palmfield.planning.scene_plan import plan
 from palmfield.session.simulation import load
 from palmfield.skin import Layer, Sheet, Traction
 from palmfield.skin.analytic.layer_oracle import layer_compliance

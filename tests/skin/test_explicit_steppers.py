@@ -13,7 +13,7 @@ from palmfield.hand.preset import load_preset
 from palmfield.hand.surface import hand_surface
 from palmfield.skin import explicit_layer as explicit_layer_module
 from palmfield.skin import solve
-from palmfield.skin.explicit_layer import explicit_layer, refuse_explicit
+from palmfield.skin.explicit_layer import explicit_layer
 from palmfield.skin.fem.face_transfer import ends_of_substeps
 from palmfield.skin.fem.probe import surface_vectors
 from palmfield.skin.fem.wedge_stepper import WedgeStepper
@@ -299,7 +299,7 @@ def test_what_a_solver_refuses_before_anything_is_meshed(case):
     for solver in solvers:
         layer = layer_of(solver, **keys)
         with pytest.raises(SceneError) as refusal:
-            refuse_explicit(layer)
+            explicit_layer(layer).refuse()
         text = str(refusal.value)
         assert text.startswith(f"plugin 'palmfield.skin': key 'solver' has value '{solver}'") and expected in text
         assert "patch" not in vars(layer) and "mesh" not in vars(layer)
@@ -311,7 +311,7 @@ def test_roller_sides_and_sheets_move_as_by_wedges(solver, sheets):
     """Unknowns of the wedges are turned along such a side, and what is read there is; each sheet relaxes by its law."""
     keys = {"materials": ("ecoflex_00-10", "gelatin_2"), "shares": (0.4, 0.6)} if sheets else {}
     layer = layer_of(solver, side="roller", radius_m=0.015, accuracy=0.1, **keys)
-    refuse_explicit(layer)
+    explicit_layer(layer).refuse()
     own, whole = explicit_layer(layer).stepper("cpu"), WedgeStepper(layer.system, layer.quadrature.operator, STEP)
     course = np.sin(np.pi * 200.0 * STEP * np.arange(9)) ** 2
     away = (layer.quadrature.points[:, :2] ** 2).sum(axis=1)
@@ -343,7 +343,7 @@ def test_steps_so_many_that_a_run_would_not_end_are_refused(solver, monkeypatch)
 def test_other_bases_are_taken(base):
     springs = {"base_normal_Pa_m": 1e7, "base_tangential_Pa_m": 1e7} if base == "springs" else {}
     layer = layer_of("spectral_elements", base=base, **springs)
-    refuse_explicit(layer)
+    explicit_layer(layer).refuse()
     moved = []
     for each in (layer, layer_of("spectral_elements")):
         stepper = explicit_layer(each).stepper("cpu")

@@ -259,8 +259,8 @@ def test_unloaded_energy_never_grows_on_a_foundation(step_s, nodal_stepper):
     state = solver.new_state()
     state[1] = kick
     stiffness, rest = system.parts[0].stiffness, np.zeros(system.ndof)
-    e, _, b = branch_weights(step_s, PALM.times_s[0])
-    weight = PALM.ratios[0] * (1.0 + e) / (2.0 * (1.0 - b))
+    e, _, b = branch_weights(step_s, PALM.relaxation.branches[0][1])
+    weight = PALM.relaxation.branches[0][0] * (1.0 + e) / (2.0 * (1.0 - b))
     levels = []
     for _ in range(200):
         u, v, _, q = state

@@ -25,7 +25,7 @@ NAMES = ["ecoflex_00-10", "finger_pad", "forearm", "gelatin_2", *sorted(GEL_STOR
 
 
 def test_catalogue():
-    assert sorted(PRESETS) == sorted(NAMES)
+    assert set(NAMES) <= set(PRESETS)
     for name, entry in CATALOGUE.items():
         assert preset(name) is entry.material
         assert entry.material.name == name
@@ -137,8 +137,7 @@ def test_hand_skin(site):
     stiffness = [sheet.material.shear_relaxed_Pa for sheet in sheets]
     assert stiffness == sorted(stiffness, reverse=True)
     for sheet in sheets:
-        assert sheet.material.ratios == pytest.approx(preset(site).ratios)
-        assert sheet.material.times_s == preset(site).times_s
+        assert np.array(sheet.material.relaxation.branches) == pytest.approx(np.array(preset(site).relaxation.branches))
     assert hand_skin(site, 0.02)[3].thickness_m == pytest.approx(0.02 - DEPTH_M[site] + sheets[3].thickness_m)
 
 

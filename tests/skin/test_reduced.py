@@ -50,13 +50,13 @@ def full_rates(body):
     """First-order form of a chain over (u, v, q of each branch), for comparison."""
     n = len(body.mass)
     part = body.parts[0]
-    ratios, times = part.material.ratios, part.material.times_s
-    rates = np.zeros(((2 + len(ratios)) * n,) * 2)
+    branches, viscous = part.material.relaxation
+    rates = np.zeros(((2 + len(branches)) * n,) * 2)
     inverse = np.linalg.inv(body.mass)
     rates[:n, n : 2 * n] = np.eye(n)
-    rates[n : 2 * n, :n] = -inverse @ (body.elastic + (1 + sum(ratios)) * part.stiffness)
-    rates[n : 2 * n, n : 2 * n] = -inverse @ (body.damping + part.material.viscous_time_s * part.stiffness)
-    for i, (ratio, tau) in enumerate(zip(ratios, times, strict=True)):
+    rates[n : 2 * n, :n] = -inverse @ (body.elastic + (1 + sum(ratio for ratio, _ in branches)) * part.stiffness)
+    rates[n : 2 * n, n : 2 * n] = -inverse @ (body.damping + viscous * part.stiffness)
+    for i, (ratio, tau) in enumerate(branches):
         mine = slice((2 + i) * n, (3 + i) * n)
         rates[n : 2 * n, mine] = ratio * inverse @ part.stiffness
         rates[mine, :n] = np.eye(n) / tau

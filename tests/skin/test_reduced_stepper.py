@@ -13,7 +13,7 @@ from palmfield.skin.fem.load import SurfaceQuadrature
 from palmfield.skin.fem.probe import SurfaceProbe, surface_motion
 from palmfield.skin.fem.solver import harmonic, static
 from palmfield.skin.fem.wedge_stepper import WedgeStepper
-from palmfield.skin.materials.material import Branch, Material, stiffening
+from palmfield.skin.materials.material import Branch, Material
 from palmfield.skin.reduction import reduced_stepper as module
 from palmfield.skin.reduction.dynamic_stiffness import DynamicStiffness
 from palmfield.skin.reduction.krylov import Krylov, harmonics, level, periodic
@@ -220,8 +220,8 @@ def test_as_many_vectors_as_unknowns_lose_nothing(tau, viscosity):
     mass, damping, elastic, relaxing = krylov.projected
     for f in (0.0, 60.0, 700.0):
         s = -2j * math.pi * f
-        whole = s**2 * body.mass + s * body.damping + body.elastic + stiffening(material, s) * 1e4 * k
-        small = s**2 * mass + s * damping + elastic + stiffening(material, s) * relaxing
+        whole = s**2 * body.mass + s * body.damping + body.elastic + material.stiffening(s) * 1e4 * k
+        small = s**2 * mass + s * damping + elastic + material.stiffening(s) * relaxing
         exact = np.linalg.solve(whole, np.eye(5)[:, :2])
         found = krylov.vectors @ np.linalg.solve(small, krylov.vectors[:2].T)
         np.testing.assert_allclose(found, exact, atol=1e-9 * np.abs(exact).max())

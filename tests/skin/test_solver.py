@@ -28,13 +28,13 @@ def energy(system, state, branch_factor=1.0):
     """Kinetic, elastic and stored branch energy [J]."""
     u, v, _, q = state
     w = u - q
-    branch = system.material.ratios[0] * branch_factor * (w @ (system.parts[0].stiffness @ w))
+    branch = system.material.relaxation.branches[0][0] * branch_factor * (w @ (system.parts[0].stiffness @ w))
     return 0.5 * (v @ (system.mass @ v) + u @ (system.elastic @ u) + u @ (system.parts[0].stiffness @ u) + branch)
 
 
 def consistent_acceleration(system, state):
     u, _, _, q = state
-    pull = system.elastic @ u + system.parts[0].stiffness @ (u + system.material.ratios[0] * (u - q))
+    pull = system.elastic @ u + system.parts[0].stiffness @ (u + system.material.relaxation.branches[0][0] * (u - q))
     state[2] = -spsolve(system.mass.tocsc(), pull)
 
 
@@ -112,7 +112,7 @@ def test_uniform_shear_relaxes_by_the_analytic_curve():
     q = np.zeros_like(sheared)
     for n in range(1, 60):
         q = e * q + (start + end) * sheared
-        force = system.parts[0].stiffness @ (sheared + ECOFLEX.ratios[0] * (sheared - q))
+        force = system.parts[0].stiffness @ (sheared + ECOFLEX.relaxation.branches[0][0] * (sheared - q))
         modulus = ECOFLEX.shear_relaxed_Pa + ECOFLEX.branches[0].shear_Pa * math.exp(-n * step / tau)
         assert sheared @ force == pytest.approx(modulus * volume, rel=1e-10)
 

@@ -95,8 +95,8 @@ def test_a_substep_of_wedges_balances_forces(disc, whole):
     middle = alpha_f * old + (1.0 - alpha_f) * new
     stresses, n = [], 3
     (part,) = system.parts
-    stress = middle[0] + part.material.viscous_time_s * middle[1]
-    for ratio, tau in zip(part.material.ratios, part.material.times_s, strict=True):
+    stress = middle[0] + part.material.relaxation.viscous_time_s * middle[1]
+    for ratio, tau in part.material.relaxation.branches:
         e, start, end = branch_weights(STEP, tau)
         np.testing.assert_allclose(new[n], e * old[n] + start * u0 + end * u1, rtol=1e-9, atol=1e-12 * abs(u1).max())
         stress = stress + ratio * (middle[0] - middle[n])
@@ -214,8 +214,8 @@ def test_a_lifted_state_balances_in_the_small_space(disc, small):
     pressure = loads.last[0, -1] @ loads.pressure_Pa[0]
     u, v, a, *branches = small.lifted(state, lambda: pressure)[0].reshape(-1, system.ndof)
     (part,) = system.parts
-    stress = u + part.material.viscous_time_s * v
-    stress = stress + sum(g * (u - q) for g, q in zip(part.material.ratios, branches, strict=True))
+    stress = u + part.material.relaxation.viscous_time_s * v
+    stress = stress + sum(g * (u - q) for (g, _), q in zip(part.material.relaxation.branches, branches, strict=True))
     inner = system.mass @ a + system.damping @ v + system.elastic @ u + part.stiffness @ stress
     force = quadrature.assemble(pressure)
     missed = small.vectors.T @ (inner - force)

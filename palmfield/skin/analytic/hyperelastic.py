@@ -64,7 +64,7 @@ def viscous_piola(F: Float, rate: Float, viscosity_Pa_s: float, bulk_viscosity_P
 
 def at_rest(material: Material, shape: tuple[int, ...]) -> Memory:
     """Memory of a solid that has always been undeformed; shape: that of F without its last two axes."""
-    return Memory(np.zeros((*shape, 3, 3)), np.zeros((len(material.branches), *shape, 3, 3)))
+    return Memory(np.zeros((*shape, 3, 3)), np.zeros((len(material.relaxation.branches), *shape, 3, 3)))
 
 
 def advance(material: Material, memory: Memory, F: Float, rate: Float, step_s: float) -> tuple[Float, Memory]:
@@ -86,13 +86,13 @@ def advance(material: Material, memory: Memory, F: Float, rate: Float, step_s: f
     drive = spring if material.bulk_relaxes else shape
     change = drive - memory.drive
     over = np.empty_like(memory.over)
-    for i, (ratio, time_s) in enumerate(zip(material.ratios, material.times_s, strict=True)):
+    for i, (ratio, time_s) in enumerate(material.relaxation.branches):
         fade, gain = branch_step(step_s, time_s)
         over[i] = fade * memory.over[i] + ratio * gain * change
     pushed = over.sum(axis=0)
     stress = F @ (spring + (pushed if material.bulk_relaxes else narrowing * deviator_of(pushed, F, inverse_C)))
     if material.viscosity_Pa_s > 0.0:
-        bulk = material.viscous_time_s * material.bulk_Pa if material.bulk_relaxes else 0.0
+        bulk = material.relaxation.viscous_time_s * material.bulk_Pa if material.bulk_relaxes else 0.0
         stress = stress + viscous_piola(F, rate, material.viscosity_Pa_s, bulk)
     return stress, Memory(drive, over)
 

@@ -3,9 +3,9 @@
 import numpy as np
 
 from palmfield.skin.analytic.layer_oracle import centre_response
-from palmfield.skin.materials.catalogue import Observation, Preset
 from palmfield.skin.materials.dispersion import describe
 from palmfield.skin.materials.material import Material, complex_shear
+from palmfield.skin.materials.ranges import Observation, Preset
 
 
 def predicted(material: Material, observation: Observation) -> float:

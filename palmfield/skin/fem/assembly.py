@@ -183,7 +183,7 @@ def _materials_of_parts(rows: list[Material], below: Foundation, shear_spring: f
     met = [*rows, *(sheet.material for sheet in below.sheets), *([rows[-1]] if shear_spring > 0.0 else [])]
     first: dict[tuple, Material] = {}
     for material in met:
-        first.setdefault(relaxation_law(material), material)
+        first.setdefault(material.law, material)
     return tuple(first.values())
 
 
@@ -209,8 +209,8 @@ def _sums(
         sums.add("damping", side_dashpots(mesh, rows, absorbing_Hz))
     held_bulk = [0.0 if row.bulk_relaxes else row.bulk_Pa for row in rows]
     sums.add("elastic", pattern.blocks(_by_row(mesh, held_bulk)[..., None, None] * volumetric))
-    for law in dict.fromkeys(map(relaxation_law, rows)):
-        own = [row if relaxation_law(row) == law else None for row in rows]
+    for law in dict.fromkeys(row.law for row in rows):
+        own = [row if row.law == law else None for row in rows]
         blocks = _by_row(mesh, [row.shear_relaxed_Pa if row else 0.0 for row in own])[..., None, None] * deviatoric
         bulk = [row.bulk_Pa if row and row.bulk_relaxes else 0.0 for row in own]
         if any(bulk):
@@ -241,8 +241,8 @@ class _Sums:
         self.total[name] = self.total[name] + placed(matrix, first, self.size)
 
     def relax(self, law: Material, stiffness: sparse.csr_matrix, first: int = 0) -> None:
-        before, owner = self.relaxing.get(relaxation_law(law), (sparse.csr_matrix((self.size, self.size)), law))
-        self.relaxing[relaxation_law(law)] = (before + placed(stiffness, first, self.size), owner)
+        before, owner = self.relaxing.get(law.law, (sparse.csr_matrix((self.size, self.size)), law))
+        self.relaxing[law.law] = (before + placed(stiffness, first, self.size), owner)
 
 
 def _add_sheets(
@@ -279,11 +279,6 @@ def materials_of_rows(mesh: WedgeMesh, material: Material | Sequence[Material]) 
     if len(rows) != count:
         raise SceneError(f"{len(rows)} materials for {count} rows of elements: give one, or one for each row")
     return rows
-
-
-def relaxation_law(material: Material) -> tuple:
-    """What tells one relaxation law from another: g_i, tau_i, eta / G_r."""
-    return material.ratios, material.times_s, material.viscous_time_s
 
 
 def _by_row(mesh: WedgeMesh, values: list[float]) -> Float:

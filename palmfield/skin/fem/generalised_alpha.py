@@ -66,7 +66,7 @@ class Scheme:
             raise SceneError(f"step {step_s} s, rho_inf {rho_inf}: the step must be above 0 and rho_inf in 0..1")
         alpha_m, self.alpha_f, beta, gamma = alpha_weights(rho_inf)
         before, after = self.alpha_f, 1.0 - self.alpha_f
-        self.state_rows = 3 + sum(len(part.material.times_s) for part in system.parts)
+        self.state_rows = 3 + sum(len(part.material.relaxation.branches) for part in system.parts)
         u, v, a, *internal = np.eye(self.state_rows)
         # New acceleration and velocity are a share of x and a row of the old state.
         a_of_x = 1.0 / (beta * step_s**2)
@@ -84,9 +84,9 @@ class Scheme:
         ]
         row = 3
         for part in system.parts:
-            viscous = part.material.viscous_time_s
+            branches, viscous = part.material.relaxation
             of_x, old, new = 1.0 + viscous * v_of_x, u + viscous * v, viscous * v_of_state
-            for ratio, tau in zip(part.material.ratios, part.material.times_s, strict=True):
+            for ratio, tau in branches:
                 q = internal[row - 3]
                 e, start, end = branch_weights(step_s, tau)
                 self.follow[row] = end

@@ -11,7 +11,6 @@ from palmfield.errors import SceneError
 from palmfield.skin.fem.assembly import SkinSystem
 from palmfield.skin.fem.factor import factorise
 from palmfield.skin.fem.generalised_alpha import RHO_INF, alpha_weights, branch_weights
-from palmfield.skin.materials.material import stiffening
 from palmfield.types import Complex, Float
 
 ITERATED, MOST_ITERATIONS = 1e-9, 24
@@ -35,7 +34,7 @@ def static(system: SkinSystem, force: Float) -> Float:
 def harmonic(system: SkinSystem, force: Float, f_Hz: float) -> Complex:
     """Complex displacement [m], (ndof,), under force [N] times e^{-i w t}, exact in time."""
     s = -2j * math.pi * f_Hz
-    return _solve_dynamic(system, force, s**2, s, [complex(stiffening(part.material, s)) for part in system.parts])
+    return _solve_dynamic(system, force, s**2, s, [complex(part.material.stiffening(s)) for part in system.parts])
 
 
 def harmonic_discrete(
@@ -55,7 +54,7 @@ def harmonic_both(system: SkinSystem, force: Float, f_Hz: float, step_s: float) 
     ITERATED in MOST_ITERATIONS, the other is factorised as well.
     """
     s = -2j * math.pi * f_Hz
-    exact = _dynamic(system, s**2, s, [complex(stiffening(part.material, s)) for part in system.parts])
+    exact = _dynamic(system, s**2, s, [complex(part.material.stiffening(s)) for part in system.parts])
     factor = factorise(exact, system.elimination_order())
     right = np.asarray(force, dtype=complex)
     continuous = factor.solve(right)
@@ -82,8 +81,9 @@ def discrete_weights(
     inertia = (alpha_m + (1.0 - alpha_m) * z) / (alpha_f + (1.0 - alpha_f) * z) / u_over_a
     scales = []
     for part in system.parts:
-        scale = 1.0 + part.material.viscous_time_s * v_over_u
-        for ratio, tau in zip(part.material.ratios, part.material.times_s, strict=True):
+        branches, viscous = part.material.relaxation
+        scale = 1.0 + viscous * v_over_u
+        for ratio, tau in branches:
             e, start, end = branch_weights(step_s, tau)
             scale += ratio * (1.0 - (start + end * z) / (z - e))
         scales.append(scale)

@@ -70,8 +70,8 @@ class WedgeStepper(SkinStepper):
 
     def __init__(self, system: SkinSystem, inputs: sparse.csr_matrix, step_s: float, rho_inf: float = RHO_INF) -> None:
         scheme = Scheme(system, step_s, rho_inf)
-        self.step_s, self.ndof, self.state_rows = step_s, system.ndof, scheme.state_rows
-        self.state_size = self.state_rows * self.ndof
+        self.step_s, self.unknowns, self.state_rows = step_s, system.ndof, scheme.state_rows
+        self.state_size = self.state_rows * self.unknowns
         factor = self._factor = block_factor(scheme.effective(), system.elimination_order())
         self._threads = min(cores(), max(1, factor.stored // STORED_PER_THREAD))
         self._alpha_f = scheme.alpha_f
@@ -104,7 +104,7 @@ class WedgeStepper(SkinStepper):
         self, state: Float, patterns_Pa: Float | Float32, mix: Float, observe: Reader | None, seen: Float | None
     ) -> None:
         """All substeps of one world; mix: weight of each pattern in each substep, (s, k); seen: (s, 2, m) to fill."""
-        rows, place = state.reshape(self.state_rows, self.ndof), self._factor.place
+        rows, place = state.reshape(self.state_rows, self.unknowns), self._factor.place
         substeps, patterns = mix.shape
         room, threads = self._room(patterns), self._threads
         room.rows[:, place] = rows
@@ -130,14 +130,14 @@ class WedgeStepper(SkinStepper):
 
     def reader(self, operator: sparse.csr_matrix) -> Reader:
         """See SkinStepper."""
-        matrix = checked_operator(operator, self.ndof)
+        matrix = checked_operator(operator, self.unknowns)
         return Reader(matrix.shape[0], (matrix, _placed(matrix, self._factor)))
 
     def read(self, state: Float, reader: Reader) -> Float:
         """See SkinStepper."""
         result = np.zeros((len(state), 2, reader.count))
         for one, out in zip(state, result, strict=True):
-            _read(reader.matrix[0], one.reshape(self.state_rows, self.ndof), out)
+            _read(reader.matrix[0], one.reshape(self.state_rows, self.unknowns), out)
         return result
 
     def _room(self, patterns: int) -> _Room:

@@ -1,60 +1,19 @@
 """Named skin materials, how sure their numbers are, and the layered skin of the hand.
 
 `preset(name)` gives a Material; `CATALOGUE` has, beside it, the range of its numbers and the measurements with which
-`palmfield.skin.analytic.observed.misfits` compares it. docs/materials.md is made from these.
+`palmfield.skin.analytic.observed.misfits` compares it. docs/materials.md is made from these. Modules `law_*` of this
+package add their `PRESETS`.
 """
 
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from importlib import import_module
+from pkgutil import iter_modules
+from typing import Any
 
 from palmfield.errors import SceneError, did_you_mean
 from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson, kelvin_voigt, prony
+from palmfield.skin.materials.ranges import Observation, Preset, Range
 from palmfield.skin.materials.sheet import Sheet
-
-Quantity = Literal["surface speed", "shear speed", "decay", "storage in compression"]
-UNITS: dict[str, str] = {"surface speed": "m/s", "shear speed": "m/s", "decay": "1", "storage in compression": "Pa"}
-
-
-@dataclass(frozen=True)
-class Range:
-    """A parameter of a Material (a field's name) or of its whole shear modulus ("shear"), and what is known of it.
-
-    low, high: in the field's unit, or as factors on the preset's shear modulus where the parameter is "shear"
-    source: what the range is (one standard deviation, extremes, ...) and where it comes from
-    """
-
-    parameter: str
-    low: float
-    high: float
-    source: str
-
-
-@dataclass(frozen=True)
-class Observation:
-    """Something measured that a material can be held against.
-
-    quantity: "surface speed" [m/s]: phase speed of the Rayleigh wave; "shear speed" [m/s]; "decay": |u(40 mm)| over
-        |u(5 mm)| beside a Gaussian spot of 10 mm full width on a layer depth_m deep, bonded to bone; "storage in
-        compression" [Pa]: 3 G' of a bar that may widen freely
-    f_Hz: frequency [Hz]; value: in UNITS[quantity]; spread: its standard deviation or half its range, None if unknown
-    """
-
-    quantity: Quantity
-    f_Hz: float
-    value: float
-    spread: float | None
-    source: str
-    depth_m: float = 0.0
-
-
-@dataclass(frozen=True)
-class Preset:
-    """A material, the ranges of its numbers, and the measurements that it stands beside."""
-
-    material: Material
-    ranges: tuple[Range, ...] = ()
-    observations: tuple[Observation, ...] = ()
-
 
 MANFREDI = "Manfredi et al. 2012, PLoS ONE 7:e31203"
 ZHANG = "Zhang et al. 2011, Med. Eng. Phys. 33:31 (doi 10.1016/j.medengphy.2010.08.016)"
@@ -206,6 +165,15 @@ CATALOGUE: dict[str, Preset] = {
     ),
 }
 
+
+def law_presets() -> dict[str, Preset]:
+    """Of modules `law_*` of this package, each a law and its PRESETS."""
+    modules = sorted(one.name for one in iter_modules(import_module(__package__).__path__) if one.name[:4] == "law_")
+    entries = [entry for name in modules for entry in import_module(f"{__package__}.{name}").PRESETS]
+    return {entry.material.name: entry for entry in entries}
+
+
+CATALOGUE |= law_presets()
 PRESETS: dict[str, Material] = {name: entry.material for name, entry in CATALOGUE.items()}
 
 
@@ -279,8 +247,8 @@ def hand_skin(site: str, depth_m: float | None = None) -> tuple[Sheet, ...]:
             f"{site}, {tissue.name}",
             tissue.density_kg_m3,
             shear,
-            [ratio * shear for ratio in whole.ratios],
-            whole.times_s,
+            [ratio * shear for ratio, _ in whole.relaxation.branches],
+            [time_s for _, time_s in whole.relaxation.branches],
             source=f"{tissue.source}; relaxes as '{site}'",
         )
         sheets.append(Sheet(material, rest if thickness is None else thickness))

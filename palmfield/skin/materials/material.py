@@ -4,10 +4,13 @@ import cmath
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from functools import cached_property
+from typing import Literal, NamedTuple
+
+import numpy as np
 
 from palmfield.errors import SceneError
-from palmfield.types import Complex
+from palmfield.types import Complex, Float
 
 INCOMPRESSIBLE = 1e6
 """K over the shear modulus that stands for nu = 0.5 in `elastic`, `kelvin_voigt` and their like.
@@ -15,6 +18,9 @@ INCOMPRESSIBLE = 1e6
 Under spots of 6 to 20 mm on bonded layers 1 to 20 mm deep, at 0 to 400 Hz, the motion is then within 6e-5 of the
 incompressible one (docs/materials.md; tests/skin/test_material.py). Thinner layers and wider spots: more.
 """
+
+FELT_Hz: Float = np.geomspace(5.0, 1000.0, 48)
+"""Frequencies at which a law is held against the series that stands for it in time."""
 
 NuOf = Literal["instant", "relaxed"]
 
@@ -30,12 +36,36 @@ class Branch:
     time_s: float
 
 
+class Relaxation(NamedTuple):
+    """G(s) / G_r = 1 + sum g s tau / (1 + s tau) + t s: what time steppers, and models made for them, take a law for.
+
+    branches: (g, tau [s]) of each Maxwell branch; viscous_time_s: t = eta / G_r [s]
+    """
+
+    branches: tuple[tuple[float, float], ...]
+    viscous_time_s: float
+
+    @property
+    def active(self) -> tuple[tuple[float, float], ...]:
+        """The branches that carry something: they have stiffness and time."""
+        return tuple((ratio, time_s) for ratio, time_s in self.branches if ratio > 0.0 and time_s > 0.0)
+
+    def stiffening(self, s: complex | Complex) -> complex | Complex:
+        """G(s) / G_r at complex rates s [1/s] of e^{st}, any shape."""
+        total = 1.0 + self.viscous_time_s * s
+        for ratio, time_s in self.branches:
+            total = total + ratio * (s * time_s) / (1.0 + s * time_s)
+        return total
+
+
 @dataclass(frozen=True)
 class Material:
     """Spring G_r beside Maxwell branches and a dashpot, in shear: G(s) = G_r + sum G_i s tau_i / (1 + s tau_i) + eta s.
 
     No branch and no dashpot: elastic. A dashpot alone: Kelvin-Voigt. One branch: standard linear solid. More: Prony
-    series.
+    series. A law of another form is a subclass (docs/materials.md) with `stiffening` of its own, by ratios to G_r and
+    times, and a `series` that stands for it in time. Solvers compute with `stiffening` and `modulus` at rates s, with
+    `relaxation` in time, and with G_r, K, `shear_instant_Pa` and `bulk_instant_Pa` as bounds.
 
     density_kg_m3: rho [kg/m^3], > 0
     shear_relaxed_Pa: G_r [Pa], > 0
@@ -58,36 +88,63 @@ class Material:
     bulk_relaxes: bool = False
 
     def __post_init__(self) -> None:
-        values = {name: getattr(self, name) for name in ("density_kg_m3", "shear_relaxed_Pa", "bulk_Pa")}
-        for name, value in values.items():
-            if not (math.isfinite(value) and value > 0.0):
-                raise SceneError(f"material '{self.name}': {name} is {value}; give a finite number above 0")
-        values = {"viscosity_Pa_s": self.viscosity_Pa_s}
+        positive = ("density_kg_m3", "shear_relaxed_Pa", "bulk_Pa")
+        values = {name: getattr(self, name) for name in (*positive, "viscosity_Pa_s")}
         for number, branch in enumerate(self.branches):
             values |= {f"branches[{number}].shear_Pa": branch.shear_Pa, f"branches[{number}].time_s": branch.time_s}
         for name, value in values.items():
-            if not (math.isfinite(value) and value >= 0.0):
-                raise SceneError(f"material '{self.name}': {name} is {value}; give a finite number, 0 or above")
+            if not (math.isfinite(value) and (value > 0.0 or (value == 0.0 and name not in positive))):
+                least = " above 0" if name in positive else ", 0 or above"
+                raise SceneError(f"material '{self.name}': {name} is {value}; give a finite number{least}")
+        at_rest = complex(self.stiffening(0.0))
+        if not abs(at_rest - 1.0) < 1e-9:
+            raise SceneError(f"material '{self.name}': G(0) is {at_rest:g} G_r; give a law that has G_r at rest")
 
     @property
-    def ratios(self) -> tuple[float, ...]:
-        """g_i = G_i / G_r of each branch."""
-        return tuple(branch.shear_Pa / self.shear_relaxed_Pa for branch in self.branches)
+    def series(self) -> tuple[Branch, ...]:
+        """Maxwell branches that stand for the law in time, beside spring and dashpot."""
+        return self.branches
+
+    @cached_property
+    def relaxation(self) -> Relaxation:
+        """The law in time, by `series` and the dashpot."""
+        branches = tuple((branch.shear_Pa / self.shear_relaxed_Pa, branch.time_s) for branch in self.series)
+        return Relaxation(branches, self.viscosity_Pa_s / self.shear_relaxed_Pa)
+
+    @cached_property
+    def series_error(self) -> float:
+        """Relative error of G in time, by `relaxation`, rms over FELT_Hz; 0 of the material's own branches."""
+        s = np.asarray(-2j * np.pi * FELT_Hz, dtype=np.complex128)
+        exact = self.stiffening(s)
+        return float(np.sqrt(np.mean(np.abs((self.relaxation.stiffening(s) - exact) / exact) ** 2)))
 
     @property
-    def times_s(self) -> tuple[float, ...]:
-        """tau_i of each branch [s]."""
-        return tuple(branch.time_s for branch in self.branches)
+    def law(self) -> tuple[type, Relaxation]:
+        """Equal of materials that relax alike."""
+        return type(self), self.relaxation
 
     @property
-    def viscous_time_s(self) -> float:
-        """eta / G_r [s]."""
-        return self.viscosity_Pa_s / self.shear_relaxed_Pa
+    def relaxes(self) -> bool:
+        """Whether it loses energy: it is not elastic."""
+        return self.viscosity_Pa_s > 0.0 or len(self.relaxation.active) > 0
 
     @property
     def shear_instant_Pa(self) -> float:
         """G_r + sum G_i [Pa], the shear modulus at once; with a dashpot it is infinite, which this leaves out."""
-        return self.shear_relaxed_Pa + sum(b.shear_Pa for b in self.branches if b.time_s > 0.0)
+        return self.shear_relaxed_Pa + sum(b.shear_Pa for b in self.series if b.time_s > 0.0)
+
+    @property
+    def bulk_instant_Pa(self) -> float:
+        """The bulk modulus at once [Pa]."""
+        return self.bulk_Pa * (self.shear_instant_Pa / self.shear_relaxed_Pa if self.bulk_relaxes else 1.0)
+
+    def stiffening(self, s: complex | Complex) -> complex | Complex:
+        """G(s) / G_r at complex rates s [1/s] of e^{st}, any shape; 1 at s = 0."""
+        return self.relaxation.stiffening(s)
+
+    def modulus(self, s: complex | Complex) -> complex | Complex:
+        """G(s) [Pa]."""
+        return self.shear_relaxed_Pa * self.stiffening(s)
 
 
 def bulk_from_poisson(nu: float, shear: float) -> float:
@@ -186,22 +243,14 @@ def prony(
     return replace(springs, bulk_Pa=INCOMPRESSIBLE * shear if nu == 0.5 else bulk_from_poisson(nu, shear))
 
 
-def stiffening(material: Material, s: complex | Complex) -> complex | Complex:
-    """G(s) / G_r at complex rates s [1/s] of e^{st}, any shape."""
-    total = 1.0 + material.viscous_time_s * s
-    for ratio, time_s in zip(material.ratios, material.times_s, strict=True):
-        total = total + ratio * (s * time_s) / (1.0 + s * time_s)
-    return total
-
-
 def complex_shear(material: Material, f_Hz: float) -> complex:
     """Complex shear modulus G' - iG'' [Pa] at f [Hz] under e^{-i w t}."""
-    return complex(material.shear_relaxed_Pa * stiffening(material, -2j * math.pi * f_Hz))
+    return complex(material.modulus(-2j * math.pi * f_Hz))
 
 
 def complex_bulk(material: Material, f_Hz: float) -> complex:
     """Complex bulk modulus [Pa] at f [Hz] under e^{-i w t}; real unless it follows the shear modulus."""
-    return complex(material.bulk_Pa * (stiffening(material, -2j * math.pi * f_Hz) if material.bulk_relaxes else 1.0))
+    return complex(material.bulk_Pa * (material.stiffening(-2j * math.pi * f_Hz) if material.bulk_relaxes else 1.0))
 
 
 def shear_wave(material: Material, f_Hz: float) -> tuple[float, float]:

@@ -41,11 +41,14 @@ class PronyFit:
         return prony(name, density_kg_m3, self.relaxed_Pa, self.branches_Pa, self.times_s, nu, source=source)
 
 
-def fit_prony(f_Hz: Float, storage_Pa: Float, loss_Pa: Float, branches: int) -> PronyFit:
+def fit_prony(
+    f_Hz: Float, storage_Pa: Float, loss_Pa: Float, branches: int, relaxed_Pa: float | None = None
+) -> PronyFit:
     """Fit a spring and so many Maxwell branches to storage and loss moduli, each weighted by its own size.
 
     f_Hz: frequencies [Hz], above 0, shape (m,); storage_Pa, loss_Pa: G' and G'' [Pa], both positive, shape (m,)
     branches: n, 1 or more; the fit has 2 n + 1 numbers, so at least n + 1 frequencies are needed
+    relaxed_Pa: the spring G_r [Pa] where it is known
     The fit is a local minimum, the best of three starts. A branch that the data do not want has stiffness 0.
     Raises SceneError for other shapes, numbers that are not finite and above 0, and too many branches.
     """
@@ -56,13 +59,13 @@ def fit_prony(f_Hz: Float, storage_Pa: Float, loss_Pa: Float, branches: int) -> 
     if not 1 <= branches < f.size:
         raise SceneError(f"fit: {branches} branches from {f.size} frequencies; give 1 to {f.size - 1}")
     omega = 2.0 * math.pi * f
-    floor = SOFTEST * float(storage.min())
+    floor = SOFTEST * float(storage.min()) if relaxed_Pa is None else relaxed_Pa
     target = np.concatenate([(storage - floor) / storage, np.ones(f.size)])
 
     def stiffness(logs: Float) -> tuple[Float, Float]:
         """G_r - floor and G_i for these log times, and the residual."""
         x = omega[:, None] * np.exp(logs)
-        spring = np.concatenate([1.0 / storage, np.zeros(f.size)])
+        spring = np.concatenate([1.0 / storage if relaxed_Pa is None else np.zeros(f.size), np.zeros(f.size)])
         parts = np.concatenate([x**2 / (1.0 + x**2) / storage[:, None], x / (1.0 + x**2) / loss[:, None]])
         matrix = np.column_stack([spring, parts])
         moduli, _ = nnls(matrix, target)

@@ -5,7 +5,6 @@ from scipy import sparse
 
 from palmfield.skin.fem.factor import AnyFactor, factorise
 from palmfield.skin.fem.linear_body import LinearBody
-from palmfield.skin.materials.material import stiffening
 from palmfield.types import Complex, Int
 
 
@@ -22,7 +21,8 @@ class DynamicStiffness:
     def weights(self, s: Complex) -> Complex:
         """Factors of mass, damping, elastic and parts in Z at rates s [1/s], (k,); shape (k, 3 + p)."""
         one = np.ones_like(s)
-        return np.stack([s**2, s, one, *(stiffening(material, s) * one for material in self.materials)], axis=-1)
+        laws = (material.relaxation.stiffening(s) * one for material in self.materials)
+        return np.stack([s**2, s, one, *laws], axis=-1)
 
     def factor(self, s: complex) -> AnyFactor:
         """Factors of Z(s). With Re s > 0 conj(s) Z(s) has a positive definite real part: no pivoting is needed."""

@@ -98,9 +98,7 @@ class Krylov:
         self.laws = [
             (part, ratio, time_s)
             for part, material in enumerate(dynamics.materials)
-            for ratio, time_s in zip(material.ratios, material.times_s, strict=True)
-            # A branch without stiffness or time carries nothing.
-            if ratio > 0.0 and time_s > 0.0
+            for ratio, time_s in material.relaxation.active
         ]
         count = 2 + len(self.laws)
         self._scales = np.array([shift, 1.0, *(shift for _ in self.laws)])
@@ -139,7 +137,7 @@ class Krylov:
         mass, damping, _, *stiffness = self.dynamics.matrices
         shares = [v + shift * u, u]
         for part, material in enumerate(self.dynamics.materials):
-            share_of_part = material.viscous_time_s * u
+            share_of_part = material.relaxation.viscous_time_s * u
             for (owner, ratio, tau), q in zip(self.laws, internal, strict=True):
                 if owner == part:
                     share_of_part = share_of_part + ratio * tau / (1.0 + shift * tau) * q

@@ -23,9 +23,20 @@ from palmfield.skin.fem.assembly import Part, SkinSystem
 from palmfield.skin.fem.factor import factorise
 from palmfield.skin.fem.generalised_alpha import RHO_INF, Scheme
 from palmfield.skin.fem.load import SurfaceQuadrature
+from palmfield.skin.reduction.device_models import DeviceModes
+from palmfield.skin.reduction.device_worlds import DeviceWorlds
 from palmfield.skin.reduction.load_shapes import POINTS, LoadShapes, load_shapes
 from palmfield.skin.reduction.ritz import RitzModes, laws_at, refusal, ritz_modes, shifted
-from palmfield.skin.stepper import Outside, Reader, SkinStepper, SurfaceLoads, check_step, checked_operator
+from palmfield.skin.stepper import (
+    DeviceStep,
+    Outside,
+    Reader,
+    SkinStepper,
+    StepWork,
+    SurfaceLoads,
+    check_step,
+    checked_operator,
+)
 from palmfield.threads import cores, share
 from palmfield.types import Complex, Float, Float32, Int
 from warp_kernels import modes as kernels
@@ -145,9 +156,10 @@ class ModalStepper(SkinStepper):
 
     def __init__(self, body: ModalBody, system: SkinSystem, step_s: float, corner_Hz: float) -> None:
         modes, shapes = body.modes, body.shapes
-        self.body, self.step_s, self.order, self.ndof = body, step_s, len(modes.elastic), system.ndof
+        self.body, self.step_s, self.order, self.unknowns = body, step_s, len(modes.elastic), system.ndof
         self.adds_error = self.error, self.velocity_error = modes.errors(corner_Hz)
         self.points: Int = shapes.points
+        self.made_of = modes.elastic, modes.stiffness, modes.coupling, modes.shares, body.forces, self.error
         self._materials = system.materials
         parts = [Part(sparse.diags(own).tocsr(), of) for own, of in zip(modes.stiffness, self._materials, strict=True)]
         scheme = Scheme(DiagonalBody(modes, tuple(parts)), step_s, RHO_INF)
@@ -230,6 +242,29 @@ class ModalStepper(SkinStepper):
         """See SkinStepper."""
         return f"{self.name}, {self.order} modes"
 
+    def device_model(self, substeps: int, points: int, device: str) -> DeviceModes:
+        """See SkinStepper."""
+        return DeviceModes(self, substeps, device)
+
+    def device_worlds(self, most: int, device: str) -> DeviceStep | None:
+        """See SkinStepper."""
+        return None if device == "cpu" or self.coupled else DeviceWorlds(self, most, device).step
+
+    def work(self, patterns: int, substeps: int) -> StepWork:
+        """See SkinStepper."""
+        points, shapes, modes, rows = len(self.points), len(self.body.shapes.sizes), self.order, self.state_rows
+        dense = 2 * points * shapes + shapes * modes + points * self.body.compliance.shape[1]
+        # Of modes that are coupled; it fits no multiprocessor's own memory, so that each substep reads it again
+        coupling = substeps * self.coupling.size
+        own = modes * (rows * rows + rows)
+        return StepWork(
+            single=patterns * dense + substeps * modes * patterns,
+            double=substeps * own + coupling,
+            single_read=dense,
+            double_read=own + 2 * modes * rows + coupling,
+            kernels=4 * substeps if self.coupled else 0,
+        )
+
     def outside(self, loads: SurfaceLoads) -> Outside:
         """See SkinStepper."""
         with one_blas_thread:
@@ -250,7 +285,7 @@ class ModalStepper(SkinStepper):
 
     def reader(self, operator: sparse.csr_matrix) -> Reader:
         """See SkinStepper."""
-        matrix = checked_operator(operator, self.ndof)
+        matrix = checked_operator(operator, self.unknowns)
         seen = np.zeros((self.padded, matrix.shape[0]))
         # Those of the unknowns that it reads, as the product makes a copy in double precision
         read = np.unique(matrix.indices)

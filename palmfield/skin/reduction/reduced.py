@@ -232,12 +232,12 @@ def _energy_form(small: Projection) -> tuple[Float, Float, Float, Float, list[Fl
     rows, fading, behind = [], [], []
     for matrix, material in zip(stiffness, small.materials, strict=True):
         turned = turn.T @ matrix @ turn
-        loss = loss + material.viscous_time_s * turned
+        loss = loss + material.relaxation.viscous_time_s * turned
         values, vectors = np.linalg.eigh(turned)
         kept = values > 1e-14 * values[-1]
         root = np.sqrt(values[kept])[:, None] * vectors[:, kept].T
         inverse = vectors[:, kept] / np.sqrt(values[kept])
-        for ratio, tau in zip(material.ratios, material.times_s, strict=True):
+        for ratio, tau in material.relaxation.branches:
             if ratio > 0.0 and tau > 0.0:
                 rows.append(np.sqrt(ratio) * root)
                 fading.append(np.full(len(root), 1.0 / tau))

@@ -14,13 +14,13 @@ from scipy import sparse
 from palmfield import cache
 from palmfield.blas import one_blas_thread
 from palmfield.skin.fem.assembly import SkinSystem
-from palmfield.skin.materials.material import stiffening
+from palmfield.skin.reduction.device_models import DeviceReduced, pays
 from palmfield.skin.reduction.dynamic_stiffness import DynamicStiffness
 from palmfield.skin.reduction.krylov import Course, Krylov
 from palmfield.skin.reduction.load_shapes import LoadShapes
 from palmfield.skin.reduction.reduced import Projection, Reduced
 from palmfield.skin.reduction.reducer import SHIFT, grow_until
-from palmfield.skin.stepper import Reader, SkinStepper, SurfaceLoads, check_step, checked_operator
+from palmfield.skin.stepper import Reader, SkinStepper, StepWork, SurfaceLoads, check_step, checked_operator
 from palmfield.types import Complex, Float, Float32, Int
 
 MOST_VECTORS = 400
@@ -62,7 +62,7 @@ class ReducedStepper(SkinStepper):
     """
 
     name = "reduced"
-    any_pose = False
+    any_pose, exact_in_time = False, True
 
     def __init__(
         self,
@@ -77,8 +77,9 @@ class ReducedStepper(SkinStepper):
         self.small, self.vectors, self.model = small, vectors, Reduced(small, error)
         self.points = points
         self.step_s, self.error, self.any_course = step_s, error, any_course
-        self.adds_error = error, None
+        self.adds_error, self.made_of = (error, None), (small.matrices, vectors, error, any_course)
         self.state_size, self.order = self.model.state_size, vectors.shape[1]
+        self.unknowns = len(vectors)
         self.shares = np.ascontiguousarray(shares)
         # Pressures come in single precision, and half the memory to read is half the time
         self._single_shares = self.shares.astype(np.float32)
@@ -166,7 +167,7 @@ class ReducedStepper(SkinStepper):
 
     def reader(self, operator: sparse.csr_matrix) -> Reader:
         """See SkinStepper."""
-        matrix = checked_operator(operator, len(self.vectors))
+        matrix = checked_operator(operator, self.unknowns)
         return Reader(matrix.shape[0], np.ascontiguousarray((matrix @ self.vectors).T))
 
     def read(self, state: Float, reader: Reader) -> Float:
@@ -191,7 +192,7 @@ class ReducedStepper(SkinStepper):
         mass, damping, elastic, *parts = self.small.matrices
         matrix: Any = s**2 * mass + s * damping + elastic
         for material, part in zip(self.small.materials, parts, strict=True):
-            matrix = matrix + stiffening(material, s) * part
+            matrix = matrix + material.relaxation.stiffening(s) * part
         return np.asarray(
             (operator @ self.vectors) @ np.linalg.solve(matrix, self.small.force @ (pressure_Pa @ self.shares)),
             dtype=complex,
@@ -200,6 +201,23 @@ class ReducedStepper(SkinStepper):
     def describe(self) -> str:
         """See SkinStepper."""
         return f"{self.name}, {self.order} vectors"
+
+    def device_model(self, substeps: int, points: int, device: str) -> DeviceReduced | None:
+        """See SkinStepper; a CPU takes no longer for small ones."""
+        worth = pays(self.state_size, self.shares.shape[1], substeps)
+        return DeviceReduced(self, substeps, points, device) if worth else None
+
+    def work(self, patterns: int, substeps: int) -> StepWork:
+        """See SkinStepper."""
+        size, (points, forces) = self.state_size, self.shares.shape
+        products = points * forces
+        return StepWork(
+            single=patterns * products,
+            double=substeps * size * (size + 2 * forces),
+            single_read=products,
+            double_read=substeps * size * size,  # as the coupling of modes
+            kernels=substeps,
+        )
 
     def lifted(self, state: Float, pressure_Pa: Callable[[], Float]) -> Float:
         """See SkinStepper."""

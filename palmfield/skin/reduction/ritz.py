@@ -25,7 +25,7 @@ from scipy import linalg, sparse
 from palmfield.errors import SceneError
 from palmfield.skin.fem.assembly import SkinSystem
 from palmfield.skin.fem.factor import AnyFactor
-from palmfield.skin.materials.material import Material, stiffening
+from palmfield.skin.materials.material import Material
 from palmfield.skin.reduction.load_shapes import in_gap
 from palmfield.types import Complex, Float, Float32
 
@@ -101,7 +101,8 @@ def refusal(system: SkinSystem) -> str | None:
 
 def shifted(system: SkinSystem, *, relaxed: bool = False) -> sparse.csr_matrix:
     """A, symmetric positive definite, shape (n, n) [N/m]; relaxed: as if all branches were, at a lower rate."""
-    weights = [1.0 if relaxed else 1.0 + 0.5 * sum(part.material.ratios) for part in system.parts]
+    laws = (part.material.relaxation.branches for part in system.parts)
+    weights = [1.0 if relaxed else 1.0 + 0.5 * sum(ratio for ratio, _ in law) for law in laws]
     stiff = sum(weight * part.stiffness for weight, part in zip(weights, system.parts, strict=True))
     rate = 2.0 * np.pi * (RELAXED_Hz if relaxed else RATE_Hz)
     return sparse.csr_matrix(system.elastic + stiff + rate**2 * system.mass)
@@ -196,7 +197,7 @@ def ritz_modes(
 
 def laws_at(materials: Sequence[Material], s: complex) -> Complex:
     """1, of the elastic stiffness, and G(s) / G_r of each material at a rate s [1/s], shape (1 + p,)."""
-    return np.array([1.0, *(stiffening(material, s) for material in materials)], dtype=complex)
+    return np.array([1.0, *(material.relaxation.stiffening(s) for material in materials)], dtype=complex)
 
 
 class _Modes:

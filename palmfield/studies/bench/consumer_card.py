@@ -9,9 +9,6 @@ from dataclasses import dataclass
 
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import reference_scene
-from palmfield.skin.reduction.modal_stepper import ModalStepper
-from palmfield.skin.reduction.reduced_stepper import ReducedStepper
-from palmfield.skin.stepper import SkinStepper
 
 
 @dataclass(frozen=True)
@@ -76,40 +73,12 @@ def predicted_s(model: HapticModel, card: Card = CARD) -> float | None:
     for part, begin in zip(model.skins, model.begin, strict=True):
         stepper = begin.value
         points = len(part.layer.quadrature.weights) if stepper.points is None else len(stepper.points)
-        skin = skin_work(stepper, points, patterns, model.substeps)
+        skin = stepper.work(patterns, model.substeps)
         if skin is None:
             return None
-        total += skin + Work(single=PAIR * len(model.arrays) * points * patterns, kernels=SKIN_KERNELS)
+        read = SINGLE_BYTES * skin.single_read + DOUBLE_BYTES * skin.double_read
+        field = PAIR * len(model.arrays) * points * patterns
+        total += Work(skin.single + field, skin.double, read, skin.kernels + SKIN_KERNELS)
     for body in reference_scene(model).bodies:
         total += Work(single=PAIR * len(model.arrays) * len(body.samples[0]))
     return BEGIN_s + total.seconds(card)
-
-
-def skin_work(stepper: SkinStepper, points: int, patterns: int, substeps: int) -> Work | None:
-    """All substeps of a skin in one MuJoCo step; None where that is no dense product.
-
-    points: at which it takes pressure; patterns: of pressure in a step
-    """
-    if isinstance(stepper, ModalStepper):
-        shapes, modes, rows = len(stepper.body.shapes.sizes), stepper.order, stepper.state_rows
-        measured = points * stepper.body.compliance.shape[1]
-        dense = 2 * points * shapes + shapes * modes + measured
-        # Of modes that are coupled; it fits no multiprocessor's own memory, so that each substep reads it again
-        coupling = substeps * stepper.coupling.size
-        propagators = modes * (rows * rows + rows)
-        return Work(
-            single=patterns * dense + substeps * modes * patterns,
-            double=substeps * propagators + coupling,
-            bytes=SINGLE_BYTES * dense + DOUBLE_BYTES * (propagators + 2 * modes * rows + coupling),
-            kernels=4 * substeps if stepper.coupled else 0,
-        )
-    if isinstance(stepper, ReducedStepper):
-        size, forces = stepper.state_size, stepper.model.inputs.shape[1]
-        return Work(
-            single=patterns * points * forces,
-            double=substeps * size * (size + 2 * forces),
-            # So is this matrix
-            bytes=SINGLE_BYTES * points * forces + DOUBLE_BYTES * substeps * size * size,
-            kernels=substeps,
-        )
-    return None

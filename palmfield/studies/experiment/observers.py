@@ -16,7 +16,7 @@ from palmfield.perception.registry import ALL_OBSERVERS
 from palmfield.session.duration import step_count
 from palmfield.session.simulation import Simulation
 from palmfield.studies.experiment.design import Design
-from palmfield.studies.sweep.point import measured
+from palmfield.studies.sweeps.point import measured
 from palmfield.types import Float
 
 NAMES = ("keyboard", "simulated", "skin")

@@ -14,11 +14,11 @@ from palmfield.drive.limits import SoundLimits
 from palmfield.drive.playback import TimedFrame
 from palmfield.drive.player import Player
 from palmfield.errors import DeviceError, OutputError
-from palmfield.session.log_head import log_head
-from palmfield.session.play import scene_frames
+from palmfield.hardware.log_head import log_head
+from palmfield.hardware.play import scene_frames
+from palmfield.hardware.safety.exposure import check_head
+from palmfield.hardware.safety.scene_sound import scene_at_head
 from palmfield.session.preview import preview
-from palmfield.session.safety.exposure import check_head
-from palmfield.session.safety.scene_sound import scene_at_head
 
 LOG = logging.getLogger(__name__)
 Heard = Callable[[float], None]

@@ -13,7 +13,7 @@ from palmfield.config.driver import SAFETY_KEYS
 from palmfield.drive.ports import check_port
 from palmfield.drive.virtual import VirtualBoard
 from palmfield.errors import DeviceError, OutputError, PalmfieldError
-from palmfield.session.load import no_scene
+from palmfield.session.open_scene import no_scene
 from palmfield.session.preview import Preview, preview
 from palmfield.studies.experiment.design import Design, read_design
 from palmfield.studies.experiment.log import LogWriter, Trial, next_trial

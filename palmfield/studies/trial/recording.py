@@ -14,8 +14,8 @@ from typing import Any, Literal
 import numpy as np
 
 from palmfield.errors import SceneError, did_you_mean
+from palmfield.estimate.array_inputs import p0_band
 from palmfield.given_files import read_text
-from palmfield.session.array_inputs import p0_band
 from palmfield.studies.trial.felt import Felt
 from palmfield.studies.trial.field import Moment, TrueSound
 from palmfield.studies.trial.sending import Heard

@@ -18,13 +18,13 @@ from palmfield.drive.limits import SoundLimits
 from palmfield.drive.playback import frame_times
 from palmfield.drive.ports import check_port
 from palmfield.errors import DeviceError, OutputError
+from palmfield.hardware.log_head import log_head
+from palmfield.hardware.safety.exposure import check_head
+from palmfield.hardware.safety.scene_sound import scene_at_head
 from palmfield.interrupts import interrupts_held
 from palmfield.motion.tracking import write_stream
 from palmfield.outputs.trial_picture import draw_trial
-from palmfield.session.log_head import log_head
 from palmfield.session.preview import Preview, preview
-from palmfield.session.safety.exposure import check_head
-from palmfield.session.safety.scene_sound import scene_at_head
 from palmfield.simulation.emission import Emission
 from palmfield.simulation.frames import Frames
 from palmfield.simulation.model import HapticModel

@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from palmfield.estimate.sensation_levels import felt_levels
 from palmfield.outputs.felt import shown_level
 from palmfield.outputs.schema import Arrays, group
 from palmfield.perception import OBSERVERS
 from palmfield.perception.force_threshold import FORCE_OBSERVER
+from palmfield.session.recorded_run import recorder_of
 from palmfield.session.recorder import Recorder
-from palmfield.session.run import recorder_of
-from palmfield.session.sensation_levels import felt_levels
 from palmfield.session.simulation import Simulation
 from palmfield.stimulus.schedule import main_frequencies
 from palmfield.studies.view.messages import Level, Replay, SkinReplay

@@ -7,7 +7,7 @@ from typing import Any
 from palmfield.errors import OutputError
 from palmfield.outputs.store import Store, open_result, write_json
 from palmfield.outputs.summary import summary
-from palmfield.session.run import ending, known_before, recorder_of, result_attributes
+from palmfield.session.recorded_run import ending, known_before, recorder_of, result_attributes
 from palmfield.session.simulation import Simulation
 from palmfield.studies.view.messages import Replay
 from palmfield.studies.view.periods import Blocks, replay, steps_watched

@@ -13,7 +13,7 @@ from types import FrameType
 from palmfield.drive.exit_signals import handling
 from palmfield.errors import OutputError, PalmfieldError, SceneError
 from palmfield.session.changed_stimuli import change_stimuli
-from palmfield.session.load import FILES
+from palmfield.session.open_scene import FILES
 from palmfield.session.simulation import Simulation
 from palmfield.session.worlds import stimulus_texts
 from palmfield.studies.view.gate import is_loopback

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping
 
 from palmfield.config import StimulusConfig
-from palmfield.session.load import as_text
+from palmfield.session.open_scene import as_text
 from palmfield.simulation.spec import StimulusSpec
 from palmfield.studies.view.messages import Place, Slider
 

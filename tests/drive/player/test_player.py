@@ -15,7 +15,7 @@ from palmfield.drive.player import Player
 from palmfield.drive.player.report import PlayReport
 from palmfield.drive.virtual import VirtualBoard
 from palmfield.errors import DeviceError, OutputError
-from palmfield.session.play import check_log
+from palmfield.hardware.play import check_log
 
 BOARD = BOARDS["sonicsurface"]
 pytestmark = [pytest.mark.skipif(os.name != "posix", reason="the player needs POSIX"), pytest.mark.wall_clock]

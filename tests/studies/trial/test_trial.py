@@ -10,7 +10,7 @@ from palmfield.acoustics.arrays import layout
 from palmfield.acoustics.calibration_file import Calibration, Elements, write_calibration
 from palmfield.drive.boards import BOARDS
 from palmfield.drive.frame_log import read_log
-from palmfield.session.decode import decode
+from palmfield.hardware.decode import decode
 from palmfield.session.preview import preview
 from palmfield.studies.trial import Tracker, trial
 from palmfield.studies.trial.belief import Belief

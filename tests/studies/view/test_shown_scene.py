@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 import palmfield
+from palmfield.estimate.sensation_levels import contact_levels, vertex_areas
 from palmfield.outputs.pictures.draw import draw_pictures
 from palmfield.outputs.store import MemoryStore, open_result
 from palmfield.perception import ALL_OBSERVERS
 from palmfield.session.changed_stimuli import change_stimuli
-from palmfield.session.run import known_before, recorder_of, recover, result_attributes
-from palmfield.session.sensation_levels import contact_levels, vertex_areas
+from palmfield.session.recorded_run import known_before, recorder_of, recover, result_attributes
 from palmfield.session.worlds import stimulus_texts
 from palmfield.studies.view.hands import Offset
 from palmfield.studies.view.messages import Ask, Moment, Pace, Press, Replay, SceneShown, SetKey, Told, Turn, Values

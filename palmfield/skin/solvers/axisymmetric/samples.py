@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palmfield.skin.materials.material import stiffening
 from palmfield.skin.problem import Law, Slab, Spot, spread
 from palmfield.types import Float
 
@@ -60,7 +59,7 @@ def _speed(body: Slab, s: float) -> float:
     rate = 0.0
     for _ in range(4):
         modulus = sum(
-            share * sheet.material.shear_relaxed_Pa * abs(complex(stiffening(sheet.material, 1j * rate)))
+            share * sheet.material.shear_relaxed_Pa * abs(complex(sheet.material.stiffening(1j * rate)))
             for share, sheet in zip(shares, body.sheets, strict=True)
         )
         rate = math.sqrt(modulus / density) / s
@@ -76,8 +75,7 @@ def _own_frequency(body: Slab, s: float) -> float:
     h = body.thickness_m
     own = _speed(body, min(s, 2.0 * h / math.pi)) / (2.0 * math.pi * min(s, 2.0 * h / math.pi))
     for material in (sheet.material for sheet in body.sheets):
-        stiff = material.shear_instant_Pa / material.shear_relaxed_Pa if material.bulk_relaxes else 1.0
-        modulus = stiff * material.bulk_Pa + 4.0 / 3.0 * material.shear_instant_Pa
+        modulus = material.bulk_instant_Pa + 4.0 / 3.0 * material.shear_instant_Pa
         if (s / h) ** 2 > 0.1 * modulus / (3.0 * material.shear_instant_Pa):
             own = max(own, math.sqrt(modulus / material.density_kg_m3) / (4.0 * h))
     return own

@@ -222,8 +222,8 @@ def ringing(body: Slab, band_Hz: float) -> float:
     count = 0.0
     for sheet in body.sheets:
         material, turns = sheet.material, 2.0 * math.pi * band_Hz
-        if material.viscous_time_s > 0.0:
-            turns = min(turns, 1.0 / material.viscous_time_s)
+        if material.viscosity_Pa_s > 0.0:
+            turns = min(turns, 1.0 / material.relaxation.viscous_time_s)
         area = (body.radius_m or 0.0) * sheet.thickness_m
         count += area * turns**2 * material.density_kg_m3 / material.shear_instant_Pa / (2.0 * math.pi)
     return count

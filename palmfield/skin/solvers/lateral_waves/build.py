@@ -59,10 +59,11 @@ def refusal_lateral_waves(body: Body, load: Load) -> str | None:
     for material in (sheet.material for sheet in body.sheets):
         # Of a wave as short as the load's: how fast it stops, times how slowly it creeps
         rate = material.viscosity_Pa_s / material.density_kg_m3 * (SHORTEST / spread(load_width(load))) ** 2
-        if rate * material.viscous_time_s > MOST_RATES:
+        rate *= material.relaxation.viscous_time_s
+        if rate > MOST_RATES:
             return (
                 f"'{material.name}' has a viscosity of {material.viscosity_Pa_s:.3g} Pa s: waves would stop "
-                f"{rate * material.viscous_time_s:.2g} times as fast as they creep, at most {MOST_RATES:g} is solved: "
+                f"{rate:.2g} times as fast as they creep, at most {MOST_RATES:g} is solved: "
                 "use solver 'wedges'"
             )
     if isinstance(load, Spot):

@@ -58,7 +58,7 @@ def cost_lateral_waves(body: Body, load: Load, times: Float, at: Float, accuracy
         wavenumbers = k_end**2 * float(np.prod(body.size_m or (0.0,))) / (4.0 * np.pi)
         waves = 2.0 * wavenumbers
     degree = sum(resolution.degrees(body, 0.5 * k_end))
-    branches = max(len(sheet.material.branches) for sheet in body.sheets)
+    branches = max(len(sheet.material.relaxation.branches) for sheet in body.sheets)
     # Modes that matter for the face, seen in runs: they grow with the digits asked for and with waves in the depth
     digits = resolution.digits + 0.35
     poles = (2 + branches) * min(2.0 * degree, 4.0 * digits**2 + 0.2 * k_end * body.thickness_m)

@@ -131,12 +131,10 @@ def depth_problem(slab: Slab, k: float, degrees: tuple[int, ...]) -> DepthProble
         mass[np.ix_(places, places)] += material.density_kg_m3 * plain
         still, delayed = (spread(rows, places) for rows in _laws(material, dilation, turned))
         strain.append(still)
-        if material.viscous_time_s > 0.0:
-            viscous.append(math.sqrt(material.viscous_time_s) * delayed)
-        pairs = zip(material.ratios, material.times_s, strict=True)
-        branches = tuple((ratio, time) for ratio, time in pairs if ratio > 0.0 and time > 0.0)
-        if branches:
-            relaxing.append(Relaxing(delayed, branches))
+        if material.viscosity_Pa_s > 0.0:
+            viscous.append(math.sqrt(material.relaxation.viscous_time_s) * delayed)
+        if material.relaxation.active:
+            relaxing.append(Relaxing(delayed, material.relaxation.active))
     if isinstance(slab.base, Springs):
         rates = [slab.base.tangential_Pa_m, slab.base.normal_Pa_m]
         strain.append(spread(np.diag(np.sqrt(rates)), bottom))

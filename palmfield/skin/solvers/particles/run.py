@@ -51,7 +51,7 @@ class Particles:
         self.cloud, self.device, self.hourglass = cloud, resolve(device), hourglass
         self.step_s = step_s if step_s is not None else 1.0
         count, sites = len(cloud.points), len(cloud.owner)
-        branches = max(len(material.branches) for material in cloud.materials)
+        branches = max(len(material.relaxation.branches) for material in cloud.materials)
         table = branch_table(cloud.materials, branches, self.step_s, instant=step_s is None)
         self.sites = [
             self._ints(cloud.owner),
@@ -69,7 +69,7 @@ class Particles:
         self.shear = self._reals(np.array([m.shear_relaxed_Pa for m in cloud.materials]))
         self.bulk = self._reals(np.array([m.bulk_Pa for m in cloud.materials]))
         self.bulk_relaxes = self._ints(np.array([m.bulk_relaxes for m in cloud.materials]))
-        self.viscous = self._reals(np.array([m.viscous_time_s for m in cloud.materials]))
+        self.viscous = self._reals(np.array([m.relaxation.viscous_time_s for m in cloud.materials]))
         width = cloud.neighbour.shape[1]
         self.sums = [
             self._ints(cloud.site_start),
@@ -208,7 +208,7 @@ class Particles:
 
 def state_size(cloud: Cloud) -> int:
     """Numbers that carry particles through time: see `Particles.begin`."""
-    branches = max(len(material.branches) for material in cloud.materials)
+    branches = max(len(material.relaxation.branches) for material in cloud.materials)
     return len(cloud.points) * 3 * (3 + branches) + len(cloud.owner) * 6 * (1 + branches)
 
 
@@ -241,15 +241,12 @@ def branch_table(
     """
     table = np.zeros((4, len(materials), branches))
     for row, material in enumerate(materials):
-        for column, (ratio, time_s) in enumerate(zip(material.ratios, material.times_s, strict=True)):
-            if time_s == 0.0:
-                continue
-            if instant:
-                table[:, row, column] = ratio, 0.0, 0.0, 0.0
-                continue
-            x = step_s / time_s
-            fade, gain = math.exp(-x), -math.expm1(-x) / x
-            table[:, row, column] = ratio, fade, gain - fade, 1.0 - gain
+        for column, (ratio, time_s) in enumerate(material.relaxation.active):
+            table[0, row, column] = ratio
+            if not instant:
+                x = step_s / time_s
+                fade, gain = math.exp(-x), -math.expm1(-x) / x
+                table[1:, row, column] = fade, gain - fade, 1.0 - gain
     return table[0], table[1], table[2], table[3]
 
 
@@ -282,8 +279,8 @@ def likely_step(cloud: Cloud) -> float:
 def _largest(cloud: Cloud, hourglass: float, dashpots: bool) -> float:
     """Greatest eigenvalue of M^-1 K [1/s^2] or, of the dashpots alone, of M^-1 C [1/s], by Lanczos on the kernels."""
     body = Particles(cloud, "cpu", None, hourglass)
-    excess = np.array([sum(m.ratios[b] for b in range(len(m.branches)) if m.times_s[b] > 0.0) for m in cloud.materials])
-    viscous = np.array([m.viscous_time_s for m in cloud.materials])
+    excess = np.array([sum(ratio for ratio, _ in m.relaxation.active) for m in cloud.materials])
+    viscous = np.array([m.relaxation.viscous_time_s for m in cloud.materials])
     law = cloud.law[cloud.site_start[:-1]]
     scale = 1.0 / np.sqrt(cloud.mass)[:, None]
     # So small that the law is linear, so large that float32 has all its digits.

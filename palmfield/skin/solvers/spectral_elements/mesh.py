@@ -67,9 +67,7 @@ class Plan:
 
 def fast_speed(material: Material) -> float:
     """Speed of pressure waves at once [m/s]."""
-    stiff = material.shear_instant_Pa / material.shear_relaxed_Pa
-    bulk = material.bulk_Pa * (stiff if material.bulk_relaxes else 1.0)
-    return math.sqrt((bulk + 4.0 / 3.0 * material.shear_instant_Pa) / material.density_kg_m3)
+    return math.sqrt((material.bulk_instant_Pa + 4.0 / 3.0 * material.shear_instant_Pa) / material.density_kg_m3)
 
 
 def plan(

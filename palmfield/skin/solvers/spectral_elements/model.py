@@ -112,7 +112,7 @@ class Model:
         self.mass = np.bincount(
             solid.elements.ravel(), self.element_mass.ravel().astype(np.float64), minlength=len(solid.nodes)
         )
-        self.mixes = np.array([float(m.bulk_relaxes or not relaxes(m)) for m in self.materials])
+        self.mixes = np.array([float(m.bulk_relaxes or not m.relaxes) for m in self.materials])
         self.single = bool((self.mixes == 1.0).all())
         self.kernel = hexa.element_forces(solid.order, self.real, self.single, layout.gpu)
         self.force = wp.zeros((3, layout.count), dtype=self.real, device=device)
@@ -228,20 +228,15 @@ def reduced(values: Float, gll: Rule) -> Float:
     return values
 
 
-def relaxes(material: Material) -> bool:
-    return material.viscosity_Pa_s > 0.0 or material.shear_instant_Pa > material.shear_relaxed_Pa
-
-
 def stiffening_at(material: Material, step_s: float) -> float:
     """What multiplies G_r in the bound of the step: 1 + sum g tanh(x/2) / (x/2) + 2 t / h, x = h / tau.
 
     At step 0 the dashpot, without bound there, is left out.
     """
-    total = 1.0 + (2.0 * material.viscous_time_s / step_s if step_s > 0.0 else 0.0)
-    for ratio, time_s in zip(material.ratios, material.times_s, strict=True):
-        if time_s > 0.0:
-            half = 0.5 * step_s / time_s
-            total += ratio * (math.tanh(half) / half if half > 0.0 else 1.0)
+    total = 1.0 + (2.0 * material.relaxation.viscous_time_s / step_s if step_s > 0.0 else 0.0)
+    for ratio, time_s in material.relaxation.active:
+        half = 0.5 * step_s / time_s
+        total += ratio * (math.tanh(half) / half if half > 0.0 else 1.0)
     return total
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 
 from palmfield.errors import SceneError
-from palmfield.skin.materials.material import Material
+from palmfield.skin.materials.material import Material, Relaxation
 from palmfield.skin.solvers.spectral_elements.loads import Table
 from palmfield.skin.solvers.spectral_elements.model import Holds, Layout, Model
 from palmfield.skin.solvers.spectral_elements.solid import Solid, face_areas
@@ -52,21 +52,13 @@ def lane_rows(elements: Int, layout: Layout, lanes: int) -> tuple[Int, Int]:
     return starts, sources
 
 
-Law = tuple[tuple[tuple[float, float], ...], float]
-"""Ratio and time of each branch, and the dashpot's time."""
-
-
-def law_of(material: Material) -> Law:
-    return tuple(zip(material.ratios, material.times_s, strict=True)), material.viscous_time_s
-
-
-def copies_of(solid: Solid, materials: list[Material]) -> tuple[list[Law], Int, Int]:
+def copies_of(solid: Solid, materials: list[Material]) -> tuple[list[Relaxation], Int, Int]:
     """A node has a copy of what relaxes for every law that meets there; those of one node lie together.
 
     Returns the laws, node * laws + law of each copy, rising, and the copies of each element.
     """
-    laws = sorted({law_of(material) for material in materials})
-    law_of_sheet = np.array([laws.index(law_of(material)) for material in materials], dtype=np.int32)
+    laws = sorted({material.relaxation for material in materials})
+    law_of_sheet = np.array([laws.index(material.relaxation) for material in materials], dtype=np.int32)
     if len(laws) == 1:
         return laws, np.arange(len(solid.nodes), dtype=np.int32), solid.elements
     pairs = solid.elements.astype(np.int64) * len(laws) + law_of_sheet[solid.sheet][:, None]

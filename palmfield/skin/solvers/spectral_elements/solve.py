@@ -147,6 +147,14 @@ def cost_spectral_elements(
     return total * REPEATED[few or body.thickness_m < THIN * motion_width(body, load)]
 
 
+def prepared_spectral_elements(
+    body: Body, load: Load, times: Float, at: Float, accuracy: float
+) -> tuple[Body, dict[str, Any]]:
+    """The body with the bulk modulus that it takes, and what `solve_spectral_elements` takes up of that."""
+    softened = reduce_bulk_modulus(body, load, float(times[-1]), at, accuracy, None)
+    return softened[0], {"softened": softened}
+
+
 def finer_spectral_elements(body: Body, load: Load, at: Float, accuracy: float, miss: float, **last: Any) -> Any:
     """Order, width and depth of likely elements where the `last` ones, if not the first, missed by a factor `miss`."""
     finer = plan(body, load, at, accuracy, **last)
@@ -383,7 +391,7 @@ def likely_step(solid: Solid, sheets: tuple[Sheet, ...]) -> float:
         elastic = courant * float(spacing[solid.sheet == number].min()) / fast
         # A dashpot's force of half a step before: h^2 rate + 2 h t (its share of the rate) = 4
         speed = math.sqrt(material.shear_instant_Pa / material.density_kg_m3)
-        late = 4.0 / 3.0 * (speed / fast) ** 2 * material.viscous_time_s
+        late = 4.0 / 3.0 * (speed / fast) ** 2 * material.relaxation.viscous_time_s
         step = min(step, SAFETY * elastic**2 / (late + math.hypot(late, elastic)))
     return step
 

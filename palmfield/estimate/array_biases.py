@@ -1,0 +1,58 @@
+"""What arrays do that a run leaves out: they warm up, and don't follow their level. Where measured, by how much."""
+
+import math
+
+import numpy as np
+
+from palmfield.acoustics.calibration_file import Calibration
+from palmfield.drive.board import FULL
+from palmfield.estimate.bias import Bias
+from palmfield.simulation.model import HapticModel, array_instances
+from palmfield.types import Complex
+
+SETTLED = 0.01
+"""An amplitude within 1 % of that in the end has settled."""
+
+
+def array_biases(model: HapticModel, stimulus: int, drive: Complex) -> list[Bias]:
+    """Lines for the arrays of a stimulus. drive: of all transducers at the loudest moment, shape (N,)"""
+    instances = array_instances(model.spec)
+    known = [instances[number].calibration for number in model.stimuli[stimulus].spec.arrays]
+    level = float(np.abs(drive[model.stimuli[stimulus].transducers]).max(initial=0.0))
+    return [
+        _warm_up(known),
+        *_level(known, level),
+        Bias("coupling of transducers", None, None, "each sounds as if alone: either way"),
+    ]
+
+
+def _warm_up(known: list[Calibration | None]) -> Bias:
+    measured = [one.warm_up for one in known if one is not None and one.warm_up is not None]
+    if not measured or len(measured) < len(known):
+        why = "resonance and level drift over minutes: usually less sound than at the start"
+        return Bias("warm-up", None, None, f"{why}; no calibration has it")
+    starts = [(1.0 + one.drop) ** 2 - 1.0 for one in measured]
+    settled_s = max(one.time_s * max(math.log(max(abs(one.drop), SETTLED) / SETTLED), 0.0) for one in measured)
+    drops = " and ".join(f"{100 * one.drop:+.1f}" for one in measured)
+    why = f"measured: the pressure begins {drops} % from that in the end, and is within 1 % after {settled_s:.0f} s"
+    return Bias("warm-up", min(0.0, *starts), max(0.0, *starts), why)
+
+
+def _level(known: list[Calibration | None], level: float) -> list[Bias]:
+    """p = p0 a^exponent, where a run has p0 a."""
+    measured = [one.level for one in known if one is not None and one.level is not None]
+    if not measured or level == 0.0:
+        return []
+    beyond = [one.linear_to for one in measured if level > FULL * one.linear_to]
+    if beyond:
+        end = min(beyond)
+        why = f"measured: beyond level {end:.2g} more than 5 % of the pressure is missing, and this is {level:.2g}"
+        return [Bias("saturation of the drive", None, None, why)]
+    ends = [
+        level ** (2.0 * (one.exponent + side * 1.96 * one.exponent_sd - 1.0)) - 1.0
+        for one in measured
+        for side in (-1, 1)
+    ]
+    exponents = " and ".join(f"{one.exponent:.3f}" for one in measured)
+    why = f"measured: pressure goes with the level to the power {exponents}, and the loudest level is {level:.2g}"
+    return [Bias("level of the drive", min(0.0, *ends), max(0.0, *ends), why)]

@@ -1,0 +1,310 @@
+"""What a scene leaves out, as estimated bias of its skins' motion: which way, and by how much where that is known."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from palmfield.acoustics.air import sound_speed
+from palmfield.acoustics.echo import REST
+from palmfield.acoustics.nonlinear import beams, fundamental_left, steepening
+from palmfield.acoustics.phased_array import PhasedArray
+from palmfield.acoustics.streaming import Wind, wind
+from palmfield.acoustics.validity import least_radius_m
+from palmfield.config.skin import OF_SHAPES
+from palmfield.drive.response_error import changes_of_motion
+from palmfield.estimate.array_biases import array_biases
+from palmfield.estimate.array_inputs import qualities
+from palmfield.estimate.bias import Bias
+from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
+from palmfield.simulation.posed_scene import PosedScene
+from palmfield.stimulus.schedule import main_frequencies
+from palmfield.types import Complex, Float
+
+HANDS = (*OF_SHAPES["hand"], "rigged")
+"""Shapes that are hands: what was measured on these is told of no other."""
+FEW_WAVELENGTHS = 2.0
+"""Radius of curvature in wavelengths below which a wall is not locally flat for the sound."""
+TURNED, CURVED, OPEN_HAND = 0.60, 0.16, 0.04
+"""Error of the local law on skin that is turned away, on less than that radius or in a cup, and on an open hand, of the
+ARP face by face (docs/bench/scattering.md)."""
+AROUND = 0.7
+"""Of the largest ARP on a body of that radius between boards, round which sound of the one behind it bends (0.62 on a
+finger of 12 mm with the focus at its side)."""
+TURNED_FROM_DEG = 45.0
+"""Angle from which the first is told; it was found at 60 degrees, the others near 0."""
+BENDING = ("articulated", "rigged")
+"""Shapes of hands that may bend into a cup."""
+FACE_BY_FACE = (
+    "face by face 4 % of the ARP on an open hand, 8 % on a finger, 16 % in a cup, more than half on skin turned away "
+    "(docs/bench/scattering.md)"
+)
+ROUND_BODY = 0.2
+"""Worst error of |p|^2 behind a rod, of the free focus's, against boundary elements (docs/bench/shadows.md)."""
+TILTED_DEG = 5.0
+"""Tilt of a disc from which its echo returns beside the place: it is told of no band then."""
+SHARPENS = 0.9
+"""sigma from which a focus's ARP grows by more than its line loses, as the KZK equation has it."""
+ECHO = "echo between body and array"
+ROUND_TRIPS = 8
+"""Of sound between a plate and the array that a band is made of: what comes later is a tenth of it or less."""
+NEAR_M = 6e-3
+"""Half of a focus: the skin's curvature is looked at so far round it [m]."""
+
+
+def biases(
+    model: HapticModel,
+    skin: int,
+    stimulus: int,
+    posed: PosedScene,
+    drive: Complex,
+    focus: Float,
+    highest: tuple[Float, Float],
+) -> list[Bias]:
+    """What is left out of a skin's motion.
+
+    stimulus: number of the one that the skin is made for; drive: of all transducers, shape (N,)
+    focus: that stimulus's point, of several the nearest to the skin; array frame [m], shape (3,)
+    highest: where the ARP on the skin is highest, and the outward normal there; array frame, shapes (3,)
+    """
+    part = model.stimuli[stimulus]
+    return [
+        *response_biases(part, model.skins[skin]),
+        *_along_beams(posed, part, drive, focus, highest),
+        *_scattered(model, skin, posed, drive, focus, highest),
+        *_shadows(model, skin),
+        *_echo(model, skin, stimulus, posed, drive, highest),
+        *array_biases(model, stimulus, drive),
+        *_linear(model.skins[skin]),
+    ]
+
+
+def _linear(skin: SkinModel) -> list[Bias]:
+    """Particles are followed wherever they go; elements are not."""
+    if skin.choice.name == "particles":
+        return []
+    return [Bias("large strain", None, None, "linear elasticity: less, where skin stiffens at strains above some 10 %")]
+
+
+def response_biases(stimulus: StimulusModel, skin: SkinModel) -> list[Bias]:
+    """What ring-up and flight times that are left out do to a skin's displacement.
+
+    Of a focus at rest, what they do to an oscillator: one of the main frequency, or of the highest that the layer is
+    made for, whichever changes more, as the skin answers at several at once. Of a moving one, the whole of the
+    pressure's error, twice, and no more than all of it: ARP goes with its square, and sound that comes late or spread
+    is never more than sound at once.
+    """
+    response, result, own = stimulus.response, [], qualities(stimulus)
+    demand = skin.layer.demand
+    frequencies = sorted({demand.main_frequency_Hz, demand.max_frequency_Hz})
+    which, still = " and ".join(f"{f:.3g}" for f in frequencies), stimulus.config.path == "point"
+    changes = tuple(max(-1.0, -2.0 * error.rms) for error in (response.ring_up, response.flight_time))
+    if still:
+        slowest = min(np.broadcast_to(response.pole.rate, response.delays_s.shape)[stimulus.transducers], key=np.real)
+        found = [changes_of_motion(stimulus.config, complex(slowest), response.spread_s, f) for f in frequencies]
+        changes = tuple(max(of, key=abs) for of in zip(*found, strict=True))
+    for what, there, error, change in (
+        ("transducers' ring-up", response.on, response.ring_up, changes[0]),
+        ("spread of the flight time", response.delayed, response.flight_time, changes[1]),
+    ):
+        if not there:
+            why = f"{error} of the pressure, measured on samples of the drive, {own}; "
+            why += f"felt by oscillators of {which} Hz" if still else "the ARP has its square"
+            result.append(Bias(what, min(change, 0.0), max(change, 0.0), why))
+    return result
+
+
+def _along_beams(
+    posed: PosedScene, stimulus: StimulusModel, drive: Complex, focus: Float, highest: tuple[Float, Float]
+) -> list[Bias]:
+    """Of beams in front of the skin as far as it, be the focus before or behind it: nonlinear sound and wind."""
+    arrays, frequency = posed.arrays, posed.arrays.array.frequency_Hz
+    own, point = np.zeros_like(drive), highest[0]
+    own[stimulus.transducers] = drive[stimulus.transducers]
+    front = np.where((arrays.array.positions - point) @ highest[1] > 0.0, own, 0.0)
+    own = front if front.any() else own
+    found = beams(arrays.array, own, focus, arrays.air, until=point)
+    sigma = max((steepening(pressures, step_m, arrays.air, frequency) for step_m, pressures in found), default=0.0)
+    winds = [wind(step_m, pressures, arrays.air, frequency) for step_m, pressures in found]
+    ends = [abs(pressures[-1]) ** 2 / arrays.impedance for _, pressures in found]
+    whole = abs(arrays.pressure64(point[None], own)[0]) ** 2 / arrays.impedance
+    return [_nonlinear(sigma, winds), _streaming(winds, ends, whole)]
+
+
+def _nonlinear(sigma: float, winds: Sequence[Wind]) -> Bias:
+    """On its axis alone a beam is as loud as sigma says: of a Gaussian section half of a plane wave's line is lost.
+
+    All of it arrives in harmonics, with the same force but for what they and a shock leave in the air, on a spot that
+    is the narrower the higher they are: the ARP in its middle grows by as much. The KZK equation says so, too, up to
+    sigma 1.3 (tests/acoustics/test_focused_beam.py).
+    """
+    moved = (1.0 - fundamental_left(sigma) ** 2) / 2.0
+    # Of a Gaussian spot in whose middle harmonics have twice that share, and fall off with its square
+    narrower = 100.0 * moved / (2.0 * math.log(2.0))
+    why = (
+        f"sigma {sigma:.2f} along the beam to the skin: a microphone reads a 40 kHz line that is some "
+        f"{50.0 * moved:.2g} % weaker, but its harmonics press as well, on a spot that is narrower by up to "
+        f"{narrower:.2g} % and has more ARP in its middle; less is what air and, beyond sigma 1, a shock take of them"
+    )
+    low = -max((one.harmonics for one in winds), default=0.0)
+    return Bias("nonlinear sound", max(low, -1.0), moved * min(max(1.0, (sigma / SHARPENS) ** 2), 2.0), why)
+
+
+def _streaming(winds: Sequence[Wind], ends: Sequence[float], whole: float) -> Bias:
+    """The wind at most: it presses less than the sound does in its spot, and on more of the skin.
+
+    What a spot of pressure p and force F does to deep skin goes with sqrt(p F), as its radius does with sqrt(F/p).
+
+    ends: ARP of each beam alone where it ends; whole: of all of them on the skin [Pa]
+    """
+    if not winds or whole == 0.0:
+        return Bias("streaming", None, None, "no beam reaches the skin of which a wind could be estimated")
+    pushes = [math.sqrt(one.pressure_Pa * one.force * end) for one, end in zip(winds, ends, strict=True)]
+    fastest = max(winds, key=lambda one: one.speed_m_s)
+    why = (
+        f"a wind, without viscosity of {fastest.speed_m_s:.2g} m/s: it presses by {fastest.pressure_Pa:.2g} Pa where "
+        f"the skin stops it, with {100.0 * fastest.force:.2g} % of the sound's force, and moves skin at rest by at "
+        f"most so much more. It builds up in some {fastest.time_s:.1g} s, so that modulation and moving foci leave "
+        "its mean alone; it cools"
+    )
+    return Bias("streaming", 0.0, float(sum(pushes) / whole), why)
+
+
+def _scattered(
+    model: HapticModel, skin: int, posed: PosedScene, drive: Complex, focus: Float, highest: tuple[Float, Float]
+) -> list[Bias]:
+    """The law takes the wall as flat and rigid."""
+    part = model.skins[skin]
+    if part.spec.config.body_sound == "scattering":
+        return []
+    if part.carrier.surface is None:
+        why = "the law takes the wall as flat and rigid, as this face is; left out is diffraction at its rim"
+        return [Bias("scattered sound", None, None, why)]
+    place = posed.skins[skin]
+    length = sound_speed(posed.arrays.air) / posed.arrays.array.frequency_Hz
+    radius = least_radius_m(place.nodes[0], focus, NEAR_M)
+    if radius is None:
+        return [Bias("scattered sound", None, None, "no focus is near the skin, so that no curvature is there to tell")]
+    turned, behind = _turned_deg(posed, drive, *highest)
+    curved = radius < FEW_WAVELENGTHS * length or part.spec.config.shape in BENDING
+    size = TURNED if turned > TURNED_FROM_DEG else CURVED if curved else OPEN_HAND
+    around = behind > 0.0 and radius < FEW_WAVELENGTHS * length
+    size = AROUND if around else size
+    why = (
+        f"least radius of curvature under the focus {1e3 * radius:.0f} mm, {radius / length:.1f} wavelengths; the "
+        f"local law holds from {FEW_WAVELENGTHS:g}; where the ARP is highest the skin is turned by {turned:.0f} "
+        f"degrees from the sound; {_measured(part)}{'; sound from behind bends round it' if around else ''}. "
+        "body_sound scattering computes it"
+    )
+    return [Bias("scattered sound", -size, size, why)]
+
+
+def _turned_deg(posed: PosedScene, drive: Complex, point: Float, outward: Float) -> tuple[float, float]:
+    """Between a skin's outward normal and the way back to the middle of the transducers that sound [degrees], of those
+    in front of it where there are any; and what share of the drive is behind it then."""
+    loud, ways = np.abs(drive), posed.arrays.array.positions - point
+    front = np.where(ways @ outward > 0.0, loud, 0.0)
+    used = front if front.any() else loud
+    whole = max(float(used.sum()), 1e-300)
+    back = used @ ways / whole
+    angle = math.degrees(math.acos(max(-1.0, min(1.0, float(outward @ back / np.linalg.norm(back))))))
+    return angle, 1.0 - whole / max(float(loud.sum()), 1e-300)
+
+
+def _measured(skin: SkinModel) -> str:
+    """How far off the law was on hands; of another body nothing is known but its curvature."""
+    if skin.spec.config.shape in HANDS:
+        return FACE_BY_FACE
+    return "the figure is that of hands as curved and as turned (docs/bench/scattering.md)"
+
+
+def _shadows(model: HapticModel, skin: int) -> list[Bias]:
+    """What stands in the way of the sound, and the edges of what does."""
+    part, bodies = model.skins[skin], len(model.bodies)
+    config = part.spec.config
+    if config.body_sound == "none":
+        if part.carrier.surface is None and bodies == 1:
+            return [Bias("cast shadows", 0.0, 0.0, "a flat face casts none on itself")]
+        why = "one part of the body does not shade another" + (", nor one body another" if bodies > 1 else "")
+        if config.shape in HANDS:
+            why += "; nothing on an open hand, all of the sound behind a finger"
+        return [Bias("cast shadows", None, None, f"{why}. body_sound shadows computes them")]
+    if config.body_sound == "shadows" and config.shadow_edges == "rays":
+        why = (
+            "at the edge of a shadow |p|^2 is off by up to three quarters of the free focus, either way, and elsewhere "
+        )
+        why += "by nothing (docs/bench/shadows.md). shadow_edges knife_edge bends the sound"
+        return [Bias("sound bent round edges", None, None, why)]
+    if config.body_sound == "shadows":
+        why = (
+            "a screen in a body's outline stands for the body: 10 to 20 mm behind a rod 16 mm thick |p|^2 is off by up "
+            "to a fifth of the free focus, either way, and by a fiftieth rms; nothing where all transducers are seen "
+            "(docs/bench/shadows.md). body_sound scattering computes it"
+        )
+        return [
+            Bias("round bodies taken as screens", -ROUND_BODY, ROUND_BODY, why),
+            Bias("echoes of what casts shadows", None, None, "sound that comes back from it onto skin that is near it"),
+        ]
+    return []
+
+
+def _echo(
+    model: HapticModel,
+    skin: int,
+    stimulus: int,
+    posed: PosedScene,
+    drive: Complex,
+    highest: tuple[Float, Float],
+) -> list[Bias]:
+    """Sound that a flat body returns to a rigid face comes again as from three times the distance, from five ..."""
+    if model.skins[skin].carrier.surface is not None:
+        return [Bias(ECHO, None, None, "either way; less than on a flat plate")]
+    arrays, (point, outward) = posed.arrays, highest
+    normal = arrays.facing[:, 0] / np.linalg.norm(arrays.facing[:, 0])
+    if (arrays.array.normals @ normal).min() < math.cos(math.radians(TILTED_DEG)):
+        why = "either way; the transducers face in several directions, so that no plane returns it"
+        return [Bias(ECHO, None, None, why)]
+    tilt_deg = math.degrees(math.acos(max(-1.0, min(1.0, float(-outward @ normal)))))
+    if tilt_deg > TILTED_DEG:
+        why = f"either way; the disc is tilted by {tilt_deg:.0f} degrees, so that its echo returns beside the place"
+        return [Bias(ECHO, None, None, why)]
+    height = float(point @ normal - arrays.heights[0])
+    trips = np.arange(ROUND_TRIPS + 1)
+    sounds = np.abs(arrays.pressure64(point + 2.0 * height * trips[:, None] * normal, drive))
+    shares = sounds[1:] / sounds[0] if sounds[0] > 0.0 else np.zeros(ROUND_TRIPS)
+    if arrays.wall_m is not None:
+        return _echo_computed(model.stimuli[stimulus], arrays, drive, point, shares)
+    together = float(shares.sum())
+    why = (
+        f"an endless flat plate at {1e3 * height:.0f} mm, where the disc is, and a rigid array face return "
+        f"{100 * shares[0]:.1f} % of the pressure after one round trip and {100 * together:.1f} % after {ROUND_TRIPS}, "
+        "which add or cancel as the distance changes by a quarter of a wavelength; less on a narrow disc, nothing if "
+        "the face absorbs. array_face rigid computes it"
+    )
+    return [Bias(ECHO, (1.0 - min(together, 1.0)) ** 2 - 1.0, (1.0 + together) ** 2 - 1.0, why)]
+
+
+def _echo_computed(
+    stimulus: StimulusModel, arrays: PhasedArray, drive: Complex, point: Float, shares: Float
+) -> list[Bias]:
+    """What is not computed of the echo. shares: of its pressure after 1, 2 ... round trips, over the direct sound's"""
+    assert arrays.wall_m is not None
+    alone, whole = (abs(of(point[None], drive)[0]) ** 2 for of in (arrays.pressure64, arrays.with_echoes64))
+    change = float(alone / whole) - 1.0 if whole > 0.0 else 0.0
+    rims = (
+        "echoes are those of endless planes: less comes back from a disc or a board that ends, so that the truth lies "
+        f"between them and none; after {len(arrays.images) // len(arrays.groups)} round trips less than "
+        f"{100 * REST:g} % of the pressure is left"
+    )
+    trip_s = 2.0 * arrays.wall_m / sound_speed(arrays.air)
+    fastest_Hz = max(main_frequencies(stimulus.config), default=0.0)
+    turned = np.minimum(2.0, 2.0 * np.pi * fastest_Hz * trip_s * np.arange(1, ROUND_TRIPS + 1))
+    late = 2.0 * float(shares @ turned)
+    why = (
+        f"{1e3 * trip_s:.2f} ms a round trip, computed as if at once: nothing while the sound keeps still, here the "
+        f"change of a drive of {fastest_Hz:.3g} Hz"
+    )
+    return [
+        Bias("rims that end the echo", min(change, 0.0), max(change, 0.0), rims),
+        Bias("delay of the echo", -late, late, why),
+    ]

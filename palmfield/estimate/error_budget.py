@@ -1,0 +1,143 @@
+"""How far a run's motion of the skin can be trusted: numerical errors, what was left out, and what the inputs leave.
+
+All parts are of one quantity, the skin's response under the focus to the sound of the loudest moment: how far it would
+move there at rest and at the main frequency. It stands for the displacement that a run shows, which has its peak at
+another moment and perhaps beside that point. They are of different kinds and are never added up into one number.
+"""
+
+import math
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from palmfield.estimate.array_inputs import p0_band_at, p0_known, quality_known, stimulus_of
+from palmfield.estimate.biases import biases
+from palmfield.estimate.numerical_error import Course, error_estimate
+from palmfield.estimate.numerics.depth_band import depth_band
+from palmfield.session.loudest_moment import LoudestMoment, loudest_place, nearest_focus, place_under_focus
+from palmfield.simulation.model import HapticModel
+from palmfield.simulation.radiation import Radiation
+from palmfield.stimulus.schedule import frame_at
+from palmfield.types import Float
+
+QUANTITY = (
+    "amplitude of the skin's displacement at its point nearest to the focus, at rest and at the main frequency, under "
+    "the sound of the run's loudest moment; relative to its size"
+)
+LOUDEST_POINTS = 64
+"""Points of the skin at which the field is computed once more in double precision."""
+DEPTH = "depth to the bone"
+SOURCES = ("mesh", "step", "reduction", "edge", "field")
+"""Of the numerical error: each has its number under `SOURCE_error_relative`."""
+
+
+def error_budget(
+    model: HapticModel,
+    skin: int,
+    loudest: LoudestMoment,
+    radiation: Radiation,
+    course: Course,
+) -> dict[str, Any]:
+    """The budget of a skin's motion, as plain JSON; arguments as `palmfield.estimate.numerical_error.error_estimate`.
+
+    quantity: what all of it is relative to
+    numerical: SOURCE_error_relative for each of SOURCES, displacement_error_relative of all of them together, and what
+        the numerical estimate has besides
+    left_out: a list of what, low, high (true less computed, over computed; None where not estimated) and why
+    inputs: a list of what, low, high (factors on the displacement; None where not estimated), kind and why
+    Raises SceneError as `error_estimate`.
+    """
+    estimate = error_estimate(model, skin, loudest, radiation, course)
+    band = estimate.pop("material_band_low", None), estimate.pop("material_band_high", None)
+    estimate["field_error_relative"] = field_error(model, skin, loudest, radiation)
+    estimate["displacement_error_relative"] = math.hypot(*(estimate[f"{name}_error_relative"] for name in SOURCES))
+    stimulus = stimulus_of(model, skin)
+    places = loudest.posed.focal_points(model.stimuli[stimulus], stimulus)
+    foci = places.at(frame_at(model.stimuli[stimulus].config, loudest.time_s).focus)
+    focus = nearest_focus(foci, loudest.posed.skins[skin].nodes[0])
+    highest = loudest_place(loudest.posed, skin, radiation, loudest.drive)
+    found = biases(model, skin, stimulus, loudest.posed, loudest.drive, focus, highest)
+    return {
+        "quantity": QUANTITY,
+        "numerical": estimate,
+        "left_out": [asdict(bias) for bias in found],
+        "inputs": [
+            *_level(model, stimulus, loudest, highest[0]),
+            _material(model, skin, band),
+            *_depth(model, skin, place_under_focus(model, skin, loudest)),
+            *_unknown_inputs(model, skin, stimulus),
+        ],
+    }
+
+
+def field_error(model: HapticModel, skin: int, loudest: LoudestMoment, radiation: Radiation) -> float:
+    """Error that the field's precision leaves in the ARP where it is highest on a skin, relative.
+
+    Against a sum in double precision at LOUDEST_POINTS points; the ARP goes with the pressure's square.
+    """
+    posed = loudest.posed
+    loads = radiation.on(posed, skin, "quadrature", loudest.drive).arp
+    points = posed.skins[skin].quadrature[0][np.argsort(loads)[-LOUDEST_POINTS:]]
+    exact = posed.arrays.with_echoes64(points, loudest.drive)
+    fast = posed.arrays.field.pressure(points, loudest.drive).pressure
+    largest = float(np.abs(exact).max())
+    return 2.0 * float(np.abs(fast - exact).max()) / largest if largest > 0.0 else 0.0
+
+
+def _level(model: HapticModel, nearest: int, loudest: LoudestMoment, point: Float) -> list[dict[str, Any]]:
+    """p0 of the arrays that sound at the loudest moment. nearest: the stimulus that the skin is made for"""
+    band = p0_band_at(model, loudest.posed.arrays, loudest.drive, point)
+    sounding = [
+        number for number, stimulus in enumerate(model.stimuli) if np.any(loudest.drive[stimulus.transducers])
+    ] or [nearest]
+    known = list(dict.fromkeys(p0 for number in sounding for p0 in p0_known(model, number)))
+    kinds = " and ".join(dict.fromkeys(p0.kind for p0 in known))
+    if band is None:
+        why = "arp_peak_Pa sets the level"
+        return [{"what": "p0", "low": 1.0, "high": 1.0, "kind": kinds, "why": why}]
+    given = [model.stimuli[number].config.arp_peak_Pa is not None for number in sounding]
+    law = "where the ARP is highest, of all stimuli together; those with arp_peak_Pa keep theirs" if any(given) else ""
+    why = "; ".join(f"{p0.value:g} Pa m ({p0.low:g} to {p0.high:g}): {p0.source}" for p0 in known)
+    why = f"{law or 'exactly its square'}; {why}"
+    return [{"what": "p0", "low": band[0], "high": band[1], "kind": kinds, "why": why}]
+
+
+def _material(model: HapticModel, skin: int, band: tuple[float | None, float | None]) -> dict[str, Any]:
+    config = model.skins[skin].spec.config
+    names = ", ".join(config.materials or (config.material,))
+    why = f"{names}: no range is known of the numbers that the scene sets"
+    if band[0] is not None:
+        why = f"{names}: all moduli at the ends of their ranges at once, softest and stiffest; correlation is ignored"
+    return {"what": "material", "low": band[0], "high": band[1], "kind": "inferred", "why": why}
+
+
+def _depth(model: HapticModel, skin: int, point: Float) -> list[dict[str, Any]]:
+    """The depth to the bone under a point of the resting skin, body frame [m], shape (3,); nothing of a disc."""
+    part = model.skins[skin]
+    if part.carrier.surface is None:
+        return []
+    band = depth_band(part.layer, point)
+    if band is None:
+        config = part.spec.config
+        why = f"at most {1e3 * config.depth_m:g} mm by key depth_m, on base {config.base}; no range is known"
+        return [{"what": DEPTH, "low": None, "high": None, "kind": "assumed", "why": why}]
+    own, least, most = (1e3 * depth for depth in (band.own_m, band.least_m, band.most_m))
+    why = f"{own:.2g} mm under the focus, {least:.2g} to {most:.2g} mm on such places of people; exact for a flat layer"
+    return [{"what": DEPTH, "low": band.low, "high": band.high, "kind": "inferred", "why": why}]
+
+
+def _unknown_inputs(model: HapticModel, skin: int, stimulus: int) -> list[dict[str, Any]]:
+    """What else goes in and isn't carried through."""
+    inputs = []
+    part = model.skins[skin]
+    if part.spec.config.arp_law == "alpha":
+        alpha = 2.0 * part.spec.arp_law.pressure
+        key = "arp_law" if part.spec.config.arp_alpha is None else "arp_alpha"
+        why = f"{alpha:g} by key {key}; allowed: 1 to 2, and the ARP on the skin is in proportion to it"
+        inputs.append(("alpha of the ARP", "assumed", why))
+    known = quality_known(model, stimulus)
+    kinds = " and ".join(dict.fromkeys(one.kind for one in known))
+    ranges = "; ".join(f"{one.value:g} ({one.low:g} to {one.high:g}): {one.source}" for one in known)
+    inputs.append(("quality of the transducers", kinds, f"{ranges}; it shapes onsets and fast modulation"))
+    return [{"what": what, "low": None, "high": None, "kind": kind, "why": why} for what, kind, why in inputs]

@@ -1,0 +1,52 @@
+"""What other cut faces and other materials change of a skin's response, on the same mesh."""
+
+from collections.abc import Sequence
+from typing import TypeAlias
+
+from palmfield.estimate.numerics.loudest_sound import LoudestSound
+from palmfield.estimate.numerics.point_response import Response
+from palmfield.skin.problem import Sheet
+from palmfield.skin.scene_layer import SceneLayer
+from palmfield.types import Float
+
+Ends: TypeAlias = tuple[tuple[Sheet, ...], tuple[Sheet, ...]]
+"""A layer's sheets with the ranges of their materials at the low ends, and at the high ends."""
+
+
+def other_sides(layer: SceneLayer, sound: LoudestSound, point: Float) -> list[Response]:
+    """The layer with other cut faces; nothing for a disc, whose side is its own."""
+    if layer.config.shape == "disc":
+        return []
+    other = layer.resized(layer.resizing, side="free" if layer.config.side == "fixed" else "fixed")
+    return [Response(other, sound.on(other), point)]
+
+
+def held_anywhere(cut: Sequence[Response]) -> list[Response]:
+    """Those that rest anywhere: a layer that nothing holds, neither base nor side, flies away under a steady load."""
+    return [other for other in cut if other.layer.config.base != "free" or other.layer.config.side == "fixed"]
+
+
+def edge_error(own: Response, cut: Sequence[Response]) -> float:
+    """Half of what other cut faces change of a layer's displacement at rest or of its harmonic one, the larger.
+
+    All of it where at rest nothing else holds the layer.
+    """
+    held = held_anywhere(cut)
+    if len(held) < len(cut):
+        return 1.0
+    changes = [abs(other.harmonic - own.harmonic) / abs(own.harmonic) for other in cut]
+    changes += [abs(other.static - own.static) / abs(own.static) for other in held]
+    return 0.5 * max(changes, default=0.0)
+
+
+def other_materials(own: Response, ends: Ends | None) -> list[Response]:
+    """A response with the ranges of the layer's materials at the soft and at the stiff ends; nothing without any."""
+    return [own.of(own.layer.resized(own.layer.resizing, sheets=sheets)) for sheets in ends or ()]
+
+
+def material_band(own: Response, ends: Sequence[Response]) -> dict[str, float]:
+    """By how much softer and stiffer materials change the displacement, static and harmonic together, as factors."""
+    if not ends:
+        return {}
+    factors = [(abs(other.static) + abs(other.harmonic)) / (abs(own.static) + abs(own.harmonic)) for other in ends]
+    return {"material_band_low": min(1.0, *factors), "material_band_high": max(1.0, *factors)}

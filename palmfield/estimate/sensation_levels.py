@@ -1,0 +1,232 @@
+"""Level above threshold of a run, by observer: of the sound's force on the palm, and of the skin's motion.
+
+Each observer has its level, a line that says why it applies or is refused, and its own spread.
+"""
+
+import math
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from palmfield.estimate.array_inputs import stimulus_of
+from palmfield.hand.articulated import articulate
+from palmfield.hand.labels import PALM_AREAS, region_labels
+from palmfield.hand.preset import load_preset
+from palmfield.hand.surface import hand_surface
+from palmfield.hand.triangles import face_normals
+from palmfield.perception.force_threshold import FORCE_OBSERVER, force_level_dB_SL, force_near_peak_N, why_refused
+from palmfield.perception.maps import felt_lines, lines_in, lines_of, wanted_s
+from palmfield.perception.observers import OBSERVERS, Observer, level_dB_SL, line_amplitudes, threshold_m
+from palmfield.session.loudest_moment import LoudestMoment
+from palmfield.simulation.model import HapticModel
+from palmfield.simulation.posed_scene import PosedScene
+from palmfield.simulation.radiation import Radiation
+from palmfield.stimulus.schedule import main_frequencies, steady_stretch_s
+from palmfield.types import Float, Int
+
+MOVED_SHARE = 0.5
+"""Of the largest weighted amplitude on the skin: where it is exceeded the skin counts as moved, for area summation."""
+CLOCK_S = 1e-9
+"""By which a record may miss a moment of the schedule and yet count as there."""
+STILL_m = 1e-3
+"""A skin of which a point is further than this from its reference pose is not at rest."""
+
+
+def felt_levels(
+    model: HapticModel,
+    skin: int,
+    loudest: LoudestMoment | None,
+    radiation: Radiation,
+    reference: PosedScene,
+    times: Float,
+    normal: Float,
+    arp_peaks: Float,
+    *,
+    begun_s: float = 0.0,
+) -> dict[str, Any]:
+    """Levels of one skin by all observers, units in the names: of contact ones as `contact_levels`, and of the force.
+
+    loudest: of the run on the skin, None in silence; radiation: of the model; reference: everything in its reference
+    pose; times: from the run's start, evenly spaced [s], shape (t,)
+    normal: displacement along the outward normal [m], shape (t, S); arp_peaks: highest ARP on the skin [Pa], shape (t,)
+    begun_s: MuJoCo's clock at the run's start [s], by which stimuli start and stop
+    Lines are those of the stretch between ramp and silence (`steady_stretch_s`): what is silent has no level.
+    Of the force observer `level_NAME_why` alone where it is refused; else also force_line_N (peak amplitude at the
+    main frequency) and force_mean_N, both on force_area_m2 round the highest ARP. All observers are refused where no
+    sound pushes the skin, where the stretch is shorter than two periods of the main frequency, and where the load does
+    not repeat, which has no main frequency.
+    """
+    config = model.stimuli[stimulus_of(model, skin)].config
+    main = main_frequencies(config)
+    if not main:
+        return _all_refused(None, "the load does not repeat, and levels are those of a periodic motion")
+    if loudest is None:
+        return _all_refused(main[0], "no sound pushes this skin")
+    loudest_Pa = float(arp_peaks.max())
+    begin, end = steady_stretch_s(config)
+    steady = slice(*np.searchsorted(begun_s + times, [begin - CLOCK_S, end + CLOCK_S]))
+    times, normal, arp_peaks = times[steady], normal[steady], arp_peaks[steady]
+    frequencies = felt_lines(times, config)
+    vertices, faces = model.skins[skin].nodes[0], model.skins[skin].faces
+    motion = contact_levels(times, normal, frequencies, vertex_areas(vertices, faces))
+    name = FORCE_OBSERVER.name
+    refusal = _refused(model, skin, loudest, radiation, reference)
+    if not motion:
+        lasts_ms = 1e3 * float(np.ptp(times)) if len(times) else 0.0
+        needed_s, of_what = wanted_s(config)
+        reason = (
+            f"{lasts_ms:.3g} ms of this run lie between ramp and silence; a level takes {of_what}, "
+            f"{1e3 * needed_s:.4g} ms: run for longer"
+        )
+        return _all_refused(main[0], reason) | _refusal(name, refusal or reason)
+    if refusal is not None:
+        return motion | _refusal(name, refusal)
+    unit = radiation.on(loudest.posed, skin, "nodes", loudest.drive).arp
+    force = loudest.factor * force_near_peak_N(vertices, faces, unit, FORCE_OBSERVER.area_m2)
+    course = force * arp_peaks / loudest_Pa
+    line = float(line_amplitudes(times, course[:, None], frequencies[0])[0])
+    level = force_level_dB_SL(FORCE_OBSERVER, line)
+    return motion | {
+        "force_line_N": line,
+        "force_mean_N": float(course.mean()),
+        "force_area_m2": FORCE_OBSERVER.area_m2,
+        f"level_{name}_dB_SL": level if math.isfinite(level) else None,
+        f"level_all_lines_{name}_dB_SL": None,
+        f"level_{name}_spread_dB": FORCE_OBSERVER.spread_dB,
+        f"level_{name}_spread_of": FORCE_OBSERVER.spread_of,
+        f"level_{name}_why": f"applies: {FORCE_OBSERVER.why}; mean force {1e3 * course.mean():.2g} mN, where it was "
+        f"measured {1e3 * FORCE_OBSERVER.mean_N:g} mN",
+    }
+
+
+def contact_levels(times: Float, normal: Float, frequencies: list[float], areas: Float) -> dict[str, Any]:
+    """Level above threshold by contact observer: of all lines together, of the strongest, and at the main frequency.
+
+    times: [s], shape (t,), evenly spaced; normal: displacement [m], shape (t, S)
+    frequencies: lines that count, main one first [Hz]
+    areas: of the vertices [m^2], shape (S,)
+    Levels are those of the vertex that moves most. Of an observer whose thresholds depend on area, also
+    `level_area_NAME_dB_SL`, of all lines, with the area `level_area_NAME_m2` on which the weighted amplitude
+    exceeds MOVED_SHARE of its largest.
+    None where an observer's table does not reach; nothing at all for less than two periods of the main frequency.
+    """
+    frequencies = lines_in(times, frequencies)
+    if not frequencies:
+        return {}
+    lines = lines_of(times, normal, frequencies)
+    most = lines[:, int(np.maximum(normal.max(axis=0), -normal.min(axis=0)).argmax())]
+    result: dict[str, Any] = {"main_frequency_Hz": frequencies[0], "main_line_amplitude_m": float(most[0])}
+    result["line_frequencies_Hz"] = frequencies
+    for name, observer in OBSERVERS.items():
+        for key, count in (("level", 1), ("level_all_lines", len(frequencies))):
+            result[f"{key}_{name}_dB_SL"] = _finite(level_dB_SL(observer, frequencies[:count], most[:count]))
+        each = np.nan_to_num(most / threshold_m(observer, frequencies), nan=0.0)
+        if len(frequencies) > 1 and (strongest := float(each.max())) > 0.0:
+            result[f"strongest_line_{name}_Hz"] = frequencies[int(each.argmax())]
+            result[f"level_strongest_line_{name}_dB_SL"] = 20.0 * math.log10(strongest)
+        if observer.summation is not None:
+            area = moved_area_m2(observer, frequencies, lines, areas)
+            summed = _finite(level_dB_SL(observer, frequencies, most, area)) if area > 0.0 else None
+            result |= {f"level_area_{name}_dB_SL": summed, f"level_area_{name}_m2": area}
+        result[f"level_{name}_spread_dB"] = observer.spread_dB
+        result[f"level_{name}_spread_of"] = observer.spread_of
+        result[f"level_{name}_why"] = _why(observer, frequencies, most)
+    return result
+
+
+def _refusal(name: str, reason: str) -> dict[str, Any]:
+    """What is told of an observer who is refused."""
+    return {
+        f"level_{name}_dB_SL": None,
+        f"level_all_lines_{name}_dB_SL": None,
+        f"level_{name}_why": f"refused: {reason}",
+    }
+
+
+def _all_refused(frequency: float | None, reason: str) -> dict[str, Any]:
+    """No level by any observer of a sound with a main frequency [Hz], None for a load that doesn't repeat."""
+    refusals: dict[str, Any] = {"main_frequency_Hz": frequency}
+    for name in (FORCE_OBSERVER.name, *OBSERVERS):
+        refusals |= _refusal(name, reason)
+    return refusals
+
+
+def moved_area_m2(observer: Observer, frequencies: list[float], lines: Float, areas: Float) -> float:
+    """Area on which the skin's motion, weighted by an observer's thresholds, exceeds MOVED_SHARE of its largest [m^2].
+
+    Only lines whose thresholds depend on area count; 0 where there is none.
+    frequencies: of the lines [Hz], (n,); lines: peak amplitudes at the vertices [m], (n, S); areas: theirs [m^2], (S,)
+    """
+    assert observer.summation is not None
+    low, high = observer.summation.low_Hz, observer.summation.high_Hz
+    summed = [number for number, f in enumerate(frequencies) if low <= f <= high]
+    if not summed:
+        return 0.0
+    thresholds = threshold_m(observer, np.array(frequencies)[summed])
+    weighted = np.sqrt(((lines[summed] / thresholds[:, None]) ** 2).sum(axis=0))
+    return float(areas[weighted > MOVED_SHARE * weighted.max()].sum())
+
+
+def vertex_areas(vertices: Float, faces: Int) -> Float:
+    """A third of the triangles at each vertex [m^2], shape (S,). vertices: [m], shape (S, 3); faces: shape (m, 3)."""
+    thirds = np.repeat(face_normals(vertices, faces)[1] / 3.0, 3)
+    areas: Float = np.bincount(faces.ravel(), thirds, minlength=len(vertices)).astype(np.float64)
+    return areas
+
+
+def _why(observer: Observer, frequencies: list[float], amplitudes: Float) -> str:
+    inside = np.isfinite(threshold_m(observer, frequencies))
+    if not inside.any():
+        low, high = observer.frequency_Hz[[0, -1]]
+        return f"refused: its table goes from {low:g} to {high:g} Hz, the main line is at {frequencies[0]:g} Hz"
+    moves = bool((amplitudes[inside] > 0.0).any())
+    return f"applies: {observer.why}" if moves else "refused: the skin doesn't move at any line of its table"
+
+
+def _finite(level: float) -> float | None:
+    return float(level) if math.isfinite(level) else None
+
+
+def _refused(
+    model: HapticModel, skin: int, loudest: LoudestMoment, radiation: Radiation, reference: PosedScene
+) -> str | None:
+    """Why the force observer was never asked about such a sound on such a skin; None where it was."""
+    sounding = [stimulus for stimulus in model.stimuli if not stimulus.silent]
+    if len(sounding) > 1:
+        return f"it was measured with one focus, {len(sounding)} stimuli sound"
+    config = model.skins[skin].spec.config
+    if config.shape not in ("hand", "articulated"):
+        return f"it was measured on palms; where the palm of a skin of shape '{config.shape}' lies is not known"
+    arp = radiation.on(loudest.posed, skin, "nodes", loudest.drive).arp
+    region = region_at(config.hand, model.skins[skin].nodes[0][int(arp.argmax())])
+    if region not in PALM_AREAS:
+        return f"it was measured on palms, the loudest point lies on '{region}'"
+    moved = _moved_m(loudest.posed, reference, skin)
+    if model.spec.skins[skin].moves or sounding[0].spec.frame_moves or moved > STILL_m:
+        return "it was measured with hand and focus at rest, and in this scene one moves"
+    return why_refused(sounding[0].config)
+
+
+def _moved_m(posed: PosedScene, reference: PosedScene, skin: int) -> float:
+    """How far the point of a skin that has moved most is from where it is in the reference pose [m]."""
+    places = [scene.skins[skin].nodes[0] for scene in (posed, reference)]
+    return float(np.linalg.norm(places[0] - places[1], axis=1).max())
+
+
+def region_at(hand: str, point: Float) -> str:
+    """The region (`palmfield.hand.labels.REGIONS`) of a hand in which a point of its skin lies.
+
+    hand: a preset's name or file; point: in the hand frame, at rest [m], shape (3,)
+    """
+    names, labels, tree = _labelled(hand)
+    return names[int(labels[tree.query(point)[1]])]
+
+
+@lru_cache(maxsize=8)
+def _labelled(hand: str) -> tuple[tuple[str, ...], Int, cKDTree]:
+    preset = load_preset(hand)
+    surface = hand_surface(preset).surface
+    names, labels = region_labels(articulate(preset), surface)
+    return names, labels, cKDTree(surface.vertices)

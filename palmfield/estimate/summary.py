@@ -1,0 +1,215 @@
+"""Numbers of a finished run that its result doesn't hold: drive level, error estimate, felt level.
+
+They go into summary.json beside those of `palmfield.outputs.summary`, by skin and by stimulus.
+"""
+
+from collections.abc import Callable, Iterable
+from typing import Any, TypeVar
+
+import numpy as np
+
+from palmfield.engine.scene_runtime import SceneRuntime
+from palmfield.errors import PalmfieldError
+from palmfield.estimate.array_inputs import p0_band_at
+from palmfield.estimate.error_budget import error_budget
+from palmfield.estimate.numerical_error import Course, error_estimate
+from palmfield.estimate.sensation_levels import felt_levels
+from palmfield.outputs.budget_text import combined, input_parts
+from palmfield.outputs.felt import verdict
+from palmfield.session.loudest_moment import LoudestMoment, loudest_place
+from palmfield.session.phase_turns import PhaseTurns
+from palmfield.session.simulation import Simulation
+from palmfield.simulation.model import HapticModel, array_instances
+from palmfield.simulation.radiation import Radiation
+from palmfield.simulation.state import WHOLE
+from palmfield.types import Float
+
+T = TypeVar("T")
+
+
+def skin_numbers(
+    simulation: Simulation,
+    skin_name: str,
+    loudest: LoudestMoment | None,
+    budget: dict[str, Any] | str | None,
+    times: Float,
+    normal: Float,
+    arp_peaks: Float,
+    *,
+    begun_s: float = 0.0,
+) -> dict[str, Any]:
+    """Of one skin: solver, error estimate, p0 band and felt level, units in the names.
+
+    loudest: the moment of the highest ARP on the skin, None for a run that was silent there
+    budget: of `estimated_budget`
+    times: of the run's records [s], shape (t,); normal: displacement along the outward normal [m], shape (t, S)
+    arp_peaks: highest ARP on the skin at these times [Pa], shape (t,); begun_s: MuJoCo's clock at the run's start [s]
+    `reduction_velocity_error_relative` is what modes state of the velocity; no other solver states it.
+    input_band_low, _high: factors on the motion over all inputs with a known range (`combined`), input_band_parts the
+    single ones; peak_displacement_low_m, _high_m: with that band; verdict: of `palmfield.outputs.felt.verdict`
+    accuracy_reached: whether the error is within the accuracy asked for, None where there is no estimate
+    An error estimate that fails leaves its reason in `displacement_error_missing`; the results stand without it.
+    """
+    runtime = simulation.runtime
+    model, number = runtime.model, simulation.skins.index(skin_name)
+    peak, radiation = float(max(normal.max(), -normal.min())), _radiation(runtime)
+    skin = model.skins[number]
+    left_small_model = _left_small_model(runtime, number)
+    result: dict[str, Any] = {
+        "dofs": model.begin[number].value.unknowns,
+        "solver": _solver_in_words(model, number, left_small_model),
+        "solver_why": _why(model, number),
+        "accuracy_wanted_relative": skin.spec.config.accuracy,
+    }
+    if loudest is not None:
+        highest, _ = loudest_place(loudest.posed, number, radiation, loudest.drive)
+        band = p0_band_at(model, loudest.posed.arrays, loudest.drive, highest)
+        if band is not None:
+            result |= {"p0_band_low": band[0], "p0_band_high": band[1]}
+    if isinstance(budget, str):
+        result |= {"displacement_error_missing": budget, "accuracy_reached": None}
+    elif budget is not None:
+        errors = budget["numerical"]
+        result |= errors | {"displacement_error_m": errors["displacement_error_relative"] * peak}
+        result["error_budget"] = budget
+        result["accuracy_reached"] = errors["displacement_error_relative"] <= skin.spec.config.accuracy
+    if parts := input_parts(result):
+        low, high = combined(parts)
+        result |= {"input_band_low": low, "input_band_high": high}
+        result["input_band_parts"] = [dict(zip(("what", "low", "high"), part, strict=True)) for part in parts]
+        result |= {"peak_displacement_low_m": peak * low, "peak_displacement_high_m": peak * high}
+    stepper = model.begin[number].value
+    if stepper.adds_error is not None and not left_small_model:
+        velocity_error = runtime.work.outside[number].errors(stepper.adds_error)[1]
+        result |= {} if velocity_error is None else {"reduction_velocity_error_relative": velocity_error}
+    reference = runtime.work.reference
+    result |= felt_levels(model, number, loudest, radiation, reference, times, normal, arp_peaks, begun_s=begun_s)
+    return result | {"verdict": verdict(result)}
+
+
+def estimated_budget(simulation: Simulation, skin: int, loudest: LoudestMoment | None) -> dict[str, Any] | str | None:
+    """The error budget of a skin's motion (`palmfield.estimate.error_budget.error_budget`), or why there is none.
+
+    None where the run was silent. loudest: see `skin_numbers`
+    """
+    if loudest is None:
+        return None
+    runtime, moment = simulation.runtime, loudest
+    return _or_reason(lambda: error_budget(runtime.model, skin, moment, _radiation(runtime), _course(runtime, skin)))
+
+
+def estimated_errors(runtime: SceneRuntime, skin: int, loudest: LoudestMoment) -> dict[str, float] | str:
+    """The numerical errors of a skin's displacement by source, relative, or why there is no estimate."""
+    return _or_reason(
+        lambda: error_estimate(
+            runtime.model, skin, loudest, _radiation(runtime), _course(runtime, skin), materials=False
+        )
+    )
+
+
+def _course(runtime: SceneRuntime, skin: int) -> Course:
+    outside = runtime.work.outside[skin].energy_share
+    return Course(_left_small_model(runtime, skin), outside, runtime.view.raw.time)
+
+
+def _or_reason(estimate: Callable[[], T]) -> T | str:
+    """What an estimate gives, or why it gives nothing: the run's numbers stand without it."""
+    try:
+        return estimate()
+    except (PalmfieldError, MemoryError) as error:
+        return f"{error}" or type(error).__name__
+
+
+def stimulus_numbers(
+    simulation: Simulation,
+    loudest: Iterable[LoudestMoment | None],
+    peak_drive: Float | None = None,
+    turns: Iterable[PhaseTurns] = (),
+) -> dict[str, dict[str, Any]]:
+    """Of each stimulus, by name: `drive_level`, the largest amplitude of its transducers at the skins' loudest moments.
+
+    Relative to full drive. It is the level at full modulation, without ramp and bursts, where all transducers follow
+    one course; where they don't (several stimuli, a moving focus with ring-up), what is emitted. Where no sound pushed
+    any skin it is what the transducers were told: the array may have run beside them.
+
+    peak_drive: largest amplitude that each transducer was told in the run, shape (N,); 0 by default
+    turns: of each stimulus; one of several foci has `phase_turns`, their number, and `phase_turn_times_s` [s]
+    """
+    model = simulation.runtime.model
+    moments = list(loudest)
+    levels = drive_levels(model, moments)
+    if peak_drive is not None and not any(moments):
+        levels = [float(peak_drive[stimulus.transducers].max()) for stimulus in model.stimuli]
+    result: dict[str, dict[str, Any]] = {
+        part.spec.name: {"drive_level": level} for part, level in zip(model.stimuli, levels, strict=True)
+    }
+    for part, turned in zip(model.stimuli, turns, strict=False):
+        if len(part.offsets):
+            result[part.spec.name] |= {"phase_turns": len(turned.times), "phase_turn_times_s": turned.times}
+    return result
+
+
+def array_numbers(model: HapticModel) -> dict[str, dict[str, Any]]:
+    """Of each array, by name: p0 [Pa m] and quality with range, kind and source, and whether they are calibrated."""
+    result = {}
+    for spec, array in zip(model.spec.arrays, array_instances(model.spec), strict=True):
+        p0, quality = array.p0, array.quality
+        result[spec.name] = {
+            "calibrated": array.p0.kind == "measured",
+            "p0_Pa_m": p0.value,
+            "p0_low_Pa_m": p0.low,
+            "p0_high_Pa_m": p0.high,
+            "p0_kind": p0.kind,
+            "p0_source": p0.source,
+            "quality": quality.value,
+            "quality_low": quality.low,
+            "quality_high": quality.high,
+            "quality_kind": quality.kind,
+        }
+    return result
+
+
+def drive_levels(model: HapticModel, loudest: Iterable[LoudestMoment | None]) -> list[float]:
+    """The `drive_level` of each stimulus, see `stimulus_numbers`."""
+    moments = [moment for moment in loudest if moment is not None]
+    parts = [stimulus.transducers for stimulus in model.stimuli]
+    return [max((float(np.abs(moment.drive[own]).max()) for moment in moments), default=0.0) for own in parts]
+
+
+def scene_numbers(
+    simulation: Simulation, loudest: Iterable[LoudestMoment | None], peak_drive: Float | None = None
+) -> dict[str, Any]:
+    """Of the whole scene: what computes its fields, the board that plays it, and the highest level of its drive.
+
+    loudest: of each skin; peak_drive: as of `stimulus_numbers`
+    """
+    model = simulation.runtime.model
+    levels = [one["drive_level"] for one in stimulus_numbers(simulation, loudest, peak_drive).values()]
+    return {"palmfield_device": model.arrays.field.device, "board": model.board.name, "drive_level": max(levels)}
+
+
+def _radiation(runtime: SceneRuntime) -> Radiation:
+    """Fields of a scene's model, with what its run has solved by boundary elements."""
+    radiation = Radiation(runtime.model)
+    radiation.adopt(runtime.work.radiation.scattered_fields())
+    return radiation
+
+
+def _left_small_model(runtime: SceneRuntime, skin: int) -> bool:
+    """Whether a run that began with a small model of a skin went on with its whole layer."""
+    begun = runtime.model.begin[skin].value.adds_error is not None
+    return begun and bool(runtime.state.skins[skin][0, 0] == WHOLE)
+
+
+def _solver_in_words(model: HapticModel, skin: int, left_small_model: bool) -> str:
+    """What stepped a skin."""
+    stepper = model.begin[skin].value
+    return f"{stepper.describe()}; then wedges" if left_small_model else stepper.describe()
+
+
+def _why(model: HapticModel, skin: int) -> str:
+    """Why that stepped it."""
+    choice = model.skins[skin].choice
+    if choice.name != model.begin[skin].value.name:
+        return f"{choice.why}; but no small model reached its accuracy, so that the whole layer stepped"
+    return choice.why

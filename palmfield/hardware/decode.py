@@ -1,0 +1,155 @@
+"""The foci that a file's bytes really make: through the board's virtual twin, fitted to what it emits."""
+
+import csv
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from palmfield.acoustics.air import sound_speed
+from palmfield.acoustics.arrays import layout
+from palmfield.acoustics.calibration_file import calibrated, read_calibration
+from palmfield.config import DriverConfig
+from palmfield.drive.board import Emitted, Flag, frames_in_words
+from palmfield.drive.boards import board_of, playable_board
+from palmfield.drive.focus_fit import fitted_focus
+from palmfield.drive.frame_log import LogHead, Piece, is_log, read_log
+from palmfield.errors import SceneError, unwritable
+from palmfield.given_files import read_bytes
+from palmfield.hardware.focus_board import array_named
+from palmfield.types import Float
+from palmfield.whole_files import whole
+
+FREQUENCY_HZ = 40e3
+GOOD_RAD = 1.0
+"""Phases that fit a focus worse than this on average make none."""
+
+
+@dataclass(frozen=True)
+class DecodedFocus:
+    """What sounds from a moment on. time_s: of its emission; focus: in the array frame [m], NaN where there is none
+
+    misfit_rad: rms of what phases differ by from that focus; sounding: transducers that are on; level: their mean
+    amplitude relative to full drive
+    """
+
+    time_s: float
+    focus: tuple[float, float, float]
+    misfit_rad: float
+    sounding: int
+    level: float
+
+
+@dataclass(frozen=True)
+class Decoded:
+    """head: for which board; foci: by time; flags: what the virtual board noticed; frames: how many, in words"""
+
+    head: LogHead
+    foci: list[DecodedFocus]
+    flags: list[Flag]
+    frames: str
+
+
+def pieces_of(
+    path: str | Path, board: str | None, array: str | None = None, calibration: Path | None = None
+) -> tuple[LogHead, list[Piece]]:
+    """What a log of `--log` holds, or a file of raw bytes, which needs a board's name; raw bytes follow one another.
+
+    array: name of the layout or CSV file of transducers, None for the board's first one; calibration: file of what its
+        transducers do
+    Raises SceneError for a file that can't be read, and for raw bytes without a board, DeviceError for an unknown one.
+    """
+    if is_log(path):
+        head, pieces = read_log(path)
+        return _measured(head, calibration), pieces
+    file = Path(path)
+    try:
+        data = read_bytes(file)
+    except OSError as error:
+        raise SceneError(f"{file} can't be read: {error.strerror}; give a file of --record or --log") from None
+    if board is None:
+        raise SceneError(f"{file} is no log, so that its board isn't known; name it by --board")
+    chosen = playable_board(board)
+    name = array or chosen.layouts[0]
+    places = array_named(name)[0]
+    head = LogHead(board, len(places) * chosen.arrays[0], places.name)
+    if places.name == "csv":
+        own = board_of(DriverConfig.model_validate({"board": board}), len(places), address=places.address)
+        head = head.measured(places, own.places)
+    return _measured(head, calibration), [Piece(0.0, data)]
+
+
+def _measured(head: LogHead, calibration: Path | None) -> LogHead:
+    if calibration is None:
+        return head
+    array = calibrated(layout(head.array), read_calibration(calibration))
+    driver = DriverConfig.model_validate({"board": head.board})
+    return head.measured(array, board_of(driver, head.transducers, address=array.address).places)
+
+
+def decode(
+    path: str | Path, board: str | None = None, array: str | None = None, calibration: Path | None = None
+) -> Decoded:
+    """The foci that a file's bytes make; arguments and errors as `pieces_of`.
+
+    What transducers are known to add to their phases, by the log or by a calibration, is in the foci.
+    """
+    head, pieces = pieces_of(path, board, array, calibration)
+    twin = head.playable.wired_twin()
+    emitted: list[Emitted] = []
+    for piece in pieces:
+        emitted += [*twin.until(piece.time_s), *twin.feed(piece.data, piece.time_s)]
+    emitted += twin.until(twin.time_s + 1.0)
+    positions, turns = head.elements
+    wavenumber = 2.0 * math.pi * FREQUENCY_HZ / sound_speed(head.air)
+    foci: list[DecodedFocus] = []
+    near: Float | None = None
+    known: dict[bytes, tuple[Float, float]] = {}
+    for one in emitted:
+        # Of several arrays the first one's focus is told: the others' places are the scene's
+        own = one.amplitudes[: len(positions)] * turns
+        key = own.tobytes()
+        if key not in known:
+            known[key] = fitted_focus(positions, own, wavenumber, near)
+        place, misfit = known[key]
+        if misfit < GOOD_RAD:
+            near = place
+        else:
+            place = np.full(3, np.nan)
+        magnitude = np.abs(own)
+        on = int((magnitude > 1e-9).sum())
+        level = float(magnitude.sum() / on) if on else 0.0
+        x, y, z = place.tolist()
+        foci.append(DecodedFocus(one.time_s, (x, y, z), misfit, on, level))
+    return Decoded(head, foci, twin.flags, frames_in_words(emitted))
+
+
+def as_table(decoded: Decoded, most: int | None = None) -> str:
+    """Rows of time, focus, misfit and level; most: of them that are shown."""
+    shown = decoded.foci if most is None else decoded.foci[:most]
+    lines = [f"board {decoded.head.board}, layout {decoded.head.array}: {decoded.frames}"]
+    lines.append("  time [ms]   x [mm]   y [mm]   z [mm]  misfit [deg]  on   level")
+    for row in shown:
+        place = "".join(f" {1e3 * value:8.2f}" if math.isfinite(value) else "        -" for value in row.focus)
+        misfit = f"{math.degrees(row.misfit_rad):13.1f}" if math.isfinite(row.misfit_rad) else "            -"
+        lines.append(f"{1e3 * row.time_s:11.3f}{place} {misfit} {row.sounding:4d} {row.level:6.3f}")
+    if len(shown) < len(decoded.foci):
+        lines.append(f"and {len(decoded.foci) - len(shown)} more; --csv FILE has them all")
+    for flag in decoded.flags[:10]:
+        lines.append(f"at {1e3 * flag.time_s:.3f} ms {flag.kind}: {flag.text}")
+    if len(decoded.flags) > 10:
+        lines.append(f"and {len(decoded.flags) - 10} more like these")
+    return "\n".join(lines)
+
+
+def write_csv(decoded: Decoded, path: Path) -> None:
+    """All rows, with units in the names of columns. Raises OutputError where it can't be written."""
+    try:
+        with whole(path) as part, part.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(["time_s", "x_m", "y_m", "z_m", "misfit_rad", "sounding", "level"])
+            for row in decoded.foci:
+                writer.writerow([row.time_s, *row.focus, row.misfit_rad, row.sounding, row.level])
+    except OSError as error:
+        raise unwritable(path, error) from None

@@ -1,0 +1,191 @@
+"""Play foci that come in over a socket, on a real board."""
+
+import contextlib
+import logging
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from rich.console import Console
+
+from palmfield.acoustics.air import sound_speed
+from palmfield.acoustics.reference import pressure64
+from palmfield.config.stimulus import too_far
+from palmfield.drive.frame_log import FrameLog
+from palmfield.drive.limits import SoundLimits
+from palmfield.drive.live_foci import FocusListener, LiveFocus
+from palmfield.drive.player import Player
+from palmfield.errors import DeviceError, PalmfieldError, SceneError
+from palmfield.hardware.focus_board import FocusBoard, FocusSound, am_share, focus_board
+from palmfield.hardware.play import Performance, Target, check_log, played_in_words
+from palmfield.hardware.safety.exposure import Heard, Moment, at_head, check_head, with_band
+from palmfield.motion.line_listener import STALE_S, By
+from palmfield.types import Complex, Float
+
+LOG = logging.getLogger(__name__)
+LOOK_S = 0.05
+AHEAD_S = 3e-3
+"""By so much before its time a frame of a modulated focus is made."""
+MOST_STEPS = 8
+"""Of a ramp."""
+
+
+@dataclass(frozen=True)
+class LiveInput:
+    """Where foci come in. port: 0 for any that is free; on_listening: told the address
+
+    offset_m: of the focus in the frame of what `position_m` tells, where a line has no focus_m
+    """
+
+    host: str = "127.0.0.1"
+    port: int = 0
+    by: By = "udp"
+    offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    on_listening: Callable[[str, int], None] = lambda host, port: None
+
+
+def play_live(
+    live: LiveInput,
+    board: str,
+    target: Target,
+    duration_s: float | None = None,
+    *,
+    sound: FocusSound | None = None,
+    keys: Mapping[str, object] | None = None,
+) -> Performance:
+    """Play the newest of the foci that come in, until Ctrl-C or for some time; returns what happened, in words.
+
+    board, sound, keys: as of `palmfield.hardware.play.play_focus`; levels of lines multiply the sound's
+    A focus sounds until a newer one comes, and falls silent STALE_S after it came, within the driver's ramp. What can't
+    be played is counted, told and skipped, and what came before goes on.
+    Raises SceneError and DeviceError as `play_focus`, and DeviceError for an address that can't be listened at, and
+    where it may get louder at a head than key head_limit_dB allows, wherever the focus is.
+    """
+    target.check()
+    if target.port is None:
+        raise DeviceError("foci that come in live are played on a port (--port), and not recorded; keep a --log of it")
+    made = focus_board(board, sound or FocusSound(), keys or {})
+    limits = SoundLimits.of(made.driver)
+    if made.driver.head_m is not None:
+        for line in check_head(_most_at_head(made), made.driver):
+            LOG.warning(f"wherever the focus is it may be as loud as {line}")
+    if target.log is not None:
+        FrameLog(target.log, made.head).close()
+    console = Console(stderr=True)
+    with (
+        FocusListener(np.array(live.offset_m), live.host, live.port, live.by) as listener,
+        Player(
+            made.board, target.port, log=target.log, stale_s=STALE_S, ramp_s=limits.ramp_s, tells_frames=True,
+            on_time_s=limits.on_time_s or 0.0, duty=limits.duty,
+            on_trouble=lambda text: console.print(f"palmfield: {text}"),
+        ) as player,
+    ):  # fmt: skip
+        live.on_listening(listener.host, listener.port)
+        session = _Live(made, limits, listener, player)
+        with contextlib.suppress(KeyboardInterrupt):
+            session.follow(math.inf if duration_s is None else time.monotonic() + duration_s)
+        silent = player.silent
+        player.close()
+    report = player.played
+    done = played_in_words(report, made.board, target.port)
+    check_log(player, target.log, f"{done}; ")
+    said = [*made.said, *([words] if (words := limits.in_words(made.board)) else []), listener.report()]
+    if waits := [on_line - session.came_s[number] for number, on_line in report.on_line if number in session.came_s]:
+        median, most = 1e3 * float(np.median(waits)), 1e3 * float(np.percentile(waits, 95))
+        said.append(f"from a focus's coming to its last byte on the line: median {median:.1f} ms, 95 % {most:.1f} ms")
+    if silent and not silent.startswith("no frame"):
+        said.append(f"it fell silent: {silent}")
+    return Performance(done, report.warning if made.sound.am_frequency_Hz > 0.0 else "").saying(*said, *listener.told)
+
+
+class _Live:
+    """Makes frames of the newest focus. came_s: of each frame that is the first of a focus when that came [s]"""
+
+    def __init__(self, made: FocusBoard, limits: SoundLimits, listener: FocusListener, player: Player) -> None:
+        self.made, self.listener, self.player = made, listener, player
+        self.came_s: dict[int, float] = {}
+        self._sent = 0
+        steps = limits.ramp_s * made.board.max_frame_rate_Hz if made.board.levels else 0.0
+        self._steps = max(1, min(MOST_STEPS, math.floor(steps)))
+
+    def follow(self, ends_s: float) -> None:
+        """Play until a moment of time.monotonic() [s]."""
+        board, am_Hz = self.made.board, self.made.sound.am_frequency_Hz
+        period_s = 1.0 / board.max_frame_rate_Hz
+        began_s = due_s = time.monotonic() + AHEAD_S + board.frame_time_s
+        known: tuple[LiveFocus, Complex, float] | None = None
+        after, muted = 0, True
+        while (now := time.monotonic()) < ends_s:
+            self.player.check()
+            waits = am_Hz <= 0.0 or known is None
+            came = self.listener.next(after, min(LOOK_S, ends_s - now) if waits else 0.0)
+            now = time.monotonic()
+            if came is not None:
+                after = came.number
+                if now - came.time_s > STALE_S:
+                    self.listener.skip("stale", f"a focus was {now - came.time_s:.2g} s old when its turn came")
+                    came = None
+            if came is not None:
+                unit = self._unit(came.focus)
+                known = known if unit is None else (came.focus, unit, came.time_s)
+                if unit is not None and am_Hz <= 0.0:
+                    self._send(came.focus, unit, 1.0, came.time_s, 0.0, first=True)
+                    muted = False
+            if known is not None and now - known[2] > STALE_S:
+                known = None
+                if not muted:
+                    self.player.mute()
+                muted = True
+            if am_Hz > 0.0 and known is not None:
+                due_s = max(due_s + period_s, now + board.frame_time_s)
+                time.sleep(max(0.0, due_s - board.frame_time_s - AHEAD_S - now))
+                share = am_share(due_s - began_s, am_Hz)
+                self._send(known[0], known[1], share, known[2], due_s, first=came is not None)
+                muted = False
+
+    def _unit(self, focus: LiveFocus) -> Complex | None:
+        """Amplitudes for a focus at full level, shape (N,); None, and it is told, where it can't be played."""
+        far = too_far((float(focus.place[0]), float(focus.place[1]), float(focus.place[2])))
+        if far is not None:
+            self.listener.skip("place", f"focus at {_mm(focus.place)}, {far}")
+            return None
+        try:
+            unit = self.made.unit(focus.place)
+            # Levels between off and full, and places that packets can't tell, are the board's to refuse
+            self.made.frame(focus.place, unit, focus.level * self.made.sound.level)
+        except PalmfieldError as error:
+            self.listener.skip("place" if isinstance(error, SceneError) else "board", str(error))
+            return None
+        return unit
+
+    def _send(self, focus: LiveFocus, unit: Complex, share: float, came_s: float, due_s: float, *, first: bool) -> None:
+        level = focus.level * self.made.sound.level * share
+        steps = [self.made.frame(focus.place, unit, level * step / self._steps) for step in range(1, self._steps)]
+        steps.append(self.made.frame(focus.place, unit, level))
+        if first:
+            self.came_s[self._sent] = came_s
+        self.player.send(steps, level, made_s=came_s, due_s=due_s)
+        self._sent += 1
+
+
+def _mm(place: Float) -> str:
+    return "(" + ", ".join(f"{1e3 * x:.4g}" for x in place) + ") mm"
+
+
+def _most_at_head(made: FocusBoard) -> Heard:
+    """What is heard at a head's loudest place if the focus is there: foci that come live are not known before."""
+    array, air = made.array, made.sound.air
+    wavenumber = 2.0 * np.pi * array.frequency_Hz / sound_speed(air)
+    loud = replace(array, gain=None if array.gain is None else np.abs(array.gain).astype(complex))
+
+    def in_phase(points: Float) -> Complex:
+        """As loud as all transducers together can be at each of some points: if the focus were there."""
+        result = np.zeros(len(points), np.complex128)
+        for number, point in enumerate(points):
+            distances = np.linalg.norm(point - array.positions, axis=1)
+            result[number] = pressure64(point[None], loud, np.exp(-1j * wavenumber * distances), air)[0][0]
+        return made.sound.level * result
+
+    return with_band(at_head([Moment(in_phase, 1.0)], made.driver, array.positions), made.band)

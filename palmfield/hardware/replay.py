@@ -1,0 +1,134 @@
+"""Bytes of a log or a record, sent to a port again within the limits that they were made under."""
+
+import logging
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+
+from palmfield.acoustics.arrays import LAYOUTS, layout
+from palmfield.acoustics.reference import pressure64
+from palmfield.config import DriverConfig, parse
+from palmfield.config.driver import SAFETY_KEYS
+from palmfield.drive.board import HELD_BACK_S, Board, Emitted
+from palmfield.drive.frame_log import LogHead, Piece
+from palmfield.drive.limits import SoundLimits
+from palmfield.errors import DeviceError, SceneError
+from palmfield.hardware.decode import pieces_of
+from palmfield.hardware.play import Performance, play_on_port
+from palmfield.hardware.safety.exposure import Moment, at_head, check_head, with_band
+from palmfield.hardware.safety.scene_sound import MOMENTS, moments_of
+from palmfield.types import Complex
+
+LOG = logging.getLogger(__name__)
+
+
+def replay(
+    path: str | Path,
+    port: str,
+    board: str | None = None,
+    *,
+    keys: Mapping[str, str] | None = None,
+    progress: bool = False,
+) -> Performance:
+    """Send a file's bytes to a port, at their times, and silence the board; returns what happened, in a sentence.
+
+    keys: of palmfield.driver about how loud and how long it may sound, beside or instead of those that the log has
+    What would sound longer, a larger share of the time, or louder at the head than they allow is refused before
+    anything is sent: DeviceError, also where the port can't be opened or is lost. Other errors as `pieces_of`.
+    """
+    head, pieces = pieces_of(path, board)
+    made = head.playable
+    frames, cut = _frames(made, pieces)
+    ends = frames[-1][0] if frames else 0.0
+    for line in check_limits(head, made, frames, _driver(head, keys or {})):
+        LOG.warning(line)
+    done = play_on_port(frames, made, port, ends, progress=progress)
+    return done.saying(f"{cut} pieces that were cut are left out") if cut else done
+
+
+def _driver(head: LogHead, keys: Mapping[str, str]) -> DriverConfig:
+    """The log's limits, and others in their place. Raises SceneError for a key that is no limit and for a bad value."""
+    given = {name.removeprefix("driver."): value for name, value in keys.items()}
+    for name in given:
+        if name not in SAFETY_KEYS:
+            allowed = ", ".join(f"driver.{key}" for key in SAFETY_KEYS)
+            raise SceneError(f"--set driver.{name}: bytes are sent as they are; allowed: {allowed}")
+    known = {key: _text(value) for key, value in head.limits.items() if key in SAFETY_KEYS}
+    return cast(DriverConfig, parse(DriverConfig, {**known, **given}, "the limits of a replay"))
+
+
+def _text(value: object) -> str:
+    return " ".join(map(repr, value)) if isinstance(value, list | tuple) else str(value)
+
+
+def check_limits(head: LogHead, board: Board, frames: list[tuple[float, bytes]], driver: DriverConfig) -> list[str]:
+    """What users are warned of, in words, before frames are sent.
+
+    Levels at the head are those of transducers where the log has them, with the phases that it knows and all equally
+    loud, at the high end of p0's range as far as the log has it. Raises DeviceError for what the driver's keys don't
+    allow, and for a limit at the head where the log doesn't know where its arrays stand.
+    """
+    emitted = _emitted(board, frames)
+    if not emitted:
+        return []
+    first, last = emitted[0].time_s, max(emitted[-1].time_s, frames[-1][0])
+    times = [one.time_s - first for one in emitted]
+    SoundLimits.of(driver).check(times, [bool(one.amplitudes.any()) for one in emitted], last - first)
+    if driver.head_m is None:
+        return []
+    array = layout(head.array, head.p0_Pa_m)
+    most_Pa_m = head.p0_high_Pa_m or max(array.p0_Pa_m, LAYOUTS[head.array].p0.high)
+    if len(array) != head.transducers:
+        where = f"the log has bytes for {head.transducers} transducers of several arrays, and not where they stand"
+        if driver.head_limit_dB is not None:
+            raise DeviceError(f"{where}, so that head_limit_dB can't be kept: play the scene itself (palmfield drive)")
+        return [f"{where}: the level at the head is not known"]
+    places, turns = head.elements
+    array = replace(array, positions=places, gain=turns)
+    shares: dict[bytes, tuple[Complex, float]] = {}
+    for time_s in moments_of(MOMENTS, last - first):
+        now = emitted[int(np.searchsorted(times, time_s, "right")) - 1].amplitudes
+        shares[now.tobytes()] = now, shares.get(now.tobytes(), (now, 0.0))[1] + 1.0 / MOMENTS
+
+    def heard(amplitudes: Complex, share: float) -> Moment:
+        return Moment(lambda points: pressure64(points, array, amplitudes, head.air)[0], share)
+
+    moments = [heard(amplitudes, share) for amplitudes, share in shares.values() if amplitudes.any()]
+    loudest = with_band(at_head(moments, driver, array.positions), (1.0, (most_Pa_m / array.p0_Pa_m) ** 2))
+    return check_head(loudest, driver)
+
+
+def _emitted(board: Board, frames: list[tuple[float, bytes]]) -> list[Emitted]:
+    """What a board makes of frames, by its twin."""
+    assert board.line is not None
+    twin = board.wired_twin()
+    emitted: list[Emitted] = []
+    for time_s, data in frames:
+        begins = time_s - board.line.time_s(len(data))
+        emitted += [*twin.until(begins), *twin.feed(data, begins)]
+    return emitted + twin.until(twin.time_s + HELD_BACK_S)
+
+
+def _frames(board: Board, pieces: list[Piece]) -> tuple[list[tuple[float, bytes]], int]:
+    """Pieces as frames with the times of their emission, and how many were cut.
+
+    Of what isn't known to have gone out whole a frame may be half: the next one begins with its start. The start and
+    the stop sequence are the player's own.
+    """
+    assert board.line is not None
+    whole = [piece for piece in pieces if piece.whole]
+    frames: list[tuple[float, bytes]] = []
+    for piece in whole:
+        time_s, data = piece.time_s, piece.data
+        if not frames:
+            data = data.removeprefix(board.start)
+        if piece is whole[-1]:
+            data = data.removesuffix(board.stop)
+        for at in range(0, len(data), board.frame_bytes):
+            part = data[at : at + board.frame_bytes]
+            time_s += board.line.time_s(len(part))
+            frames.append((time_s, part))
+    return frames, len(pieces) - len(whole)

@@ -1,0 +1,70 @@
+"""Levels over a head's ball and over skins, for the picture of a safety sheet."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from palmfield.acoustics.exposure import OCCUPATIONAL_DB, PUBLIC_DB, REFERENCE_PA, ball_points
+from palmfield.config import DriverConfig
+from palmfield.hardware.safety.exposure import Heard, Moment, peaks_at
+from palmfield.outputs.safety_picture import LevelCourse, LevelMap
+from palmfield.types import Float
+
+GRID = 61
+"""Places across a head's ball."""
+COURSE_SPACING_M = 20e-3
+"""Of places in the ball of which the loudest is told at each moment, beside the loudest place of all [m]."""
+
+
+def levels_dB(peaks_Pa: Float) -> Float:
+    """Sound pressure levels of peak pressures, of the same shape; -inf for silence."""
+    with np.errstate(divide="ignore"):
+        return np.asarray(20.0 * np.log10(np.asarray(peaks_Pa) / (np.sqrt(2.0) * REFERENCE_PA)))
+
+
+def head_limits(driver: DriverConfig) -> dict[str, float]:
+    """Limits at a head [dB], by what they are."""
+    own = {} if driver.head_limit_dB is None else {"head_limit_dB": driver.head_limit_dB}
+    return {"public": PUBLIC_DB, "at work": OCCUPATIONAL_DB, **own}
+
+
+def head_map(moments: Sequence[Moment], driver: DriverConfig, heard: Heard, transducers: Float) -> LevelMap:
+    """The ball in the plane of its middle, the array's middle and its loudest place. transducers: [m], shape (n, 3)"""
+    assert driver.head_m is not None
+    middle, radius = np.array(driver.head_m), driver.head_radius_m
+    along = middle - transducers.mean(axis=0)
+    along /= np.linalg.norm(along)
+    across = heard.place - middle
+    across = across - (across @ along) * along
+    if np.linalg.norm(across) < 1e-9:
+        across = np.cross(along, np.eye(3)[int(np.abs(along).argmin())])
+    across /= np.linalg.norm(across)
+    steps = np.linspace(-radius, radius, GRID)
+    plane = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
+    plane = plane[np.linalg.norm(plane, axis=1) <= radius * (1.0 + 1e-9)]
+    peaks, _ = peaks_at(moments, middle + plane[:, :1] * across + plane[:, 1:] * along)
+    loudest = np.array([(heard.place - middle) @ across, (heard.place - middle) @ along])
+    axes = "across, through the loudest place", "away from the array"
+    return LevelMap("head", plane, levels_dB(peaks), loudest, heard.level_dB, head_limits(driver), axes)
+
+
+def skin_map(name: str, points: Float, peaks_Pa: Float, heard: Heard) -> LevelMap:
+    """A skin in the plane in which it is widest. points: where it is at its loudest moment [m], shape (n, 3)"""
+    middle = points.mean(axis=0)
+    wide = np.linalg.svd(points - middle, full_matrices=False)[2][:2]
+    places = (points - middle) @ wide.T
+    loudest = (heard.place - middle) @ wide.T
+    axes = "along the skin", "across it"
+    return LevelMap(name, places, levels_dB(peaks_Pa), loudest, heard.level_dB, {}, axes)
+
+
+def course(
+    times_s: Float, moments: Sequence[Moment | None], driver: DriverConfig, heard: Heard, skins: dict[str, Float]
+) -> LevelCourse:
+    """Levels over a play. moments: at each time, None for silence; skins: peaks at each of these times [Pa]"""
+    assert driver.head_m is not None
+    ball = ball_points(np.array(driver.head_m), driver.head_radius_m, COURSE_SPACING_M)
+    points = np.concatenate([heard.place[None], ball])
+    peaks = [0.0 if one is None else float(np.abs(one.pressure(points)).max()) for one in moments]
+    levels = {"head": levels_dB(np.array(peaks)), **{name: levels_dB(own) for name, own in skins.items()}}
+    return LevelCourse(times_s, levels)

@@ -1,0 +1,69 @@
+"""The sound of a scene at moments of its play, as those who hear it need it."""
+
+import numpy as np
+
+from palmfield.acoustics.exposure import radiated_power_W
+from palmfield.acoustics.phased_array import PhasedArray
+from palmfield.estimate.array_inputs import p0_band_at
+from palmfield.hardware.safety.exposure import Heard, Moment, at_head, with_band
+from palmfield.session.preview import Preview
+from palmfield.types import Complex, Float
+
+MOMENTS = 96
+"""Of a play that are looked at: evenly, but for a shift that keeps out of step with what repeats."""
+GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
+
+
+def moments_of(count: int, duration_s: float) -> Float:
+    """Rising times, one in each of `count` equal stretches of a duration [s]."""
+    number = np.arange(count)
+    return (number + np.modf((number + 1) * GOLDEN)[0]) * duration_s / count
+
+
+def scene_drives(view: Preview, duration_s: float) -> list[tuple[PhasedArray, Complex]]:
+    """Arrays as they stand, and what their transducers are told, at `moments_of` a play."""
+    times = moments_of(MOMENTS, duration_s)
+    if view.moves:
+        stepped = ((time_s, runtime.work.emission, posed) for time_s, runtime, posed in view.posed_at(times))
+    else:
+        stepped = ((time_s, view.runtime.work.emission, view.runtime.posed) for time_s in times)
+    drives = []
+    for time_s, emission, posed in stepped:
+        emission.begin(posed, float(time_s))
+        drives.append((posed.arrays, emission.commanded(posed, np.array([time_s]))[0]))
+    return drives
+
+
+def sound_of(drives: list[tuple[PhasedArray, Complex]]) -> list[Moment]:
+    """The moments that are not silent."""
+
+    def heard(arrays: PhasedArray, drive: Complex) -> Moment:
+        return Moment(lambda points: arrays.field.pressure(points, drive).pressure, 1.0 / len(drives))
+
+    return [heard(arrays, drive) for arrays, drive in drives if drive.any()]
+
+
+def scene_at_head(view: Preview, duration_s: float) -> Heard:
+    """What is heard at the head that the driver's keys declare, with what the ranges of p0 make of it.
+
+    Errors as `palmfield.hardware.safety.exposure.at_head`.
+    """
+    model, drives = view.runtime.model, scene_drives(view, duration_s)
+    heard = at_head(sound_of(drives), model.spec.driver, model.arrays.array.positions)
+    return banded(view, drives, heard)
+
+
+def banded(view: Preview, drives: list[tuple[PhasedArray, Complex]], heard: Heard) -> Heard:
+    """With what the ranges of p0 make of it at the loudest moment."""
+    if heard.peak_Pa <= 0.0:
+        return heard
+    loudness = [abs(arrays.pressure64(heard.place[None], drive)[0]) for arrays, drive in drives]
+    arrays, drive = drives[int(np.argmax(loudness))]
+    return with_band(heard, p0_band_at(view.runtime.model, arrays, drive, heard.place))
+
+
+def power_W(arrays: PhasedArray, drive: Complex) -> float:
+    """Power of the sound of all arrays."""
+    return sum(
+        radiated_power_W(part, drive[own], arrays.air) for part, own in zip(arrays.parts, arrays.slices, strict=True)
+    )

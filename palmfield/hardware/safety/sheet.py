@@ -1,0 +1,170 @@
+"""All numbers of a scene's safety sheet: sound at a head and at the hand, what is audible, limits, the board."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from palmfield.acoustics.phased_array import PhasedArray
+from palmfield.config import DriverConfig
+from palmfield.drive.board import Board
+from palmfield.errors import DeviceError
+from palmfield.hardware.safety.byproduct import COUNT, RATE_HZ, Byproduct, byproduct, rung
+from palmfield.hardware.safety.exposure import Heard, at_head, check_head
+from palmfield.hardware.safety.maps import course, head_map, skin_map
+from palmfield.hardware.safety.scene_sound import MOMENTS, banded, moments_of, power_W, sound_of
+from palmfield.outputs.safety_picture import LevelCourse, LevelMap
+from palmfield.session.preview import Preview
+from palmfield.simulation.model import array_instances
+from palmfield.simulation.posed_scene import PosedScene
+from palmfield.simulation.radiation import Radiation
+from palmfield.types import Complex, Estimate, Float
+
+DEFAULT_HEAD_M = (0.0, -0.35, 0.45)
+"""Where a head is taken to be that nobody declares: of one who sits before an array that faces up, its frame [m]."""
+
+
+@dataclass(frozen=True)
+class AtHand:
+    """What reaches a skin: its name, the incident sound at its loudest place, and the largest ARP there is [Pa]."""
+
+    skin: str
+    heard: Heard
+    arp_Pa: float
+
+
+@dataclass(frozen=True)
+class SafetySheet:
+    """What `palmfield safety` says of a scene; levels are of the sound as it is told, without ring-up.
+
+    head_declared: whether the scene says where a head is; head_said: what users are warned of there, in words
+    distance_m: of the head's ball from the beam, 0 where it is in it, and byproduct is None there
+    sounding_share: of the moments; p0: of each array; moves: whether the scene's hands or arrays do
+    maps, course: levels over the head and the skins, and over the play, for a picture
+    """
+
+    scene: str
+    duration_s: float
+    driver: DriverConfig
+    board: Board
+    p0: dict[str, Estimate]
+    head_declared: bool
+    head: Heard
+    head_said: tuple[str, ...]
+    hands: tuple[AtHand, ...]
+    distance_m: float
+    byproduct: Byproduct | None
+    sounding_share: float
+    carrier_Hz: float
+    moves: bool
+    maps: tuple[LevelMap, ...]
+    course: LevelCourse
+
+
+@dataclass
+class _Loudest:
+    """The loudest moment at a skin so far."""
+
+    peak_Pa: float = 0.0
+    place: Float | None = None
+    posed: PosedScene | None = None
+    radiation: Radiation | None = None
+    drive: Complex | None = None
+    time_s: float = 0.0
+    points: Float | None = None
+
+
+def safety_sheet(view: Preview, duration_s: float) -> SafetySheet:
+    """Numbers of a play of `duration_s` [s].
+
+    Raises SceneError where transducers are within head_radius_m of the head, and what a module raises in a step.
+    """
+    model = view.runtime.model
+    times = moments_of(MOMENTS, duration_s)
+    still = ((float(time_s), view.runtime, view.runtime.posed) for time_s in times)
+    loudest = [_Loudest() for _ in model.skins]
+    drives: list[tuple[PhasedArray, Complex]] = []
+    squares = np.zeros(len(model.skins))
+    at_skins = [np.zeros(len(skin.quadrature[0])) for skin in view.runtime.posed.skins]
+    over_play = np.zeros((len(model.skins), MOMENTS))
+    for time_s, runtime, posed in view.posed_at(times) if view.moves else still:
+        runtime.work.emission.begin(posed, float(time_s))
+        drive = runtime.work.emission.commanded(posed, np.array([time_s]))[0]
+        drives.append((posed.arrays, drive))
+        if not drive.any():
+            continue
+        for number, best in enumerate(loudest):
+            points = posed.skins[number].quadrature[0]
+            peaks = np.abs(posed.arrays.field.pressure(points, drive).pressure)
+            most = int(peaks.argmax())
+            at_skins[number] = np.maximum(at_skins[number], peaks)
+            over_play[number, len(drives) - 1] = peaks[most]
+            squares[number] += 0.5 * float(peaks[most]) ** 2 / MOMENTS
+            if peaks[most] > best.peak_Pa:
+                loudest[number] = _Loudest(
+                    float(peaks[most]), points[most].copy(), posed, runtime.work.radiation, drive, float(time_s),
+                    points.copy(),
+                )  # fmt: skip
+    driver = model.spec.driver
+    placed = driver if driver.head_m is not None else driver.model_copy(update={"head_m": DEFAULT_HEAD_M})
+    moments = sound_of(drives)
+    head = banded(view, drives, at_head(moments, placed, model.arrays.array.positions))
+    hands, maps = [], [head_map(moments, placed, head, model.arrays.array.positions)]
+    for number, best in enumerate(loudest):
+        name = model.skins[number].spec.name
+        if best.posed is None or best.radiation is None or best.drive is None or best.place is None:
+            hands.append(AtHand(name, Heard(np.zeros(3), 0.0, 0.0), 0.0))
+            continue
+        heard = Heard(best.place, best.peak_Pa, float(squares[number]))
+        arp = best.radiation.on(best.posed, number, "quadrature", best.drive).arp
+        hands.append(AtHand(name, banded(view, [(best.posed.arrays, best.drive)], heard), float(arp.max())))
+        assert best.points is not None
+        maps.append(skin_map(name, best.points, at_skins[number], heard))
+    first = max(loudest, key=lambda best: best.peak_Pa, default=_Loudest())
+    distance, sound = _audible(view, placed, first)
+    on = sum(bool(drive.any()) for _, drive in drives) / len(drives)
+    skins = {skin.spec.name: own for skin, own in zip(model.skins, over_play, strict=True)}
+    known = {array.name: one.p0 for array, one in zip(model.spec.arrays, array_instances(model.spec), strict=True)}
+    return SafetySheet(
+        view.name, duration_s, placed, model.board, known, driver.head_m is not None, head, _said(head, placed),
+        tuple(hands), distance, sound, on, model.arrays.array.frequency_Hz, view.moves, tuple(maps),
+        course(times, [sound_of([one])[0] if one[1].any() else None for one in drives], placed, head, skins),
+    )  # fmt: skip
+
+
+def _said(head: Heard, driver: DriverConfig) -> tuple[str, ...]:
+    try:
+        return tuple(check_head(head, driver))
+    except DeviceError as error:
+        return (f"palmfield drive refuses this scene: {error}",)
+
+
+def _audible(view: Preview, driver: DriverConfig, loudest: _Loudest) -> tuple[float, Byproduct | None]:
+    """Distance of the head from the beam [m], and the by-product there with all as it is at the loudest moment."""
+    if loudest.posed is None or loudest.place is None or loudest.drive is None:
+        return math.inf, Byproduct(-math.inf, -math.inf, 0.0)
+    posed, emission = loudest.posed, view.runtime.work.emission
+    assert driver.head_m is not None
+    begin = posed.arrays.array.positions.mean(axis=0)
+    along, to_head = loudest.place - begin, np.array(driver.head_m) - begin
+    share = min(1.0, max(0.0, float(to_head @ along) / float(along @ along)))
+    distance = float(np.linalg.norm(to_head - share * along)) - driver.head_radius_m
+    if distance <= 0.0:
+        return 0.0, None
+    drives = emission.commanded(posed, loudest.time_s + np.arange(COUNT) / RATE_HZ)
+    # Pressure at that place is a sum over transducers, one at a time
+    row = np.array(
+        [posed.arrays.pressure64(loudest.place[None], one)[0] for one in np.eye(drives.shape[1], dtype=complex)]
+    )
+    carrier = posed.arrays.array.frequency_Hz
+    quality = min(one.quality.value for one in array_instances(view.runtime.model.spec))
+    told = drives @ row
+    power = power_W(posed.arrays, drives[int(np.abs(told).argmax())])
+    intensity = np.abs(rung(told, carrier, quality)) ** 2
+    most = float(intensity.max())
+    shape = intensity / most if most > 0.0 else intensity
+    along_m = share * float(np.linalg.norm(along))
+    return distance, byproduct(power * shape, distance, posed.arrays.air, carrier, along_m)
+
+
+__all__ = ["DEFAULT_HEAD_M", "AtHand", "SafetySheet", "safety_sheet"]

@@ -1,0 +1,216 @@
+"""A safety sheet as one page of markdown, and as numbers for other programs."""
+
+import math
+from typing import Any
+
+from palmfield.acoustics.exposure import OCCUPATIONAL_DB, PUBLIC_DB
+from palmfield.drive.limits import WINDOW_S, SoundLimits
+from palmfield.hardware.safety.byproduct import RATE_HZ, Byproduct
+from palmfield.hardware.safety.exposure import Heard
+from palmfield.hardware.safety.scene_sound import MOMENTS
+from palmfield.hardware.safety.sheet import SafetySheet
+
+
+def as_markdown(sheet: SafetySheet, picture: str | None = None) -> str:
+    """The page. picture: where that of its levels lies, from the page; None for none"""
+    driver, board, head = sheet.driver, sheet.board, sheet.head
+    assert driver.head_m is not None
+    where = ", ".join(f"{1e3 * x:.0f}" for x in driver.head_m)
+    declared = (
+        "declared by driver keys head_m and head_radius_m"
+        if sheet.head_declared
+        else "**not declared by the scene**: a default place, one who sits before an array that faces up"
+    )
+    computed = f"computed, free field, {MOMENTS} moments; band: range of p0"
+    rows = [
+        ("SPL at the head, loudest moment and place", _level(head.level_dB, head), computed),
+        ("SPL at the head, mean over the play", _level(head.mean_level_dB, head), computed),
+        ("dose at the head of one play, as a level over 8 h", _level(head.dose_dB(sheet.duration_s), head), computed),
+        ("dose at the head of such sound for 1 h", _level(head.dose_dB(3600.0), head), computed),
+    ]
+    for hand in sheet.hands:
+        heard = hand.heard
+        rows.append((f"SPL at {hand.skin}, loudest moment and place", _level(heard.level_dB, heard), computed))
+        low, high = (hand.arp_Pa * 10.0 ** (end / 10.0) for end in heard.band_dB)
+        value = f"{hand.arp_Pa:.3g} Pa ({low:.3g} to {high:.3g})"
+        rows.append((f"largest ARP at {hand.skin}", value, "computed by the scene's key arp_law; band: range of p0"))
+    lines = [
+        f"# Safety sheet of {sheet.scene}",
+        "",
+        f"One play of {sheet.duration_s:g} s by board {board.name}. Carrier {1e-3 * sheet.carrier_Hz:g} kHz. This page "
+        "gives exposures and limits; it doesn't judge whether a study may be done. "
+        "Nothing here was measured unless it says so.",
+        "",
+        f"Head: a ball of {1e3 * driver.head_radius_m:.0f} mm round ({where}) mm in the frame of "
+        f"the first array, {declared}.",
+        "",
+        "## Exposure",
+        "",
+        "| what | value (band) | source |",
+        "|---|---|---|",
+        *(f"| {what} | {value} | {source} |" for what, value, source in rows),
+        "",
+        f"Interim guidelines for airborne ultrasound of 25 to 50 kHz name {PUBLIC_DB:g} dB for the public and "
+        f"{OCCUPATIONAL_DB:g} dB at work, as levels. Levels are of incident sound: a hand or a wall that "
+        "reflects it can raise "
+        "them by up to 6 dB, or throw a beam to where none is now. "
+        "Transducers' ring-up and sound that nonlinearity takes away are left out.",
+        *(f"- {said}" for said in sheet.head_said),
+        *_looked_at(sheet),
+        *(() if picture is None else ("", f"![levels at the head and the hand]({picture})")),
+        "",
+        "## Level of the array",
+        "",
+        *(
+            f"- {name}: p0 {p0.value:.3g} Pa m ({p0.low:.3g} to {p0.high:.3g}), {p0.kind}: {p0.source}"
+            for name, p0 in sheet.p0.items()
+        ),
+        "",
+        "## Audible by-product",
+        "",
+        *_audible(sheet),
+        "",
+        "## Duty and on-time",
+        "",
+        *_limits(sheet),
+        "",
+        "## The board",
+        "",
+        *_board(sheet),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _looked_at(sheet: SafetySheet) -> list[str]:
+    """Over what the loudest places were sought."""
+    if sheet.moves:
+        said = f"its hands and arrays are where its motion has them at each of the {MOMENTS} moments"
+    else:
+        said = f"nothing in it moves, and its sound is looked at in {MOMENTS} moments"
+    warned = "with p0 at the high end of its range" if sheet.head.band_dB[1] > 0.0 else "as far as p0 is known"
+    return [
+        "",
+        f"Of one play of the scene: {said}. What is compared with limits is the loudest place of a region at its "
+        f"loudest moment, {warned}, and never a mean.",
+    ]
+
+
+def _level(level_dB: float, heard: Heard) -> str:
+    if level_dB == -math.inf:
+        return "silence"
+    low, high = heard.band_dB
+    return f"{level_dB:.0f} dB ({level_dB + low:.0f} to {level_dB + high:.0f})"
+
+
+def _stepped(sound: Byproduct) -> bool:
+    """Whether the estimate ends where it is largest: lines of steps fall with 1/f, and what they sound like has f^2."""
+    return sound.strongest_Hz > 0.25 * RATE_HZ
+
+
+def _audible(sheet: SafetySheet) -> list[str]:
+    sound = sheet.byproduct
+    if sound is None:
+        return ["Not estimated: the head's ball lies in the beam, where the formulas don't hold."]
+    if sound.level_dBA == -math.inf:
+        return ["None: the sound's intensity doesn't change over the quarter of a second that was looked at."]
+    low, high = (2.0 * end for end in max(sheet.hands, key=lambda hand: hand.heard.peak_Pa).heard.band_dB)
+    if _stepped(sound):
+        return [
+            f"Not estimated: the sound's loudest part lies where the estimate ends, at {0.5e-3 * RATE_HZ:g} kHz. "
+            "Expect clicks and a buzz at the rate of frames, and measure them."
+        ]
+    level = sound.level_dBA
+    return [
+        f"A rough estimate: {level:.0f} dB(A) ({level + low:.0f} to {level + high:.0f}), "
+        f"{1e3 * sheet.distance_m:.0f} mm from the beam, strongest near {sound.strongest_Hz:.0f} Hz: "
+        f"{sound.air_dBA:.0f} dB(A) made in the air along "
+        f"the beam (Westervelt 1963, Berktay 1965), {sound.force_dBA:.0f} dB(A) by the force "
+        "on the hand (Morse and Ingard 1968); "
+        "A-weighting by IEC 61672-1.",
+        "",
+        "The estimate is rough, and mostly too high: all of the ultrasound is taken to come and go as it does at the "
+        "loudest place of the "
+        "skin, which overstates a focus that moves; the beam is a straight line as long as absorption lets it be; the "
+        "hand stops all of it. Steps of the drive are as smooth as one resonance makes them. It "
+        f"leaves out what lies above {0.5e-3 * RATE_HZ:g} kHz, rooms, and noise of transducers and "
+        "electronics, which can be louder. Measure it.",
+    ]
+
+
+def _limits(sheet: SafetySheet) -> list[str]:
+    limits = SoundLimits.of(sheet.driver)
+    longest = "none is set" if limits.on_time_s is None else f"{limits.on_time_s:g} s"
+    duty = "none is set" if limits.duty >= 1.0 else f"{100 * limits.duty:g} % of any {WINDOW_S:g} s"
+    head = "none is set" if sheet.driver.head_limit_dB is None else f"{sheet.driver.head_limit_dB:g} dB"
+    return [
+        f"- Sounds in {100 * sheet.sounding_share:.0f} % of {MOMENTS} moments of the play (computed).",
+        f"- Longest sound in one play: {longest} (driver key on_time_s).",
+        f"- Largest share of time: {duty} (driver key duty_limit).",
+        f"- Level at the head above which nothing is played: {head} (driver key head_limit_dB).",
+        f"- Ramp: {limits.in_words(sheet.board) or 'none is set'} (driver key ramp_s).",
+    ]
+
+
+def _board(sheet: SafetySheet) -> list[str]:
+    board = sheet.board
+    if board.exact:
+        return [f"{board.name} is no real board: nothing is sent. Give the board of the study by --board."]
+    return [
+        f"{board.name}: {board.description} (palmfield's registry of boards).",
+        f"- When the host dies: {board.when_host_dies}.",
+        f"- What it can't guarantee: {board.cannot_guarantee}",
+        "- Limits above are kept by the host's program. None of them replaces a switch that cuts power.",
+    ]
+
+
+def as_dict(sheet: SafetySheet) -> dict[str, Any]:
+    """Numbers with units in the names; levels of silence are null."""
+    driver, board = sheet.driver, sheet.board
+    sound = None if sheet.byproduct is None or _stepped(sheet.byproduct) else sheet.byproduct
+    return {
+        "scene": sheet.scene,
+        "duration_s": sheet.duration_s,
+        "board": board.name,
+        "when_host_dies": board.when_host_dies,
+        "cannot_guarantee": board.cannot_guarantee,
+        "head_declared": sheet.head_declared,
+        "head_m": driver.head_m,
+        "head_radius_m": driver.head_radius_m,
+        "head": _heard(sheet.head, sheet.duration_s),
+        "head_warnings": list(sheet.head_said),
+        "hands": [
+            {"skin": one.skin, **_heard(one.heard, sheet.duration_s), "arp_Pa": one.arp_Pa} for one in sheet.hands
+        ],
+        "p0": {
+            name: {
+                "value_Pa_m": p0.value,
+                "low_Pa_m": p0.low,
+                "high_Pa_m": p0.high,
+                "kind": p0.kind,
+                "source": p0.source,
+            }
+            for name, p0 in sheet.p0.items()
+        },
+        "audible_dBA": None if sound is None else _finite(sound.level_dBA),
+        "audible_air_dBA": None if sound is None else _finite(sound.air_dBA),
+        "audible_force_dBA": None if sound is None else _finite(sound.force_dBA),
+        "audible_distance_m": _finite(sheet.distance_m),
+        "sounding_share": sheet.sounding_share,
+        **driver.model_dump(include={"ramp_s", "on_time_s", "duty_limit", "head_limit_dB"}),
+    }
+
+
+def _heard(heard: Heard, duration_s: float) -> dict[str, Any]:
+    low, high = heard.band_dB
+    return {
+        "place_m": heard.place.tolist(),
+        "level_dB": _finite(heard.level_dB),
+        "mean_level_dB": _finite(heard.mean_level_dB),
+        "dose_8h_dB": _finite(heard.dose_dB(duration_s)),
+        "band_low_dB": low,
+        "band_high_dB": high,
+    }
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

@@ -1,0 +1,305 @@
+"""What a user should know before the run, in words."""
+
+import math
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+from scipy.spatial import cKDTree
+
+from palmfield.acoustics import validity
+from palmfield.config.stimulus import AM_KEYS
+from palmfield.drive.array_drive import ArrayDrive
+from palmfield.drive.boards.ideal import BOARD as IDEAL
+from palmfield.estimate.array_inputs import stimulus_of
+from palmfield.estimate.biases import response_biases
+from palmfield.planning.array_advice import array_advice
+from palmfield.planning.costs import scatterings
+from palmfield.planning.facts import first_drive, where_it_arrives
+from palmfield.planning.in_the_way import in_the_way
+from palmfield.planning.material_advice import material_advice
+from palmfield.planning.pins import coarse_pins
+from palmfield.planning.sight import out_of_sight
+from palmfield.session.duration import step_count
+from palmfield.session.preview import Preview
+from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
+from palmfield.simulation.posed_scene import PosedScene
+from palmfield.skin.from_config import cutoff_Hz
+from palmfield.stimulus.schedule import frames_at, main_frequencies, turn_rate_Hz
+from palmfield.types import Float
+
+COURSE, POSES = 64, 16
+"""Points of a path, and poses of hands that scripts move, in which its distance from a skin is looked at."""
+SOUNDS, NODES = 16, 2000
+"""Points of a path, and of a skin, at most, in which the sound is looked at that comes from a focus far away."""
+HARDLY = 0.05
+"""Of the |p|^2 of a focus on it: skin that gets less hardly moves."""
+ROUNDED = 0.01
+"""Of its duration, by which MuJoCo's steps may change a run without a word."""
+
+
+def advice(view: Preview) -> list[str]:
+    """Warnings, each once."""
+    model = view.runtime.model
+    result = [text for number in range(len(model.skins)) for text in _far_focus(view, number)]
+    result += out_of_sight(view)
+    result += in_the_way(view)
+    result += _rounded_duration(view)
+    result += _disabled_sensors(view)
+    result += array_advice(model)
+    result += material_advice(model)
+    for stimulus in model.stimuli:
+        result += _silence(view, stimulus)
+        result += _keys_without_effect(stimulus)
+        result += _path_off_the_skin(model, stimulus)
+        result += _hardly_begun(stimulus, view.duration_s)
+        result += _held_too_long(stimulus)
+    for scattering in scatterings(view):
+        if scattering.moves:
+            total_s = scattering.solutions * scattering.solution_s
+            result.append(
+                f"body_sound scattering on body '{scattering.body}', which can move: each pose takes about "
+                f"{scattering.solution_s:.2g} s, {scattering.solutions} poses {total_s:.0f} s"
+            )
+    for skin in model.skins:
+        result += _own_mesh(skin, view)
+    for number in range(len(model.skins)):
+        result += _coarse(model, number)
+        result += _below_cutoff(model, number)
+    for number in range(len(model.skins)):
+        result += _dropped_response(model, number)
+    for number, stimulus in enumerate(model.stimuli):
+        drive, posed = first_drive(model, number), view.runtime.work.reference
+        places = [where_it_arrives(posed, skin, drive) for skin in range(len(model.skins))]
+        point, _, pressure = max(places, key=lambda place: place[2])
+        beam = drive, stimulus.first_focus
+        if pressure == 0.0:
+            continue
+        result += validity.warnings(model.arrays.array, point, pressure, model.arrays.air, beam)
+    return list(dict.fromkeys(result))
+
+
+def _coarse(model: HapticModel, number: int) -> list[str]:
+    """Whether keys make a skin coarser than its accuracy takes."""
+    skin, pinned = model.skins[number].spec, coarse_pins(model, number)
+    if not pinned:
+        return []
+    return [
+        f"skin '{skin.name}' is made coarser than accuracy {100 * skin.config.accuracy:g} % takes: "
+        f"{', '.join(pinned)}; the run estimates what that costs; drop the keys, or set accuracy larger"
+    ]
+
+
+def _dropped_response(model: HapticModel, number: int) -> list[str]:
+    """Whether ring-up or flight time are left out by key, and would change more than the accuracy."""
+    skin, stimulus = model.skins[number], model.stimuli[stimulus_of(model, number)]
+    wanted = skin.spec.config.accuracy
+    return [
+        f"{bias.what} of stimulus '{stimulus.spec.name}' left out by key response of palmfield.array: the displacement "
+        f"of skin '{skin.spec.name}' may be off by {bias.size}, where accuracy {100 * wanted:g} % is wanted; set "
+        "response to auto or on"
+        for bias in response_biases(stimulus, skin)
+        if bias.low is not None and -bias.low > wanted
+    ]
+
+
+def _held_too_long(stimulus: StimulusModel) -> list[str]:
+    """Whether control_rate_Hz holds a modulation so long that another one is played; rectangles get frames at jumps."""
+    config = stimulus.config
+    rate, frequency = config.control_rate_Hz, config.am_frequency_Hz
+    if config.modulation != "am" or config.am_waveform == "rectangle" or not config.am_depth or frequency is None:
+        return []
+    if not 0.0 < rate <= 2.0 * frequency:
+        return []
+    played = f"what is played is {abs(frequency - rate * round(frequency / rate)):g} Hz"
+    if rate == 2.0 * frequency:
+        played = "how deep it is played depends on when the frames fall"
+    return [
+        f"stimulus '{stimulus.spec.name}' gets {rate:g} frames a second (control_rate_Hz), two at most in a period "
+        f"of its {frequency:g} Hz: {played}; set control_rate_Hz larger, or am_frequency_Hz smaller"
+    ]
+
+
+def _far_focus(view: Preview, number: int) -> list[str]:
+    """Whether no focus comes near a skin, now or where scripts take it."""
+    model = view.runtime.model
+    skin = model.skins[number]
+    numbers = range(len(model.stimuli))
+    active = [i for i in numbers if not model.stimuli[i].silent] or list(numbers)
+    limit = max(skin.layer.demand.spot_fwhm_m, 2 * skin.layer.sizes.edge_coarse_m)
+    least, nearest = math.inf, (0, view.runtime.posed)
+    for posed in view.poses(POSES):
+        nodes = cKDTree(posed.skins[number].nodes[0])
+        for i in active:
+            places = posed.focal_points(model.stimuli[i], i)
+            foci = [np.atleast_2d(places.at(point)) for point in _course(model.stimuli[i])]
+            distance = float(nodes.query(np.concatenate(foci))[0].min())
+            if distance <= limit:
+                return []
+            if distance < least:
+                least, nearest = distance, (i, posed)
+    stimulus, spot_mm = model.stimuli[nearest[0]], 1e3 * skin.layer.demand.spot_fwhm_m
+    share = 0.0 if stimulus.silent else _share_of_focus(model, number, *nearest)
+    moves = (
+        "which then hardly moves"
+        if share < HARDLY
+        else (f"whose loudest point gets {100 * share:.0f} % of the |p|^2 of a focus there")
+    )
+    return [
+        f"no focus comes near skin '{skin.spec.name}': that of stimulus '{stimulus.spec.name}' stays "
+        f"{1e3 * least:.0f} mm away from the skin layer, {moves}; its elements are chosen for the {spot_mm:.2g} mm "
+        "wide spot at the focus: move the focus onto the skin, or set element_m and patch_radius_m"
+    ]
+
+
+def _share_of_focus(model: HapticModel, skin: int, stimulus: int, posed: PosedScene) -> float:
+    """The highest |p|^2 on a skin, in free air, over that of a focus at the same place, for the points of a path.
+
+    Both at full drive of the same transducers, whatever level the stimulus sets and its board plays: a level that is
+    right for the focus may be out of reach at the skin.
+    """
+    nodes = posed.skins[skin].nodes[0]
+    nodes = nodes[:: -(-len(nodes) // NODES)]
+    part, board = model.stimuli[stimulus], replace(IDEAL, compensate=model.board.compensate)
+    drive = ArrayDrive(posed.arrays, part.transducers, None, None, board)
+    course, share = _course(part), 0.0
+    places = posed.focal_points(part, stimulus)
+    for point in course[:: -(-len(course) // SOUNDS)]:
+        pressures = np.abs(posed.arrays.pressure64(nodes, drive.unit_drive(places.at(point)).amplitudes))
+        loudest = nodes[pressures.argmax()]
+        in_front = np.any((loudest @ drive.normals) > np.einsum("ij,ij->j", drive.places, drive.normals))
+        if in_front and pressures.max() > 0.0:
+            focused = np.abs(posed.arrays.pressure64(loudest[None], drive.unit_drive(loudest).amplitudes)[0])
+            share = max(share, float(pressures.max() / focused) ** 2)
+    return share
+
+
+def _silence(view: Preview, stimulus: StimulusModel) -> list[str]:
+    """Whether a stimulus makes no sound in the run, by its level or by its times."""
+    config, name = stimulus.config, stimulus.spec.name
+    begin, end = float(view.data.time), float(view.data.time) + view.duration_s
+    if stimulus.silent:
+        level = "" if config.drive_amplitude is None else f": its drive_amplitude is {config.drive_amplitude:g}"
+        return [f"stimulus '{name}' makes no sound{level}"]
+    if config.start_s >= end:
+        return [
+            f"stimulus '{name}' makes no sound in this run: it starts at {config.start_s:g} s, and the run ends at "
+            f"{end:g} s; set start_s smaller, or run longer"
+        ]
+    if config.stop_s is not None and config.stop_s <= begin:
+        return [
+            f"stimulus '{name}' makes no sound in this run: it stops at {config.stop_s:g} s, and the run begins at "
+            f"{begin:g} s"
+        ]
+    return []
+
+
+def _rounded_duration(view: Preview) -> list[str]:
+    """Whether MuJoCo's steps make the run longer or shorter than it was meant."""
+    step_s = view.runtime.model.spec.timestep_s
+    steps = step_count(view.duration_s, step_s)
+    if abs(steps * step_s - view.duration_s) <= ROUNDED * view.duration_s:
+        return []
+    count = "one step" if steps == 1 else f"{steps} steps"
+    return [
+        f"the run takes {steps * step_s:.3g} s in place of {view.duration_s:.3g} s, which is {count} of MuJoCo's: "
+        f"option timestep is {step_s:g} s; set one that divides the duration"
+    ]
+
+
+def _disabled_sensors(view: Preview) -> list[str]:
+    """Whether MuJoCo leaves the sensors of skins at 0."""
+    if not view.data.model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_SENSOR:
+        return []
+    own = view.data.model.sensor_plugin >= 0
+    return [f"flag 'sensor' is disabled: {own.sum()} sensors of plugins stay at 0; drop the flag"] if own.any() else []
+
+
+def _course(stimulus: StimulusModel) -> Float:
+    """Some of a stimulus's points over one turn of its path, shape (k, 3)."""
+    config = stimulus.config
+    rate = turn_rate_Hz(config)
+    count = COURSE if rate else 1
+    times: Float = config.start_s + np.arange(count) / (count * (rate or 1.0))
+    return frames_at(config, times)[0]
+
+
+def _keys_without_effect(stimulus: StimulusModel) -> list[str]:
+    """Keys of a modulation that is off."""
+    config = stimulus.spec.config
+    given = [key for key in AM_KEYS if key in config.model_fields_set and getattr(config, key) is not None]
+    if config.modulation != "none" or not given:
+        return []
+    which, do = ("key", "does") if len(given) == 1 else ("keys", "do")
+    return [
+        f"{which} {', '.join(given)} of stimulus '{stimulus.spec.name}' {do} nothing: its modulation is 'none'; set "
+        "modulation to am, or drop them"
+    ]
+
+
+def _hardly_begun(stimulus: StimulusModel, duration_s: float) -> list[str]:
+    """Whether the run ends while the sound still grows. duration_s: of the run, from MuJoCo's time 0"""
+    config = stimulus.config
+    lasts_s = duration_s - config.start_s
+    if not 0.0 < lasts_s < config.ramp_s:
+        return []
+    reached = 0.5 - 0.5 * math.cos(math.pi * lasts_s / config.ramp_s)
+    return [
+        f"the ramp of stimulus '{stimulus.spec.name}' takes {config.ramp_s:g} s, of which the run holds {lasts_s:g} s: "
+        f"the ARP reaches {100 * reached:.2g} % of its full size; set ramp_s shorter or the duration longer"
+    ]
+
+
+def _path_off_the_skin(model: HapticModel, stimulus: StimulusModel) -> list[str]:
+    """Whether a path on the skin leaves the layers on its body."""
+    if stimulus.path is None or stimulus.spec.on_skin is None:
+        return []
+    body = model.skins[stimulus.spec.on_skin].body
+    carrier = model.bodies[body]
+    assert carrier.surface is not None
+    layers = [model.skins[number] for number in model.carried(body)]
+    path = stimulus.path.positions(stimulus.path.arc_m, carrier.surface.vertices, carrier.surface.faces)
+    distances = np.array([cKDTree(skin.nodes[0]).query(path)[0] / skin.layer.sizes.edge_coarse_m for skin in layers])
+    beyond = distances.min(axis=0) > 2.0
+    if not beyond.any():
+        return []
+    first = 1e3 * stimulus.path.arc_m[beyond.argmax()]
+    whose = f" of stimulus '{stimulus.spec.name}'" if len(model.stimuli) > 1 else ""
+    return [
+        f"{100 * beyond.mean():.0f} % of the path's points{whose}, from {first:.0f} mm on, have no skin layer under "
+        "them: necks narrower than its coarse edges are left out; set element_m smaller, or another patch_site"
+    ]
+
+
+def _own_mesh(skin: SkinModel, view: Preview) -> list[str]:
+    """What a solver with a mesh of its own costs on a CPU, and what a preview is worth."""
+    solver, device = skin.choice.name, view.runtime.model.spec.device
+    own, result = skin.explicit, list[str]()
+    if own is None:
+        return []
+    if own.preview and own.expected_error is not None:
+        result.append(
+            f"solver '{solver}' of skin '{skin.spec.name}' is a preview: expect its displacement to be off by about "
+            f"{100 * own.expected_error:.2g} %"
+        )
+    cpu_s, gpu_s = (own.seconds(view.duration_s, where) for where in ("cpu", "cuda:0"))
+    if not own.preview and device == "cpu" and gpu_s < cpu_s:
+        result.append(
+            f"solver '{solver}' of skin '{skin.spec.name}' is made for a GPU: on the CPU it takes about {cpu_s:.2g} s, "
+            f"on a GPU (palmfield_device) {gpu_s:.2g} s"
+        )
+    return result
+
+
+def _below_cutoff(model: HapticModel, number: int) -> list[str]:
+    skin = model.skins[number]
+    cutoff = cutoff_Hz(skin.spec.config, skin.layer.sheets, float(np.median(skin.layer.patch.depth)))
+    frequencies = main_frequencies(model.stimuli[stimulus_of(model, number)].config)
+    low = [f for f in frequencies if cutoff is not None and f < cutoff]
+    if not low:
+        return []
+    layer = "the skin layer" if len(model.skins) == 1 else f"the skin layer of '{skin.spec.name}'"
+    return [
+        f"no waves are promised at {', '.join(f'{f:g}' for f in low)} Hz: {layer} carries none below its "
+        f"cut-off c_s/4h = {cutoff:.0f} Hz, so that the motion stays near the focus"
+    ]

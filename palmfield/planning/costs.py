@@ -1,0 +1,71 @@
+"""What a run costs: points of the field, boundary elements, the error estimate."""
+
+from typing import NamedTuple
+
+from palmfield.acoustics.air import sound_speed
+from palmfield.acoustics.body_scattering import boundary_mesh
+from palmfield.estimate.numerical_error import estimate_s
+from palmfield.planning.facts import pushed_faces
+from palmfield.session.preview import Preview
+from palmfield.simulation.model import HapticModel
+from palmfield.simulation.posed_scene import reference_scene
+from palmfield.stimulus.schedule import frame_rates
+
+PAIRS_PER_S = 5e8
+"""Pairs of transducer and point a second, with gradient, measured on two cores of a server CPU (docs/bench/)."""
+START_AND_PICTURES_S = 12.0
+SCATTER_PAIR_S = 2e-8
+SCATTER_ELEMENT_S = 1e-4
+"""One solution of the boundary elements, docs/bench/scattering.md: 20 iterations of all pairs, and set-up."""
+
+
+def run_s(view: Preview) -> float:
+    """Expected wall time of `palmfield run` on two CPU cores [s], pictures included."""
+    model = view.runtime.model
+    pairs = points_a_step(model) * len(model.arrays) * view.duration_s / model.spec.timestep_s
+    seconds = START_AND_PICTURES_S + pairs / PAIRS_PER_S
+    seconds += sum(estimate_s(skin) + skin.choice.seconds for skin in model.skins)
+    return seconds + sum(scattering.solutions * scattering.solution_s for scattering in scatterings(view))
+
+
+class Scattering(NamedTuple):
+    """Boundary elements on one skin's body: whether it can move, solutions in a run, and seconds of each."""
+
+    body: str
+    moves: bool
+    solutions: int
+    solution_s: float
+
+
+def scatterings(view: Preview) -> list[Scattering]:
+    """What boundary elements cost, for each skin that asks for them."""
+    model = view.runtime.model
+    asking = [i for i, skin in enumerate(model.skins) if skin.spec.config.body_sound == "scattering"]
+    result = []
+    for number in asking:
+        skin, moves = model.skins[number], _can_move(view, number)
+        poses = round(view.duration_s / model.spec.timestep_s) + 1 if moves else 1
+        # A disc's other mesh, in the error estimate, is another body.
+        solutions = poses + (skin.spec.config.shape == "disc")
+        body = reference_scene(model).bodies[skin.body]
+        wavelength_m = sound_speed(model.arrays.air) / model.arrays.array.frequency_Hz
+        elements = len(boundary_mesh(body.vertices, body.faces, wavelength_m)[1])
+        seconds = SCATTER_PAIR_S * elements**2 + SCATTER_ELEMENT_S * elements
+        result.append(Scattering(skin.spec.config.body, moves, solutions, seconds))
+    return result
+
+
+def _can_move(view: Preview, skin: int) -> bool:
+    """Whether body or arrays have degrees of freedom or are moved as mocap bodies, or lie on a body that is."""
+    scene, binding = view.runtime.view.model, view.runtime.binding
+    sites = [*binding.array_sites, *(site for own in binding.transducer_sites for site in own)]
+    bodies = {binding.skins[skin].body, *(scene.site_body(site) for site in sites)}
+    return any(scene.can_move(part) for body in bodies for part in scene.ancestors(body))
+
+
+def points_a_step(model: HapticModel) -> float:
+    """Points at which the field is computed in one of MuJoCo's steps."""
+    skin = sum(6 * len(part.layer.mesh.surface_triangles6) + part.layer.mesh.surface_nodes for part in model.skins)
+    configs = [stimulus.config for stimulus in model.stimuli]
+    moving = any(config.path != "point" and not frame_rates(config) for config in configs)
+    return (model.substeps if moving else 1) * skin + pushed_faces(model)

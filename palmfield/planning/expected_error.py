@@ -1,0 +1,67 @@
+"""What error of the skin displacement a plan expects, from mesh, material and p0."""
+
+from palmfield.estimate.array_inputs import p0_band, p0_known
+from palmfield.planning.pins import coarse_pins
+from palmfield.planning.rows import Row
+from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
+from palmfield.skin.from_config import softest_and_stiffest_sheets
+from palmfield.skin.materials.catalogue import CATALOGUE
+from palmfield.skin.materials.material import Material
+
+
+def expected_errors(model: HapticModel) -> list[Row]:
+    """Rows of each source of error: of each skin, then of each stimulus."""
+    rows = []
+    for number, skin in enumerate(model.skins):
+        name = skin.spec.name
+        rows.append(_mesh_row(skin, coarse_pins(model, number)))
+        for sheet in skin.layer.sheets:
+            rows.append(_material_row(sheet.material, softest_and_stiffest_sheets(skin.spec.config) is not None, name))
+    for number, stimulus in enumerate(model.stimuli):
+        rows += _p0_row(model, number, stimulus)
+    return rows
+
+
+def _mesh_row(skin: SkinModel, pinned: list[str]) -> Row:
+    """What elements or particles cost in error. pinned: as of `coarse_pins`"""
+    wanted = f"{100 * skin.spec.config.accuracy:g} % wanted"
+    if pinned:
+        why = f"keys make it coarser than that takes: {', '.join(pinned)}; the run estimates what was reached"
+        return Row("mesh and time step", wanted, why, skin.spec.name)
+    own = skin.explicit
+    if own is None:
+        why = "sizes follow a convergence study on a disc (docs/bench/skin_c0.md); the run estimates what was reached"
+        return Row("mesh and time step", wanted, why, skin.spec.name)
+    if own.expected_error is None:
+        return Row("mesh and time step", wanted, own.sizes_follow, skin.spec.name)
+    size = f"{'a preview, ' * own.preview}about {100 * own.expected_error:.2g} %; {wanted}"
+    return Row(skin.choice.name, size, own.sizes_follow, skin.spec.name)
+
+
+def _material_row(material: Material, ranges: bool, skin: str) -> Row:
+    """What is known of a material's numbers; the run solves for the ends of the ranges."""
+    entry = CATALOGUE.get(material.name)
+    if not ranges or entry is None or not entry.ranges:
+        return Row("material", "no range is known", f"{material.name}: {material.source}", skin)
+    size = ", ".join(
+        f"{'moduli x ' if known.parameter == 'shear' else known.parameter + ' '}{known.low:g} to {known.high:g}"
+        for known in entry.ranges
+    )
+    sources = "; ".join(known.source for known in entry.ranges)
+    why = f"the run solves for both ends of all ranges at once; {sources}. {material.name}: {material.source}"
+    return Row("material", size, why, skin)
+
+
+def _p0_row(model: HapticModel, number: int, stimulus: StimulusModel) -> list[Row]:
+    name, band = stimulus.spec.name, p0_band(model, number)
+    known = "; ".join(
+        f"{'' if p0.kind == 'measured' else 'uncalibrated, '}{p0.kind}: {p0.value:g} Pa m ({p0.low:g} to {p0.high:g}), "
+        f"{p0.source}"
+        for p0 in p0_known(model, number)
+    )
+    if stimulus.config.arp_peak_Pa is not None:
+        why = f"arp_peak_Pa sets the level; whether the array reaches it goes by p0, {known}"
+        return [Row("p0", "none", why, name)]
+    if band is None:
+        return []
+    return [Row("p0", f"x {band[0]:.2f} to x {band[1]:.2f}", f"ARP and displacement go with p0 squared; {known}", name)]

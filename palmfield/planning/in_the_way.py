@@ -1,0 +1,90 @@
+"""Whether MuJoCo's geoms that no skin names stand between array and skin: sound goes through them without a word."""
+
+from collections.abc import Iterable
+
+import mujoco
+import numpy as np
+
+from palmfield.estimate.array_inputs import stimulus_of
+from palmfield.session.preview import Preview
+from palmfield.types import Float
+
+POINTS, TRANSDUCERS = 8, 32
+"""Of the skin nearest to the focus, and of the array, between which ways are looked at."""
+BEGIN_M, END_M = 1e-3, 5e-3
+"""Ways begin so far above the skin and end so far before the transducers, whose board may have a geom."""
+SHARE = 0.05
+"""Of the ways, from which on they are told."""
+MOST_HITS = 64
+"""Geoms that one way may meet."""
+
+
+def in_the_way(view: Preview) -> list[str]:
+    """A sentence for each skin and each body whose geoms the sound goes through, as the scene stands now.
+
+    Bodies that carry skins or arrays, with all that hangs on them, and those that key `obstacles` names are left out.
+    """
+    model, data, runtime = view.data.model, view.data, view.runtime
+    known = _known(view)
+    posed, result = runtime.posed, []
+    for number, skin in enumerate(runtime.model.skins):
+        stimulus = stimulus_of(runtime.model, number)
+        part = runtime.model.stimuli[stimulus]
+        points, normals = posed.skins[number].quadrature
+        foci = np.atleast_2d(part.first_focus)
+        distance = np.linalg.norm(points[:, None] - foci[None], axis=2).min(axis=1)
+        near = np.argsort(distance)[:POINTS]
+        sources = posed.arrays.array.positions[part.transducers]
+        sources = posed.array_frame.points(sources[:: -(-len(sources) // TRANSDUCERS)])
+        begins = posed.array_frame.points(points[near] + BEGIN_M * normals[near])
+        met = [body for begin in begins for end in sources for body in _met(model, data, begin, end, known)]
+        for body in dict.fromkeys(met):
+            share = met.count(body) / (len(begins) * len(sources))
+            if share >= SHARE:
+                name = model.body(body).name or f"number {body}"
+                result.append(
+                    f"a geom of body '{name}' stands in {100 * share:.0f} % of the ways from the array to skin "
+                    f"'{skin.spec.name}', and sound goes through it: name the body in key obstacles, with body_sound "
+                    "shadows, or move it"
+                )
+    return result
+
+
+def _known(view: Preview) -> set[int]:
+    """Bodies that the skins know of: their own, the arrays', named obstacles, and what hangs on these."""
+    model, binding = view.data.model, view.runtime.binding
+    sites = [*binding.array_sites, *(site for own in binding.transducer_sites for site in own)]
+    named = {name for skin in view.runtime.spec.skins for name in skin.config.obstacles}
+    roots = {int(model.body_rootid[model.site_bodyid[site]]) for site in sites}
+    roots |= {int(model.body_rootid[skin.body]) for skin in binding.skins}
+    first = {model.body(name).id for name in named}
+    return {
+        body
+        for body in range(model.nbody)
+        if (model.body_rootid[body] in roots and model.body_rootid[body] != 0) or _ancestors(model, body) & first
+    }
+
+
+def _ancestors(model: mujoco.MjModel, body: int) -> set[int]:
+    """A body and what it hangs on."""
+    found = {body}
+    while body != 0:
+        body = int(model.body_parentid[body])
+        found.add(body)
+    return found
+
+
+def _met(model: mujoco.MjModel, data: mujoco.MjData, begin: Float, end: Float, known: set[int]) -> Iterable[int]:
+    """Bodies that are not known whose geoms a way meets, each once; places in the world [m], shape (3,)."""
+    length = float(np.linalg.norm(end - begin)) - END_M
+    way, gone, found = (end - begin) / np.linalg.norm(end - begin), 0.0, set()
+    geom = np.zeros(1, np.int32)
+    for _ in range(MOST_HITS):
+        step = mujoco.mj_ray(model, data, begin + gone * way, way, None, 1, -1, geom)
+        gone += step + 1e-6
+        if step < 0.0 or gone > length:
+            break
+        body = int(model.geom_bodyid[geom[0]])
+        if body not in known:
+            found.add(body)
+    return found

@@ -1,0 +1,90 @@
+"""What a plan says is left out, and what that costs in error."""
+
+import numpy as np
+
+from palmfield.acoustics.air import sound_speed
+from palmfield.estimate.array_inputs import stimulus_of
+from palmfield.estimate.biases import biases
+from palmfield.planning.facts import first_drive, where_it_arrives
+from palmfield.planning.rows import Row
+from palmfield.session.loudest_moment import nearest_focus
+from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
+from palmfield.simulation.posed_scene import reference_scene
+from palmfield.skin.from_config import cutoff_Hz
+
+
+def left_out(model: HapticModel) -> list[Row]:
+    """Rows of what is left out, and what that does to the displacement of each skin under the focus."""
+    rows, posed = [], reference_scene(model)
+    for number, skin in enumerate(model.skins):
+        stimulus = stimulus_of(model, number)
+        focus = nearest_focus(model.stimuli[stimulus].reference_foci, posed.skins[number].nodes[0])
+        drive = first_drive(model, stimulus)
+        point, outward, _ = where_it_arrives(posed, number, drive)
+        found = biases(model, number, stimulus, posed, drive, focus, (point, outward))
+        rows += [Row(one.what, one.size, one.why, skin.spec.name) for one in found]
+    return rows
+
+
+def besides(model: HapticModel) -> list[Row]:
+    """Rows of what else is not there: no figure of them is of a skin's displacement."""
+    rows = []
+    for skin in model.skins:
+        if skin.spec.moves or skin.carrier.hand is not None:
+            rows.append(
+                Row(
+                    "the body's own acceleration",
+                    _inertia(skin),
+                    "not modelled: displacements are in the moving frame, and its load is as slow as the motion",
+                    skin.spec.name,
+                )
+            )
+        if skin.carrier.hand is not None:
+            rows.append(
+                Row(
+                    "skin bent by joints",
+                    "not estimated",
+                    "the layer keeps its resting shape, the sound meets the bent one",
+                    skin.spec.name,
+                )
+            )
+    rows += [_common_flight(model, part) for part in model.stimuli]
+    for skin in model.skins:
+        rows += _cutoff_row(skin)
+    for skin in model.skins:
+        if skin.carrier.surface is not None:
+            why = "only the resultant force acts on the rest of the body"
+            rows.append(Row("skin elsewhere", "not modelled", why, skin.spec.name))
+    return rows
+
+
+def _inertia(skin: SkinModel) -> str:
+    """Shear on the base of this layer for an acceleration of 1 m/s^2."""
+    sheets, depth = skin.layer.sheets, float(np.median(skin.layer.patch.depth))
+    density = sum(sheet.material.density_kg_m3 * sheet.thickness_m for sheet in sheets)
+    return f"rho a h of shear on the base: {density * depth:.2g} Pa for 1 m/s^2 on {1e3 * depth:.2g} mm"
+
+
+def _common_flight(model: HapticModel, stimulus: StimulusModel) -> Row:
+    """The time that all sound takes, by which results are early."""
+    arrays, focus = model.arrays, stimulus.first_focus
+    distances = np.linalg.norm(arrays.array.positions[stimulus.transducers] - focus, axis=1)
+    middle_s = 0.5 * (distances.min() + distances.max()) / sound_speed(arrays.air)
+    return Row("common flight time", f"{1e3 * middle_s:.2f} ms", "shifts results in time", stimulus.spec.name)
+
+
+def _cutoff_row(skin: SkinModel) -> list[Row]:
+    config, depth = skin.spec.config, float(np.median(skin.layer.patch.depth))
+    cutoff = cutoff_Hz(config, skin.layer.sheets, depth)
+    if cutoff is None:
+        return []
+    rigid = config.base == "bonded" and config.foundation is None
+    return [
+        Row(
+            "waves below the cut-off",
+            f"c_s/4h = {cutoff:.0f} Hz" + ("" if rigid else " at most"),
+            f"h {1e3 * depth:.1f} mm, the median; a layer on a rigid base guides no wave below this, motion there "
+            "stays local" + ("" if rigid else "; the springs below it lower it"),
+            skin.spec.name,
+        )
+    ]

@@ -1,0 +1,180 @@
+"""What a plan says is modelled, and how."""
+
+from palmfield import cache
+from palmfield.acoustics.body_scattering import BODY_SOUNDS
+from palmfield.acoustics.directivities import form_of
+from palmfield.estimate.array_inputs import qualities
+from palmfield.estimate.numerical_error import estimate_s
+from palmfield.estimate.numerics.mesh_error import RATIO
+from palmfield.estimate.sending import offset_words, peak_offset, sending
+from palmfield.outputs.summary_table import of_full
+from palmfield.planning.facts import pushed_faces
+from palmfield.planning.rows import Row
+from palmfield.simulation.emission import array_drives
+from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
+from palmfield.simulation.small_models.known_load import SHARE
+from palmfield.skin.from_config import sheets_in_words
+from palmfield.skin.materials.material import shear_wave
+from palmfield.stimulus.modulation import arp_lines
+
+
+def modelled(model: HapticModel, duration_s: float) -> list[Row]:
+    """Rows of what is modelled in a run of this length [s], in the order of the pipeline."""
+    skin_points = sum(6 * len(skin.layer.mesh.surface_triangles6) for skin in model.skins)
+    surface = f"{skin_points} skin points"
+    if pushed_faces(model):
+        surface += f", {pushed_faces(model)} faces of the surface for the force"
+    rows = [
+        Row(
+            "sound field",
+            f"{len(model.arrays)} transducers, {surface}",
+            f"pressure and gradient where the surface is, no volume; {_directivity(model)}; air absorption; on "
+            f"{model.spec.device} (palmfield_device)",
+        )
+    ]
+    for number, stimulus in enumerate(model.stimuli):
+        level = array_drives(model, model.arrays)[number].unit_drive(stimulus.first_focus).level
+        about = f"board {model.board.name}: {model.board.description}"
+        rows.append(Row("drive", f"amplitude {of_full(level)}", about, stimulus.spec.name))
+        offset = peak_offset(model, number)
+        if offset is not None:
+            words = "the maximum of |p|; a focus has all sound in phase, which nearer points have louder"
+            rows.append(Row("loudest point", offset_words(*offset), words, stimulus.spec.name))
+        rows += _modulation(stimulus, level)
+    if not model.board.exact:
+        board = model.board
+        rows.append(Row("sending", str(sending(board, model.configs)), f"{board.line}; {board.when_host_dies}"))
+    for skin in model.skins:
+        rows.append(Row("ARP", f"law {skin.spec.config.arp_law}", skin.spec.arp_law.about, skin.spec.name))
+    for skin in model.skins:
+        sound = skin.spec.config.body_sound
+        flat = skin.carrier.surface is None and sound == "none"
+        about = "a flat face, lit by all transducers that it looks at" if flat else BODY_SOUNDS[sound]
+        rows.append(Row("sound at the body", f"body_sound {sound}", about, skin.spec.name))
+    if model.arrays.wall_m is not None:
+        trips = len(model.arrays.images) // len(model.arrays.groups)
+        about = f"images of the array after {trips} round trips of {2e3 * model.arrays.wall_m:.1f} mm, reflection 1"
+        rows.append(Row("echo", "array_face rigid", about))
+    for stimulus in model.stimuli:
+        rows += _ring_up(stimulus)
+    for skin in model.skins:
+        rows += _layer(skin)
+    substeps = round(duration_s / model.step_s)
+    rows.append(
+        Row(
+            "time",
+            f"{substeps} steps of {1e3 * model.step_s:.3g} ms in MuJoCo steps of {1e3 * model.spec.timestep_s:.3g} ms",
+            "the sound or the pose changes, so a static answer will not do",
+        )
+    )
+    return rows + [_solver(skin, model.still_m[skin.body]) for skin in model.skins]
+
+
+def _modulation(stimulus: StimulusModel, level: float) -> list[Row]:
+    """What the ARP of a modulated stimulus is made of; level: largest amplitude of its transducers, of full drive"""
+    config, lines = stimulus.config, arp_lines(stimulus.config)
+    if lines is None:
+        return []
+    size = f"ARP: mean {lines.mean:.3f}"
+    about = f"{config.am_quantity} by a {config.am_waveform}"
+    if lines.first is not None and lines.second is not None and config.am_frequency_Hz is not None:
+        frequency = config.am_frequency_Hz
+        size += f", {lines.first:.3f} at {frequency:g} Hz, {lines.second:.3f} at {2 * frequency:g} Hz"
+    if config.am_waveform == "burst":
+        about += f" over the period of {config.am_burst_period_s:g} s"
+    unmodulated = "" if config.am_depth else ", which changes nothing"
+    why = (
+        f"of that at the loudest moment, lines as peak amplitudes; {about}, depth {config.am_depth:g}{unmodulated}; "
+        f"peak drive {level:.3f} of full, by am_normalisation {config.am_normalisation}"
+    )
+    return [Row("modulation", size, why, stimulus.spec.name)]
+
+
+def _layer(skin: SkinModel) -> list[Row]:
+    layer, name = skin.layer, skin.spec.name
+    sizes, demand, depth = layer.sizes, layer.demand, layer.patch.depth
+    speed, _ = shear_wave(layer.sheets[0].material, demand.max_frequency_Hz)
+    share = layer.patch.report.get("share_thinned", 0.0)
+    thinned = f", thinner than asked at {100 * share:.0f} % of its vertices (curved rims and webs)" if share else ""
+    base = "on a foundation" if skin.spec.config.foundation else skin.spec.config.base
+    estimate = f"the same load on elements {RATIO} x smaller or larger, static and harmonic"
+    whole = "the part of the surface where waves matter at this accuracy"
+    if skin.carrier.surface is None:
+        whole = "the whole disc"
+    elif skin.spec.config.patch_radius_m is not None:
+        whole = "the part of the surface that key patch_radius_m takes"
+    own = []
+    if skin.explicit is not None:
+        resolution, why = skin.explicit.resolution, "below the same face; loads and results are on the wedges'"
+        own.append(Row(f"mesh of {skin.choice.name}", resolution, why, name))
+        estimate = "cut sides; the rest is the solver's own, and in its time"
+    return [
+        Row(
+            "skin layer",
+            f"radius {1e3 * sizes.radius_m:.0f} mm, {1e3 * depth.min():.1f}-{1e3 * depth.max():.1f} mm deep",
+            f"{whole}{thinned}; sides {skin.spec.config.side}, base {base}; of " + sheets_in_words(layer.sheets),
+            name,
+        ),
+        Row(
+            "elements",
+            f"{len(layer.mesh.elements)} quadratic wedges, {layer.dofs} unknowns, edge "
+            f"{1e3 * sizes.edge_fine_m:.1f}-{1e3 * sizes.edge_coarse_m:.1f} mm, "
+            f"{len(sizes.depth_fractions) - 1} through the depth",
+            f"spot {1e3 * demand.spot_fwhm_m:.1f} mm wide, shear wave {1e3 * speed / demand.max_frequency_Hz:.0f} mm "
+            f"long at {demand.max_frequency_Hz:.0f} Hz",
+            name,
+        ),
+        *own,
+        Row("error estimate", f"about {estimate_s(skin):.0f} s", estimate, name),
+    ]
+
+
+def _solver(skin: SkinModel, still_m: float) -> Row:
+    """Which stepper steps a skin, and why; still_m: how far its body may move and count as still [m]."""
+    choice, config, name = skin.choice, skin.spec.config, skin.spec.name
+    if skin.explicit is not None:
+        preview, why = ", a preview" * skin.explicit.preview, f"{skin.explicit.steps}; {choice.why}"
+        size = f"about {choice.seconds:.0f} s, wedges about {choice.wedges_s:.0f} s on the CPU"
+        return Row(f"skin solver {choice.name}{preview}", size, why, name)
+    if choice.name == "wedges":
+        why = f"implicit on the whole layer, factorised once; {choice.why}"
+        return Row("skin solver wedges", f"about {choice.seconds:.0f} s", why, name)
+    if choice.name == "modal":
+        kept = "kept in the cache" if cache.folder() is not None else "kept nowhere, since there is no cache"
+        beyond = "the run's error says so" if config.solver == "modal" else "the whole layer goes on by wedges"
+        return Row(
+            "skin solver modal",
+            f"about {choice.seconds:.0f} s, wedges about {choice.wedges_s:.0f} s",
+            f"{choice.why}; modes for every sound of these arrays on this region, made once, {kept}; what "
+            f"of a load lies outside is measured in every step; beyond {100 * config.accuracy:g} % {beyond}",
+            name,
+        )
+    return Row(
+        "skin solver reduced",
+        f"about {choice.seconds:.0f} s, wedges about {choice.wedges_s:.0f} s",
+        f"{choice.why}; made for this stimulus, to {100 * SHARE * config.accuracy:.2g} %, while body, arrays and "
+        f"focus move by less than {1e6 * still_m:.0f} um; beyond, "
+        + ("the run ends" if config.solver == "reduced" else "the whole layer goes on by wedges"),
+        name,
+    )
+
+
+def _directivity(model: HapticModel) -> str:
+    """What the transducers are off their axes, in words."""
+    return " and ".join(form_of(group.array).words(group.array) for group in model.arrays.groups)
+
+
+def _ring_up(stimulus: StimulusModel) -> list[Row]:
+    response = stimulus.response
+    if not response.on:
+        return []
+    spread = f", flight times spread over {1e3 * response.spread_s:.2f} ms" if response.delayed else ""
+    return [
+        Row(
+            "transducers' ring-up",
+            f"one pole each, {qualities(stimulus)}{spread}",
+            f"without, the pressure would be off by {response.ring_up}, measured on samples of the drive"
+            + (f"; without the flight times by {response.flight_time}" if spread else ""),
+            stimulus.spec.name,
+        )
+    ]

@@ -1,0 +1,33 @@
+"""Keys of a skin that pin what the plan would choose, and make it coarser than the wanted accuracy takes."""
+
+from palmfield.estimate.array_inputs import stimulus_of
+from palmfield.simulation.model import HapticModel
+from palmfield.skin.from_config import sheets_of
+from palmfield.skin.scene_layer import layer_sizes
+from palmfield.stimulus.schedule import main_frequencies
+
+SLACK = 1.05
+"""Pinned sizes up to so many times the chosen ones count as these."""
+
+
+def coarse_pins(model: HapticModel, number: int) -> list[str]:
+    """Of a skin's keys element_m, step_s and max_frequency_Hz those that are coarser than its accuracy takes, in words.
+
+    Elements and steps of explicit solvers follow rules of their own and are left out.
+    """
+    skin, stimulus = model.skins[number], model.stimuli[stimulus_of(model, number)]
+    config, demand, result = skin.spec.config, skin.layer.demand, []
+    highest_Hz = max(main_frequencies(stimulus.config), default=0.0)
+    if config.max_frequency_Hz is not None and config.max_frequency_Hz < highest_Hz:
+        result.append(f"max_frequency_Hz {config.max_frequency_Hz:g} for a stimulus of {highest_Hz:g} Hz")
+    if skin.explicit is not None:
+        return result
+    free, sheets = config.model_copy(update={"element_m": None, "step_s": None}), sheets_of(config)
+    chosen = layer_sizes(
+        free, sheets, demand.spot_fwhm_m, demand.max_frequency_Hz, demand.path_reach_m, demand.timestep_s
+    )
+    if config.element_m is not None and config.element_m > SLACK * chosen.edge_fine_m:
+        result.append(f"element_m {1e3 * config.element_m:.3g} mm for {1e3 * chosen.edge_fine_m:.3g} mm")
+    if config.step_s is not None and config.step_s > SLACK * chosen.step_s:
+        result.append(f"step_s {1e3 * config.step_s:.3g} ms for {1e3 * chosen.step_s:.3g} ms")
+    return result

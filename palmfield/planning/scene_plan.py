@@ -1,0 +1,104 @@
+"""What a scene needs to be modelled, what is left out and why, and what it costs; decided before anything runs."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+from palmfield.estimate.error_budget import QUANTITY
+from palmfield.planning.advice import advice
+from palmfield.planning.costs import run_s
+from palmfield.planning.expected_error import expected_errors
+from palmfield.planning.left_out import besides, left_out
+from palmfield.planning.modelled import modelled
+from palmfield.planning.numbers import plan_numbers
+from palmfield.planning.rows import Row, merged
+from palmfield.planning.text import as_text
+from palmfield.session.duration import check_duration
+from palmfield.session.open_scene import Source
+from palmfield.session.preview import preview
+from palmfield.session.simulation import Simulation
+
+__all__ = ["Plan", "Row", "plan", "warnings"]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Decisions for a scene.
+
+    left_out: and what that does to the displacement of the skin under the focus, besides: what else is not modelled
+    error: what is expected of that displacement; seconds: expected wall time of `palmfield run` on two CPU cores,
+        pictures included
+    """
+
+    scene: str
+    modelled: tuple[Row, ...]
+    left_out: tuple[Row, ...]
+    besides: tuple[Row, ...]
+    error: tuple[Row, ...]
+    seconds: float
+    warnings: tuple[str, ...]
+    numbers: Mapping[str, Any]
+
+    def as_dict(self) -> dict[str, Any]:
+        """All of it as JSON has it, with units in the names; rows are texts, `numbers` as `planning.numbers`."""
+        rows = {"modelled": self.modelled, "left_out": self.left_out, "besides": self.besides}
+        rows["expected_error"] = self.error
+        return {
+            "scene": self.scene,
+            **{name: [asdict(row) for row in part] for name, part in rows.items()},
+            "expected_wall_time_s": self.seconds,
+            "warnings": list(self.warnings),
+            **self.numbers,
+        }
+
+    def __str__(self) -> str:
+        return as_text(
+            self.scene,
+            {
+                "Modelled": self.modelled,
+                f"Left out: true less computed, of the {QUANTITY}": self.left_out,
+                "Not modelled besides": self.besides,
+                f"Expected error of the {QUANTITY}": self.error,
+            },
+            self.warnings,
+            self.seconds,
+        )
+
+
+def plan(
+    scene: Source | Simulation,
+    *,
+    device: str | None = None,
+    accuracy: float | None = None,
+    board: str | None = None,
+    keys: Mapping[str, object] | None = None,
+    duration_s: float | None = None,
+) -> Plan:
+    """Decide what to model, from the scene's stimuli, surfaces and accuracy; simulates nothing.
+
+    scene: a path, an MjSpec, a compiled model or a Simulation; duration_s: of the run [s], the scene's own by
+        default; the other arguments as `palmfield.load`
+    Raises SceneError as `palmfield.load`, where a skin layer can't be made, and for a duration that is not > 0.
+    """
+    if duration_s is not None:
+        check_duration(duration_s)
+    view = preview(scene, device=device, accuracy=accuracy, board=board, keys=keys)
+    if duration_s is not None:
+        view = replace(view, duration_s=duration_s)
+    model = view.runtime.model
+    return Plan(
+        view.name,
+        merged(modelled(model, view.duration_s)),
+        merged(left_out(model)),
+        merged(besides(model)),
+        merged(expected_errors(model)),
+        run_s(view),
+        tuple(advice(view)),
+        plan_numbers(view),
+    )
+
+
+def warnings(scene: Source | Simulation, duration_s: float | None = None) -> list[str]:
+    """What a user should know before the run, in words; duration_s: of the run [s], the scene's own by default."""
+    view = preview(scene)
+    return advice(view if duration_s is None else replace(view, duration_s=duration_s))

@@ -1,0 +1,371 @@
+"""From a scene file, an MjSpec or a compiled model to MuJoCo's model and data, with other values for its keys."""
+
+import logging
+import re
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from os import PathLike
+from pathlib import Path
+from typing import NamedTuple, TypeAlias
+
+import mujoco
+import numpy as np
+
+from palmfield.config import Config, allowed, known_keys, unknown_key
+from palmfield.data import folder as data_folder
+from palmfield.engine.host import compiling, take_compile_error, world_of
+from palmfield.engine.modules import MODULES
+from palmfield.engine.motion_plugin import place
+from palmfield.errors import PalmfieldError, SceneError, did_you_mean
+from palmfield.session.mujoco_messages import in_words
+from palmfield.session.other_board import PluginKeys, exchange_board
+from palmfield.session.scene_text import SceneText, read_scene_text, sensors_without_objtype
+from palmfield.simulation.scene_reader import DEVICE
+
+LOG = logging.getLogger("palmfield.session")
+FILES = {
+    "palmfield.array": ("calibration", "transducers"),
+    "palmfield.skin": ("mesh",),
+    "palmfield.stimulus": ("am_file", "path_file"),
+    "palmfield.motion": ("keyframes", "trajectory", "tracking", "tracking_alignment"),
+}
+"""Keys that name files, relative to the scene."""
+SKIN = "palmfield.skin"
+
+Source: TypeAlias = str | Path | mujoco.MjSpec | mujoco.MjModel
+
+
+def compiled(
+    source: Source,
+    *,
+    device: str | None = None,
+    accuracy: float | None = None,
+    board: str | None = None,
+    keys: Mapping[str, object] | None = None,
+) -> tuple[str, mujoco.MjModel, mujoco.MjData]:
+    """A scene's name, MuJoCo's model, and fresh data at time 0 with hands where their motions have them.
+
+    source: MJCF file, MjSpec (left as it is), or a compiled model, whose keys stay as they are
+    device: where fields are computed (auto, cpu, cuda:N); accuracy: wanted relative error of the skin displacement, of
+        all skins; board: what plays the drive, with its layout and rate (`palmfield.session.other_board`)
+    keys: other values for keys by INSTANCE.key, or PLUGIN.key for all instances of a plugin, such as
+        {"stimulus.focus_m": (0, 0, 0.19)}: numbers, text, sequences and arrays; None, "" or () takes a key out
+    Raises SceneError (or DeviceError) with a one-line message that names element, key, value and what is allowed.
+    """
+    if device is not None and not re.fullmatch(r"auto|cpu|cuda:\d+", device):
+        raise SceneError(f"device '{device}' is not known; allowed: auto, cpu or cuda:N")
+    take_compile_error()
+    if isinstance(source, mujoco.MjModel):
+        if keys or any(value is not None for value in (device, accuracy, board)):
+            raise SceneError(
+                "the scene is compiled (MjModel), so its keys can't be changed any more: give its file or its MjSpec "
+                "with the keys, or the model without"
+            )
+        data = fresh_data(source, "model")
+        _check_sensor_places(data, "model", None)
+        return "model", source, data
+    started = time.perf_counter()
+    scene = opened(source)
+    with _kept(scene.spec):
+        model = _compiled_with(scene, device=device, accuracy=accuracy, board=board, keys=keys or {})
+    data = fresh_data(model, scene.name, scene.text)
+    _check_sensor_places(data, scene.name, scene.text)
+    LOG.debug("opened %s in %.2f s", scene.name, time.perf_counter() - started)
+    return scene.name, model, data
+
+
+def _compiled_with(
+    scene: "Opened",
+    *,
+    device: str | None,
+    accuracy: float | None,
+    board: str | None,
+    keys: Mapping[str, object],
+) -> mujoco.MjModel:
+    """The model of a scene, whose spec is left with these keys; see `compiled`."""
+    name, spec, folder, text = scene
+    _check_plugins(spec, name)
+    _check_sensors(spec, name)
+    if text is not None:
+        _check_names(text)
+    if device is not None:
+        _set_text(spec, DEVICE, device)
+    changes = _changes(spec, keys)
+    plugins = [PluginKeys(plugin.name, plugin.plugin_name, dict(plugin.config)) for plugin in spec.plugins]
+    for _, plugin_name, config in plugins:
+        if plugin_name == SKIN and accuracy is not None:
+            config["accuracy"] = as_text(accuracy)
+    for instance, _, config in plugins:
+        for key, value in changes.get(instance, {}).items():
+            written = "" if value is None else as_text(value)
+            if written:
+                config[key] = written
+            else:
+                config.pop(key, None)
+    if board is not None:
+        for change in exchange_board(name, plugins, board, spec.option.timestep):
+            LOG.info("board %s: %s", board, change)
+    for plugin, (_, _, config) in zip(spec.plugins, plugins, strict=True):
+        _check_keys(plugin, config, scene)
+        for key in FILES.get(plugin.plugin_name, ()):
+            if config.get(key) and folder is not None and not Path(config[key]).is_absolute():
+                config[key] = str(folder / config[key])
+        plugin.config = config
+    try:
+        with compiling():
+            return spec.compile()
+    except (ValueError, RuntimeError, MemoryError, mujoco.FatalError) as error:
+        raise _explained(error, name, text) from None
+
+
+@contextmanager
+def _kept(spec: mujoco.MjSpec) -> Iterator[None]:
+    """Give a spec its keys and device back at the end.
+
+    A copy won't do: MuJoCo 4.0 leaves out of it each plugin that no element refers to, which most of palmfield's are.
+    """
+    configs = [(plugin, dict(plugin.config)) for plugin in spec.plugins]
+    devices = [text.data for text in spec.texts if text.name == DEVICE]
+    try:
+        yield
+    finally:
+        for plugin, config in configs:
+            plugin.config = config
+        for text in list(spec.texts):
+            if text.name == DEVICE and devices:
+                text.data = devices[0]
+            elif text.name == DEVICE:
+                spec.delete(text)
+
+
+def as_text(value: object) -> str:
+    """A key's value as MJCF has it: numbers in full, sequences and arrays with spaces between."""
+    if isinstance(value, bool | np.bool_):
+        return str(bool(value)).lower()
+    if isinstance(value, str):
+        return value
+    if isinstance(value, float | np.floating):
+        return repr(float(value))
+    if isinstance(value, int | np.integer):
+        return str(int(value))
+    if isinstance(value, np.ndarray):
+        return " ".join(as_text(part) for part in value.ravel())
+    if isinstance(value, list | tuple):
+        return " ".join(as_text(part) for part in value)
+    return str(value)
+
+
+class Opened(NamedTuple):
+    """A scene that is read and not compiled.
+
+    name: for messages; folder: that its files are relative to; text: its files, None where it came as an MjSpec
+    """
+
+    name: str
+    spec: mujoco.MjSpec
+    folder: Path | None
+    text: SceneText | None
+
+
+def opened(source: str | Path | mujoco.MjSpec) -> Opened:
+    """The scene's spec and what is known of its files. Raises SceneError for what can't be read."""
+    if isinstance(source, mujoco.MjSpec):
+        folder = Path(source.modelfiledir).resolve() if source.modelfiledir else None
+        return Opened(source.modelname or "the spec", source, folder, None)
+    if not isinstance(source, str | PathLike):
+        raise SceneError(f"scene is {source!r}; allowed: the path of a file, an MjSpec or an MjModel")
+    path = Path(source)
+    if not path.is_file():
+        raise SceneError(no_scene(path))
+    text = read_scene_text(path)
+    for sensor in sensors_without_objtype(text):
+        raise _without_objtype(sensor.where, sensor.attributes.get("name", ""), sensor.attributes.get("plugin", ""))
+    try:
+        return Opened(str(path), mujoco.MjSpec.from_file(str(path)), path.resolve().parent, text)
+    # MuJoCo's binding calls what it can't name, memory that has run out for one, a RuntimeError
+    except (ValueError, RuntimeError, MemoryError, mujoco.FatalError) as error:
+        raise SceneError(in_words(str(error), str(path), text, list(configs()))) from None
+
+
+def no_scene(path: Path) -> str:
+    """That there is no such scene, and which one may be meant: beside it, or one that ships with palmfield."""
+    if path.is_dir():
+        return f"scene {path} is a folder; allowed: the path of an MJCF file, for example {path / 'scene.xml'}"
+    shipped = data_folder("mjcf") / "scenes"
+    # Without their suffix, which all have in common: it would bring any two short names near each other
+    places = {file.stem: str(file) for where in (shipped, path.parent) for file in sorted(where.glob("*.xml"))}
+    near = did_you_mean(path.stem, places)
+    for name, file in places.items():
+        near = near.replace(f"'{name}'", f"'{file}'")
+    return f"scene {path} does not exist{near}; `palmfield new NAME` writes one to start from"
+
+
+def _check_plugins(spec: mujoco.MjSpec, name: str) -> None:
+    if SKIN not in [plugin.plugin_name for plugin in spec.plugins]:
+        raise SceneError(
+            f"{name} has no plugin '{SKIN}', and without a skin nothing is felt; `palmfield new NAME` writes a scene "
+            "with one, and the sound alone is what palmfield.acoustics computes (examples/01_pressure_at_a_focus.py)"
+        )
+
+
+def _check_names(text: SceneText) -> None:
+    """Refuse instances of palmfield's without a name, which neither keys nor results could name."""
+    for one in text.elements:
+        holder = one.within("plugin") if one.tag == "instance" else None
+        plugin = "" if holder is None else holder.attributes.get("plugin", "")
+        if plugin in configs() and not one.attributes.get("name", "").strip():
+            raise SceneError(
+                f"{one.where}: <instance> of plugin '{plugin}' has name '{one.attributes.get('name', '')}'; allowed: a "
+                "name of its own, by which keys and results go"
+            )
+
+
+def _check_sensors(spec: mujoco.MjSpec, name: str) -> None:
+    """Refuse a plugin sensor without objtype, on which MuJoCo 4.0 crashes while it compiles."""
+    for sensor in spec.sensors:
+        plugged = sensor.type == mujoco.mjtSensor.mjSENS_PLUGIN
+        if plugged and sensor.objtype == mujoco.mjtObj.mjOBJ_UNKNOWN:
+            raise _without_objtype(name, sensor.name, sensor.plugin.plugin_name)
+
+
+def _check_sensor_places(data: mujoco.MjData, name: str, text: SceneText | None) -> None:
+    """Refuse sensors off their skin, with file and line, before the run would; name, text: of the scene."""
+    world = world_of(data)
+    if world is None or world.scene is None:
+        return
+    try:
+        world.scene.check_sensors()
+    except SceneError as error:
+        error.about = (_place(str(error), name, text), *error.about)
+        raise
+
+
+def _without_objtype(scene: str, sensor: str, plugin: str) -> SceneError:
+    return SceneError(
+        f"{scene}: sensor '{sensor}' of plugin '{plugin}' has no objtype; give objtype='site' and objname, a site of "
+        "the skin's body"
+    )
+
+
+def _changes(spec: mujoco.MjSpec, keys: Mapping[str, object]) -> dict[str, dict[str, object]]:
+    """Values by instance name. Raises SceneError for an instance or plugin that the scene has not, and unknown keys."""
+    models = configs()
+    result: dict[str, dict[str, object]] = {}
+    given_as: dict[tuple[str, ...], str] = {}
+    instances = {plugin.name for plugin in spec.plugins}
+    # What is said of one instance counts before what is said of all of its plugin
+    for given, value in sorted(keys.items(), key=lambda item: item[0].rpartition(".")[0] in instances):
+        owner, _, key = given.rpartition(".")
+        own = [plugin for plugin in spec.plugins if plugin.name == owner]
+        if not own:
+            full = f"palmfield.{owner.removeprefix('palmfield.')}"
+            own = [plugin for plugin in spec.plugins if plugin.plugin_name == full]
+        if not own:
+            known = sorted({plugin.name for plugin in spec.plugins} | {p.plugin_name for p in spec.plugins})
+            short = [name.removeprefix("palmfield.") for name in known]
+            near = did_you_mean(owner.removeprefix("palmfield."), short)
+            raise SceneError(
+                f"key '{given}' is not of an instance or plugin of this scene{near}; it has: {', '.join(known)}"
+            )
+        other = given_as.setdefault((key, *(plugin.name for plugin in own)), given)
+        if other != given:
+            raise SceneError(
+                f"keys '{other}' and '{given}' both set {key} of instance '{own[0].name}', to '{keys[other]}' and "
+                f"'{value}'; give one of them"
+            )
+        for plugin in own:
+            config = models.get(plugin.plugin_name)
+            if config is not None and key not in known_keys(config):
+                raise SceneError(f"plugin '{plugin.plugin_name}' instance '{plugin.name}': {unknown_key(config, key)}")
+            result.setdefault(plugin.name, {})[key] = value
+    return result
+
+
+def _check_keys(plugin: mujoco.MjsPlugin, config: Mapping[str, str], scene: Opened) -> None:
+    """Refuse unknown keys, and keys without a value, which MuJoCo can't tell from keys that are not there."""
+    known = configs().get(plugin.plugin_name)
+    if known is None:
+        return
+    for key, value in config.items():
+        wrong = ""
+        if key not in known_keys(known):
+            wrong = unknown_key(known, key)
+        elif not value.strip() and key in known.model_fields:
+            wrong = f"key '{key}' has no value; allowed: {allowed(known, key)}, or leave the key out"
+        if wrong:
+            told = f"plugin '{plugin.plugin_name}' instance '{plugin.name}': {wrong}"
+            raise SceneError(f"{_place(told, scene.name, scene.text)}: {told}")
+
+
+def configs() -> dict[str, type[Config]]:
+    """The keys' models by plugin name."""
+    return {module.name: module.config for module in MODULES}
+
+
+def _set_text(spec: mujoco.MjSpec, name: str, value: str) -> None:
+    for text in spec.texts:
+        if text.name == name:
+            text.data = value
+            return
+    spec.add_text(name=name, data=value)
+
+
+def fresh_data(model: mujoco.MjModel, name: str, text: SceneText | None = None) -> mujoco.MjData:
+    """Data at time 0 with hands where their motions have them.
+
+    name, text: of the scene, for errors as `compiled` raises
+    """
+    try:
+        data = mujoco.MjData(model)
+    except (ValueError, mujoco.FatalError) as error:
+        raise _explained(error, name, text) from None
+    place(data)
+    return data
+
+
+def _explained(error: Exception, name: str, text: SceneText | None) -> BaseException:
+    """What a module's own error says, with the place of what it means, or MuJoCo's in words."""
+    cause = take_compile_error()
+    if isinstance(cause, PalmfieldError):
+        place = _place(str(cause), name, text)
+        if text is not None and " renamed: use " in str(cause):
+            cause.args = (f"{cause.args[0]} (`palmfield migrate {name}` rewrites it)",)
+        cause.about = (place, *cause.about)
+        return cause
+    return cause or SceneError(in_words(str(error), name, text, list(configs())))
+
+
+def _place(message: str, name: str, text: SceneText | None) -> str:
+    """File and line of what a message begins with: a key, its instance, or a setting of the whole scene.
+
+    The scene's name where it isn't known.
+    """
+    meant = re.match(r"plugin '([^']+)' instance '([^']*)'(?:: (?:unknown )?key '(\w+)')?", message)
+    element = text.key(meant[1], meant[2], meant[3] or "") if meant and text is not None else None
+    sensor = re.search(r"instance '[^']*': sensor '([^']*)'", message)
+    if sensor and text is not None:
+        element = text.last("plugin", sensor[1]) or element
+    whole = re.match(r"(option|numeric|text|tuple) '([^']+)'", message)
+    if whole and text is not None:
+        element = text.last(whole[1], None if whole[1] == "option" else whole[2])
+    return name if element is None else element.where
+
+
+class Instance(NamedTuple):
+    """A plugin instance of a scene. keys: those that the scene sets, as texts"""
+
+    name: str
+    plugin: str
+    keys: dict[str, str]
+
+
+def instances_of(source: str | Path, keys: Mapping[str, object]) -> tuple[list[Instance], dict[str, dict[str, object]]]:
+    """A scene's plugin instances, and values of keys by instance, as `compiled` would take them; compiles nothing.
+
+    Raises SceneError for a scene that can't be read, an instance or plugin that it has not, and unknown keys.
+    """
+    name, spec, _, _ = opened(source)
+    _check_plugins(spec, name)
+    listed = [Instance(plugin.name, plugin.plugin_name, dict(plugin.config)) for plugin in spec.plugins]
+    return listed, _changes(spec, keys)

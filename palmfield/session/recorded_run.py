@@ -1,0 +1,326 @@
+"""Run a scene and write, or keep, its results."""
+
+import json
+import logging
+import platform
+import resource
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import asdict, dataclass, field, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+from rich.progress import Progress
+
+from palmfield.errors import MeasurementError, OutputError
+from palmfield.interrupts import interrupts_held
+from palmfield.outputs.pictures.draw import checked_kinds, draw_pictures
+from palmfield.outputs.plots import plot_displacement, plot_pressure
+from palmfield.outputs.render import render_scene
+from palmfield.outputs.schema import MUJOCO_SCENE, group
+from palmfield.outputs.store import MemoryStore, Store, open_result, refuse_occupied, write_json
+from palmfield.outputs.store import recover as assemble
+from palmfield.outputs.summary import summary
+from palmfield.outputs.usd import write_usd
+from palmfield.outputs.usd.stage_file import left_scenes
+from palmfield.session.duration import check_duration, step_count
+from palmfield.session.mujoco_scene import body_poses
+from palmfield.session.open_scene import Source
+from palmfield.session.recorder import Block, Recorder, Sink, static_arrays, world_with
+from palmfield.session.simulation import Simulation
+from palmfield.terminal import bars
+
+LOG = logging.getLogger("palmfield.session")
+PICTURES: tuple[tuple[str, Callable[[Any, Path], None]], ...] = (
+    ("pressure.png", plot_pressure),
+    ("displacement.png", plot_displacement),
+    ("scene.png", render_scene),
+    ("scene.usdc", write_usd),
+)
+CONVENTIONS = {
+    "time_factor": "e^{-i w t}: a delay is +phase",
+    "pressure": "complex peak amplitude of the incident field [Pa]",
+    "arp_sign": "positive pushes into the surface",
+    "normal_displacement": "along the outward normal: a push is negative",
+    "pose": "position [m] and quaternion (w, x, y, z)",
+}
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a run left behind.
+
+    out: folder, None for a run that was kept in memory; files: paths written, by name
+    summary: the numbers of summary.json
+    """
+
+    out: Path | None
+    files: dict[str, Path]
+    summary: dict[str, Any]
+    _kept: xr.DataTree | None = field(default=None, repr=False)
+    _opened: list[xr.DataTree] = field(default_factory=list, repr=False)
+
+    @property
+    def dataset(self) -> xr.DataTree:
+        """The result's groups (palmfield.outputs.schema), opened when first asked for and read where it is used."""
+        if self._kept is not None:
+            return self._kept
+        if not self._opened:
+            self._opened.append(open_result(self.files["result.nc"]))
+        return self._opened[0]
+
+
+class Estimates(NamedTuple):
+    """What is estimated of a run that went to its end, by the layer above.
+
+    budgets: the error budget of each skin's motion, or why there is none
+    summary: all numbers, of what was recorded, the budgets, the result, and more numbers of the whole run
+    """
+
+    budgets: Callable[[Simulation, Recorder, Progress], dict[str, Any]]
+    summary: Callable[[Simulation, Recorder, dict[str, Any], xr.DataTree, dict[str, Any]], dict[str, Any]]
+
+
+def run_recorded(
+    scene: Source | Simulation,
+    out: str | Path | None,
+    estimates: Estimates,
+    *,
+    duration_s: float | None,
+    progress: bool,
+    overwrite: bool,
+    plots: Sequence[str] | None,
+) -> Result:
+    """`palmfield.run`, with what estimates its errors."""
+    started = time.perf_counter()
+    if duration_s is not None:
+        check_duration(duration_s)
+    if plots:
+        checked_kinds(plots)
+    if out is not None:
+        # Before anything is computed; the store looks again.
+        refuse_occupied(Path(out), overwrite)
+    sim = scene if isinstance(scene, Simulation) else Simulation(scene)
+    duration = sim.duration_s if duration_s is None else duration_s
+    with bars(progress) as bar:
+        store, recorder = _prepare(sim, None if out is None else Path(out), overwrite, bar)
+        stopped = _simulate(sim, recorder, duration, bar)
+        try:
+            store.append(recorder.surfaces())
+        except (KeyboardInterrupt, Exception) as error:
+            stopped = stopped or error
+        budgets: dict[str, Any] = {}
+        cut: KeyboardInterrupt | None = None
+        if stopped is None:
+            try:
+                budgets = estimates.budgets(sim, recorder, bar)
+            except KeyboardInterrupt as error:
+                cut = error  # only the estimate is missing: what was computed is whole
+        reason = "ran to its end" if stopped is None else f"{type(stopped).__name__}: {stopped}".rstrip(": ")
+        with ExitStack() as opened:
+            # Ctrl-C waits until there is a result that it can carry
+            held = opened.enter_context(ExitStack())
+            held.enter_context(interrupts_held())
+            about = {"reason": reason} | ({"error_budget": json.dumps(budgets)} if budgets else {})
+            finished = store.finish(about, complete=stopped is None)
+            if isinstance(finished, xr.DataTree):
+                tree, files = finished, dict[str, Path]()
+                result = Result(None, files, summary(tree, ending(tree)), tree)
+            else:
+                assert out is not None
+                tree, files = opened.enter_context(open_result(finished)), {"result.nc": finished}
+                files["summary.json"] = Path(out) / "summary.json"
+                result = Result(Path(out), files, summary(tree, ending(tree)))
+            with _carried_by_errors(result):
+                if stopped is None and not tree.attrs["complete"]:
+                    stopped = store.lost or OutputError(f"{out} is incomplete: {tree.attrs['reason']}")
+                try:
+                    if out is not None:
+                        # Before what may take long or be interrupted, and again at the end.
+                        write_json(files["summary.json"], result.summary)
+                except OutputError as error:
+                    stopped = stopped or error
+                held.close()
+                if ended := stopped or cut:
+                    raise ended
+                whole = estimates.summary(sim, recorder, budgets, tree, ending(tree) | _spent(started))
+                if out is not None:
+                    files |= draw(tree, Path(out), bar, plots)
+                    whole |= _spent(started)
+                    write_json(files["summary.json"], whole)
+    return replace(result, summary=whole)
+
+
+def ending(tree: xr.DataTree) -> dict[str, Any]:
+    """Whether all of a run was written, and why it ended, as its result says."""
+    return {"complete": bool(tree.attrs["complete"]), "reason": str(tree.attrs["reason"])}
+
+
+@contextmanager
+def _carried_by_errors(result: Result) -> Iterator[None]:
+    """Errors raised in the block, and Ctrl-C, get what a run has so far as their attribute `result`."""
+    try:
+        yield
+    except (KeyboardInterrupt, Exception) as error:
+        error.result = result  # type: ignore[union-attr]
+        where = "this error's attribute `result`" if result.out is None else str(result.out)
+        error.add_note(f"What was computed until then is in {where}.")
+        raise
+
+
+def recover(out: str | Path, *, progress: bool = False) -> dict[str, Path]:
+    """Assemble what a killed run left, or complete the files of one that was cut off while drawing.
+
+    progress: as of `run`
+    What a killed writing of a USD scene has left is said, and not removed: it may be wanted, or still be written.
+    Returns the files by name. Raises OutputError where there is nothing to recover or no room.
+    """
+    out = Path(out)
+    try:
+        return _recovered(out, progress)
+    finally:
+        for left, what in left_scenes(out):
+            LOG.warning("%s is %s", left, what)
+
+
+def _recovered(out: Path, progress: bool) -> dict[str, Path]:
+    path = out / "result.nc"
+    if (out / ".partial").is_dir() or not path.exists():
+        path = assemble(out)
+    target = out / "summary.json"
+    with open_result(path) as tree:
+        complete = bool(tree.attrs["complete"])
+        if not complete or not target.exists():
+            write_json(target, summary(tree, {"complete": complete, "reason": tree.attrs["reason"]}))
+        with bars(progress) as bar:
+            return {"result.nc": path, "summary.json": target} | draw(tree, out, bar)
+
+
+def draw(tree: xr.DataTree, out: Path, bar: Progress, plots: Sequence[str] | None = None) -> dict[str, Path]:
+    """Write the pictures that are asked for, or the usual ones, and the USD scene, as far as the data allow.
+
+    What can't be drawn is said and left out.
+    """
+    files: dict[str, Path] = {}
+    task = bar.add_task("drawing", total=len(PICTURES))
+    for kind in plots or ():
+        bar.update(task, description=f"drawing {kind}")
+        try:
+            drawn, _ = draw_pictures(tree, out / "plots", [kind])
+            files |= {f"plots/{path.name}": path for path in drawn.values()}
+        except (OutputError, MeasurementError) as error:
+            LOG.warning("no picture %s: %s", kind, error)
+    for name, make in PICTURES:
+        if plots is not None and name.endswith(".png"):
+            continue
+        bar.update(task, description=f"writing {name}")
+        try:
+            make(tree, out / name)
+            files[name] = out / name
+        except OutputError as error:
+            LOG.warning("no %s: %s", name, error)
+        bar.advance(task)
+    return files
+
+
+def _prepare(sim: Simulation, out: Path | None, overwrite: bool, bar: Progress) -> tuple[Store | MemoryStore, Recorder]:
+    """Everything that can fail before the first step."""
+    started = time.perf_counter()
+    sim.runtime.prepare(bar)
+    static, attributes = known_before(sim), result_attributes(sim)
+    store = MemoryStore(static, attributes) if out is None else Store(out, static, attributes, overwrite)
+    LOG.debug("prepared the skin layers in %.2f s", time.perf_counter() - started)
+    return store, recorder_of(sim, store)
+
+
+def recorder_of(sim: Simulation, sink: Sink) -> Recorder:
+    """What writes a simulation's steps to a sink, from `start` to `stop`."""
+    return Recorder(sim.runtime, world_with(sim.data), sink, lambda: body_poses(sim.data))
+
+
+def known_before(sim: Simulation) -> Block:
+    """What a result holds of a simulation before the first step."""
+    return static_arrays(sim.runtime.model, world_with(sim.data), sim.runtime, sim.model)
+
+
+def _simulate(sim: Simulation, recorder: Recorder, duration_s: float, bar: Progress) -> BaseException | None:
+    """Step to the end; returns what ended it early, or None."""
+    started = time.perf_counter()
+    steps = step_count(duration_s, sim.model.opt.timestep)
+    task = bar.add_task(f"simulating {1e3 * duration_s:g} ms", total=steps)
+    try:
+        recorder.start()
+        with interrupts_held() as check:
+            for _ in range(steps):
+                sim.step()
+                recorder.step()
+                bar.advance(task)
+                check()
+    except (KeyboardInterrupt, Exception) as error:
+        return error
+    finally:
+        recorder.stop()
+    LOG.debug("%d steps took %.2f s", steps, time.perf_counter() - started)
+    return None
+
+
+def _spent(started: float) -> dict[str, Any]:
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    memory = peak / 2**20 if platform.system() == "Darwin" else peak / 2**10
+    return {"wall_time_s": time.perf_counter() - started, "peak_memory_MiB": memory}
+
+
+def _shown_better(sim: Simulation) -> list[str]:
+    """MuJoCo's bodies of which the result has more than their geoms: those that carry skin, and the arrays' boards."""
+    binding = sim.runtime.binding
+    numbers = [number for skin in binding.skins for number in (skin.body, *skin.bones)]
+    numbers += [int(sim.model.site_bodyid[site]) for site in binding.array_sites]
+    return list(dict.fromkeys(sim.model.body(number).name for number in numbers))
+
+
+def result_attributes(sim: Simulation) -> dict[str, dict[str, Any]]:
+    """Every setting, convention and version, as attributes of the result and its groups."""
+    model = sim.runtime.model
+    packages = ("palmfield", "warp-lang", "mujoco", "numpy", "scipy", "trimesh", "usd-core", "xarray")
+    attributes: dict[str, dict[str, Any]] = {
+        "/": {
+            "scene": sim.name,
+            "driver": model.spec.driver.model_dump_json(),
+            "skin_step_s": model.step_s,
+            "timestep_s": model.spec.timestep_s,
+            "device": model.spec.device,
+            "conventions": json.dumps(CONVENTIONS),
+            "versions": json.dumps({name: version(name) for name in packages} | {"python": platform.python_version()}),
+        }
+    }
+    for array in model.spec.arrays:
+        attributes[group("array", array.name)] = {"config": array.config.model_dump_json()}
+    for part in model.stimuli:
+        arrays = [model.spec.arrays[number].name for number in part.spec.arrays]
+        # Ten thousand numbers of a file would be more than an attribute takes
+        keys = part.config.model_dump_json(exclude={"am_table", "focus_table"})
+        attributes[group("stimulus", part.spec.name)] = {"config": keys, "arrays": arrays}
+    attributes[group("mujoco", MUJOCO_SCENE)] = {
+        "gravity": json.dumps(sim.model.opt.gravity.tolist()),
+        "shown_better": json.dumps(_shown_better(sim)),
+    }
+    for skin in model.skins:
+        layer, name = skin.layer, skin.spec.name
+        sizes = {key: np.asarray(value).tolist() for key, value in asdict(layer.sizes).items()}
+        mesh = sizes | {"dofs": layer.system.ndof, "elements": len(layer.mesh.elements), **layer.patch.report}
+        attributes[group("skin", name)] = {
+            "config": skin.spec.config.model_dump_json(),
+            "material": json.dumps([asdict(sheet.material) for sheet in layer.sheets]),
+            "mesh": json.dumps(mesh),
+            "arp_law": skin.spec.config.arp_law,
+        }
+        if skin.spec.config.arp_law == "alpha":
+            # p_rms^2 is |p|^2/2 of the peak amplitude, which the law's weight is of
+            attributes[group("skin", name)]["arp_alpha"] = 2.0 * skin.spec.arp_law.pressure
+        attributes[group("body", name)] = {"body": skin.carrier.name}
+        attributes[group("surface", name)] = {"body": skin.carrier.name}
+    return attributes

@@ -1,0 +1,308 @@
+"""Loads whose course is known before the run: which scenes have one, and the small model of the skin made for it.
+
+A stimulus that comes round on skin that keeps still loads it with few patterns, and a skin whose load is known needs a
+small model only.
+"""
+
+import math
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+
+from palmfield import cache
+from palmfield.config import StimulusConfig
+from palmfield.drive.response import Pole
+from palmfield.drive.transducer_response import commanded_drive
+from palmfield.simulation.emission import array_drives
+from palmfield.simulation.model import HapticModel, StimulusModel
+from palmfield.simulation.posed_scene import PosedScene, reference_scene
+from palmfield.simulation.radiation import Radiation
+from palmfield.simulation.spec import SkinSpec
+from palmfield.skin.reduction.krylov import Fade, harmonics, level, periodic
+from palmfield.skin.reduction.load_shapes import load_shapes
+from palmfield.skin.reduction.reduced_stepper import (
+    MOST_VECTORS,
+    KnownLoad,
+    ReducedStepper,
+    known_model,
+    reduced_stepper,
+)
+from palmfield.skin.scene_layer import SceneLayer
+from palmfield.stimulus.schedule import (
+    frames_at,
+    is_closed,
+    level_jumps,
+    main_frequencies,
+    points_a_turn,
+    repeats,
+    turn_rate_Hz,
+)
+from palmfield.stimulus.waveform import period_s as am_period_s
+from palmfield.types import Complex, Float, Float32
+
+SHARE = 0.1
+"""Of the wanted accuracy that reducing the skin may cost."""
+MOST_TURNS = 4
+"""Turns of a path in which its modulation must come round."""
+BAND = 2.5
+"""Of the highest frequency that mesh and step resolve: harmonics of a load that a model is made for."""
+TRIAL_S, LONGEST_TRIAL_S = 0.03, 0.1
+"""Time of the load under which models are compared [s], and at most for a load that comes round more slowly."""
+REST_S = 2.5e-3
+"""A focus that rests longer than this at each point of its path is as many loads, and no smooth course [s]."""
+MOST_SAMPLES = 1024
+SMALLEST = 1e-4
+"""Of the largest harmonic of a load: smaller ones are left out of what a model is made for."""
+CLOSER, BEGIN_CLOSER = 16, 4
+"""Examples of a load for each of its samples, as it comes round and while the transducers ring up."""
+SPAN_CLOSER = 4
+"""Drives for each sample of a load, of which all of its drives are to be sums."""
+LEFT_OUT = 3e-4
+"""Of a known load, what the shapes may leave out by which it is looked at in few points."""
+DIGITS = 10
+"""Of drives, after the point."""
+BEGINNING = 48
+"""Moments at which the load is looked at while the transducers ring up."""
+SETTLED = 12.0
+"""Transducers are rung up after this over their damping."""
+
+# -- which scenes have one -----------------------------------------------------------------------------------------
+
+
+def refusal(
+    skin: SkinSpec, layer: SceneLayer, stimuli: tuple[StimulusModel, ...], pole: Pole, response_on: bool
+) -> str | None:
+    """Why a skin can't be reduced for these stimuli, in words, or None."""
+    if skin.config.solver == "wedges":
+        return "solver 'wedges' is asked for"
+    if skin.moves:
+        return "a script moves something in the scene"
+    sounding = [stimulus for stimulus in stimuli if not stimulus.silent]
+    if not sounding:
+        return "the stimulus is silent"
+    if len(sounding) > 1:
+        return f"{len(sounding)} stimuli sound together"
+    if one_shape(sounding[0], pole, response_on):
+        return None
+    config = sounding[0].config
+    if not repeats(config):
+        return "bursts, a path that runs once, or a file's course don't come round"
+    if level_jumps(config):
+        return "the level jumps in each period of the modulation"
+    if config.path == "letters" or (config.path_end == "jump" and not is_closed(config)):
+        return "the focus jumps from one end of its path to the other"
+    if config.path != "point" and config.control_rate_Hz > 0.0:
+        return "control_rate_Hz holds the focus at moments that don't come round with the path"
+    expected = expected_vectors(sounding[0], pole, response_on)
+    if expected > MOST_VECTORS:
+        return f"the focus rests at {points_a_turn(config)} points in turn, which takes about {expected} vectors"
+    turn = period_s(config)
+    if turn is None:
+        return f"path and modulation come round together after more than {MOST_TURNS} turns"
+    if samples(config, turn, layer.demand.max_frequency_Hz) > MOST_SAMPLES:
+        return f"the load comes round after {turn:.3g} s only"
+    return None
+
+
+def expected_vectors(stimulus: StimulusModel, pole: Pole, response_on: bool) -> int:
+    """About how many vectors the model will have, as seen on the shipped scenes."""
+    if one_shape(stimulus, pole, response_on):
+        return 60
+    config = stimulus.config
+    rate = turn_rate_Hz(config)
+    points = points_a_turn(config)
+    if points and rate and REST_S * rate * points < 1.0:
+        return 60 * points
+    return 100 if config.stop_s is None else 200
+
+
+def one_shape(stimulus: StimulusModel, pole: Pole, response_on: bool) -> bool:
+    """Whether the load is one field whose level alone changes."""
+    alike = not response_on or (not stimulus.response.delayed and np.ptp(np.abs(pole.rate)) == 0.0)
+    return stimulus.config.path == "point" and alike
+
+
+def period_s(config: StimulusConfig) -> float | None:
+    """Time after which focus and level are the same again [s]; None where that takes more than MOST_TURNS turns."""
+    path = turn_rate_Hz(config)
+    modulated = am_period_s(config)
+    wave = None if modulated is None else 1.0 / modulated
+    if path is None or wave is None:
+        return 1.0 / (path or wave or 200.0)
+    ratio = Fraction(wave / path).limit_denominator(MOST_TURNS)
+    return ratio.denominator / path if math.isclose(float(ratio) * path, wave, rel_tol=1e-9) else None
+
+
+def samples(config: StimulusConfig, turn_s: float, max_frequency_Hz: float) -> int:
+    """Loads to be computed over one period, for harmonics up to BAND, as many to each held point of a path."""
+    points = max(points_a_turn(config), 1)
+    band = BAND * (2.0 if points > 1 else 1.0) * max_frequency_Hz
+    return points * math.ceil(max(32, 4 * math.ceil(band * turn_s)) / points)
+
+
+# -- the load and its model ----------------------------------------------------------------------------------------
+
+
+def known_stepper(model: HapticModel, skin: int) -> ReducedStepper:
+    """The small model for the known load.
+
+    What it is made of is kept under what the load depends on, so that a run from the cache does not compute it. Its
+    vectors are kept under the load itself, which serves any level. Raises SceneError as `reduced_stepper`.
+    """
+    part = model.skins[skin]
+    layer, posed = part.layer, reference_scene(model)
+    focus = posed.skins[skin].body.frame.inverse_points(model.stimuli[model.sounding].first_focus)
+    step_s, inputs = layer.sizes.step_s, layer.quadrature.operator
+    reads = layer.surface_operator, layer.probe(focus).operator
+    wanted = step_s, layer.demand.max_frequency_Hz, SHARE * part.spec.config.accuracy
+    fresh: list[ReducedStepper] = []
+
+    def make() -> cache.Arrays:
+        load, examples = known_load(model, skin, posed)
+        shapes = load_shapes(examples, layer.quadrature.weights, LEFT_OUT)
+        del examples  # a third of a gigabyte
+        fresh.append(reduced_stepper(layer.system, load, *reads, inputs, *wanted, shapes))
+        marks = {"load": np.array(cache.digest(load)), "vectors": np.array(cache.digest(fresh[0].vectors))}
+        return marks | {"points": shapes.points, "shares": fresh[0].shares}
+
+    arrays = posed.arrays
+    depends_on = (
+        *(replace(model.spec, duration_s=0.0), skin, model.response_on, layer.demand, layer.sizes, focus),
+        *(arrays.array, arrays.air, arrays.placements, layer.system.made_of, inputs),
+        *(layer.quadrature.weights, [(body.vertices_in_array, body.faces) for body in posed.bodies], *reads, *wanted),
+    )
+    known = cache.kept("known-load", depends_on, make)
+    if fresh:
+        return fresh[0]
+    small, vectors, error, any_course = known_model(
+        layer.system, str(known["load"]), lambda: known_load(model, skin, posed)[0], *reads, *wanted
+    )
+    if cache.digest(vectors) != str(known["vectors"]):
+        # They were made anew, perhaps on another machine: shares are of other vectors
+        make()
+        return fresh[0]
+    return ReducedStepper(small, vectors, known["shares"], known["points"], step_s, error, any_course)
+
+
+def known_load(model: HapticModel, skin: int, posed: PosedScene) -> tuple[KnownLoad, Float32]:
+    """What the one sounding stimulus does to a skin in a pose that it keeps, and the pressures of which it is made.
+
+    The pressures are at the quadrature's points [Pa], shape (t, q).
+    """
+    number = model.sounding
+    stimulus, radiation = model.stimuli[number], Radiation(model)
+    config, layer = stimulus.config, model.skins[skin].layer
+    operator = layer.quadrature.operator
+    start, step = config.start_s, layer.sizes.step_s
+    turn = period_s(config) or 0.0
+    trial: Float = step * np.arange(round(min(max(TRIAL_S, turn), LONGEST_TRIAL_S) / step) + 1, dtype=np.float64)
+    if one_shape(stimulus, model.pole, model.response_on):
+        drive = array_drives(model, posed.arrays)[number].unit_drive(stimulus.reference_foci)
+        pressures = _pressures(skin, posed, radiation, _at_full_level(drive.amplitudes[None])[0])
+        shape: Float = operator @ pressures.T
+        lines = [0.0, layer.demand.main_frequency_Hz, *main_frequencies(config)]
+        spectrum: list[tuple[float, Complex]] = [(f, np.ones(1, complex)) for f in dict.fromkeys(lines)]
+        return KnownLoad(shape, shape, [frames_at(config, start + trial)[1][:, None]], spectrum), pressures
+    count = samples(config, turn, layer.demand.max_frequency_Hz)
+    skip = math.ceil(_settling_s(stimulus, model) * count / turn)
+    drives, level_of = _at_full_level(steady_drives(model, number, posed, turn / count, skip, count))
+    pressures = _pressures(skin, posed, radiation, drives)
+    # What the load is made of has to be seen more closely than its harmonics that matter
+    close = steady_drives(model, number, posed, turn / (CLOSER * count), CLOSER * skip, CLOSER * count)
+    examples = _pressures(skin, posed, radiation, close)
+    loads: Float = (operator @ pressures.T).T
+    waves = np.conj(np.fft.rfft(loads, axis=0)[: count // 4 + 1].T) / count
+    waves[:, 1:] *= 2.0
+    frequencies = np.arange(waves.shape[1]) / turn
+    size = np.linalg.norm(waves, axis=0)
+    kept = size > SMALLEST * size.max()
+    # Sampled from `skip` on, wanted from the start of the sound
+    shift = np.exp(2j * np.pi * frequencies * skip * turn / count)
+    frequencies, waves = frequencies[kept], (waves * shift)[:, kept]
+    # The ARP goes with the square of what the transducers emit.
+    g = float(model.pole.damping.min()) if model.response_on else math.inf
+    begin: Fade = ((0.0, 1.0), (g, -2.0), (2.0 * g, 1.0)) if model.response_on else ((0.0, 1.0),)
+    end: Fade = ((0.0, -1.0), (2.0 * g, 1.0)) if model.response_on else ((0.0, -1.0),)
+    events = [(0.0, begin)]
+    if config.stop_s is not None:
+        events.append((config.stop_s - start, end))
+    course = periodic(waves, frequencies, events)
+    trials: list[Float] = [level(fade, trial)[:, None] * harmonics(frequencies, time + trial) for time, fade in events]
+    pair = np.array([1.0, -1j])
+    spectrum = [(float(f), np.kron(np.eye(len(frequencies) + 1)[k], pair)[:-1]) for k, f in enumerate(frequencies)]
+    # What the beginning differs from the course, as one impulse spread over the trial.
+    impulse = np.zeros(len(course.shapes))
+    if model.response_on:
+        width = _settling_s(stimulus, model) / BEGINNING
+        drives, _ = _at_full_level(steady_drives(model, number, posed, width, 0, BEGINNING), level_of)
+        beginning = _pressures(skin, posed, radiation, drives)
+        close = steady_drives(model, number, posed, width / BEGIN_CLOSER, 0, BEGIN_CLOSER * BEGINNING)
+        examples = np.concatenate([examples, _pressures(skin, posed, radiation, close)])
+        difference: Float = (operator @ beginning.T).T
+        moments: Float = width * np.arange(BEGINNING, dtype=np.float64)
+        difference -= (level(begin, moments)[:, None] * harmonics(frequencies, moments)) @ course.shapes.T
+        impulse = width / trial[-1] * difference.sum(axis=0)
+        spectrum += [(float(f), np.eye(2 * len(frequencies) + 1)[-1].astype(complex)) for f in frequencies]
+    shapes = np.column_stack([course.shapes, impulse])
+    shares = [np.column_stack([part, np.zeros(len(trial))]) for part in trials]
+    return KnownLoad(course, shapes, shares, spectrum), examples
+
+
+def _settling_s(stimulus: StimulusModel, model: HapticModel) -> float:
+    """Time after which the transducers are rung up [s]; 0 where they do so at once."""
+    if not model.response_on:
+        return 0.0
+    return float(SETTLED / model.pole.damping.min() + 2.0 * np.abs(stimulus.response.delays_s).max())
+
+
+def steady_drives(model: HapticModel, number: int, posed: PosedScene, step_s: float, skip: int, count: int) -> Complex:
+    """What is emitted at `count` times after the first `skip`, from the start of the sound on, (count, N).
+
+    The stimulus is that without ramp and end: what comes round.
+    """
+    stimulus = model.stimuli[number]
+    steady = stimulus.config.model_copy(update={"ramp_s": 0.0, "stop_s": None})
+    drive, places = array_drives(model, posed.arrays)[number], posed.focal_points(stimulus, number)
+    times: Float = steady.start_s + step_s * np.arange(skip + count, dtype=np.float64)
+    delays_s = stimulus.response.delays_s if model.response_on else None
+    commanded = commanded_drive(steady, drive, delays_s, times, places)
+    if not model.response_on:
+        return commanded[skip:]
+    emitted = np.zeros_like(commanded)
+    decay, before, after = stimulus.response.stepper.weights(step_s)
+    for k in range(1, len(times)):
+        emitted[k] = decay * emitted[k - 1] + before * commanded[k - 1] + after * commanded[k]
+    return emitted[skip:]
+
+
+def path_drives(model: HapticModel, number: int, posed: PosedScene) -> Complex:
+    """What is emitted along the path of a stimulus that comes round, shape (m, N).
+
+    Enough to span all others, while the transducers ring up as well.
+    """
+    stimulus = model.stimuli[number]
+    config, settling = stimulus.config, _settling_s(stimulus, model)
+    turn = period_s(config) or 0.0
+    count = SPAN_CLOSER * samples(config, turn, max(skin.layer.demand.max_frequency_Hz for skin in model.skins))
+    emitted = steady_drives(model, number, posed, turn / count, math.ceil(settling * count / turn), count)
+    if not model.response_on:
+        return emitted
+    moments = SPAN_CLOSER * BEGINNING
+    beginning = steady_drives(model, number, posed, settling / moments, 0, moments)
+    return np.concatenate([emitted, beginning])
+
+
+def _at_full_level(drives: Complex, level_of: float | None = None) -> tuple[Complex, float]:
+    """Drives over a level, that of the loudest transducer by default, and the level.
+
+    A model for a load serves the same load at any level: without it, and without the last digits that it leaves, the
+    cache finds the one for all.
+    """
+    level_of = level_of or float(np.abs(drives).max())
+    return np.round(drives / level_of, DIGITS), level_of
+
+
+def _pressures(skin: int, posed: PosedScene, radiation: Radiation, drives: Complex) -> Float32:
+    """ARP at the skin's quadrature points [Pa] of drives (f, N), shape (f, q)."""
+    return radiation.many(posed, skin, drives)

@@ -1,0 +1,320 @@
+"""Loads that are not known before the run: the class of all sounds that a scene's arrays can make on a skin.
+
+The class is made of examples: foci on the region of the skin for which its layer is made, one or two at a time, from
+each array and from all, with the body where it stands in the reference pose and moved and tilted from there. Which
+stimulus comes does not matter, so that the modes made for a class serve all stimuli, and every moving hand.
+
+The examples are drawn in a frame on the skin, and come with their images under quarter turns about its normal and under
+mirroring. They are the same for every array and every combination of arrays. So they depend neither on how the scene
+is turned or mirrored, nor on the order of its arrays, nor on the skin's mesh.
+"""
+
+import math
+import threading
+from collections.abc import Sequence
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from palmfield import cache
+from palmfield.acoustics.phased_array import PhasedArray
+from palmfield.acoustics.surface_arp import SurfaceArp
+from palmfield.drive.array_drive import ArrayDrive
+from palmfield.errors import SceneError
+from palmfield.simulation.model import HapticModel, StimulusModel
+from palmfield.simulation.posed_scene import PosedScene, PosedSkin, PosedSurface, reference_scene
+from palmfield.simulation.spec import SkinSpec
+from palmfield.skin.reduction.load_shapes import POINTS
+from palmfield.skin.reduction.modal_stepper import ModalBody, ModalStepper, modal_body
+from palmfield.skin.scene_layer import SceneLayer
+from palmfield.stimulus.schedule import frame_rates, main_frequencies, turn_m, turn_rate_Hz
+from palmfield.transforms import Transform
+from palmfield.types import Complex, Float, Int
+
+MOVES = (
+    ((0.0, 0.0, 0.0), (0.0, 0.0), 20, 12),
+    ((0.0, 0.0, 0.025), (0.0, 0.0), 8, 5),
+    ((0.0, 0.0, -0.025), (0.0, 0.0), 8, 5),
+    ((0.018, 0.018, 0.0), (0.12, -0.12), 8, 5),
+)
+"""Of the body in the examples: shift along the first and second axis of the skin's frame and outwards [m], tilt about
+these axes [rad], and examples with one focus and with two of any relative phase; all before their images."""
+NEAREST = 0.5
+"""Part of the distance from the skin to the nearest transducer that a shift takes, at most."""
+ALONG = 0.9
+"""Share of the body's first axis along the skin's normal above which the second one gives the skin's frame."""
+OFF_SKIN_m = 0.006
+"""By which a focus misses the skin in an example, at most, along each axis [m]."""
+SPAN = 0.1
+"""Of the wanted accuracy, what the class's shapes may leave out of its examples."""
+LEAST_LEFT_OUT = 0.0075
+"""Below it each shape more gains less than a block of modes more does."""
+BLOCKS, BLOCKS_AT, BLOCKS_POWER = 32, 0.05, 0.9
+"""Blocks of the modes' space at one accuracy, and the power of the accuracy with which they become fewer."""
+WEAK, MOST_WEAK = 0.3, 0.025
+"""Of the wanted accuracy, what weak modes that are left out may take with them, in the energy norm; and at most."""
+WEAK_TOGETHER = 0.3
+"""Of that, where several laws couple the modes: lossy ones are few, and weak ones among them move under slow loads."""
+EDGES_SPAN, EDGES_POINTS = 0.5, 4
+"""SPAN where there are shadows, and points for each shape: edges are made of far more shapes than sounds are."""
+FINGER_m = 0.008, 0.02
+"""Widths of what casts a shadow in an example."""
+KEPT = 0.36
+"""Modes for each block and shape that are left when the weak ones are out, about."""
+SHAPES = 15.0
+"""Load shapes at accuracy 0.2 on a region as wide as a spot, about."""
+LEAST_CORNER_Hz = 75.0
+"""Corner of a load's spectrum that only comes and goes: the sound of a start or stop falls as 1/f."""
+_lock = threading.RLock()
+# The last modes of a layer and what they depend on besides it: to find 100 MB in the cache on disk takes a second
+_bodies: WeakKeyDictionary[SceneLayer, tuple[str, ModalBody]] = WeakKeyDictionary()
+
+
+def refusal(skin: SkinSpec, layer: SceneLayer) -> str | None:
+    """Why a skin can't move by modes for every load, in words, or None; what only its matrices tell comes later."""
+    config = skin.config
+    if config.body_sound == "scattering":
+        return "boundary elements for every example of its loads cost more than a run"
+    if config.side == "absorbing":
+        return "absorbing sides couple the modes"
+    return None
+
+
+def laws(layer: SceneLayer) -> int:
+    """By how many laws a layer's sheets relax."""
+    return len({sheet.material.law for sheet in layer.sheets})
+
+
+def expected_modes(skin: SkinSpec, layer: SceneLayer) -> float:
+    """About how many modes there will be, as seen on the shipped scenes."""
+    shapes = SHAPES * (_region_m(layer) / layer.demand.spot_fwhm_m) ** 2 * (0.2 / skin.config.accuracy) ** 0.35
+    return float(KEPT * _blocks(skin.config.accuracy) * shapes)
+
+
+def _blocks(accuracy: float) -> int:
+    blocks: float = BLOCKS * (BLOCKS_AT / accuracy) ** BLOCKS_POWER
+    return max(round(blocks), 3)
+
+
+def _region_m(layer: SceneLayer) -> float:
+    """Radius of the region of a skin in which the foci of the class lie [m].
+
+    That is where its elements are fine, and all of a patch of given radius, with foci beside it that touch it.
+    """
+    sizes, spot_m = layer.sizes, layer.demand.spot_fwhm_m
+    if layer.config.patch_radius_m or layer.config.shape == "disc":
+        return sizes.radius_m + 0.5 * spot_m
+    return max(sizes.fine_radius_m, 2.0 * spot_m)
+
+
+def class_stepper(model: HapticModel, skin: int, blocks: int | None = None) -> ModalStepper:
+    """Modes of a skin's layer for the class of its loads.
+
+    blocks: of the space of the modes, by default as many as the skin's accuracy asks for
+    Raises SceneError where there can be none.
+    """
+    part = model.skins[skin]
+    layer, accuracy = part.layer, part.spec.config.accuracy
+    posed = reference_scene(model)
+    arrays, law = posed.arrays, part.spec.arp_law
+    depends_on = (
+        *(arrays.array, arrays.air, arrays.placements, arrays.wall_m, arrays.precision, model.board.name, law),
+        *(*posed.skins[skin].quadrature, part.spec.patch_centre, _region_m(layer)),
+    )
+    span, points = (EDGES_SPAN, EDGES_POINTS) if _has_edges(part.spec) else (SPAN, POINTS)
+    tolerance, blocks = max(span * accuracy, LEAST_LEFT_OUT), blocks or _blocks(accuracy)
+    weak = min(WEAK * accuracy, MOST_WEAK) * (WEAK_TOGETHER if laws(layer) > 1 else 1.0)
+    with _lock:
+        mark = cache.digest(depends_on, tolerance, blocks, points)
+        known = _bodies.get(layer)
+        if known is None or known[0] != mark:
+            made = modal_body(
+                layer.system, layer.quadrature, layer.surface_operator, lambda: examples(model, skin, posed),
+                depends_on, tolerance, blocks, weak, layer.sizes.step_s, points,
+            )  # fmt: skip
+            if not len(made.modes.elastic):
+                raise SceneError(
+                    f"{layer.element}: no focus of its class moves its layer, which has a radius of "
+                    f"{1e3 * layer.sizes.radius_m:.3g} mm; allowed: about the spot's width, "
+                    f"{1e3 * layer.demand.spot_fwhm_m:.3g} mm, or more; set patch_radius_m larger, or solver wedges"
+                )
+            known = _bodies[layer] = mark, made
+    return ModalStepper(known[1], layer.system, layer.sizes.step_s, layer.demand.corner_Hz)
+
+
+def examples(model: HapticModel, skin: int, posed: PosedScene) -> Float:
+    """ARP of examples at a skin's quadrature points [Pa], shape (t, q); posed: the reference.
+
+    Where the skin's sound has shadows, those of the examples lie anywhere, whatever casts one in the reference.
+    """
+    rng, shading = np.random.default_rng(0), np.random.default_rng(1)
+    arrays, layer = posed.arrays, model.skins[skin].layer
+    surface = SurfaceArp(arrays.field, len(layer.quadrature.weights), model.skins[skin].spec.arp_law)
+    frame = posed.skins[skin].body.frame
+    middle = np.array(model.skins[skin].spec.patch_centre)
+    centre, region = frame.points(middle), _region_m(layer)
+    axes = frame.rotation @ _skin_axes(layer, middle, region)
+    offsets = (posed.skins[skin].quadrature[0] - centre) @ axes
+    gap = float(np.linalg.norm(arrays.array.positions - centre, axis=1).min())
+    sources = _sources(arrays, centre, axes)
+    loads: list[Float] = []
+    edges = _has_edges(model.skins[skin].spec)
+    for shift, tilt, one, two in MOVES:
+        way = np.array(shift) * min(1.0, NEAREST * gap / max(float(np.linalg.norm(shift)), 1e-9))
+        single = _foci(rng, offsets, region, -(-one // len(sources)))
+        pairs = _foci(rng, offsets, region, 2 * -(-two // len(sources) ** 2))
+        phases = np.exp(2j * math.pi * rng.random(pairs.shape[1] // 2))
+        lit = [_lit(offsets, region, count, shading) for count in (single.shape[1], len(phases)) if edges]
+        for move in _images_of(np.array([*way, *tilt])):
+            turn = axes @ Rotation.from_rotvec([*move[3:], 0.0]).as_matrix() @ axes.T
+            moved = _moved(model, skin, posed, centre, turn, axes @ move[:3]) if move.any() else posed
+            points, normals = moved.skins[skin].quadrature
+            here, origin = turn @ axes, moved.skins[skin].body.frame.points(middle)
+            drives, numbers = _drives(model, arrays, sources, origin + single @ here.T, origin + pairs @ here.T, phases)
+            arp = surface.evaluate_many(points, normals, drives).astype(np.float64)
+            arp /= np.sqrt((arp**2 @ layer.quadrature.weights).max())
+            loads += [arp, arp * np.concatenate(lit)[numbers]] if edges else [arp]
+    return np.concatenate(loads)
+
+
+def _skin_axes(layer: SceneLayer, middle: Float, region_m: float) -> Float:
+    """Axes of a frame on a skin in the body's frame, by column: two along the skin and its outward normal, (3, 3)."""
+    quadrature = layer.quadrature
+    near = np.linalg.norm(quadrature.points - middle, axis=1) < region_m
+    normal = (quadrature.weights * near) @ quadrature.normals
+    normal /= np.linalg.norm(normal)
+    first = np.eye(3)[0 if abs(normal[0]) < ALONG else 1]
+    first = first - (first @ normal) * normal
+    first /= np.linalg.norm(first)
+    return np.column_stack([first, np.cross(normal, first), normal])
+
+
+def _images() -> list[Float]:
+    """Quarter turns about the third axis, and with them the mirror images, (3, 3) each."""
+    turns = [np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) for c, s in ((1, 0), (0, 1), (-1, 0), (0, -1))]
+    return [turn @ np.diag([1.0, mirror, 1.0]) for mirror in (1.0, -1.0) for turn in turns]
+
+
+def _images_of(move: Float) -> list[Float]:
+    """Different images of a shift [m] and the two numbers of a tilt's axis [rad], (5,) each.
+
+    A mirror turns the sense of a rotation.
+    """
+    images = [np.array([*(g @ move[:3]), *(np.linalg.det(g) * g[:2, :2] @ move[3:])]) for g in _images()]
+    return list({tuple(np.round(image, 9) + 0.0): image for image in images}.values())
+
+
+def _foci(rng: np.random.Generator, offsets: Float, region_m: float, count: int) -> Float:
+    """Foci near the skin and their images, from its middle in the skin's frame [m], shape (images, count, 3).
+
+    offsets: of the quadrature's points, in that frame, shape (q, 3). Foci are even over the region's area, as seen by
+    distance from the middle and direction, and take their height from the nearest point.
+    """
+    distance = np.linalg.norm(offsets, axis=1)
+    near = offsets[distance < region_m]
+    across = np.hypot(*near[:, :2].T)
+    flat = near[:, :2] * (np.linalg.norm(near, axis=1) / np.maximum(across, 1e-12))[:, None]
+    reach = min(region_m, float(np.linalg.norm(flat, axis=1).max()))
+    rank = rng.permutation(count) + rng.random(count)
+    away, angle = reach * np.sqrt(rank / count), 2.0 * math.pi * rng.random(count)
+    places = np.column_stack([away * np.cos(angle), away * np.sin(angle), np.zeros(count)])
+    off_skin = rng.uniform(-OFF_SKIN_m, OFF_SKIN_m, (count, 3))
+    found, tree = [], cKDTree(flat)
+    for image in _images():
+        place = places @ image.T
+        nearest = tree.query(place[:, :2])[1]
+        beside = np.clip(place[:, :2] - flat[nearest], -OFF_SKIN_m, OFF_SKIN_m)
+        found.append(near[nearest] + np.column_stack([beside, np.zeros(count)]) + off_skin @ image.T)
+    return np.array(found)
+
+
+def _sources(arrays: PhasedArray, centre: Float, axes: Float) -> list[Int]:
+    """Transducers that sound together in an example: all, and each of several arrays, in an order of places alone."""
+    everything = np.arange(len(arrays), dtype=np.int32)
+    if len(arrays.slices) == 1:
+        return [everything]
+    places = [np.round((arrays.array.positions[own].mean(axis=0) - centre) @ axes, 6) for own in arrays.slices]
+    order = sorted(range(len(places)), key=lambda number: tuple(places[number]))
+    return [everything, *(everything[arrays.slices[number]] for number in order)]
+
+
+def _has_edges(skin: SkinSpec) -> bool:
+    return skin.config.body_sound == "shadows"
+
+
+def _lit(offsets: Float, region_m: float, count: int, rng: np.random.Generator) -> NDArray[np.bool_]:
+    """Which points lie outside the shadow of a straight finger, or of all beyond a straight edge, and of its images.
+
+    offsets: of the points from the region's middle in the skin's frame [m], shape (q, 3)
+    Returns shape (images * count, q), image by image, as foci come.
+    """
+    angle = 2.0 * math.pi * rng.random((count, 1))
+    across = np.hstack([np.cos(angle), np.sin(angle)])
+    beyond = np.array([across @ (offsets @ image)[:, :2].T for image in _images()])
+    beyond -= rng.uniform(-region_m, region_m, (count, 1))
+    half = 0.5 * rng.uniform(*FINGER_m, (count, 1))
+    finger = rng.random((count, 1)) < 0.5
+    return np.where(finger, np.abs(beyond) > half, beyond > 0.0).reshape(-1, len(offsets))
+
+
+def _moved(model: HapticModel, skin: int, posed: PosedScene, centre: Float, turn: Float, shift_m: Float) -> PosedScene:
+    """The scene with a skin's body turned about a point and moved, array frame."""
+    part = model.skins[skin]
+    before = posed.bodies[part.body]
+    frame = Transform(turn @ (before.frame.position - centre) + centre + shift_m, turn @ before.frame.rotation)
+    body = PosedSurface(before.model, before.skin, frame, (before.bone_positions, before.bone_rotations))
+    bodies = [body if number == part.body else other for number, other in enumerate(posed.bodies)]
+    skins = []
+    for place, other in zip(posed.skins, model.skins, strict=True):
+        obstacles = place.obstacle_positions, place.obstacle_rotations
+        skins.append(PosedSkin(other, body, obstacles) if other.body == part.body else place)
+    return PosedScene(posed.array_frame, posed.arrays, posed.frames, bodies, skins)
+
+
+def _drives(
+    model: HapticModel, arrays: PhasedArray, sources: Sequence[Int], single: Float, pairs: Float, phases: Complex
+) -> tuple[Complex, Int]:
+    """Drives of each source for single foci, and of each two sources for pairs of foci, shape (d, N).
+
+    And for which of the foci, and then the pairs, each is, shape (d,): none is for what lies behind an array.
+    sources: transducers, see `_sources`; single, pairs: foci, array frame [m], shapes (i, s, 3) and (i, 2 p, 3)
+    phases: of the second focus of each pair, as a factor, shape (p,)
+    """
+    drives = [ArrayDrive(arrays, chosen, None, None, model.board) for chosen in sources]
+
+    def amplitudes(drive: ArrayDrive, focus: Float) -> Complex | None:
+        try:
+            return drive.unit_drive(focus).amplitudes
+        except SceneError:
+            return None  # behind the array
+
+    alone = single.reshape(-1, 3)
+    made = [(number, amplitudes(drive, focus)) for number, focus in enumerate(alone) for drive in drives]
+    for number, both in enumerate(pairs.reshape(-1, 2, 3)):
+        first, second = ([amplitudes(drive, focus) for drive in drives] for focus in both)
+        made += [
+            (len(alone) + number, 0.5 * (one + phases[number % len(phases)] * other))
+            for one in first for other in second if one is not None and other is not None
+        ]  # fmt: skip
+    heard = [(number, drive) for number, drive in made if drive is not None]
+    if not heard:
+        raise SceneError("no modes of this skin: none of the arrays' transducers faces it in the reference pose")
+    return np.array([drive for _, drive in heard]), np.array([number for number, _ in heard], dtype=np.int32)
+
+
+def corner_Hz(stimulus: StimulusModel, spot_m: float) -> float:
+    """Frequency above which the spectrum of a stimulus's load falls, about [Hz].
+
+    A focus that moves at v over a spot of width w passes a point in w / v; one that jumps at some rate is as sudden as
+    one that moves on by then; AM has its own frequency. spot_m: width of the spot [m]
+    """
+    config = stimulus.config
+    corners = [LEAST_CORNER_Hz, *(0.5 * f for f in frame_rates(config))]
+    corners += [0.5 * f for f in main_frequencies(config)[:1]]
+    rate = turn_rate_Hz(config)
+    if rate is not None:
+        corners.append(rate * turn_m(config) / (math.pi * spot_m))
+    return max(corners)

@@ -1,0 +1,169 @@
+"""Dask workers: an embedded local cluster, one GPU a worker where GPUs compute, or a cluster that runs already."""
+
+import logging
+import os
+import re
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from palmfield import cache
+from palmfield.errors import PalmfieldError
+from palmfield.threads import cores
+
+REACH_S = 5.0
+"""Longest wait for a scheduler [s]."""
+WORKERS_S = 60.0
+"""Longest wait for workers to start [s]."""
+
+ADDRESS = r"\w+://.+:\d+"
+EXAMPLE = "such as tcp://192.168.1.10:8786"
+
+
+class Slot(NamedTuple):
+    """One thread of a worker. address: the worker's; threads: cores that a point may use there"""
+
+    address: str
+    threads: int
+
+
+@contextmanager
+def local_cluster(workers: int, gpus: list[str]) -> Iterator[Any]:
+    """A Dask client with workers of its own on this machine, processes with one thread each, stopped at the end.
+
+    gpus: names of GPUs, as CUDA_VISIBLE_DEVICES has them, of which each worker sees one; empty for none
+    Raises PalmfieldError where they don't start.
+    """
+    from distributed import Client, Nanny, Scheduler  # noqa: F401
+    from distributed.deploy.spec import SpecCluster
+    from distributed.deploy.subprocess import SubprocessWorker
+
+    # A worker that holds much memory must go on: it is ended only before the system would end something else
+    memory: dict[str, Any] = {f"distributed.worker.memory.{name}": False for name in ("target", "spill", "pause")}
+    specs = {}
+    for number in range(workers):
+        options = {"nthreads": 1, "host": "127.0.0.1", "silence_logs": logging.ERROR, "config": memory}
+        if gpus:
+            options["env"] = {"CUDA_VISIBLE_DEVICES": gpus[number % len(gpus)]}
+        # A process that starts by itself doesn't run the user's script again, as Python's own spawned ones do
+        specs[number] = {"cls": SubprocessWorker, "options": {"name": str(number), "worker_kwargs": options}}
+    scheduler: dict[str, Any] = {
+        "cls": Scheduler,
+        "options": {"host": "127.0.0.1", "port": 0, "dashboard": False, "dashboard_address": "127.0.0.1:0"},
+    }
+    # A batch whose worker died is not tried as it was: `palmfield.studies.sweeps.dispatch` takes its points one by one
+    scheduler["options"]["allowed_failures"] = 0
+    try:
+        cluster = SpecCluster(workers=specs, scheduler=scheduler, silence_logs=logging.CRITICAL)
+    except Exception as error:
+        raise PalmfieldError(f"the local workers do not start: {_line(error)}; --workers 0 does without") from error
+    try:
+        with Client(cluster, set_as_default=False) as client:
+            try:
+                client.wait_for_workers(workers, timeout=WORKERS_S)
+            except TimeoutError:
+                there = len(client.scheduler_info()["workers"])
+                busy = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0
+                cause = (
+                    f"the machine is busy ({busy:.0f} programs on {cores()} cores)"
+                    if busy > cores()
+                    else "no cause is known"
+                )
+                raise PalmfieldError(
+                    f"{there} of {workers} local workers started within {WORKERS_S:g} s: {cause}; end other programs, "
+                    "take fewer with --workers, or --workers 0, which needs none"
+                ) from None
+            yield client
+    finally:
+        with suppress(Exception):
+            cluster.close(timeout=10)
+
+
+@contextmanager
+def remote_cluster(address: str) -> Iterator[Any]:
+    """A Dask client of a scheduler that runs already. Raises PalmfieldError where it can't be reached."""
+    from distributed import Client
+
+    if not re.fullmatch(ADDRESS, address):
+        raise PalmfieldError(f"--scheduler has value '{address}'; allowed: PROTOCOL://HOST:PORT, {EXAMPLE}")
+    try:
+        client = Client(address, timeout=REACH_S, set_as_default=False)
+    except (OSError, ValueError, TimeoutError) as error:
+        raise PalmfieldError(
+            f"--scheduler {address} can't be reached within {REACH_S:g} s ({_line(error)}); allowed: the address of a "
+            f"running `dask scheduler`, {EXAMPLE}"
+        ) from None
+    try:
+        _wait(client, 1, f"a worker of {address} (start some with `dask worker {address}`)", 2 * REACH_S)
+        yield client
+    finally:
+        with suppress(Exception):
+            client.close(timeout=5)
+
+
+def slots(client: Any, scene: Path) -> list[Slot]:
+    """The threads of all workers, each of which has been asked whether it has this palmfield and sees the scene.
+
+    Raises PalmfieldError that names the worker for one that doesn't.
+    """
+    own = cache.code_mark()
+    try:
+        known: dict[str, dict[str, Any]] = client.run(worker_facts, str(scene))
+    except Exception as error:
+        raise PalmfieldError(
+            f"the workers can't run palmfield: {_line(error)}; install the same palmfield there, with extra [sweep]"
+        ) from None
+    for address, facts in known.items():
+        if facts["mark"] != own:
+            raise PalmfieldError(
+                f"worker {address} has another version of palmfield, numpy, scipy or warp; install the same"
+            )
+        if not facts["sees"]:
+            raise PalmfieldError(f"worker {address} does not see {scene}; put the scene where all workers can read it")
+    threads = client.nthreads()
+    on_host: Counter[str] = Counter()
+    for address in known:
+        on_host[known[address]["host"]] += threads[address]
+    return [
+        Slot(address, max(1, facts["cores"] // on_host[facts["host"]]))
+        for address, facts in known.items()
+        for _ in range(threads[address])
+    ]
+
+
+def worker_facts(scene: str) -> dict[str, Any]:
+    """What a worker has: its code's mark, whether it sees the scene, its host and cores."""
+    import platform
+
+    return {"mark": cache.code_mark(), "sees": Path(scene).is_file(), "host": platform.node(), "cores": cores()}
+
+
+def visible_gpus() -> list[str]:
+    """GPUs of this machine that this process may use, as CUDA_VISIBLE_DEVICES names them."""
+    import warp
+
+    from palmfield import device  # noqa: F401  initialises Warp without its notice that there is none
+
+    count = warp.get_cuda_device_count()
+    named = [name.strip() for name in os.environ.get("CUDA_VISIBLE_DEVICES", "").split(",") if name.strip()]
+    return named[:count] if named else [str(number) for number in range(count)]
+
+
+def gpu_memory_bytes() -> int:
+    """Memory that is free on each of the GPUs that this process may use, the least of them; 0 without any."""
+    import warp
+
+    return min((device.free_memory for device in warp.get_cuda_devices()), default=0)
+
+
+def _wait(client: Any, count: int, what: str, timeout_s: float) -> None:
+    try:
+        client.wait_for_workers(count, timeout=timeout_s)
+    except TimeoutError:
+        raise PalmfieldError(f"{what}: not there within {timeout_s:g} s; allowed: workers that answer") from None
+
+
+def _line(error: BaseException) -> str:
+    return " ".join(str(error or type(error).__name__).split())[:300]

@@ -1,0 +1,100 @@
+"""Which batch goes to which worker and when, and what the death of a worker costs."""
+
+from collections import deque
+from collections.abc import Callable, Generator, Sequence
+from dataclasses import replace
+from typing import Any
+
+from palmfield.errors import PalmfieldError
+from palmfield.studies.sweeps.batch import Batch, Failed, Point, Results, Task, run_batch
+from palmfield.studies.sweeps.cluster import Slot
+from palmfield.studies.sweeps.groups import Group
+
+
+def computed(
+    client: Any,
+    task: Task,
+    there: Sequence[Slot],
+    todo: Sequence[Batch],
+    group: Callable[[int], Group],
+    point: Callable[[int], Point],
+) -> Generator[Results]:
+    """Results of all batches as they come from Dask workers, each of which has one batch at a time.
+
+    there: threads of the workers; todo: see `palmfield.studies.sweeps.batch.batches`
+    group, point: by the point's number; points of a batch are of one group
+    A worker that dies takes down what it had begun: the points of that batch are tried again at the end, one by one and
+    with nothing beside them, so that only a point that kills its worker by itself has failed.
+    Raises PalmfieldError where the scheduler is lost.
+    """
+    from distributed import KilledWorker, as_completed
+
+    slots = list(there)
+    queues = [deque(batch for batch in todo if batch.worker == number) for number in range(len(slots))]
+    suspects: deque[int] = deque()
+    under_way: dict[str, tuple[Any, tuple[int, ...], int]] = {}
+    coming = as_completed(loop=client.loop)
+
+    def submit(points: tuple[int, ...], slot: int) -> None:
+        slots[slot] = _present(client, slots, slot)
+        future = client.submit(
+            run_batch, replace(task, threads=slots[slot].threads), group(points[0]).base, group(points[0]).shared,
+            [point(number) for number in points],
+            workers=[slots[slot].address], allow_other_workers=True, pure=False,
+        )  # fmt: skip
+        under_way[future.key] = future, points, slot
+        coming.add(future)
+
+    def begin(slot: int) -> None:
+        """Give a thread its next batch; the last one of the longest queue where its own is empty."""
+        longest = max(queues, key=len)
+        if queues[slot]:
+            submit(queues[slot].popleft().points, slot)
+        elif longest:
+            submit(longest.pop().points, slot)
+        elif suspects and not under_way:
+            submit((suspects.popleft(),), slot)
+
+    for slot in range(len(slots)):
+        begin(slot)
+    alone = False
+    for future in coming:
+        _, points, slot = under_way.pop(future.key)
+        results: Results = {}
+        if future.status == "finished":
+            results = dict(zip(points, future.result(), strict=True))
+        elif future.status == "error":
+            error = future.exception()
+            if isinstance(error, KilledWorker) and not alone:
+                suspects.extend(points)
+            else:
+                results = dict.fromkeys(points, _failure(error))
+        else:
+            raise PalmfieldError(
+                f"the scheduler is gone, with {len(points)} points or more under way; the same command goes on with "
+                "what is not done yet"
+            )
+        future.release()
+        # Before the results are written, so that the worker needn't wait for that
+        alone = not under_way and not any(queues)
+        begin(slot)
+        if results:
+            yield results
+
+
+def _present(client: Any, slots: Sequence[Slot], slot: int) -> Slot:
+    """A thread, or that of a worker which has come in place of a lost one."""
+    own = slots[slot]
+    present = client.nthreads()
+    taken = {other.address for other in slots}
+    if own.address in present:
+        return own
+    return own._replace(address=next((address for address in present if address not in taken), own.address))
+
+
+def _failure(error: BaseException) -> Failed:
+    from distributed import KilledWorker
+
+    if isinstance(error, KilledWorker):
+        return Failed("its worker was killed, also when it had nothing else to do: is there enough memory?")
+    return Failed(f"{type(error).__name__}: {' '.join(str(error).split())}")

@@ -1,0 +1,188 @@
+"""Which points of a sweep are worlds of one model, and what their skins' layers are made for.
+
+Both follow from the design alone, never from what is left to do or from who is computed beside whom, so that a sweep
+that was cut off goes on with the same numbers.
+"""
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from palmfield.config import DriverConfig
+from palmfield.drive.boards import BOARDS
+from palmfield.errors import PalmfieldError, SceneError
+from palmfield.session.preview import Preview, preview
+from palmfield.session.world_keys import WorldKeys, world_specs
+from palmfield.session.worlds import stimulus_texts
+from palmfield.simulation.build import demands_of, stimuli_of
+from palmfield.simulation.build_worlds import Shared, strictest
+from palmfield.simulation.model import SkinModel
+from palmfield.simulation.small_models import load_class
+from palmfield.skin.costs import modal_step_s, modes_s
+from palmfield.skin.reduction.modal_stepper import MOST_SHARE
+from palmfield.skin.scene_layer import LayerDemand
+from palmfield.studies.sweeps.design import Design, Value
+from palmfield.studies.sweeps.keys import SceneKeys
+
+MANY_LOADS = 20
+"""Different loads on one skin from which modes for every load are thought of: on a palm the modes take some 80 s of one
+core to make, and a small model 5 s."""
+LOOKED_AT = 2000
+"""Points of a group, at most, at which it is asked what they ask of a layer."""
+LEVEL = ("drive_amplitude", "arp_peak_Pa")
+"""Keys of a stimulus that change nothing but the level of its load."""
+
+Keys = Mapping[str, Value | None]
+
+
+@dataclass(frozen=True)
+class Group:
+    """Points that may be worlds of one model.
+
+    points: their numbers in the design; base: keys with which MuJoCo's model is made
+    shared: their layers and solvers, the same for all of the group; None for a point that is a simulation by itself
+    modes_bytes: about what modes take while they are made
+    """
+
+    points: tuple[int, ...]
+    base: Keys
+    shared: Shared | None
+    modes_bytes: int = 0
+
+
+def groups_of(scene: Path, design: Design, keys: SceneKeys, device: str | None, accuracy: float | None) -> list[Group]:
+    """Cut a design into groups, in the order of their first points.
+
+    Points whose stimuli alone differ are one group where there are MANY_LOADS different loads and modes can serve them
+    all, with one layer for the strictest of them; else those whose loads differ in their level alone.
+    """
+    by_model: dict[object, dict[int, dict[str, Value]]] = defaultdict(dict)
+    for number in range(design.count):
+        point = design.point(number)
+        by_model[keys.of_model(point)][number] = point
+    result = []
+    for points in by_model.values():
+        own = {number: keys.of_point(point) for number, point in points.items()}
+        by_load: dict[object, list[int]] = defaultdict(list)
+        exact = _plays_any_level(keys, own)
+        for number, point in points.items():
+            differing = keys.differing(point)
+            levels = {full: differing.pop(full) for full in list(differing) if full.rpartition(".")[2] in LEVEL}
+            # What sets the level, if not which one
+            kind = tuple(levels if exact else levels.items())
+            by_load[tuple(differing.items()), kind].append(number)
+        several = _many_loads(scene, points, own, keys, device, accuracy) if len(by_load) >= MANY_LOADS else None
+        if several is not None:
+            result.append(several)
+            continue
+        for alike in by_load.values():
+            loudest = max(alike, key=lambda number: _level(own[number]))
+            result.append(Group(tuple(alike), own[loudest], Shared() if len(alike) > 1 else None))
+    return sorted(result, key=lambda group: group.points[0])
+
+
+def _level(keys: Keys) -> float:
+    """What the levels that a point gives add up to, to find one that sounds."""
+    values = [value for full, value in keys.items() if full.rpartition(".")[2] in LEVEL]
+    return sum(value for value in values if isinstance(value, int | float))
+
+
+def _plays_any_level(keys: SceneKeys, own: Mapping[int, Keys]) -> bool:
+    """Whether the board plays any level as it is, so that points differ in nothing else."""
+    (first, *_) = own.values()
+    boards = [
+        str(first.get(f"{instance.name}.board", instance.keys.get("board")))
+        for instance in keys.instances
+        if instance.plugin == DriverConfig.plugin
+    ]
+    return all(name in BOARDS and BOARDS[name].exact for name in boards)
+
+
+def _many_loads(
+    scene: Path,
+    points: Mapping[int, Mapping[str, Value]],
+    own: Mapping[int, Keys],
+    keys: SceneKeys,
+    device: str | None,
+    accuracy: float | None,
+) -> Group | None:
+    """All of some points as one group, whose skins move by modes for every load; None where they can't."""
+    numbers = list(own)
+    for number in (numbers[0], numbers[-1]):
+        try:
+            base, view = own[number], preview(scene, device=device, accuracy=accuracy, keys=own[number])
+            break
+        except SceneError:
+            continue
+    else:
+        return None
+    for skin in view.runtime.model.skins:
+        if skin.spec.config.solver != "auto" or load_class.refusal(skin.spec, skin.layer) is not None:
+            return None
+    demands = [_demands(view, keys.differing(points[number])) for number in _looked_at(points)]
+    known = [demand for demand in demands if demand is not None]
+    if not known:
+        return None
+    asked = tuple(strictest(of_skin) for of_skin in zip(*known, strict=True))
+    if not all(_pays(skin, len(points), view.duration_s) for skin in view.runtime.model.skins):
+        return None
+    skins = view.runtime.model.skins
+    # Twice in double precision: vectors and what is made of them
+    size = sum(16 * skin.layer.dofs * load_class.expected_modes(skin.spec, skin.layer) for skin in skins)
+    return Group(tuple(own), base, Shared(asked, modal=True), round(size))
+
+
+def _pays(skin: SkinModel, points: int, duration_s: float) -> bool:
+    """Whether modes for every load take less time than what would step each point by itself, as predicted."""
+    modes, dofs = load_class.expected_modes(skin.spec, skin.layer), skin.layer.dofs
+    steps = duration_s / skin.layer.sizes.step_s
+    if modes > MOST_SHARE * dofs:
+        return False
+    laws = load_class.laws(skin.layer)
+    return modes_s(dofs, modes, laws) + points * steps * modal_step_s(modes, laws) < points * skin.choice.seconds
+
+
+def _looked_at(points: Mapping[int, Mapping[str, Value]]) -> list[int]:
+    """Numbers of points that tell what all of them ask for: all, or those with extreme values and some between."""
+    numbers = list(points)
+    if len(numbers) <= LOOKED_AT:
+        return numbers
+    chosen = {numbers[place] for place in np.linspace(0, len(numbers) - 1, LOOKED_AT).astype(int).tolist()}
+    for key in points[numbers[0]]:
+        if all(isinstance(points[number][key], int | float) for number in numbers):
+            chosen |= {pick(numbers, key=lambda number: points[number][key]) for pick in (min, max)}  # type: ignore
+    return sorted(chosen)
+
+
+def _demands(view: Preview, differing: Keys) -> list[LayerDemand] | None:
+    """What a point asks of each skin's layer; None for silence, and for keys that can't be, which its run will say."""
+    model = view.runtime.model
+    by_instance: dict[str, dict[str, tuple[object, ...]]] = defaultdict(dict)
+    for full, value in differing.items():
+        instance, _, key = full.rpartition(".")
+        by_instance[instance][key] = (value,)
+    carriers = [model.bodies[skin.body] for skin in model.skins]
+    try:
+        (spec,) = world_specs(view.runtime.spec, stimulus_texts(view.runtime), WorldKeys({}, by_instance), 1)
+        stimuli, _, _ = stimuli_of(spec, model.arrays, model.board, carriers)
+        if all(stimulus.silent for stimulus in stimuli):
+            return None
+        return demands_of(spec, stimuli, model.arrays, model.board, carriers)
+    except PalmfieldError:
+        return None
+
+
+def in_words(groups: Sequence[Group]) -> str:
+    """What is stepped by what, in a sentence; empty where each point is by itself."""
+    many = [group for group in groups if group.shared is not None and group.shared.modal]
+    if not many:
+        return ""
+    count = sum(len(group.points) for group in many)
+    layers = "one layer" if len(many) == 1 else f"{len(many)} layers, each"
+    return (
+        f"modes for every load step the skins of {count} points, on {layers} made for the strictest of its points: the "
+        "smallest focus, the highest frequency and the longest way"
+    )

@@ -1,0 +1,141 @@
+"""What a sweep keeps of one point: numbers of a simulation's run, and a few courses over time."""
+
+import math
+import time
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from palmfield.estimate.sensation_levels import felt_levels
+from palmfield.estimate.summary import drive_levels, estimated_errors
+from palmfield.perception.registry import ALL_OBSERVERS
+from palmfield.session.duration import step_count
+from palmfield.session.preview import Preview
+from palmfield.session.recorder import world_with
+from palmfield.session.simulation import Simulation
+from palmfield.session.worlds import Worlds
+from palmfield.studies.sweeps.watch import Watched
+from palmfield.types import Float
+
+Numbers = dict[str, NDArray[Any]]
+"""By variable (`palmfield.studies.sweeps.variables`), without the design's dimensions."""
+
+
+def sensor_names(scene: Simulation | Preview) -> list[str]:
+    """Names of the sensors on all skins, in the order of their skins."""
+    world = world_with(scene.data)
+    return [sensor.name for skin in scene.runtime.binding.skins for sensor in world.sensors(skin.instance)]
+
+
+def measured(simulation: Simulation | Worlds, duration_s: float, times: Float, errors: bool) -> list[Numbers]:
+    """Run a simulation and give the numbers of its worlds, each a point, or of the one that it is.
+
+    duration_s: simulated time [s]; times: at which courses are wanted, from the run's start [s], shape (t,)
+    errors: whether the error of the displacement is estimated, which takes longer than most runs
+    Raises what the run raises (SceneError, DeviceError).
+    """
+    started = time.perf_counter()
+    model = (simulation.runtimes[0] if isinstance(simulation, Worlds) else simulation.runtime).model
+    steps = step_count(duration_s, model.spec.timestep_s)
+    watched = Watched(simulation, steps)
+    for _ in range(steps):
+        simulation.step()
+        watched.step()
+    points = [_point(watched, world, times, errors) for world in range(len(watched.runtimes))]
+    spent = time.perf_counter() - started
+    return [point | {"wall_time": np.array(spent / len(points))} for point in points]
+
+
+def _point(watched: Watched, world: int, times: Float, errors: bool) -> Numbers:
+    """Numbers of one world."""
+    model = watched.runtimes[world].model
+    rows = [_skin(watched, world, number, times) for number in range(len(model.skins))]
+    result: Numbers = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    result["sensor_displacement"] = watched.sensors[:, world].T.astype(np.float32)
+    result["drive_level"] = np.array(drive_levels(model, watched.loudest[world]))
+    if errors:
+        estimates = [_estimate(watched, world, number) for number in range(len(model.skins))]
+        result["displacement_error"] = np.array([error for error, _ in estimates])
+        result["displacement_error_missing"] = np.array([reason for _, reason in estimates], dtype=object)
+    result["substep"] = np.array(model.step_s)
+    return result
+
+
+def _skin(watched: Watched, world: int, number: int, times: Float) -> dict[str, Any]:
+    """Numbers of one skin in one world."""
+    displacement, velocity = watched.motion[number][world].swapaxes(0, 1)
+    sizes = np.maximum(displacement.max(axis=0), -displacement.min(axis=0))
+    vertex = int(sizes.argmax())
+    moved, moves = (part[:, vertex].astype(np.float64) for part in (displacement, velocity))
+    model, work = watched.runtimes[world].model, watched.runtimes[world].work
+    loudest, arp = watched.loudest[world][number], watched.arp[world, number]
+    levels = felt_levels(
+        *(model, number, loudest, work.radiation, work.reference, watched.times, displacement, arp),
+        begun_s=watched.begun_s,
+    )
+    frequency = levels.get("main_frequency_Hz")
+    last = _last_period(watched.times, frequency)
+    force = watched.forces[:, world, number]
+    return {
+        "peak_displacement": float(sizes[vertex]),
+        "peak_velocity": float(max(velocity.max(), -velocity.min())),
+        "rms_displacement": _rms(moved),
+        "rms_displacement_without_mean": float(moved.std()),
+        "rms_displacement_last_period": _rms(moved[last]),
+        "rms_velocity": _rms(moves),
+        "rms_velocity_last_period": _rms(moves[last]),
+        "peak_arp": float(watched.peak_arp[world, number]),
+        "loudest_position": model.skins[number].nodes[0][vertex],
+        "normal_displacement": resampled(watched.times, moved, times).astype(np.float32),
+        "peak_force": float(np.linalg.norm(force, axis=1).max()),
+        "mean_force": force.mean(axis=0),
+        "main_frequency": _number(frequency),
+        "level": _by_observer(levels, "level_{}_dB_SL"),
+        "level_all_lines": _by_observer(levels, "level_all_lines_{}_dB_SL"),
+        "level_with_area": _by_observer(levels, "level_area_{}_dB_SL"),
+        "level_why": np.array([levels.get(f"level_{name}_why", "") for name in ALL_OBSERVERS], dtype=object),
+    }
+
+
+def _by_observer(levels: dict[str, Any], key: str) -> Float:
+    """One number an observer, NaN where there is none."""
+    return np.array([_number(levels.get(key.format(name))) for name in ALL_OBSERVERS])
+
+
+def _estimate(watched: Watched, world: int, number: int) -> tuple[float, str]:
+    """Relative error of a skin's displacement, or why there is none."""
+    loudest = watched.loudest[world][number]
+    if loudest is None or not np.any(watched.motion[number][world, :, 0]):
+        return math.nan, "no sound"
+    errors = estimated_errors(watched.runtimes[world], number, loudest)
+    return (math.nan, errors) if isinstance(errors, str) else (errors["displacement_error_relative"], "")
+
+
+def resampled(own: Float, values: Float, times: Float) -> Float:
+    """A course at other times [s], by a cubic spline; the very values where the times are its own.
+
+    own, times: rising, shapes (n,) and (t,); values: shape (n,). NaN after the course's end.
+    """
+    if len(own) == len(times) and np.allclose(own, times, rtol=0.0, atol=1e-9):
+        return values
+    if len(own) < 4:
+        return np.interp(times, own, values, right=math.nan)
+    result: Float = CubicSpline(own, values)(times)
+    return np.where(times > own[-1] + 1e-9, math.nan, result)
+
+
+def _last_period(times: Float, frequency: float | None) -> NDArray[np.bool_]:
+    """Which times lie in the last period; none where nothing repeats."""
+    if frequency is None:
+        return np.zeros(len(times), bool)
+    return times > times[-1] - 1.0 / frequency + 1e-9
+
+
+def _rms(values: Float) -> float:
+    return float(np.sqrt(np.mean(values**2))) if len(values) else math.nan
+
+
+def _number(value: float | None) -> float:
+    return math.nan if value is None else float(value)

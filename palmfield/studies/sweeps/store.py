@@ -1,0 +1,273 @@
+"""The dataset of a sweep on disk: one Zarr group that xarray opens, written point by point.
+
+What the sweep is is written first. Each array's chunks are replaced whole (Zarr writes a file beside and renames it),
+and `status` comes last: a point counts as done when all of it is there, whatever was killed in between.
+"""
+
+import json
+import math
+import os
+import shutil
+import uuid
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from palmfield.errors import OutputError
+from palmfield.outputs.schema import LABELS, Variable
+from palmfield.studies.sweeps.batch import Failed
+from palmfield.studies.sweeps.design import Design
+from palmfield.studies.sweeps.point import Numbers
+from palmfield.studies.sweeps.variables import COURSES, DONE, FAILED, variables
+
+DATASET = "sweep.zarr"
+BLOCK_BYTES, TEXT_BYTES = 4096, 64
+"""Of a file system; of a text."""
+CHUNK_POINTS = 4096
+"""Points in one chunk of what is one number or a few of them a point."""
+
+Labels = Mapping[str, NDArray[Any]]
+"""Coordinates of the dimensions after the design's: `skin`, `sensor`, `stimulus`, `observer`, `time`, `step_time`."""
+
+
+def size_bytes(design: Design, labels: Labels, errors: bool) -> int:
+    """What the dataset takes on disk at most, before it is compressed."""
+    total = 0
+    for variable in variables(errors).values():
+        one = math.prod(_shape(variable, labels)) * (
+            TEXT_BYTES if variable.dtype == "str" else _type(variable).itemsize
+        )
+        # Each point's course is a file
+        total += design.count * (math.ceil(one / BLOCK_BYTES) * BLOCK_BYTES if _is_course(variable) else one)
+    return total
+
+
+class SweepStore:
+    """The dataset of one sweep, open for writing.
+
+    path: of the Zarr group; status: of each point, shape of the design (see `palmfield.studies.sweeps.variables`)
+    """
+
+    def __init__(self, out: Path, design: Design, labels: Labels, attributes: Mapping[str, Any], errors: bool) -> None:
+        """Make the dataset in a folder, or open the one that an earlier run of the same sweep has left there.
+
+        attributes: of the dataset; those in `identity`, a mapping, tell sweeps apart
+        Raises OutputError where the folder can't be written, or holds another sweep.
+        """
+        self.path, self.design = Path(out) / DATASET, design
+        # A scene without sensors has nothing along `sensor`
+        self._variables = {
+            name: variable for name, variable in variables(errors).items() if 0 not in _shape(variable, labels)
+        }
+        try:
+            if self.path.exists():
+                self._check_same(attributes["identity"])
+            else:
+                self._make(labels, attributes)
+            self._open()
+        except (OSError, KeyError, ValueError) as error:
+            raise OutputError(f"cannot open {self.path}: {_reason(error)}; choose another folder") from error
+
+    def write(self, results: Mapping[int, Numbers | Failed]) -> None:
+        """Write points by their numbers in the design. Raises OutputError where there is no room, and loses nothing."""
+        if not results:
+            return
+        try:
+            for number, result in results.items():
+                self._take(self.design.index(number), result)
+            self._write_courses(results)
+            self._flush([self.design.index(number)[0] for number in results])
+        except OSError as error:
+            raise OutputError(
+                f"cannot write {self.path}: {_reason(error)}; {self.done} points are safe: free some space and give "
+                "the same command again"
+            ) from error
+
+    @property
+    def done(self) -> int:
+        """How many points are on the disk."""
+        return int((np.asarray(self._groups["status"][...]) == DONE).sum())
+
+    def failure(self, number: int) -> str:
+        """Why a point has failed."""
+        return str(self._small["failure"][self.design.index(number)])
+
+    def _take(self, index: tuple[int, ...], result: Numbers | Failed) -> None:
+        """One point into memory, but for its courses."""
+        if isinstance(result, Failed):
+            self._small["failure"][index] = result.reason
+            self.status[index] = FAILED
+            return
+        self._small["failure"][index] = ""
+        for name, values in result.items():
+            if name in self._small:
+                self._small[name][index] = values
+        self.status[index] = DONE
+
+    def _write_courses(self, results: Mapping[int, Numbers | Failed]) -> None:
+        """Courses to the disk: of neighbours in the design together, whose files are then written side by side."""
+        done = {number: result for number, result in sorted(results.items()) if not isinstance(result, Failed)}
+        runs: list[list[int]] = []
+        for number in done:
+            index = self.design.index(number)
+            last = self.design.index(runs[-1][-1]) if runs else None
+            if last is not None and last[:-1] == index[:-1] and last[-1] + 1 == index[-1]:
+                runs[-1].append(number)
+            else:
+                runs.append([number])
+        for run in runs:
+            *row, first = self.design.index(run[0])
+            place = (*row, slice(first, first + len(run)))
+            for name in done[run[0]]:
+                if name in self._groups and name not in self._small:
+                    self._groups[name][place] = np.stack([done[number][name] for number in run])
+
+    def _flush(self, rows: Sequence[int]) -> None:
+        """What is in memory of these rows of the first dimension."""
+        length = _rows_a_chunk(self.design)
+        for chunk in sorted({row // length for row in rows}):
+            part = slice(chunk * length, (chunk + 1) * length)
+            for name, values in self._small.items():
+                if name != "status":
+                    self._groups[name][part] = values[part]
+            self._groups["status"][part] = self.status[part]
+
+    # -- making and opening ----------------------------------------------------------------------------------------
+
+    def _make(self, labels: Labels, attributes: Mapping[str, Any]) -> None:
+        """The dataset without a point, complete before it has its name."""
+        import dask.array
+
+        arrays: dict[str, xr.Variable] = {}
+        encoding: dict[str, dict[str, Any]] = {}
+        for name, variable in self._variables.items():
+            dims, shape = (*self.design.dims, *variable.dims), (*self.design.shape, *_shape(variable, labels))
+            chunks = self._chunks(variable, shape)
+            empty: Any = "" if variable.dtype == "str" else 0 if variable.dtype == "int8" else np.nan
+            # Never computed: only shapes and attributes are written, whatever the number of points
+            made = dask.array.full(shape, empty, dtype=_type(variable), chunks=-1)
+            arrays[name] = xr.Variable(dims, made, variable.attributes)
+            encoding[name] = {"chunks": chunks}
+        dataset = xr.Dataset(
+            arrays, self._coordinates(labels), {**attributes, "identity": _text(attributes["identity"])}
+        )
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        aside = self.path.with_name(f".{DATASET}.{uuid.uuid4().hex}")
+        try:
+            dataset.to_zarr(
+                aside, compute=False, encoding=encoding, zarr_format=3, consolidated=False, safe_chunks=False
+            )
+            os.replace(aside, self.path)
+        finally:
+            shutil.rmtree(aside, ignore_errors=True)
+
+    def _chunks(self, variable: Variable, shape: tuple[int, ...]) -> tuple[int, ...]:
+        points = len(self.design.shape)
+        if _is_course(variable):
+            return (*(1,) * points, *shape[points:])
+        return (_rows_a_chunk(self.design), *shape[1:])
+
+    def _coordinates(self, labels: Labels) -> dict[str, Any]:
+        made: dict[str, Any] = {}
+        for key, values in self.design.values.items():
+            dim = key if self.design.kind == "grid" else "point"
+            made[key] = (dim, _column(values), {"long_name": f"key {key}"} | _unit(key))
+        if self.design.kind != "grid":
+            made["point"] = ("point", np.arange(self.design.count), {"long_name": "number of the point; first 0"})
+        for name, known in labels.items():
+            about = {"units": "s", "long_name": "from the run's start"} if name in COURSES else {}
+            made[name] = (name, known.astype(object) if known.dtype.kind == "U" else known, about)
+        names, what = LABELS["xyz"]
+        made["xyz"] = ("xyz", np.array(names, dtype=object), {"long_name": what})
+        return made
+
+    def _check_same(self, identity: Mapping[str, Any]) -> None:
+        """Raises OutputError where the folder holds another sweep, and says in what it differs."""
+        import zarr
+
+        there = json.loads(str(zarr.open_group(self.path, mode="r").attrs["identity"]))
+        wanted = json.loads(_text(identity))
+        differing = [name for name in wanted if there.get(name) != wanted[name]]
+        if differing:
+            name = differing[0]
+            raise OutputError(
+                f"{self.path} holds another sweep: its {name} is {_short(there.get(name))}, not "
+                f"{_short(wanted[name])}; choose another folder, or remove that one"
+            )
+
+    def _open(self) -> None:
+        import zarr
+
+        group = zarr.open_group(self.path, mode="r+")
+        self._groups: dict[str, Any] = {name: group[name] for name in self._variables}
+        self._small: dict[str, NDArray[Any]] = {
+            name: np.array(self._groups[name][...], dtype=object if variable.dtype == "str" else None)
+            for name, variable in self._variables.items()
+            if not _is_course(variable)
+        }
+        self.status: NDArray[np.int8] = self._small["status"]
+
+
+def open_dataset(path: Path) -> xr.Dataset:
+    """A sweep's dataset, read where it is used. Raises OutputError where there is none."""
+    try:
+        dataset = xr.open_zarr(path, consolidated=False, chunks=None)
+        # Zarr has them in no order
+        return dataset[[name for name in variables(True) if name in dataset]]
+    except (OSError, KeyError, ValueError) as error:
+        raise OutputError(f"{path} is no sweep's dataset: {_reason(error)}") from error
+
+
+def swept_keys(dataset: xr.Dataset) -> list[str]:
+    """Keys that a dataset was swept over, in the design's order."""
+    return list(json.loads(json.loads(dataset.attrs["identity"])["design"])["values"])
+
+
+def _rows_a_chunk(design: Design) -> int:
+    """How many places of the first dimension are in one chunk."""
+    return min(design.shape[0], max(1, CHUNK_POINTS // max(1, math.prod(design.shape[1:]))))
+
+
+def _is_course(variable: Variable) -> bool:
+    """Whether a variable has many numbers a point, over time."""
+    return bool(set(variable.dims) & set(COURSES))
+
+
+def _shape(variable: Variable, labels: Labels) -> tuple[int, ...]:
+    return tuple(len(LABELS[dim][0]) if dim in LABELS else len(labels[dim]) for dim in variable.dims)
+
+
+def _type(variable: Variable) -> np.dtype[Any]:
+    return np.dtypes.StringDType() if variable.dtype == "str" else np.dtype(variable.dtype)
+
+
+def _column(values: Sequence[Any]) -> NDArray[Any]:
+    """Values of one key as a coordinate: numbers, or texts where one is a text or a vector."""
+    if all(isinstance(value, int | float) for value in values):
+        return np.array(values, dtype=float)
+    words = [" ".join(f"{part:.12g}" for part in value) if isinstance(value, tuple) else str(value) for value in values]
+    return np.array(words, dtype=object)
+
+
+def _unit(key: str) -> dict[str, str]:
+    from palmfield.config import unit
+
+    name = key.rpartition(".")[2].partition("[")[0]
+    return {"units": unit(name)} if unit(name) else {}
+
+
+def _text(identity: Mapping[str, Any]) -> str:
+    return json.dumps(identity, sort_keys=True)
+
+
+def _short(value: Any) -> str:
+    text = value if isinstance(value, str) else json.dumps(value)
+    return text if len(text) < 200 else f"{text[:200]}..."
+
+
+def _reason(error: BaseException) -> str:
+    return " ".join(str(getattr(error, "strerror", None) or error or type(error).__name__).split())

@@ -1,0 +1,139 @@
+"""Designs as they are written on the command line and in tables."""
+
+import csv
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from palmfield.errors import SceneError
+from palmfield.given_files import regular
+from palmfield.studies.sweeps.design import Design, Range, Value, check_range, grid, listed, random, sobol
+
+FORMS = (
+    "KEY=a:b:n (n numbers from a to b), KEY=a:b:n:log (each a fixed factor above the last), KEY=v1,v2,..., KEY=value "
+    "(the same for all points) or KEY= (taken out)"
+)
+DRAWN_FORMS = (
+    "KEY=a:b, KEY=a:b:log, KEY=v1,v2,... (one of them), KEY=value (the same for all points) or KEY= (taken out)"
+)
+
+
+def read_design(
+    settings: Sequence[str],
+    *,
+    random_points: int | None = None,
+    sobol_points: int | None = None,
+    table: Path | None = None,
+    seed: int = 0,
+) -> tuple[Design, dict[str, Value | None]]:
+    """The design and the keys that all points share, from texts such as `stimulus.am_frequency_Hz=50:300:6`.
+
+    A shared key that is None is taken out of the scene.
+
+    settings: KEY=VALUES, see FORMS, or DRAWN_FORMS with random_points or sobol_points
+    table: CSV file whose head names keys, a row a point; settings then hold what all points share
+    Raises SceneError for a text of another form, an empty range, a key twice, several kinds of design at once.
+    """
+    kinds = [random_points is not None, sobol_points is not None, table is not None]
+    if sum(kinds) > 1:
+        raise SceneError("--random, --sobol and --list each make the points of a sweep; give one of them")
+    drawn = random_points is not None or sobol_points is not None
+    swept: dict[str, Range | list[Value]] = {}
+    fixed: dict[str, Value | None] = {}
+    for text in settings:
+        key, given, values = text.partition("=")
+        key, values = key.strip(), values.strip()
+        if not given or not key:
+            raise SceneError(f"--set {text} has no values; write {DRAWN_FORMS if drawn else FORMS}")
+        if key in swept or key in fixed:
+            raise SceneError(f"--set {text}: key '{key}' is given twice; give each key once")
+        wanted = _values(key, values, drawn) if values else None
+        if isinstance(wanted, list | Range):
+            swept[key] = wanted
+        else:
+            fixed[key] = wanted
+    if table is not None:
+        if swept:
+            raise SceneError(f"--set {next(iter(swept))} has several values, and --list holds the points; give one")
+        return _read_table(table, fixed), fixed
+    if random_points is not None:
+        return random(swept, random_points, seed), fixed
+    if sobol_points is not None:
+        return sobol(swept, sobol_points, seed), fixed
+    if not swept:
+        raise SceneError(f"nothing is swept; give --set with several values: {FORMS}")
+    return grid({key: wanted for key, wanted in swept.items() if not isinstance(wanted, Range)}), fixed
+
+
+def _values(key: str, text: str, drawn: bool) -> list[Value] | Range | Value:
+    """What a text means: several values, a range to draw from, or one value."""
+    parts = text.split(":")
+    logarithmic = len(parts) > 2 and parts[-1] == "log"
+    numbers = parts[:-1] if logarithmic else parts
+    if len(numbers) > 1:
+        return _range(key, text, numbers, logarithmic, drawn)
+    if "," in text:
+        words = [word.strip() for word in text.split(",")]
+        if not all(words):
+            raise SceneError(f"--set {key}={text} has an empty value between commas; write {FORMS}")
+        return [_number(word) for word in words]
+    return _number(text)
+
+
+def _range(key: str, text: str, parts: list[str], logarithmic: bool, drawn: bool) -> list[Value] | Range:
+    forms = DRAWN_FORMS if drawn else FORMS
+    if len(parts) != (2 if drawn else 3):
+        raise SceneError(f"--set {key}={text} is no range; write {forms}")
+    try:
+        low, high = float(parts[0]), float(parts[1])
+        count = 2 if drawn else int(parts[2])
+    except ValueError:
+        raise SceneError(f"--set {key}={text} is no range of numbers; write {forms}") from None
+    if count < 1:
+        raise SceneError(f"--set {key}={text} is empty: it has {count} values; allowed: at least 1")
+    if count == 1 and low == high:
+        return [low]
+    wanted = Range(low, high, logarithmic)
+    check_range(key, wanted)
+    if drawn:
+        return wanted
+    values = np.geomspace(low, high, count) if logarithmic else np.linspace(low, high, count)
+    # 0.1 + 0.2 would be named 0.30000000000000004
+    return [float(f"{value:.12g}") for value in values]
+
+
+def _number(word: str) -> Value:
+    """A number where the text is one, numbers with spaces between as a vector, else the text."""
+    try:
+        parts = tuple(float(part) for part in word.split())
+    except ValueError:
+        return word
+    return parts[0] if len(parts) == 1 else parts
+
+
+def _read_table(path: Path, fixed: dict[str, Value | None]) -> Design:
+    """The points of a CSV file. Raises SceneError where it can't be read or isn't a table."""
+    try:
+        with regular(path).open(newline="", encoding="utf-8-sig") as file:
+            rows = [row for row in csv.reader(file, skipinitialspace=True) if any(cell.strip() for cell in row)]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise SceneError(f"--list {path} can't be read: {getattr(error, 'strerror', None) or error}") from None
+    if len(rows) < 2:
+        raise SceneError(f"--list {path} has {len(rows)} lines; allowed: a line of keys, then a line for each point")
+    head = [cell.strip() for cell in rows[0]]
+    twice = next((key for key, count in Counter(head).items() if count > 1 or key in fixed), None)
+    if twice is not None:
+        raise SceneError(f"--list {path}: key '{twice}' is given twice; give each key once")
+    for number, row in enumerate(rows[1:], start=2):
+        if len(row) != len(head) or not all(cell.strip() for cell in row):
+            filled = sum(1 for cell in row if cell.strip())
+            raise SceneError(
+                f"--list {path}: line {number} has {filled} values for {len(head)} keys; give each a value"
+            )
+    columns = zip(*rows[1:], strict=True)
+    try:
+        return listed({key: [_number(cell.strip()) for cell in one] for key, one in zip(head, columns, strict=True)})
+    except SceneError as error:
+        raise SceneError(f"--list {path}: {error}") from None

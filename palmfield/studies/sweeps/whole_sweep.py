@@ -1,0 +1,329 @@
+"""A whole sweep: what is computed, by whom, and how it goes on after it was cut off."""
+
+import json
+import logging
+import platform
+import time
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field
+from functools import cached_property
+from importlib.metadata import version
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from palmfield.errors import OutputError, PalmfieldError, SceneError
+from palmfield.session.recorded_run import CONVENTIONS
+from palmfield.studies.sweeps.batch import (
+    MOST_IN_BATCH,
+    MOST_ON_GPU,
+    Batch,
+    Failed,
+    Point,
+    Results,
+    Task,
+    batches,
+    run_batch,
+)
+from palmfield.studies.sweeps.cluster import gpu_memory_bytes, local_cluster, remote_cluster, slots, visible_gpus
+from palmfield.studies.sweeps.design import Design, Value, grid
+from palmfield.studies.sweeps.dispatch import computed
+from palmfield.studies.sweeps.groups import Group, groups_of, in_words
+from palmfield.studies.sweeps.keys import SceneKeys, scene_keys
+from palmfield.studies.sweeps.overview import Overview, overview
+from palmfield.studies.sweeps.picture import plot_sweep
+from palmfield.studies.sweeps.store import SweepStore, open_dataset, size_bytes
+from palmfield.studies.sweeps.variables import DONE, FAILED
+from palmfield.threads import cores
+
+LOG = logging.getLogger("palmfield.studies")
+LARGE_BYTES = 2e9
+LONG_S = 3600.0
+"""A sweep beyond these asks before it goes on."""
+SURE_BATCHES = 2
+"""Batches of each worker after which the rest is predicted: the first one makes the model."""
+SURE_S = 120.0
+"""Or this time, with at least one point done [s]."""
+MOST_PER_GPU = 8
+"""Workers that share a GPU: while it computes for one, the Python of the others gets ready what comes next."""
+PICTURE = "sweep.png"
+EXTRA = ("dask", "distributed", "zarr")
+
+Ask = Callable[[str], bool]
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """What a sweep left behind.
+
+    out: its folder; files: paths by name; points, done: how many there are, and are there
+    failed: why points have failed, by their numbers in the design
+    """
+
+    out: Path
+    files: dict[str, Path]
+    points: int
+    done: int
+    failed: dict[int, str]
+    _opened: list[xr.Dataset] = field(default_factory=list, repr=False)
+
+    @property
+    def dataset(self) -> xr.Dataset:
+        """The numbers of all points, opened when first asked for and read where it is used."""
+        if not self._opened:
+            self._opened.append(open_dataset(self.files["sweep.zarr"]))
+        return self._opened[0]
+
+
+def sweep(
+    scene: str | Path,
+    design: Design | Mapping[str, Sequence[Any] | np.ndarray],
+    out: str | Path,
+    *,
+    keys: Mapping[str, Value | None] | None = None,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    device: str | None = None,
+    accuracy: float | None = None,
+    duration_s: float | None = None,
+    errors: bool = False,
+    picture: bool = True,
+    progress: bool = False,
+    yes: bool = False,
+    ask: Ask | None = None,
+) -> Sweep:
+    """Simulate a scene at all points of a design and write one labelled dataset, out/sweep.zarr, and a picture.
+
+    palmfield.sweep("palm.xml", {"stimulus.am_frequency_Hz": [50, 100, 200]}, "out/frequencies")
+
+    scene: a file; design: values by key for every combination of them, or one of `palmfield.studies.sweeps`: `grid`,
+        `listed`, `random`, `sobol`. Keys are INSTANCE.KEY or PLUGIN.KEY, or one number of a vector, such as
+        "stimulus.focus_m[0]"; keys: values that all points share, None takes a key out of the scene
+    out: folder, made where missing; the same sweep that was cut off there goes on, and failed points are tried again
+    workers: processes on this machine, by default as many as cores and memory allow, at most 8 a GPU; 0 computes in
+        this process, without Dask
+    scheduler: address of a Dask cluster that runs already, in place of workers; it must see the scene's file
+    device, accuracy: see `palmfield.load`; duration_s: of each point [s], the scene's own by default
+    errors: whether each point's error is estimated, which takes longer than most runs; picture: whether one is drawn
+    progress: whether a bar is drawn on a terminal's standard error
+    yes: whether a sweep goes on that takes more than 2 GB or an hour; without, `ask` is asked with a question
+    Ctrl-C, a full disk and lost workers leave what was done: the same call goes on. A point that fails is recorded.
+    Raises SceneError for keys and values that can't be, before anything runs; PalmfieldError for a cluster that can't
+    be reached; OutputError for a folder that can't be written or holds another sweep, and where `ask` says no.
+    """
+    design = design if isinstance(design, Design) else grid(design)
+    _check_arguments(scene, workers, scheduler)
+    if scheduler is not None:
+        with remote_cluster(scheduler):
+            pass  # before anything is made
+    path, out = Path(scene).resolve(), Path(out)
+    known = scene_keys(scene, design, keys or {})
+    view = overview(path, design, known, device=device, accuracy=accuracy, duration_s=duration_s)
+    gpus = visible_gpus() if view.device.startswith("cuda") and workers != 0 and scheduler is None else []
+    groups = groups_of(path, design, known, device, accuracy)
+    most = MOST_ON_GPU if view.device.startswith("cuda") else MOST_IN_BATCH
+    memory = _memory_bytes(view, groups, most)
+    count = _worker_count(workers, gpus, design.count, memory, gpu_memory_bytes() if gpus else 0)
+    console = Console(stderr=True, quiet=not progress)
+    size = size_bytes(design, view.labels, errors)
+    said = _in_words(view, design, size, memory, None if scheduler else count)
+    LOG.info("%s", said)
+    stepped = in_words(groups)
+    if stepped:
+        LOG.info("%s", stepped)
+    if size > LARGE_BYTES:
+        _confirm(f"{size / 1e9:.1f} GB may be written to {out}", yes, ask)
+    store = SweepStore(out, design, view.labels, _attributes(view, design, known, accuracy, errors, stepped), errors)
+    missing = [int(number) for number in np.flatnonzero(store.status.ravel() != DONE)]
+    if len(missing) < design.count:
+        LOG.info("going on: %d points are there", design.count - len(missing))
+    # A worker sees one GPU, whatever its number was
+    where = "cuda:0" if gpus else device
+    task = Task(path, where, accuracy, view.duration_s, view.times, errors)
+    points = _Points(missing, groups, design, known, most)
+    if missing:
+        # A picture of fewer points beside these would lie
+        (out / PICTURE).unlink(missing_ok=True)
+        if scheduler is not None:
+            results = _on_cluster(lambda: remote_cluster(scheduler), task, points)
+        elif count:
+            results = _on_cluster(lambda: local_cluster(count, gpus), task, points)
+        else:
+            results = _here(task, points)
+        with closing(results):
+            _collect(results, store, len(missing), max(count, 1), console, yes, ask)
+    files = {"sweep.zarr": store.path}
+    if picture:
+        try:
+            plot_sweep(open_dataset(store.path), out / PICTURE)
+            files[PICTURE] = out / PICTURE
+        except OutputError as error:
+            LOG.warning("no %s: %s", PICTURE, error)
+    failed = {int(number): store.failure(int(number)) for number in np.flatnonzero(store.status.ravel() == FAILED)}
+    return Sweep(out, files, design.count, store.done, failed)
+
+
+def _check_arguments(scene: str | Path, workers: int | None, scheduler: str | None) -> None:
+    missing = [name for name in EXTRA if find_spec(name) is None]
+    if missing:
+        raise PalmfieldError(f"sweeps need {', '.join(missing)}; install the extra: pip install 'palmfield[sweep]'")
+    if not isinstance(scene, str | Path):
+        raise SceneError(f"scene is {scene!r}; allowed: the path of a file, which workers read")
+    if workers is not None and scheduler is not None:
+        raise PalmfieldError("--workers starts workers here and --scheduler uses others; give one of them")
+    if workers is not None and workers < 0:
+        raise PalmfieldError(f"--workers has value {workers}; allowed: 0 (in this process) or more")
+
+
+def _worker_count(workers: int | None, gpus: list[str], points: int, memory: int, on_gpu: int) -> int:
+    """How many processes compute: as asked for, or as many as there are cores and memory for, a few for each GPU.
+
+    memory: that a worker takes, about, here and on its GPU; on_gpu: that is free on each of the GPUs [bytes]
+    """
+    if workers is not None:
+        return workers
+    import psutil
+
+    room = int(0.8 * psutil.virtual_memory().available // memory)
+    most = min(cores(), points, room)
+    if gpus:
+        share = min(MOST_PER_GPU, max(1, int(0.8 * on_gpu // memory)))
+        return max(min(len(gpus), points), min(share * len(gpus), most))
+    return max(1, most)
+
+
+def _memory_bytes(view: Overview, groups: Sequence[Group], most: int) -> int:
+    """About what a worker takes, with up to `most` points at once."""
+    worlds = max((min(most, len(group.points)) for group in groups if group.shared is not None), default=1)
+    return view.memory_bytes + (worlds - 1) * view.point_bytes + max(group.modes_bytes for group in groups)
+
+
+def _in_words(view: Overview, design: Design, size: int, memory_bytes: int, workers: int | None) -> str:
+    """What a sweep is, before it begins."""
+    counts = " x ".join(str(length) for length in design.shape)
+    several = f" ({counts})" if len(design.shape) > 1 else ""
+    memory = f"{memory_bytes / 1e9:.1f} GB of memory"
+    who = {0: "this process", 1: "one worker", None: "each worker"}.get(workers, f"each of {workers} workers")
+    return (
+        f"{view.name}: {design.count} points{several} of {view.duration_s:g} s over {', '.join(design.keys)}; about "
+        f"{memory} in {who}, at most {_bytes(size)} on disk"
+    )
+
+
+def _bytes(size: int) -> str:
+    return f"{size / 1e9:.1f} GB" if size >= 1e9 else f"{max(size / 1e6, 0.1):.1f} MB"
+
+
+def _confirm(what: str, yes: bool, ask: Ask | None) -> None:
+    """Raises OutputError where something out of proportion is not wanted."""
+    if yes or (ask is not None and ask(f"{what}. Go on?")):
+        return
+    raise OutputError(f"{what}: not gone on with; give --yes (yes=True), or fewer points")
+
+
+def _attributes(
+    view: Overview, design: Design, keys: SceneKeys, accuracy: float | None, errors: bool, stepped: str
+) -> dict[str, Any]:
+    packages = ("palmfield", "warp-lang", "mujoco", "numpy", "scipy", "xarray", "zarr", "dask")
+    return {
+        "title": "palmfield: a sweep over keys of a scene",
+        "scene": view.name,
+        "keys": json.dumps(keys.fixed, sort_keys=True),
+        "solver": stepped or "each point has the layer and the solver of a run by itself",
+        "conventions": json.dumps(CONVENTIONS),
+        "versions": json.dumps({name: version(name) for name in packages} | {"python": platform.python_version()}),
+        # What must be the same for a sweep to go on
+        "identity": {
+            "design": design.as_json(),
+            "scene (its file or one that it names)": view.scene_digest,
+            "keys that all points share": keys.fixed,
+            "duration": view.duration_s,
+            "accuracy": accuracy,
+            "errors": errors,
+            "time axis": [len(view.times), float(view.times[-1])],
+            "palmfield": version("palmfield"),
+        },
+    }
+
+
+# -- computing -------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Points:
+    """The points of a sweep: numbers of those that are missing, and by its number each one's group and keys.
+
+    most: of them in a batch
+    """
+
+    missing: Sequence[int]
+    groups: Sequence[Group]
+    design: Design
+    keys: SceneKeys
+    most: int
+
+    @cached_property
+    def _group_of(self) -> dict[int, int]:
+        return {number: place for place, group in enumerate(self.groups) for number in group.points}
+
+    def batches(self, workers: int) -> list[Batch]:
+        """See `palmfield.studies.sweeps.batch.batches`."""
+        return batches(self.missing, self._group_of, workers, self.most)
+
+    def group(self, number: int) -> Group:
+        return self.groups[self._group_of[number]]
+
+    def point(self, number: int) -> Point:
+        values = self.design.point(number)
+        return Point(self.keys.of_point(values), self.keys.differing(values))
+
+
+def _here(task: Task, points: _Points) -> Generator[Results]:
+    """All points in this process, batch by batch."""
+    for batch in points.batches(1):
+        group = points.group(batch.points[0])
+        results = run_batch(task, group.base, group.shared, [points.point(number) for number in batch.points])
+        yield dict(zip(batch.points, results, strict=True))
+
+
+def _on_cluster(connect: Callable[[], Any], task: Task, points: _Points) -> Generator[Results]:
+    """All points on Dask workers, batch by batch as they are done."""
+    with connect() as client:
+        there = slots(client, task.scene)
+        yield from computed(client, task, there, points.batches(len(there)), points.group, points.point)
+
+
+def _collect(
+    results: Generator[Results],
+    store: SweepStore,
+    points: int,
+    workers: int,
+    console: Console,
+    yes: bool,
+    ask: Ask | None,
+) -> None:
+    """Write results as they come, with progress; asks once where the rest takes out of proportion long."""
+    columns = (
+        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn()
+    )  # fmt: skip
+    done, failed, written, asked, started = 0, 0, 0, yes, time.monotonic()
+    with Progress(*columns, console=console, disable=console.quiet or not console.is_terminal, transient=True) as bar:
+        row = bar.add_task("starting workers", total=points)
+        for some in results:
+            store.write(some)
+            done, written = done + len(some), written + 1
+            failed += sum(isinstance(result, Failed) for result in some.values())
+            bar.update(row, completed=done, description=f"{failed} failed" if failed else "computing")
+            spent = time.monotonic() - started
+            left = spent / done * (points - done)
+            if not asked and left > LONG_S and (written >= SURE_BATCHES * workers or spent > SURE_S):
+                bar.stop()
+                _confirm(f"{points - done} of {points} points are left, about {left / 3600:.1f} h", yes, ask)
+                asked = True
+                bar.start()
