@@ -2,6 +2,7 @@
 
 from palmfield import cache
 from palmfield.acoustics.body_scattering import BODY_SOUNDS
+from palmfield.acoustics.directivities import form_of
 from palmfield.estimate.array_inputs import qualities
 from palmfield.estimate.numerical_error import estimate_s
 from palmfield.estimate.numerics.mesh_error import RATIO
@@ -34,6 +35,9 @@ def modelled(model: HapticModel, duration_s: float) -> list[Row]:
     for number, stimulus in enumerate(model.stimuli):
         level = array_drives(model, model.arrays)[number].unit_drive(stimulus.first_focus).level
         about = f"board {model.board.name}: {model.board.description}"
+        if arp := stimulus.config.foci_arp:
+            words = ", ".join(f"{x / max(arp):.3g}" for x in arp)
+            rows.append(Row("foci", f"ARP {words} of the loudest", "key foci_arp", stimulus.spec.name))
         rows.append(Row("drive", f"amplitude {of_full(level)}", about, stimulus.spec.name))
         offset = peak_offset(model, number)
         if offset is not None:
@@ -160,15 +164,7 @@ def _solver(skin: SkinModel, still_m: float) -> Row:
 
 def _directivity(model: HapticModel) -> str:
     """What the transducers are off their axes, in words."""
-    words = []
-    for group in model.arrays.groups:
-        if group.array.directivity_table is not None:
-            words.append("measured directivity")
-        elif group.array.piston_radius_m == 0.0:
-            words.append("point sources")
-        else:
-            words.append(f"pistons of {1e3 * group.array.piston_radius_m:g} mm radius")
-    return " and ".join(words)
+    return " and ".join(form_of(group.array).words(group.array) for group in model.arrays.groups)
 
 
 def _ring_up(stimulus: StimulusModel) -> list[Row]:

@@ -12,7 +12,7 @@ from palmfield.locked import Lazy
 from palmfield.simulation.build import demands_of, layers_for, model_of, stimuli_of, whole_of
 from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
 from palmfield.simulation.posed_scene import STILL
-from palmfield.simulation.small_models.choice import choose_stepper, common_choice, first_stepper, modal_choice
+from palmfield.simulation.small_models.choice import choose_stepper, common_choice, first_stepper
 from palmfield.simulation.spec import SceneSpec
 from palmfield.skin.scene_layer import LayerDemand, SceneLayer
 from palmfield.skin.stepper import SkinStepper
@@ -102,7 +102,7 @@ def _skins(
     skins = []
     for known, layer in zip(first.skins, layers, strict=True):
         if modal and known.spec.config.solver == "auto":
-            choice = modal_choice(known)
+            choice = known.choice._replace(name="modal", why="there are many different loads")
             settles = known.choice.name == "reduced"
         else:
             choices = [

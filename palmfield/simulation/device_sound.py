@@ -51,8 +51,7 @@ from palmfield.simulation.radiation import (
 )
 from palmfield.simulation.sensors import SensorPlace
 from palmfield.skin.reduction import device_models
-from palmfield.skin.reduction.device_models import DeviceModel, StepMemory, device_model
-from palmfield.skin.stepper import Outside, SkinStepper
+from palmfield.skin.stepper import DeviceModel, Outside, SkinStepper, StepMemory
 from palmfield.stimulus.schedule import Moments
 from palmfield.types import Complex, Float, Float32, Int
 from warp_kernels import carried_points as carrying
@@ -312,7 +311,7 @@ class DeviceSound:
         """What steps a skin on the device, None where that is left to the CPU; kept."""
         if (skin, stepper) not in self._models:
             points = len(self.model.skins[skin].layer.quadrature.points)
-            self._models[skin, stepper] = device_model(stepper, self.model.substeps, points, self.device)
+            self._models[skin, stepper] = stepper.device_model(self.model.substeps, points, self.device)
         return self._models[skin, stepper]
 
     def forces(self, posed: PosedScene) -> list[tuple[Float, Float]]:

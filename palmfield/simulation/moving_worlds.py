@@ -26,8 +26,8 @@ from palmfield.simulation.sensors import SensorPlace
 from palmfield.simulation.small_models.leaving import leaves_class, loudest_load
 from palmfield.simulation.state import HEADER, WHOLE, HapticState, check_arrays, claim, stepper_of
 from palmfield.simulation.step import Workspace
-from palmfield.skin.reduction.device_models import SECTIONS, DeviceModel, device_model
-from palmfield.skin.reduction.modal_stepper import Outside
+from palmfield.skin.reduction.device_models import SECTIONS
+from palmfield.skin.stepper import DeviceModel, Outside
 from palmfield.stimulus.focal_points import FocalPoints
 from palmfield.stimulus.schedule import TICK_S, edges_of, frames_at, mean_arp_factor, substep_moments
 from palmfield.transforms import IDENTITY
@@ -153,7 +153,7 @@ class MovingWorlds:
         steppers: dict[int, DeviceModel] = {}
         for number, skin in enumerate(first.skins):
             count, device = len(skin.layer.quadrature.points), resolve(first.spec.device)
-            model = device_model(first.begin[number].value, first.substeps, count, device)
+            model = first.begin[number].value.device_model(first.substeps, count, device)
             assert model is not None
             steppers[number] = model
         aims = [aim_of(array_drives(self.models[world], first.arrays)[0]) for world in self._leading]

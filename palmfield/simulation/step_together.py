@@ -22,15 +22,13 @@ from palmfield.simulation.radiation import Role
 from palmfield.simulation.small_models.leaving import continue_on_whole_layer, leaves_class, leaves_small_model
 from palmfield.simulation.state import BEGUN, HEADER, WHOLE, HapticState, check_arrays, claim, stepper_of
 from palmfield.simulation.step import Workspace
-from palmfield.skin.reduction.device_worlds import DeviceWorlds, device_worlds
-from palmfield.skin.stepper import Outside, Reader, SkinStepper, SurfaceLoads
+from palmfield.skin.stepper import DeviceStep, Outside, SkinStepper, SurfaceLoads
 from palmfield.stimulus.levels import Levels, goes_smoothly
 from palmfield.stimulus.schedule import Moments, first_point, substep_moments
 from palmfield.types import Complex, Float, Float32, Int
 
 Bool = NDArray[np.bool_]
 Rows = NDArray[np.intp]
-Step = Callable[[Float, SurfaceLoads, float, float, Reader | None], Float | Float32 | None]
 KEPT = 64
 """Ways in which worlds were shared out among steppers."""
 
@@ -91,7 +89,7 @@ class TogetherStep:
         self._serves: list[list[PosedScene | None]] = [[None] * worlds for _ in first.skins]
         self._groups: dict[tuple[int, bytes, bytes], list[tuple[SkinStepper, Rows]]] = {}
         self._device = resolve(first.spec.device)
-        self._on_devices: dict[tuple[int, SkinStepper], DeviceWorlds | None] = {}
+        self._on_devices: dict[tuple[int, SkinStepper], DeviceStep | None] = {}
         self.observer: Callable[[TogetherTrace], None] | None = None
         self.joined: Rows = np.zeros(0, dtype=np.intp)
         self.apart: list[int] = list(range(worlds))
@@ -328,12 +326,11 @@ class TogetherStep:
         part[worlds, numbers] = states
         return seen
 
-    def _on_device(self, skin: int, stepper: SkinStepper) -> Step | None:
+    def _on_device(self, skin: int, stepper: SkinStepper) -> DeviceStep | None:
         """What steps a skin in place of its stepper, where the device is a GPU and has it; kept."""
         if (skin, stepper) not in self._on_devices:
-            self._on_devices[skin, stepper] = device_worlds(stepper, len(self.models), self._device)
-        known = self._on_devices[skin, stepper]
-        return None if known is None else known.step
+            self._on_devices[skin, stepper] = stepper.device_worlds(len(self.models), self._device)
+        return self._on_devices[skin, stepper]
 
     def _pressure(self, skin: int, stepper: SkinStepper, world: int) -> "_Pressure":
         """The pressure of a world's unit drive on a skin, at the points where a stepper takes it; the last is kept."""

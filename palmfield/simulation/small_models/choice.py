@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from palmfield.drive.response import Pole
 from palmfield.errors import SceneError
-from palmfield.simulation.model import HapticModel, SkinModel, StepperChoice, StimulusModel
+from palmfield.simulation.model import HapticModel, StepperChoice, StimulusModel
 from palmfield.simulation.small_models import known_load, load_class
 from palmfield.simulation.spec import SceneSpec, SkinSpec
 from palmfield.skin.costs import wedges_s
@@ -38,15 +38,11 @@ def choose_stepper(
     reason = known_load.refusal(skin, layer, stimuli, pole, response_on)
     requested = skin.config.solver
     modal_reason = load_class.refusal(skin, layer)
-    if modal_reason is not None and requested == "modal":
+    missing = {"modal": ("modes for every load", modal_reason), "reduced": ("small model", reason)}
+    what, why_not = missing.get(requested, ("", None))
+    if why_not is not None:
         raise SceneError(
-            f"plugin 'palmfield.skin' instance '{skin.name}': key 'solver' has value 'modal', but no modes for every "
-            f"load: {modal_reason}: set it to auto"
-        )
-    if reason is not None and requested == "reduced":
-        raise SceneError(
-            f"plugin 'palmfield.skin' instance '{skin.name}': key 'solver' has value 'reduced', but no small "
-            f"model: {reason}: set it to auto"
+            f"{layer.element}: key 'solver' has value '{requested}', but no {what}: {why_not}: set it to auto"
         )
     sounding = [stimulus for stimulus in stimuli if not stimulus.silent]
     vectors = 0 if reason is not None else known_load.expected_vectors(sounding[0], pole, response_on)
@@ -91,11 +87,6 @@ def common_choice(
     return StepperChoice(ranked[0].name, why, ranked[0].seconds, seconds["wedges"])
 
 
-def modal_choice(skin: SkinModel) -> StepperChoice:
-    """Modes for every load, for a layer whose loads are many."""
-    return StepperChoice("modal", "there are many different loads", skin.choice.seconds, skin.choice.wedges_s)
-
-
 def first_stepper(model: HapticModel, skin: int) -> SkinStepper:
     """What a skin begins with: a small model for the known load in the reference pose, its whole layer, or what its key
     `solver` names.
@@ -103,20 +94,14 @@ def first_stepper(model: HapticModel, skin: int) -> SkinStepper:
     Raises SceneError for a small model that is asked for but fails.
     """
     part = model.skins[skin]
-    if part.choice.name == "wedges":
-        return model.whole[skin].value
-    if part.choice.name == "modal":
-        try:
-            return load_class.class_stepper(model, skin)
-        except SceneError as error:
-            if part.spec.config.solver == "modal":
-                raise SceneError(f"plugin 'palmfield.skin' instance '{part.spec.name}': {error}") from None
-            return model.whole[skin].value
     if part.explicit is not None:
         return part.explicit.stepper(model.spec.device)
     try:
-        return known_load.known_stepper(model, skin)
-    except SceneError:
-        if part.spec.config.solver == "reduced":
-            raise
-        return model.whole[skin].value
+        if part.choice.name == "reduced":
+            return known_load.known_stepper(model, skin)
+        if part.choice.name == "modal":
+            return load_class.class_stepper(model, skin)
+    except SceneError as error:
+        if part.spec.config.solver != "auto":
+            raise SceneError(f"{part.layer.element}: {error}") from None
+    return model.whole[skin].value

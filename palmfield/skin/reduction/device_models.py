@@ -5,15 +5,13 @@ have made of it, to rounding.
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any
 
 import numpy as np
 import warp as wp
 
 from palmfield.device import launch, whole_numbers
-from palmfield.skin.reduction.modal_stepper import ModalStepper
-from palmfield.skin.reduction.reduced_stepper import ReducedStepper
-from palmfield.skin.stepper import Outside, SkinStepper, SurfaceLoads
+from palmfield.skin.stepper import Outside, SkinStepper, StepMemory, SurfaceLoads
 from palmfield.threads import Calls
 from palmfield.types import Float
 from warp_kernels import skin_steps as kernels
@@ -28,69 +26,10 @@ SECTIONS = 4
 """Sums of squares that say what of a load lies outside the class of modes."""
 
 
-class StepMemory(NamedTuple):
-    """Where a step of a skin in w worlds finds its numbers on a device, and where it leaves them.
-
-    counts: drives and patterns, int32, shape (w, 2); pressure: patterns at all the layer's quadrature points [Pa],
-        float32, shape (w m, q), or, if `chosen`, at the stepper's own
-    weights: of each pattern, float64, shape (w, `DeviceModel.weight_rows`, m)
-    before, after: the state, float64, shape (w, n); squares: float64, shape (w, SECTIONS, s, `kernels.LANES`)
-    """
-
-    counts: Any
-    pressure: Any
-    weights: Any
-    before: Any
-    after: Any
-    squares: Any
-    chosen: bool = False
-
-
-class DeviceModel(Protocol):
-    """A stepper's numbers on a device, for steps of so many substeps.
-
-    stepper: whose state it carries; weight_rows: of `weights`
-    """
-
-    @property
-    def stepper(self) -> SkinStepper: ...
-    @property
-    def substeps(self) -> int: ...
-    @property
-    def weight_rows(self) -> int: ...
-
-    def weights(self, first: Float, last: Float) -> Float:
-        """Weights of the patterns as the launches take them, from those of SurfaceLoads, shape (s, m)."""
-        ...
-
-    def calls(self, memory: StepMemory) -> Calls:
-        """Launches that do all substeps."""
-        ...
-
-    def outside(self, sums: Sequence[Any]) -> Outside | None:
-        """What of the load lies outside the class that the stepper serves, from the launches' sums of squares, if it
-        has one; sums: SECTIONS numbers, or arrays of one for each world."""
-        ...
-
-
-def device_model(stepper: SkinStepper, substeps: int, points: int, device: str) -> DeviceModel | None:
-    """A stepper on a device; None where it stays on the CPU: solvers of whole layers, and models too small to pay.
-
-    substeps: of a step; points: of the layer's quadrature
-    """
-    if isinstance(stepper, ModalStepper):
-        return DeviceModes(stepper, substeps, device)
-    if isinstance(stepper, ReducedStepper):
-        size, shapes = stepper.state_size, stepper.shares.shape[1]
-        if LEAST_NUMBERS <= size * (size + 2 * substeps * shapes) <= MOST_NUMBERS:
-            return DeviceReduced(stepper, substeps, points, device)
-    return None
-
-
 class DeviceModes:
-    """A ModalStepper on a device, see DeviceModel."""
+    """A ModalStepper, which makes it, on a device, see DeviceModel."""
 
-    def __init__(self, stepper: ModalStepper, substeps: int, device: str):
+    def __init__(self, stepper: Any, substeps: int, device: str):
         self.stepper, self.substeps, self.weight_rows, self._device = stepper, substeps, substeps, device
         body, advance = stepper.body, stepper.advance
         fit, back = body.shapes.fit.T, body.shapes.shapes[:, body.shapes.points]
@@ -148,11 +87,17 @@ class DeviceModes:
         return self.stepper.weighed(sums)
 
 
-class DeviceReduced:
-    """A ReducedStepper on a device, see DeviceModel: all substeps are one matrix."""
+def pays(size: int, shapes: int, substeps: int) -> bool:
+    """Whether a small model of so many numbers and shapes of force is worth a device."""
+    return LEAST_NUMBERS <= size * (size + 2 * substeps * shapes) <= MOST_NUMBERS
 
-    def __init__(self, stepper: ReducedStepper, substeps: int, points: int, device: str):
-        self.stepper, self.substeps, self.weight_rows, self._device = stepper, substeps, 2 * substeps, device
+
+class DeviceReduced:
+    """A ReducedStepper, which makes it, on a device, see DeviceModel: all substeps are one matrix."""
+
+    def __init__(self, stepper: Any, substeps: int, points: int, device: str):
+        self.stepper: SkinStepper = stepper
+        self.substeps, self.weight_rows, self._device = substeps, 2 * substeps, device
         own = np.arange(points) if stepper.points is None else stepper.points
         self._products = _Products(own, stepper.shares, device)
         onwards = stepper.advance.T

@@ -14,6 +14,7 @@ from scipy import sparse
 from palmfield import cache
 from palmfield.blas import one_blas_thread
 from palmfield.skin.fem.assembly import SkinSystem
+from palmfield.skin.reduction.device_models import DeviceReduced, pays
 from palmfield.skin.reduction.dynamic_stiffness import DynamicStiffness
 from palmfield.skin.reduction.krylov import Course, Krylov
 from palmfield.skin.reduction.load_shapes import LoadShapes
@@ -201,17 +202,17 @@ class ReducedStepper(SkinStepper):
         """See SkinStepper."""
         return f"{self.name}, {self.order} vectors"
 
+    def device_model(self, substeps: int, points: int, device: str) -> DeviceReduced | None:
+        """See SkinStepper; a CPU takes no longer for small ones."""
+        worth = pays(self.state_size, self.shares.shape[1], substeps)
+        return DeviceReduced(self, substeps, points, device) if worth else None
+
     def work(self, patterns: int, substeps: int) -> StepWork:
         """See SkinStepper."""
         size, (points, forces) = self.state_size, self.shares.shape
-        products = points * forces
-        return StepWork(
-            single=patterns * products,
-            double=substeps * size * (size + 2 * forces),
-            single_read=products,
-            double_read=substeps * size * size,  # as the coupling of modes
-            kernels=substeps,
-        )
+        products, double = points * forces, substeps * size * (size + 2 * forces)
+        # A GPU reads the matrix in each substep, as the coupling of modes
+        return StepWork(patterns * products, double, products, substeps * size * size, substeps)
 
     def lifted(self, state: Float, pressure_Pa: Callable[[], Float]) -> Float:
         """See SkinStepper."""
