@@ -119,7 +119,9 @@ class ArrayDrive:
         """`unit_drive` for one of the stimulus's points, shape (3,), where it is now."""
         last, key = self._last, point.tobytes()
         if last is None or last[0] is not focal_points or last[1] != key:
-            self._last = last = focal_points, key, self.unit_drive(focal_points.at(point), focal_points.loudness(point))
+            uneven = focal_points.table is not None or focal_points.arp
+            loudness = focal_points.loudness(point) if uneven else None
+            self._last = last = focal_points, key, self.unit_drive(focal_points.at(point), loudness)
         return last[2]
 
     def level_at(self, focal_points: FocalPoints, point: Float) -> float:

@@ -8,7 +8,7 @@ import numpy as np
 from palmfield.config import Config, MotionConfig
 from palmfield.engine.host import Module, World, world_of
 from palmfield.errors import SceneError
-from palmfield.mujoco_host.mujoco_view import Write, mocap_writes
+from palmfield.mujoco_host.mujoco_view import Write, mocap_offsets
 from palmfield.transforms import rotation_matrix
 from palmfield.types import Float
 
@@ -42,6 +42,7 @@ class MotionModule(Module):
         self.mocap = int(model.raw.body_mocapid[body])
         if self.mocap < 0:
             raise SceneError(f"{element}: key 'body' has value '{settings.body}'; allowed: a body with mocap='true'")
+        self._offsets = mocap_offsets(self.mocap)
         self._first_s = 1.5 * model.timestep
         self.servos: list[int] = []
         self.joints: list[int] = []
@@ -68,13 +69,11 @@ class MotionModule(Module):
 
     def place(self) -> None:
         """Put mocap body, servos and the hand itself where the motion has them now."""
-        for write in self.due(self.world.time, at_once=True):
-            self.world.put(write)
+        self.world.put(self.due(self.world.time, at_once=True))
 
     def advance(self) -> None:
         """Give what is due at the step's end."""
-        for write in self.due(self.world.raw.time):
-            self.world.put(write)
+        self.world.put(self.due(self.world.raw.time))
 
     def due(self, time_s: float, at_once: bool = False) -> list[Write]:
         """What mocap body and servos get at a time [s], and the hand itself where it is put there.
@@ -82,10 +81,11 @@ class MotionModule(Module):
         That is `at_once`, in the scene's first step, and always with key follow = exact.
         """
         pose = self.motion.at(time_s)
-        writes = mocap_writes(self.mocap, pose.position, pose.quaternion)
+        place, turn = self._offsets
+        writes: list[Write] = [("mocap_pos", place, pose.position), ("mocap_quat", turn, pose.quaternion)]
         if self.servos:
             degrees = list(map(pose.angles_deg.get, self._names, self._rest_deg))
-            writes.append(Write("ctrl", self.servos, np.deg2rad(degrees)))
+            writes.append(("ctrl", self.servos, np.deg2rad(degrees)))
         if at_once or time_s < self._first_s or self.settings.follow == "exact":
             writes += self._put(pose, time_s)
         return writes
@@ -106,8 +106,8 @@ class MotionModule(Module):
         places = [*range(first, first + 7), *(int(model.raw.jnt_qposadr[joint]) for joint in self.joints)]
         speeds_at = [*range(speed, speed + 6), *(int(model.raw.jnt_dofadr[joint]) for joint in self.joints)]
         return [
-            Write("qpos", places, np.concatenate([now.position, now.quaternion, angles])),
-            Write("qvel", speeds_at, np.concatenate([velocity, 0.5 * spin / step, speeds])),
+            ("qpos", places, np.concatenate([now.position, now.quaternion, angles])),
+            ("qvel", speeds_at, np.concatenate([velocity, 0.5 * spin / step, speeds])),
         ]
 
     def _angles(self, angles_deg: dict[str, float]) -> Float:

@@ -20,7 +20,7 @@ from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.engine.skin_plugin import SkinModule
 from palmfield.engine.world_poses import WorldPoses
 from palmfield.errors import SceneError, explaining, naming_world
-from palmfield.mujoco_host.mujoco_view import DataView, ModelView, PluginSensor, Write, mocap_writes
+from palmfield.mujoco_host.mujoco_view import DataView, ModelView, PluginSensor, Write, mocap_offsets
 from palmfield.mujoco_host.structs import mirror
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.moving_worlds import MovingWorlds
@@ -187,7 +187,8 @@ class SceneWorlds:
         """Put the bodies that `poses` lead where they are in the step that begins at t0 [s]."""
         for mocap, poses in self.poses.items():
             row = min(max(round(t0 / self.mujoco_model.opt.timestep), 0), poses.shape[1] - 1)
-            self._put(mocap_writes(mocap, poses[:, row, :3], poses[:, row, 3:]))
+            place, turn = mocap_offsets(mocap)
+            self._put([("mocap_pos", place, poses[:, row, :3]), ("mocap_quat", turn, poses[:, row, 3:])])
 
     def settle(self) -> None:
         """Bring the state up to date, where a device has what is newer."""

@@ -16,6 +16,9 @@ SOLIDS = ("box", "capsule", "cylinder", "ellipsoid", "sphere")
 Geom = tuple[str, tuple[Any, ...], tuple[float, ...], tuple[float, ...]]
 """Kind, size [m] as in MJCF (of a mesh its vertices and faces), position [m] and quaternion (w, x, y, z)."""
 Kind = Literal["body", "site", "geom", "joint", "actuator"]
+Field = Literal["ctrl", "qpos", "qvel", "mocap_pos", "mocap_quat"]
+Write = tuple[Field, list[int], Float]
+"""Numbers for an array of mjData: its name, where they go in it, and what they are, shape (n,)."""
 _OBJECT = {
     "body": mujoco.mjtObj.mjOBJ_BODY,
     "site": mujoco.mjtObj.mjOBJ_SITE,
@@ -156,6 +159,11 @@ class ModelView:
         return {key: text.decode() for key, text in texts.items() if text}
 
 
+def mocap_offsets(mocap: int) -> tuple[list[int], list[int]]:
+    """Where a mocap body's position and its quaternion (w, x, y, z) are in arrays mocap_pos and mocap_quat."""
+    return [*range(3 * mocap, 3 * mocap + 3)], [*range(4 * mocap, 4 * mocap + 4)]
+
+
 class DataView:
     """One mjData with its model. Arrays are views: they show MuJoCo's present values.
 
@@ -186,9 +194,10 @@ class DataView:
         """MuJoCo's time [s]."""
         return float(self.raw.time)
 
-    def put(self, write: "Write") -> None:
-        """Write numbers into one of mjData's arrays."""
-        self._fields[write.field][write.offsets] = write.values
+    def put(self, writes: "list[Write]") -> None:
+        """Write numbers into arrays of mjData."""
+        for field, offsets, values in writes:
+            self._fields[field][offsets] = values
 
     def state(self, instance: int) -> Float:
         """Plugin state of an instance, shape (n,): part of mjData, so that MuJoCo copies, resets and saves it."""
@@ -213,20 +222,6 @@ class DataView:
                 kind, target = kinds.get(raw.sensor_objtype[i], ""), int(raw.sensor_objid[i])
                 result.append(PluginSensor(name.decode() if name else f"sensor_{i}", kind, target, offsets, data))
         return result
-
-
-class Write(NamedTuple):
-    """Numbers for an array of mjData: its name, where they go in it, and what they are, shape (n,)."""
-
-    field: Literal["ctrl", "qpos", "qvel", "mocap_pos", "mocap_quat"]
-    offsets: list[int]
-    values: Float
-
-
-def mocap_writes(mocap: int, position: Float, quaternion: Float) -> list[Write]:
-    """What poses a mocap body in the world: position [m], quaternion (w, x, y, z), shapes (..., 3) and (..., 4)."""
-    places, turns = range(3 * mocap, 3 * mocap + 3), range(4 * mocap, 4 * mocap + 4)
-    return [Write("mocap_pos", [*places], position), Write("mocap_quat", [*turns], quaternion)]
 
 
 class PluginSensor(NamedTuple):

@@ -1,7 +1,8 @@
 """What a sensor on the skin reads. A new channel is one entry of CHANNELS."""
 
 from collections.abc import Callable
-from operator import attrgetter
+from itertools import repeat
+from operator import attrgetter, call
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -111,4 +112,4 @@ def channels_of_worlds(forces: Float, motions: Float, arps: Float) -> Float:
 
 def channels(reading: SkinReading) -> list[float]:
     """A sensor's data, shape (channels,)."""
-    return [channel(reading) for channel in CHANNELS.values()]
+    return list(map(call, CHANNELS.values(), repeat(reading)))
