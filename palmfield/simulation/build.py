@@ -168,24 +168,27 @@ def _body(skin: SkinConfig) -> BodyModel:
 
 
 def _new_body(skin: SkinConfig) -> BodyModel:
+    accuracy = skin.force_accuracy
     if skin.shape == "disc":
         return BodyModel(skin.body, None, None, skin.depth_m)
     if skin.shape == "mesh":
         assert skin.mesh
-        return BodyModel(skin.body, load_mesh(Path(skin.mesh), skin.unit), None, skin.depth_m)
+        return BodyModel(skin.body, load_mesh(Path(skin.mesh), skin.unit), None, skin.depth_m, accuracy)
     if skin.shape == "cylinder":
         assert skin.cylinder_radius_m and skin.cylinder_length_m
-        return BodyModel(skin.body, round_body(skin.cylinder_radius_m, skin.cylinder_length_m), None, skin.depth_m)
+        return BodyModel(
+            skin.body, round_body(skin.cylinder_radius_m, skin.cylinder_length_m), None, skin.depth_m, accuracy
+        )
     if skin.shape == "rigged":
         assert skin.mesh
         mesh = rigged_file(skin.mesh, skin.unit)
         joint, _ = joint_of_body(skin.body, mesh.joints)
         rigged = skinned_mesh(mesh, mesh.joints.rest[joint, :3, 3])
-        return BodyModel(skin.body, rigged.surface, rigged, skin.depth_m)
+        return BodyModel(skin.body, rigged.surface, rigged, skin.depth_m, accuracy)
     preset = load_preset(skin.hand)
     hand = hand_surface(preset)
     bones = SkinnedHand(preset) if skin.shape == "articulated" else None
-    return BodyModel(skin.body, hand.surface, bones, hand.depth_to_bone)
+    return BodyModel(skin.body, hand.surface, bones, hand.depth_to_bone, accuracy)
 
 
 def stimuli_of(

@@ -18,6 +18,7 @@ from palmfield.config import StimulusConfig
 from palmfield.drive.board import Board
 from palmfield.drive.response import Pole
 from palmfield.drive.transducer_response import TransducerResponse
+from palmfield.hand.force_samples import A_FACE, SampleMesh, sample_mesh
 from palmfield.hand.posed_surface import FaceSampler, SkinBinding, face_samples
 from palmfield.hand.skinning import SkinnedSurface
 from palmfield.hand.subdivide import EDGE_m, short_edge_parents, with_short_edges
@@ -67,10 +68,19 @@ class BodyModel:
     name: of MuJoCo's body; surface: whole and closed, None for a disc, whose lit face is the skin itself
     hand: the surface with its bones, None for a body in one piece
     depth_to_bone_m: by vertex of the surface, shape (v,), or one depth for all
+    force_accuracy: to which its samples give the force of the sound
     """
 
-    def __init__(self, name: str, surface: Surface | None, hand: SkinnedSurface | None, depth_to_bone_m: Float | float):
+    def __init__(
+        self,
+        name: str,
+        surface: Surface | None,
+        hand: SkinnedSurface | None,
+        depth_to_bone_m: Float | float,
+        force_accuracy: float = A_FACE,
+    ):
         self.name, self.surface, self.hand, self.depth_to_bone_m = name, surface, hand, depth_to_bone_m
+        self.force_accuracy = force_accuracy
         self.lock = threading.RLock()
         origins = [] if hand is None else [bone.origin for bone in hand.bones]
         self.rest_origins: Float = np.array(origins).reshape(-1, 3)
@@ -82,27 +92,50 @@ class BodyModel:
         return max(1, len(self.rest_origins))
 
     @locked_cached_property
-    def face_bones(self) -> Int:
-        """The bone that each face of a surface with bones pushes, shape (m,)."""
+    def sample_mesh(self) -> SampleMesh:
+        """The triangles whose middles are the samples for the force, at rest; its faces: of the surface."""
+        assert self.surface is not None
+        vertices, faces = self.surface.vertices, self.surface.faces
+        if self.hand is not None:
+            return sample_mesh(vertices, faces, self.force_accuracy)
+        made = sample_mesh(*with_short_edges(vertices, faces, EDGE_m), self.force_accuracy)
+        return made._replace(faces=short_edge_parents(vertices, faces, EDGE_m)[made.faces])
+
+    @locked_cached_property
+    def sampled(self) -> SkinnedSurface:
+        """The samples' triangles with their bones: those of the hand itself where each of its faces is a sample."""
         assert self.hand is not None
-        return self.hand.dominant_bone()[self.hand.surface.faces[:, 0]]
+        mesh = self.sample_mesh
+        if mesh.corners is self.hand.surface.faces:
+            return self.hand
+        binding = SkinBinding.to(self.hand, mesh.points)
+        return SkinnedSurface(
+            self.hand.bones, Surface(mesh.points, mesh.corners, np.zeros_like(mesh.points)), binding.weights.T
+        )
+
+    @locked_cached_property
+    def sample_bones(self) -> Int:
+        """The bone that each sample of a surface with bones pushes, shape (n,)."""
+        return self.sampled.dominant_bone()[self.sampled.surface.faces[:, 0]]
 
     @locked_cached_property
     def rest_samples(self) -> tuple[Float, Float, Float]:
         """Points [m], outward normals, shapes (n, 3), and areas [m^2], (n,), of a surface in one piece."""
-        assert self.surface is not None
-        return face_samples(*with_short_edges(self.surface.vertices, self.surface.faces, EDGE_m))
+        return face_samples(self.sample_mesh.points, self.sample_mesh.corners)
 
     def posed_samples(self, vertices: Float, frame: Transform) -> tuple[Float, Float, Float]:
-        """Points [m], outward normals, shapes (n, 3), in the outer frame, and areas [m^2], (n,), of moved vertices."""
+        """Points [m], outward normals, shapes (n, 3), in the outer frame, and areas [m^2], (n,).
+
+        vertices: of `sampled`, moved, shape (v, 3)
+        """
         with self.lock:
             samples = self._sampler.at(vertices)
             return *frame.surface(samples.centroids, samples.normals), samples.areas.copy()
 
     @locked_cached_property
     def _sampler(self) -> FaceSampler:
-        assert self.surface is not None
-        return FaceSampler(self.surface.faces, len(self.surface.vertices))
+        surface = self.sampled.surface
+        return FaceSampler(surface.faces, len(surface.vertices))
 
     @locked_cached_property
     def boxes(self) -> Float:
@@ -240,20 +273,19 @@ class SkinModel:
         return closed_boundary(self.layer.mesh) if surface is None else (surface.vertices, surface.faces)
 
     @locked_cached_property
-    def sample_faces(self) -> tuple[Int, Float]:
-        """The face of `closed_surface` on which each sample for the force lies, and its share of that, shapes (n,)."""
+    def sample_faces(self) -> tuple[Int, Int, Float]:
+        """Which faces of `closed_surface` go with which samples for the force, and the share of a sample's pressure in
+        the mean on that face, shapes (k,)."""
         vertices, faces = self.closed_surface
-        if self.carrier.hand is not None:
-            return np.arange(len(faces), dtype=np.int32), np.ones(len(faces))
         centroids, _, face_areas = face_samples(vertices, faces)
         if self.carrier.surface is not None:
-            owners, areas = short_edge_parents(vertices, faces, EDGE_m), self.carrier.rest_samples[2]
-        else:
-            # The skin's own face comes first
-            quadrature = self.layer.quadrature
-            lit = centroids[: len(output_triangles(self.layer.mesh))]
-            owners, areas = cKDTree(lit).query(quadrature.points)[1].astype(np.int32), quadrature.weights
-        return owners, areas / face_areas[owners]
+            mesh = self.carrier.sample_mesh
+            return mesh.faces, mesh.samples, mesh.areas / np.maximum(face_areas[mesh.faces], 1e-30)
+        # The skin's own face comes first
+        quadrature = self.layer.quadrature
+        lit = centroids[: len(output_triangles(self.layer.mesh))]
+        owners = cKDTree(lit).query(quadrature.points)[1].astype(np.int32)
+        return owners, np.arange(len(owners)), quadrature.weights / face_areas[owners]
 
 
 @dataclass(frozen=True)

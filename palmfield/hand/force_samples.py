@@ -1,0 +1,91 @@
+"""The triangles whose middles are the samples for the force on a body: as many as an accuracy asks for."""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import cKDTree
+from trimesh.remesh import subdivide
+
+from palmfield.hand.meshquery import barycentric, build_mesh, closest_faces
+from palmfield.hand.triangles import face_normals
+from palmfield.types import Float, Int
+
+A_FACE = 0.006
+CELLS_m = {0.0075: 3.5e-3, 0.013: 4.5e-3}
+"""Below A_FACE faces are cut in four (0.0015), from it on each face is a sample, and from these on each cell of faces,
+by the spacing of cells. So large is the error of the force, root mean square over foci on the lit side of a shipped
+hand, and that of the torque over the force times the mean arm: scripts/bench/force_samples.py measures it,
+docs/bench/force_samples.md has the figures."""
+ROUNDS = 24
+"""Of Lloyd's iteration, by which cells get about equal, so that what each gets wrong averages out."""
+
+
+class SampleMesh(NamedTuple):
+    """Triangles, of which each is a sample: points [m], shape (v, 3), and corners, shape (n, 3).
+
+    faces, samples: which faces of the surface go with which samples; areas: that those share [m2]; all of shape (k,)
+    """
+
+    points: Float
+    corners: Int
+    faces: Int
+    samples: Int
+    areas: Float
+
+
+def sample_mesh(vertices: Float, faces: Int, accuracy: float) -> SampleMesh:
+    """Samples for the force to a relative error, fixed on a surface: vertices [m], shape (v, 3), faces, shape (m, 3).
+
+    Its edges are short enough that a face is a good sample, see `palmfield.hand.subdivide.EDGE_m`.
+    """
+    numbers: Int = np.arange(len(faces), dtype=np.int32)
+    normals, areas = face_normals(vertices, faces)
+    if accuracy < A_FACE:
+        points, corners = subdivide(vertices, faces)
+        return SampleMesh(points, corners, np.repeat(numbers, 4), np.arange(len(corners)), np.repeat(0.25 * areas, 4))
+    spacing_m = max((spacing for least, spacing in CELLS_m.items() if accuracy >= least), default=0.0)
+    if spacing_m == 0.0:
+        return SampleMesh(vertices, faces, numbers, numbers, areas)
+    middles = vertices[faces].mean(axis=1)
+    owner = _cells(middles, normals, areas, spacing_m)
+    pushes = _sums(owner, areas[:, None] * normals)
+    middles = _sums(owner, areas[:, None] * middles) / np.bincount(owner, areas)[:, None]
+    # The middle of a cell lies below a curved surface, where the body's own faces would shade it
+    corners = vertices[faces[closest_faces(build_mesh(vertices, faces), middles, 1.0)]]
+    middles = np.einsum("nk,nkd->nd", barycentric(corners, middles), corners)
+    return SampleMesh(*_triangles(middles, pushes), numbers, owner, areas)
+
+
+def _cells(points: Float, normals: Float, areas: Float, spacing_m: float) -> Int:
+    """The cell of each face, shape (n,): centres lie as in a honeycomb, on one side of a thin web each."""
+    places = np.concatenate([points, spacing_m * normals], axis=1)
+    count = min(max(round(float(areas.sum()) / (np.sqrt(0.75) * spacing_m**2)), 1), len(points))
+    seeds, gap = [int(np.argmax(areas))], np.full(len(points), np.inf)
+    for _ in range(count - 1):
+        np.minimum(gap, np.square(places - places[seeds[-1]]).sum(axis=1), out=gap)
+        seeds.append(int(np.argmax(gap)))
+    centres: Float = places[seeds]
+    for _ in range(ROUNDS):
+        owner = cKDTree(centres).query(places)[1]
+        weights = np.bincount(owner, areas, count)
+        centres = np.stack([np.bincount(owner, areas * row, count) for row in places.T], axis=1)
+        centres = centres[weights > 0.0] / weights[weights > 0.0, None]
+        count = len(centres)
+    return np.unique(cKDTree(centres).query(places)[1], return_inverse=True)[1].astype(np.int32)
+
+
+def _sums(owner: Int, values: Float) -> Float:
+    return np.stack([np.bincount(owner, row) for row in values.T], axis=1)
+
+
+def _triangles(middles: Float, areas: Float) -> tuple[Float, Int]:
+    """Equilateral triangles round points [m] with areas as vectors along their normals [m2], both of shape (n, 3)."""
+    size = np.linalg.norm(areas, axis=1)[:, None]
+    normals = areas / np.maximum(size, 1e-30)
+    aside = np.eye(3)[np.argmin(np.abs(normals), axis=1)]
+    first = np.cross(normals, aside)
+    first /= np.linalg.norm(first, axis=1)[:, None]
+    second, radius = np.cross(normals, first), np.sqrt(4.0 * size / np.sqrt(27.0))
+    ways = [np.cos(angle) * first + np.sin(angle) * second for angle in np.arange(3) * 2.0 * np.pi / 3.0]
+    points = middles[:, None] + radius[:, None] * np.stack(ways, axis=1)
+    return points.reshape(-1, 3), np.arange(3 * len(middles), dtype=np.int32).reshape(-1, 3)
