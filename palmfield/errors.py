@@ -5,7 +5,17 @@ from collections.abc import Iterable
 
 
 class PalmfieldError(Exception):
-    """Base of every error that a user can cause and mend; the command line prints it and exits with 2."""
+    """Base of every error that a user can cause and mend; the command line prints it and exits with 2.
+
+    about: names of what it is about, outermost first: a world, an element of a scene, a key. They come before the text.
+    """
+
+    def __init__(self, text: str = "", *about: str):
+        super().__init__(text)
+        self.about = about
+
+    def __str__(self) -> str:
+        return ": ".join((*self.about, *map(str, self.args)))
 
 
 class SceneError(PalmfieldError):
@@ -72,15 +82,20 @@ class explaining:
             raise known from error
 
 
-class naming_world:
-    """An error of palmfield's that leaves the block says in which of several worlds it was."""
+class naming:
+    """An error of palmfield's that leaves the block says what it is about, where it doesn't yet."""
 
-    def __init__(self, world: int):
-        self.world = world
+    def __init__(self, *about: str):
+        self.about = about
 
     def __enter__(self) -> None:
         return None
 
     def __exit__(self, kind: object, error: BaseException | None, at: object) -> None:
-        if isinstance(error, PalmfieldError):
-            raise type(error)(f"world {self.world}: {error}") from None
+        if isinstance(error, PalmfieldError) and error.about[: len(self.about)] != self.about:
+            error.about = (*self.about, *error.about)
+
+
+def naming_world(world: int) -> naming:
+    """An error of palmfield's that leaves the block says in which of several worlds it was."""
+    return naming(f"world {world}")

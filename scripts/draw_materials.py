@@ -397,10 +397,10 @@ def page(traded: dict[int, tuple[list[float], list[float]]], fits: list[tuple[in
         "![fractional](images/materials/fractional.png)",
         "## A law of your own",
         "A law G(s) that is no Prony series is one file, `law_NAME.py` in `palmfield/skin/materials/`: a subclass "
-        "of `Material` with `stiffening`, G(s)/G_r, and `series`, branches that stand for it in time. Its "
-        "parameters are ratios to G_r and times, so that a factor on the shear modulus is one on all of it. "
-        "Scenes find its `PRESETS` by name. Harmonic solutions take G(s) as it is; steppers and small models "
-        "take the series, and how far that is from G(s) is no part of the error that `solve` gives.",
+        "of `Material` with `stiffening`, G(s)/G_r, which is 1 at rest, and `series`, branches that stand for "
+        "it in time. Its parameters are ratios to G_r and times, so that a factor on the shear modulus is one on all "
+        "of it. Scenes find its `PRESETS` by name. Harmonic solutions take G(s) as it is; steppers and small models "
+        "take the series, and `solve` adds to its error how far that is from G(s), rms over 5 to 1000 Hz.",
         LAW,
         "## Finite strain",
         "`palmfield.skin.analytic.hyperelastic`: compressible neo-Hookean with the material's branches. At small "

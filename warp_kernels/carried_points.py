@@ -7,10 +7,10 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.struct
 class Motions:
-    """Rigid motions: the i-th takes x at rest to turns[i] @ x + shifts[i] [m]."""
+    """Rigid motions: the i-th of world w takes x at rest to turns[w, i] @ x + shifts[w, i] [m]."""
 
-    turns: wp.array(dtype=wp.mat33d)
-    shifts: wp.array(dtype=wp.vec3d)
+    turns: wp.array2d(dtype=wp.mat33d)
+    shifts: wp.array2d(dtype=wp.vec3d)
 
 
 @wp.struct
@@ -22,19 +22,19 @@ class Carriers:
 
 
 @wp.func
-def turn_of(carriers: Carriers, motions: Motions, i: wp.int32):
+def turn_of(carriers: Carriers, motions: Motions, world: wp.int32, i: wp.int32):
     turn = wp.mat33d()
     for k in range(4):
-        turn += carriers.shares[i][k] * motions.turns[carriers.motions[i][k]]
+        turn += carriers.shares[i][k] * motions.turns[world, carriers.motions[i][k]]
     return turn
 
 
 @wp.func
-def place_of(carriers: Carriers, motions: Motions, rest: wp.vec3d, i: wp.int32):
+def place_of(carriers: Carriers, motions: Motions, rest: wp.vec3d, world: wp.int32, i: wp.int32):
     shift = wp.vec3d()
     for k in range(4):
-        shift += carriers.shares[i][k] * motions.shifts[carriers.motions[i][k]]
-    return turn_of(carriers, motions, i) * rest + shift
+        shift += carriers.shares[i][k] * motions.shifts[world, carriers.motions[i][k]]
+    return turn_of(carriers, motions, world, i) * rest + shift
 
 
 @wp.kernel
@@ -43,22 +43,25 @@ def carry_points(
     directions: wp.array(dtype=wp.vec3d),
     carriers: Carriers,
     motions: Motions,
-    points: wp.array(dtype=wp.vec3),
-    normals: wp.array(dtype=wp.vec3),
+    points: wp.array2d(dtype=wp.vec3),
+    normals: wp.array2d(dtype=wp.vec3),
 ):
-    """Points [m] and unit normals, at rest `rest` and `directions`, each with the weighted mean of its motions."""
-    i = wp.tid()
-    points[i] = wp.vec3(place_of(carriers, motions, rest[i], i))
-    normals[i] = wp.vec3(wp.normalize(turn_of(carriers, motions, i) * directions[i]))
+    """Points [m] and unit normals, at rest `rest` and `directions`, each with the weighted mean of its motions.
+
+    dim: (worlds, points), as of the other kernels here
+    """
+    w, i = wp.tid()
+    points[w, i] = wp.vec3(place_of(carriers, motions, rest[i], w, i))
+    normals[w, i] = wp.vec3(wp.normalize(turn_of(carriers, motions, w, i) * directions[i]))
 
 
 @wp.kernel
 def carry_vertices(
-    rest: wp.array(dtype=wp.vec3d), carriers: Carriers, motions: Motions, vertices: wp.array(dtype=wp.vec3)
+    rest: wp.array(dtype=wp.vec3d), carriers: Carriers, motions: Motions, vertices: wp.array2d(dtype=wp.vec3)
 ):
     """As `carry_points`, without normals."""
-    i = wp.tid()
-    vertices[i] = wp.vec3(place_of(carriers, motions, rest[i], i))
+    w, i = wp.tid()
+    vertices[w, i] = wp.vec3(place_of(carriers, motions, rest[i], w, i))
 
 
 @wp.kernel
@@ -67,18 +70,18 @@ def carry_faces(
     faces: wp.array(dtype=wp.vec3i),
     carriers: Carriers,
     motions: Motions,
-    points: wp.array(dtype=wp.vec3),
-    normals: wp.array(dtype=wp.vec3),
-    areas: wp.array(dtype=wp.float64),
+    points: wp.array2d(dtype=wp.vec3),
+    normals: wp.array2d(dtype=wp.vec3),
+    areas: wp.array2d(dtype=wp.float64),
 ):
     """Centroid [m], unit normal and area [m2] of faces whose corners are carried; no area has the normal 0."""
-    i = wp.tid()
+    w, i = wp.tid()
     face = faces[i]
-    a = place_of(carriers, motions, rest[face[0]], face[0])
-    b = place_of(carriers, motions, rest[face[1]], face[1])
-    c = place_of(carriers, motions, rest[face[2]], face[2])
+    a = place_of(carriers, motions, rest[face[0]], w, face[0])
+    b = place_of(carriers, motions, rest[face[1]], w, face[1])
+    c = place_of(carriers, motions, rest[face[2]], w, face[2])
     across = wp.cross(b - a, c - a)
     twice = wp.length(across)
-    points[i] = wp.vec3((a + b + c) / wp.float64(3.0))
-    areas[i] = wp.float64(0.5) * twice
-    normals[i] = wp.vec3(across / wp.where(twice > wp.float64(0.0), twice, wp.float64(1.0)))
+    points[w, i] = wp.vec3((a + b + c) / wp.float64(3.0))
+    areas[w, i] = wp.float64(0.5) * twice
+    normals[w, i] = wp.vec3(across / wp.where(twice > wp.float64(0.0), twice, wp.float64(1.0)))

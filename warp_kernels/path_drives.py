@@ -17,7 +17,6 @@ class Focusing:
     parts: which row of `shapes` is whose, shape (n,); shapes: directivity as polynomials in sin^2 of the angle, lowest
         power first, shape (parts, c)
     wavenumber: [1/m]; absorption_Np_m: amplitude lost on the way [Np/m]
-    target: ARP asked for times rho c^2 [Pa^2], 0 where `amplitude` is asked for instead
     """
 
     places: wp.array(dtype=wp.vec3d)
@@ -27,8 +26,6 @@ class Focusing:
     shapes: wp.array2d(dtype=wp.float64)
     wavenumber: wp.float64
     absorption_Np_m: wp.float64
-    target: wp.float64
-    amplitude: wp.float64
 
 
 @wp.func
@@ -39,18 +36,18 @@ def times(a: wp.vec2d, b: wp.vec2d):
 @wp.kernel
 def focus_waves(
     focusing: Focusing,
-    counts: wp.array(dtype=wp.int32),
-    foci: wp.array(dtype=wp.vec3d),
-    waves: wp.array2d(dtype=wp.vec2d),
-    strengths: wp.array2d(dtype=wp.vec2d),
+    counts: wp.array2d(dtype=wp.int32),
+    foci: wp.array2d(dtype=wp.vec3d),
+    waves: wp.array3d(dtype=wp.vec2d),
+    strengths: wp.array3d(dtype=wp.vec2d),
 ):
     """exp(-i k d) of each transducer that faces a focus, else 0, and what it gives there at full drive [Pa].
 
-    foci: [m], shape (f,), of which counts[0] count; waves, strengths: complex, shape (f, n); dim: (f, n)
+    foci: [m], shape (w, f), of which counts[w, 0] count; waves, strengths: complex, shape (w, f, n); dim: the same
     """
-    m, e = wp.tid()
-    if m < counts[0]:
-        way = foci[m] - focusing.places[e]
+    w, m, e = wp.tid()
+    if m < counts[w, 0]:
+        way = foci[w, m] - focusing.places[e]
         distance = wp.length(way)
         height = wp.dot(way, focusing.facing[e])
         wave = wp.vec2d()
@@ -66,55 +63,56 @@ def focus_waves(
             for k in range(terms):
                 shape = shape * square + focusing.shapes[focusing.parts[e], terms - 1 - k]
             strength = focusing.gains[e] * (shape * wp.exp(-focusing.absorption_Np_m * distance) / far)
-        waves[m, e] = wave
-        strengths[m, e] = strength
+        waves[w, m, e] = wave
+        strengths[w, m, e] = strength
 
 
 @wp.kernel
 def focus_sums(
-    counts: wp.array(dtype=wp.int32),
-    waves: wp.array2d(dtype=wp.vec2d),
-    strengths: wp.array2d(dtype=wp.vec2d),
-    sums: wp.array2d(dtype=wp.vec3d),
+    counts: wp.array2d(dtype=wp.int32),
+    waves: wp.array3d(dtype=wp.vec2d),
+    strengths: wp.array3d(dtype=wp.vec2d),
+    sums: wp.array3d(dtype=wp.vec3d),
 ):
-    """In parts, the pressure at each focus at full drive [Pa], and how many transducers face it; dim: (f, LANES)."""
-    m, lane = wp.tid()
-    if m < counts[0]:
+    """In parts, the pressure at each focus at full drive [Pa], and how many transducers face it; dim: (w, f, LANES)."""
+    w, m, lane = wp.tid()
+    if m < counts[w, 0]:
         total = wp.vec3d()
-        for e in range(lane, waves.shape[1], LANES):
-            faces = wp.where(wp.length_sq(waves[m, e]) > wp.float64(0.0), wp.float64(1.0), wp.float64(0.0))
-            total += wp.vec3d(strengths[m, e][0], strengths[m, e][1], faces)
-        sums[m, lane] = total
+        for e in range(lane, waves.shape[2], LANES):
+            faces = wp.where(wp.length_sq(waves[w, m, e]) > wp.float64(0.0), wp.float64(1.0), wp.float64(0.0))
+            total += wp.vec3d(strengths[w, m, e][0], strengths[w, m, e][1], faces)
+        sums[w, m, lane] = total
 
 
 @wp.kernel
 def focus_levels(
-    focusing: Focusing,
-    counts: wp.array(dtype=wp.int32),
-    sums: wp.array2d(dtype=wp.vec3d),
-    wanted: wp.array(dtype=wp.float64),
-    levels: wp.array(dtype=wp.float64),
-    totals: wp.array(dtype=wp.vec3d),
+    counts: wp.array2d(dtype=wp.int32),
+    aims: wp.array(dtype=wp.vec2d),
+    sums: wp.array3d(dtype=wp.vec3d),
+    wanted: wp.array2d(dtype=wp.float64),
+    levels: wp.array2d(dtype=wp.float64),
+    totals: wp.array2d(dtype=wp.vec3d),
 ):
-    """Level of the drive for each focus, times what is wanted of it, 0 to 1; for the last one twice; dim: f + 1.
+    """Level of the drive for each focus, times what is wanted of it, 0 to 1; for the last one twice; dim: (w, f + 1).
 
+    aims: of each world the ARP at the focus times rho c^2 [Pa^2], 0 where the second number is the drive's amplitude
     totals: the parts of each focus, `sums`, added up
     """
-    m = wp.tid()
-    if m <= counts[0]:
-        focus = wp.min(m, counts[0] - 1)
+    w, m = wp.tid()
+    if m <= counts[w, 0]:
+        focus = wp.min(m, counts[w, 0] - 1)
         total = wp.vec3d()
         for lane in range(LANES):
-            total += sums[focus, lane]
-        level = focusing.amplitude
-        if focusing.target > wp.float64(0.0):
+            total += sums[w, focus, lane]
+        level = aims[w][1]
+        if aims[w][0] > wp.float64(0.0):
             full = total[0] * total[0] + total[1] * total[1]
             level = wp.float64(0.0)
             if full > wp.float64(0.0):
-                level = wp.sqrt(focusing.target / full)
-        levels[m] = wanted[m] * level
-        if m < counts[0]:
-            totals[m] = total
+                level = wp.sqrt(aims[w][0] / full)
+        levels[w, m] = wanted[w, m] * level
+        if m < counts[w, 0]:
+            totals[w, m] = total
 
 
 @wp.func
@@ -124,58 +122,69 @@ def single(value: wp.vec2d):
 
 @wp.kernel
 def ring_along(
-    counts: wp.array(dtype=wp.int32),
-    group: wp.array(dtype=wp.int32),
+    counts: wp.array2d(dtype=wp.int32),
+    group: wp.array2d(dtype=wp.int32),
     rings: wp.int32,
-    waves: wp.array2d(dtype=wp.vec2d),
-    levels: wp.array(dtype=wp.float64),
+    waves: wp.array3d(dtype=wp.vec2d),
+    levels: wp.array2d(dtype=wp.float64),
     weights: wp.array2d(dtype=wp.vec2d),
+    pushes: wp.array(dtype=wp.int32),
     scales: wp.array(dtype=wp.vec2d),
     order: wp.array(dtype=wp.int32),
-    begun: wp.array(dtype=wp.vec2d),
+    begun: wp.array2d(dtype=wp.vec2d),
     load: wp.array2d(dtype=wp.vec2),
     force: wp.array2d(dtype=wp.vec2),
     now: wp.array2d(dtype=wp.vec2),
-    end: wp.array(dtype=wp.vec2d),
+    end: wp.array2d(dtype=wp.vec2d),
 ):
-    """What a transducer emits at the moments of a step, as a pole rings along the drives; dim: n.
+    """What a transducer emits at the moments of a step, as a pole rings along the drives; dim: (w, n).
 
-    The last of counts[0] foci is where the step begins, the others are the moments', counts[1] for each, of which a
-    transducer takes the one that `group` names. rings: 0 where what is commanded sounds at once
+    The last of counts[w, 0] foci is where the step begins, the others are the moments', counts[w, 1] for each, of which
+    a transducer takes the one that `group` names. rings: 0 where what is commanded sounds at once
     weights: for each moment those of what was emitted before, of the drives at the moment before and at this one, and,
         for a part that is held, of what was emitted and of the drive, for half of it; complex, shape (m, 5)
+    pushes: which row of `force` takes each moment, -1 for none, shape (m,)
     scales: strength at full drive [Pa m]; order: each transducer's column in the tables of drives
-    begun, end: what it emits at the step's beginning and end, relative to full drive
+    begun, end: what it emits at the step's beginning and end, relative to full drive; nothing in the end without foci
     load, force, now: the tables of the moments' drives; of the same for transducers that ring, else of the focus at the
         beginning at the loudest moment's level; and of what sounds at the beginning [Pa m]
     """
-    e = wp.tid()
+    w, e = wp.tid()
+    if counts[w, 0] == 0:
+        end[w, e] = wp.vec2d()
+        return
     column = order[e]
     scale = scales[e]
-    last = counts[0] - 1
-    groups = counts[1]
+    last = counts[w, 0] - 1
+    groups = counts[w, 1]
     moments = last // groups
-    own = group[e]
-    emitted = begun[e]
+    own = group[w, e]
+    emitted = begun[w, e]
+    # Rows of the tables with this world's drives
+    loads = load.shape[0] // counts.shape[0]
+    load_row = w * loads
+    force_row = w * (force.shape[0] // counts.shape[0])
+    now_row = w * (now.shape[0] // counts.shape[0])
     before = wp.vec2d()
     for j in range(moments):
         focus = j * groups + own
-        drive = levels[focus] * waves[focus, e]
+        drive = levels[w, focus] * waves[w, focus, e]
         if rings == 0:
-            load[j, column] = single(times(scale, drive))
+            load[load_row + j, column] = single(times(scale, drive))
         else:
             emitted = times(weights[j, 0], emitted) + times(weights[j, 1], before) + times(weights[j, 2], drive)
             push = times(weights[j, 4], drive)
             emitted = times(weights[j, 3], emitted) + push
-            load[j, column] = single(times(scale, emitted))
-            force[j, column] = load[j, column]
+            load[load_row + j, column] = single(times(scale, emitted))
+            if pushes[j] >= 0:
+                force[force_row + pushes[j], column] = load[load_row + j, column]
             emitted = times(weights[j, 3], emitted) + push
         before = drive
-    for j in range(moments, load.shape[0]):
-        load[j, column] = wp.vec2()
+    for j in range(moments, loads):
+        load[load_row + j, column] = wp.vec2()
     if rings == 0:
-        force[0, column] = single(times(scale, levels[last] * waves[last, e]))
-        now[0, column] = single(times(scale, levels[last + 1] * waves[last, e]))
+        force[force_row, column] = single(times(scale, levels[w, last] * waves[w, last, e]))
+        now[now_row, column] = single(times(scale, levels[w, last + 1] * waves[w, last, e]))
     else:
-        now[0, column] = single(times(scale, begun[e]))
-    end[e] = emitted
+        now[now_row, column] = single(times(scale, begun[w, e]))
+    end[w, e] = emitted

@@ -48,7 +48,7 @@ class Waves:
 
 @functools.cache
 def fields(rows: int, gpu: bool, shaded: bool = False) -> Any:
-    """Kernel of pressure and gradient of `rows` drives a thread; dim: (drives / rows, runs of transducers, points).
+    """Kernel of pressure and gradient of `rows` drives a thread; dim: (w drives / rows, runs of transducers, points).
 
     shaded: each pair of transducer and point has a weight of its own
     """
@@ -56,8 +56,8 @@ def fields(rows: int, gpu: bool, shaded: bool = False) -> Any:
 
     @wp.kernel(module="unique", module_options={"fast_math": True} if gpu else CPU, enable_backward=False)
     def kernel(
-        points: wp.array(dtype=wp.vec3),
-        normals: wp.array(dtype=wp.vec3),
+        points: wp.array2d(dtype=wp.vec3),
+        normals: wp.array2d(dtype=wp.vec3),
         places: wp.array(dtype=wp.vec4),
         facing: wp.array(dtype=wp.vec4),
         shapes: wp.array(dtype=vec6),
@@ -66,7 +66,7 @@ def fields(rows: int, gpu: bool, shaded: bool = False) -> Any:
         stop: wp.int32,
         size: wp.int32,
         run: wp.int32,
-        counts: wp.array(dtype=wp.int32),
+        counts: wp.array2d(dtype=wp.int32),
         drives: wp.array2d(dtype=wp.vec2),
         weights_re: wp.array3d(dtype=wp.float32),
         weights_im: wp.array3d(dtype=wp.float32),
@@ -74,18 +74,22 @@ def fields(rows: int, gpu: bool, shaded: bool = False) -> Any:
     ):
         """Of the transducers [first, stop) in runs of `size`; what the runs give begins at result[:, run].
 
-        normals: unit, outward, of the opaque surfaces on which the points lie; see `pressure.from_front`
+        points, normals: of each world, (w, n); normals: unit, outward, of the opaque surfaces on which the points
+            lie; see `pressure.from_front`
         places, facing: position [m] and unit direction of each transducer, the fourth number is unused
         shapes: directivity and slope, see `pressure.Sound`
-        counts: how many drives there are; drives: complex amplitude of each transducer [Pa m], shape (rows, n)
+        counts: how many drives there are in each world; drives: complex amplitude of each transducer [Pa m], shape
+            (w drives, n)
         weights_re, weights_im: as `gradient.gradient`, read if `shaded`
-        result: the numbers of a field, shape (drives, runs, PARTS, points)
+        result: the numbers of a field, shape (w drives, runs, PARTS, points)
         """
         block, j, i = wp.tid()
         row = block * rows
-        if row < counts[0]:
-            point = points[i]
-            normal = STEEPNESS * normals[i]
+        capacity = drives.shape[0] // counts.shape[0]
+        world = row // capacity
+        if row - world * capacity < counts[world, 0]:
+            point = points[world, i]
+            normal = STEEPNESS * normals[world, i]
             in_directivity = shapes[0]
             in_slope = shapes[1]
             # From a struct they would be loaded again for each transducer
@@ -186,9 +190,9 @@ def reach_to_boards(point: wp.vec3, along: wp.vec3, boards: wp.array(dtype=wp.ve
 
 @wp.kernel
 def arp_of_sums(
-    points: wp.array(dtype=wp.vec3),
-    normals: wp.array(dtype=wp.vec3),
-    counts: wp.array(dtype=wp.int32),
+    points: wp.array2d(dtype=wp.vec3),
+    normals: wp.array2d(dtype=wp.vec3),
+    counts: wp.array2d(dtype=wp.int32),
     levels: wp.array2d(dtype=wp.vec2),
     fields: wp.array4d(dtype=wp.float32),
     weights: wp.vec3,
@@ -198,20 +202,24 @@ def arp_of_sums(
     farthest_m: wp.float32,
     result: wp.array2d(dtype=wp.float32),
 ):
-    """ARP [Pa] of sums of drives, levels (m, k), at points with unit outward normals, shape (m, n); dim: (m, n).
+    """ARP [Pa] of sums of drives, levels (w m, k), at points with unit outward normals, (w m, n); dim: the same.
 
-    counts: how many drives there are, and how many sums; fields: of `fields`
+    counts: how many drives there are in each world, and how many sums, (w, 2); fields: of `fields`
     weights: as `arp.radiation_pressure`
     mesh: what casts shadows, 0 for none: dark where the way back along the sound meets it before the boards, see
         `reach_to_boards`; clearance_m: how far above the surface a ray starts
     """
     m, i = wp.tid()
-    if m < counts[1]:
+    worlds = counts.shape[0]
+    sums = levels.shape[0] // worlds
+    w = m // sums
+    if m - w * sums < counts[w, 1]:
+        first = w * (fields.shape[0] // worlds)
         p = wp.vec2()
         gx = wp.vec2()
         gy = wp.vec2()
         gz = wp.vec2()
-        for k in range(counts[0]):
+        for k in range(counts[w, 0]):
             level = levels[m, k]
             if level[0] != 0.0 or level[1] != 0.0:
                 q = wp.vec2()
@@ -219,15 +227,15 @@ def arp_of_sums(
                 hy = wp.vec2()
                 hz = wp.vec2()
                 for j in range(fields.shape[1]):
-                    q += wp.vec2(fields[k, j, 0, i], fields[k, j, 1, i])
-                    hx += wp.vec2(fields[k, j, 2, i], fields[k, j, 3, i])
-                    hy += wp.vec2(fields[k, j, 4, i], fields[k, j, 5, i])
-                    hz += wp.vec2(fields[k, j, 6, i], fields[k, j, 7, i])
+                    q += wp.vec2(fields[first + k, j, 0, i], fields[first + k, j, 1, i])
+                    hx += wp.vec2(fields[first + k, j, 2, i], fields[first + k, j, 3, i])
+                    hy += wp.vec2(fields[first + k, j, 4, i], fields[first + k, j, 5, i])
+                    hz += wp.vec2(fields[first + k, j, 6, i], fields[first + k, j, 7, i])
                 p += times(level, q)
                 gx += times(level, hx)
                 gy += times(level, hy)
                 gz += times(level, hz)
-        n = normals[i]
+        n = normals[w, i]
         s_re = wp.vec3(gx[0], gy[0], gz[0])
         s_im = wp.vec3(gx[1], gy[1], gz[1])
         n_re = wp.dot(s_re, n)
@@ -242,8 +250,8 @@ def arp_of_sums(
             along = wp.vec3()
             if largest > 0.0:
                 along = wp.normalize(flux / largest)
-            start = points[i] - clearance_m * along
-            reach = reach_to_boards(points[i], along, boards, farthest_m)
+            start = points[w, i] - clearance_m * along
+            reach = reach_to_boards(points[w, i], along, boards, farthest_m)
             if largest == 0.0 or wp.mesh_query_ray_anyhit(mesh, start, -along, reach):
                 arp = wp.float32(0.0)
         result[m, i] = arp

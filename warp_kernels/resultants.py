@@ -10,77 +10,79 @@ LANES = 16
 
 @wp.kernel
 def mean_load(
-    counts: wp.array(dtype=wp.int32),
-    weights: wp.array(dtype=wp.float64),
+    counts: wp.array2d(dtype=wp.int32),
+    weights: wp.array2d(dtype=wp.float64),
     arp: wp.array2d(dtype=wp.float32),
-    areas: wp.array(dtype=wp.float64),
-    points: wp.array(dtype=wp.vec3),
-    normals: wp.array(dtype=wp.vec3),
+    areas: wp.array2d(dtype=wp.float64),
+    points: wp.array2d(dtype=wp.vec3),
+    normals: wp.array2d(dtype=wp.vec3),
     corners: wp.array(dtype=wp.vec3),
-    result: wp.array(dtype=wp.float64),
+    result: wp.array2d(dtype=wp.float64),
 ):
-    """Weighted sum of ARPs, shape (m, n) [Pa], times the area of each point [m2], shape (n,). counts[1] is m.
+    """Weighted sum of ARPs, shape (w m, n) [Pa], times the area of each point [m2], shape (w, n); dim: the same.
+
+    counts[w, 1]: of m, how many there are; weights: shape (w, m)
 
     corners: of a convex hull that has all transducers in it; nothing presses where all of it is behind the surface
     """
-    i = wp.tid()
+    w, i = wp.tid()
     nearest = wp.float32(-wp.inf)
     for j in range(corners.shape[0]):
-        nearest = wp.max(nearest, wp.dot(corners[j] - points[i], normals[i]))
+        nearest = wp.max(nearest, wp.dot(corners[j] - points[w, i], normals[w, i]))
     total = wp.float64(0.0)
     if nearest > 0.0:
-        for m in range(counts[1]):
-            total += weights[m] * wp.float64(arp[m, i])
-    result[i] = total * areas[i]
+        for m in range(counts[w, 1]):
+            total += weights[w, m] * wp.float64(arp[w * weights.shape[1] + m, i])
+    result[w, i] = total * areas[w, i]
 
 
 @wp.kernel
 def sums_of_runs(
-    load: wp.array(dtype=wp.float64),
-    points: wp.array(dtype=wp.vec3),
-    normals: wp.array(dtype=wp.vec3),
+    load: wp.array2d(dtype=wp.float64),
+    points: wp.array2d(dtype=wp.vec3),
+    normals: wp.array2d(dtype=wp.vec3),
     order: wp.array(dtype=wp.int32),
     starts: wp.array(dtype=wp.int32),
     parts: wp.array(dtype=wp.int32),
-    origins: wp.array(dtype=wp.vec3d),
-    result: wp.array2d(dtype=wp.float64),
+    origins: wp.array2d(dtype=wp.vec3d),
+    result: wp.array3d(dtype=wp.float64),
 ):
-    """Force [N] and torque about its part's origin [N m] of each run of points, shape (runs, 6).
+    """Force [N] and torque about its part's origin [N m] of each run of points, shape (w, runs, 6)
 
     load: inward [N]; order: the points in runs, run i is order[starts[i]:starts[i + 1]]
     parts: the part that each run pushes; origins: of the parts [m]
     """
-    run = wp.tid()
-    origin = origins[parts[run]]
+    w, run = wp.tid()
+    origin = origins[w, parts[run]]
     force = wp.vec3d()
     torque = wp.vec3d()
     for j in range(starts[run], starts[run + 1]):
         i = order[j]
-        push = -load[i] * wp.vec3d(normals[i])
+        push = -load[w, i] * wp.vec3d(normals[w, i])
         force += push
-        torque += wp.cross(wp.vec3d(points[i]) - origin, push)
+        torque += wp.cross(wp.vec3d(points[w, i]) - origin, push)
     for axis in range(3):
-        result[run, axis] = force[axis]
-        result[run, 3 + axis] = torque[axis]
+        result[w, run, axis] = force[axis]
+        result[w, run, 3 + axis] = torque[axis]
 
 
 @wp.kernel
 def sums_of_parts(
-    runs: wp.array2d(dtype=wp.float64), starts: wp.array(dtype=wp.int32), result: wp.array3d(dtype=wp.float64)
+    runs: wp.array3d(dtype=wp.float64), starts: wp.array(dtype=wp.int32), result: wp.array4d(dtype=wp.float64)
 ):
-    """The runs of each part, starts[i] to starts[i + 1], added up in LANES, shape (LANES, parts, 6); dim: the same."""
-    lane, part, axis = wp.tid()
+    """The runs of each part, starts[i] to starts[i + 1], in LANES, shape (w, LANES, parts, 6); dim: the same."""
+    w, lane, part, axis = wp.tid()
     total = wp.float64(0.0)
     for run in range(starts[part] + lane, starts[part + 1], LANES):
-        total += runs[run, axis]
-    result[lane, part, axis] = total
+        total += runs[w, run, axis]
+    result[w, lane, part, axis] = total
 
 
 @wp.kernel
-def sums_of_lanes(lanes: wp.array3d(dtype=wp.float64), result: wp.array2d(dtype=wp.float64)):
-    """What `sums_of_parts` found, added up, shape (parts, 6); dim: the same."""
-    part, axis = wp.tid()
+def sums_of_lanes(lanes: wp.array4d(dtype=wp.float64), result: wp.array3d(dtype=wp.float64)):
+    """What `sums_of_parts` found, added up, shape (w, parts, 6); dim: the same."""
+    w, part, axis = wp.tid()
     total = wp.float64(0.0)
     for lane in range(LANES):
-        total += lanes[lane, part, axis]
-    result[part, axis] = total
+        total += lanes[w, lane, part, axis]
+    result[w, part, axis] = total

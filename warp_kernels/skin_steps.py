@@ -18,48 +18,53 @@ LANES = 32
 
 @wp.kernel
 def pressure_products(
-    counts: wp.array(dtype=wp.int32),
+    counts: wp.array2d(dtype=wp.int32),
     pressure: wp.array2d(dtype=wp.float32),
     points: wp.array(dtype=wp.int32),
     matrix: wp.array2d(dtype=wp.float32),
     size: wp.int32,
     result: wp.array3d(dtype=wp.float32),
 ):
-    """Patterns of pressure at some points times a matrix (p, c), in chunks of `size` points, (chunks, rows, c).
+    """Patterns of pressure at some points times a matrix (p, c), in chunks of `size` points, (chunks, w rows, c).
 
-    counts[1]: how many patterns there are; pressure: [Pa], shape (m, q); points: numbers of those that count, (p,)
-    dim: (rows / ROWS, chunks, c)
+    counts[w, 1]: how many patterns there are; pressure: [Pa], shape (w m, q); points: numbers of those that count, (p,)
+    dim: (w rows / ROWS, chunks, c)
     """
     block, chunk, column = wp.tid()
-    first = block * ROWS
-    if first < counts[1]:
+    worlds = counts.shape[0]
+    blocks = result.shape[1] // ROWS // worlds
+    world = block // blocks
+    patterns = pressure.shape[0] // worlds
+    first = (block - world * blocks) * ROWS
+    if first < counts[world, 1]:
         totals = wp.vec4()
         for i in range(chunk * size, wp.min((chunk + 1) * size, matrix.shape[0])):
             factor = matrix[i, column]
             for r in range(ROWS):
-                totals[r] += factor * pressure[wp.min(first + r, pressure.shape[0] - 1), points[i]]
+                totals[r] += factor * pressure[world * patterns + wp.min(first + r, patterns - 1), points[i]]
         for r in range(ROWS):
-            result[chunk, first + r, column] = totals[r]
+            result[chunk, block * ROWS + r, column] = totals[r]
 
 
 @wp.kernel
 def mixed_products(
-    counts: wp.array(dtype=wp.int32),
-    weights: wp.array2d(dtype=wp.float64),
+    counts: wp.array2d(dtype=wp.int32),
+    weights: wp.array3d(dtype=wp.float64),
     parts: wp.array3d(dtype=wp.float32),
-    result: wp.array2d(dtype=wp.float64),
+    result: wp.array3d(dtype=wp.float64),
 ):
-    """Weighted sums of patterns, weights (s, m), of what `pressure_products` found, shape (s, c); dim: (s, c)."""
-    substep, column = wp.tid()
+    """Weighted sums of patterns, weights (w, s, m), of what `pressure_products` found, (w, s, c); dim: the same."""
+    world, substep, column = wp.tid()
+    first = world * (parts.shape[1] // counts.shape[0])
     total = wp.float64(0.0)
-    for k in range(counts[1]):
-        weight = weights[substep, k]
+    for k in range(counts[world, 1]):
+        weight = weights[world, substep, k]
         if weight != wp.float64(0.0):
             own = wp.float64(0.0)
             for chunk in range(parts.shape[0]):
-                own += wp.float64(parts[chunk, k, column])
+                own += wp.float64(parts[chunk, first + k, column])
             total += weight * own
-    result[substep, column] = total
+    result[world, substep, column] = total
 
 
 @functools.cache
@@ -70,33 +75,33 @@ def of_rows(rows: int) -> tuple[Any, Any]:
 
 @functools.cache
 def lone_modes(rows: int) -> Any:
-    """Kernel of all substeps of modes whose states have `rows` numbers; dim: modes."""
+    """Kernel of all substeps of modes whose states have `rows` numbers; dim: (worlds, modes)."""
     numbers, square = of_rows(rows)
 
     @wp.kernel(module="unique", enable_backward=False)
     def kernel(
         advance: wp.array(dtype=square),
         inputs: wp.array(dtype=numbers),
-        forces: wp.array2d(dtype=wp.float64),
+        forces: wp.array3d(dtype=wp.float64),
         first: wp.int32,
         last: wp.int32,
-        before: wp.array2d(dtype=wp.float64),
-        after: wp.array2d(dtype=wp.float64),
+        before: wp.array3d(dtype=wp.float64),
+        after: wp.array3d(dtype=wp.float64),
     ):
         """A mode's state becomes advance @ state + inputs * force in each substep from the first, before the last.
 
-        forces: of each substep, (s, at least r); before, after: states, (rows, r)
+        forces: of each substep, (w, s, at least r); before, after: states, (w, rows, r)
         """
-        mode = wp.tid()
+        world, mode = wp.tid()
         state = numbers()
         for i in range(rows):
-            state[i] = before[i, mode]
+            state[i] = before[world, i, mode]
         own_advance = advance[mode]
         own_inputs = inputs[mode]
         for substep in range(first, last):
-            state = own_advance * state + forces[substep, mode] * own_inputs
+            state = own_advance * state + forces[world, substep, mode] * own_inputs
         for i in range(rows):
-            after[i, mode] = state[i]
+            after[world, i, mode] = state[i]
 
     return kernel
 
@@ -143,70 +148,70 @@ def modes_of_worlds(rows: int) -> Any:
 @wp.kernel
 def mixed_rows(
     weights: wp.array2d(dtype=wp.float64),
-    rows: wp.array2d(dtype=wp.float64),
-    result: wp.array(dtype=wp.float64),
+    rows: wp.array3d(dtype=wp.float64),
+    result: wp.array2d(dtype=wp.float64),
 ):
-    """Weighted sums of rows (k, n), weights (c, k), one after the other, (c * n,); dim: (c, n)."""
-    matrix, column = wp.tid()
+    """Weighted sums of rows (w, k, n), weights (c, k), one after the other, (w, c * n); dim: (w, c, n)."""
+    world, matrix, column = wp.tid()
     total = wp.float64(0.0)
     for i in range(weights.shape[1]):
-        total += weights[matrix, i] * rows[i, column]
-    result[matrix * rows.shape[1] + column] = total
+        total += weights[matrix, i] * rows[world, i, column]
+    result[world, matrix * rows.shape[2] + column] = total
 
 
 @wp.kernel
-def add_chunks(parts: wp.array2d(dtype=wp.float64), row: wp.int32, result: wp.array2d(dtype=wp.float64)):
-    """Parts (chunks, n) added to the first n numbers of a row of the result; dim: n."""
-    column = wp.tid()
+def add_chunks(parts: wp.array3d(dtype=wp.float64), row: wp.int32, result: wp.array3d(dtype=wp.float64)):
+    """Parts (w, chunks, n) added to the first n numbers of a row of the result, (w, s, at least n); dim: (w, n)."""
+    world, column = wp.tid()
     total = wp.float64(0.0)
-    for chunk in range(parts.shape[0]):
-        total += parts[chunk, column]
-    result[row, column] += total
+    for chunk in range(parts.shape[1]):
+        total += parts[world, chunk, column]
+    result[world, row, column] += total
 
 
 @wp.kernel
 def squares(
-    values: wp.array2d(dtype=wp.float64),
+    values: wp.array3d(dtype=wp.float64),
     starts: wp.array(dtype=wp.int32),
-    result: wp.array3d(dtype=wp.float64),
+    result: wp.array4d(dtype=wp.float64),
 ):
-    """Parts of the sums of squares of groups of columns, starts[i] to starts[i + 1]; dim: (groups, s, LANES)."""
-    group, substep, lane = wp.tid()
+    """Parts of the sums of squares of groups of columns, starts[i] to starts[i + 1]; dim: (w, groups, s, LANES)."""
+    world, group, substep, lane = wp.tid()
     total = wp.float64(0.0)
     for column in range(starts[group] + lane, starts[group + 1], LANES):
-        value = values[substep, column]
+        value = values[world, substep, column]
         total += value * value
-    result[group, substep, lane] = total
+    result[world, group, substep, lane] = total
 
 
 @wp.kernel
 def state_products(
     matrix: wp.array2d(dtype=wp.float64),
-    before: wp.array(dtype=wp.float64),
-    forces: wp.array(dtype=wp.float64),
+    before: wp.array2d(dtype=wp.float64),
+    forces: wp.array2d(dtype=wp.float64),
     size: wp.int32,
-    result: wp.array2d(dtype=wp.float64),
+    result: wp.array3d(dtype=wp.float64),
 ):
-    """State (n,) and forces (f,), side by side, times a matrix (n + f, n), in chunks of `size` rows; (chunks, n).
+    """State (w, n) and forces (w, f), side by side, times a matrix (n + f, n), in chunks of `size`, (w, chunks, n).
 
-    dim: (chunks, n)
+    dim: the result's
     """
-    chunk, column = wp.tid()
-    count = before.shape[0]
+    world, chunk, column = wp.tid()
+    count = before.shape[1]
     total = wp.float64(0.0)
     for i in range(chunk * size, wp.min((chunk + 1) * size, matrix.shape[0])):
         if i < count:
-            total += matrix[i, column] * before[i]
+            total += matrix[i, column] * before[world, i]
         else:
-            total += matrix[i, column] * forces[i - count]
-    result[chunk, column] = total
+            total += matrix[i, column] * forces[world, i - count]
+    result[world, chunk, column] = total
 
 
 @wp.kernel
-def sums_of_chunks(parts: wp.array2d(dtype=wp.float64), result: wp.array(dtype=wp.float64)):
-    """Parts (chunks, n) added up, (n,); dim: n."""
-    column = wp.tid()
+def sums_of_chunks(parts: wp.array3d(dtype=wp.float64), result: wp.array2d(dtype=wp.float64)):
+    """Parts (w, chunks, n) added up, (w, n); dim: the same."""
+    world, column = wp.tid()
     total = wp.float64(0.0)
-    for chunk in range(parts.shape[0]):
-        total += parts[chunk, column]
-    result[column] = total
+    for chunk in range(parts.shape[1]):
+        total += parts[world, chunk, column]
+    result[world, column] = total

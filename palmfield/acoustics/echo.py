@@ -37,8 +37,8 @@ def image_count(air: Air, frequency_Hz: float, distance_m: float) -> int:
         if rest_beyond(images, absorption, distance_m) <= REST:
             return images
     raise SceneError(
-        f"key 'array_face' has value 'rigid', but {1e3 * distance_m:.3g} mm from the disc at {absorption:.3g} Np/m "
-        f"sound goes back and forth more than {MOST_IMAGES} times; allowed: a disc farther off, or absorbing"
+        f"between a rigid array face and a disc {1e3 * distance_m:.3g} mm from it, at {absorption:.3g} Np/m, sound "
+        f"goes back and forth more than {MOST_IMAGES} times; allowed: a disc farther off, or an absorbing face"
     )
 
 

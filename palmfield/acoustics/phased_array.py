@@ -253,7 +253,7 @@ class PhasedArray:
         device: str = "auto",
         wall_m: float | None = None,
     ):
-        """Raises SceneError, which names the plugin, for an array that cannot be built."""
+        """Raises SceneError for an array that cannot be built."""
         first = instances[0].config
         self.air = Air(first.temperature_C, first.humidity_percent, first.pressure_Pa)
         self.precision: Mode = first.precision
@@ -262,32 +262,29 @@ class PhasedArray:
         self.frames = tuple(placement.transform for placement in self.placements)
         self._lock = threading.Lock()
         self._field: MultiArrayField | None = None
-        try:
-            self.parts = tuple(one.array(place.sites) for one, place in zip(instances, placements, strict=True))
-            self.impedance = density(self.air) * sound_speed(self.air) ** 2
-            # The first array's frame is the common one: its transducers stay as they are to the last digit
-            moved = [
-                part if i == 0 else placed(part, *place.transform)
-                for i, (part, place) in enumerate(zip(self.parts, placements, strict=True))
-            ]
-            self.groups = directivity_groups(moved)
-            self.boards = tuple(BoardOutline.of(part) for part in self.parts)
-            ends = np.cumsum([len(part) for part in self.parts]).tolist()
-            self.slices = tuple(slice(end - len(part), end) for end, part in zip(ends, self.parts, strict=True))
-            split = [sides_of(part.normals) for part in self.parts]
-            pairs = [(part, side) for part, its in zip(moved, split, strict=True) for side in its]
-            self.sides = [own.start + side for own, its in zip(self.slices, split, strict=True) for side in its]
-            self.corners: Float = np.concatenate([corners_of(part.positions[side]) for part, side in pairs])
-            facing = np.array([part.normals[side].mean(axis=0) for part, side in pairs])
-            middles = np.array([part.positions[side].mean(axis=0) for part, side in pairs])
-            self.facing, self.heights = np.ascontiguousarray(facing.T), (middles * facing).sum(axis=1)
-            self.images = () if wall_m is None else self._images(wall_m, facing[0])
-            if len(self.groups) > 1:
-                widest = max(part.piston_radius_m for part in moved)
-                moved = [replace(part, piston_radius_m=widest, directivity_table=None) for part in moved]
-            self.array = moved[0] if len(moved) == 1 else combined(moved)
-        except SceneError as error:
-            raise SceneError(f"plugin 'palmfield.array': {error}") from None
+        self.parts = tuple(one.array(place.sites) for one, place in zip(instances, placements, strict=True))
+        self.impedance = density(self.air) * sound_speed(self.air) ** 2
+        # The first array's frame is the common one: its transducers stay as they are to the last digit
+        moved = [
+            part if i == 0 else placed(part, *place.transform)
+            for i, (part, place) in enumerate(zip(self.parts, placements, strict=True))
+        ]
+        self.groups = directivity_groups(moved)
+        self.boards = tuple(BoardOutline.of(part) for part in self.parts)
+        ends = np.cumsum([len(part) for part in self.parts]).tolist()
+        self.slices = tuple(slice(end - len(part), end) for end, part in zip(ends, self.parts, strict=True))
+        split = [sides_of(part.normals) for part in self.parts]
+        pairs = [(part, side) for part, its in zip(moved, split, strict=True) for side in its]
+        self.sides = [own.start + side for own, its in zip(self.slices, split, strict=True) for side in its]
+        self.corners: Float = np.concatenate([corners_of(part.positions[side]) for part, side in pairs])
+        facing = np.array([part.normals[side].mean(axis=0) for part, side in pairs])
+        middles = np.array([part.positions[side].mean(axis=0) for part, side in pairs])
+        self.facing, self.heights = np.ascontiguousarray(facing.T), (middles * facing).sum(axis=1)
+        self.images = () if wall_m is None else self._images(wall_m, facing[0])
+        if len(self.groups) > 1:
+            widest = max(part.piston_radius_m for part in moved)
+            moved = [replace(part, piston_radius_m=widest, directivity_table=None) for part in moved]
+        self.array = moved[0] if len(moved) == 1 else combined(moved)
 
     def __len__(self) -> int:
         """Transducers of all arrays."""

@@ -29,7 +29,7 @@ THREADS_ENOUGH = 2**18
 """Threads that fill a GPU: fewer points and drives share out the transducers as well."""
 SHORTEST_RUN = 32
 """Transducers that a thread takes at least."""
-ROWS = 4
+ROWS = 5
 """Drives that a thread takes where there are more than two: what a pair of transducer and point costs is shared."""
 
 
@@ -115,10 +115,10 @@ class Transducers:
 
 
 class DriveTable(NamedTuple):
-    """What sounds, on the device: drives, and sums of them.
+    """What sounds in each of w worlds, on the device: drives, and sums of them.
 
-    counts: drives and sums that there are, int32, shape (2,); drives: [Pa m], vec2, shape (k, transducers)
-    levels: how much of each drive is in each sum, vec2, shape (m, k)
+    counts: drives and sums that there are, int32, shape (w, 2); drives: [Pa m], vec2, shape (w k, transducers)
+    levels: how much of each drive is in each sum, vec2, shape (w m, k)
     """
 
     counts: Any
@@ -126,20 +126,20 @@ class DriveTable(NamedTuple):
     levels: Any
 
     @staticmethod
-    def parts(drives: int, sums: int, transducers: int) -> dict[str, tuple[tuple[int, ...], Any]]:
+    def parts(drives: int, sums: int, transducers: int, worlds: int = 1) -> dict[str, tuple[tuple[int, ...], Any]]:
         """Shapes and types for a `SharedBlock`; drives and sums: how many at most."""
         rows = drives if drives <= 2 else -(-drives // ROWS) * ROWS
         return {
-            "counts": ((2,), wp.int32),
-            "drives": ((rows, transducers), wp.vec2),
-            "levels": ((sums, rows), wp.vec2),
+            "counts": ((worlds, 2), wp.int32),
+            "drives": ((worlds * rows, transducers), wp.vec2),
+            "levels": ((worlds * sums, rows), wp.vec2),
         }
 
 
 def fill_table(
     hosts: tuple[NDArray[Any], NDArray[Any], NDArray[Any]], strengths: Complex, levels: Complex | None
 ) -> None:
-    """Write drives and sums into a table as NumPy sees it, counts, drives and levels.
+    """Write drives and sums of one world into its table as NumPy sees it, counts, drives and levels.
 
     strengths: of `Transducers.strengths`, shape (k, n); levels: shape (m, k), None for each drive by itself
     """
@@ -180,15 +180,15 @@ def sound_calls(
     arrays: PhasedArray,
     result: Any,
 ) -> Calls:
-    """Launches that compute the ARP [Pa] of a table's sums at points, into `result`, shape (m, n).
+    """Launches that compute the ARP [Pa] of a table's sums at points, into `result`, shape (w m, n).
 
-    points [m], normals: unit, outward, on the device, vec3, shape (n,); arrays: for the air
+    points [m], normals: unit, outward, on the device, vec3, shape (w, n); arrays: for the air
     """
-    device, count = transducers.device, len(points)
+    device, count = transducers.device, points.shape[1]
     if count == 0:
         return []
-    capacity = table.drives.shape[0]
-    rows = ROWS if capacity > 2 else 1
+    capacity, worlds = table.drives.shape[0], table.counts.shape[0]
+    rows = ROWS if capacity > 2 * worlds else 1
     most = max(1, THREADS_ENOUGH * rows // (count * capacity))
     sizes = []
     for own, _, _ in transducers.groups:
@@ -209,12 +209,12 @@ def sound_calls(
             assert surface.shades is not None
             here, dim = surface.points, (capacity // rows, own_runs, surface.points.stop - surface.points.start)
             kernel = kernels.fields(rows, device != "cpu", shaded=True)
-            inputs = [points[here], normals[here], *of_group, *surface.shades, fields[:, :, :, here]]
+            inputs = [points[:, here], normals[:, here], *of_group, *surface.shades, fields[:, :, :, here]]
             calls.append(launch(kernel, dim, inputs, device))
         run += own_runs
     for surface in surfaces:
         own, sums = surface.points, table.levels.shape[0]
-        inputs = [points[own], normals[own], table.counts, table.levels, fields[:, :, :, own]]
+        inputs = [points[:, own], normals[:, own], table.counts, table.levels, fields[:, :, :, own]]
         inputs += [wp.vec3(*law_weights(surface.law, arrays.air)), wp.uint64(surface.mesh.id if surface.mesh else 0)]
         inputs += [transducers.boards, CLEARANCE_m, REACH_m, result[:, own]]
         calls.append(launch(kernels.arp_of_sums, (sums, own.stop - own.start), inputs, device))

@@ -14,7 +14,7 @@ from palmfield.acoustics.focus import focus
 from palmfield.acoustics.reference import directivity
 from palmfield.drive.board import Board, play
 from palmfield.drive.foci import leading_vector, solve_foci, together
-from palmfield.errors import DeviceError, SceneError
+from palmfield.errors import DeviceError, SceneError, naming
 from palmfield.stimulus.focal_points import FocalPoints
 from palmfield.types import Air, Array, Complex, Float, Int
 
@@ -65,6 +65,7 @@ class ArrayDrive:
     array: all transducers of the scene; chosen: those that this stimulus drives, shape (k,), rising
     arp_peak_Pa: ARP at the focus at the loudest moment, where the stimulus sets it; drive_amplitude: of each
         transducer, where the stimulus sets that (1 where it sets neither); board: what plays the drive
+    about, about_focus: of its errors, and of those that its foci make
     Amplitudes are over all N transducers, 0 for those that are not chosen.
     """
 
@@ -75,7 +76,10 @@ class ArrayDrive:
         arp_peak_Pa: float | None,
         drive_amplitude: float | None,
         board: Board,
+        about: tuple[str, ...] = (),
+        about_focus: tuple[str, ...] = (),
     ):
+        self.about, self.about_focus = about, about_focus or about
         self.compensate = board.compensate and board.takes == "amplitudes"
         self.rounds_levels = board.line is not None and board.amplitude == "pulse_width"
         self.array, self.chosen, self.board, self.arp_peak_Pa = array, chosen, board, arp_peak_Pa
@@ -144,8 +148,7 @@ class ArrayDrive:
             phases = self._waves(distances) * facing
         elif self.board.takes == "focus":
             raise DeviceError(
-                f"plugin 'palmfield.stimulus': {len(point)} foci at once; board '{self.board.name}' takes one: set "
-                "another board"
+                f"{len(point)} foci at once; board '{self.board.name}' takes one: set another board", *self.about
             )
         else:
             phases = self._several(point, loudness)
@@ -163,9 +166,10 @@ class ArrayDrive:
             played = play(self.board, self._over_all(sent))
         if level > 0.0 and not np.logical_or.reduce(played):
             raise DeviceError(
-                f"plugin 'palmfield.stimulus': each transducer is asked for amplitude {level:.3g} at the loudest "
-                f"moment, which board '{self.board.name}' rounds to silence: set a larger drive_amplitude (or "
-                "arp_peak_Pa), or another board"
+                f"each transducer is asked for amplitude {level:.3g} at the loudest moment, which board "
+                f"'{self.board.name}' rounds to silence: set a larger drive_amplitude (or arp_peak_Pa), or another "
+                "board",
+                *self.about,
             )
         return UnitDrive(played, level)
 
@@ -266,10 +270,8 @@ class ArrayDrive:
 
     def _refuse(self, point: Float) -> None:
         """Raises SceneError: no transducer faces this focus."""
-        try:
+        with naming(*self.about_focus):
             focus(only(self.array.array, self.chosen), self.array.air, point)
-        except SceneError as error:
-            raise SceneError(f"plugin 'palmfield.stimulus': key 'focus_m': {error}") from None
 
     # -- its level ---------------------------------------------------------------------------------------------------
 
@@ -322,13 +324,14 @@ class ArrayDrive:
             worst = int(full_Pa.argmin())
             if full_Pa[worst] == 0.0:
                 raise SceneError(
-                    f"plugin 'palmfield.stimulus': arp_peak_Pa {target:g} is wanted at {in_mm(foci[worst])}, but all "
-                    "transducers that could sound there are dead: shorten key 'dead' of the array"
+                    f"arp_peak_Pa {target:g} is wanted at {in_mm(foci[worst])}, but all transducers that could sound "
+                    "there are dead: name fewer of the array dead",
+                    *self.about,
                 )
             raise SceneError(
-                f"plugin 'palmfield.stimulus': arp_peak_Pa {target:g} is more than the array gives at "
-                f"{in_mm(foci[worst])}: {told_below(full_Pa[worst], target)} Pa at full drive with "
-                f"p0_Pa_m {self.array.array.p0_Pa_m:g}"
+                f"arp_peak_Pa {target:g} is more than the array gives at {in_mm(foci[worst])}: "
+                f"{told_below(full_Pa[worst], target)} Pa at full drive with p0_Pa_m {self.array.array.p0_Pa_m:g}",
+                *self.about,
             )
         return np.sqrt(target / full_Pa)
 
@@ -357,10 +360,8 @@ class ArrayDrive:
     def _check_several(self, foci: Float, facing: Bool) -> None:
         """Raises SceneError for foci at once that can't be: none faces them all, they are too many or coincide."""
         array = only(self.array.array, self.chosen)
-        try:
+        with naming(*self.about_focus):
             solve_foci(foci, only(array, facing) if np.any(facing) else array, self.array.air, iterations=0)
-        except SceneError as error:
-            raise SceneError(f"plugin 'palmfield.stimulus': key 'focus_m': {error}") from None
 
     def _transfer(self, distances: Float, heights: Float) -> Complex:
         """Pressure at points [Pa] of each chosen transducer alone at full drive; all of shape (m, n)."""

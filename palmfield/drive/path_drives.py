@@ -44,12 +44,14 @@ class PathStep(NamedTuple):
 
 
 class PathMemory(NamedTuple):
-    """Where kernels find a step's numbers on a device, and where they leave what they find.
+    """Where kernels find the numbers of a step of w worlds on a device, and where they leave what they find.
 
-    counts: foci and groups, int32, shape (2,); group: of each transducer, int32, shape (n,)
-    foci: [m], vec3d, shape (f,); wanted: levels, float64, shape (f + 1,)
-    ring: weights of the pole for each moment, vec2d, shape (m, 5); begun, end: what is emitted, vec2d, shape (n,)
-    totals: pressure at the foci at full drive and number of transducers that face them, vec3d, shape (f,)
+    counts: foci and groups, int32, shape (w, 2); group: of each transducer, int32, shape (w, n)
+    foci: [m], vec3d, shape (w, f); wanted: levels, float64, shape (w, f + 1)
+    aims: what is asked for at the focus, vec2d, shape (w,), see `PathDrives.aim`
+    ring: weights of the pole for each moment, vec2d, shape (m, 5); pushes: which row of `force` takes it, -1 for none,
+        int32, shape (m,); begun, end: what is emitted, vec2d, shape (w, n)
+    totals: pressure at the foci at full drive and number of transducers that face them, vec3d, shape (w, f)
     load, force, now: tables of drives, vec2, see `palmfield.acoustics.point_sound.DriveTable`
     """
 
@@ -57,7 +59,9 @@ class PathMemory(NamedTuple):
     group: Any
     foci: Any
     wanted: Any
+    aims: Any
     ring: Any
+    pushes: Any
     begun: Any
     end: Any
     totals: Any
@@ -66,21 +70,23 @@ class PathMemory(NamedTuple):
     now: Any
 
     @staticmethod
-    def inputs(moments: int, foci: int, transducers: int) -> dict[str, tuple[tuple[int, ...], Any]]:
+    def inputs(moments: int, foci: int, transducers: int, worlds: int = 1) -> dict[str, tuple[tuple[int, ...], Any]]:
         """Shapes and types of what goes in, for a `SharedBlock`; moments, foci: how many at most."""
         return {
-            "path_counts": ((2,), wp.int32),
-            "path_group": ((transducers,), wp.int32),
-            "path_foci": ((foci,), wp.vec3d),
-            "path_wanted": ((foci + 1,), wp.float64),
+            "path_counts": ((worlds, 2), wp.int32),
+            "path_group": ((worlds, transducers), wp.int32),
+            "path_foci": ((worlds, foci), wp.vec3d),
+            "path_wanted": ((worlds, foci + 1), wp.float64),
+            "path_aims": ((worlds,), wp.vec2d),
             "path_ring": ((moments, 5), wp.vec2d),
-            "path_begun": ((transducers,), wp.vec2d),
+            "path_pushes": ((moments,), wp.int32),
+            "path_begun": ((worlds, transducers), wp.vec2d),
         }
 
     @staticmethod
-    def results(foci: int, transducers: int) -> dict[str, tuple[tuple[int, ...], Any]]:
+    def results(foci: int, transducers: int, worlds: int = 1) -> dict[str, tuple[tuple[int, ...], Any]]:
         """Shapes and types of what comes out."""
-        return {"path_end": ((transducers,), wp.vec2d), "path_totals": ((foci,), wp.vec3d)}
+        return {"path_end": ((worlds, transducers), wp.vec2d), "path_totals": ((worlds, foci), wp.vec3d)}
 
 
 class PathDrives:
@@ -88,6 +94,7 @@ class PathDrives:
 
     drive: how, with the arrays as they stand now; transducers: the same ones as the sound field takes them
     pole: what they make of a drive, all alike; None where it sounds at once; rings: whether there is one
+    aim: of `aim_of`
     """
 
     def __init__(self, drive: ArrayDrive, transducers: Transducers, pole: PoleStepper | None):
@@ -97,7 +104,7 @@ class PathDrives:
         parts = drive.array.parts
         gains = [part.p0_Pa_m * (np.ones(len(part)) if part.gain is None else part.gain) for part in parts]
         owners = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
-        self._target = 0.0 if drive.arp_peak_Pa is None else drive.arp_peak_Pa * drive.array.impedance
+        self.aim = aim_of(drive)
         self._focusing = filled(
             kernels.Focusing(),
             places=self._places.array,
@@ -107,8 +114,6 @@ class PathDrives:
             shapes=wp.array([_shape(part, drive.wavenumber) for part in parts], dtype=wp.float64, device=device),
             wavenumber=drive.wavenumber,
             absorption_Np_m=drive.absorption_Np_m,
-            target=self._target,
-            amplitude=drive.amplitude,
         )
         order = np.argsort(transducers.order)
         self._order = whole_numbers(order, device)
@@ -123,11 +128,12 @@ class PathDrives:
 
     def calls(self, memory: PathMemory) -> Calls:
         """Launches that fill the tables of drives."""
-        foci, device = len(memory.foci), self._device
-        waves, strengths = (wp.zeros((foci, self.count), dtype=wp.vec2d, device=device) for _ in range(2))
-        levels: Any = wp.zeros(foci + 1, dtype=wp.float64, device=device)
+        (worlds, foci), device = memory.foci.shape, self._device
+        whole, parts = (worlds, foci, self.count), (worlds, foci, kernels.LANES)
+        waves, strengths = (wp.zeros(whole, dtype=wp.vec2d, device=device) for _ in range(2))
+        levels: Any = wp.zeros((worlds, foci + 1), dtype=wp.float64, device=device)
         focusing, counts = self._focusing, memory.counts
-        sums: Any = wp.zeros((foci, kernels.LANES), dtype=wp.vec3d, device=device)
+        sums: Any = wp.zeros(parts, dtype=wp.vec3d, device=device)
         inputs = [
             counts,
             memory.group,
@@ -135,18 +141,18 @@ class PathDrives:
             waves,
             levels,
             memory.ring,
+            memory.pushes,
             self._scales,
             self._order,
             memory.begun,
         ]
         inputs += [memory.load, memory.force, memory.now, memory.end]
+        levelling = [counts, memory.aims, sums, memory.wanted, levels, memory.totals]
         return [
-            launch(kernels.focus_waves, (foci, self.count), [focusing, counts, memory.foci, waves, strengths], device),
-            launch(kernels.focus_sums, (foci, kernels.LANES), [counts, waves, strengths, sums], device),
-            launch(
-                kernels.focus_levels, foci + 1, [focusing, counts, sums, memory.wanted, levels, memory.totals], device
-            ),
-            launch(kernels.ring_along, self.count, inputs, device),
+            launch(kernels.focus_waves, whole, [focusing, counts, memory.foci, waves, strengths], device),
+            launch(kernels.focus_sums, parts, [counts, waves, strengths, sums], device),
+            launch(kernels.focus_levels, levels.shape, levelling, device),
+            launch(kernels.ring_along, (worlds, self.count), inputs, device),
         ]
 
     def ring(self, moments: Moments) -> Complex:
@@ -172,11 +178,22 @@ class PathDrives:
         count = len(step.levels)
         real, imaginary, facing = totals[: count + 1].T
         good = facing > 0.0
-        if self._target > 0.0:
-            good &= real * real + imaginary * imaginary >= self._target
+        if self.aim[0] > 0.0:
+            good &= real * real + imaginary * imaginary >= self.aim[0]
         good[:count] |= step.levels == 0.0
         good[count] |= step.mean == 0.0 and step.now == 0.0
         return bool(np.logical_and.reduce(good))
+
+
+def push_rows(weights: Float) -> Int:
+    """Of moments that push bodies with these weights, shape (m,), the row that each takes among them; -1 without."""
+    counted = weights > 0.0
+    return np.where(counted, np.add.accumulate(counted, dtype=np.int32) - 1, -1).astype(np.int32)
+
+
+def aim_of(drive: ArrayDrive) -> tuple[float, float]:
+    """ARP asked for at the focus times rho c^2 [Pa^2], 0 where the drive's amplitude is, and that amplitude."""
+    return 0.0 if drive.arp_peak_Pa is None else drive.arp_peak_Pa * drive.array.impedance, drive.amplitude
 
 
 KEPT = 64

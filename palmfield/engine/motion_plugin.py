@@ -8,6 +8,7 @@ import numpy as np
 from palmfield.config import Config, MotionConfig
 from palmfield.engine.host import Module, World, world_of
 from palmfield.errors import SceneError
+from palmfield.mujoco_host.mujoco_view import Write, mocap_writes
 from palmfield.transforms import rotation_matrix
 from palmfield.types import Float
 
@@ -67,37 +68,47 @@ class MotionModule(Module):
 
     def place(self) -> None:
         """Put mocap body, servos and the hand itself where the motion has them now."""
-        time_s = self.world.time
-        self._put(self._lead(time_s), time_s)
+        for write in self.due(self.world.time, at_once=True):
+            self.world.put(write)
 
     def advance(self) -> None:
         """Give what is due at the step's end."""
-        time_s = self.world.raw.time
-        pose = self._lead(time_s)
-        if time_s < self._first_s or self.settings.follow == "exact":
-            self._put(pose, time_s)
+        for write in self.due(self.world.raw.time):
+            self.world.put(write)
 
-    def _lead(self, time_s: float) -> "HandPose":
-        """Tell the mocap body and the servos where to be at a time [s]; returns that."""
+    def due(self, time_s: float, at_once: bool = False) -> list[Write]:
+        """What mocap body and servos get at a time [s], and the hand itself where it is put there.
+
+        That is `at_once`, in the scene's first step, and always with key follow = exact.
+        """
         pose = self.motion.at(time_s)
-        self.world.put_mocap(self.mocap, pose.position, pose.quaternion)
+        writes = mocap_writes(self.mocap, pose.position, pose.quaternion)
         if self.servos:
             degrees = list(map(pose.angles_deg.get, self._names, self._rest_deg))
-            self.world.controls[self.servos] = np.deg2rad(degrees)
-        return pose
+            writes.append(Write("ctrl", self.servos, np.deg2rad(degrees)))
+        if at_once or time_s < self._first_s or self.settings.follow == "exact":
+            writes += self._put(pose, time_s)
+        return writes
 
-    def _put(self, now: "HandPose", time_s: float) -> None:
-        """Put the hand itself into its pose at a time [s], with the speed that it has there."""
+    def _put(self, now: "HandPose", time_s: float) -> list[Write]:
+        """What puts the hand itself into its pose at a time [s], with the speed that it has there."""
         if self.root is None:
-            return
-        step = self.world.model.timestep
+            return []
+        model = self.world.model
+        step = model.timestep
         before = self.motion.at(time_s - step)
         velocity = (now.position - before.position) / step
         turned = rotation_matrix(before.quaternion).T @ rotation_matrix(now.quaternion)
         spin = np.array([turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]])
-        self.world.put_free(self.root, now.position, now.quaternion, velocity, 0.5 * spin / step)
         angles = self._angles(now.angles_deg)
-        self.world.put_hinges(self.joints, angles, (angles - self._angles(before.angles_deg)) / step)
+        speeds = (angles - self._angles(before.angles_deg)) / step
+        first, speed = int(model.raw.jnt_qposadr[self.root]), int(model.raw.jnt_dofadr[self.root])
+        places = [*range(first, first + 7), *(int(model.raw.jnt_qposadr[joint]) for joint in self.joints)]
+        speeds_at = [*range(speed, speed + 6), *(int(model.raw.jnt_dofadr[joint]) for joint in self.joints)]
+        return [
+            Write("qpos", places, np.concatenate([now.position, now.quaternion, angles])),
+            Write("qvel", speeds_at, np.concatenate([velocity, 0.5 * spin / step, speeds])),
+        ]
 
     def _angles(self, angles_deg: dict[str, float]) -> Float:
         """Of all joints [rad]; those that are not named are at rest."""

@@ -40,12 +40,18 @@ class SceneRuntime:
     applied_parts: the same on the bones of each body, and torques about their origins [N m], shapes (b, 3)
     """
 
-    def __init__(self, view: DataView):
-        """Raises SceneError or DeviceError for a scene that doesn't fit together."""
+    def __init__(self, view: DataView, like: "SceneRuntime | None" = None):
+        """like: of the same scene in other data, for one of several worlds, see `join`
+
+        Raises SceneError or DeviceError for a scene that doesn't fit together.
+        """
         self.view = view
-        self.spec, self.binding = read_scene(view.model)
-        self.model = model_of(self.spec)
-        self.work = Workspace(self.model)
+        if like is None:
+            self.spec, self.binding = read_scene(view.model)
+            self.model = model_of(self.spec)
+            self.work = Workspace(self.model)
+        else:
+            self.spec, self.binding, self.model, self.work = like.spec, like.binding, like.model, like.work
         self.layout = PoseLayout.of(self.model)
         bound, carried = self.binding.skins, self.model.carried
         firsts = [bound[carried(number)[0]] for number in range(len(self.model.bodies))]
@@ -71,7 +77,8 @@ class SceneRuntime:
         self.applied: list[Float] = [np.zeros(3) for _ in self.bodies]
         self.applied_parts = [(np.zeros((len(parts), 3)), np.zeros((len(parts), 3))) for parts in self.parts]
         self.check_options()
-        check_clear(self.work.reference)
+        if like is None:
+            check_clear(self.work.reference)
 
     @property
     def frames(self) -> int:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from palmfield.engine.many_data import Field, ManyData
 from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.errors import naming_world
 from palmfield.simulation.posed_scene import PosedScene, settled_worlds
@@ -20,7 +21,8 @@ class WorldPoses:
     positions, matrices: where the runtimes put the world frames that they take, shapes (worlds, m, 3), (worlds, m, 9)
     """
 
-    def __init__(self, runtimes: Sequence[SceneRuntime], positions: Float, matrices: Float):
+    def __init__(self, runtimes: Sequence[SceneRuntime], many: ManyData, positions: Float, matrices: Float):
+        self._many = many
         self.runtimes, self._positions, self._matrices = runtimes, positions, matrices
         first = runtimes[0]
         self._model, self._layout, self._taken = first.model, first.layout, first.taken
@@ -35,21 +37,30 @@ class WorldPoses:
         self._resting: NDArray[np.bool_] = np.zeros(count, dtype=bool)
         self._where: Float = np.zeros((count, self._fixed, 12))
 
-    def now(self) -> list[PosedScene]:
-        """The pose of each world. Raises SceneError where a body reaches into an array, with the world's number."""
-        for world, runtime in enumerate(self.runtimes):
-            for kind, chosen, rows in self._taken:
-                positions, matrices = runtime.view.frames[kind]
-                positions.take(chosen, 0, self._positions[world, rows], "clip")
-                matrices.take(chosen, 0, self._matrices[world, rows], "clip")
+    def take(self) -> None:
+        """Take the world frames of all worlds."""
+        fields: dict[str, tuple[Field, Field]] = {"body": ("xpos", "xmat"), "site": ("site_xpos", "site_xmat")}
+        for kind, chosen, rows in self._taken:
+            for field, result in zip(fields[kind], (self._positions, self._matrices), strict=True):
+                own = result[:, rows]
+                width = own.shape[2]
+                offsets = (width * chosen[:, None] + np.arange(width)).ravel().tolist()
+                flat = np.lib.stride_tricks.as_strided(own, (len(own), len(offsets)), (own.strides[0], own.strides[2]))
+                self._many.take(field, offsets, flat)
+
+    def now(self, some: NDArray[np.bool_]) -> dict[int, PosedScene]:
+        """The pose of some worlds, shape (worlds,), by what `take` has found.
+
+        Raises SceneError where a body reaches into an array, with the world's number.
+        """
         # All worlds have the same one, in a copy that of the origin
         reference = self.runtimes[0].work.reference
         fixed = np.concatenate((self._positions[:, : self._fixed], self._matrices[:, : self._fixed]), axis=2)
-        same = self._resting & np.logical_and.reduce(fixed == self._where, axis=(1, 2))
+        same = self._resting & some & np.logical_and.reduce(fixed == self._where, axis=(1, 2))
         if np.logical_or.reduce(same):
             turns = self._matrices.reshape(*self._positions.shape, 3)
             same &= settled_worlds(self._model, self._layout, self._positions, turns, reference)
-        for world in (~same).nonzero()[0].tolist():
+        for world in (some & ~same).nonzero()[0].tolist():
             with naming_world(world):
                 posed = self._posed[world] = self.runtimes[world].posed
             self._where[world] = fixed[world]
@@ -58,4 +69,4 @@ class WorldPoses:
                 and posed.skins == reference.skins
                 and posed.arrays is self._model.arrays
             )
-        return list(self._posed)
+        return {world: self._posed[world] for world in some.nonzero()[0].tolist()}

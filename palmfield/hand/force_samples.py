@@ -34,9 +34,9 @@ class SampleMesh(NamedTuple):
 
 
 def sample_mesh(vertices: Float, faces: Int, accuracy: float) -> SampleMesh:
-    """Samples for the force to a relative error, fixed on a surface: vertices [m], shape (v, 3), faces, shape (m, 3).
+    """Samples for the force on a surface of short edges (`palmfield.hand.subdivide.EDGE_m`) to a relative error.
 
-    Its edges are short enough that a face is a good sample, see `palmfield.hand.subdivide.EDGE_m`.
+    vertices: [m], shape (v, 3); faces: shape (m, 3)
     """
     numbers: Int = np.arange(len(faces), dtype=np.int32)
     normals, areas = face_normals(vertices, faces)
@@ -48,12 +48,11 @@ def sample_mesh(vertices: Float, faces: Int, accuracy: float) -> SampleMesh:
         return SampleMesh(vertices, faces, numbers, numbers, areas)
     middles = vertices[faces].mean(axis=1)
     owner = _cells(middles, normals, areas, spacing_m)
-    pushes = _sums(owner, areas[:, None] * normals)
-    middles = _sums(owner, areas[:, None] * middles) / np.bincount(owner, areas)[:, None]
+    middles, mean_normals, sizes = _means(owner, areas, middles, normals)
     # The middle of a cell lies below a curved surface, where the body's own faces would shade it
     corners = vertices[faces[closest_faces(build_mesh(vertices, faces), middles, 1.0)]]
     middles = np.einsum("nk,nkd->nd", barycentric(corners, middles), corners)
-    return SampleMesh(*_triangles(middles, pushes), numbers, owner, areas)
+    return SampleMesh(*_triangles(middles, sizes * mean_normals), numbers, owner, areas)
 
 
 def _cells(points: Float, normals: Float, areas: Float, spacing_m: float) -> Int:
@@ -67,25 +66,23 @@ def _cells(points: Float, normals: Float, areas: Float, spacing_m: float) -> Int
     centres: Float = places[seeds]
     for _ in range(ROUNDS):
         owner = cKDTree(centres).query(places)[1]
-        weights = np.bincount(owner, areas, count)
-        centres = np.stack([np.bincount(owner, areas * row, count) for row in places.T], axis=1)
-        centres = centres[weights > 0.0] / weights[weights > 0.0, None]
-        count = len(centres)
+        centres = _means(np.unique(owner, return_inverse=True)[1], areas, places)[0]
     return np.unique(cKDTree(centres).query(places)[1], return_inverse=True)[1].astype(np.int32)
 
 
-def _sums(owner: Int, values: Float) -> Float:
-    return np.stack([np.bincount(owner, row) for row in values.T], axis=1)
+def _means(owner: Int, areas: Float, *values: Float) -> list[Float]:
+    """Means of values over the area of each owner's faces, shapes (c, k), and these areas, shape (c, 1)."""
+    sizes = np.bincount(owner, areas)[:, None]
+    sums = [np.stack([np.bincount(owner, areas * row) for row in value.T], axis=1) for value in values]
+    return [*(one / np.maximum(sizes, 1e-30) for one in sums), sizes]
 
 
 def _triangles(middles: Float, areas: Float) -> tuple[Float, Int]:
     """Equilateral triangles round points [m] with areas as vectors along their normals [m2], both of shape (n, 3)."""
     size = np.linalg.norm(areas, axis=1)[:, None]
     normals = areas / np.maximum(size, 1e-30)
-    aside = np.eye(3)[np.argmin(np.abs(normals), axis=1)]
-    first = np.cross(normals, aside)
-    first /= np.linalg.norm(first, axis=1)[:, None]
-    second, radius = np.cross(normals, first), np.sqrt(4.0 * size / np.sqrt(27.0))
-    ways = [np.cos(angle) * first + np.sin(angle) * second for angle in np.arange(3) * 2.0 * np.pi / 3.0]
-    points = middles[:, None] + radius[:, None] * np.stack(ways, axis=1)
+    first = np.cross(normals, np.eye(3)[np.argmin(np.abs(normals), axis=1)])
+    first *= np.sqrt(size / np.sqrt(27.0 / 16.0)) / np.linalg.norm(first, axis=1)[:, None]
+    second = np.sqrt(0.75) * np.cross(normals, first)
+    points = middles[:, None] + np.stack([first, second - 0.5 * first, -second - 0.5 * first], axis=1)
     return points.reshape(-1, 3), np.arange(3 * len(middles), dtype=np.int32).reshape(-1, 3)

@@ -70,8 +70,8 @@ def joint_of_body(body: str, joints: Joints) -> tuple[int, str]:
     matches = [name for name in joints.names if body.endswith(name)]
     if not matches:
         raise SceneError(
-            f"plugin 'palmfield.skin': key 'body' has value '{body}'; allowed with shape 'rigged': [prefix] and a "
-            f"joint of the mesh: {', '.join(joints.names)}"
+            f"'{body}' ends with the name of no joint; allowed with shape 'rigged': [prefix] and a joint of the mesh: "
+            f"{', '.join(joints.names)}"
         )
     name = max(matches, key=len)
     return joints.names.index(name), body.removesuffix(name)

@@ -172,10 +172,9 @@ class DataView:
             "site": (self._view("site_xpos", counts.nsite, 3), self._view("site_xmat", counts.nsite, 9)),
         }
         """World positions [m], shape (n, 3), and rotation matrices by row, shape (n, 9), of bodies and sites."""
-        self.controls = self._view("ctrl", counts.nu, 1)[:, 0]
-        self._mocap = self._view("mocap_pos", counts.nmocap, 3), self._view("mocap_quat", counts.nmocap, 4)
-        self._qpos = self._view("qpos", counts.nq, 1)[:, 0]
-        self._qvel = self._view("qvel", counts.nv, 1)[:, 0]
+        sizes = {"ctrl": counts.nu, "qpos": counts.nq, "qvel": counts.nv}
+        sizes |= {"mocap_pos": 3 * counts.nmocap, "mocap_quat": 4 * counts.nmocap}
+        self._fields = {name: self._view(name, size, 1)[:, 0] for name, size in sizes.items()}
 
     def _view(self, name: str, rows: int, columns: int) -> Float:
         if rows == 0:
@@ -187,20 +186,9 @@ class DataView:
         """MuJoCo's time [s]."""
         return float(self.raw.time)
 
-    def put_mocap(self, mocap: int, position: Float, quaternion: Float) -> None:
-        """Pose a mocap body in the world: position [m], quaternion (w, x, y, z)."""
-        self._mocap[0][mocap], self._mocap[1][mocap] = position, quaternion
-
-    def put_free(self, joint: int, position: Float, quaternion: Float, velocity: Float, spin: Float) -> None:
-        """Put a free joint's body: world position [m] and velocity [m/s], quaternion, spin in its own axes [rad/s]."""
-        first, speed = int(self.model.raw.jnt_qposadr[joint]), int(self.model.raw.jnt_dofadr[joint])
-        self._qpos[first : first + 3], self._qpos[first + 3 : first + 7] = position, quaternion
-        self._qvel[speed : speed + 3], self._qvel[speed + 3 : speed + 6] = velocity, spin
-
-    def put_hinges(self, joints: Sequence[int], angles: Float, speeds: Float) -> None:
-        """Put hinges at angles [rad] with speeds [rad/s], shapes (n,)."""
-        self._qpos[[int(self.model.raw.jnt_qposadr[joint]) for joint in joints]] = angles
-        self._qvel[[int(self.model.raw.jnt_dofadr[joint]) for joint in joints]] = speeds
+    def put(self, write: "Write") -> None:
+        """Write numbers into one of mjData's arrays."""
+        self._fields[write.field][write.offsets] = write.values
 
     def state(self, instance: int) -> Float:
         """Plugin state of an instance, shape (n,): part of mjData, so that MuJoCo copies, resets and saves it."""
@@ -219,20 +207,36 @@ class DataView:
         for i in range(raw.nsensor):
             if raw.sensor_plugin[i] == instance:
                 whole = np.ctypeslib.as_array(self.raw.sensordata, shape=(int(raw.nsensordata),))
-                data = whole[raw.sensor_adr[i] : raw.sensor_adr[i] + raw.sensor_dim[i]]
+                offsets = [*range(raw.sensor_adr[i], raw.sensor_adr[i] + raw.sensor_dim[i])]
+                data = whole[offsets[0] : offsets[-1] + 1]
                 name = library().mj_id2name(self.model.address, int(mujoco.mjtObj.mjOBJ_SENSOR), i)
                 kind, target = kinds.get(raw.sensor_objtype[i], ""), int(raw.sensor_objid[i])
-                result.append(PluginSensor(name.decode() if name else f"sensor_{i}", kind, target, data))
+                result.append(PluginSensor(name.decode() if name else f"sensor_{i}", kind, target, offsets, data))
         return result
+
+
+class Write(NamedTuple):
+    """Numbers for an array of mjData: its name, where they go in it, and what they are, shape (n,)."""
+
+    field: Literal["ctrl", "qpos", "qvel", "mocap_pos", "mocap_quat"]
+    offsets: list[int]
+    values: Float
+
+
+def mocap_writes(mocap: int, position: Float, quaternion: Float) -> list[Write]:
+    """What poses a mocap body in the world: position [m], quaternion (w, x, y, z), shapes (..., 3) and (..., 4)."""
+    places, turns = range(3 * mocap, 3 * mocap + 3), range(4 * mocap, 4 * mocap + 4)
+    return [Write("mocap_pos", [*places], position), Write("mocap_quat", [*turns], quaternion)]
 
 
 class PluginSensor(NamedTuple):
     """A sensor of a plugin instance. kind: "site", "body" or "" of what it is attached to; target: its number;
-    data: view of what it reads, shape (channels,)"""
+    data: view of what it reads, shape (channels,), at `offsets` among all sensors' data"""
 
     name: str
     kind: str
     target: int
+    offsets: list[int]
     data: Float
 
 

@@ -10,8 +10,8 @@ from palmfield.outputs.summary_table import of_full
 from palmfield.planning.facts import force_samples
 from palmfield.planning.rows import Row
 from palmfield.simulation.emission import array_drives
-from palmfield.simulation.known_load import SHARE
 from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
+from palmfield.simulation.small_models.known_load import SHARE
 from palmfield.skin.from_config import sheets_in_words
 from palmfield.skin.materials.material import shear_wave
 from palmfield.stimulus.modulation import arp_lines
@@ -21,9 +21,8 @@ def modelled(model: HapticModel, duration_s: float) -> list[Row]:
     """Rows of what is modelled in a run of this length [s], in the order of the pipeline."""
     skin_points = sum(6 * len(skin.layer.mesh.surface_triangles6) for skin in model.skins)
     surface = f"{skin_points} skin points"
-    bodies = [body for body in model.bodies if body.surface is not None]
-    if bodies:
-        off = " and ".join(dict.fromkeys(f"{100 * body.force_accuracy:.2g} %" for body in bodies))
+    if force_samples(model):
+        off = ", ".join(dict.fromkeys(f"{100 * body.force_accuracy:.2g} %" for body in model.bodies if body.surface))
         surface += f", {force_samples(model)} places of the surface for the force, to {off} (rms over foci)"
     rows = [
         Row(

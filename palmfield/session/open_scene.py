@@ -237,7 +237,8 @@ def _check_sensor_places(data: mujoco.MjData, name: str, text: SceneText | None)
     try:
         world.scene.check_sensors()
     except SceneError as error:
-        raise SceneError(f"{_place(str(error), name, text)}: {error}") from None
+        error.about = (_place(str(error), name, text), *error.about)
+        raise
 
 
 def _without_objtype(scene: str, sensor: str, plugin: str) -> SceneError:
@@ -327,10 +328,11 @@ def _explained(error: Exception, name: str, text: SceneText | None) -> BaseExcep
     """What a module's own error says, with the place of what it means, or MuJoCo's in words."""
     cause = take_compile_error()
     if isinstance(cause, PalmfieldError):
-        mend = (
-            f" (`palmfield migrate {name}` rewrites it)" if text is not None and " renamed: use " in str(cause) else ""
-        )
-        return type(cause)(f"{_place(str(cause), name, text)}: {cause}{mend}")
+        place = _place(str(cause), name, text)
+        if text is not None and " renamed: use " in str(cause):
+            cause.args = (f"{cause.args[0]} (`palmfield migrate {name}` rewrites it)",)
+        cause.about = (place, *cause.about)
+        return cause
     return cause or SceneError(in_words(str(error), name, text, list(configs())))
 
 

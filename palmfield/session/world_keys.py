@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from palmfield.config import CONFIGS, Config, StimulusConfig, parse
-from palmfield.errors import SceneError
+from palmfield.errors import SceneError, naming_world
 from palmfield.session.open_scene import as_text
 from palmfield.simulation.scene_reader import STIMULUS_FILES, am_table_of, element_of, focus_table_of, with_files_found
 from palmfield.simulation.spec import SceneSpec, StimulusSpec
@@ -84,8 +84,8 @@ def world_specs(
                 own.pop(key, None)
                 if values[world] is not None:
                     own[key] = as_text(values[world])
-            element = f"world {world}: {element_of(StimulusConfig, stimulus.name)}"
-            stimuli.append(with_texts(stimulus, own, element))
+            with naming_world(world):
+                stimuli.append(with_texts(stimulus, own, element_of(StimulusConfig, stimulus.name)))
         specs.append(replace(spec, stimuli=tuple(stimuli)))
     return specs
 

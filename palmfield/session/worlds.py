@@ -1,7 +1,7 @@
 """Several worlds of one scene, which differ in what their stimuli do and where hands are, stepped together."""
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import mujoco
@@ -12,7 +12,7 @@ from palmfield.config import StimulusConfig, known_keys
 from palmfield.drive.transducer_response import rows
 from palmfield.engine.host import world_of
 from palmfield.engine.scene_runtime import SceneRuntime
-from palmfield.engine.worlds import SceneWorlds
+from palmfield.engine.worlds import SceneWorlds, plain_model
 from palmfield.errors import SceneError
 from palmfield.interrupts import interrupts_held
 from palmfield.session.duration import check_duration, check_steps, check_time, step_count
@@ -70,11 +70,16 @@ class Worlds:
             raise SceneError(f"{self.name} has no plugin 'palmfield.skin'; it is a plain MuJoCo model")
         spec = world.scene.spec
         specs = world_specs(spec, stimulus_texts(world.scene), split, worlds)
+        plain = plain_model(self.model)
         models = build_worlds(specs, None if base is None else spec, shared)
         led = {_mocap(self.model, body): _poses(body, given, worlds) for body, given in (poses or {}).items()}
-        data = [first, *(fresh_data(self.model, self.name) for _ in range(worlds - 1))]
-        self._attach(SceneWorlds(data, models, led))
+        if plain is self.model:
+            data = [first, *(fresh_data(self.model, self.name) for _ in range(worlds - 1))]
+        else:
+            self.model, data = plain, [mujoco.MjData(plain) for _ in range(worlds)]
+        self._attach(SceneWorlds(first, data, models, led))
         with interrupts_held():
+            self._scenes.place()
             self._scenes.look()
 
     def _attach(self, scenes: SceneWorlds) -> None:
@@ -93,6 +98,7 @@ class Worlds:
     @property
     def runtimes(self) -> list[SceneRuntime]:
         """What carries each world."""
+        self._scenes.settle()
         return self._scenes.runtimes
 
     @property
@@ -151,8 +157,9 @@ class Worlds:
         twin.name, twin.path, twin.model = self.name, self.path, self.model
         with interrupts_held():
             scenes = self._scenes
+            scenes.settle()
             data = [copy.copy(one) for one in scenes.data]
-            twin._attach(SceneWorlds(data, scenes.models, scenes.poses, scenes.state.copy()))
+            twin._attach(SceneWorlds(scenes.template, data, scenes.models, scenes.poses, scenes.state.copy()))
             twin._scenes.adopt(scenes)
         return twin
 
@@ -181,7 +188,8 @@ class Worlds:
         names = self.skins
         name = chosen_name(names, name)
         if name not in self._skins:
-            self._skins[name] = WorldsSkin([Skin(runtime, names.index(name)) for runtime in self._scenes.runtimes])
+            skins = [Skin(runtime, names.index(name)) for runtime in self._scenes.runtimes]
+            self._skins[name] = WorldsSkin(skins, self._scenes.settle)
         return self._skins[name]
 
     @property
@@ -195,7 +203,7 @@ class Worlds:
     def emitted(self) -> Complex:
         """What the transducers emit now, after their ring-up, shape (worlds, N)."""
         result = np.zeros((self.count, len(self._scenes.models[0].arrays)), np.complex128)
-        for row, runtime in zip(result, self._scenes.runtimes, strict=True):
+        for row, runtime in zip(result, self.runtimes, strict=True):
             _, course = runtime.now()
             if course.emitted is not None or course.unit is not None:
                 row[:] = rows(course)[0]
@@ -228,8 +236,14 @@ class WorldsSkin:
     The skin at rest is the same in all worlds: `rest_position`, `rest_normal` and `faces` are as `Skin` has them.
     """
 
-    def __init__(self, skins: list[Skin]):
-        self._skins = skins
+    def __init__(self, skins: list[Skin], settle: Callable[[], None]):
+        """settle: brings the state up to date"""
+        self._all, self._settle = skins, settle
+
+    @property
+    def _skins(self) -> list[Skin]:
+        self._settle()
+        return self._all
 
     @property
     def name(self) -> str:

@@ -16,7 +16,7 @@ from palmfield.drive.board import Board
 from palmfield.drive.boards import BOARDS, board_of
 from palmfield.drive.response import Pole
 from palmfield.drive.transducer_response import transducer_response
-from palmfield.errors import SceneError
+from palmfield.errors import SceneError, naming
 from palmfield.hand.meshfile import load_mesh
 from palmfield.hand.meshquery import barycentric, build_mesh, closest_faces
 from palmfield.hand.preset import load_preset
@@ -25,10 +25,10 @@ from palmfield.hand.skinning import SkinnedHand, rigged_file, skinned_mesh
 from palmfield.hand.surface import hand_surface
 from palmfield.locked import Lazy
 from palmfield.simulation.array_face import wall_distance
-from palmfield.simulation.known_load import choose_stepper, first_stepper
-from palmfield.simulation.load_class import corner_Hz
-from palmfield.simulation.model import BodyModel, HapticModel, SkinModel, StimulusModel, array_instances
+from palmfield.simulation.model import BodyModel, HapticModel, SkinModel, StimulusModel, about_stimulus, array_instances
 from palmfield.simulation.posed_scene import STILL
+from palmfield.simulation.small_models.choice import choose_stepper, first_stepper
+from palmfield.simulation.small_models.load_class import corner_Hz
 from palmfield.simulation.spec import SceneSpec, SkinSpec, StimulusSpec
 from palmfield.simulation.validate import (
     check_apart,
@@ -143,17 +143,16 @@ def _arrays(spec: SceneSpec) -> PhasedArray:
     """The scene's arrays in the reference pose. Raises SceneError, which names the instance, for one that can't be."""
     instances = array_instances(spec)
     for array, instance in zip(spec.arrays, instances, strict=True):
-        try:
+        with naming(f"plugin 'palmfield.array' instance '{array.name}'"):
             gain = instance.array(array.placement.sites).gain
             if gain is not None and not gain.any():
                 raise SceneError(
                     f"all {len(gain)} transducers are dead or have gain 0, so that no sound comes; allowed: one that "
                     "sounds, at least"
                 )
-        except SceneError as error:
-            raise SceneError(f"plugin 'palmfield.array' instance '{array.name}': {error}") from None
     wall_m = wall_distance(spec, instances[0].array(spec.arrays[0].placement.sites))
-    arrays = PhasedArray(instances, [array.placement for array in spec.arrays], spec.device, wall_m)
+    with naming("plugin 'palmfield.array'"):
+        arrays = PhasedArray(instances, [array.placement for array in spec.arrays], spec.device, wall_m)
     check_apart([array.name for array in spec.arrays], arrays)
     return arrays
 
@@ -164,31 +163,30 @@ def _arrays(spec: SceneSpec) -> PhasedArray:
 def _body(skin: SkinConfig) -> BodyModel:
     """The surface of a skin's body, and its bones; the same one for the same keys, while a model has it."""
     with _lock:
-        return _bodies.get(skin) or _bodies.setdefault(skin, _new_body(skin))
+        body = _bodies.get(skin) or _bodies.setdefault(skin, _new_body(skin))
+        body.force_accuracy = skin.force_accuracy
+        return body
 
 
 def _new_body(skin: SkinConfig) -> BodyModel:
-    accuracy = skin.force_accuracy
     if skin.shape == "disc":
         return BodyModel(skin.body, None, None, skin.depth_m)
     if skin.shape == "mesh":
         assert skin.mesh
-        return BodyModel(skin.body, load_mesh(Path(skin.mesh), skin.unit), None, skin.depth_m, accuracy)
+        return BodyModel(skin.body, load_mesh(Path(skin.mesh), skin.unit), None, skin.depth_m)
     if skin.shape == "cylinder":
         assert skin.cylinder_radius_m and skin.cylinder_length_m
-        return BodyModel(
-            skin.body, round_body(skin.cylinder_radius_m, skin.cylinder_length_m), None, skin.depth_m, accuracy
-        )
+        return BodyModel(skin.body, round_body(skin.cylinder_radius_m, skin.cylinder_length_m), None, skin.depth_m)
     if skin.shape == "rigged":
         assert skin.mesh
         mesh = rigged_file(skin.mesh, skin.unit)
         joint, _ = joint_of_body(skin.body, mesh.joints)
         rigged = skinned_mesh(mesh, mesh.joints.rest[joint, :3, 3])
-        return BodyModel(skin.body, rigged.surface, rigged, skin.depth_m, accuracy)
+        return BodyModel(skin.body, rigged.surface, rigged, skin.depth_m)
     preset = load_preset(skin.hand)
     hand = hand_surface(preset)
     bones = SkinnedHand(preset) if skin.shape == "articulated" else None
-    return BodyModel(skin.body, hand.surface, bones, hand.depth_to_bone, accuracy)
+    return BodyModel(skin.body, hand.surface, bones, hand.depth_to_bone)
 
 
 def stimuli_of(
@@ -245,22 +243,14 @@ def _stimulus(
         course = SurfaceCourse(path, carrier.surface.vertices, carrier.surface.faces, body)
     focal_points = FocalPoints(spec.frame.transform, offsets, course, spec.focus_table)
     transducers = np.concatenate([np.arange(arrays.slices[i].start, arrays.slices[i].stop) for i in spec.arrays])
-    try:
+    about = about_stimulus(spec.name)
+    with naming(about[0]):
         amplitude = peak_amplitude(config)
-        drive = ArrayDrive(arrays, transducers.astype(np.int32), config.arp_peak_Pa, amplitude, board)
+        drive = ArrayDrive(arrays, transducers.astype(np.int32), config.arp_peak_Pa, amplitude, board, about[:1], about)
         foci = focal_points.at(frame_at(config, config.start_s).focus)
         silent = not np.any(drive.unit_drive(foci).amplitudes)
         response = transducer_response(config, drive, focal_points, array_instances(scene), accuracy, spread=spread)
-    except SceneError as error:
-        raise _named(error, spec.name) from None
     return StimulusModel(spec, config, transducers.astype(np.int32), path, offsets, response, foci, silent)
-
-
-def _named(error: SceneError, instance: str) -> SceneError:
-    """The error with the stimulus's instance in it."""
-    text = str(error)
-    plain, named = "plugin 'palmfield.stimulus':", f"plugin 'palmfield.stimulus' instance '{instance}':"
-    return type(error)(text.replace(plain, named, 1))
 
 
 def _path_on(spec: StimulusSpec, carrier: BodyModel, body: Transform) -> SurfacePath:

@@ -9,20 +9,16 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from palmfield.locked import Lazy
-from palmfield.simulation import load_class
 from palmfield.simulation.build import demands_of, layers_for, model_of, stimuli_of, whole_of
-from palmfield.simulation.known_load import choose_stepper, first_stepper
-from palmfield.simulation.model import HapticModel, SkinModel, StepperChoice, StimulusModel
+from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
 from palmfield.simulation.posed_scene import STILL
-from palmfield.simulation.spec import SceneSpec, SkinSpec
+from palmfield.simulation.small_models.choice import choose_stepper, common_choice, first_stepper
+from palmfield.simulation.spec import SceneSpec
 from palmfield.skin.scene_layer import LayerDemand, SceneLayer
-from palmfield.skin.solver_choice import scene_choices
 from palmfield.skin.stepper import SkinStepper
 
 Stimuli = tuple[tuple[StimulusModel, ...], bool]
 """Of a world, and whether its transducers' ring-up is modelled."""
-MOST_SMALL_MODELS = 8
-"""Loads known ahead for which a skin gets a small model each: each of a palm takes some 5 s to make and holds 14 MB."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +102,7 @@ def _skins(
     skins = []
     for known, layer in zip(first.skins, layers, strict=True):
         if modal and known.spec.config.solver == "auto":
-            choice = modal_choice(known)
+            choice = known.choice._replace(name="modal", why="there are many different loads")
             settles = known.choice.name == "reduced"
         else:
             choices = [
@@ -122,11 +118,6 @@ def _skins(
             still_m = STILL * known.spec.config.accuracy * layer.demand.spot_fwhm_m
             skins.append(SkinModel(known.spec, known.body, known.carrier, layer, choice, still_m, settles))
     return tuple(skins)
-
-
-def modal_choice(skin: SkinModel) -> StepperChoice:
-    """Modes for every load, for a layer whose loads are many."""
-    return StepperChoice("modal", "there are many different loads", skin.choice.seconds, skin.choice.wedges_s)
 
 
 def strictest(demands: Sequence[LayerDemand]) -> LayerDemand:
@@ -163,21 +154,3 @@ def load_key(stimuli: Sequence[StimulusModel], exact: bool) -> tuple[object, ...
         alike = exact and config.am_quantity != "duty"
         parts.append((config.model_copy(update=level) if alike else config, stimulus.silent))
     return tuple(parts)
-
-
-def common_choice(
-    spec: SceneSpec, skin: SkinSpec, layer: SceneLayer, choices: Sequence[StepperChoice], loads: int
-) -> StepperChoice:
-    """What steps a skin in all worlds.
-
-    choices: what would step it in each that sounds, by itself; loads: how many of their loads are different
-    """
-    names = {choice.name for choice in choices}
-    if len(names) == 1 and (names != {"reduced"} or loads <= MOST_SMALL_MODELS or skin.config.solver != "auto"):
-        return choices[0]
-    why = f"{loads} different loads, at most {MOST_SMALL_MODELS} of which get a small model each"
-    substeps = len(choices) * spec.duration_s / layer.sizes.step_s
-    modes, refusal = load_class.expected_modes(skin, layer), load_class.refusal(skin, layer)
-    ranked = scene_choices(layer.dofs, substeps, 0.0, why, modes, refusal, load_class.laws(layer))
-    seconds = {choice.name: choice.seconds for choice in ranked}
-    return StepperChoice(ranked[0].name, why, ranked[0].seconds, seconds["wedges"])

@@ -32,14 +32,14 @@ from palmfield.device import (
     resolve,
     whole_numbers,
 )
-from palmfield.drive.path_drives import PathDrives, PathMemory, PathStep
+from palmfield.drive.path_drives import PathDrives, PathMemory, PathStep, push_rows
 from palmfield.drive.transducer_response import EmittedCourse, present_drive
 from palmfield.errors import PalmfieldError
 from palmfield.hand.posed_surface import SkinBinding
 from palmfield.hand.rigged import strongest
 from palmfield.hand.skinning import SkinnedSurface
 from palmfield.simulation.emission import Emission, MeanDrives
-from palmfield.simulation.model import HapticModel
+from palmfield.simulation.model import HapticModel, SkinModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.radiation import (
     BODY_SPACING_m,
@@ -52,8 +52,7 @@ from palmfield.simulation.radiation import (
 )
 from palmfield.simulation.sensors import SensorPlace
 from palmfield.skin.reduction import device_models
-from palmfield.skin.reduction.device_models import DeviceModel, StepMemory, device_model
-from palmfield.skin.stepper import Outside, SkinStepper
+from palmfield.skin.stepper import DeviceModel, Outside, SkinStepper, StepMemory
 from palmfield.stimulus.schedule import Moments
 from palmfield.types import Complex, Float, Float32, Int
 from warp_kernels import carried_points as carrying
@@ -69,6 +68,12 @@ LOAD, FORCE, NOW = "load", "force", "now"
 """What drives are for: the skins' load over the step, the mean force over it, and the sensors at its beginning."""
 FOCI = "foci"
 """Where they come from, if kernels make them."""
+PATH = "counts", "group", "foci", "wanted", "aims", "ring", "pushes", "begun", "end", "totals"
+"""Parts of a PathMemory that a step's inputs and results hold."""
+GOING = "load_counts", "force_counts", "now_counts", "path_counts", "path_wanted", "weights"
+COMING = "forces", "probes", "path_totals"
+"""What goes to a device in each step of several worlds, and comes from there."""
+Parts = Mapping[str, tuple[tuple[int, ...], Any]]
 
 
 class Sounding(NamedTuple):
@@ -232,7 +237,7 @@ class DeviceSound:
         self._path = known = _PathKnown(posed, t0, emitted.copy(), path.moments, course)
         steps = self._steps(posed, path.moments, course, skins)
         count = len(path.moments.times)
-        pushes = count if self._drives.rings else 1
+        pushes = int(np.count_nonzero(path.weights)) if self._drives.rings else 1
         needs = {LOAD: (count, count), FORCE: (pushes, pushes), NOW: (1, 1), FOCI: (len(path.foci), 0)}
         work, moved = self._room(needs, posed, steps)
         self._skins, self._sounding, self._path = NO_SKINS, {}, None  # should the launch fail, nothing is known
@@ -244,9 +249,9 @@ class DeviceSound:
         work.run(moved, True, tuple(steps), True)
         self.launches += 1
         self._posed, self._fetched = posed, False
-        if not self._drives.can(path, work.forces.hosts["path_totals"]):
+        if not self._drives.can(path, work.forces.hosts["path_totals"][0]):
             return False
-        np.copyto(course.end, work.forces.hosts["path_end"].view(np.complex128)[:, 0])
+        np.copyto(course.end, work.forces.hosts["path_end"].view(np.complex128)[0, :, 0])
         self._force_scale = 1.0 if self._drives.rings else path.mean
         self._pushes, self._path, self._skins = self._force_scale > 0.0, known, steps
         return True
@@ -300,13 +305,14 @@ class DeviceSound:
         if model is None or not alike or not _same(weights, known.weights) or not _same(numbers, known.numbers):
             return None
         hosts = work.forces.hosts
-        return SkinEnd(hosts[f"after_{skin}"], model.outside(hosts[f"squares_{skin}"]))
+        sums = np.add.reduce(hosts[f"squares_{skin}"][0], axis=(1, 2))
+        return SkinEnd(hosts[f"after_{skin}"][0], model.outside(sums.tolist()))
 
     def _model(self, skin: int, stepper: SkinStepper) -> DeviceModel | None:
         """What steps a skin on the device, None where that is left to the CPU; kept."""
         if (skin, stepper) not in self._models:
             points = len(self.model.skins[skin].layer.quadrature.points)
-            self._models[skin, stepper] = device_model(stepper, self.model.substeps, points, self.device)
+            self._models[skin, stepper] = stepper.device_model(self.model.substeps, points, self.device)
         return self._models[skin, stepper]
 
     def forces(self, posed: PosedScene) -> list[tuple[Float, Float]]:
@@ -314,7 +320,7 @@ class DeviceSound:
         counts = [body.model.parts for body in posed.bodies]
         rows = np.zeros((sum(counts), 6))
         if self.work is not None and self._pushes:
-            np.multiply(self.work.forces.hosts["forces"], self._force_scale, out=rows)
+            np.multiply(self.work.forces.hosts["forces"][0], self._force_scale, out=rows)
         forces, start = [], 0
         for count in counts:
             own = rows[start : start + count]
@@ -425,7 +431,7 @@ class DeviceSound:
 
 
 class DeviceWork:
-    """Memory and launches for tables of fixed sizes.
+    """Memory and launches for tables of fixed sizes, for so many worlds with the same bodies.
 
     models: what steps skins on the device, by the skin's number; drives: what drives transducers there, if anything
     inputs: what goes in; forces: what comes out, sums by part and the sensors' ARP; load: ARP on the skins, (m, q)
@@ -442,43 +448,60 @@ class DeviceWork:
         sizes: dict[str, tuple[int, int]],
         models: Mapping[int, DeviceModel] | None = None,
         drives: PathDrives | None = None,
+        worlds: int = 1,
+        more: tuple[Parts, Parts] | None = None,
     ):
+        """worlds: how many
+
+        more: further inputs and results, for worlds that are stepped together: of what is usual, only what GOING and
+            COMING name goes in and out then, and skins get pressure only where the steppers of `models` take it
+        """
+        chosen, (asked, told) = more is not None, more or ({}, {})
         self.models, self.drives = dict(models or {}), drives
         self.model, self.device, self.probes = model, transducers.device, tuple(probes)
         self._rows = _motion_rows(model)
         parts: dict[str, tuple[tuple[int, ...], Any]] = {
-            "turns": ((self._rows.total,), wp.mat33d),
-            "shifts": ((self._rows.total,), wp.vec3d),
-            "origins": ((self._rows.parts,), wp.vec3d),
-            "weights": ((sizes[FORCE][1],), wp.float64),
+            "turns": ((worlds, self._rows.total), wp.mat33d),
+            "shifts": ((worlds, self._rows.total), wp.vec3d),
+            "origins": ((worlds, self._rows.parts), wp.vec3d),
+            "weights": ((worlds, sizes[FORCE][1]), wp.float64),
         }
         for name in (LOAD, FORCE, NOW):
-            for part, what in DriveTable.parts(*sizes[name], transducers.count).items():
+            for part, what in DriveTable.parts(*sizes[name], transducers.count, worlds).items():
                 parts[f"{name}_{part}"] = what
         results: dict[str, tuple[tuple[int, ...], Any]] = {
-            "forces": ((self._rows.parts, 6), wp.float64),
-            "probes": ((1, max(len(probes), 1)), wp.float32),
+            "forces": ((worlds, self._rows.parts, 6), wp.float64),
+            "probes": ((worlds * sizes[NOW][1], max(len(probes), 1)), wp.float32),
         }
         for number, one in self.models.items():
-            parts[f"before_{number}"] = results[f"after_{number}"] = (one.stepper.state_size,), wp.float64
-            parts[f"weights_{number}"] = (one.weight_rows, sizes[LOAD][1]), wp.float64
-            of_squares = device_models.SECTIONS, one.substeps, skin_steps.LANES
+            parts[f"before_{number}"] = results[f"after_{number}"] = (worlds, one.stepper.state_size), wp.float64
+            parts[f"weights_{number}"] = (worlds, one.weight_rows, sizes[LOAD][1]), wp.float64
+            of_squares = worlds, device_models.SECTIONS, one.substeps, skin_steps.LANES
             results[f"squares_{number}"] = of_squares, wp.float64
         if drives is not None:
-            parts |= PathMemory.inputs(sizes[LOAD][0], sizes[FOCI][0], transducers.count)
-            results |= PathMemory.results(sizes[FOCI][0], transducers.count)
-        self.inputs = SharedBlock(parts, self.device)
-        arrays = self.inputs.arrays
+            parts |= PathMemory.inputs(sizes[LOAD][0], sizes[FOCI][0], transducers.count, worlds)
+            results |= PathMemory.results(sizes[FOCI][0], transducers.count, worlds)
+        kept = {name: part for name, part in (parts | results).items() if chosen and name not in GOING + COMING}
+        self.inputs = SharedBlock(
+            {name: part for name, part in parts.items() if name not in kept} | dict(asked), self.device
+        )
+        self.forces = SharedBlock(
+            {name: part for name, part in results.items() if name not in kept} | dict(told), self.device
+        )
+        arrays = self.arrays = self.inputs.arrays | self.forces.arrays
+        for name, (shape, dtype) in kept.items():
+            arrays[name] = wp.zeros(shape, dtype=dtype, device=self.device)
         motions = filled(carrying.Motions(), turns=arrays["turns"], shifts=arrays["shifts"])
         meshes = self._meshes(reference)
-        points = _ScenePoints(model, reference, self._rows, probes, self.device)
+        steppers = {number: one.stepper for number, one in self.models.items()} if chosen else {}
+        points = _ScenePoints(model, reference, self._rows, probes, self.device, worlds, steppers)
+        self._chosen = chosen
         self.quadrature = points.quadrature
         owners = _Owners(reference, self._rows, points.samples)
         counts = {LOAD: points.loaded.stop, NOW: len(probes), FORCE: points.count - points.sampled.start}
-        self.load = SharedArray((sizes[LOAD][1], counts[LOAD]), wp.float32, self.device)
-        self.forces = SharedBlock(results, self.device)
-        pressed: Any = wp.zeros((sizes[FORCE][1], counts[FORCE]), dtype=wp.float32, device=self.device)
-        arps = {LOAD: self.load.array, NOW: self.forces.arrays["probes"], FORCE: pressed}
+        self.load = SharedArray((worlds * sizes[LOAD][1], counts[LOAD]), wp.float32, self.device)
+        pressed: Any = wp.zeros((worlds * sizes[FORCE][1], counts[FORCE]), dtype=wp.float32, device=self.device)
+        arps = {LOAD: self.load.array, NOW: arrays["probes"], FORCE: pressed}
         places = {LOAD: points.loaded, NOW: points.probed, FORCE: points.sampled}
         surfaces: dict[str, list[Surface]] = {LOAD: [], NOW: [], FORCE: []}
         weighing: list[Callable[[], object]] = []
@@ -490,7 +513,7 @@ class DeviceWork:
                 mesh = meshes[_mesh_number(model, skin)].outline
                 edges = KnifeEdges(mesh, transducers.emitters, nodes(), own.stop - own.start, 1)
                 begin = places[name].start + own.start
-                stages = edges.stages(points.points, points.normals, begin + edges.nodes.numbers)
+                stages = edges.stages(points.points[0], points.normals[0], begin + edges.nodes.numbers)
                 weighing.extend(call for stage in stages for calls in stage for call in calls)
                 surface = surface._replace(mesh=None, shades=edges.shades)
             surfaces[name].append(surface)
@@ -506,10 +529,10 @@ class DeviceWork:
         for name in (FORCE, LOAD, NOW):
             table = DriveTable(*(arrays[f"{name}_{part}"] for part in ("counts", "drives", "levels")))
             own = places[name]
-            here = points.points[own], points.normals[own]
+            here = points.points[:, own], points.normals[:, own]
             self._sound[name] = [*sound_calls(transducers, table, *here, surfaces[name], model.arrays, arps[name])]
-        sampled = points.points[points.sampled], points.normals[points.sampled]
-        loads: Any = wp.zeros(counts[FORCE], dtype=wp.float64, device=self.device)
+        sampled = points.points[:, points.sampled], points.normals[:, points.sampled]
+        loads: Any = wp.zeros((worlds, counts[FORCE]), dtype=wp.float64, device=self.device)
         weighed = [
             arrays[f"{FORCE}_counts"],
             arrays["weights"],
@@ -520,8 +543,8 @@ class DeviceWork:
             loads,
         ]
         self._sound[FORCE] += [
-            launch(summing.mean_load, counts[FORCE], weighed, self.device),
-            *owners.calls(loads, *sampled, arrays["origins"], self.forces.arrays["forces"], self.device),
+            launch(summing.mean_load, loads.shape, weighed, self.device),
+            *owners.calls(loads, *sampled, arrays["origins"], arrays["forces"], self.device),
         ]
         self._pose = points.calls(motions)
         for skin, mesh in meshes.items():
@@ -538,8 +561,8 @@ class DeviceWork:
 
     def _path_memory(self) -> PathMemory:
         """Where a moving focus's numbers are."""
-        here = self.inputs.arrays | self.forces.arrays
-        own = (here[f"path_{name}"] for name in ("counts", "group", "foci", "wanted", "ring", "begun", "end", "totals"))
+        here = self.arrays
+        own = (here[f"path_{name}"] for name in PATH)
         return PathMemory(*own, *(here[f"{name}_drives"] for name in (LOAD, FORCE, NOW)))
 
     def lead(self, path: PathStep, emitted: Complex, drives: PathDrives) -> None:
@@ -547,37 +570,41 @@ class DeviceWork:
         hosts, count, moments = self.inputs.hosts, len(path.levels), len(path.moments.times)
         if not math.isfinite(np.add.reduce(path.foci, axis=None)):
             raise PalmfieldError(f"focus at {path.foci.tolist()} m is not finite: mend what moves it")
-        hosts["path_counts"][:] = count + 1, count // moments
-        hosts["path_group"][:] = 0 if path.group is None else path.group
-        hosts["path_foci"][: count + 1] = path.foci
-        wanted = hosts["path_wanted"]
+        hosts["path_counts"][0] = count + 1, count // moments
+        hosts["path_group"][0] = 0 if path.group is None else path.group
+        hosts["path_foci"][0, : count + 1] = path.foci
+        hosts["path_aims"][0] = drives.aim
+        wanted = hosts["path_wanted"][0]
         wanted[:count], wanted[count], wanted[count + 1] = path.levels, 1.0, path.now
         ring = drives.ring(path.moments)
         hosts["path_ring"].view(np.complex128)[: len(ring), :, 0] = ring
-        hosts["path_begun"].view(np.complex128)[:, 0] = emitted
-        pushes = moments if drives.rings else 1
-        hosts["weights"][:pushes] = path.weights if drives.rings else 1.0
+        hosts["path_begun"].view(np.complex128)[0, :, 0] = emitted
+        counted = path.weights[path.weights > 0.0] if drives.rings else np.ones(1)
+        pushes = len(counted)
+        hosts["path_pushes"][:moments] = push_rows(path.weights)
+        hosts["weights"][0, :pushes] = counted
         for name, sums in ((LOAD, moments), (FORCE, pushes), (NOW, 1)):
-            if hosts[f"{name}_counts"][0] != sums or hosts[f"{name}_counts"][1] != sums or not self._led:
-                hosts[f"{name}_counts"][:] = sums
+            if hosts[f"{name}_counts"][0, 0] != sums or hosts[f"{name}_counts"][0, 1] != sums or not self._led:
+                hosts[f"{name}_counts"][0] = sums
                 hosts[f"{name}_levels"].view(np.complex64)[:sums, :sums, 0] = np.eye(sums)
         self._led = True
 
     def _memory(self, skin: int) -> StepMemory:
         """Where a skin's step finds its numbers."""
-        inputs, results = self.inputs.arrays, self.forces.arrays
+        inputs = results = self.arrays
         pressure = self.load.array[:, self.quadrature[skin]]
         weights, before = inputs[f"weights_{skin}"], inputs[f"before_{skin}"]
         squares = results[f"squares_{skin}"]
-        return StepMemory(inputs[f"{LOAD}_counts"], pressure, weights, before, results[f"after_{skin}"], squares)
+        after = results[f"after_{skin}"]
+        return StepMemory(inputs[f"{LOAD}_counts"], pressure, weights, before, after, squares, self._chosen)
 
     def begin(self, skin: int, numbers: Float, weights: Float) -> None:
         """Take a skin's numbers at a step's beginning, shape (state_size,), and the weights of patterns of pressure."""
         hosts = self.inputs.hosts
-        hosts[f"before_{skin}"][:] = numbers
+        hosts[f"before_{skin}"][0] = numbers
         # Of other patterns nothing: in silence the device still has the last ones, and as many
-        hosts[f"weights_{skin}"][:] = 0.0
-        hosts[f"weights_{skin}"][:, : weights.shape[1]] = weights
+        hosts[f"weights_{skin}"][0] = 0.0
+        hosts[f"weights_{skin}"][0, :, : weights.shape[1]] = weights
 
     def tell(self, name: str, sounding: Sounding, transducers: Transducers) -> None:
         """Take what sounds for one purpose. Raises PalmfieldError for drives that are not finite."""
@@ -586,14 +613,14 @@ class DeviceWork:
             values = sounding.units[:, bad].tolist()
             raise PalmfieldError(f"drive of transducer {bad} = {values} is not finite: mend what makes the drive")
         hosts, self._led = self.inputs.hosts, False
-        table = hosts[f"{name}_counts"], hosts[f"{name}_drives"], hosts[f"{name}_levels"]
+        table = hosts[f"{name}_counts"][0], hosts[f"{name}_drives"], hosts[f"{name}_levels"]
         fill_table(table, transducers.strengths(sounding.units), sounding.levels)
         if sounding.weights is not None:
-            hosts["weights"][: sounding.sums] = sounding.weights
+            hosts["weights"][0, : sounding.sums] = sounding.weights
 
     def place(self, posed: PosedScene) -> None:
         """Take a pose. Raises PalmfieldError for one that is not finite."""
-        turns, shifts, origins = (self.inputs.hosts[name] for name in ("turns", "shifts", "origins"))
+        turns, shifts, origins = (self.inputs.hosts[name][0] for name in ("turns", "shifts", "origins"))
         for body, own in zip(posed.bodies, self._rows.bodies, strict=True):
             place, turn = body.frame
             if body.model.hand is None:
@@ -754,16 +781,19 @@ class _ScenePoints:
         rows: _MotionRows,
         probes: Sequence[tuple[int, SensorPlace]],
         device: str,
+        worlds: int = 1,
+        steppers: Mapping[int, SkinStepper] | None = None,
     ):
-        self._device = device
+        """steppers: of the skins whose points are only those at which these take pressure"""
+        self._device, self._worlds = device, worlds
         bound: list[tuple[_Bound, Float]] = []
         self.quadrature: list[slice] = []
         count = 0
         for skin in model.skins:
-            quadrature = skin.layer.quadrature
             first = rows.bodies[skin.body].start
-            bound.append((_bound(quadrature.points, skin.quadrature_binding, first), quadrature.normals))
-            self.quadrature.append(slice(count, count + len(quadrature.points)))
+            points, normals, binding = _loaded(skin, (steppers or {}).get(len(self.quadrature)))
+            bound.append((_bound(points, binding, first), normals))
+            self.quadrature.append(slice(count, count + len(points)))
             count = self.quadrature[-1].stop
         self.loaded = slice(0, count)
         for number, place in probes:
@@ -796,9 +826,9 @@ class _ScenePoints:
             areas.append(np.zeros(len(own_faces)))
             count += len(own_faces)
         self.sampled, self.count = slice(start, count), count
-        self.points: Any = wp.zeros(count, dtype=wp.vec3, device=device)
-        self.normals: Any = wp.zeros(count, dtype=wp.vec3, device=device)
-        self.areas: Any = wp.array(np.concatenate(areas), dtype=wp.float64, device=device)
+        self.points: Any = wp.zeros((worlds, count), dtype=wp.vec3, device=device)
+        self.normals: Any = wp.zeros((worlds, count), dtype=wp.vec3, device=device)
+        self.areas: Any = wp.array(np.tile(np.concatenate(areas), (worlds, 1)), dtype=wp.float64, device=device)
         self._rest = _joined([part for part, _ in bound])
         self._directions = np.concatenate([normals for _, normals in bound])
         self._vertices: _Bound | None = _joined(vertices) if vertices else None
@@ -808,15 +838,24 @@ class _ScenePoints:
         """Launches that bring all points where motions take them."""
         device, carried = self._device, slice(0, self._carried)
         inputs = [_vectors(self._rest.points, device), _vectors(self._directions, device)]
-        inputs += [_carriers(self._rest, device), motions, self.points[carried], self.normals[carried]]
-        calls = [launch(carrying.carry_points, self._carried, inputs, device)]
+        inputs += [_carriers(self._rest, device), motions, self.points[:, carried], self.normals[:, carried]]
+        calls = [launch(carrying.carry_points, (self._worlds, self._carried), inputs, device)]
         if self._vertices is not None and self._faces is not None:
             faces: Any = wp.array(self._faces.astype(np.int32), dtype=wp.vec3i, device=device)
-            results = [self.points[self._carried :], self.normals[self._carried :]]
-            results += [self.areas[self._carried - self.sampled.start :]]
+            results = [self.points[:, self._carried :], self.normals[:, self._carried :]]
+            results += [self.areas[:, self._carried - self.sampled.start :]]
             inputs = [_vectors(self._vertices.points, device), faces, _carriers(self._vertices, device), motions]
-            calls.append(launch(carrying.carry_faces, len(self._faces), [*inputs, *results], device))
+            calls.append(launch(carrying.carry_faces, (self._worlds, len(self._faces)), [*inputs, *results], device))
         return calls
+
+
+def _loaded(skin: SkinModel, stepper: SkinStepper | None) -> tuple[Float, Float, SkinBinding | None]:
+    """Where a skin takes pressure [m], normals there and what carries them: all its points, or those of a stepper."""
+    quadrature = skin.layer.quadrature
+    if stepper is None or stepper.points is None:
+        return quadrature.points, quadrature.normals, skin.quadrature_binding
+    points = quadrature.points[stepper.points]
+    return points, quadrature.normals[stepper.points], skin.carrier.bind(points)
 
 
 def _rest_samples(reference: PosedScene, number: int) -> tuple[Float, Float, Float]:
@@ -855,12 +894,18 @@ class _Owners:
             whole_numbers(values, device) for values in (self._order, self._starts, self._run_parts, self._of_parts)
         )
         runs = len(self._starts) - 1
-        sums: Any = wp.zeros((runs, 6), dtype=wp.float64, device=device)
-        lanes: Any = wp.zeros((summing.LANES, self._parts, 6), dtype=wp.float64, device=device)
+        worlds = len(result)
+        sums: Any = wp.zeros((worlds, runs, 6), dtype=wp.float64, device=device)
+        lanes: Any = wp.zeros((worlds, summing.LANES, self._parts, 6), dtype=wp.float64, device=device)
         return [
-            launch(summing.sums_of_runs, runs, [loads, points, normals, order, starts, parts, origins, sums], device),
+            launch(
+                summing.sums_of_runs,
+                (worlds, runs),
+                [loads, points, normals, order, starts, parts, origins, sums],
+                device,
+            ),
             launch(summing.sums_of_parts, lanes.shape, [sums, of_parts, lanes], device),
-            launch(summing.sums_of_lanes, (self._parts, 6), [lanes, result], device),
+            launch(summing.sums_of_lanes, result.shape, [lanes, result], device),
         ]
 
 
@@ -882,8 +927,8 @@ def _mesh_calls(
         for number, shape in enumerate(model.skins[skin].obstacles_in_one[0]):
             parts.append(_bound(shape, None, rows.obstacles[skin].start + number))
     bound = _joined(parts)
-    inputs = [_vectors(bound.points, device), _carriers(bound, device), motions, mesh.points]
-    return [launch(carrying.carry_vertices, len(bound.points), inputs, device), mesh.refit]
+    inputs = [_vectors(bound.points, device), _carriers(bound, device), motions, mesh.points.reshape((1, -1))]
+    return [launch(carrying.carry_vertices, (1, len(bound.points)), inputs, device), mesh.refit]
 
 
 def _vectors(values: Float, device: str) -> Any:

@@ -22,7 +22,7 @@ from palmfield.drive.transducer_response import (
     emitted_over,
     rows,
 )
-from palmfield.simulation.model import HapticModel, StimulusModel
+from palmfield.simulation.model import HapticModel, StimulusModel, about_stimulus
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.stimulus.focal_points import FocalPoints
 from palmfield.stimulus.modulation import peak_amplitude
@@ -35,6 +35,8 @@ LEAST_MEANS = 4
 """Parts of a MuJoCo step over which the force on bodies is averaged, at least; of drives that move, which cost more, 2.
 
 By estimate two parts leave 5 % of error in the millisecond in which transducers ring up, and then 1 % for 7 m/s."""
+BOOLE, BOOLE_SHARES = 4, np.array([7.0, 32.0, 12.0, 32.0, 7.0]) / 90.0
+"""Parts of a step over which a course goes along a straight line, and the shares of their ends in its mean."""
 NEGLIGIBLE = 1e-5
 """Share of the emitted power that the mean force may leave out."""
 
@@ -246,7 +248,16 @@ class Emission:
 
 
 def mean_weights(moments: Moments) -> Float:
-    """Share of each moment in the mean over all steps, shape (m,)."""
+    """Share of each moment in the mean over all steps, shape (m,); 0 for moments that are left out.
+
+    Along a straight course five moments give it as exactly as all, by Boole's rule (Abramowitz and Stegun 25.4.14):
+    the forces of `hover_explore` are 0.077 % off those of eight times as many moments, where all 13 are 0.084 %.
+    """
+    steps = len(moments.first)
+    if steps > BOOLE and steps % BOOLE == 0 and True not in moments.linear[:1] and all(moments.linear[1:]):
+        weights = np.zeros(steps + 1)
+        weights[:: steps // BOOLE] = BOOLE_SHARES
+        return weights
     return np.asarray(0.5 * np.add.reduce(moments.first + moments.last, axis=0) / len(moments.first))
 
 
@@ -290,7 +301,9 @@ def _moves_alone(model: HapticModel, drives: list[ArrayDrive]) -> bool:
 def array_drives(model: HapticModel, arrays: PhasedArray, board: Board | None = None) -> list[ArrayDrive]:
     """How each stimulus drives its transducers, with the arrays in one relative pose; board: None for the model's."""
     board = model.board if board is None else board
-    return [
-        ArrayDrive(arrays, part.transducers, part.config.arp_peak_Pa, peak_amplitude(part.config), board)
-        for part in model.stimuli
-    ]
+    drives = []
+    for part in model.stimuli:
+        about, config = about_stimulus(part.spec.name), part.config
+        level = peak_amplitude(config)
+        drives.append(ArrayDrive(arrays, part.transducers, config.arp_peak_Pa, level, board, about[:1], about))
+    return drives

@@ -68,19 +68,13 @@ class BodyModel:
     name: of MuJoCo's body; surface: whole and closed, None for a disc, whose lit face is the skin itself
     hand: the surface with its bones, None for a body in one piece
     depth_to_bone_m: by vertex of the surface, shape (v,), or one depth for all
-    force_accuracy: to which its samples give the force of the sound
     """
 
-    def __init__(
-        self,
-        name: str,
-        surface: Surface | None,
-        hand: SkinnedSurface | None,
-        depth_to_bone_m: Float | float,
-        force_accuracy: float = A_FACE,
-    ):
+    force_accuracy: float = A_FACE
+    """To which its samples give the force of the sound."""
+
+    def __init__(self, name: str, surface: Surface | None, hand: SkinnedSurface | None, depth_to_bone_m: Float | float):
         self.name, self.surface, self.hand, self.depth_to_bone_m = name, surface, hand, depth_to_bone_m
-        self.force_accuracy = force_accuracy
         self.lock = threading.RLock()
         origins = [] if hand is None else [bone.origin for bone in hand.bones]
         self.rest_origins: Float = np.array(origins).reshape(-1, 3)
@@ -93,11 +87,11 @@ class BodyModel:
 
     @locked_cached_property
     def sample_mesh(self) -> SampleMesh:
-        """The triangles whose middles are the samples for the force, at rest; its faces: of the surface."""
+        """The triangles whose middles are the samples for the force, at rest."""
+        if self.hand is not None:
+            return sample_mesh(self.hand.surface.vertices, self.hand.surface.faces, self.force_accuracy)
         assert self.surface is not None
         vertices, faces = self.surface.vertices, self.surface.faces
-        if self.hand is not None:
-            return sample_mesh(vertices, faces, self.force_accuracy)
         made = sample_mesh(*with_short_edges(vertices, faces, EDGE_m), self.force_accuracy)
         return made._replace(faces=short_edge_parents(vertices, faces, EDGE_m)[made.faces])
 
@@ -109,9 +103,8 @@ class BodyModel:
         if mesh.corners is self.hand.surface.faces:
             return self.hand
         binding = SkinBinding.to(self.hand, mesh.points)
-        return SkinnedSurface(
-            self.hand.bones, Surface(mesh.points, mesh.corners, np.zeros_like(mesh.points)), binding.weights.T
-        )
+        surface = Surface(mesh.points, mesh.corners, np.zeros_like(mesh.points))
+        return SkinnedSurface(self.hand.bones, surface, binding.weights.T)
 
     @locked_cached_property
     def sample_bones(self) -> Int:
@@ -352,6 +345,11 @@ class HapticModel:
     def carried(self, body: int) -> list[int]:
         """Numbers of the skins on a body; the first one's keys count for the force on the body."""
         return [number for number, skin in enumerate(self.skins) if skin.body == body]
+
+
+def about_stimulus(name: str) -> tuple[str, str]:
+    """How errors name a stimulus of the scene, and where it says its foci."""
+    return f"plugin 'palmfield.stimulus' instance '{name}'", "key 'focus_m'"
 
 
 def array_instances(spec: SceneSpec) -> tuple[ArrayInstance, ...]:

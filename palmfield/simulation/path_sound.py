@@ -1,10 +1,10 @@
 """ARP along a path that is known ahead, on bodies that keep still: a few fields, made once, give all of it."""
 
 from palmfield.acoustics.spanned_arp import SpannedArp, SpannedFields, drives_span, spanned_fields
-from palmfield.simulation.known_load import one_shape, path_drives
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.radiation import Radiation, Role
+from palmfield.simulation.small_models.known_load import one_shape, path_drives
 from palmfield.types import Complex, Float32, Int
 
 

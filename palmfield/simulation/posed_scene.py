@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palmfield.acoustics.phased_array import PhasedArray
+from palmfield.errors import naming
 from palmfield.hand.posed_surface import SkinBinding, blend
 from palmfield.simulation.model import BodyModel, HapticModel, SkinModel, StimulusModel, array_instances
 from palmfield.stimulus.focal_points import FocalPoints, SurfaceCourse
@@ -374,4 +375,5 @@ def _arrays(
     for arrays in (model.arrays, previous.arrays):
         if arrays.same(placements):
             return arrays
-    return PhasedArray(array_instances(model.spec), placements, model.spec.device)
+    with naming("plugin 'palmfield.array'"):
+        return PhasedArray(array_instances(model.spec), placements, model.spec.device)

@@ -26,7 +26,7 @@ from palmfield.config import (
 from palmfield.config.skin import OF_SHAPES
 from palmfield.data import find_file
 from palmfield.device import resolve
-from palmfield.errors import PalmfieldError, SceneError, did_you_mean
+from palmfield.errors import PalmfieldError, SceneError, did_you_mean, naming
 from palmfield.hand.articulated import articulate
 from palmfield.hand.collision_shapes import Obstacle
 from palmfield.hand.preset import load_preset
@@ -518,7 +518,8 @@ def _bones(skin: SkinConfig, element: str) -> tuple[str, list[Any]]:
     if skin.shape == "rigged":
         assert skin.mesh
         mesh = rigged_file(skin.mesh, skin.unit)
-        joint, prefix = joint_of_body(skin.body, mesh.joints)
+        with naming(element, "key 'body'"):
+            joint, prefix = joint_of_body(skin.body, mesh.joints)
         return prefix, bones_of_mesh(mesh, mesh.joints.rest[joint, :3, 3])
     if not skin.body.endswith("hand"):
         raise SceneError(f"{element}: key 'body' has value '{skin.body}'; allowed: the palm, [prefix]hand")

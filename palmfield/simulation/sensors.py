@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from operator import attrgetter
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -84,7 +84,7 @@ def sensor_place(skin: SkinModel, site: Float, element: str) -> SensorPlace:
     return SensorPlace(probe, skin.carrier.bind(probe.closest))
 
 
-def skin_reading(force: Float, motion: Float, arp: float) -> SkinReading:
+def skin_reading(force: Float, motion: Float, arp: Any) -> SkinReading:
     """Make the reading at a sensor's place, in one world or in each of several: the only place that fills its fields.
 
     force: on the body [N], shape (3,); motion: displacement [m] and velocity [m/s], shape (2,); arp: [Pa]
@@ -92,6 +92,21 @@ def skin_reading(force: Float, motion: Float, arp: float) -> SkinReading:
     x, y, z = force
     displacement, velocity = motion
     return SkinReading(x, y, z, displacement, velocity, arp)
+
+
+def channels_of_worlds(forces: Float, motions: Float, arps: Float) -> Float:
+    """Data of a sensor in several worlds, shape (g, channels); arguments: as of `skin_reading`, with an axis in front.
+
+    The fields of a reading are taken for all worlds at once, any other channel for each by itself.
+    """
+    together = skin_reading(forces.T, motions.T, arps)
+    rows = []
+    for name, channel in CHANNELS.items():
+        if name in SkinReading._fields:
+            rows.append(getattr(together, name))
+        else:
+            rows.append([channel(skin_reading(*row)) for row in zip(forces, motions, arps, strict=True)])
+    return np.array(rows, dtype=np.float64).T
 
 
 def channels(reading: SkinReading) -> list[float]:

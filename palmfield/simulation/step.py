@@ -16,13 +16,18 @@ from palmfield.simulation.device_sound import DeviceSound, SkinStart, pattern_we
 from palmfield.simulation.emission import Emission
 from palmfield.simulation.forces import BodyForces
 from palmfield.simulation.model import HapticModel
-from palmfield.simulation.outside_class import OutsideClass, leaves_class, loudest_load
 from palmfield.simulation.path_sound import PathSound
 from palmfield.simulation.posed_scene import PosedScene, reference_scene
 from palmfield.simulation.prefetch import LoadPrefetch
 from palmfield.simulation.radiation import Radiation, Role
+from palmfield.simulation.small_models.leaving import (
+    OutsideClass,
+    continue_on_whole_layer,
+    leaves_class,
+    leaves_small_model,
+    loudest_load,
+)
 from palmfield.simulation.state import WHOLE, HapticState, at_rest, claim, stepper_of
-from palmfield.simulation.whole_layer import continue_on_whole_layer, leaves_small_model
 from palmfield.skin.stepper import Outside, Reader, SkinStepper, SurfaceLoads
 from palmfield.stimulus.schedule import Moments
 from palmfield.types import Complex, Float, Float32, Int

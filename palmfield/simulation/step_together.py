@@ -5,7 +5,7 @@ operations on arrays with an entry for each world. Fields, forces and sensors of
 world, and kept while pose and drive stay. Any other world is stepped by `palmfield.simulation.step`.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from operator import is_
 from typing import NamedTuple
 
@@ -17,21 +17,18 @@ from palmfield.drive.transducer_response import SILENT, ring
 from palmfield.errors import PalmfieldError, naming_world
 from palmfield.simulation.emission import LEAST_MEANS
 from palmfield.simulation.model import HapticModel
-from palmfield.simulation.outside_class import leaves_class
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.radiation import Role
+from palmfield.simulation.small_models.leaving import continue_on_whole_layer, leaves_class, leaves_small_model
 from palmfield.simulation.state import BEGUN, HEADER, WHOLE, HapticState, check_arrays, claim, stepper_of
 from palmfield.simulation.step import Workspace
-from palmfield.simulation.whole_layer import continue_on_whole_layer, leaves_small_model
-from palmfield.skin.reduction.device_worlds import DeviceWorlds, device_worlds
-from palmfield.skin.stepper import Outside, Reader, SkinStepper, SurfaceLoads
+from palmfield.skin.stepper import DeviceStep, Outside, SkinStepper, SurfaceLoads
 from palmfield.stimulus.levels import Levels, goes_smoothly
 from palmfield.stimulus.schedule import Moments, first_point, substep_moments
 from palmfield.types import Complex, Float, Float32, Int
 
 Bool = NDArray[np.bool_]
 Rows = NDArray[np.intp]
-Step = Callable[[Float, SurfaceLoads, float, float, Reader | None], Float | Float32 | None]
 KEPT = 64
 """Ways in which worlds were shared out among steppers."""
 
@@ -92,7 +89,7 @@ class TogetherStep:
         self._serves: list[list[PosedScene | None]] = [[None] * worlds for _ in first.skins]
         self._groups: dict[tuple[int, bytes, bytes], list[tuple[SkinStepper, Rows]]] = {}
         self._device = resolve(first.spec.device)
-        self._on_devices: dict[tuple[int, SkinStepper], DeviceWorlds | None] = {}
+        self._on_devices: dict[tuple[int, SkinStepper], DeviceStep | None] = {}
         self.observer: Callable[[TogetherTrace], None] | None = None
         self.joined: Rows = np.zeros(0, dtype=np.intp)
         self.apart: list[int] = list(range(worlds))
@@ -114,12 +111,15 @@ class TogetherStep:
 
     # -- the beginning of a step ---------------------------------------------------------------------------------------
 
-    def begin(self, posed: Sequence[PosedScene], t0: float) -> None:
-        """Take the poses of all worlds where a step begins at t0 [s], and find out who takes it together."""
+    def begin(self, posed: Mapping[int, PosedScene], t0: float) -> None:
+        """Take the poses of some worlds where a step begins at t0 [s], and find out who of them takes it together."""
         if not self._some:
+            self.apart = list(posed)
             return
-        joins = self._may_join.copy()
-        for world, now in enumerate(posed):
+        here = np.zeros(len(self.models), dtype=bool)
+        here[list(posed)] = True
+        joins = self._may_join & here
+        for world, now in posed.items():
             if self._posed[world] is not now and joins[world]:
                 try:
                     self._meet(world, now, t0)
@@ -128,7 +128,7 @@ class TogetherStep:
                     self._posed[world], joins[world] = None, False
         joins &= self._levels_alike()
         joins &= ~self._levels.jump(t0, t0 + self.models[0].spec.timestep_s)
-        self.joined, self.apart = joins.nonzero()[0], (~joins).nonzero()[0].tolist()
+        self.joined, self.apart = joins.nonzero()[0], (here & ~joins).nonzero()[0].tolist()
         self._known = joins
 
     def _meet(self, world: int, posed: PosedScene, t0: float) -> None:
@@ -326,12 +326,11 @@ class TogetherStep:
         part[worlds, numbers] = states
         return seen
 
-    def _on_device(self, skin: int, stepper: SkinStepper) -> Step | None:
+    def _on_device(self, skin: int, stepper: SkinStepper) -> DeviceStep | None:
         """What steps a skin in place of its stepper, where the device is a GPU and has it; kept."""
         if (skin, stepper) not in self._on_devices:
-            self._on_devices[skin, stepper] = device_worlds(stepper, len(self.models), self._device)
-        known = self._on_devices[skin, stepper]
-        return None if known is None else known.step
+            self._on_devices[skin, stepper] = stepper.device_worlds(len(self.models), self._device)
+        return self._on_devices[skin, stepper]
 
     def _pressure(self, skin: int, stepper: SkinStepper, world: int) -> "_Pressure":
         """The pressure of a world's unit drive on a skin, at the points where a stepper takes it; the last is kept."""

@@ -93,13 +93,10 @@ def material_of(skin: SkinConfig) -> Material:
     branch = [changed.get(key) for key in of_branch]
     if branch != [None, None]:
         if base.series != base.branches:
-            raise SceneError(
-                f"plugin 'palmfield.skin': material '{base.name}' follows a law of its own, without branches; "
-                f"leave out {' and '.join(key for key in of_branch if key in changed)}"
-            )
+            raise SceneError(f"material '{base.name}' follows a law of its own: leave out {' and '.join(of_branch)}")
         if None in branch and len(base.branches) != 1:
             raise SceneError(
-                f"plugin 'palmfield.skin': material '{base.name}' has {len(base.branches)} branches; "
+                f"material '{base.name}' has {len(base.branches)} branches; "
                 "give both shear_branch_Pa and relaxation_time_s, which then stand for all of them"
             )
         own = base.branches[0] if base.branches else Branch(0.0, 0.0)

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import sparse
 
 from palmfield.config.skin import OF_SHAPES, Side, SkinConfig
-from palmfield.errors import SceneError
+from palmfield.errors import SceneError, naming
 from palmfield.hand.patch import surface_patch
 from palmfield.hand.preset import load_preset
 from palmfield.hand.skeleton import MIRROR
@@ -83,7 +83,7 @@ def layer_sizes(
     timestep_s: float,
     resizing: float = 1.0,
     *,
-    element: str = "plugin 'palmfield.skin'",
+    element: str = "skin layer",
 ) -> LayerSizes:
     """Sizes of a scene's layer for its target accuracy; see LayerDemand.
 
@@ -141,12 +141,13 @@ class SceneLayer:
         demand: LayerDemand,
         *,
         resizing: float = 1.0,
-        element: str = "plugin 'palmfield.skin'",
+        element: str = "skin layer",
         sheets: tuple[Sheet, ...] | None = None,
     ) -> None:
         self.config, self.surface, self.depth_m, self.centre_m = config, surface, depth_m, centre_m
         self.demand, self.resizing, self.element = demand, resizing, element
-        self.sheets = sheets_of(config) if sheets is None else sheets
+        with naming(element):
+            self.sheets = sheets_of(config) if sheets is None else sheets
         self.lock = threading.RLock()
 
     def resized(

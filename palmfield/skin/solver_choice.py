@@ -58,13 +58,13 @@ WHERE = {
     "wedges": dict.fromkeys((*FUNCTIONS, "static"), "solvers.wedges"),
     "spectral_elements": {
         **dict.fromkeys((*FUNCTIONS, "finer", "prepared"), "solvers.spectral_elements.solve"),
-        "scene": "solvers.spectral_elements.scene",
+        "scene": "solvers.spectral_elements.stepper",
     },
     "particles": {
         "solve": "solvers.particles.solve",
         "refusal": "solvers.particles.resolution",
         "cost": "solvers.particles.resolution",
-        "scene": "solvers.particles.scene",
+        "scene": "solvers.particles.stepper",
     },
 }
 """Modules of palmfield.skin that hold each solver's solve_NAME, refusal_NAME and cost_NAME.
@@ -238,7 +238,7 @@ def solve(
     check_rest(body, load, moments)
     # Points off the body would make every solver refuse.
     on_face = points_on_face(body, points)
-    cut = 0.0
+    cut, law = 0.0, max(sheet.material.series_error for sheet in body.sheets)
     if not whole and is_pressed(load):
         body, load, cut = truncate_domain(body, load, float(moments[-1]), points, accuracy)
     load = on_body(body, load)
@@ -259,7 +259,7 @@ def solve(
     again = partial(function(name, "solve"), body, load, moments, points, accuracy_of=accuracy_of, device=where, **more)
     target, mesh = accuracy, dict[str, Any]()
     for _ in range(FINER):
-        miss = (motion.error + cut) / accuracy
+        miss = (motion.error + cut + law) / accuracy
         if miss <= 1.0 or resolution:
             break
         if "finer" in WHERE[name]:
@@ -271,14 +271,14 @@ def solve(
         except SceneError as reason:
             why += f"; not solved finer: {reason}"
             break
-    error = motion.error + cut
-    source = motion.error_source
-    if cut > 0.0:
-        source += f"; {cut:.2g} for leaving out the layer beyond the reach of load and points"
+    error = motion.error + cut + law
+    reasons = "leaving out the layer beyond the reach of load and points", "branches in place of a material's law"
+    added = (f"; {part:.2g} for {what}" for part, what in zip((cut, law), reasons, strict=True) if part > 0.0)
+    source = motion.error_source + "".join(added)
     if error > accuracy:
         why += f"; error {100 * error:.2g} % NOT within the target of {100 * accuracy:.2g} %"
     spent = time.perf_counter() - begin
-    all_errors = {f"{quantity}_error": getattr(motion, f"{quantity}_error") + cut for quantity in QUANTITIES}
+    all_errors = {f"{quantity}_error": getattr(motion, f"{quantity}_error") + cut + law for quantity in QUANTITIES}
     solver_words = f"{motion.solver} ({why})"
     return replace(motion, error=error, error_source=source, solver=solver_words, seconds=spent, **all_errors)
 

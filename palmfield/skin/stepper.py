@@ -4,7 +4,7 @@ A stepper is made once for a layer and never changes, so that threads share it; 
 have a leading axis for worlds: several bodies alike, each with its own state and loads, are stepped in one call.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
@@ -12,6 +12,7 @@ import numpy as np
 from scipy import sparse
 
 from palmfield.errors import SceneError
+from palmfield.threads import Calls
 from palmfield.types import Complex, Float, Float32, Int
 
 CLOCK = 1e-6
@@ -58,6 +59,24 @@ class Outside(NamedTuple):
     plain_of_all: float
 
 
+class StepMemory(NamedTuple):
+    """Where a step of a skin in w worlds finds its numbers on a device, and where it leaves them.
+
+    counts: drives and patterns, int32, shape (w, 2); pressure: patterns at all the layer's quadrature points [Pa],
+        float32, shape (w m, q), or, if `chosen`, at the stepper's own
+    weights: of each pattern, float64, shape (w, `DeviceModel.weight_rows`, m)
+    before, after: the state, float64, shape (w, n); squares: float64, shape (w, SECTIONS, s, `kernels.LANES`)
+    """
+
+    counts: Any
+    pressure: Any
+    weights: Any
+    before: Any
+    after: Any
+    squares: Any
+    chosen: bool = False
+
+
 class StepWork(NamedTuple):
     """What all substeps take as dense products: operations and numbers read in either precision, and kernels."""
 
@@ -66,6 +85,10 @@ class StepWork(NamedTuple):
     single_read: float
     double_read: float
     kernels: int
+
+
+DeviceStep = Callable[[Float, SurfaceLoads, float, float, Reader | None], Float | Float32 | None]
+"""As `SkinStepper.step`."""
 
 
 class SkinStepper(Protocol):
@@ -120,6 +143,14 @@ class SkinStepper(Protocol):
         """What it is, in words, for a run's summary."""
         return self.name
 
+    def device_model(self, substeps: int, points: int, device: str) -> "DeviceModel | None":
+        """It on a device; None where it stays on the CPU. substeps: of a step; points: of the layer's quadrature."""
+        return None
+
+    def device_worlds(self, most: int, device: str) -> "DeviceStep | None":
+        """What steps so many worlds on a device in place of `step`, None where that does."""
+        return None
+
     def work(self, patterns: int, substeps: int) -> StepWork | None:
         """What substeps under some patterns of pressure at its points take, None where they are no dense products."""
         return None
@@ -143,6 +174,33 @@ class SkinStepper(Protocol):
         """Of a small model: operator @ displacement [m], shape (m,), under a pressure at its points, (p,), times
         e^{-i w t}."""
         raise TypeError(f"solver '{self.name}' is no small model")
+
+
+class DeviceModel(Protocol):
+    """A stepper's numbers on a device, for steps of so many substeps.
+
+    stepper: whose state it carries; weight_rows: of `weights`
+    """
+
+    @property
+    def stepper(self) -> SkinStepper: ...
+    @property
+    def substeps(self) -> int: ...
+    @property
+    def weight_rows(self) -> int: ...
+
+    def weights(self, first: Float, last: Float) -> Float:
+        """Weights of the patterns as the launches take them, from those of SurfaceLoads, shape (s, m)."""
+        ...
+
+    def calls(self, memory: StepMemory) -> Calls:
+        """Launches that do all substeps."""
+        ...
+
+    def outside(self, sums: Sequence[Any]) -> Outside | None:
+        """What of the load lies outside the class that the stepper serves, from the launches' sums of squares, if it
+        has one; sums: SECTIONS numbers, or arrays of one for each world."""
+        ...
 
 
 def check_step(

@@ -154,7 +154,7 @@ def _too_loud(config: StimulusConfig, takes: str, limit: float) -> SceneError:
     # Rounded down, so that what is advised is not refused
     advice = math.floor(1e4 * limit) / 1e4
     return SceneError(
-        f"plugin 'palmfield.stimulus': drive_amplitude {_amplitude(config):g} is {of} (am_normalisation "
+        f"drive_amplitude {_amplitude(config):g} is {of} (am_normalisation "
         f"{config.am_normalisation}), so that with am_depth {config.am_depth:g} the loudest moment takes {takes}; set "
         f"drive_amplitude to {advice:g} or less, am_depth smaller, or am_normalisation to peak"
     )

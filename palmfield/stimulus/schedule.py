@@ -418,6 +418,12 @@ def _jumps(config: StimulusConfig, timing: "_Timing", start: float, end: float) 
     return times
 
 
+def edges_of(config: StimulusConfig) -> tuple[float, ...] | None:
+    """When a stimulus begins and ends [s], if neither focus nor level jump or are held otherwise; else None."""
+    _, timing = _timings.get(id(config)) or _timed(config)
+    return timing.edges if timing.smooth and not timing.grids else None
+
+
 def mean_arp_factor(config: StimulusConfig, start: float, end: float, count: int) -> float:
     """Mean of the ARP factor over an interval [s], from `count` midpoints between jumps."""
     _, timing = _timings.get(id(config)) or _timed(config)

@@ -32,11 +32,11 @@ from scipy import sparse
 
 import palmfield
 from palmfield.acoustics.surface_arp import SurfaceArp
-from palmfield.simulation import load_class
 from palmfield.simulation.emission import array_drives
 from palmfield.simulation.model import HapticModel
-from palmfield.simulation.outside_class import SHORT_WAVES, OutsideClass
 from palmfield.simulation.posed_scene import reference_scene
+from palmfield.simulation.small_models import load_class
+from palmfield.simulation.small_models.leaving import SHORT_WAVES, OutsideClass
 from palmfield.skin.materials.catalogue import PRESETS
 from palmfield.skin.materials.material import prony
 from palmfield.skin.reduction.modal_stepper import ModalStepper
@@ -235,10 +235,10 @@ def write(page: Path, lines: list[str], curves: dict, jumps: dict, smoother: dic
     text = [
         "# Modes for every load of a class",
         "",
-        "A skin whose load is not known ahead moves by modes that serve every sound of the scene's arrays on a",
-        "region (`palmfield/skin/reduction/modal_stepper.py`, `palmfield/simulation/load_class.py`). Here they are",
-        "held against the whole layer on the same mesh, with the same step, under loads that no basis was made for:",
-        "consistency with that layer, whose own accuracy is in [skin](skin.md).",
+        "A skin whose load is not known ahead moves by modes that serve every sound of the scene's arrays on a region",
+        "(`palmfield/skin/reduction/modal_stepper.py`, `palmfield/simulation/small_models/load_class.py`). Here they",
+        "are held against the whole layer on the same mesh, with the same step, under loads that no basis was made",
+        "for: consistency with that layer, whose own accuracy is in [skin](skin.md).",
         "",
         f"Written by `python scripts/verification/check_modes.py {asked} --write docs/bench/modes.md`, commit "
         f"{commit}, {processor()}, Python {platform.python_version()}.",

@@ -58,7 +58,7 @@ class Bench:
         self.transducers = Transducers(array, "cpu")
         self.block = SharedBlock(DriveTable.parts(drives, sums, len(array)), "cpu")
         self.points, self.normals = (
-            wp.array(values.astype(np.float32), dtype=wp.vec3, device="cpu") for values in (points, normals)
+            wp.array(values.astype(np.float32)[None], dtype=wp.vec3, device="cpu") for values in (points, normals)
         )
         self.result = SharedArray((sums, len(points)), wp.float32, "cpu")
         surfaces = surfaces or [Surface(slice(0, len(points)), "default", None)]
@@ -66,7 +66,8 @@ class Bench:
         self.calls = sound_calls(self.transducers, table, self.points, self.normals, surfaces, array, self.result.array)
 
     def arp(self, drives: Complex, levels: Complex | None = None) -> Float32:
-        fill_table(tuple(self.block.hosts.values()), self.transducers.strengths(drives), levels)
+        counts, table, weights = self.block.hosts.values()
+        fill_table((counts[0], table, weights), self.transducers.strengths(drives), levels)
         for call in self.calls:
             call()
         return self.result.host[: len(drives if levels is None else levels)].copy()

@@ -116,8 +116,8 @@ def test_few_places_are_solved_once_each(source, monkeypatch):
 @pytest.mark.parametrize(
     ("place", "keys", "words"),
     [
-        ((0, 0, -0.1), {}, "key 'focus_m': focus .* is behind the array"),
-        ((np.nan, 0, 0.1), {}, "key 'focus_m': focus .* is not a finite position"),
+        ((0, 0, -0.1), {}, "^focus .* is behind the array"),
+        ((np.nan, 0, 0.1), {}, "^focus .* is not a finite position"),
         ((0, 0, 0.2), {"arp_peak_Pa": 1e6}, r"arp_peak_Pa 1e\+06 is more than the array gives at \(0.0, 0.0, 200.0\)"),
     ],
 )
@@ -139,7 +139,7 @@ def test_a_place_that_does_not_sound_need_not_be_one_that_the_array_can_make(sou
 
 def test_dead_transducers_are_named(mixed):
     only_dead = np.array([3, 70], np.int32)
-    with pytest.raises(SceneError, match="are dead: shorten key 'dead'"):
+    with pytest.raises(SceneError, match="are dead: name fewer"):
         drive_of(mixed, chosen=only_dead, arp_peak_Pa=1.0).unit_drive(np.array([0.0, 0.0, 0.2]))
 
 

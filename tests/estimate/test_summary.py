@@ -64,7 +64,7 @@ def test_a_choice_that_refuses_is_told(small_scene, moment, monkeypatch):
     def refuse(*args):
         raise palmfield.SceneError("more vectors than MOST_VECTORS")
 
-    monkeypatch.setattr("palmfield.simulation.known_load.reduced_stepper", refuse)
+    monkeypatch.setattr("palmfield.simulation.small_models.known_load.reduced_stepper", refuse)
     path = small_scene(skin={"element_m": 0.005})
     path.write_text(path.read_text().replace('data="0.015"', 'data="60"'))
     scene = palmfield.load(path)

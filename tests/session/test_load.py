@@ -1,5 +1,6 @@
 """Scenes: the shipped ones load, and each kind of bad input gets one line that names cause and mend."""
 
+import pickle
 import subprocess
 import sys
 from pathlib import Path
@@ -175,3 +176,21 @@ def test_two_drivers_are_refused(small_scene):
 def test_mujoco_itself_reports_the_error(small_scene):
     with pytest.raises(ValueError, match="key 'p0_Pa_m' has value 'nan'"):
         mujoco.MjModel.from_xml_path(str(small_scene(array={"p0_Pa_m": "nan"})))
+
+
+def test_an_error_carries_what_it_is_about_as_fields(small_scene):
+    """Names come from the layers that know them, and are not put into the text of those that don't."""
+    with pytest.raises(palmfield.SceneError) as loud:
+        palmfield.load(small_scene(stimulus={"arp_peak_Pa": 1e6}))
+    assert loud.value.about[1:] == ("plugin 'palmfield.stimulus' instance 'stimulus'",)
+    assert loud.value.args[0].startswith("arp_peak_Pa 1e+06 is more") and "small.xml" in loud.value.about[0]
+    behind = small_scene(stimulus={"focus_m": "0 0 -0.1"})
+    with pytest.raises(palmfield.SceneError) as turned:
+        palmfield.load(behind)
+    place, *about = turned.value.about
+    assert about == ["plugin 'palmfield.stimulus' instance 'stimulus'", "key 'focus_m'"]
+    line = 1 + behind.read_text()[: behind.read_text().index('"focus_m"')].count("\n")
+    assert f"line {line}" in place
+    assert str(turned.value) == ": ".join((*turned.value.about, turned.value.args[0]))
+    again = pickle.loads(pickle.dumps(turned.value))
+    assert again.about == turned.value.about and str(again) == str(turned.value)

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 import palmfield
-from palmfield.engine import scene_runtime
-from palmfield.engine import worlds as worlds_engine
+from palmfield.engine import many_data, scene_runtime
 from palmfield.engine.worlds import SceneWorlds
 from palmfield.errors import DeviceError, SceneError
 from palmfield.session.worlds import Worlds
@@ -255,8 +254,8 @@ def test_what_modes_state_of_their_error_is_for_the_most_sudden_world(small_scen
 
 def test_two_skins_in_each_world(small_scene, add_skin, monkeypatch):
     """MuJoCo steps the bodies of several worlds at once, in threads."""
-    monkeypatch.setattr(worlds_engine, "FREEDOMS_PER_THREAD", 1)
-    monkeypatch.setattr(worlds_engine, "cores", lambda: 3)
+    monkeypatch.setattr(many_data, "WORLDS_PER_THREAD", 1)
+    monkeypatch.setattr(many_data, "cores", lambda: 3)
     path = add_skin(small_scene(skin=SHARED | {"solver": "wedges"}), "0.01 0 0.15")
     together = palmfield.Simulation(path, worlds=3, keys=LEVELS)
     singles = singles_of(path, LEVELS, 3)
@@ -635,7 +634,7 @@ def test_a_further_channel_of_the_sensor_is_read_in_worlds_too(small_scene, monk
         push_N = property(lambda self: float(np.hypot(self.arp_force_x_N, self.arp_force_z_N)))
 
     monkeypatch.setitem(sensors.CHANNELS, "push_N", lambda reading: reading.push_N)
-    for module in (worlds_engine, scene_runtime):
+    for module in (sensors, scene_runtime):
         monkeypatch.setattr(module, "skin_reading", lambda *row: Wider(*row[0], *row[1], row[2]))
     together, single = palmfield.Simulation(small_scene(), worlds=2), palmfield.Simulation(small_scene())
     together.step(3)

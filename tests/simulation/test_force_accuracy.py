@@ -90,6 +90,12 @@ def test_samples_go_with_the_body():
     assert areas.sum() == pytest.approx(every.runtime.posed.bodies[0].samples[2].sum(), rel=0.01)
 
 
+def test_by_default_each_face_is_a_sample_and_follows_the_skin_itself():
+    sim = palmfield.Simulation(SCENES / "approach_withdraw.xml", device="cpu", accuracy=0.5)
+    body = sim.runtime.model.bodies[0]
+    assert body.sampled is body.hand and body.sample_mesh.corners is body.hand.surface.faces
+
+
 def test_a_recording_has_the_pressure_on_all_faces():
     """Faces of a cell share its sample's; together they push as the samples do."""
     sim = posed("palm_am200", 0.0075)

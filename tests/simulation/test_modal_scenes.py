@@ -10,7 +10,7 @@ from palmfield.errors import SceneError
 from palmfield.estimate.estimated_run import run
 from palmfield.planning.scene_plan import plan
 from palmfield.session.simulation import Simulation, load
-from palmfield.simulation.load_class import corner_Hz
+from palmfield.simulation.small_models.load_class import corner_Hz
 from palmfield.simulation.state import BEGUN, WHOLE
 from palmfield.skin.reduction import modal_stepper
 from palmfield.skin.reduction.modal_stepper import ModalStepper
@@ -175,7 +175,7 @@ def test_a_saved_state_goes_on(small_scene):
 
 def test_loads_outside_the_class_hand_over_to_the_whole_layer(small_scene, monkeypatch):
     """Where the scene may choose; where modes are asked for they go on, and the error tells."""
-    monkeypatch.setattr("palmfield.simulation.known_load.refusal", lambda *arguments: "not for this test")
+    monkeypatch.setattr("palmfield.simulation.small_models.known_load.refusal", lambda *arguments: "not for this test")
     monkeypatch.setattr("palmfield.skin.solver_choice.modes_s", lambda *arguments: 0.0)
     monkeypatch.setattr("palmfield.skin.solver_choice.modal_step_s", lambda *arguments: 0.0)
     chosen = Simulation(small_scene(skin=SKIN))

@@ -12,8 +12,8 @@ from palmfield.errors import SceneError
 from palmfield.estimate.estimated_run import run
 from palmfield.planning.scene_plan import plan
 from palmfield.session.simulation import load
-from palmfield.simulation import known_load
-from palmfield.simulation.known_load import MOST_TURNS, refusal
+from palmfield.simulation.small_models import known_load
+from palmfield.simulation.small_models.known_load import MOST_TURNS, refusal
 from palmfield.simulation.state import BEGUN, HEADER, WHOLE
 from palmfield.skin.fem.wedge_stepper import WedgeStepper
 from palmfield.skin.reduction import reduced_stepper

@@ -30,7 +30,7 @@ def test_substeps_divide_the_timestep():
         assert 1e-3 / found.step_s == pytest.approx(round(1e-3 / found.step_s), rel=1e-12)
         assert found.step_s <= np.sqrt(2 * min(accuracy, 0.05)) / (2 * np.pi * 200) * (1 + 1e-9)
     assert sizes(step_s=2.5e-4).step_s == pytest.approx(2.5e-4)
-    with pytest.raises(SceneError, match=r"plugin 'palmfield.skin': step_s 0\.0003 must divide the timestep 0\.001"):
+    with pytest.raises(SceneError, match=r"skin layer: step_s 0\.0003 must divide the timestep 0\.001"):
         sizes(step_s=3e-4)
 
 

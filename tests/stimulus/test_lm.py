@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from palmfield.config import StimulusConfig, parse
 from palmfield.errors import SceneError
-from palmfield.simulation.known_load import period_s
+from palmfield.simulation.small_models.known_load import period_s
 from palmfield.stimulus.schedule import (
     frame_at,
     frame_rates,

@@ -7,8 +7,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, NamedTuple
 
+import numpy as np
+
 from palmfield.errors import SceneError
-from palmfield.types import Complex
+from palmfield.types import Complex, Float
 
 INCOMPRESSIBLE = 1e6
 """K over the shear modulus that stands for nu = 0.5 in `elastic`, `kelvin_voigt` and their like.
@@ -16,6 +18,9 @@ INCOMPRESSIBLE = 1e6
 Under spots of 6 to 20 mm on bonded layers 1 to 20 mm deep, at 0 to 400 Hz, the motion is then within 6e-5 of the
 incompressible one (docs/materials.md; tests/skin/test_material.py). Thinner layers and wider spots: more.
 """
+
+FELT_Hz: Float = np.geomspace(5.0, 1000.0, 48)
+"""Frequencies at which a law is held against the series that stands for it in time."""
 
 NuOf = Literal["instant", "relaxed"]
 
@@ -59,8 +64,8 @@ class Material:
 
     No branch and no dashpot: elastic. A dashpot alone: Kelvin-Voigt. One branch: standard linear solid. More: Prony
     series. A law of another form is a subclass (docs/materials.md) with `stiffening` of its own, by ratios to G_r and
-    times, and a `series` that stands for it in time. Solvers compute with `stiffening`, `modulus` and `bulk_modulus` at
-    rates s, with `relaxation` in time, and with G_r, K and `shear_instant_Pa`, `bulk_instant_Pa` as bounds.
+    times, and a `series` that stands for it in time. Solvers compute with `stiffening` and `modulus` at rates s, with
+    `relaxation` in time, and with G_r, K, `shear_instant_Pa` and `bulk_instant_Pa` as bounds.
 
     density_kg_m3: rho [kg/m^3], > 0
     shear_relaxed_Pa: G_r [Pa], > 0
@@ -83,16 +88,17 @@ class Material:
     bulk_relaxes: bool = False
 
     def __post_init__(self) -> None:
-        values = {name: getattr(self, name) for name in ("density_kg_m3", "shear_relaxed_Pa", "bulk_Pa")}
-        for name, value in values.items():
-            if not (math.isfinite(value) and value > 0.0):
-                raise SceneError(f"material '{self.name}': {name} is {value}; give a finite number above 0")
-        values = {"viscosity_Pa_s": self.viscosity_Pa_s}
+        positive = ("density_kg_m3", "shear_relaxed_Pa", "bulk_Pa")
+        values = {name: getattr(self, name) for name in (*positive, "viscosity_Pa_s")}
         for number, branch in enumerate(self.branches):
             values |= {f"branches[{number}].shear_Pa": branch.shear_Pa, f"branches[{number}].time_s": branch.time_s}
         for name, value in values.items():
-            if not (math.isfinite(value) and value >= 0.0):
-                raise SceneError(f"material '{self.name}': {name} is {value}; give a finite number, 0 or above")
+            if not (math.isfinite(value) and (value > 0.0 or (value == 0.0 and name not in positive))):
+                least = " above 0" if name in positive else ", 0 or above"
+                raise SceneError(f"material '{self.name}': {name} is {value}; give a finite number{least}")
+        at_rest = complex(self.stiffening(0.0))
+        if not abs(at_rest - 1.0) < 1e-9:
+            raise SceneError(f"material '{self.name}': G(0) is {at_rest:g} G_r; give a law that has G_r at rest")
 
     @property
     def series(self) -> tuple[Branch, ...]:
@@ -104,6 +110,13 @@ class Material:
         """The law in time, by `series` and the dashpot."""
         branches = tuple((branch.shear_Pa / self.shear_relaxed_Pa, branch.time_s) for branch in self.series)
         return Relaxation(branches, self.viscosity_Pa_s / self.shear_relaxed_Pa)
+
+    @cached_property
+    def series_error(self) -> float:
+        """Relative error of G in time, by `relaxation`, rms over FELT_Hz; 0 of the material's own branches."""
+        s = np.asarray(-2j * np.pi * FELT_Hz, dtype=np.complex128)
+        exact = self.stiffening(s)
+        return float(np.sqrt(np.mean(np.abs((self.relaxation.stiffening(s) - exact) / exact) ** 2)))
 
     @property
     def law(self) -> tuple[type, Relaxation]:
@@ -126,16 +139,12 @@ class Material:
         return self.bulk_Pa * (self.shear_instant_Pa / self.shear_relaxed_Pa if self.bulk_relaxes else 1.0)
 
     def stiffening(self, s: complex | Complex) -> complex | Complex:
-        """G(s) / G_r at complex rates s [1/s] of e^{st}, any shape."""
+        """G(s) / G_r at complex rates s [1/s] of e^{st}, any shape; 1 at s = 0."""
         return self.relaxation.stiffening(s)
 
     def modulus(self, s: complex | Complex) -> complex | Complex:
         """G(s) [Pa]."""
         return self.shear_relaxed_Pa * self.stiffening(s)
-
-    def bulk_modulus(self, s: complex | Complex) -> complex | Complex:
-        """K(s) [Pa]."""
-        return self.bulk_Pa * (self.stiffening(s) if self.bulk_relaxes else 1.0)
 
 
 def bulk_from_poisson(nu: float, shear: float) -> float:
@@ -241,7 +250,7 @@ def complex_shear(material: Material, f_Hz: float) -> complex:
 
 def complex_bulk(material: Material, f_Hz: float) -> complex:
     """Complex bulk modulus [Pa] at f [Hz] under e^{-i w t}; real unless it follows the shear modulus."""
-    return complex(material.bulk_modulus(-2j * math.pi * f_Hz))
+    return complex(material.bulk_Pa * (material.stiffening(-2j * math.pi * f_Hz) if material.bulk_relaxes else 1.0))
 
 
 def shear_wave(material: Material, f_Hz: float) -> tuple[float, float]:

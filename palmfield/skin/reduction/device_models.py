@@ -5,15 +5,13 @@ have made of it, to rounding.
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any
 
 import numpy as np
 import warp as wp
 
 from palmfield.device import launch, whole_numbers
-from palmfield.skin.reduction.modal_stepper import ModalStepper
-from palmfield.skin.reduction.reduced_stepper import ReducedStepper
-from palmfield.skin.stepper import Outside, SkinStepper, SurfaceLoads
+from palmfield.skin.stepper import Outside, SkinStepper, StepMemory, SurfaceLoads
 from palmfield.threads import Calls
 from palmfield.types import Float
 from warp_kernels import skin_steps as kernels
@@ -28,67 +26,10 @@ SECTIONS = 4
 """Sums of squares that say what of a load lies outside the class of modes."""
 
 
-class StepMemory(NamedTuple):
-    """Where a step of a skin finds its numbers on a device, and where it leaves them.
-
-    counts: drives and patterns, int32, shape (2,); pressure: patterns at all the layer's quadrature points [Pa],
-        float32, shape (m, q)
-    weights: of each pattern, float64, shape (`DeviceModel.weight_rows`, m)
-    before, after: the state, float64, shape (n,); squares: float64, shape (SECTIONS, s, `kernels.LANES`)
-    """
-
-    counts: Any
-    pressure: Any
-    weights: Any
-    before: Any
-    after: Any
-    squares: Any
-
-
-class DeviceModel(Protocol):
-    """A stepper's numbers on a device, for steps of so many substeps.
-
-    stepper: whose state it carries; weight_rows: of `weights`
-    """
-
-    @property
-    def stepper(self) -> SkinStepper: ...
-    @property
-    def substeps(self) -> int: ...
-    @property
-    def weight_rows(self) -> int: ...
-
-    def weights(self, first: Float, last: Float) -> Float:
-        """Weights of the patterns as the launches take them, from those of SurfaceLoads, shape (s, m)."""
-        ...
-
-    def calls(self, memory: StepMemory) -> Calls:
-        """Launches that do all substeps."""
-        ...
-
-    def outside(self, squares: Float) -> Outside | None:
-        """What of the load lies outside the class that the stepper serves, from the launches' sums, if it has one."""
-        ...
-
-
-def device_model(stepper: SkinStepper, substeps: int, points: int, device: str) -> DeviceModel | None:
-    """A stepper on a device; None where it stays on the CPU: solvers of whole layers, and models too small to pay.
-
-    substeps: of a step; points: of the layer's quadrature
-    """
-    if isinstance(stepper, ModalStepper):
-        return DeviceModes(stepper, substeps, device)
-    if isinstance(stepper, ReducedStepper):
-        size, shapes = stepper.state_size, stepper.shares.shape[1]
-        if LEAST_NUMBERS <= size * (size + 2 * substeps * shapes) <= MOST_NUMBERS:
-            return DeviceReduced(stepper, substeps, points, device)
-    return None
-
-
 class DeviceModes:
-    """A ModalStepper on a device, see DeviceModel."""
+    """A ModalStepper, which makes it, on a device, see DeviceModel."""
 
-    def __init__(self, stepper: ModalStepper, substeps: int, device: str):
+    def __init__(self, stepper: Any, substeps: int, device: str):
         self.stepper, self.substeps, self.weight_rows, self._device = stepper, substeps, substeps, device
         body, advance = stepper.body, stepper.advance
         fit, back = body.shapes.fit.T, body.shapes.shapes[:, body.shapes.points]
@@ -101,7 +42,7 @@ class DeviceModes:
         self._advance: Any = wp.array(advance[: stepper.order], dtype=square, device=device)
         self._inputs: Any = wp.array(stepper.inputs[: stepper.order], dtype=numbers, device=device)
         self._felt: Any = wp.array(stepper.felt, dtype=wp.float64, device=device)
-        self._none: Any = wp.zeros(1, dtype=wp.float64, device=device)
+        self._none: Any = wp.zeros((1, 1), dtype=wp.float64, device=device)
         self._coupling: Any = wp.array(stepper.coupling, dtype=wp.float64, device=device)
 
     def weights(self, first: Float, last: Float) -> Float:
@@ -110,13 +51,14 @@ class DeviceModes:
 
     def calls(self, memory: StepMemory) -> Calls:
         """See DeviceModel."""
-        before, after = (part.reshape((self._rows, -1)) for part in (memory.before, memory.after))
+        worlds = memory.before.shape[0]
+        before, after = (part.reshape((worlds, self._rows, -1)) for part in (memory.before, memory.after))
         calls, forces = self._products.calls(memory)
         modes = kernels.lone_modes(self._rows)
 
         def carried(state: Any, first: int, last: int) -> Callable[[], object]:
             inputs = [self._advance, self._inputs, forces, first, last, state, after]
-            return launch(modes, self.stepper.order, inputs, self._device)
+            return launch(modes, (worlds, self.stepper.order), inputs, self._device)
 
         if not self.stepper.coupled:
             calls.append(carried(before, 0, self.substeps))
@@ -124,32 +66,38 @@ class DeviceModes:
             for substep in range(self.substeps):
                 state = after if substep else before
                 calls += [*self._pushes(state, forces, substep), carried(state, substep, substep + 1)]
-        dim = SECTIONS, self.substeps, kernels.LANES
-        return [*calls, launch(kernels.squares, dim, [forces, self._starts, memory.squares], self._device)]
+        squares = launch(kernels.squares, memory.squares.shape, [forces, self._starts, memory.squares], self._device)
+        return [*calls, squares]
 
     def _pushes(self, state: Any, forces: Any, substep: int) -> Calls:
         """Launches that add to the forces of a substep how modes push one another."""
-        count, (rows, columns) = len(self.stepper.felt), self._coupling.shape
+        worlds, count, (rows, columns) = len(state), len(self.stepper.felt), self._coupling.shape
         chunks = -(-rows // CHUNK)
-        mixed: Any = wp.zeros(rows, dtype=wp.float64, device=self._device)
-        parts: Any = wp.zeros((chunks, columns), dtype=wp.float64, device=self._device)
+        mixed: Any = wp.zeros((worlds, rows), dtype=wp.float64, device=self._device)
+        parts: Any = wp.zeros((worlds, chunks, columns), dtype=wp.float64, device=self._device)
         inputs = [self._coupling, mixed, self._none, CHUNK, parts]
         return [
-            launch(kernels.mixed_rows, (count, columns), [self._felt, state, mixed], self._device),
-            launch(kernels.state_products, (chunks, columns), inputs, self._device),
-            launch(kernels.add_chunks, self.stepper.order, [parts, substep, forces], self._device),
+            launch(kernels.mixed_rows, (worlds, count, columns), [self._felt, state, mixed], self._device),
+            launch(kernels.state_products, (worlds, chunks, columns), inputs, self._device),
+            launch(kernels.add_chunks, (worlds, self.stepper.order), [parts, substep, forces], self._device),
         ]
 
-    def outside(self, squares: Float) -> Outside:
+    def outside(self, sums: Sequence[Any]) -> Outside:
         """See DeviceModel."""
-        return self.stepper.weighed(np.add.reduce(squares, axis=(1, 2)).tolist())
+        return self.stepper.weighed(sums)
+
+
+def pays(size: int, shapes: int, substeps: int) -> bool:
+    """Whether a small model of so many numbers and shapes of force is worth a device."""
+    return LEAST_NUMBERS <= size * (size + 2 * substeps * shapes) <= MOST_NUMBERS
 
 
 class DeviceReduced:
-    """A ReducedStepper on a device, see DeviceModel: all substeps are one matrix."""
+    """A ReducedStepper, which makes it, on a device, see DeviceModel: all substeps are one matrix."""
 
-    def __init__(self, stepper: ReducedStepper, substeps: int, points: int, device: str):
-        self.stepper, self.substeps, self.weight_rows, self._device = stepper, substeps, 2 * substeps, device
+    def __init__(self, stepper: Any, substeps: int, points: int, device: str):
+        self.stepper: SkinStepper = stepper
+        self.substeps, self.weight_rows, self._device = substeps, 2 * substeps, device
         own = np.arange(points) if stepper.points is None else stepper.points
         self._products = _Products(own, stepper.shares, device)
         onwards = stepper.advance.T
@@ -170,12 +118,13 @@ class DeviceReduced:
         calls, forces = self._products.calls(memory)
         rows, size = self._matrix.shape
         chunks = -(-rows // CHUNK)
-        parts: Any = wp.zeros((chunks, size), dtype=wp.float64, device=self._device)
-        inputs = [self._matrix, memory.before, forces.flatten(), CHUNK, parts]
-        calls.append(launch(kernels.state_products, (chunks, size), inputs, self._device))
-        return [*calls, launch(kernels.sums_of_chunks, size, [parts, memory.after], self._device)]
+        worlds = memory.before.shape[0]
+        parts: Any = wp.zeros((worlds, chunks, size), dtype=wp.float64, device=self._device)
+        inputs = [self._matrix, memory.before, forces.reshape((worlds, -1)), CHUNK, parts]
+        calls.append(launch(kernels.state_products, parts.shape, inputs, self._device))
+        return [*calls, launch(kernels.sums_of_chunks, (worlds, size), [parts, memory.after], self._device)]
 
-    def outside(self, squares: Float) -> None:
+    def outside(self, sums: Sequence[Any]) -> None:
         """See DeviceModel."""
         return None
 
@@ -189,13 +138,14 @@ class _Products:
         self._matrix: Any = wp.array(np.ascontiguousarray(matrix, np.float32), dtype=wp.float32, device=device)
 
     def calls(self, memory: StepMemory) -> tuple[list[Callable[[], object]], Any]:
-        """Launches, and where they leave the products of each row of the weights, float64, shape (rows, c)."""
+        """Launches, and where they leave the products of each row of the weights, float64, shape (w, rows, c)."""
         points, columns = self._matrix.shape
-        blocks, chunks = -(-memory.pressure.shape[0] // kernels.ROWS), -(-points // CHUNK)
+        worlds, rows, patterns = memory.weights.shape
+        blocks, chunks = -(-patterns // kernels.ROWS) * worlds, -(-points // CHUNK)
         parts: Any = wp.zeros((chunks, blocks * kernels.ROWS, columns), dtype=wp.float32, device=self._device)
-        rows = memory.weights.shape[0]
-        mixed: Any = wp.zeros((rows, columns), dtype=wp.float64, device=self._device)
-        inputs = [memory.counts, memory.pressure, self._points, self._matrix, CHUNK, parts]
+        mixed: Any = wp.zeros((worlds, rows, columns), dtype=wp.float64, device=self._device)
+        given = whole_numbers(np.arange(points), self._device) if memory.chosen else self._points
+        inputs = [memory.counts, memory.pressure, given, self._matrix, CHUNK, parts]
         calls = [launch(kernels.pressure_products, (blocks, chunks, columns), inputs, self._device)]
         inputs = [memory.counts, memory.weights, parts, mixed]
-        return [*calls, launch(kernels.mixed_products, (rows, columns), inputs, self._device)], mixed
+        return [*calls, launch(kernels.mixed_products, mixed.shape, inputs, self._device)], mixed

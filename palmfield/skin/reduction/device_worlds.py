@@ -9,8 +9,7 @@ from typing import Any, NamedTuple
 import warp as wp
 
 from palmfield.device import SharedArray, launch, launching, matrix_product, replayed
-from palmfield.skin.reduction.modal_stepper import ModalStepper
-from palmfield.skin.stepper import Reader, SkinStepper, SurfaceLoads, check_step
+from palmfield.skin.stepper import Reader, SurfaceLoads, check_step
 from palmfield.types import Float, Float32
 from warp_kernels import skin_steps as kernels
 
@@ -30,7 +29,7 @@ class DeviceWorlds:
     stepper: whose states it carries; most: worlds, at most; device: of `palmfield.device.resolve`
     """
 
-    def __init__(self, stepper: ModalStepper, most: int, device: str):
+    def __init__(self, stepper: Any, most: int, device: str):
         self.stepper, self.most, self._device = stepper, most, device
         rows, padded = stepper.state_rows, stepper.padded
         numbers, square = kernels.of_rows(rows)
@@ -83,10 +82,3 @@ class DeviceWorlds:
         work = _Work(mixed, motion, replayed([*calls, self._states.download], device))
         self._works[substeps, observe] = work
         return work
-
-
-def device_worlds(stepper: SkinStepper, most: int, device: str) -> DeviceWorlds | None:
-    """A stepper for several worlds on a device; None where it stays on the CPU."""
-    if device == "cpu" or not isinstance(stepper, ModalStepper) or stepper.coupled:
-        return None
-    return DeviceWorlds(stepper, most, device)

@@ -23,9 +23,20 @@ from palmfield.skin.fem.assembly import Part, SkinSystem
 from palmfield.skin.fem.factor import factorise
 from palmfield.skin.fem.generalised_alpha import RHO_INF, Scheme
 from palmfield.skin.fem.load import SurfaceQuadrature
+from palmfield.skin.reduction.device_models import DeviceModes
+from palmfield.skin.reduction.device_worlds import DeviceWorlds
 from palmfield.skin.reduction.load_shapes import POINTS, LoadShapes, load_shapes
 from palmfield.skin.reduction.ritz import RitzModes, laws_at, refusal, ritz_modes, shifted
-from palmfield.skin.stepper import Outside, Reader, SkinStepper, StepWork, SurfaceLoads, check_step, checked_operator
+from palmfield.skin.stepper import (
+    DeviceStep,
+    Outside,
+    Reader,
+    SkinStepper,
+    StepWork,
+    SurfaceLoads,
+    check_step,
+    checked_operator,
+)
 from palmfield.threads import cores, share
 from palmfield.types import Complex, Float, Float32, Int
 from warp_kernels import modes as kernels
@@ -230,6 +241,14 @@ class ModalStepper(SkinStepper):
     def describe(self) -> str:
         """See SkinStepper."""
         return f"{self.name}, {self.order} modes"
+
+    def device_model(self, substeps: int, points: int, device: str) -> DeviceModes:
+        """See SkinStepper."""
+        return DeviceModes(self, substeps, device)
+
+    def device_worlds(self, most: int, device: str) -> DeviceStep | None:
+        """See SkinStepper."""
+        return None if device == "cpu" or self.coupled else DeviceWorlds(self, most, device).step
 
     def work(self, patterns: int, substeps: int) -> StepWork:
         """See SkinStepper."""

@@ -14,6 +14,7 @@ from scipy import sparse
 from palmfield import cache
 from palmfield.blas import one_blas_thread
 from palmfield.skin.fem.assembly import SkinSystem
+from palmfield.skin.reduction.device_models import DeviceReduced, pays
 from palmfield.skin.reduction.dynamic_stiffness import DynamicStiffness
 from palmfield.skin.reduction.krylov import Course, Krylov
 from palmfield.skin.reduction.load_shapes import LoadShapes
@@ -200,6 +201,11 @@ class ReducedStepper(SkinStepper):
     def describe(self) -> str:
         """See SkinStepper."""
         return f"{self.name}, {self.order} vectors"
+
+    def device_model(self, substeps: int, points: int, device: str) -> DeviceReduced | None:
+        """See SkinStepper; a CPU takes no longer for small ones."""
+        worth = pays(self.state_size, self.shares.shape[1], substeps)
+        return DeviceReduced(self, substeps, points, device) if worth else None
 
     def work(self, patterns: int, substeps: int) -> StepWork:
         """See SkinStepper."""

@@ -101,8 +101,8 @@ def refusal(system: SkinSystem) -> str | None:
 
 def shifted(system: SkinSystem, *, relaxed: bool = False) -> sparse.csr_matrix:
     """A, symmetric positive definite, shape (n, n) [N/m]; relaxed: as if all branches were, at a lower rate."""
-    laws = [part.material.relaxation for part in system.parts]
-    weights = [1.0 if relaxed else 1.0 + 0.5 * sum(ratio for ratio, _ in law.branches) for law in laws]
+    laws = (part.material.relaxation.branches for part in system.parts)
+    weights = [1.0 if relaxed else 1.0 + 0.5 * sum(ratio for ratio, _ in law) for law in laws]
     stiff = sum(weight * part.stiffness for weight, part in zip(weights, system.parts, strict=True))
     rate = 2.0 * np.pi * (RELAXED_Hz if relaxed else RATE_Hz)
     return sparse.csr_matrix(system.elastic + stiff + rate**2 * system.mass)

@@ -101,7 +101,8 @@ def _run(task: Task, base: Keys, shared: Shared | None, point: Point) -> Numbers
             (numbers,) = _measured(task, alone)
         return numbers
     except PalmfieldError as error:
-        return Failed(str(error).removeprefix("world 0: "))
+        error.about = tuple(name for name in error.about if name != "world 0")
+        return Failed(str(error))
     except MemoryError:
         return Failed("there is not enough memory; give fewer workers, or a larger --accuracy")
     except Exception as error:

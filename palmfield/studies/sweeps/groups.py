@@ -17,10 +17,10 @@ from palmfield.errors import PalmfieldError, SceneError
 from palmfield.session.preview import Preview, preview
 from palmfield.session.world_keys import WorldKeys, world_specs
 from palmfield.session.worlds import stimulus_texts
-from palmfield.simulation import load_class
 from palmfield.simulation.build import demands_of, stimuli_of
 from palmfield.simulation.build_worlds import Shared, strictest
 from palmfield.simulation.model import SkinModel
+from palmfield.simulation.small_models import load_class
 from palmfield.skin.costs import modal_step_s, modes_s
 from palmfield.skin.reduction.modal_stepper import MOST_SHARE
 from palmfield.skin.scene_layer import LayerDemand

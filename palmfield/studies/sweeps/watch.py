@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palmfield.session.loudest_moment import LoudestMoment
-from palmfield.session.recorder import Emitted, emitted_at, emitted_at_ends, world_with
+from palmfield.session.recorder import Emitted, emitted_at, emitted_at_ends
 from palmfield.session.simulation import Simulation
 from palmfield.session.worlds import Worlds
 from palmfield.simulation.posed_scene import PosedScene
@@ -34,11 +34,11 @@ class Watched:
     def __init__(self, simulation: Simulation | Worlds, steps: int) -> None:
         self.simulation = simulation
         if isinstance(simulation, Worlds):
-            self.runtimes, first = simulation.runtimes, simulation.data[0]
+            self.runtimes = simulation.runtimes
             simulation.together.observer = self._together
         else:
-            self.runtimes, first = [simulation.runtime], simulation.data
-        model, world = self.runtimes[0].model, world_with(first)
+            self.runtimes = [simulation.runtime]
+        model, world = self.runtimes[0].model, self.runtimes[0].view
         self._bodies = [skin.body for skin in model.skins]
         names = [sensor.name for skin in self.runtimes[0].binding.skins for sensor in world.sensors(skin.instance)]
         self._places = [int(simulation.model.sensor(name).adr[0]) + NORMAL for name in names]

@@ -72,6 +72,8 @@ def test_steps_as_its_transform(gel, solver, least):
     error = np.linalg.norm(found.displacement_m[:, 0, 2] + exact) / np.linalg.norm(exact)
     print(solver, error, found.error)
     assert error < least
+    assert error < found.error
+    assert "branches in place of a material's law" in found.error_source
 
 
 @pytest.mark.parametrize("f_Hz", [60.0, 250.0, 500.0])
@@ -98,6 +100,8 @@ def test_moduli_and_bounds(gel):
     s = -2j * np.pi * np.geomspace(1.0, 4000.0, 97)
     assert np.abs(G_Pa * gel.relaxation.stiffening(s) / shear(s) - 1.0).max() < 0.03
     assert gel.relaxes
+    assert 0.0 < gel.series_error < 0.01
+    assert catalogue.preset("palm").series_error == 0.0
     assert abs(shear(s)).max() < gel.shear_instant_Pa
     twice = catalogue.scaled(gel, 2.0, "twice as stiff")
     assert np.allclose(twice.modulus(s), 2.0 * shear(s), rtol=1e-12)
@@ -105,11 +109,20 @@ def test_moduli_and_bounds(gel):
     assert replace(gel, exponent=0.4).law != gel.law
 
 
+def test_a_law_without_a_spring_is_refused(gel):
+    class Springpot(type(gel)):
+        def stiffening(self, s):
+            return super().stiffening(s) - 1.0
+
+    with pytest.raises(SceneError, match=r"'pot': G\(0\) is 0\+0j G_r"):
+        Springpot("pot", DENSITY, G_Pa, (), K_Pa, "", time_s=1.0, exponent=0.3)
+
+
 def test_scenes_find_it_and_refuse_branches_for_it(gel):
     keys = {"shape": "disc", "radius_m": 0.02, "thickness_m": 0.01}
     changed = material_of(SkinConfig(material=NAME, shear_relaxed_Pa=1e4, **keys))
     assert complex_shear(changed, 200.0) == pytest.approx(2.0 * shear(-400j * np.pi), rel=1e-12)
-    with pytest.raises(SceneError, match=r"'fractional gel' follows a law of its own.* leave out shear_branch_Pa"):
+    with pytest.raises(SceneError, match=r"'fractional gel' follows a law of its own: leave out shear_branch_Pa"):
         material_of(SkinConfig(material=NAME, shear_branch_Pa=1e3, **keys))
     with pytest.raises(SceneError, match=r"did you mean.*fractional gel"):
         catalogue.preset("fractional gell")

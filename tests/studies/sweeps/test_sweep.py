@@ -11,7 +11,7 @@ import xarray as xr
 import palmfield
 from palmfield.errors import OutputError, PalmfieldError
 from palmfield.outputs import instances, normal_component
-from palmfield.studies.sweeps import batch, run, store
+from palmfield.studies.sweeps import batch, store, whole_sweep
 from palmfield.studies.sweeps.design import Range, listed, sobol
 from palmfield.studies.sweeps.variables import DONE, FAILED, NOT_DONE
 
@@ -100,7 +100,7 @@ def test_levels_scale_as_the_square_of_the_drive(whole):
 
 def test_the_same_sweep_computes_nothing_twice(whole, monkeypatch):
     scene, result = whole
-    monkeypatch.setattr(run, "run_batch", lambda *_: pytest.fail("computed again"))
+    monkeypatch.setattr(whole_sweep, "run_batch", lambda *_: pytest.fail("computed again"))
     again = swept(scene, {FREQUENCY: [100.0, 200.0], LEVEL: [0.5, 1.0]}, result.out, errors=True)
     assert again.done == 4
 
@@ -220,7 +220,7 @@ def test_what_is_out_of_proportion_asks_first(small_scene, tmp_path, monkeypatch
         asked.append(question)
         return False
 
-    monkeypatch.setattr(run, "LARGE_BYTES", 1e3)
+    monkeypatch.setattr(whole_sweep, "LARGE_BYTES", 1e3)
     with pytest.raises(OutputError, match="not gone on with; give --yes"):
         swept(scene, design, tmp_path / "out")
     with pytest.raises(OutputError, match="may be written"):
@@ -231,10 +231,10 @@ def test_what_is_out_of_proportion_asks_first(small_scene, tmp_path, monkeypatch
 
 def test_what_takes_too_long_asks_once_and_keeps_what_is_there(small_scene, tmp_path, monkeypatch):
     scene, design = small_scene(duration_s=0.002), {LEVEL: [0.4, 0.6, 0.8, 1.0]}
-    monkeypatch.setattr(run, "LONG_S", 0.0)
+    monkeypatch.setattr(whole_sweep, "LONG_S", 0.0)
     with pytest.raises(OutputError, match=r"2 of 4 points are left, about 0\.0 h"):
         swept(scene, design, tmp_path / "out")
-    monkeypatch.setattr(run, "LONG_S", 3600.0)
+    monkeypatch.setattr(whole_sweep, "LONG_S", 3600.0)
     assert swept(scene, design, tmp_path / "out").done == 4
 
 
@@ -256,6 +256,6 @@ def test_arguments_that_are_refused_before_a_folder_is_made(more, said, small_sc
 
 
 def test_a_missing_extra_is_named(small_scene, tmp_path, monkeypatch):
-    monkeypatch.setattr(run, "find_spec", lambda name: None if name == "zarr" else object())
+    monkeypatch.setattr(whole_sweep, "find_spec", lambda name: None if name == "zarr" else object())
     with pytest.raises(PalmfieldError, match=r"sweeps need zarr; .* 'palmfield\[sweep\]'"):
         swept(small_scene(), {LEVEL: [0.5, 1.0]}, tmp_path / "out")

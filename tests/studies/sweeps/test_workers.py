@@ -11,7 +11,7 @@ import xarray as xr
 
 import palmfield
 from palmfield.errors import PalmfieldError
-from palmfield.studies.sweeps import run
+from palmfield.studies.sweeps import whole_sweep
 from palmfield.studies.sweeps.cluster import local_cluster, slots, visible_gpus
 from palmfield.studies.sweeps.store import open_dataset
 from palmfield.studies.sweeps.variables import DONE
@@ -73,7 +73,7 @@ def test_each_worker_sees_its_own_gpu_and_knows_the_scene(small_scene):
 @pytest.mark.parametrize(
     ("there", "gpus", "points", "memory", "on_gpu", "expected"),
     [
-        (16, ["0"], 1000, 1, 100, run.MOST_PER_GPU),
+        (16, ["0"], 1000, 1, 100, whole_sweep.MOST_PER_GPU),
         (4, ["0"], 1000, 1, 100, 4),
         (2, ["0", "1", "2", "3"], 1000, 1, 100, 4),
         (16, ["0"], 3, 1, 100, 3),
@@ -85,9 +85,9 @@ def test_each_worker_sees_its_own_gpu_and_knows_the_scene(small_scene):
     ],
 )
 def test_workers_share_gpus_as_cores_and_memory_allow(there, gpus, points, memory, on_gpu, expected, monkeypatch):
-    monkeypatch.setattr(run, "cores", lambda: there)
-    assert run._worker_count(None, gpus, points, memory, on_gpu) == expected
-    assert run._worker_count(3, gpus, points, memory, on_gpu) == 3
+    monkeypatch.setattr(whole_sweep, "cores", lambda: there)
+    assert whole_sweep._worker_count(None, gpus, points, memory, on_gpu) == expected
+    assert whole_sweep._worker_count(3, gpus, points, memory, on_gpu) == 3
 
 
 def test_gpus_are_named_as_the_process_sees_them(monkeypatch):

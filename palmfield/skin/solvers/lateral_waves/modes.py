@@ -65,8 +65,8 @@ def reduce(problem: DepthProblem, horizon_s: float, tolerance: float) -> Reduced
     delayed = [r.strain @ shapes for r in problem.relaxing]
     static = [normal / squares]
     if delayed:
-        ratios = [sum(ratio for ratio, _ in r.branches) for r in problem.relaxing]
-        added = [math.sqrt(ratio) * rows for ratio, rows in zip(ratios, delayed, strict=True)]
+        pairs = zip(problem.relaxing, delayed, strict=True)
+        added = [math.sqrt(sum(ratio for ratio, _ in r.branches)) * rows for r, rows in pairs]
         static.append(_solved(np.vstack([np.diag(np.sqrt(squares)), *added]), normal))
     basis = np.zeros((len(squares), len(kept) + len(static)))
     basis[kept, np.arange(len(kept))] = 1.0

@@ -241,15 +241,12 @@ def branch_table(
     """
     table = np.zeros((4, len(materials), branches))
     for row, material in enumerate(materials):
-        for column, (ratio, time_s) in enumerate(material.relaxation.branches):
-            if time_s == 0.0:
-                continue
-            if instant:
-                table[:, row, column] = ratio, 0.0, 0.0, 0.0
-                continue
-            x = step_s / time_s
-            fade, gain = math.exp(-x), -math.expm1(-x) / x
-            table[:, row, column] = ratio, fade, gain - fade, 1.0 - gain
+        for column, (ratio, time_s) in enumerate(material.relaxation.active):
+            table[0, row, column] = ratio
+            if not instant:
+                x = step_s / time_s
+                fade, gain = math.exp(-x), -math.expm1(-x) / x
+                table[1:, row, column] = fade, gain - fade, 1.0 - gain
     return table[0], table[1], table[2], table[3]
 
 

@@ -1,89 +1,133 @@
-"""Particles that step a state of the caller, for scenes: a preview."""
+"""A scene's layer of particles, and what steps it, a state of the caller: a preview."""
 
 import math
-from collections.abc import Callable
-from functools import cached_property
 
 import numpy as np
 import warp as wp
-from scipy import sparse
 
-from palmfield.blas import one_blas_thread
 from palmfield.errors import SceneError
-from palmfield.skin.fem.face_transfer import FaceTransfer, ends_of_substeps, read
-from palmfield.skin.solvers.particles.cloud import Cloud
+from palmfield.locked import locked_cached_property
+from palmfield.skin.explicit_layer import OwnMesh, OwnMeshStepper
+from palmfield.skin.fem.face_transfer import FaceTransfer
+from palmfield.skin.problem import Body, Layer, Slab
+from palmfield.skin.solvers.particles.cloud import Cloud, build_cloud
 from palmfield.skin.solvers.particles.probe import point_weights
+from palmfield.skin.solvers.particles.resolution import (
+    SECONDS_A_STEP,
+    STIFFEST,
+    choose_spacing,
+    law_error,
+    refusal_particles,
+)
 from palmfield.skin.solvers.particles.run import (
     SAFETY,
     CrushedError,
     Particles,
     StepTooLongError,
+    likely_step,
     stable_step,
     state_size,
 )
-from palmfield.skin.stepper import Reader, SkinStepper, SurfaceLoads, check_step, world_by_world
-from palmfield.types import Float
+from palmfield.skin.solvers.particles.solve import solve_particles
+from palmfield.types import Float, Int
 
 HALVINGS = 3
 """How often a call is begun anew with half the step where strain has stiffened the body."""
 
 
-def face_weights(cloud: Cloud, points: Float) -> sparse.csr_matrix:
-    """Motion at points of the face [m], (p, 3), by that of its particles, csr, shape (p, f)."""
-    _, near, weights = point_weights(cloud.columns, cloud.face_area, points)
-    rows = np.repeat(np.arange(len(near)), near.shape[1])
-    return sparse.csr_matrix((weights.ravel(), (rows, near.ravel())), shape=(len(near), len(cloud.face_area)))
+class ParticleLayer(OwnMesh):
+    """Particles, a preview; see ExplicitLayer."""
+
+    preview, stiffest = True, STIFFEST
+    refusal = staticmethod(refusal_particles)
+    sizes_follow = "what such particles had on discs (docs/bench/skin_particles.md); the run states at least as much"
+
+    @locked_cached_property
+    def spacing_m(self) -> float:
+        """Distance of particles for the wanted accuracy [m]."""
+        return choose_spacing(self.body_of(), self.planned_load(), self.layer.config.accuracy)
+
+    @locked_cached_property
+    def body(self) -> Body:
+        """See OwnMesh; a patch is meshed with edges as long as the particles are apart."""
+        return self.body_of(self.spacing_m / self.layer.sizes.edge_fine_m)
+
+    @locked_cached_property
+    def cloud(self) -> Cloud:
+        """The particles."""
+        return self.layer.with_keys(lambda: build_cloud(self.body, self.spacing_m))
+
+    @property
+    def unknowns(self) -> int:
+        """See OwnMesh."""
+        return 3 * len(self.cloud.points)
+
+    @property
+    def state_size(self) -> int:
+        """See OwnMesh."""
+        return state_size(self.cloud)
+
+    @property
+    def resolution(self) -> str:
+        """See OwnMesh."""
+        return f"{len(self.cloud.points)} particles {1e3 * self.cloud.columns.spacing_m:.2g} mm apart"
+
+    @property
+    def expected_error(self) -> float:
+        """See OwnMesh: what particles at this distance had on discs."""
+        return law_error(self.body, self.planned_load(), self.cloud.columns.spacing_m)
+
+    def seconds(self, duration_s: float, device: str) -> float:
+        """See OwnMesh."""
+        # A disc's own error takes two runs more
+        more = 2.0 * self.trial_s() if isinstance(self.body, Slab) else 0.0
+        each = len(self.cloud.points) * SECONDS_A_STEP["cpu" if device == "cpu" else "cuda"]
+        return (duration_s + more) / likely_step(self.cloud) * each
+
+    @property
+    def face(self) -> Float:
+        """See OwnMesh."""
+        return self.cloud.columns.face
+
+    def near(self, points: Float) -> tuple[Int, Float]:
+        """See OwnMesh."""
+        _, near, shares = point_weights(self.cloud.columns, self.cloud.face_area, points)
+        return near, shares
+
+    def made(self, transfer: FaceTransfer, device: str) -> "ParticleStepper":
+        """See OwnMesh."""
+        return ParticleStepper(self, transfer, device)
+
+    def error(self, device: str) -> float:
+        """What `palmfield.skin.solve` states for particles so far apart under the trial load."""
+        body, face = self.body, self.cloud.columns.face
+        if isinstance(body, Layer):
+            return self.expected_error
+        load, times, at = self.trial(body, face, np.linalg.norm(self.cloud.face_area, axis=1))
+        motion = solve_particles(body, load, times, at, device=device, spacing_m=self.spacing_m)
+        return max(motion.error, self.expected_error)
 
 
-class ParticleStepper(SkinStepper):
+class ParticleStepper(OwnMeshStepper):
     """Particles at finite strain under a dead load, in steps that divide a substep; see SkinStepper.
 
-    cloud: the particles; transfer: from and to the scene's wedges; step_s: length of a substep [s]
-    device: of `palmfield.device.resolve`; estimate: gives the error when asked for it
-    resolution: the particles, in words
     A state has displacement, velocity and memory by particle and the stresses by site (see run.Particles.begin), as
     float32 in float64, so that it is the same on every device. Velocities are those of half a particles' step before.
     `step` also raises SceneError, and leaves the state as it was, for a body that is crushed or turned inside out.
     """
 
     name = "particles"
-    points = None
 
-    def __init__(
-        self,
-        cloud: Cloud,
-        transfer: FaceTransfer,
-        step_s: float,
-        device: str,
-        estimate: Callable[[], float],
-        resolution: str,
-    ) -> None:
-        self.step_s, self._cloud, self._transfer = step_s, cloud, transfer
-        self._device, self._estimate = device, estimate
-        self.state_size, self.unknowns, self._resolution = state_size(cloud), 3 * len(cloud.points), resolution
+    def __init__(self, own: ParticleLayer, transfer: FaceTransfer, device: str) -> None:
+        super().__init__(own, transfer, device)
+        cloud = self._cloud = own.cloud
+        self.state_size = state_size(cloud)
         self._stable_s = stable_step(cloud)
-        self.steps = math.ceil(step_s / (SAFETY * self._stable_s))
-        """Of the particles in each substep."""
+        self.steps = math.ceil(self.step_s / (SAFETY * self._stable_s))
         self._rooms: list[dict[int, Particles]] = []
 
-    @cached_property
-    def error(self) -> float:  # type: ignore[override]  # found when it is asked for
-        """See SkinStepper."""
-        return self._estimate()
-
-    def describe(self) -> str:
-        """See SkinStepper."""
-        return f"{self.name}, a preview: {self._resolution}"
-
-    def step(
-        self, state: Float, loads: SurfaceLoads, t0: float, t1: float, observe: Reader | None = None
-    ) -> Float | None:
-        """See SkinStepper."""
-        check_step(self, state, loads, self._transfer.pressure.shape[1], t0, t1)
-        if len(state) > 1:
-            return world_by_world(self, state, loads, t0, t1, observe)
-        with one_blas_thread:
-            ends = ends_of_substeps(self._transfer.pressure, loads.pressure_Pa[0], loads.first[0], loads.last[0])
+    def carried(self, state: Float, ends: Float, t0: float, t1: float, seen: bool) -> Float:
+        """See OwnMeshStepper."""
         try:
             bodies = self._rooms.pop()
         except IndexError:
@@ -93,9 +137,9 @@ class ParticleStepper(SkinStepper):
             if steps not in bodies:
                 bodies[steps] = Particles(self._cloud, self._device, self.step_s / steps)
             body = bodies[steps]
-            body.begin(state[0])
+            body.begin(state)
             try:
-                motion = self._carry(body, ends, steps, observe is not None)
+                motion = self._carry(body, ends, steps, seen)
                 body.check(self._stable_s)
             except (CrushedError, StepTooLongError) as error:
                 if halvings < HALVINGS:
@@ -106,9 +150,9 @@ class ParticleStepper(SkinStepper):
                     "than at rest: lower the pressure, or use solver 'wedges'"
                 ) from error
             break
-        body.numbers(state[0])
+        body.numbers(state)
         self._rooms.append(bodies)
-        return None if observe is None else read(motion, observe)[None]
+        return motion
 
     def _carry(self, body: Particles, ends: Float, steps: int, seen: bool) -> Float:
         """Take all steps; displacement and velocity of the face after each substep, shape (s, 2, f, 3), if seen."""
@@ -125,12 +169,5 @@ class ParticleStepper(SkinStepper):
                 motion[substep] = body.displacement.numpy()[:count], body.velocity.numpy()[:count]
         return motion
 
-    def reader(self, operator: sparse.csr_matrix) -> Reader:
-        """See SkinStepper. Raises SceneError for an operator that reads below the surface."""
-        return self._transfer.reader(operator)
 
-    def read(self, state: Float, reader: Reader) -> Float:
-        """See SkinStepper."""
-        particles, face = 3 * len(self._cloud.points), 3 * len(self._cloud.face_area)
-        motion = np.stack([state[:, :face], state[:, particles : particles + face]], axis=1)
-        return read(motion, reader)
+scene_particles = ParticleLayer

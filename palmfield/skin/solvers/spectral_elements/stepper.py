@@ -1,110 +1,153 @@
-"""Spectral elements that step a state of the caller, for scenes."""
+"""A scene's layer on spectral elements, and what steps it: a state of the caller."""
 
 import math
-from collections.abc import Callable
-from functools import cached_property
 
 import numpy as np
-from scipy import sparse
 
-from palmfield.blas import one_blas_thread
-from palmfield.skin.fem.face_transfer import FaceTransfer, ends_of_substeps, read
+from palmfield.locked import locked_cached_property
+from palmfield.skin.approximation.reduce_bulk_modulus import reduce_bulk_modulus
+from palmfield.skin.explicit_layer import OwnMesh, OwnMeshStepper
+from palmfield.skin.fem.face_transfer import FaceTransfer
 from palmfield.skin.problem import Body, Foundation
 from palmfield.skin.solvers.spectral_elements.loads import Table
+from palmfield.skin.solvers.spectral_elements.mesh import Plan, build, plan
 from palmfield.skin.solvers.spectral_elements.model import SAFETY, Model, hold
 from palmfield.skin.solvers.spectral_elements.places import find
 from palmfield.skin.solvers.spectral_elements.run import Points, Stepper, state_size
-from palmfield.skin.solvers.spectral_elements.solid import Solid
-from palmfield.skin.stepper import Reader, SkinStepper, SurfaceLoads, check_step, world_by_world
-from palmfield.types import Float
+from palmfield.skin.solvers.spectral_elements.solid import Solid, face_areas
+from palmfield.skin.solvers.spectral_elements.solve import (
+    STIFFEST,
+    likely_step,
+    refusal_spectral_elements,
+    solve_spectral_elements,
+    step_seconds,
+)
+from palmfield.types import Float, Int
 
 LONGEST_GRAPH = 2000
 """Steps that one CUDA graph of a call holds at most."""
 
 
-def face_weights(solid: Solid, points: Float) -> sparse.csr_matrix:
-    """Motion at points of the face [m], (p, 3), by that of its nodes, csr, shape (p, f); errors as `find`."""
-    nodes, shares = find(solid, points)
-    rows = np.repeat(np.arange(len(nodes)), nodes.shape[1])
-    return sparse.csr_matrix((shares.ravel(), (rows, nodes.ravel())), shape=(len(nodes), solid.surface_nodes))
+class ElementLayer(OwnMesh):
+    """Spectral elements; see ExplicitLayer."""
+
+    stiffest = STIFFEST
+    refusal = staticmethod(refusal_spectral_elements)
+    sizes_follow = (
+        "elements follow studies on discs (docs/bench/skin_spectral_elements.md); the run estimates what was reached"
+    )
+
+    @locked_cached_property
+    def _reduced(self) -> tuple[Body, float]:
+        """The body with a bulk modulus that allows longer steps, and the relative change of its motion."""
+        load, width = self.planned_load(), self.layer.demand.spot_fwhm_m
+        at = load.centres()[0] + np.array([[0.0, 0.0], [width, 0.0]])
+        accuracy = self.layer.config.accuracy
+        return reduce_bulk_modulus(self.body_of(), load, float(load.times_s[-1]), at, accuracy, None)
+
+    @property
+    def body(self) -> Body:
+        """See OwnMesh."""
+        return self._reduced[0]
+
+    @locked_cached_property
+    def chosen(self) -> Plan:
+        """Order and size of the elements."""
+        load, config = self.planned_load(), self.layer.config
+        demand = self.layer.demand
+        reach = min(demand.path_reach_m[1] + math.hypot(*demand.beside_m[:2]), config.radius_m or math.inf)
+        return plan(self.body, load, load.centres()[0] + reach * np.array([[-1.0, -1.0], [1.0, 1.0]]), config.accuracy)
+
+    @locked_cached_property
+    def solid(self) -> Solid:
+        """The elements."""
+        return self.layer.with_keys(lambda: build(self.body, self.chosen)[0])
+
+    @property
+    def unknowns(self) -> int:
+        """See OwnMesh."""
+        return 3 * len(self.solid.nodes)
+
+    @property
+    def state_size(self) -> int:
+        """See OwnMesh."""
+        return state_size(self.solid, [sheet.material for sheet in self.body.sheets])
+
+    @property
+    def resolution(self) -> str:
+        """See OwnMesh."""
+        solid, material = self.solid, self.body.sheets[0].material
+        words = f"{len(solid.elements)} elements of order {solid.order}, {len(solid.nodes)} nodes"
+        if self._reduced[1] > 0.0:
+            words += f", a bulk modulus of {material.bulk_Pa:.3g} Pa, which changes {100 * self._reduced[1]:.2g} %"
+        return words
+
+    def seconds(self, duration_s: float, device: str) -> float:
+        """See OwnMesh."""
+        # The second run of an estimate is the coarser one
+        steps = (duration_s + 2.0 * self.trial_s()) / likely_step(self.solid, self.body.sheets)
+        return steps * step_seconds(self.solid, device != "cpu")
+
+    @property
+    def face(self) -> Float:
+        """See OwnMesh."""
+        return self.solid.nodes[: self.solid.surface_nodes]
+
+    def near(self, points: Float) -> tuple[Int, Float]:
+        """See OwnMesh."""
+        return find(self.solid, points)
+
+    def made(self, transfer: FaceTransfer, device: str) -> "SpectralElementStepper":
+        """See OwnMesh."""
+        return SpectralElementStepper(self, transfer, device)
+
+    def error(self, device: str) -> float:
+        """What `palmfield.skin.solve` states for these elements under the trial load, and the bulk modulus's share."""
+        solid, chosen = self.solid, self.chosen
+        areas = np.linalg.norm(face_areas(solid), axis=1)
+        load, times, at = self.trial(self.body, self.face, areas)
+        motion = solve_spectral_elements(
+            self.body, load, times, at, accuracy=self.layer.config.accuracy, device=device, order=chosen.order,
+            size_m=chosen.size_m, deep=chosen.deep, nu_at_most=0.5,
+        )  # fmt: skip
+        return motion.error + self._reduced[1]
 
 
-class SpectralElementStepper(SkinStepper):
+class SpectralElementStepper(OwnMeshStepper):
     """A body on spectral elements, in steps of the scheme that divide a substep; see SkinStepper.
 
-    solid: the elements; body: its sheets, base and sides; transfer: from and to the scene's wedges
-    step_s: length of a substep [s]; device: of `palmfield.device.resolve`; estimate: gives the error when asked for it
-    resolution: the elements, in words
     A state has u and v by node, w and y of each branch by copy (see run.Stepper), as float32 in float64, so that it is
     the same on every device. Velocities are those of half a step of the scheme before.
     Raises SceneError for an element that is flat or inside out.
     """
 
     name = "spectral_elements"
-    points = None
 
-    def __init__(
-        self,
-        solid: Solid,
-        body: Body,
-        transfer: FaceTransfer,
-        step_s: float,
-        device: str,
-        estimate: Callable[[], float],
-        resolution: str,
-    ) -> None:
+    def __init__(self, own: ElementLayer, transfer: FaceTransfer, device: str) -> None:
+        super().__init__(own, transfer, device)
+        body = own.body
         assert not isinstance(body.base, Foundation)
-        self.step_s, self._transfer, self._estimate = step_s, transfer, estimate
-        self._model = Model(solid, body.sheets, device)
-        self.state_size, self.unknowns = state_size(solid, self._model.materials), 3 * len(solid.nodes)
-        self._resolution = resolution
+        self._model = Model(own.solid, body.sheets, device)
+        self.state_size = state_size(own.solid, self._model.materials)
         self._holds = hold(self._model, body.base, body.side)
         rows = self._model.mass[self._holds.rows, None, None]
         rate = float((np.abs(self._holds.spring) / rows).sum(axis=2).max(initial=0.0))
         self._stable_s = self._model.stable_step(rate)
-        self.steps = math.ceil(step_s / (SAFETY * self._stable_s))
-        """Of the scheme in each substep."""
+        self.steps = math.ceil(self.step_s / (SAFETY * self._stable_s))
         self._rooms: list[Stepper] = []
 
-    @cached_property
-    def error(self) -> float:  # type: ignore[override]  # found when it is asked for
-        """See SkinStepper."""
-        return self._estimate()
-
-    def describe(self) -> str:
-        """See SkinStepper."""
-        return f"{self.name}: {self._resolution}"
-
-    def step(
-        self, state: Float, loads: SurfaceLoads, t0: float, t1: float, observe: Reader | None = None
-    ) -> Float | None:
-        """See SkinStepper."""
-        check_step(self, state, loads, self._transfer.pressure.shape[1], t0, t1)
-        if len(state) > 1:
-            return world_by_world(self, state, loads, t0, t1, observe)
-        substeps = loads.first.shape[1]
-        with one_blas_thread:
-            frames = ends_of_substeps(self._transfer.pressure, loads.pressure_Pa[0], loads.first[0], loads.last[0])
+    def carried(self, state: Float, ends: Float, t0: float, t1: float, seen: bool) -> Float | None:
+        """See OwnMeshStepper."""
+        substeps = len(ends) // 2
         room = self._room(substeps)
-        room.begin(state[0], frames)
+        room.begin(state, ends)
         room.advance(self.steps * substeps)
-        room.numbers(state[0])
-        seen = None
-        if observe is not None:
-            motion = np.stack([moved.numpy()[:substeps] for moved in room.readings()], axis=1)
-            seen = read(motion.astype(np.float64), observe)[None]
+        room.numbers(state)
+        motion = None
+        if seen:
+            motion = np.stack([moved.numpy()[:substeps] for moved in room.readings()], axis=1).astype(np.float64)
         self._rooms.append(room)
-        return seen
-
-    def reader(self, operator: sparse.csr_matrix) -> Reader:
-        """See SkinStepper. Raises SceneError for an operator that reads below the surface."""
-        return self._transfer.reader(operator)
-
-    def read(self, state: Float, reader: Reader) -> Float:
-        """See SkinStepper."""
-        nodes, face = 3 * len(self._model.solid.nodes), 3 * self._model.solid.surface_nodes
-        motion = np.stack([state[:, :face], state[:, nodes : nodes + face]], axis=1)
-        return read(motion, reader)
+        return motion
 
     def _room(self, substeps: int) -> Stepper:
         """Arrays to step in: those of an earlier call if no other thread has them. Taken and given back atomically."""
@@ -131,3 +174,6 @@ class SpectralElementStepper(SkinStepper):
         length = self.step_s / self.steps
         graph = min(len(step), LONGEST_GRAPH)
         return Stepper(model, self._holds, length, table, every, target, self._stable_s, graph)
+
+
+scene_spectral_elements = ElementLayer

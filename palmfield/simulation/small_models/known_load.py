@@ -14,15 +14,11 @@ from palmfield import cache
 from palmfield.config import StimulusConfig
 from palmfield.drive.response import Pole
 from palmfield.drive.transducer_response import commanded_drive
-from palmfield.errors import SceneError
-from palmfield.simulation import load_class
 from palmfield.simulation.emission import array_drives
-from palmfield.simulation.model import HapticModel, StepperChoice, StimulusModel
+from palmfield.simulation.model import HapticModel, StimulusModel
 from palmfield.simulation.posed_scene import PosedScene, reference_scene
 from palmfield.simulation.radiation import Radiation
-from palmfield.simulation.spec import SceneSpec, SkinSpec
-from palmfield.skin.costs import wedges_s
-from palmfield.skin.explicit_layer import explicit_layer
+from palmfield.simulation.spec import SkinSpec
 from palmfield.skin.reduction.krylov import Fade, harmonics, level, periodic
 from palmfield.skin.reduction.load_shapes import load_shapes
 from palmfield.skin.reduction.reduced_stepper import (
@@ -33,8 +29,6 @@ from palmfield.skin.reduction.reduced_stepper import (
     reduced_stepper,
 )
 from palmfield.skin.scene_layer import SceneLayer
-from palmfield.skin.solver_choice import RUNS, scene_choices
-from palmfield.skin.stepper import SkinStepper
 from palmfield.stimulus.schedule import (
     frames_at,
     is_closed,
@@ -76,61 +70,6 @@ SETTLED = 12.0
 # -- which scenes have one -----------------------------------------------------------------------------------------
 
 
-def choose_stepper(
-    spec: SceneSpec,
-    skin: SkinSpec,
-    layer: SceneLayer,
-    stimuli: tuple[StimulusModel, ...],
-    pole: Pole,
-    response_on: bool,
-) -> StepperChoice:
-    """Choose by key `solver`, by what can be reduced, and by predicted time.
-
-    Raises SceneError where a small model or modes are asked for and can't be.
-    """
-    substeps = spec.duration_s / layer.sizes.step_s
-    explicit = explicit_layer(layer)
-    if explicit is not None:
-        explicit.refuse()
-        own_s = explicit.seconds(spec.duration_s, spec.device)
-        return StepperChoice(skin.config.solver, "asked for", own_s, wedges_s(layer.dofs, substeps))
-    reason = refusal(skin, layer, stimuli, pole, response_on)
-    requested = skin.config.solver
-    modal_reason = load_class.refusal(skin, layer)
-    if modal_reason is not None and requested == "modal":
-        raise SceneError(
-            f"plugin 'palmfield.skin' instance '{skin.name}': key 'solver' has value 'modal', but no modes for every "
-            f"load: {modal_reason}: set it to auto"
-        )
-    if reason is not None and requested == "reduced":
-        raise SceneError(
-            f"plugin 'palmfield.skin' instance '{skin.name}': key 'solver' has value 'reduced', but no small "
-            f"model: {reason}: set it to auto"
-        )
-    vectors = 0 if reason is not None else expected_vectors(_sounding(stimuli), pole, response_on)
-    modes = load_class.expected_modes(skin, layer)
-    size = (layer.dofs, substeps, vectors, reason, modes, modal_reason, load_class.laws(layer))
-    choices = scene_choices(*size)
-    seconds = {choice.name: choice.seconds for choice in choices}
-    name: str = requested
-    if requested != "auto":
-        why = "asked for" if reason is None or requested != "wedges" else f"no small model: {reason}"
-    elif reason is None:
-        # Where the load is known ahead, what is made for it alone is smaller than what serves every load
-        name = "reduced" if seconds["reduced"] < seconds["wedges"] else "wedges"
-        small_s, whole_s = seconds["reduced"], seconds["wedges"]
-        why = f"the load is known ahead; reduced about {small_s:.1f} s, wedges about {whole_s:.1f} s"
-    else:
-        name, why = choices[0].name, f"no small model: {reason}"
-        if name == "modal":
-            why = f"{reason}, so that no load is known ahead"
-        if name == "modal" and scene_choices(*size, kept=False)[0].name != name:
-            why += f"; making the modes counts as 1/{RUNS}, since the cache keeps them: without one wedges is chosen"
-        elif name == "wedges" and scene_choices(*size, kept=True)[0].name != name:
-            why += "; modes do not pay, since no cache keeps them: with one modal is chosen"
-    return StepperChoice(name, why, seconds[name], seconds["wedges"])
-
-
 def refusal(
     skin: SkinSpec, layer: SceneLayer, stimuli: tuple[StimulusModel, ...], pole: Pole, response_on: bool
 ) -> str | None:
@@ -164,10 +103,6 @@ def refusal(
     if samples(config, turn, layer.demand.max_frequency_Hz) > MOST_SAMPLES:
         return f"the load comes round after {turn:.3g} s only"
     return None
-
-
-def _sounding(stimuli: tuple[StimulusModel, ...]) -> StimulusModel:
-    return next((stimulus for stimulus in stimuli if not stimulus.silent), stimuli[0])
 
 
 def expected_vectors(stimulus: StimulusModel, pole: Pole, response_on: bool) -> int:
@@ -209,33 +144,7 @@ def samples(config: StimulusConfig, turn_s: float, max_frequency_Hz: float) -> i
 # -- the load and its model ----------------------------------------------------------------------------------------
 
 
-def first_stepper(model: HapticModel, skin: int) -> SkinStepper:
-    """What a skin begins with: a small model for the known load in the reference pose, its whole layer, or what its key
-    `solver` names.
-
-    Raises SceneError for a small model that is asked for but fails.
-    """
-    part = model.skins[skin]
-    if part.choice.name == "wedges":
-        return model.whole[skin].value
-    if part.choice.name == "modal":
-        try:
-            return load_class.class_stepper(model, skin)
-        except SceneError as error:
-            if part.spec.config.solver == "modal":
-                raise SceneError(f"plugin 'palmfield.skin' instance '{part.spec.name}': {error}") from None
-            return model.whole[skin].value
-    if part.explicit is not None:
-        return part.explicit.stepper(model.spec.device)
-    try:
-        return _known_stepper(model, skin)
-    except SceneError:
-        if part.spec.config.solver == "reduced":
-            raise
-        return model.whole[skin].value
-
-
-def _known_stepper(model: HapticModel, skin: int) -> ReducedStepper:
+def known_stepper(model: HapticModel, skin: int) -> ReducedStepper:
     """The small model for the known load.
 
     What it is made of is kept under what the load depends on, so that a run from the cache does not compute it. Its

@@ -1,0 +1,123 @@
+"""Several mjData of one mjModel at once: loops over them run in C, without Python's lock where nothing calls back."""
+
+import ctypes
+from collections.abc import Callable, Sequence
+from typing import Any, Literal
+
+import numpy as np
+import warp as wp
+
+from palmfield.device import recorded, whole_numbers
+from palmfield.mujoco_host.mujoco_view import DataView
+from palmfield.mujoco_host.structs import library, mirror
+from palmfield.threads import cores, share
+from palmfield.types import Float
+from warp_kernels import mujoco_calls as kernels
+
+Field = Literal[
+    "xpos", "xmat", "site_xpos", "site_xmat", "mocap_pos", "mocap_quat", "ctrl", "qpos", "qvel", "sensordata", "time"
+]
+"""Numbers of float64 in mjData, which stay where they are as long as it lives."""
+WORLDS_PER_THREAD = 8
+"""Fewest that are worth a thread of their own."""
+
+
+class ManyData:
+    """mjData with the same mjModel.
+
+    views: of them; calls_back: whether MuJoCo calls Python inside a step, so that threads would wait for each other
+    """
+
+    def __init__(self, views: Sequence[DataView], calls_back: bool):
+        self.views = tuple(views)
+        self._model = views[0].model.address
+        self._threads = 1 if calls_back else min(cores(), -(-len(views) // WORLDS_PER_THREAD))
+        self._data: Any = wp.array([view.address for view in views], dtype=wp.uint64, device="cpu")
+        self._times: Float = np.zeros((len(views), 1))
+        self._calls: dict[str, list[Callable[[], object]]] = {}
+        self._addresses: dict[str, Any] = {}
+        self._taking: dict[str, Callable[[], object]] = {}
+        self._putting: dict[tuple[Field, bytes], tuple[Float, Callable[[], object]]] = {}
+        self._pushing: dict[bytes, tuple[Float, Sequence[Callable[[], object]]]] = {}
+
+    def call(self, name: str) -> None:
+        """Call a function of MuJoCo's that takes a model and its data for each of them."""
+        calls = self._calls.get(name)
+        if calls is None:
+            parts = [self._data[own] for own in self._blocks()]
+            inputs = _function(name), wp.uint64(self._model)
+            calls = [recorded(kernels.call_each, len(part), [*inputs, part], "cpu") for part in parts]
+            self._calls[name] = calls
+        self._share(calls)
+
+    def take(self, field: Field, offsets: Sequence[int], result: Float) -> None:
+        """Read a field at offsets (n,) into an array of float64, shape (w, n), always the same one for a field."""
+        if field not in self._taking:
+            target: Any = wp.array(ptr=result.ctypes.data, dtype=wp.float64, shape=result.shape, strides=result.strides)
+            inputs = [self._of(field), whole_numbers(offsets), target]
+            self._taking[field] = recorded(kernels.take, result.shape, inputs, "cpu")
+        self._taking[field]()
+
+    def times(self) -> Float:
+        """MuJoCo's time in each of them [s], shape (w,); overwritten by the next call."""
+        self.take("time", [0], self._times)
+        return self._times[:, 0]
+
+    def put(self, field: Field, offsets: Sequence[int], values: Float) -> None:
+        """Write numbers at offsets into a field: the same ones for all, shape (n,), or (w, n)."""
+        whole = np.asarray(offsets, np.int32)
+        key = field, whole.tobytes()
+        if key not in self._putting:
+            source: Any = wp.zeros((len(self.views), len(whole)), dtype=wp.float64, device="cpu")
+            inputs = [self._of(field), whole_numbers(whole), source]
+            self._putting[key] = source.numpy(), recorded(kernels.put, source.shape, inputs, "cpu")
+        host, call = self._putting[key]
+        host[:] = values
+        call()
+
+    def push(self, bodies: Sequence[int], forces: Float, torques: Float) -> None:
+        """Add forces on bodies [N] and torques about their origins [N m], world axes, (w, n, 3), to passive ones."""
+        if self.views[0].model.raw.nv == 0:
+            return
+        whole = np.asarray(bodies, np.int32)
+        key = whole.tobytes()
+        if key not in self._pushing:
+            count = len(self.views)
+            buffer: Any = wp.zeros((count, len(whole), 6), dtype=wp.float64, device="cpu")
+            fixed = _function("mj_applyFT"), wp.uint64(self._model)
+            calls = []
+            for own in self._blocks():
+                arrays = [self._data[own], self._of("xpos")[own], self._of("qfrc_passive")[own]]
+                inputs = [*fixed, *arrays, whole_numbers(whole), buffer[own].flatten()]
+                calls.append(recorded(kernels.push_bodies, own.stop - own.start, inputs, "cpu"))
+            self._pushing[key] = buffer.numpy(), calls
+        host, shared = self._pushing[key]
+        host[..., :3], host[..., 3:] = forces, torques
+        self._share(shared)
+
+    def _blocks(self) -> list[slice]:
+        """Which of them each thread takes."""
+        count = len(self.views)
+        size = -(-count // self._threads)
+        return [slice(start, min(start + size, count)) for start in range(0, count, size)]
+
+    def _share(self, calls: Sequence[Callable[[], object]]) -> None:
+        if len(calls) == 1:
+            calls[0]()
+        else:
+            share([(call,) for call in calls], self._threads)
+
+    def _of(self, field: str) -> Any:
+        """Addresses of a field in all data."""
+        if field not in self._addresses:
+            if field == "time":
+                pointers = [ctypes.addressof(view.raw) + mirror("mjData").time.offset for view in self.views]
+            else:
+                pointers = [ctypes.cast(getattr(view.raw, field), ctypes.c_void_p).value or 0 for view in self.views]
+            self._addresses[field] = wp.array(pointers, dtype=wp.uint64, device="cpu")
+        return self._addresses[field]
+
+
+def _function(name: str) -> Any:
+    """Address of one of MuJoCo's functions."""
+    return wp.uint64(ctypes.cast(getattr(library(), name), ctypes.c_void_p).value or 0)

@@ -1,0 +1,107 @@
+"""What steps a skin: its whole layer, a small model for a known load, modes for any, or what key `solver` names."""
+
+from collections.abc import Sequence
+
+from palmfield.drive.response import Pole
+from palmfield.errors import SceneError
+from palmfield.simulation.model import HapticModel, StepperChoice, StimulusModel
+from palmfield.simulation.small_models import known_load, load_class
+from palmfield.simulation.spec import SceneSpec, SkinSpec
+from palmfield.skin.costs import wedges_s
+from palmfield.skin.explicit_layer import explicit_layer
+from palmfield.skin.scene_layer import SceneLayer
+from palmfield.skin.solver_choice import RUNS, scene_choices
+from palmfield.skin.stepper import SkinStepper
+
+MOST_SMALL_MODELS = 8
+"""Loads known ahead for which a skin gets a small model each: each of a palm takes some 5 s to make and holds 14 MB."""
+
+
+def choose_stepper(
+    spec: SceneSpec,
+    skin: SkinSpec,
+    layer: SceneLayer,
+    stimuli: tuple[StimulusModel, ...],
+    pole: Pole,
+    response_on: bool,
+) -> StepperChoice:
+    """Choose by key `solver`, by what can be reduced, and by predicted time.
+
+    Raises SceneError where a small model or modes are asked for and can't be.
+    """
+    substeps = spec.duration_s / layer.sizes.step_s
+    explicit = explicit_layer(layer)
+    if explicit is not None:
+        explicit.refuse()
+        own_s = explicit.seconds(spec.duration_s, spec.device)
+        return StepperChoice(skin.config.solver, "asked for", own_s, wedges_s(layer.dofs, substeps))
+    reason = known_load.refusal(skin, layer, stimuli, pole, response_on)
+    requested = skin.config.solver
+    modal_reason = load_class.refusal(skin, layer)
+    missing = {"modal": ("modes for every load", modal_reason), "reduced": ("small model", reason)}
+    what, why_not = missing.get(requested, ("", None))
+    if why_not is not None:
+        raise SceneError(
+            f"{layer.element}: key 'solver' has value '{requested}', but no {what}: {why_not}: set it to auto"
+        )
+    sounding = [stimulus for stimulus in stimuli if not stimulus.silent]
+    vectors = 0 if reason is not None else known_load.expected_vectors(sounding[0], pole, response_on)
+    modes = load_class.expected_modes(skin, layer)
+    size = (layer.dofs, substeps, vectors, reason, modes, modal_reason, load_class.laws(layer))
+    choices = scene_choices(*size)
+    seconds = {choice.name: choice.seconds for choice in choices}
+    name: str = requested
+    if requested != "auto":
+        why = "asked for" if reason is None or requested != "wedges" else f"no small model: {reason}"
+    elif reason is None:
+        # Where the load is known ahead, what is made for it alone is smaller than what serves every load
+        name = "reduced" if seconds["reduced"] < seconds["wedges"] else "wedges"
+        small_s, whole_s = seconds["reduced"], seconds["wedges"]
+        why = f"the load is known ahead; reduced about {small_s:.1f} s, wedges about {whole_s:.1f} s"
+    else:
+        name, why = choices[0].name, f"no small model: {reason}"
+        if name == "modal":
+            why = f"{reason}, so that no load is known ahead"
+        if name == "modal" and scene_choices(*size, kept=False)[0].name != name:
+            why += f"; making the modes counts as 1/{RUNS}, since the cache keeps them: without one wedges is chosen"
+        elif name == "wedges" and scene_choices(*size, kept=True)[0].name != name:
+            why += "; modes do not pay, since no cache keeps them: with one modal is chosen"
+    return StepperChoice(name, why, seconds[name], seconds["wedges"])
+
+
+def common_choice(
+    spec: SceneSpec, skin: SkinSpec, layer: SceneLayer, choices: Sequence[StepperChoice], loads: int
+) -> StepperChoice:
+    """What steps a skin in all worlds.
+
+    choices: what would step it in each that sounds, by itself; loads: how many of their loads are different
+    """
+    names = {choice.name for choice in choices}
+    if len(names) == 1 and (names != {"reduced"} or loads <= MOST_SMALL_MODELS or skin.config.solver != "auto"):
+        return choices[0]
+    why = f"{loads} different loads, at most {MOST_SMALL_MODELS} of which get a small model each"
+    substeps = len(choices) * spec.duration_s / layer.sizes.step_s
+    modes, refusal = load_class.expected_modes(skin, layer), load_class.refusal(skin, layer)
+    ranked = scene_choices(layer.dofs, substeps, 0.0, why, modes, refusal, load_class.laws(layer))
+    seconds = {choice.name: choice.seconds for choice in ranked}
+    return StepperChoice(ranked[0].name, why, ranked[0].seconds, seconds["wedges"])
+
+
+def first_stepper(model: HapticModel, skin: int) -> SkinStepper:
+    """What a skin begins with: a small model for the known load in the reference pose, its whole layer, or what its key
+    `solver` names.
+
+    Raises SceneError for a small model that is asked for but fails.
+    """
+    part = model.skins[skin]
+    if part.explicit is not None:
+        return part.explicit.stepper(model.spec.device)
+    try:
+        if part.choice.name == "reduced":
+            return known_load.known_stepper(model, skin)
+        if part.choice.name == "modal":
+            return load_class.class_stepper(model, skin)
+    except SceneError as error:
+        if part.spec.config.solver != "auto":
+            raise SceneError(f"{part.layer.element}: {error}") from None
+    return model.whole[skin].value

@@ -1,0 +1,173 @@
+"""Where a small model of a skin no longer serves, and how the whole layer goes on from it.
+
+What of a skin's loads lies outside the class that its modes serve is measured in every step.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from palmfield.errors import SceneError
+from palmfield.simulation.emission import Emission, array_drives
+from palmfield.simulation.model import HapticModel
+from palmfield.simulation.posed_scene import PosedScene
+from palmfield.simulation.radiation import Radiation
+from palmfield.simulation.state import HEADER, WHOLE, HapticState, claim
+from palmfield.skin.fem.wedge_stepper import WedgeStepper
+from palmfield.skin.stepper import Outside, SkinStepper, SurfaceLoads
+from palmfield.stimulus.schedule import first_point
+from palmfield.types import Complex, Float
+
+SHORT_WAVES = 3.0
+"""Times its share of the pressure, what a load outside the class adds to the velocity's error, about: it is of shorter
+waves than the class, and a pressure that comes at once moves skin as deep only as its wave is long, so much faster."""
+
+
+def leaves_small_model(
+    model: HapticModel,
+    state: HapticState,
+    skin: int,
+    posed: PosedScene,
+    reference: PosedScene,
+    emission: Emission,
+    t0: float,
+) -> bool:
+    """Whether a skin's small model ends here: body, arrays or focus have moved, or the run begins after the sound.
+
+    Raises SceneError instead where key `solver` names what steps it.
+    """
+    part = model.skins[skin]
+    if state.skins[skin][0, 0] == WHOLE:
+        return False
+    stepper = model.begin[skin].value
+    if stepper.any_pose and stepper.any_course:
+        return False
+    start_s = model.stimuli[model.sounding].config.start_s
+    moved = posed.skins[skin] is not reference.skins[skin] or posed.arrays is not model.arrays
+    if not moved:
+        stimulus, _, points = emission.placed(posed, t0)[model.sounding]
+        difference = np.abs(points.at(first_point(stimulus.config)) - stimulus.reference_foci)
+        moved = bool(np.maximum.reduce(difference, axis=None) > part.still_m)
+    numbers = state.skins[skin][0, HEADER : HEADER + stepper.state_size]
+    late = start_s < t0 - 1e-9 and not stepper.any_course and not np.logical_or.reduce(numbers)
+    if (stepper.any_pose or not moved) and not late:
+        return False
+    if part.spec.config.solver == stepper.name:
+        what = (
+            f"body '{part.spec.config.body}', an array or the focus has moved" if moved else "the skin begins at rest"
+        )
+        raise SceneError(
+            f"plugin 'palmfield.skin' instance '{part.spec.name}': key 'solver' has value '{stepper.name}', but {what} "
+            f"at {t0:g} s, which the small model was not made for; set solver to auto or wedges"
+        )
+    return True
+
+
+def continue_on_whole_layer(
+    model: HapticModel,
+    state: HapticState,
+    skin: int,
+    posed: PosedScene,
+    emission: Emission,
+    radiation: Radiation,
+    amplitudes: Complex,
+    t0: float,
+) -> tuple[WedgeStepper, Float]:
+    """Turn a small model's motion into one of the whole layer, in place; amplitudes: emitted at t0 [s], shape (N,).
+
+    Returns the whole layer's stepper and its numbers, shape (1, state_size), a view of the state.
+    """
+    small, whole = model.begin[skin].value, model.whole[skin].value
+    numbers = state.skins[skin][:, HEADER:]
+
+    def pressure() -> Float:
+        course = emission.now(posed, amplitudes, t0)
+        assert small.points is not None
+        radiation.choose(skin, small.points)
+        if course.unit is not None and course.levels is not None:
+            return np.asarray(abs(course.levels[0]) ** 2 * radiation.on(posed, skin, "load", course.unit).arp)
+        if course.emitted is not None:
+            return radiation.on(posed, skin, "load", course.emitted[0]).arp.astype(np.float64)
+        return np.zeros(len(small.points))
+
+    numbers[:, : whole.state_size] = small.lifted(numbers[:, : small.state_size], pressure)
+    claim(model, state, skin, whole)
+    return whole, numbers[:, : whole.state_size]
+
+
+class OutsideClass:
+    """What of a skin's loads in a run has been outside the class that its modes serve.
+
+    sums: squares over all substeps
+    loudest: most energy of the load in one step, that of a focus in the middle of the skin included; None before the
+        first step
+    """
+
+    def __init__(self) -> None:
+        self.sums = Outside(0.0, 0.0, 0.0, 0.0)
+        self.loudest: float | None = None
+
+    def add(self, step: Outside) -> float:
+        """Take a step's loads; what of them lies outside, in the energy norm, over the loudest step's.
+
+        `loudest` must be known.
+        """
+        assert self.loudest is not None
+        a, b, c, d = self.sums
+        self.sums = Outside(a + step.energy, b + step.energy_of_all, c + step.plain, d + step.plain_of_all)
+        self.loudest = max(self.loudest, step.energy_of_all)
+        return math.sqrt(step.energy / self.loudest) if self.loudest > 0.0 else 0.0
+
+    def copy(self) -> "OutsideClass":
+        """A copy that goes on by itself."""
+        result = OutsideClass()
+        result.sums, result.loudest = self.sums, self.loudest
+        return result
+
+    @property
+    def energy_share(self) -> float:
+        """Of the energy norm of all loads, what was outside: about what that adds to the displacement's error."""
+        return math.sqrt(self.sums.energy / self.sums.energy_of_all) if self.sums.energy_of_all > 0.0 else 0.0
+
+    @property
+    def pressure_share(self) -> float:
+        """Of the pressure's norm, what was outside."""
+        return math.sqrt(self.sums.plain / self.sums.plain_of_all) if self.sums.plain_of_all > 0.0 else 0.0
+
+    def errors(self, added: tuple[float, float | None]) -> tuple[float, float | None]:
+        """What a small model adds to a run's errors (`SkinStepper.adds_error`), with what lay outside its class."""
+        displacement, velocity = added
+        quick = SHORT_WAVES * self.pressure_share
+        return math.hypot(displacement, self.energy_share), None if velocity is None else math.hypot(velocity, quick)
+
+
+def leaves_class(model: HapticModel, skin: int, share: Any) -> Any:
+    """Whether a skin's modes end here: more of a step's load than the wanted accuracy lies outside their class.
+
+    share: see OutsideClass.add, one number or several. Where key `solver` asks for modes they go on, and the run's
+    error says it.
+    """
+    config = model.skins[skin].spec.config
+    return (config.solver == "auto") & (share > config.accuracy)
+
+
+def loudest_load(
+    model: HapticModel, skin: int, stepper: SkinStepper, reference: PosedScene, radiation: Radiation
+) -> float:
+    """Energy over a step of a stimulus's steady focus in the middle of a skin, in the reference pose: what sound beside
+    the skin is little against."""
+    frame = reference.skins[skin].body.frame
+    centre = frame.points(np.array(model.skins[skin].spec.patch_centre))
+    assert stepper.points is not None
+    radiation.choose(skin, stepper.points)
+    loudest = 0.0
+    for drive in array_drives(model, reference.arrays):
+        try:
+            amplitudes = drive.unit_drive(centre).amplitudes
+        except SceneError:
+            continue  # an array that doesn't face this skin
+        arp = radiation.on(reference, skin, "load", amplitudes).arp
+        steady = np.ones((1, model.substeps, 1))
+        loudest = max(loudest, stepper.outside(SurfaceLoads(arp[None, None], steady, steady)).energy_of_all)
+    return loudest

@@ -1,0 +1,120 @@
+"""Worlds of one scene on a device: from MuJoCo's frames to what carries points, and what is read of their skins."""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def seen_from_first(places: wp.array2d(dtype=wp.vec3d), world: wp.int32, row: wp.int32, turn: wp.mat33d):
+    """Where a row's origin is for the first one, whose axes are the columns of `turn`."""
+    return wp.transpose(turn) * (places[world, row] - places[world, 0])
+
+
+@wp.kernel
+def place_parts(
+    places: wp.array2d(dtype=wp.vec3d),
+    axes: wp.array2d(dtype=wp.mat33d),
+    rows: wp.array(dtype=wp.int32),
+    rest: wp.array(dtype=wp.vec3d),
+    turns: wp.array2d(dtype=wp.mat33d),
+    shifts: wp.array2d(dtype=wp.vec3d),
+    origins: wp.array2d(dtype=wp.vec3d),
+):
+    """Motions of bodies and bones as the first row's frame sees them; dim: (worlds, parts).
+
+    places [m], axes: MuJoCo's frames, shape (worlds, rows), the first array's in front; rows: of each part, shape (p,)
+    rest: each part's origin in the resting body [m]; origins: where it is now
+    """
+    w, i = wp.tid()
+    first = axes[w, 0]
+    turn = wp.transpose(first) * axes[w, rows[i]]
+    origin = seen_from_first(places, w, rows[i], first)
+    turns[w, i] = turn
+    shifts[w, i] = origin - turn * rest[i]
+    origins[w, i] = origin
+
+
+@wp.kernel
+def place_foci(
+    places: wp.array2d(dtype=wp.vec3d),
+    axes: wp.array2d(dtype=wp.mat33d),
+    row: wp.int32,
+    own: wp.array2d(dtype=wp.vec3d),
+    foci: wp.array2d(dtype=wp.vec3d),
+):
+    """Points of a stimulus [m], shape (worlds, f), from its frame, in a row, to the first row's; dim: the same."""
+    w, i = wp.tid()
+    first = axes[w, 0]
+    foci[w, i] = wp.transpose(first) * (axes[w, row] * own[w, i]) + seen_from_first(places, w, row, first)
+
+
+@wp.kernel
+def heights(
+    turns: wp.array2d(dtype=wp.mat33d),
+    origins: wp.array2d(dtype=wp.vec3d),
+    centres: wp.array(dtype=wp.vec3d),
+    halves: wp.array(dtype=wp.vec3d),
+    boards: wp.array(dtype=wp.vec4d),
+    result: wp.array2d(dtype=wp.float64),
+):
+    """Height of the lowest corner of each part's box over the highest board [m]; dim: (worlds, parts).
+
+    centres, halves: of the boxes, in the parts' axes [m]; boards: a normal, and the height of the board along it [m]
+    """
+    w, i = wp.tid()
+    lowest = wp.float64(wp.inf)
+    for b in range(boards.shape[0]):
+        normal = wp.vec3d(boards[b][0], boards[b][1], boards[b][2])
+        along = wp.transpose(turns[w, i]) * normal
+        height = wp.dot(along, centres[i]) + wp.dot(normal, origins[w, i]) - boards[b][3]
+        for axis in range(3):
+            height -= wp.abs(along[axis]) * halves[i][axis]
+        lowest = wp.min(lowest, height)
+    result[w, i] = lowest
+
+
+@wp.kernel
+def sums_of_squares(parts: wp.array4d(dtype=wp.float64), result: wp.array2d(dtype=wp.float64)):
+    """Sums over substeps and lanes of what `skin_steps.squares` found, shape (worlds, groups); dim: the same."""
+    w, group = wp.tid()
+    total = wp.float64(0.0)
+    for substep in range(parts.shape[2]):
+        for lane in range(parts.shape[3]):
+            total += parts[w, group, substep, lane]
+    result[w, group] = total
+
+
+@wp.kernel
+def read_modes(
+    states: wp.array3d(dtype=wp.float64), matrix: wp.array2d(dtype=wp.float64), result: wp.array3d(dtype=wp.float64)
+):
+    """Displacement and velocity of modes, the first two rows of states (w, rows, n), times a matrix (n, m), (w, 2, m).
+
+    dim: the result's
+    """
+    w, row, column = wp.tid()
+    total = wp.float64(0.0)
+    for i in range(matrix.shape[0]):
+        total += states[w, row, i] * matrix[i, column]
+    result[w, row, column] = total
+
+
+@wp.kernel
+def take_over(
+    active: wp.array2d(dtype=wp.int32), values: wp.array2d(dtype=wp.float64), result: wp.array2d(dtype=wp.float64)
+):
+    """Copy the rows of active worlds, those whose first number is not 0; dim: the result's, (worlds, n)."""
+    w, i = wp.tid()
+    if active[w, 0] != 0:
+        result[w, i] = values[w, i]
+
+
+@wp.kernel
+def largest(values: wp.array2d(dtype=wp.vec2d), result: wp.array(dtype=wp.float64)):
+    """Largest magnitude of each row; dim: rows."""
+    row = wp.tid()
+    most = wp.float64(0.0)
+    for i in range(values.shape[1]):
+        most = wp.max(most, wp.length_sq(values[row, i]))
+    result[row] = wp.sqrt(most)
