@@ -64,7 +64,8 @@ class Array:
     gain: complex factor of each transducer's sound, shape (n,): 0 where it is dead, -1 where it is wired the other way
         round; None is 1 for all
     directivity_table: measured directivity in place of the piston's, shape (m, 2): angle off the axis [deg] and
-        amplitude relative to that on the axis; None is the piston
+        amplitude relative to that on the axis; None is the form of `directivity`
+    directivity: name of a form of `palmfield.acoustics.directivities`
     """
 
     name: str
@@ -76,6 +77,7 @@ class Array:
     address: Int | None = None
     gain: Complex | None = None
     directivity_table: Float | None = None
+    directivity: str = "piston"
 
     def __len__(self) -> int:
         return len(self.positions)

@@ -22,10 +22,11 @@ from PIL import Image
 from scipy.optimize import brentq
 
 from palmfield.acoustics.arrays import LAYOUTS, layout
+from palmfield.acoustics.directivities.t4010a1 import T4010A1_DIRECTIVITY
 from palmfield.acoustics.focus import focus
 from palmfield.acoustics.layouts import TRANSDUCER_DIAMETER_M
 from palmfield.acoustics.reference import pressure64
-from palmfield.acoustics.transducer import ANY_P0, ANY_QUALITY, T4010A1_DIRECTIVITY, table_misfit
+from palmfield.acoustics.transducer import ANY_P0, ANY_QUALITY, table_misfit
 from palmfield.outputs.style import save, style
 from palmfield.types import Air, Array, Estimate
 

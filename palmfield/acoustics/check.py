@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from palmfield.acoustics.directivities import form_of
 from palmfield.errors import PalmfieldError, SceneError
 from palmfield.types import Array
 
@@ -105,7 +106,9 @@ def array(value: Array) -> None:
         )
     if value.gain is not None and (value.gain.shape != (count,) or not np.isfinite(value.gain).all()):
         raise SceneError(f"array '{value.name}' gain of shape {value.gain.shape} must be finite and ({count},)")
-    if value.directivity_table is not None:
+    if value.directivity_table is None:
+        form_of(value)
+    else:
         directivity_table(value.name, value.directivity_table)
 
 

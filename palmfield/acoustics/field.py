@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from palmfield.acoustics import check, polynomials, validity
 from palmfield.acoustics.air import absorption_Np_m as air_absorption
 from palmfield.acoustics.air import sound_speed
+from palmfield.acoustics.directivities import directivity_coefficients
 from palmfield.acoustics.groups import groups
-from palmfield.acoustics.transducer import directivity_coefficients
 from palmfield.device import SharedArray, filled, load_kernels, recorded, resolve
 from palmfield.errors import PalmfieldError
 from palmfield.threads import Calls, cores, pool, share

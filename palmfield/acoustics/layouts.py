@@ -7,8 +7,9 @@ from functools import partial
 import numpy as np
 from scipy.optimize import brentq
 
+from palmfield.acoustics.directivities.t4010a1 import T4010A1_DIRECTIVITY
 from palmfield.acoustics.placement import combined, from_poses, placed
-from palmfield.acoustics.transducer import ANY_P0, ANY_QUALITY, T4010A1_DIRECTIVITY
+from palmfield.acoustics.transducer import ANY_P0, ANY_QUALITY
 from palmfield.types import Array, Estimate, Float, Int
 
 AUTD_COLUMNS, AUTD_ROWS, AUTD_PITCH_M = 18, 14, 10.16e-3

@@ -14,11 +14,13 @@ from scipy.spatial import cKDTree
 from palmfield.acoustics.air import density, sound_speed
 from palmfield.acoustics.arrays import LAYOUTS, combined, from_poses, layout, placed, with_faults
 from palmfield.acoustics.calibration_file import Calibration, calibrated
+from palmfield.acoustics.directivities import FORMS, form_of
+from palmfield.acoustics.directivity import Directivity
 from palmfield.acoustics.echo import image_shifts
 from palmfield.acoustics.field import FieldEvaluator, Mode
 from palmfield.acoustics.placement import sides_of
 from palmfield.acoustics.reference import pressure64
-from palmfield.acoustics.transducer import ANY_P0, ANY_QUALITY, T4010A1_DIRECTIVITY
+from palmfield.acoustics.transducer import ANY_P0, ANY_QUALITY
 from palmfield.acoustics.transducer_file import TransducerTable
 from palmfield.config import ArrayConfig
 from palmfield.errors import SceneError
@@ -98,14 +100,10 @@ class ArrayInstance:
             array = self.table.array(self.p0.value)
         else:
             array = layout(config.layout, self.p0.value)
-        if config.directivity == "point":
-            array = replace(array, piston_radius_m=0.0, directivity_table=None)
-        elif config.directivity == "piston":
-            array = replace(array, directivity_table=None)
-        elif config.directivity == "t4010a1":
-            array = replace(array, directivity_table=T4010A1_DIRECTIVITY)
+        if config.directivity in FORMS:
+            array = FORMS[config.directivity].of(array)
         if config.piston_radius_m is not None:
-            if config.directivity == "point" or array.directivity_table is not None:
+            if not form_of(array).sized:
                 raise SceneError(
                     f"key 'piston_radius_m' has value {config.piston_radius_m:g}, but layout '{config.layout}' with "
                     f"directivity '{config.directivity}' has no piston: drop it or set directivity to piston"
@@ -143,10 +141,9 @@ class DirectivityGroup:
 def directivity_groups(parts: Sequence[Array]) -> tuple[DirectivityGroup, ...]:
     """Arrays in one frame, sorted by directivity; transducers are numbered from array to array."""
     starts = np.cumsum([0, *(len(part) for part in parts)])
-    members: dict[tuple[float, bytes], list[int]] = {}
+    members: dict[tuple[float, Directivity], list[int]] = {}
     for i, part in enumerate(parts):
-        table = b"" if part.directivity_table is None else part.directivity_table.tobytes()
-        members.setdefault((part.piston_radius_m, table), []).append(i)
+        members.setdefault((part.piston_radius_m, form_of(part)), []).append(i)
     return tuple(
         DirectivityGroup(
             combined([parts[i] for i in same]),
@@ -283,7 +280,7 @@ class PhasedArray:
         self.images = () if wall_m is None else self._images(wall_m, facing[0])
         if len(self.groups) > 1:
             widest = max(part.piston_radius_m for part in moved)
-            moved = [replace(part, piston_radius_m=widest, directivity_table=None) for part in moved]
+            moved = [replace(FORMS["piston"].of(part), piston_radius_m=widest) for part in moved]
         self.array = moved[0] if len(moved) == 1 else combined(moved)
 
     def __len__(self) -> int:

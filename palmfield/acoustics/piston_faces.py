@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from palmfield.acoustics import check
+from palmfield.acoustics.directivities import form_of
 from palmfield.errors import SceneError
 from palmfield.types import Array, Complex
 
@@ -27,10 +28,11 @@ def as_faces(array: Array, drive: ArrayLike, *, rings: int = RINGS, spokes: int 
     """
     check.array(array)
     emitted = check.drive(drive, array)
-    if array.directivity_table is not None or array.piston_radius_m <= 0.0:
+    form = form_of(array)
+    if form.name != "piston" or array.piston_radius_m <= 0.0:
         raise SceneError(
-            f"array '{array.name}' has no pistons (radius {array.piston_radius_m:g} m"
-            f"{', a directivity table' if array.directivity_table is not None else ''}): give one with a radius above 0"
+            f"array '{array.name}' has no pistons (radius {array.piston_radius_m:g} m, directivity '{form.name}'): "
+            "give one with a radius above 0"
         )
     if array.gain is not None:
         emitted = emitted * array.gain

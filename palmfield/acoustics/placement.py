@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import polar
 
 from palmfield.acoustics import check
+from palmfield.acoustics.directivities import form_of
 from palmfield.acoustics.transducer import ANY_P0
 from palmfield.errors import SceneError
 from palmfield.types import Array, Complex, Float, Int
@@ -75,7 +76,7 @@ def combined(arrays: Sequence[Array], name: str | None = None) -> Array:
     every array has them.
 
     name: the names joined by " + " where it is None
-    Raises SceneError for no arrays, and for differing frequency, piston radius or directivity table.
+    Raises SceneError for no arrays, and for differing frequency, piston radius or directivity.
     """
     if not arrays:
         raise SceneError("no arrays to combine: give at least 1")
@@ -87,9 +88,12 @@ def combined(arrays: Sequence[Array], name: str | None = None) -> Array:
                 raise SceneError(
                     f"arrays '{first.name}' and '{other.name}' differ in {key}, {mine:g} and {its:g}: make them equal"
                 )
-        tables = [a.directivity_table for a in (first, other) if a.directivity_table is not None]
-        if len(tables) == 1 or (tables and not np.array_equal(tables[0], tables[1])):
-            raise SceneError(f"arrays '{first.name}' and '{other.name}' differ in directivity_table: use one for both")
+        one, two = form_of(first), form_of(other)
+        if one is not two:
+            raise SceneError(
+                f"arrays '{first.name}' and '{other.name}' differ in directivity ('{one.name}', '{two.name}'): use one "
+                "form or table for both"
+            )
     p0 = max(a.p0_Pa_m for a in arrays)
     gains = [(np.ones(len(a), complex) if a.gain is None else a.gain) * (a.p0_Pa_m / p0) for a in arrays]
     plain = all(a.gain is None and a.p0_Pa_m == p0 for a in arrays)

@@ -4,14 +4,10 @@ import functools
 from collections.abc import Callable
 
 import numpy as np
-from numpy.polynomial import Chebyshev, Polynomial, polynomial
+from numpy.polynomial import Chebyshev, Polynomial
 from scipy.special import j1
 
-from palmfield.errors import SceneError
 from palmfield.types import Float
-
-DIRECTIVITY_ERROR = 2e-6
-"""Largest error of the directivity's fit that is accepted, relative to its value on the axis."""
 
 ATTENUATION_REACH_Np = 0.25
 """Absorption times distance up to which the cubic of `attenuation` holds, with a relative error of 1.4e-6."""
@@ -30,27 +26,6 @@ def piston(x: Float) -> Float:
     # Below 1e-8 it is 1 to the last digit
     safe = np.maximum(np.abs(x), 1e-8)
     return 2.0 * j1(safe) / safe
-
-
-@functools.cache
-def directivity(kb: float) -> tuple[Float, Float]:
-    """Coefficients, lowest power first, of the piston's directivity in s = sin^2(angle) and of its derivative.
-
-    kb: wavenumber times piston radius [rad]
-    Returns arrays of shape (6,) and (5,); exactly 1 and 0 for kb = 0, a point source.
-    Raises SceneError when a quintic is not good enough, which is above kb of about 4.5.
-    """
-    if kb == 0.0:
-        return np.eye(6)[0], np.zeros(5)
-    quintic = fit(lambda s: piston(kb * np.sqrt(s)), 5, 1.0)
-    s = np.linspace(0.0, 1.0, 501)
-    error = float(np.abs(polynomial.polyval(s, quintic) - piston(kb * np.sqrt(s))).max())
-    if not error <= DIRECTIVITY_ERROR:
-        raise SceneError(
-            f"piston of k*radius = {kb:.3g} is too large for the directivity model (at most about 4.5): "
-            "lower piston_radius_m or frequency_Hz"
-        )
-    return quintic, quintic[1:] * np.arange(1, 6)
 
 
 def attenuation(absorption_Np_m: float) -> Float:

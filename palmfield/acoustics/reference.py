@@ -1,15 +1,12 @@
 """The field in float64 NumPy: slow, direct, and what the fast kernels are held against."""
 
 import numpy as np
-from numpy.polynomial.polynomial import polyval
 from numpy.typing import ArrayLike
-from scipy.special import jv
 
 from palmfield.acoustics import check
 from palmfield.acoustics.air import absorption_Np_m as air_absorption
 from palmfield.acoustics.air import sound_speed
-from palmfield.acoustics.polynomials import piston
-from palmfield.acoustics.transducer import directivity_coefficients
+from palmfield.acoustics.directivities import form_of
 from palmfield.types import Air, Array, Complex, Float
 
 CHUNK = 256
@@ -28,8 +25,8 @@ def pressure64(
     """Complex peak pressure of an array in a baffle, and its gradient if asked.
 
     p = p0/d A g D(angle) exp(ikd - beta d), summed over the transducers, with their drive A and gain g; a transducer
-    gives nothing at points in or behind its own plane (baffle). D = 2 J1(kb sin)/(kb sin) for a piston; where the array
-    has a directivity table, the quintic of `transducer.table_coefficients`.
+    gives nothing at points in or behind its own plane (baffle). D is the level of the array's form of directivity
+    (`palmfield.acoustics.directivities`), for example 2 J1(kb sin)/(kb sin) for a piston.
 
     points: [m], array frame, shape (n, 3)
     drive: complex amplitudes, 1 is full drive, shape (len(array),)
@@ -70,24 +67,10 @@ def pressure64(
 
 def directivity(array: Array, wavenumber: float, cosine: Float) -> Float:
     """Directivity at the cosine of the angle off the axis, of the cosine's shape."""
-    square = np.maximum(1.0 - cosine**2, 0.0)
-    if array.directivity_table is not None:
-        return np.asarray(polyval(square, directivity_coefficients(array, wavenumber)[0]))
-    return piston(wavenumber * array.piston_radius_m * np.sqrt(square))
+    return form_of(array).level(np.maximum(1.0 - cosine**2, 0.0), wavenumber * array.piston_radius_m)
 
 
 def directivity_bend(array: Array, wavenumber: float, cosine: Float) -> Float:
     """Derivative of the directivity with respect to the cosine of the angle off the axis, of the cosine's shape."""
     square = np.maximum(1.0 - cosine**2, 0.0)
-    if array.directivity_table is not None:
-        return np.asarray(-2.0 * cosine * polyval(square, directivity_coefficients(array, wavenumber)[1]))
-    kb = wavenumber * array.piston_radius_m
-    # dD/d(cosine) = 2 (kb)^2 cosine J2(x)/x^2, since (J1(x)/x)' = -J2(x)/x
-    return np.asarray(cosine * kb**2 * jinc2(kb * np.sqrt(square)))
-
-
-def jinc2(x: Float) -> Float:
-    """2 J2(x)/x^2, and its limit 1/4 at x = 0."""
-    small = x < 1e-4
-    safe = np.where(small, 1.0, x)
-    return np.where(small, 0.25, 2.0 * jv(2, safe) / safe**2)
+    return np.asarray(-2.0 * cosine * form_of(array).slope(square, wavenumber * array.piston_radius_m))

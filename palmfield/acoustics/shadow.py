@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 from palmfield.acoustics import check
 from palmfield.acoustics.air import absorption_Np_m as air_absorption
 from palmfield.acoustics.air import sound_speed
-from palmfield.acoustics.transducer import directivity_coefficients
+from palmfield.acoustics.directivities import directivity_coefficients
 from palmfield.device import resolve
 from palmfield.errors import PalmfieldError
 from palmfield.types import Air, Array, Field, Float32, Surface

@@ -1,20 +1,11 @@
-"""How loud a transducer is off its axis: a point, a baffled piston or a measured table, as one polynomial."""
+"""What is known of any transducer, and a measured directivity as a polynomial."""
 
 import numpy as np
 from numpy.polynomial import polynomial
 from scipy.interpolate import PchipInterpolator
 
-from palmfield.acoustics import polynomials
 from palmfield.errors import SceneError
-from palmfield.types import Array, Estimate, Float
-
-T4010A1_DIRECTIVITY: Float = np.column_stack(
-    [np.arange(0.0, 91.0, 10.0), [1.0, 1.0, 1.0, 0.891, 0.708, 0.501, 0.355, 0.251, 0.200, 0.178]]
-)
-"""Nippon Ceramic T4010A1 at 40 kHz: angle [deg] and relative amplitude, shape (10, 2).
-
-0, 0, 0, -1, -3, -6, -9, -12, -14 and -15 dB from 0 to 90 deg: the maker's diagram as read by the AUTD3 software.
-"""
+from palmfield.types import Estimate, Float
 
 ANY_P0 = Estimate(
     2.53,
@@ -37,22 +28,6 @@ ANY_QUALITY = Estimate(
 
 TABLE_MISFIT_LIMIT = 0.02
 """Largest distance of the fitted polynomial from a table's entries that is accepted, relative to the axis."""
-
-
-def directivity_coefficients(array: Array, wavenumber: float) -> tuple[Float, Float]:
-    """Directivity of the array's transducers as a quintic in s = sin^2(angle off the axis), and its derivative in s.
-
-    A point source gives (1, 0, 0, 0, 0, 0); a piston the fit of 2 J1(x)/x, x = k b sin(angle), to 2e-6; a table the fit
-    of `table_coefficients`, which then is the model, whatever the wavenumber.
-
-    wavenumber: 2 pi f/c [rad/m]
-    Returns coefficients, lowest power first, of shapes (6,) and (5,).
-    Raises SceneError for a piston too large for the fit and for a table that a quintic does not follow.
-    """
-    if array.directivity_table is not None:
-        quintic = table_coefficients(array.directivity_table)
-        return quintic, quintic[1:] * np.arange(1, 6)
-    return polynomials.directivity(wavenumber * array.piston_radius_m)
 
 
 def table_coefficients(table: Float) -> Float:

@@ -7,15 +7,11 @@ from scipy.spatial import KDTree
 from palmfield.acoustics import check
 from palmfield.acoustics.air import density, sound_speed
 from palmfield.acoustics.derived import angular_frequency
+from palmfield.acoustics.directivities import form_of
 from palmfield.acoustics.nonlinear import arp_left, beam_steepening, steepening
-from palmfield.acoustics.reference import pressure64
+from palmfield.acoustics.reference import directivity, pressure64
 from palmfield.errors import PalmfieldError
 from palmfield.types import Air, Array, Complex, Float
-
-AMPLITUDE_ERROR = 0.45
-"""Largest error of a piston's far field times (d/b)^2, over angles to 85 degrees and for k b up to 3.3, the usual
-transducer (`palmfield.studies.bench.rayleigh`, docs/bench/peers.md). Larger pistons have a null, where the sound is
-weak."""
 
 FAR_FIELD_ERROR = 0.01
 """Error of one transducer's amplitude from which `warnings` speaks."""
@@ -34,14 +30,14 @@ class PalmfieldWarning(UserWarning):
 def far_field_m(array: Array, error: float = FAR_FIELD_ERROR) -> float:
     """Distance [m] from which the far-field directivity gives a transducer's amplitude within a relative error.
 
-    It is b sqrt(0.45/error). The phase is then off by k b^2/(4 distance) on the axis and up to 1.4 times that
-    off it, in radians; most of it is common to all transducers and moves no focus.
+    It is b sqrt(near/error), with `near` of the array's form, 0.45. The phase is then off by k b^2/(4 distance) on the
+    axis and up to 1.4 times that off it, in radians; most of it is common to all transducers and moves no focus.
 
     Raises PalmfieldError for an error above 0.1, where the fall with the square of the distance ends.
     """
     if not 0.0 < error <= 0.1:
         raise PalmfieldError(f"error = {error:g} of the far field; allowed: more than 0, at most 0.1")
-    return float(array.piston_radius_m * np.sqrt(AMPLITUDE_ERROR / error))
+    return float(array.piston_radius_m * np.sqrt(form_of(array).near / error))
 
 
 def radiation_pressure_Pa(pressure_Pa: float, air: Air) -> float:
@@ -115,7 +111,8 @@ def _too_loud(array: Array, point: np.ndarray, peak: float, air: Air, beam: tupl
             f"{SATURATION_Pa:g} Pa: lower the drive"
         )
     gain = 1.0 if array.gain is None else np.abs(array.gain)
-    shape = 1.0 if array.directivity_table is None else float(array.directivity_table[:, 1].max())
+    wavenumber = angular_frequency(array.frequency_Hz) / sound_speed(air)
+    shape = directivity(array, wavenumber, np.linspace(0.0, 1.0, 181)).max()
     most = float((array.p0_Pa_m * shape * gain / np.maximum(distance, 1e-9)).sum())
     if peak > most * (1.0 + 1e-3):
         messages.append(

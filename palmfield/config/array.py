@@ -1,6 +1,8 @@
 """Keys of palmfield.array."""
 
-from typing import Annotated, Any, ClassVar, Literal, Self
+from pathlib import Path
+from pkgutil import iter_modules
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -11,6 +13,12 @@ Layout = Literal[
     "uhev1", "sonicsurface", "autd2018", "autd2018_2x2", "autd3", "autd3_2x2", "autd3_3x2", "autd3_4x2",
     "two_bow_as_printed", "two_bow_corrected", "stratos_explore", "openmpd", "openmpd_rows", "ultraino", "sites", "csv",
 ]  # fmt: skip
+DIRECTIVITIES_FOLDER = Path(__file__).parents[1] / "acoustics" / "directivities"
+if TYPE_CHECKING:
+    DirectivityName = str
+else:
+    # Each file there is a form; its code lies in a layer above
+    DirectivityName = Literal[("layout", *sorted(module.name for module in iter_modules([str(DIRECTIVITIES_FOLDER)])))]
 
 
 def _air(name: str) -> Any:
@@ -39,8 +47,9 @@ class ArrayConfig(Config):
     )
     p0_low_Pa_m: Positive | None = Field(None, description="lower end of the range of key p0_Pa_m")
     p0_high_Pa_m: Positive | None = Field(None, description="upper end of the range of key p0_Pa_m")
-    directivity: Literal["layout", "point", "piston", "t4010a1"] = Field(
-        "layout", description="sound off a transducer's axis: the layout's own, none, a baffled piston, or as measured"
+    directivity: DirectivityName = Field(
+        "layout",
+        description="how sound falls off a transducer's axis: as in the layout, or a form (docs/concepts/array.md)",
     )
     piston_radius_m: Annotated[float, Field(gt=0, le=0.0061)] | None = Field(
         None, description="radius of the baffled piston (default: the layout's)"

@@ -4,14 +4,14 @@ Where `palmfield.drive.transducer_response` computes drives with NumPy, here a f
 kernels leave the drives where those of the sound field take them.
 """
 
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
 import warp as wp
 
+from palmfield.acoustics.directivities import form_of
+from palmfield.acoustics.directivity import EXACT
 from palmfield.acoustics.point_sound import Transducers
-from palmfield.acoustics.transducer import directivity_coefficients
 from palmfield.device import SharedArray, filled, launch, whole_numbers
 from palmfield.drive.array_drive import ArrayDrive
 from palmfield.drive.transducer_response import PoleStepper
@@ -19,9 +19,6 @@ from palmfield.stimulus.schedule import Moments
 from palmfield.threads import Calls
 from palmfield.types import Complex, Float, Int
 from warp_kernels import path_drives as kernels
-
-TERMS = 24
-"""Of the series of a piston's directivity, which then is right to the last digits up to k radius 4.5."""
 
 
 class PathStep(NamedTuple):
@@ -103,6 +100,7 @@ class PathDrives:
         self._places, self._facing = (SharedArray(drive.count, wp.vec3d, device) for _ in range(2))
         parts = drive.array.parts
         gains = [part.p0_Pa_m * (np.ones(len(part)) if part.gain is None else part.gain) for part in parts]
+        shapes = [form_of(part).polynomial(drive.wavenumber * part.piston_radius_m, EXACT) for part in parts]
         owners = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
         self.aim = aim_of(drive)
         self._focusing = filled(
@@ -111,7 +109,7 @@ class PathDrives:
             facing=self._facing.array,
             gains=_pairs(np.concatenate(gains), device),
             parts=whole_numbers(owners, device),
-            shapes=wp.array([_shape(part, drive.wavenumber) for part in parts], dtype=wp.float64, device=device),
+            shapes=wp.array(shapes, dtype=wp.float64, device=device),
             wavenumber=drive.wavenumber,
             absorption_Np_m=drive.absorption_Np_m,
         )
@@ -204,17 +202,3 @@ def _pairs(values: Any, device: str) -> Any:
     """Complex numbers as vec2d."""
     pairs = np.ascontiguousarray(values, np.complex128).view(np.float64).reshape(-1, 2)
     return wp.array(pairs, dtype=wp.vec2d, device=device)
-
-
-def _shape(array: Any, wavenumber: float) -> Float:
-    """Directivity of an array's transducers as a polynomial in sin^2 of the angle, lowest power first, (TERMS,)."""
-    result = np.zeros(TERMS)
-    if array.directivity_table is not None:
-        table = directivity_coefficients(array, wavenumber)[0]
-        result[: len(table)] = table
-        return result
-    # 2 J1(x)/x, x = k b sin(angle), as its power series in x^2
-    quarter = 0.25 * (wavenumber * array.piston_radius_m) ** 2
-    for k in range(TERMS):
-        result[k] = (-quarter) ** k / (math.factorial(k) * math.factorial(k + 1))
-    return result

@@ -3,6 +3,7 @@
 import numpy as np
 import xarray as xr
 
+from palmfield.acoustics.directivities import FORMS
 from palmfield.acoustics.field import pressure
 from palmfield.acoustics.phased_array import ArrayInstance
 from palmfield.acoustics.placement import placed
@@ -67,7 +68,7 @@ def _transducers(name: str, group: xr.Dataset, config: ArrayConfig) -> Array:
         table = None
         if "off_axis_angle" in group:
             table = np.column_stack([group["off_axis_angle"].values, group["off_axis_level"].values])
-        return Array(
+        sounds = Array(
             name,
             group["transducer_position"].values,
             group["transducer_direction"].values,
@@ -76,6 +77,7 @@ def _transducers(name: str, group: xr.Dataset, config: ArrayConfig) -> Array:
             gain=group["transducer_p0"].values * phase,
             directivity_table=table,
         )
+        return FORMS[config.directivity].of(sounds) if config.directivity in FORMS else sounds
     for key, found in (("layout", config.layout in ("sites", "csv")), ("calibration", config.calibration is not None)):
         if found:
             raise OutputError(

@@ -2,6 +2,7 @@
 
 from palmfield import cache
 from palmfield.acoustics.body_scattering import BODY_SOUNDS
+from palmfield.acoustics.directivities import form_of
 from palmfield.estimate.array_inputs import qualities
 from palmfield.estimate.numerical_error import estimate_s
 from palmfield.estimate.numerics.mesh_error import RATIO
@@ -161,15 +162,7 @@ def _solver(skin: SkinModel, still_m: float) -> Row:
 
 def _directivity(model: HapticModel) -> str:
     """What the transducers are off their axes, in words."""
-    words = []
-    for group in model.arrays.groups:
-        if group.array.directivity_table is not None:
-            words.append("measured directivity")
-        elif group.array.piston_radius_m == 0.0:
-            words.append("point sources")
-        else:
-            words.append(f"pistons of {1e3 * group.array.piston_radius_m:g} mm radius")
-    return " and ".join(words)
+    return " and ".join(form_of(group.array).words(group.array) for group in model.arrays.groups)
 
 
 def _ring_up(stimulus: StimulusModel) -> list[Row]:

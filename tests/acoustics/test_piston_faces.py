@@ -38,5 +38,5 @@ def test_far_away_they_are_the_pistons():
 
 def test_an_array_without_pistons_is_refused():
     units = layout("autd2018")
-    with pytest.raises(SceneError, match="directivity table"):
+    with pytest.raises(SceneError, match="directivity 'table'"):
         as_faces(units, focus(units, Air(), [0.0, 0.0, 0.2]))

@@ -8,12 +8,10 @@ from numpy.polynomial.polynomial import polyval
 from scipy.special import j1
 
 from palmfield.acoustics.air import sound_speed
+from palmfield.acoustics.directivities import directivity_coefficients
+from palmfield.acoustics.directivities.t4010a1 import T4010A1_DIRECTIVITY
 from palmfield.acoustics.reference import pressure64
-from palmfield.acoustics.transducer import (
-    T4010A1_DIRECTIVITY,
-    directivity_coefficients,
-    table_misfit,
-)
+from palmfield.acoustics.transducer import table_misfit
 from palmfield.errors import SceneError
 from palmfield.types import Air, Array, Float
 

@@ -8,10 +8,10 @@ from hypothesis import strategies as st
 from scipy.optimize import approx_fprime
 
 from palmfield.acoustics.arrays import layout
+from palmfield.acoustics.directivities.t4010a1 import T4010A1_DIRECTIVITY
 from palmfield.acoustics.field import pressure
 from palmfield.acoustics.focus import focus
 from palmfield.acoustics.reference import pressure64
-from palmfield.acoustics.transducer import T4010A1_DIRECTIVITY
 from palmfield.drive.foci import (
     FAINT,
     Method,

@@ -19,7 +19,7 @@ from scipy.optimize import linear_sum_assignment
 from palmfield.acoustics import check
 from palmfield.acoustics.air import absorption_Np_m, sound_speed, sound_speed_sd
 from palmfield.acoustics.calibration_file import Elements
-from palmfield.acoustics.transducer import directivity_coefficients
+from palmfield.acoustics.directivities import directivity_coefficients
 from palmfield.errors import PalmfieldError
 from palmfield.types import Air, Array, Complex, Float
 

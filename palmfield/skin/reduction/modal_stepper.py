@@ -257,13 +257,9 @@ class ModalStepper(SkinStepper):
         # Of modes that are coupled; it fits no multiprocessor's own memory, so that each substep reads it again
         coupling = substeps * self.coupling.size
         own = modes * (rows * rows + rows)
-        return StepWork(
-            single=patterns * dense + substeps * modes * patterns,
-            double=substeps * own + coupling,
-            single_read=dense,
-            double_read=own + 2 * modes * rows + coupling,
-            kernels=4 * substeps if self.coupled else 0,
-        )
+        single, double = patterns * (dense + substeps * modes), substeps * own + coupling
+        launches = 4 * substeps if self.coupled else 0
+        return StepWork(single, double, dense, own + 2 * modes * rows + coupling, launches)
 
     def outside(self, loads: SurfaceLoads) -> Outside:
         """See SkinStepper."""

@@ -210,14 +210,9 @@ class ReducedStepper(SkinStepper):
     def work(self, patterns: int, substeps: int) -> StepWork:
         """See SkinStepper."""
         size, (points, forces) = self.state_size, self.shares.shape
-        products = points * forces
-        return StepWork(
-            single=patterns * products,
-            double=substeps * size * (size + 2 * forces),
-            single_read=products,
-            double_read=substeps * size * size,  # as the coupling of modes
-            kernels=substeps,
-        )
+        products, double = points * forces, substeps * size * (size + 2 * forces)
+        # A GPU reads the matrix in each substep, as the coupling of modes
+        return StepWork(patterns * products, double, products, substeps * size * size, substeps)
 
     def lifted(self, state: Float, pressure_Pa: Callable[[], Float]) -> Float:
         """See SkinStepper."""

@@ -19,6 +19,7 @@ from threadpoolctl import threadpool_limits
 from palmfield.acoustics import polynomials
 from palmfield.acoustics.air import absorption_Np_m, sound_speed
 from palmfield.acoustics.arrays import layout
+from palmfield.acoustics.directivities import directivity_coefficients
 from palmfield.acoustics.focus import focus
 from palmfield.acoustics.reference import pressure64
 from palmfield.device import resolve
@@ -209,7 +210,7 @@ def problem_of(model: str, low_m: float, high_m: float, points: int, device: str
         sound_speed_m_s=sound_speed(AIR),
         piston_radius_m=array.piston_radius_m,
         absorption_Np_m=absorption,
-        directivity=polynomials.directivity(k * array.piston_radius_m)[0],
+        directivity=directivity_coefficients(array, k)[0],
         sine=polynomials.sine_cosine()[0],
         cosine=polynomials.sine_cosine()[1],
         attenuation=polynomials.attenuation(absorption),

@@ -10,24 +10,10 @@ from palmfield.locked import locked_cached_property
 from palmfield.skin.explicit_layer import OwnMesh, OwnMeshStepper
 from palmfield.skin.fem.face_transfer import FaceTransfer
 from palmfield.skin.problem import Body, Layer, Slab
+from palmfield.skin.solvers.particles import resolution as spacing
+from palmfield.skin.solvers.particles import run
 from palmfield.skin.solvers.particles.cloud import Cloud, build_cloud
 from palmfield.skin.solvers.particles.probe import point_weights
-from palmfield.skin.solvers.particles.resolution import (
-    SECONDS_A_STEP,
-    STIFFEST,
-    choose_spacing,
-    law_error,
-    refusal_particles,
-)
-from palmfield.skin.solvers.particles.run import (
-    SAFETY,
-    CrushedError,
-    Particles,
-    StepTooLongError,
-    likely_step,
-    stable_step,
-    state_size,
-)
 from palmfield.skin.solvers.particles.solve import solve_particles
 from palmfield.types import Float, Int
 
@@ -38,14 +24,14 @@ HALVINGS = 3
 class ParticleLayer(OwnMesh):
     """Particles, a preview; see ExplicitLayer."""
 
-    preview, stiffest = True, STIFFEST
-    refusal = staticmethod(refusal_particles)
+    preview, stiffest = True, spacing.STIFFEST
+    refusal = staticmethod(spacing.refusal_particles)
     sizes_follow = "what such particles had on discs (docs/bench/skin_particles.md); the run states at least as much"
 
     @locked_cached_property
     def spacing_m(self) -> float:
         """Distance of particles for the wanted accuracy [m]."""
-        return choose_spacing(self.body_of(), self.planned_load(), self.layer.config.accuracy)
+        return spacing.choose_spacing(self.body_of(), self.planned_load(), self.layer.config.accuracy)
 
     @locked_cached_property
     def body(self) -> Body:
@@ -65,7 +51,7 @@ class ParticleLayer(OwnMesh):
     @property
     def state_size(self) -> int:
         """See OwnMesh."""
-        return state_size(self.cloud)
+        return run.state_size(self.cloud)
 
     @property
     def resolution(self) -> str:
@@ -75,14 +61,14 @@ class ParticleLayer(OwnMesh):
     @property
     def expected_error(self) -> float:
         """See OwnMesh: what particles at this distance had on discs."""
-        return law_error(self.body, self.planned_load(), self.cloud.columns.spacing_m)
+        return spacing.law_error(self.body, self.planned_load(), self.cloud.columns.spacing_m)
 
     def seconds(self, duration_s: float, device: str) -> float:
         """See OwnMesh."""
         # A disc's own error takes two runs more
         more = 2.0 * self.trial_s() if isinstance(self.body, Slab) else 0.0
-        each = len(self.cloud.points) * SECONDS_A_STEP["cpu" if device == "cpu" else "cuda"]
-        return (duration_s + more) / likely_step(self.cloud) * each
+        each = len(self.cloud.points) * spacing.SECONDS_A_STEP["cpu" if device == "cpu" else "cuda"]
+        return (duration_s + more) / run.likely_step(self.cloud) * each
 
     @property
     def face(self) -> Float:
@@ -121,10 +107,10 @@ class ParticleStepper(OwnMeshStepper):
     def __init__(self, own: ParticleLayer, transfer: FaceTransfer, device: str) -> None:
         super().__init__(own, transfer, device)
         cloud = self._cloud = own.cloud
-        self.state_size = state_size(cloud)
-        self._stable_s = stable_step(cloud)
-        self.steps = math.ceil(self.step_s / (SAFETY * self._stable_s))
-        self._rooms: list[dict[int, Particles]] = []
+        self.state_size = run.state_size(cloud)
+        self._stable_s = run.stable_step(cloud)
+        self.steps = math.ceil(self.step_s / (run.SAFETY * self._stable_s))
+        self._rooms: list[dict[int, run.Particles]] = []
 
     def carried(self, state: Float, ends: Float, t0: float, t1: float, seen: bool) -> Float:
         """See OwnMeshStepper."""
@@ -135,13 +121,13 @@ class ParticleStepper(OwnMeshStepper):
         for halvings in range(HALVINGS + 1):
             steps = 2**halvings * self.steps
             if steps not in bodies:
-                bodies[steps] = Particles(self._cloud, self._device, self.step_s / steps)
+                bodies[steps] = run.Particles(self._cloud, self._device, self.step_s / steps)
             body = bodies[steps]
             body.begin(state)
             try:
                 motion = self._carry(body, ends, steps, seen)
                 body.check(self._stable_s)
-            except (CrushedError, StepTooLongError) as error:
+            except (run.CrushedError, run.StepTooLongError) as error:
                 if halvings < HALVINGS:
                     continue
                 raise SceneError(
@@ -154,7 +140,7 @@ class ParticleStepper(OwnMeshStepper):
         self._rooms.append(bodies)
         return motion
 
-    def _carry(self, body: Particles, ends: Float, steps: int, seen: bool) -> Float:
+    def _carry(self, body: run.Particles, ends: Float, steps: int, seen: bool) -> Float:
         """Take all steps; displacement and velocity of the face after each substep, shape (s, 2, f, 3), if seen."""
         substeps, count = len(ends) // 2, ends.shape[1]
         part = np.tile(np.arange(steps) / steps, substeps)[:, None]

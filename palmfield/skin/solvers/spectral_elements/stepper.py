@@ -9,19 +9,13 @@ from palmfield.skin.approximation.reduce_bulk_modulus import reduce_bulk_modulus
 from palmfield.skin.explicit_layer import OwnMesh, OwnMeshStepper
 from palmfield.skin.fem.face_transfer import FaceTransfer
 from palmfield.skin.problem import Body, Foundation
+from palmfield.skin.solvers.spectral_elements import solve
 from palmfield.skin.solvers.spectral_elements.loads import Table
 from palmfield.skin.solvers.spectral_elements.mesh import Plan, build, plan
 from palmfield.skin.solvers.spectral_elements.model import SAFETY, Model, hold
 from palmfield.skin.solvers.spectral_elements.places import find
 from palmfield.skin.solvers.spectral_elements.run import Points, Stepper, state_size
 from palmfield.skin.solvers.spectral_elements.solid import Solid, face_areas
-from palmfield.skin.solvers.spectral_elements.solve import (
-    STIFFEST,
-    likely_step,
-    refusal_spectral_elements,
-    solve_spectral_elements,
-    step_seconds,
-)
 from palmfield.types import Float, Int
 
 LONGEST_GRAPH = 2000
@@ -31,8 +25,8 @@ LONGEST_GRAPH = 2000
 class ElementLayer(OwnMesh):
     """Spectral elements; see ExplicitLayer."""
 
-    stiffest = STIFFEST
-    refusal = staticmethod(refusal_spectral_elements)
+    stiffest = solve.STIFFEST
+    refusal = staticmethod(solve.refusal_spectral_elements)
     sizes_follow = (
         "elements follow studies on discs (docs/bench/skin_spectral_elements.md); the run estimates what was reached"
     )
@@ -85,8 +79,8 @@ class ElementLayer(OwnMesh):
     def seconds(self, duration_s: float, device: str) -> float:
         """See OwnMesh."""
         # The second run of an estimate is the coarser one
-        steps = (duration_s + 2.0 * self.trial_s()) / likely_step(self.solid, self.body.sheets)
-        return steps * step_seconds(self.solid, device != "cpu")
+        steps = (duration_s + 2.0 * self.trial_s()) / solve.likely_step(self.solid, self.body.sheets)
+        return steps * solve.step_seconds(self.solid, device != "cpu")
 
     @property
     def face(self) -> Float:
@@ -106,7 +100,7 @@ class ElementLayer(OwnMesh):
         solid, chosen = self.solid, self.chosen
         areas = np.linalg.norm(face_areas(solid), axis=1)
         load, times, at = self.trial(self.body, self.face, areas)
-        motion = solve_spectral_elements(
+        motion = solve.solve_spectral_elements(
             self.body, load, times, at, accuracy=self.layer.config.accuracy, device=device, order=chosen.order,
             size_m=chosen.size_m, deep=chosen.deep, nu_at_most=0.5,
         )  # fmt: skip
