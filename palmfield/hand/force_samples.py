@@ -16,8 +16,7 @@ CELLS_m = {0.0075: 3.5e-3, 0.013: 4.5e-3}
 by the spacing of cells. So large is the error of the force, root mean square over foci on the lit side of a shipped
 hand, and that of the torque over the force times the mean arm: scripts/bench/force_samples.py measures it,
 docs/bench/force_samples.md has the figures."""
-ROUNDS = 24
-"""Of Lloyd's iteration, by which cells get about equal, so that what each gets wrong averages out."""
+ROUNDS = 24  # of Lloyd's iteration: what cells get wrong averages out where they are about equal
 
 
 class SampleMesh(NamedTuple):

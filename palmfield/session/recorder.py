@@ -142,11 +142,10 @@ class Recorder:
         known = self.runtime.work.unit_forces.pressed(skin.body)
         arp: Float = np.zeros(faces)
         if known is not None:
-            (_, _, areas, numbers), pressure = known
+            (*_, numbers), pressure = known
             owners, samples, shares = skin.sample_faces
             at_samples: Float = np.zeros(int(samples.max()) + 1)
-            filled = areas > 0.0
-            at_samples[numbers[filled]] = pressure[filled]
+            at_samples[numbers] = pressure
             arp = np.bincount(owners, at_samples[samples] * shares, minlength=faces).astype(np.float64)
         block[group("surface", skin.spec.name)] = {"face_arp": arp.astype(np.float32)[None]}
 

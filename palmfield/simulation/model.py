@@ -117,10 +117,7 @@ class BodyModel:
         return face_samples(self.sample_mesh.points, self.sample_mesh.corners)
 
     def posed_samples(self, vertices: Float, frame: Transform) -> tuple[Float, Float, Float]:
-        """Points [m], outward normals, shapes (n, 3), in the outer frame, and areas [m^2], (n,).
-
-        vertices: of `sampled`, moved, shape (v, 3)
-        """
+        """Points [m], outward normals, shapes (n, 3), in the outer frame, and areas [m^2], (n,): `sampled`, moved."""
         with self.lock:
             samples = self._sampler.at(vertices)
             return *frame.surface(samples.centroids, samples.normals), samples.areas.copy()
@@ -267,8 +264,7 @@ class SkinModel:
 
     @locked_cached_property
     def sample_faces(self) -> tuple[Int, Int, Float]:
-        """Which faces of `closed_surface` go with which samples for the force, and the share of a sample's pressure in
-        the mean on that face, shapes (k,)."""
+        """Faces of `closed_surface`, samples for the force, and their shares in the faces' mean pressure, shapes (k,)."""
         vertices, faces = self.closed_surface
         centroids, _, face_areas = face_samples(vertices, faces)
         if self.carrier.surface is not None:

@@ -119,8 +119,8 @@ class PosedSurface:
             points, normals, areas = self.model.rest_samples
         else:
             sampled = self.model.sampled
-            same = sampled is self.model.hand
-            moved = self.vertices if same else sampled.posed(self.bone_positions, self.bone_rotations)
+            bones = self.bone_positions, self.bone_rotations
+            moved = self.vertices if sampled is self.model.hand else sampled.posed(*bones)
             return self.model.posed_samples(moved, self.frame)
         return *self.frame.surface(points, normals), areas
 
