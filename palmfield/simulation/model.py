@@ -102,9 +102,8 @@ class BodyModel:
         mesh = self.sample_mesh
         if mesh.corners is self.hand.surface.faces:
             return self.hand
-        binding = SkinBinding.to(self.hand, mesh.points)
         surface = Surface(mesh.points, mesh.corners, np.zeros_like(mesh.points))
-        return SkinnedSurface(self.hand.bones, surface, binding.weights.T)
+        return SkinnedSurface(self.hand.bones, surface, SkinBinding.to(self.hand, mesh.points).weights.T)
 
     @locked_cached_property
     def sample_bones(self) -> Int:
@@ -264,7 +263,7 @@ class SkinModel:
 
     @locked_cached_property
     def sample_faces(self) -> tuple[Int, Int, Float]:
-        """Faces of `closed_surface`, samples for the force, and their shares in the faces' mean pressure, shapes (k,)."""
+        """Faces of `closed_surface`, samples for the force, and their shares in the faces' mean ARP, shapes (k,)."""
         vertices, faces = self.closed_surface
         centroids, _, face_areas = face_samples(vertices, faces)
         if self.carrier.surface is not None:
