@@ -145,7 +145,8 @@ def allowed(model: type[BaseModel], key: str) -> str:
         return " | ".join(option["enum"])
     if option.get("type") == "array":
         item = option.get("items", {})
-        positive = "decimals > 0" if "exclusiveMinimum" in item else "finite numbers"
+        signs = {"exclusiveMinimum": "decimals > 0", "minimum": "finite numbers >= 0"}
+        positive = next((words for name, words in signs.items() if name in item), "finite numbers")
         kinds = {"integer": "whole numbers >= 0", "number": positive, "string": "names"}
         return "three finite numbers" if option.get("maxItems") == 3 else kinds[item["type"]]
     if option.get("type") == "string":

@@ -3,9 +3,9 @@
 import math
 from typing import Annotated, ClassVar, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
-from palmfield.config.base import Config, Decimals, Fraction, Names, NonNegative, Numbers, Positive, Vector
+from palmfield.config.base import Config, Decimals, Fraction, Names, NonNegative, Numbers, Positive, Vector, split
 
 NEEDED: dict[str, tuple[str, ...]] = {
     "circle": ("path_diameter_m",),
@@ -131,8 +131,9 @@ class StimulusConfig(Config):
     path_points: Annotated[int, Field(ge=0, le=100000)] = Field(
         0, description="points a turn, each held until the next; 0 moves without steps"
     )
-    foci_m: Decimals = Field(
-        (), description="several foci at once, equally loud: x, y, z of each relative to focus_m and its path"
+    foci_m: Decimals = Field((), description="several foci at once: x, y, z of each relative to focus_m and its path")
+    foci_arp: Annotated[tuple[NonNegative, ...], BeforeValidator(split)] = Field(
+        (), description="ARP wanted at each of foci_m relative to the others, 0 or more, one above 0 (default: equal)"
     )
     modulation: Literal["none", "am"] = Field("none", description="none, or amplitude modulation (docs/stimuli.md)")
     am_quantity: Literal["duty", "amplitude", "arp"] | None = Field(
@@ -238,7 +239,7 @@ class StimulusConfig(Config):
             raise ValueError(f"path_through_m has {len(self.path_through_m)} numbers; give x and y of each corner")
 
     def _check_file(self) -> None:
-        for key in ("focus_m", "foci_m", "path_rate_Hz", "path_speed_m_s", "path_points"):
+        for key in ("focus_m", "foci_m", "foci_arp", "path_rate_Hz", "path_speed_m_s", "path_points"):
             if key in self.model_fields_set:
                 raise ValueError(f"{key} does not belong to path 'file', whose table has places and times: drop it")
         if "path_end" in self.model_fields_set and self.path_end == "back":
@@ -314,6 +315,11 @@ class StimulusConfig(Config):
     def _check_foci_and_bursts(self) -> None:
         if len(self.foci_m) % 3 or len(self.foci_m) == 3:
             raise ValueError(f"foci_m has {len(self.foci_m)} numbers; give x, y and z of two foci or more")
+        if self.foci_arp and (3 * len(self.foci_arp) != len(self.foci_m) or max(self.foci_arp) == 0.0):
+            raise ValueError(
+                f"key 'foci_arp' has value '{' '.join(f'{x:g}' for x in self.foci_arp)}'; allowed: "
+                f"{len(self.foci_m) // 3} numbers, one for each of foci_m, 0 or more, and one above 0"
+            )
         if self.foci_m and self.path_on == "skin":
             raise ValueError("foci_m are offsets in the frame's axes and cannot follow the skin: set path_on to plane")
         burst = [key for key in ("burst_length_s", "burst_period_s", "burst_count") if getattr(self, key) is not None]

@@ -119,13 +119,12 @@ class ArrayDrive:
         """`unit_drive` for one of the stimulus's points, shape (3,), where it is now."""
         last, key = self._last, point.tobytes()
         if last is None or last[0] is not focal_points or last[1] != key:
-            loudness = None if focal_points.table is None else focal_points.loudness(point)
-            self._last = last = focal_points, key, self.unit_drive(focal_points.at(point), loudness)
+            self._last = last = focal_points, key, self.unit_drive(focal_points.at(point), focal_points.loudness(point))
         return last[2]
 
     def level_at(self, focal_points: FocalPoints, point: Float) -> float:
         """`unit_drive_at(...).level` of a board that takes a focus, without what the board makes of it."""
-        loudness = None if focal_points.table is None else focal_points.loudness(point)
+        loudness = focal_points.loudness(point)
         place = focal_points.at(point)
         if loudness is not None or place.ndim > 1:
             return self._asked(place, loudness)[2]
@@ -393,7 +392,7 @@ class ArrayDrive:
                 key = points[i, j].tobytes()
                 unit = known.get(key)
                 if unit is None:
-                    loudness = None if focal_points.table is None else focal_points.loudness(points[i, j])
+                    loudness = focal_points.loudness(points[i, j])
                     unit = known[key] = self.unit_drive(focal_points.at(points[i, j]), loudness).amplitudes
                 drives[i, taken] = unit[taken]
         return drives

@@ -165,7 +165,7 @@ def _share_of_focus(model: HapticModel, skin: int, stimulus: int, posed: PosedSc
     course, share = _course(part), 0.0
     places = posed.focal_points(part, stimulus)
     for point in course[:: -(-len(course) // SOUNDS)]:
-        pressures = np.abs(posed.arrays.pressure64(nodes, drive.unit_drive(places.at(point)).amplitudes))
+        pressures = np.abs(posed.arrays.pressure64(nodes, drive.unit_drive_at(places, point).amplitudes))
         loudest = nodes[pressures.argmax()]
         in_front = np.any((loudest @ drive.normals) > np.einsum("ij,ij->j", drive.places, drive.normals))
         if in_front and pressures.max() > 0.0:

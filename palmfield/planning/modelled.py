@@ -36,6 +36,9 @@ def modelled(model: HapticModel, duration_s: float) -> list[Row]:
     for number, stimulus in enumerate(model.stimuli):
         level = array_drives(model, model.arrays)[number].unit_drive(stimulus.first_focus).level
         about = f"board {model.board.name}: {model.board.description}"
+        if arp := stimulus.config.foci_arp:
+            words = ", ".join(f"{x / max(arp):.3g}" for x in arp)
+            rows.append(Row("foci", f"ARP {words} of the loudest", "key foci_arp", stimulus.spec.name))
         rows.append(Row("drive", f"amplitude {of_full(level)}", about, stimulus.spec.name))
         offset = peak_offset(model, number)
         if offset is not None:

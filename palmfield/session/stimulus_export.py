@@ -162,7 +162,8 @@ def _each(part: StimulusModel, point: Float) -> Float:
     if (table := part.spec.focus_table) is not None:
         each = table.arp_of_each(point[:1])[0]
         return np.asarray(each / each.max()) if each.max() > 0.0 else np.zeros(table.foci)
-    return np.ones(max(1, len(part.offsets)))
+    arp = np.array(part.config.foci_arp or np.ones(max(1, len(part.offsets))))
+    return np.asarray(arp / arp.max())
 
 
 def _intensities(arp: Float, quantity: Quantity, exponent: float) -> Float:

@@ -20,8 +20,8 @@ from palmfield.whole_files import whole
 
 ARRAY, STIMULUS, SKIN = "palmfield.array", "palmfield.stimulus", "palmfield.skin"
 REPLACED = (
-    "path", "path_on", "on_skin", "focus_m", "foci_m", "frame", "modulation", "burst_window", "burst_length_s",
-    "burst_period_s", "burst_count", *PATH_KEYS, *AM_KEYS,
+    "path", "path_on", "on_skin", "focus_m", "foci_m", "foci_arp", "frame", "modulation", "burst_window",
+    "burst_length_s", "burst_period_s", "burst_count", *PATH_KEYS, *AM_KEYS,
 )  # fmt: skip
 """Keys that say where the focus is and how loud, which the table says now; the level, start and end are the scene's."""
 

@@ -241,7 +241,7 @@ def _stimulus(
     course = None
     if path is not None and carrier is not None and carrier.surface is not None and body is not None:
         course = SurfaceCourse(path, carrier.surface.vertices, carrier.surface.faces, body)
-    focal_points = FocalPoints(spec.frame.transform, offsets, course, spec.focus_table)
+    focal_points = FocalPoints(spec.frame.transform, offsets, course, spec.focus_table, config.foci_arp)
     transducers = np.concatenate([np.arange(arrays.slices[i].start, arrays.slices[i].stop) for i in spec.arrays])
     about = about_stimulus(spec.name)
     with naming(about[0]):

@@ -227,7 +227,8 @@ class PosedScene:
             assert stimulus.spec.on_skin is not None
             body = self.skins[stimulus.spec.on_skin].body
             course = SurfaceCourse(stimulus.path, body.vertices, body.faces, body.frame)
-        return FocalPoints(self.frames[number], stimulus.offsets, course, stimulus.spec.focus_table)
+        table, arp = stimulus.spec.focus_table, stimulus.config.foci_arp
+        return FocalPoints(self.frames[number], stimulus.offsets, course, table, arp)
 
 
 def reference_scene(model: HapticModel) -> PosedScene:

@@ -7,7 +7,7 @@ Body, loads and operators are those of the scene's wedges; what is here lies bel
 import functools
 import math
 import threading
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Protocol, get_args
 
 import numpy as np
@@ -22,10 +22,17 @@ from palmfield.skin.fem.face_transfer import FaceTransfer, ends_of_substeps, rea
 from palmfield.skin.from_config import base_of
 from palmfield.skin.problem import GAUSSIAN, Body, Layer, Load, Sheet, Slab, Spot, Traction
 from palmfield.skin.scene_layer import SceneLayer
-from palmfield.skin.solver_choice import WHERE, function
 from palmfield.skin.stepper import Reader, SkinStepper, SurfaceLoads, check_step, world_by_world
 from palmfield.types import Float, Int
 
+OWN = {
+    name: EntryPoint(name, f"palmfield.skin.solvers.{where}", SKIN_SOLVERS)
+    for name, where in {
+        "spectral_elements": "spectral_elements.stepper:ElementLayer",
+        "particles": "particles.stepper:ParticleLayer",
+    }.items()
+}
+"""Solvers of this package that have an ExplicitLayer, loaded when a scene names them."""
 TONE = 8
 """Periods of the load for which meshes are chosen: enough for a spectrum that is a line."""
 TRIAL, LONGEST_TRIAL_s = 2, 0.02
@@ -77,20 +84,16 @@ class ExplicitLayer(Protocol):
 def explicit_layer(layer: SceneLayer) -> ExplicitLayer | None:
     """The layer as its key `solver` has it, the same for the same layer; None for steppers of the wedges themselves."""
     solver = layer.config.solver
-    if solver in get_args(Solver) and "scene" not in WHERE.get(solver, {}):
-        return None
-    return _made(layer)
+    return None if solver in get_args(Solver) and solver not in OWN else _made(layer)
 
 
 @functools.lru_cache(maxsize=8)
 def _made(layer: SceneLayer) -> ExplicitLayer:
     solver = layer.config.solver
-    if solver in WHERE:
-        made: ExplicitLayer = function(solver, "scene")(layer)
-        return made
-    [entry] = entry_points(group=SKIN_SOLVERS, name=solver)
+    [entry] = [OWN[solver]] if solver in OWN else entry_points(group=SKIN_SOLVERS, name=solver)
     try:
-        return entry.load()(layer)
+        made: ExplicitLayer = entry.load()(layer)
+        return made
     except (ImportError, AttributeError) as error:
         raise SceneError(
             f"{layer.element}: key 'solver' has value '{solver}', whose entry point '{entry.value}' can't be loaded: "

@@ -56,22 +56,18 @@ WHERE = {
     "axisymmetric": dict.fromkeys((*FUNCTIONS, "static"), "solvers.axisymmetric.solve"),
     "reduced": dict.fromkeys(FUNCTIONS, "solvers.reduced"),
     "wedges": dict.fromkeys((*FUNCTIONS, "static"), "solvers.wedges"),
-    "spectral_elements": {
-        **dict.fromkeys((*FUNCTIONS, "finer", "prepared"), "solvers.spectral_elements.solve"),
-        "scene": "solvers.spectral_elements.stepper",
-    },
+    "spectral_elements": dict.fromkeys((*FUNCTIONS, "finer", "prepared"), "solvers.spectral_elements.solve"),
     "particles": {
         "solve": "solvers.particles.solve",
         "refusal": "solvers.particles.resolution",
         "cost": "solvers.particles.resolution",
-        "scene": "solvers.particles.stepper",
     },
 }
 """Modules of palmfield.skin that hold each solver's solve_NAME, refusal_NAME and cost_NAME.
 
 solve_NAME takes what `solve` does and its own resolution, and raises SceneError where it can't. Where there is one,
-finer_NAME returns the resolution with which to solve again, prepared_NAME the body that the cost is of, with what
-solve_NAME takes up of finding it, and scene_NAME makes a scene's layer an ExplicitLayer.
+finer_NAME returns the resolution with which to solve again, and prepared_NAME the body that the cost is of, with what
+solve_NAME takes up of finding it.
 """
 
 FORMER = {

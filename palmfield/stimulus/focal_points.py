@@ -36,6 +36,7 @@ class FocalPoints(NamedTuple):
     offsets: of several foci at once from the stimulus's point [m], shape (m, 3); (0, 3) for a single focus. Zeros for
         those of a table, which has their places itself
     on_surface: the surface on which the path runs; None for points in `frame`
+    arp: of several foci at once relative to the loudest, shape (m,); () where they are equally loud
     table: foci over time, of which a point is the time since the table's beginning [s], then 0, 0
     """
 
@@ -43,6 +44,7 @@ class FocalPoints(NamedTuple):
     offsets: Float = NO_OFFSETS
     on_surface: SurfaceCourse | None = None
     table: FocusTable | None = None
+    arp: tuple[float, ...] = ()
 
     def at(self, point: Float) -> Float:
         """The focus [m], shape (3,), or several at once, shape (m, 3), for one of the stimulus's points, shape (3,).
@@ -68,7 +70,7 @@ class FocalPoints(NamedTuple):
     def loudness(self, point: Float) -> Float | None:
         """Pressure of several foci at once relative to the loudest, shape (m,); None where they are equally loud."""
         if self.table is None or self.table.foci == 1:
-            return None
+            return np.sqrt(np.array(self.arp) / max(self.arp)) if self.arp else None
         pressures = np.sqrt(self.table.arp_of_each(point[:1])[0])
         most = pressures.max()
         return pressures / most if most > 0.0 else None

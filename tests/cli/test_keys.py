@@ -47,8 +47,17 @@ def test_every_key_has_a_meaning_and_every_quantity_a_unit():
         for key, key_unit, takes, _, meaning in table(config):
             assert meaning and takes
             shares = {"am_depth", "am_waveform_duty", "drive_amplitude"}
-            pure = {*shares, "arp_alpha", "duty_exponent", "duty_limit", "path_points", "quality"}
-            pure |= {"accuracy", "force_accuracy"}
+            pure = {
+                *shares,
+                "foci_arp",
+                "arp_alpha",
+                "duty_exponent",
+                "duty_limit",
+                "path_points",
+                "accuracy",
+                "quality",
+            }
+            pure.add("force_accuracy")
             assert bool(key_unit) == ("number" in takes and key not in pure) or "whole" in takes, key
 
 

@@ -19,7 +19,8 @@ from palmfield.config.array import Layout
 from palmfield.config.skin import Solver
 from palmfield.drive.boards import BOARDS
 from palmfield.session.simulation import Simulation
-from palmfield.skin.solver_choice import WHERE, scene_choices
+from palmfield.skin.explicit_layer import OWN
+from palmfield.skin.solver_choice import scene_choices
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "architecture.md").read_text()
@@ -179,9 +180,8 @@ def test_keys_allow_what_the_registries_of_the_seams_hold():
     assert set(get_args(ArpLaw)) == set(LAWS)
     assert set(get_args(DriverConfig.model_fields["board"].annotation)) == set(BOARDS)
     steppers = {choice.name for choice in scene_choices(1000.0, 100.0, 10.0, None, 100.0, None)}
-    explicit = {name for name, has in WHERE.items() if "scene" in has}
-    assert set(get_args(Solver)) == {"auto", *steppers, *explicit}
-    assert explicit and not explicit & steppers
+    assert set(get_args(Solver)) == {"auto", *steppers, *OWN}
+    assert OWN and not set(OWN) & steppers
 
 
 # -- the two ways through the code ---------------------------------------------------------------------------------

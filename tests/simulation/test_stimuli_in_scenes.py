@@ -41,6 +41,24 @@ def test_several_foci_are_equally_loud_and_stand_out(small_scene):
     assert sim.data.sensordata[2] != 0.0
 
 
+@pytest.mark.parametrize("weights", ["1 0.25 0.5", "3 1 0"])
+def test_foci_have_the_arp_that_is_asked_of_each(small_scene, weights):
+    """By the float64 field at the foci; a focus of weight 0 is none, where what is left is a side lobe's."""
+    keys = {"foci_m": "-0.02 0 0 0.02 0 0 0 0.02 0", "foci_arp": weights, "focus_m": "0 0 0.12", "arp_peak_Pa": 5}
+    sim = load(small_scene(stimulus=STEADY | keys))
+    stimulus, drive, places = places_of(sim)
+    point = frame_at(stimulus, 0.0).focus
+    arrays, wanted = sim.runtime.model.arrays, np.array([float(x) for x in weights.split()])
+    amplitudes = drive.unit_drive_at(places, point).amplitudes
+    arp = np.abs(arrays.pressure64(places.at(point), amplitudes)) ** 2 / arrays.impedance
+    assert arp[0] == pytest.approx(5.0, rel=1e-6)  # arp_peak_Pa is that of the loudest
+    sounding = wanted > 0.0
+    np.testing.assert_allclose((arp / arp[0])[sounding], (wanted / wanted[0])[sounding], rtol=0.02)
+    assert (arp[~sounding] < 0.3 * arp[sounding].min()).all()
+    many = drive.unit_drives(np.array([point, point]), places)
+    np.testing.assert_array_equal(many, [amplitudes, amplitudes])
+
+
 def test_the_level_of_several_foci_is_that_of_the_loudest(small_scene):
     keys = {"foci_m": "-0.02 0 0 0.02 0 0", "focus_m": "0 0 0.12", "arp_peak_Pa": 5}
     sim = load(small_scene(stimulus=STEADY | keys))

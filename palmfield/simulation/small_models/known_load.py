@@ -30,6 +30,7 @@ from palmfield.skin.reduction.reduced_stepper import (
 )
 from palmfield.skin.scene_layer import SceneLayer
 from palmfield.stimulus.schedule import (
+    first_point,
     frames_at,
     is_closed,
     level_jumps,
@@ -198,7 +199,8 @@ def known_load(model: HapticModel, skin: int, posed: PosedScene) -> tuple[KnownL
     turn = period_s(config) or 0.0
     trial: Float = step * np.arange(round(min(max(TRIAL_S, turn), LONGEST_TRIAL_S) / step) + 1, dtype=np.float64)
     if one_shape(stimulus, model.pole, model.response_on):
-        drive = array_drives(model, posed.arrays)[number].unit_drive(stimulus.reference_foci)
+        loudness = posed.focal_points(stimulus, number).loudness(first_point(config))
+        drive = array_drives(model, posed.arrays)[number].unit_drive(stimulus.reference_foci, loudness)
         pressures = _pressures(skin, posed, radiation, _at_full_level(drive.amplitudes[None])[0])
         shape: Float = operator @ pressures.T
         lines = [0.0, layer.demand.main_frequency_Hz, *main_frequencies(config)]

@@ -154,6 +154,3 @@ class ParticleStepper(OwnMeshStepper):
             if seen:
                 motion[substep] = body.displacement.numpy()[:count], body.velocity.numpy()[:count]
         return motion
-
-
-scene_particles = ParticleLayer

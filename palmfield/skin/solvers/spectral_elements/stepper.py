@@ -168,6 +168,3 @@ class SpectralElementStepper(OwnMeshStepper):
         length = self.step_s / self.steps
         graph = min(len(step), LONGEST_GRAPH)
         return Stepper(model, self._holds, length, table, every, target, self._stable_s, graph)
-
-
-scene_spectral_elements = ElementLayer
