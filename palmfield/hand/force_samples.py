@@ -41,7 +41,8 @@ def sample_mesh(vertices: Float, faces: Int, accuracy: float) -> SampleMesh:
     normals, areas = face_normals(vertices, faces)
     if accuracy < A_FACE:
         points, corners = subdivide(vertices, faces)
-        return SampleMesh(points, corners, np.repeat(numbers, 4), np.arange(len(corners)), np.repeat(0.25 * areas, 4))
+        cut = np.arange(len(corners), dtype=np.int32)
+        return SampleMesh(points, corners, cut // 4, cut, np.repeat(0.25 * areas, 4))
     spacing_m = max((spacing for least, spacing in CELLS_m.items() if accuracy >= least), default=0.0)
     if spacing_m == 0.0:
         return SampleMesh(vertices, faces, numbers, numbers, areas)
@@ -65,13 +66,13 @@ def _cells(points: Float, normals: Float, areas: Float, spacing_m: float) -> Int
     centres: Float = places[seeds]
     for _ in range(ROUNDS):
         owner = cKDTree(centres).query(places)[1]
-        centres = _means(np.unique(owner, return_inverse=True)[1], areas, places)[0]
+        centres = _means(np.unique(owner, return_inverse=True)[1].astype(np.int32), areas, places)[0]
     return np.unique(cKDTree(centres).query(places)[1], return_inverse=True)[1].astype(np.int32)
 
 
 def _means(owner: Int, areas: Float, *values: Float) -> list[Float]:
     """Means of values over the area of each owner's faces, shapes (c, k), and these areas, shape (c, 1)."""
-    sizes = np.bincount(owner, areas)[:, None]
+    sizes: Float = np.bincount(owner, areas).astype(np.float64)[:, None]
     sums = [np.stack([np.bincount(owner, areas * row) for row in value.T], axis=1) for value in values]
     return [*(one / np.maximum(sizes, 1e-30) for one in sums), sizes]
 

@@ -273,7 +273,7 @@ class SkinModel:
         quadrature = self.layer.quadrature
         lit = centroids[: len(output_triangles(self.layer.mesh))]
         owners = cKDTree(lit).query(quadrature.points)[1].astype(np.int32)
-        return owners, np.arange(len(owners)), quadrature.weights / face_areas[owners]
+        return owners, np.arange(len(owners), dtype=np.int32), quadrature.weights / face_areas[owners]
 
 
 @dataclass(frozen=True)
