@@ -147,6 +147,14 @@ class SceneWorlds:
             runtime.adopt(origin)
         self.together.adopt(other.together)
 
+    def copy(self) -> "SceneWorlds":
+        """As many worlds again in the same state."""
+        self.settle()
+        data = [copy.copy(one) for one in self.data]
+        twin = SceneWorlds(self.template, data, self.models, self.poses, self.state.copy())
+        twin.adopt(self)
+        return twin
+
     # -- the parts of a step -------------------------------------------------------------------------------------------
 
     def _each(self, call: str) -> None:

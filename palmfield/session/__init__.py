@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from palmfield.session.recorder import Recorder
     from palmfield.session.simulation import Simulation
     from palmfield.session.skin import Skin
-    from palmfield.session.worlds import Worlds, WorldsSkin
+    from palmfield.session.worlds import WorldsSkin
 
 _WHERE = {
     "LoudestMoment": "loudest_moment",
@@ -30,7 +30,7 @@ _WHERE = {
     "Recorder": "recorder",
     "Simulation": "simulation",
     "Skin": "skin",
-    **dict.fromkeys(("Worlds", "WorldsSkin"), "worlds"),
+    "WorldsSkin": "worlds",
 }
-__all__ = ["LoudestMoment", "Preview", "Recorder", "Result", "Simulation", "Skin", "Worlds", "WorldsSkin", "compiled"]
+__all__ = ["LoudestMoment", "Preview", "Recorder", "Result", "Simulation", "Skin", "WorldsSkin", "compiled"]
 __getattr__, __dir__ = lazy_names(__name__, _WHERE)

@@ -1,24 +1,23 @@
 """One scene that is stepped: MuJoCo's model and data, and what sound and skin do in them."""
 
-import copy
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
 from palmfield.drive.transducer_response import rows
-from palmfield.engine.host import raise_errors, world_of
-from palmfield.engine.motion_plugin import place
+from palmfield.engine.one_world import OneWorld
 from palmfield.engine.scene_runtime import SceneRuntime
+from palmfield.engine.worlds import SceneWorlds
 from palmfield.errors import SceneError
 from palmfield.interrupts import interrupts_held
 from palmfield.session.duration import check_duration, check_steps, check_time, step_count
 from palmfield.session.open_scene import Source, compiled
 from palmfield.session.skin import Skin, chosen_name
-from palmfield.session.worlds import Worlds
+from palmfield.session.worlds import WorldsSkin, open_worlds
+from palmfield.simulation.step_together import TogetherStep
 from palmfield.types import Complex, Float
 
 
@@ -29,29 +28,15 @@ class Simulation:
     sim.run(0.1)
     print(sim.skin("palm").displacement)
 
-    With `worlds` it is many of them, stepped together, whose results have a leading axis: see
-    `palmfield.session.worlds.Worlds`.
+    With `worlds` it is many of them, stepped together, whose results have a leading axis:
+    sim = palmfield.Simulation("scene.xml", worlds=2, keys={"stimulus.focus_m": [(0, 0, 0.19), (0, 0.01, 0.19)]})
 
     model, data: MuJoCo's, for those who call mj_step themselves (then `palmfield.raise_errors(data)` raises what went
-        wrong inside a plugin)
-    name: of the scene, for messages; path: its file, or None
+        wrong inside a plugin); of several worlds the data of each, to set controls or forces there: only `step` steps
+        them
+    name: of the scene, for messages; path: its file, or None; worlds: how many, None without that axis
     duration_s: how long `palmfield.run` runs it by default [s]
     """
-
-    def __new__(
-        cls,
-        scene: Source,
-        *,
-        worlds: int | None = None,
-        poses: Mapping[str, ArrayLike] | None = None,
-        **others: Any,
-    ) -> Any:
-        """worlds: a number of them, which are stepped together: `palmfield.session.worlds.Worlds`, also for `poses`."""
-        if worlds is not None:
-            return Worlds(scene, worlds, poses=poses, **others)
-        if poses is not None:
-            raise SceneError("poses are given without worlds; allowed: both, or poses of a scene by `palmfield.motion`")
-        return object.__new__(cls)
 
     def __init__(
         self,
@@ -61,47 +46,92 @@ class Simulation:
         accuracy: float | None = None,
         board: str | None = None,
         keys: Mapping[str, object] | None = None,
-        worlds: None = None,
-        poses: None = None,
+        worlds: int | None = None,
+        poses: Mapping[str, ArrayLike] | None = None,
     ):
-        """See `palmfield.session.open_scene.compiled` for the arguments and what is raised."""
-        self.name, self.model, self.data = compiled(scene, device=device, accuracy=accuracy, board=board, keys=keys)
-        self.path = Path(scene) if isinstance(scene, str | Path) else None
-        self._attach()
-        with interrupts_held():
-            mujoco.mj_forward(self.model, self.data)
-            raise_errors(self.data)
+        """See `palmfield.session.open_scene.compiled` for the arguments and what is raised.
 
-    def _attach(self) -> None:
-        world = world_of(self.data)
-        if world is None or world.scene is None:
-            raise SceneError(f"{self.name} has no plugin 'palmfield.skin'; it is a plain MuJoCo model")
-        world.quiet = True
-        self.runtime: SceneRuntime = world.scene
-        self.duration_s = self.runtime.spec.duration_s
-        self._skins: dict[str, Skin] = {}
+        worlds: a number of them, which are stepped together; a key of a stimulus may then have one axis more than its
+            own, of that length, with a value for each
+        poses: by name of a mocap body, its position [m] and quaternion (w, x, y, z) in each step of MuJoCo's, shape
+            (worlds, steps, 7); after the last step it stays
+        """
+        given: dict[str, Any] = {"device": device, "accuracy": accuracy, "board": board, "keys": keys}
+        if worlds is not None:
+            self._attach(*open_worlds(scene, worlds, poses=poses, **given), scene, worlds)
+            return
+        if poses is not None:
+            raise SceneError("poses are given without worlds; allowed: both, or poses of a scene by `palmfield.motion`")
+        name, _, data = compiled(scene, **given)
+        self._attach(name, OneWorld(data, name), scene, None)
+        with interrupts_held():
+            self._scenes.look()
+
+    @classmethod
+    def of_worlds(cls, name: str, scenes: SceneWorlds) -> "Simulation":
+        """One of worlds that are open already (`palmfield.session.worlds.open_worlds`)."""
+        made = object.__new__(cls)
+        made._attach(name, scenes, None, len(scenes.data))
+        return made
+
+    def _attach(self, name: str, scenes: OneWorld | SceneWorlds, scene: object, worlds: int | None) -> None:
+        self.name, self._scenes, self.worlds, self.model = name, scenes, worlds, scenes.mujoco_model
+        self.path = Path(scene) if isinstance(scene, str | Path) else None
+        self.data: Any = scenes.data[0] if worlds is None else scenes.data
+        self.duration_s = scenes.runtimes[0].spec.duration_s
+        self._skins: dict[str, Skin | WorldsSkin] = {}
+        self._made = False
+
+    def __repr__(self) -> str:
+        return f"<{self.count} worlds of {self.name}>"
+
+    @property
+    def count(self) -> int:
+        """Of worlds."""
+        return len(self._scenes.data)
+
+    @property
+    def runtimes(self) -> list[SceneRuntime]:
+        """What carries each world."""
+        self._scenes.settle()
+        return self._scenes.runtimes
+
+    @property
+    def runtime(self) -> SceneRuntime:
+        """What carries the scene. Raises SceneError where there are `worlds`."""
+        if self.worlds is not None:
+            raise SceneError(f"{self.name} is open as {self.count} worlds; allowed here: a simulation without `worlds`")
+        return self._scenes.runtimes[0]
+
+    @property
+    def together(self) -> TogetherStep:
+        """The steps that worlds take together."""
+        assert isinstance(self._scenes, SceneWorlds)
+        return self._scenes.together
 
     # -- stepping ------------------------------------------------------------------------------------------------
 
     @property
     def time(self) -> float:
-        """Simulated time [s]."""
-        return float(self.data.time)
+        """Simulated time, the same in all worlds [s]."""
+        return float(self._scenes.data[0].time)
 
     def step(self, count: int = 1) -> None:
-        """`count` of MuJoCo's steps. Raises what a plugin raised in them (SceneError, DeviceError).
+        """`count` of MuJoCo's steps. Raises what a plugin raised in them (SceneError, DeviceError), naming the world.
 
         Ctrl-C waits for the end of the step in which it comes: after the KeyboardInterrupt the state is whole, that of
         an earlier time, and the simulation can go on. SceneError for a count that is no whole number of 0 or more.
         """
         check_steps(count)
-        # Made here, and not in the first step: it can take a minute, and Ctrl-C needn't wait for it
-        for lazy in self.runtime.model.begin:
-            _ = lazy.value
+        # Made here, and not in the first step: it can take minutes, and Ctrl-C needn't wait for it
+        if not self._made:
+            for lazies in dict.fromkeys(runtime.model.begin for runtime in self._scenes.runtimes):
+                for lazy in lazies:
+                    _ = lazy.value
+            self._made = True
         with interrupts_held() as check:
             for _ in range(count):
-                mujoco.mj_step(self.model, self.data)
-                raise_errors(self.data)
+                self._scenes.step()
                 check()
 
     def run(self, duration_s: float) -> None:
@@ -114,7 +144,8 @@ class Simulation:
 
     def reset(self) -> None:
         """Back to time 0, with everything at rest and hands where their motions begin."""
-        self._restart(None)
+        with interrupts_held():
+            self._scenes.restart()
 
     def start_at(self, time_s: float) -> None:
         """As `reset`, but at another time [s], with hands where their motions have them then; the skin is at rest.
@@ -122,24 +153,14 @@ class Simulation:
         Raises SceneError for a time that is not 0 or more.
         """
         check_time(time_s)
-        self._restart(time_s)
-
-    def _restart(self, time_s: float | None) -> None:
         with interrupts_held():
-            mujoco.mj_resetData(self.model, self.data)
-            if time_s is not None:
-                self.data.time = time_s
-            place(self.data)
-            mujoco.mj_forward(self.model, self.data)
-            raise_errors(self.data)
+            self._scenes.restart(time_s)
 
     def copy(self) -> "Simulation":
         """A second simulation in the same state, which goes on by itself; model and matrices are shared."""
         twin = object.__new__(Simulation)
-        twin.name, twin.path, twin.model = self.name, self.path, self.model
         with interrupts_held():
-            twin.data = copy.copy(self.data)
-        twin._attach()
+            twin._attach(self.name, self._scenes.copy(), self.path, self.worlds)
         return twin
 
     def __copy__(self) -> "Simulation":
@@ -150,24 +171,32 @@ class Simulation:
         """As `copy`; models never change."""
         return self.copy()
 
-    # -- what there is to see ------------------------------------------------------------------------------------
+    # -- what there is to see: with a leading axis where there are `worlds` ----------------------------------------
+
+    def _of(self, values: Sequence[Any] | Float) -> Any:
+        """Values of the worlds in one array; of one without that axis."""
+        return np.array(values[0] if self.worlds is None else values)
 
     @property
     def skins(self) -> tuple[str, ...]:
         """Instance names of the skins."""
-        return tuple(skin.name for skin in self.runtime.spec.skins)
+        return tuple(skin.spec.name for skin in self._scenes.runtimes[0].model.skins)
 
     @property
     def bodies(self) -> tuple[str, ...]:
         """Names of the bodies that the sound pushes, in the order of `forces`."""
-        return tuple(body.name for body in self.runtime.model.bodies)
+        return tuple(body.name for body in self._scenes.runtimes[0].model.bodies)
 
-    def skin(self, name: str | None = None) -> "Skin":
-        """A skin by its instance name; the only one without. Raises SceneError for one that the scene has not."""
+    def skin(self, name: str | None = None) -> Any:
+        """A skin by its instance name; the only one without. Raises SceneError for one that the scene has not.
+
+        It is a `palmfield.session.Skin`, of worlds a `palmfield.session.WorldsSkin`.
+        """
         names = self.skins
         name = chosen_name(names, name)
         if name not in self._skins:
-            self._skins[name] = Skin(self.runtime, names.index(name))
+            skins = [Skin(runtime, names.index(name)) for runtime in self._scenes.runtimes]
+            self._skins[name] = skins[0] if self.worlds is None else WorldsSkin(skins, self._scenes.settle)
         return self._skins[name]
 
     @property
@@ -176,16 +205,13 @@ class Simulation:
 
         N counts the transducers of all arrays, array after array.
         """
-        posed = self.runtime.posed
-        return self.runtime.work.emission.commanded(posed, np.array([self.time]))[0]
+        now = np.array([self.time])
+        return self._of([one.work.emission.commanded(one.posed, now)[0] for one in self._scenes.runtimes])
 
     @property
     def emitted(self) -> Complex:
         """What the transducers emit now, after their ring-up, shape (N,)."""
-        _, course = self.runtime.now()
-        if course.emitted is None and course.unit is None:
-            return np.zeros(len(self.runtime.model.arrays), np.complex128)
-        return np.array(rows(course)[0])
+        return self._of([_emitted(runtime) for runtime in self.runtimes])
 
     @property
     def forces(self) -> Float:
@@ -193,7 +219,26 @@ class Simulation:
 
         Before the first step, that over the step to come.
         """
-        return np.array(self.runtime.applied)
+        return self._of(self._scenes.forces)
+
+    @property
+    def sensors(self) -> Float:
+        """MuJoCo's sensordata: of the last step's beginning."""
+        return self._of([one.sensordata for one in self._scenes.data])
+
+    def sensor(self, name: str) -> Float:
+        """The numbers of one sensor by its name. Raises SceneError for one that the scene has not."""
+        names = [self.model.sensor(number).name for number in range(self.model.nsensor)]
+        if name not in names:
+            raise SceneError(f"the scene has no sensor '{name}'; it has: {', '.join(names)}")
+        return self._of([one.sensor(name).data for one in self._scenes.data])
+
+
+def _emitted(runtime: SceneRuntime) -> Complex:
+    _, course = runtime.now()
+    if course.emitted is None and course.unit is None:
+        return np.zeros(len(runtime.model.arrays), np.complex128)
+    return rows(course)[0]
 
 
 def load(

@@ -1,233 +1,66 @@
 """Several worlds of one scene, which differ in what their stimuli do and where hands are, stepped together."""
 
-import copy
 from collections.abc import Callable, Mapping
-from pathlib import Path
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
 from palmfield.config import StimulusConfig, known_keys
-from palmfield.drive.transducer_response import rows
 from palmfield.engine.host import world_of
 from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.engine.worlds import SceneWorlds, plain_model
 from palmfield.errors import SceneError
 from palmfield.interrupts import interrupts_held
-from palmfield.session.duration import check_duration, check_steps, check_time, step_count
 from palmfield.session.open_scene import Source, compiled, fresh_data, opened
-from palmfield.session.skin import Skin, chosen_name
+from palmfield.session.skin import Skin
 from palmfield.session.world_keys import split_keys, world_specs
 from palmfield.simulation.build_worlds import Shared, build_worlds
-from palmfield.simulation.step_together import TogetherStep
-from palmfield.types import Complex, Float, Float32, Int
+from palmfield.types import Float, Float32, Int
 
 
-class Worlds:
-    """Worlds of one scene, loaded and ready to step: what `palmfield.Simulation(scene, worlds=n)` gives.
+def open_worlds(
+    scene: Source,
+    worlds: int,
+    *,
+    device: str | None = None,
+    accuracy: float | None = None,
+    board: str | None = None,
+    keys: Mapping[str, object] | None = None,
+    poses: Mapping[str, ArrayLike] | None = None,
+    base: Mapping[str, object] | None = None,
+    shared: Shared | None = None,
+) -> tuple[str, SceneWorlds]:
+    """A scene's name for messages, and its worlds, ready to step.
 
-    sim = palmfield.Simulation("scene.xml", worlds=2, keys={"stimulus.focus_m": [(0, 0, 0.19), (0, 0.01, 0.19)]})
-    sim.run(0.1)
-    print(sim.skin("palm").displacement[1])
-
-    model: MuJoCo's, data: MuJoCo's of each world, for those who set controls or forces there; mj_step is not for them
-    name: of the scene, for messages; path: its file, or None; duration_s: how long the scene runs by default [s]
+    scene, device, accuracy, board, keys, worlds, poses: as of `palmfield.Simulation`
+    base: keys with which MuJoCo's model is made, in place of the first world's; then all of `keys` differ
+    shared: layers and solvers that these worlds share with others which are not stepped with them
+    Errors are those of `palmfield.session.open_scene.compiled`. SceneError too for another number of worlds, keys or
+    poses of another shape and keys that can't differ.
     """
-
-    def __init__(
-        self,
-        scene: Source,
-        worlds: int,
-        *,
-        device: str | None = None,
-        accuracy: float | None = None,
-        board: str | None = None,
-        keys: Mapping[str, object] | None = None,
-        poses: Mapping[str, ArrayLike] | None = None,
-        base: Mapping[str, object] | None = None,
-        shared: Shared | None = None,
-    ):
-        """worlds: how many
-
-        keys: as `palmfield.session.open_scene.compiled` takes them; a key of a stimulus may have one axis more than its
-            own, of length `worlds`, with a value for each
-        poses: by name of a mocap body, its position [m] and quaternion (w, x, y, z) in each step of MuJoCo's, shape
-            (worlds, steps, 7); after the last step it stays
-        base: keys with which MuJoCo's model is made, in place of the first world's; then all of `keys` differ
-        shared: layers and solvers that these worlds share with others which are not stepped with them
-        The other arguments are those of `compiled`, as are the errors. SceneError too for another number of worlds,
-        keys or poses of another shape and keys that can't differ.
-        """
-        check_count(worlds)
-        plugins = _plugins(scene)
-        split = split_keys(keys or {}, worlds, plugins)
-        common = split.common if base is None else base
-        self.name, self.model, first = compiled(scene, device=device, accuracy=accuracy, board=board, keys=common)
-        self.path = Path(scene) if isinstance(scene, str | Path) else None
-        world = world_of(first)
-        if world is None or world.scene is None:
-            raise SceneError(f"{self.name} has no plugin 'palmfield.skin'; it is a plain MuJoCo model")
-        spec = world.scene.spec
-        specs = world_specs(spec, stimulus_texts(world.scene), split, worlds)
-        plain = plain_model(self.model)
-        models = build_worlds(specs, None if base is None else spec, shared)
-        led = {_mocap(self.model, body): _poses(body, given, worlds) for body, given in (poses or {}).items()}
-        if plain is self.model:
-            data = [first, *(fresh_data(self.model, self.name) for _ in range(worlds - 1))]
-        else:
-            self.model, data = plain, [mujoco.MjData(plain) for _ in range(worlds)]
-        self._attach(SceneWorlds(first, data, models, led))
-        with interrupts_held():
-            self._scenes.place()
-            self._scenes.look()
-
-    def _attach(self, scenes: SceneWorlds) -> None:
-        self._scenes, self.data = scenes, scenes.data
-        self.duration_s = scenes.runtimes[0].spec.duration_s
-        self._skins: dict[str, WorldsSkin] = {}
-
-    def __repr__(self) -> str:
-        return f"<{self.count} worlds of {self.name}>"
-
-    @property
-    def count(self) -> int:
-        """Of worlds."""
-        return len(self.data)
-
-    @property
-    def runtimes(self) -> list[SceneRuntime]:
-        """What carries each world."""
-        self._scenes.settle()
-        return self._scenes.runtimes
-
-    @property
-    def together(self) -> TogetherStep:
-        """The steps that worlds take together."""
-        return self._scenes.together
-
-    # -- stepping ------------------------------------------------------------------------------------------------------
-
-    @property
-    def time(self) -> float:
-        """Simulated time, the same in all worlds [s]."""
-        return float(self.data[0].time)
-
-    def step(self, count: int = 1) -> None:
-        """`count` of MuJoCo's steps in all worlds. Raises what a plugin raised in them, with the world's number.
-
-        Ctrl-C waits for the end of the step in which it comes: after the KeyboardInterrupt the states are whole, those
-        of an earlier time, and the simulation can go on.
-        """
-        check_steps(count)
-        # Made here, and not in the first step: it can take minutes, and Ctrl-C needn't wait for it
-        for lazies in dict.fromkeys(model.begin for model in self._scenes.models):
-            for lazy in lazies:
-                _ = lazy.value
-        with interrupts_held() as check:
-            for _ in range(count):
-                self._scenes.step()
-                check()
-
-    def run(self, duration_s: float) -> None:
-        """As many steps as come nearest to a duration [s], at least one; see `step`.
-
-        Raises SceneError for one that is not > 0.
-        """
-        check_duration(duration_s)
-        self.step(step_count(duration_s, self.model.opt.timestep))
-
-    def reset(self) -> None:
-        """Back to time 0, with everything at rest and hands where their motions begin."""
-        with interrupts_held():
-            self._scenes.restart()
-
-    def start_at(self, time_s: float) -> None:
-        """As `reset`, but at another time [s], with hands where their motions have them then; the skin is at rest.
-
-        Raises SceneError for a time that is not 0 or more.
-        """
-        check_time(time_s)
-        with interrupts_held():
-            self._scenes.restart(time_s)
-
-    def copy(self) -> "Worlds":
-        """As many worlds again in the same state, which go on by themselves; model and matrices are shared."""
-        twin = object.__new__(Worlds)
-        twin.name, twin.path, twin.model = self.name, self.path, self.model
-        with interrupts_held():
-            scenes = self._scenes
-            scenes.settle()
-            data = [copy.copy(one) for one in scenes.data]
-            twin._attach(SceneWorlds(scenes.template, data, scenes.models, scenes.poses, scenes.state.copy()))
-            twin._scenes.adopt(scenes)
-        return twin
-
-    def __copy__(self) -> "Worlds":
-        """As `copy`: two simulations can't share MuJoCo's data."""
-        return self.copy()
-
-    def __deepcopy__(self, memo: dict[int, object]) -> "Worlds":
-        """As `copy`; models never change."""
-        return self.copy()
-
-    # -- what there is to see ------------------------------------------------------------------------------------------
-
-    @property
-    def skins(self) -> tuple[str, ...]:
-        """Instance names of the skins."""
-        return tuple(skin.spec.name for skin in self._scenes.models[0].skins)
-
-    @property
-    def bodies(self) -> tuple[str, ...]:
-        """Names of the bodies that the sound pushes, in the order of `forces`."""
-        return tuple(body.name for body in self._scenes.models[0].bodies)
-
-    def skin(self, name: str | None = None) -> "WorldsSkin":
-        """A skin by its instance name; the only one without. Raises SceneError for one that the scene has not."""
-        names = self.skins
-        name = chosen_name(names, name)
-        if name not in self._skins:
-            skins = [Skin(runtime, names.index(name)) for runtime in self._scenes.runtimes]
-            self._skins[name] = WorldsSkin(skins, self._scenes.settle)
-        return self._skins[name]
-
-    @property
-    def drive(self) -> Complex:
-        """What the transducers are told now: complex amplitudes relative to full drive, e^{-iwt}, shape (worlds, N)."""
-        now = np.array([self.time])
-        drives = [one.work.emission.commanded(one.posed, now)[0] for one in self._scenes.runtimes]
-        return np.array(drives)
-
-    @property
-    def emitted(self) -> Complex:
-        """What the transducers emit now, after their ring-up, shape (worlds, N)."""
-        result = np.zeros((self.count, len(self._scenes.models[0].arrays)), np.complex128)
-        for row, runtime in zip(result, self.runtimes, strict=True):
-            _, course = runtime.now()
-            if course.emitted is not None or course.unit is not None:
-                row[:] = rows(course)[0]
-        return result
-
-    @property
-    def forces(self) -> Float:
-        """Mean force of the sound on each of `bodies` over the last step [N], world axes, (worlds, bodies, 3).
-
-        Before the first step, that over the step to come.
-        """
-        return self._scenes.forces.copy()
-
-    @property
-    def sensors(self) -> Float:
-        """MuJoCo's sensordata of each world, shape (worlds, numbers): of the last step's beginning, as MuJoCo's are."""
-        return np.array([one.sensordata for one in self.data])
-
-    def sensor(self, name: str) -> Float:
-        """One sensor by its name, shape (worlds, its numbers). Raises SceneError for one that the scene has not."""
-        names = [self.model.sensor(number).name for number in range(self.model.nsensor)]
-        if name not in names:
-            raise SceneError(f"the scene has no sensor '{name}'; it has: {', '.join(names)}")
-        return np.array([one.sensor(name).data for one in self.data])
+    check_count(worlds)
+    plugins = _plugins(scene)
+    split = split_keys(keys or {}, worlds, plugins)
+    common = split.common if base is None else base
+    name, model, first = compiled(scene, device=device, accuracy=accuracy, board=board, keys=common)
+    world = world_of(first)
+    if world is None or world.scene is None:
+        raise SceneError(f"{name} has no plugin 'palmfield.skin'; it is a plain MuJoCo model")
+    spec = world.scene.spec
+    specs = world_specs(spec, stimulus_texts(world.scene), split, worlds)
+    plain = plain_model(model)
+    models = build_worlds(specs, None if base is None else spec, shared)
+    led = {_mocap(model, body): _poses(body, given, worlds) for body, given in (poses or {}).items()}
+    if plain is model:
+        data = [first, *(fresh_data(model, name) for _ in range(worlds - 1))]
+    else:
+        model, data = plain, [mujoco.MjData(plain) for _ in range(worlds)]
+    scenes = SceneWorlds(first, data, models, led)
+    with interrupts_held():
+        scenes.place()
+        scenes.look()
+    return name, scenes
 
 
 class WorldsSkin:

@@ -11,7 +11,6 @@ import palmfield
 from palmfield.engine import many_data, scene_runtime
 from palmfield.engine.worlds import SceneWorlds
 from palmfield.errors import DeviceError, SceneError
-from palmfield.session.worlds import Worlds
 from palmfield.simulation import build_worlds, sensors, step_together
 from palmfield.simulation.model import StepperChoice
 
@@ -420,7 +419,9 @@ def test_skins_are_stepped_in_one_call(small_scene, monkeypatch):
 def test_one_world_is_the_plain_simulation(small_scene):
     path = yielding(small_scene())
     together, alone = palmfield.Simulation(path, worlds=1), palmfield.Simulation(path)
-    assert isinstance(together, Worlds) and together.count == 1 and together.sensors.shape == (1, 6)
+    assert type(together) is type(alone) is palmfield.Simulation and "__new__" not in vars(palmfield.Simulation)
+    assert together.worlds == 1 and alone.worlds is None and together.sensors.shape == (1, 6)
+    np.testing.assert_array_equal(alone.sensors, alone.data.sensordata)
     assert differ(together.forces[0], alone.forces) < SAME and np.abs(alone.forces).max() > 0.0
     assert differ(together.sensors[0], alone.data.sensordata) < SAME
     assert differ(together.data[0].qacc, alone.data.qacc) < SAME
@@ -642,3 +643,10 @@ def test_a_further_channel_of_the_sensor_is_read_in_worlds_too(small_scene, monk
     assert len(single.data.sensordata) == 7 and single.data.sensordata[6] > 0.0
     for data in together.data:
         np.testing.assert_allclose(data.sensordata, single.data.sensordata, rtol=1e-6, atol=1e-12)
+
+
+@pytest.mark.parametrize("use", [palmfield.run, palmfield.plan])
+def test_what_takes_one_world_refuses_several(small_scene, use):
+    sim = palmfield.Simulation(small_scene(), worlds=2)
+    with pytest.raises(palmfield.SceneError, match="is open as 2 worlds; allowed here: a simulation without `worlds`"):
+        use(sim)

@@ -14,7 +14,7 @@ from palmfield.errors import PalmfieldError
 from palmfield.session.open_scene import as_text
 from palmfield.session.simulation import Simulation
 from palmfield.session.world_keys import axes_of
-from palmfield.session.worlds import Worlds
+from palmfield.session.worlds import open_worlds
 from palmfield.simulation.build import keep_model
 from palmfield.simulation.build_worlds import Shared
 from palmfield.studies.sweeps.groups import Keys
@@ -110,24 +110,25 @@ def _run(task: Task, base: Keys, shared: Shared | None, point: Point) -> Numbers
         return Failed(f"{type(error).__name__}: {' '.join(str(error).split())}")
 
 
-def _measured(task: Task, simulation: Simulation | Worlds) -> list[Numbers]:
+def _measured(task: Task, simulation: Simulation) -> list[Numbers]:
     numbers = measured(simulation, task.duration_s, task.times, task.errors)
     # Each model may hold factors of a gigabyte; the next points take the layer of the last ones, if any
-    runtime = simulation.runtimes[0] if isinstance(simulation, Worlds) else simulation.runtime
+    runtime = simulation.runtimes[0]
     keep_model(runtime.spec, runtime.model)
     return numbers
 
 
-def _worlds(task: Task, base: Keys, shared: Shared, points: Sequence[Point]) -> Worlds:
+def _worlds(task: Task, base: Keys, shared: Shared, points: Sequence[Point]) -> Simulation:
     """Points as worlds of one simulation."""
     keys: dict[str, Sequence[Any]] = {}
     for full in points[0].differing:
         values = [point.differing[full] for point in points]
         vector = axes_of(StimulusConfig, full.rpartition(".")[2]) > 0
         keys[full] = [tuple(as_text(value).split()) for value in values] if vector else values
-    return Worlds(
+    worlds = open_worlds(
         task.scene, len(points), device=task.device, accuracy=task.accuracy, keys=keys, base=base, shared=shared
     )
+    return Simulation.of_worlds(*worlds)
 
 
 def batches(

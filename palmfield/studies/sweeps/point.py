@@ -15,7 +15,6 @@ from palmfield.session.duration import step_count
 from palmfield.session.preview import Preview
 from palmfield.session.recorder import world_with
 from palmfield.session.simulation import Simulation
-from palmfield.session.worlds import Worlds
 from palmfield.studies.sweeps.watch import Watched
 from palmfield.types import Float
 
@@ -29,7 +28,7 @@ def sensor_names(scene: Simulation | Preview) -> list[str]:
     return [sensor.name for skin in scene.runtime.binding.skins for sensor in world.sensors(skin.instance)]
 
 
-def measured(simulation: Simulation | Worlds, duration_s: float, times: Float, errors: bool) -> list[Numbers]:
+def measured(simulation: Simulation, duration_s: float, times: Float, errors: bool) -> list[Numbers]:
     """Run a simulation and give the numbers of its worlds, each a point, or of the one that it is.
 
     duration_s: simulated time [s]; times: at which courses are wanted, from the run's start [s], shape (t,)
@@ -37,7 +36,7 @@ def measured(simulation: Simulation | Worlds, duration_s: float, times: Float, e
     Raises what the run raises (SceneError, DeviceError).
     """
     started = time.perf_counter()
-    model = (simulation.runtimes[0] if isinstance(simulation, Worlds) else simulation.runtime).model
+    model = simulation.runtimes[0].model
     steps = step_count(duration_s, model.spec.timestep_s)
     watched = Watched(simulation, steps)
     for _ in range(steps):

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from palmfield.session.loudest_moment import LoudestMoment
 from palmfield.session.recorder import Emitted, emitted_at, emitted_at_ends
 from palmfield.session.simulation import Simulation
-from palmfield.session.worlds import Worlds
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.sensors import CHANNELS
 from palmfield.simulation.state import at_rest
@@ -31,13 +30,11 @@ class Watched:
     sensors: normal displacement at all skins' sensors at the beginning of each step [m], shape (steps, w, sensors)
     """
 
-    def __init__(self, simulation: Simulation | Worlds, steps: int) -> None:
+    def __init__(self, simulation: Simulation, steps: int) -> None:
         self.simulation = simulation
-        if isinstance(simulation, Worlds):
-            self.runtimes = simulation.runtimes
+        self.runtimes = simulation.runtimes
+        if simulation.worlds is not None:
             simulation.together.observer = self._together
-        else:
-            self.runtimes = [simulation.runtime]
         model, world = self.runtimes[0].model, self.runtimes[0].view
         self._bodies = [skin.body for skin in model.skins]
         names = [sensor.name for skin in self.runtimes[0].binding.skins for sensor in world.sensors(skin.instance)]
@@ -62,11 +59,9 @@ class Watched:
 
     def step(self) -> None:
         """One step of MuJoCo's has ended."""
-        data = self.simulation.data
         forces = np.reshape(self.simulation.forces, (len(self.runtimes), -1, 3))
         self.forces[self._steps] = forces[:, self._bodies]
-        for own, one in zip(self.sensors[self._steps], data if isinstance(data, tuple) else [data], strict=True):
-            own[:] = one.sensordata[self._places]
+        self.sensors[self._steps] = np.reshape(self.simulation.sensors, (len(self.runtimes), -1))[:, self._places]
         self._steps += 1
 
     def _begin(self, world: int) -> None:

@@ -5,7 +5,6 @@ import pytest
 
 import palmfield
 from palmfield.outputs import instances
-from palmfield.session.worlds import Worlds
 from palmfield.studies.sweeps import batch, groups, store
 from palmfield.studies.sweeps.batch import Failed, Point, Task, run_batch
 from palmfield.studies.sweeps.design import grid, listed
@@ -32,7 +31,7 @@ def simulated(monkeypatch):
 
     def measured(simulation, *others):
         numbers = plain(simulation, *others)
-        several = isinstance(simulation, Worlds)
+        several = simulation.worlds is not None
         runtimes = simulation.runtimes if several else [simulation.runtime]
         seen.append((len(runtimes) * several, {one.model.begin[0].value.name for one in runtimes}))
         return numbers

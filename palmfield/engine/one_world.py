@@ -1,0 +1,58 @@
+"""One mjData with its plugins, stepped by MuJoCo itself."""
+
+import copy
+
+import mujoco
+import numpy as np
+
+from palmfield.engine.host import raise_errors, world_of
+from palmfield.engine.motion_plugin import place
+from palmfield.engine.scene_runtime import SceneRuntime
+from palmfield.errors import SceneError
+from palmfield.types import Float
+
+
+class OneWorld:
+    """One world of a scene, with the calls of `palmfield.engine.worlds.SceneWorlds`.
+
+    data: MuJoCo's, the only one; runtimes: what carries it
+    """
+
+    def __init__(self, data: mujoco.MjData, name: str):
+        """name: of the scene. Raises SceneError for one without skins."""
+        world = world_of(data)
+        if world is None or world.scene is None:
+            raise SceneError(f"{name} has no plugin 'palmfield.skin'; it is a plain MuJoCo model")
+        world.quiet = True
+        self.data, self.mujoco_model, self.name = (data,), data.model, name
+        self.runtimes: list[SceneRuntime] = [world.scene]
+
+    @property
+    def forces(self) -> Float:
+        """Mean force of the sound over the last step [N], world axes, shape (1, bodies, 3)."""
+        return np.array([self.runtimes[0].applied])
+
+    def step(self) -> None:
+        """One of MuJoCo's steps. Raises what a plugin raised in it."""
+        mujoco.mj_step(self.mujoco_model, self.data[0])
+        raise_errors(self.data[0])
+
+    def restart(self, time_s: float | None = None) -> None:
+        """At rest at a time [s], at 0 without, with hands where their motions have them then."""
+        mujoco.mj_resetData(self.mujoco_model, self.data[0])
+        if time_s is not None:
+            self.data[0].time = time_s
+        place(self.data[0])
+        self.look()
+
+    def look(self) -> None:
+        """Forces and sensors at the present time, without a step."""
+        mujoco.mj_forward(self.mujoco_model, self.data[0])
+        raise_errors(self.data[0])
+
+    def settle(self) -> None:
+        """Nothing is put off here."""
+
+    def copy(self) -> "OneWorld":
+        """Another in the same state."""
+        return OneWorld(copy.copy(self.data[0]), self.name)
