@@ -40,6 +40,7 @@ OF_SHAPES = {
     "patch_site": BODIES,
     "patch_radius_m": BODIES,
     "depth_m": BODIES,
+    "force_accuracy": BODIES,
 }
 """Keys that only some shapes look at: with another shape they would say nothing, silently."""
 THICKEST = 0.85
@@ -135,6 +136,11 @@ class SkinConfig(Config):
     )
     accuracy: Annotated[float, Field(ge=0.002, le=0.5)] = Field(
         0.05, description="wanted relative error of the skin displacement"
+    )
+    force_accuracy: Annotated[float, Field(ge=0.0015, le=0.05)] = Field(
+        0.006,
+        description="relative error of the sound's force and torque on the body, rms over foci on its lit side; not of "
+        "a disc (below 0.006: faces cut in four; from 0.006: a sample a face; 0.0075, 0.013: 2.5, 4 times fewer)",
     )
     max_frequency_Hz: Annotated[float, Field(gt=0, le=2000)] | None = Field(
         None, description="highest frequency to resolve (default: from the stimulus)"

@@ -5,7 +5,7 @@ from typing import NamedTuple
 from palmfield.acoustics.air import sound_speed
 from palmfield.acoustics.body_scattering import boundary_mesh
 from palmfield.estimate.numerical_error import estimate_s
-from palmfield.planning.facts import pushed_faces
+from palmfield.planning.facts import force_samples
 from palmfield.session.preview import Preview
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import reference_scene
@@ -68,4 +68,4 @@ def points_a_step(model: HapticModel) -> float:
     skin = sum(6 * len(part.layer.mesh.surface_triangles6) + part.layer.mesh.surface_nodes for part in model.skins)
     configs = [stimulus.config for stimulus in model.stimuli]
     moving = any(config.path != "point" and not frame_rates(config) for config in configs)
-    return (model.substeps if moving else 1) * skin + pushed_faces(model)
+    return (model.substeps if moving else 1) * skin + force_samples(model)

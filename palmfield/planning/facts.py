@@ -29,6 +29,6 @@ def where_it_arrives(posed: PosedScene, skin: int, drive: Complex) -> tuple[Floa
     return nodes[highest], outwards[highest], float(pressures[highest])
 
 
-def pushed_faces(model: HapticModel) -> int:
-    """Faces of the surfaces at which the sound pushes bodies; a disc is pushed at its skin's points."""
-    return sum(0 if body.surface is None else len(body.surface.faces) for body in model.bodies)
+def force_samples(model: HapticModel) -> int:
+    """Places at which the sound pushes bodies; a disc is pushed at its skin's points."""
+    return sum(0 if body.surface is None else len(body.sample_mesh.corners) for body in model.bodies)

@@ -8,7 +8,7 @@ from palmfield.estimate.numerical_error import estimate_s
 from palmfield.estimate.numerics.mesh_error import RATIO
 from palmfield.estimate.sending import offset_words, peak_offset, sending
 from palmfield.outputs.summary_table import of_full
-from palmfield.planning.facts import pushed_faces
+from palmfield.planning.facts import force_samples
 from palmfield.planning.rows import Row
 from palmfield.simulation.emission import array_drives
 from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
@@ -22,8 +22,9 @@ def modelled(model: HapticModel, duration_s: float) -> list[Row]:
     """Rows of what is modelled in a run of this length [s], in the order of the pipeline."""
     skin_points = sum(6 * len(skin.layer.mesh.surface_triangles6) for skin in model.skins)
     surface = f"{skin_points} skin points"
-    if pushed_faces(model):
-        surface += f", {pushed_faces(model)} faces of the surface for the force"
+    if force_samples(model):
+        off = ", ".join(dict.fromkeys(f"{100 * body.force_accuracy:.2g} %" for body in model.bodies if body.surface))
+        surface += f", {force_samples(model)} places of the surface for the force, to {off} (rms over foci)"
     rows = [
         Row(
             "sound field",

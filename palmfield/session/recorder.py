@@ -142,11 +142,11 @@ class Recorder:
         known = self.runtime.work.unit_forces.pressed(skin.body)
         arp: Float = np.zeros(faces)
         if known is not None:
-            (_, _, areas, numbers), pressure = known
-            owners, shares = skin.sample_faces
-            filled = areas > 0.0
-            chosen = numbers[filled]
-            arp = np.bincount(owners[chosen], pressure[filled] * shares[chosen], minlength=faces).astype(np.float64)
+            (*_, numbers), pressure = known
+            owners, samples, shares = skin.sample_faces
+            at_samples: Float = np.zeros(int(samples.max()) + 1)
+            at_samples[numbers] = pressure
+            arp = np.bincount(owners, at_samples[samples] * shares, minlength=faces).astype(np.float64)
         block[group("surface", skin.spec.name)] = {"face_arp": arp.astype(np.float32)[None]}
 
     def _add_body(self, block: Block, name: str, number: int, posed: PosedScene) -> None:

@@ -163,7 +163,9 @@ def _arrays(spec: SceneSpec) -> PhasedArray:
 def _body(skin: SkinConfig) -> BodyModel:
     """The surface of a skin's body, and its bones; the same one for the same keys, while a model has it."""
     with _lock:
-        return _bodies.get(skin) or _bodies.setdefault(skin, _new_body(skin))
+        body = _bodies.get(skin) or _bodies.setdefault(skin, _new_body(skin))
+        body.force_accuracy = skin.force_accuracy
+        return body
 
 
 def _new_body(skin: SkinConfig) -> BodyModel:

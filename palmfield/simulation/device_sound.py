@@ -37,8 +37,9 @@ from palmfield.drive.transducer_response import EmittedCourse, present_drive
 from palmfield.errors import PalmfieldError
 from palmfield.hand.posed_surface import SkinBinding
 from palmfield.hand.rigged import strongest
+from palmfield.hand.skinning import SkinnedSurface
 from palmfield.simulation.emission import Emission, MeanDrives
-from palmfield.simulation.model import BodyModel, HapticModel, SkinModel
+from palmfield.simulation.model import HapticModel, SkinModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.radiation import (
     BODY_SPACING_m,
@@ -744,12 +745,12 @@ def _bound(points: Float, binding: SkinBinding | None, first: int) -> _Bound:
     return _Bound(points, motions, np.tile([1.0, 0.0, 0.0, 0.0], (len(points), 1)))
 
 
-def _bound_vertices(body: BodyModel, vertices: Float, first: int) -> _Bound:
-    """The vertices of a body's surface."""
-    if body.hand is None:
+def _bound_vertices(hand: SkinnedSurface | None, vertices: Float, first: int) -> _Bound:
+    """The vertices of a surface, with its bones if it has any."""
+    if hand is None:
         return _bound(vertices, None, first)
-    shares, bones = strongest(sparse.csr_array(body.hand.weights))
-    return _Bound(body.hand.surface.vertices, (bones + first).astype(np.int32), shares)
+    shares, bones = strongest(sparse.csr_array(hand.weights))
+    return _Bound(hand.surface.vertices, (bones + first).astype(np.int32), shares)
 
 
 def _joined(parts: Sequence[_Bound]) -> _Bound:
@@ -817,8 +818,8 @@ class _ScenePoints:
         for number, body in enumerate(model.bodies):
             if body.hand is None:
                 continue
-            own_faces = body.hand.surface.faces
-            vertices.append(_bound_vertices(body, body.hand.surface.vertices, rows.bodies[number].start))
+            own_faces = body.sampled.surface.faces
+            vertices.append(_bound_vertices(body.sampled, body.sampled.surface.vertices, rows.bodies[number].start))
             faces.append(own_faces + corners)
             corners += len(vertices[-1].points)
             self.samples.append((number, slice(count - start, count - start + len(own_faces))))
@@ -921,7 +922,7 @@ def _mesh_calls(
     """Launches that bring what casts shadows where motions take it."""
     parts = []
     for body, own in zip(reference.bodies, rows.bodies, strict=True):
-        parts.append(_bound_vertices(body.model, body.vertices, own.start))
+        parts.append(_bound_vertices(body.model.hand, body.vertices, own.start))
     if model.skins[skin].obstacles:
         for number, shape in enumerate(model.skins[skin].obstacles_in_one[0]):
             parts.append(_bound(shape, None, rows.obstacles[skin].start + number))

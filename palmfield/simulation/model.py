@@ -18,6 +18,7 @@ from palmfield.config import StimulusConfig
 from palmfield.drive.board import Board
 from palmfield.drive.response import Pole
 from palmfield.drive.transducer_response import TransducerResponse
+from palmfield.hand.force_samples import A_FACE, SampleMesh, sample_mesh
 from palmfield.hand.posed_surface import FaceSampler, SkinBinding, face_samples
 from palmfield.hand.skinning import SkinnedSurface
 from palmfield.hand.subdivide import EDGE_m, short_edge_parents, with_short_edges
@@ -69,6 +70,9 @@ class BodyModel:
     depth_to_bone_m: by vertex of the surface, shape (v,), or one depth for all
     """
 
+    force_accuracy: float = A_FACE
+    """To which its samples give the force of the sound."""
+
     def __init__(self, name: str, surface: Surface | None, hand: SkinnedSurface | None, depth_to_bone_m: Float | float):
         self.name, self.surface, self.hand, self.depth_to_bone_m = name, surface, hand, depth_to_bone_m
         self.lock = threading.RLock()
@@ -82,27 +86,45 @@ class BodyModel:
         return max(1, len(self.rest_origins))
 
     @locked_cached_property
-    def face_bones(self) -> Int:
-        """The bone that each face of a surface with bones pushes, shape (m,)."""
+    def sample_mesh(self) -> SampleMesh:
+        """The triangles whose middles are the samples for the force, at rest."""
+        if self.hand is not None:
+            return sample_mesh(self.hand.surface.vertices, self.hand.surface.faces, self.force_accuracy)
+        assert self.surface is not None
+        vertices, faces = self.surface.vertices, self.surface.faces
+        made = sample_mesh(*with_short_edges(vertices, faces, EDGE_m), self.force_accuracy)
+        return made._replace(faces=short_edge_parents(vertices, faces, EDGE_m)[made.faces])
+
+    @locked_cached_property
+    def sampled(self) -> SkinnedSurface:
+        """The samples' triangles with their bones: those of the hand itself where each of its faces is a sample."""
         assert self.hand is not None
-        return self.hand.dominant_bone()[self.hand.surface.faces[:, 0]]
+        mesh = self.sample_mesh
+        if mesh.corners is self.hand.surface.faces:
+            return self.hand
+        surface = Surface(mesh.points, mesh.corners, np.zeros_like(mesh.points))
+        return SkinnedSurface(self.hand.bones, surface, SkinBinding.to(self.hand, mesh.points).weights.T)
+
+    @locked_cached_property
+    def sample_bones(self) -> Int:
+        """The bone that each sample of a surface with bones pushes, shape (n,)."""
+        return self.sampled.dominant_bone()[self.sampled.surface.faces[:, 0]]
 
     @locked_cached_property
     def rest_samples(self) -> tuple[Float, Float, Float]:
         """Points [m], outward normals, shapes (n, 3), and areas [m^2], (n,), of a surface in one piece."""
-        assert self.surface is not None
-        return face_samples(*with_short_edges(self.surface.vertices, self.surface.faces, EDGE_m))
+        return face_samples(self.sample_mesh.points, self.sample_mesh.corners)
 
     def posed_samples(self, vertices: Float, frame: Transform) -> tuple[Float, Float, Float]:
-        """Points [m], outward normals, shapes (n, 3), in the outer frame, and areas [m^2], (n,), of moved vertices."""
+        """Points [m], outward normals, shapes (n, 3), in the outer frame, and areas [m^2], (n,): `sampled`, moved."""
         with self.lock:
             samples = self._sampler.at(vertices)
             return *frame.surface(samples.centroids, samples.normals), samples.areas.copy()
 
     @locked_cached_property
     def _sampler(self) -> FaceSampler:
-        assert self.surface is not None
-        return FaceSampler(self.surface.faces, len(self.surface.vertices))
+        surface = self.sampled.surface
+        return FaceSampler(surface.faces, len(surface.vertices))
 
     @locked_cached_property
     def boxes(self) -> Float:
@@ -240,20 +262,18 @@ class SkinModel:
         return closed_boundary(self.layer.mesh) if surface is None else (surface.vertices, surface.faces)
 
     @locked_cached_property
-    def sample_faces(self) -> tuple[Int, Float]:
-        """The face of `closed_surface` on which each sample for the force lies, and its share of that, shapes (n,)."""
+    def sample_faces(self) -> tuple[Int, Int, Float]:
+        """Faces of `closed_surface`, samples for the force, and their shares in the faces' mean ARP, shapes (k,)."""
         vertices, faces = self.closed_surface
-        if self.carrier.hand is not None:
-            return np.arange(len(faces), dtype=np.int32), np.ones(len(faces))
         centroids, _, face_areas = face_samples(vertices, faces)
         if self.carrier.surface is not None:
-            owners, areas = short_edge_parents(vertices, faces, EDGE_m), self.carrier.rest_samples[2]
-        else:
-            # The skin's own face comes first
-            quadrature = self.layer.quadrature
-            lit = centroids[: len(output_triangles(self.layer.mesh))]
-            owners, areas = cKDTree(lit).query(quadrature.points)[1].astype(np.int32), quadrature.weights
-        return owners, areas / face_areas[owners]
+            mesh = self.carrier.sample_mesh
+            return mesh.faces, mesh.samples, mesh.areas / np.maximum(face_areas[mesh.faces], 1e-30)
+        # The skin's own face comes first
+        quadrature = self.layer.quadrature
+        lit = centroids[: len(output_triangles(self.layer.mesh))]
+        owners = cKDTree(lit).query(quadrature.points)[1].astype(np.int32)
+        return owners, np.arange(len(owners), dtype=np.int32), quadrature.weights / face_areas[owners]
 
 
 @dataclass(frozen=True)

@@ -118,7 +118,10 @@ class PosedSurface:
         elif self.model.hand is None:
             points, normals, areas = self.model.rest_samples
         else:
-            return self.model.posed_samples(self.vertices, self.frame)
+            sampled = self.model.sampled
+            bones = self.bone_positions, self.bone_rotations
+            moved = self.vertices if sampled is self.model.hand else sampled.posed(*bones)
+            return self.model.posed_samples(moved, self.frame)
         return *self.frame.surface(points, normals), areas
 
     @cached_property
@@ -126,7 +129,7 @@ class PosedSurface:
         """Which of the bodies at `origins` each sample pushes, shape (n,)."""
         if self.model.hand is None:
             return np.zeros(len(self.samples[2]), np.int32)
-        return self.model.face_bones
+        return self.model.sample_bones
 
     @cached_property
     def origins(self) -> Float:

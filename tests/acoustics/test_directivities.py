@@ -66,7 +66,7 @@ def test_names_are_those_of_files_and_of_the_key() -> None:
     assert [form.name for form in FORMS.values()] == list(FORMS)
     assert ArrayConfig.model_fields["directivity"].default == "layout"
     lost = replace(layout("uhev1"), directivity="pistn")
-    with pytest.raises(SceneError, match=r"array 'uhev1' has directivity 'pistn'.*did you mean.*allowed: piston"):
+    with pytest.raises(SceneError, match=r"array 'uhev1' has directivity 'pistn'.*did you mean.*allowed: .*piston"):
         pressure([[0.0, 0.0, 0.1]], lost, np.ones(256), AIR)
 
 
@@ -130,10 +130,13 @@ def test_arp_and_a_moving_focus_of_a_new_form(gaussian: Array) -> None:
 
     one = ArrayDrive(arrays, np.arange(256, dtype=np.int32), None, None, board_named("ideal"))
     path = PathDrives(one, Transducers(arrays, "cpu"), None)
-    waves, strengths = (wp.zeros((200, 256), dtype=wp.vec2d, device="cpu") for _ in range(2))
-    counts, foci = wp.array([200, 1], dtype=wp.int32, device="cpu"), wp.array(points, dtype=wp.vec3d, device="cpu")
-    wp.launch(focus_waves, (200, 256), [path._focusing, counts, foci, waves, strengths], device="cpu")
-    loudness = strengths.numpy()[..., 0].sum(axis=1)
+    waves, strengths = (wp.zeros((1, 200, 256), dtype=wp.vec2d, device="cpu") for _ in range(2))
+    counts, foci = (
+        wp.array([[200, 1]], dtype=wp.int32, device="cpu"),
+        wp.array(points[None], dtype=wp.vec3d, device="cpu"),
+    )
+    wp.launch(focus_waves, (1, 200, 256), [path._focusing, counts, foci, waves, strengths], device="cpu")
+    loudness = strengths.numpy()[0, ..., 0].sum(axis=1)
     in_phase = np.exp(-1j * K * np.linalg.norm(points[:, None] - gaussian.positions, axis=2))
     exact = np.array([summed(point[None], gaussian, turn)[0][0] for point, turn in zip(points, in_phase, strict=True)])
     np.testing.assert_allclose(loudness, exact.real, rtol=1e-12)
