@@ -387,6 +387,7 @@ class ArrayDrive:
         drives = np.zeros((rows, self.count), np.complex128)
         takes = [slice(None)] if group is None else [(group == j).nonzero()[0] for j in range(columns)]
         known: dict[bytes, Complex] = {}
+        uneven = focal_points.table is not None or focal_points.arp
         for i in range(rows):
             for j, taken in enumerate(takes):
                 if audible is not None and not audible[i, j]:
@@ -394,7 +395,7 @@ class ArrayDrive:
                 key = points[i, j].tobytes()
                 unit = known.get(key)
                 if unit is None:
-                    loudness = focal_points.loudness(points[i, j])
+                    loudness = focal_points.loudness(points[i, j]) if uneven else None
                     unit = known[key] = self.unit_drive(focal_points.at(points[i, j]), loudness).amplitudes
                 drives[i, taken] = unit[taken]
         return drives

@@ -84,9 +84,9 @@ def test_sites_are_transducers() -> None:
 
 
 def test_bad_arrays_are_refused_by_name() -> None:
-    with pytest.raises(SceneError, match=r"plugin 'palmfield.array'.*piston_radius_m"):
+    with pytest.raises(SceneError, match=r"key 'piston_radius_m' has value 0.004"):
         PhasedArray([instance(directivity="point", piston_radius_m=0.004)], [HERE])
-    with pytest.raises(SceneError, match=r"plugin 'palmfield.array'.*256"):
+    with pytest.raises(SceneError, match="256"):
         PhasedArray([instance(dead=(256,))], [HERE])
     with pytest.raises(PalmfieldError, match="cuda:99"):
         _ = PhasedArray([instance()], [HERE], "cuda:99").field
