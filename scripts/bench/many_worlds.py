@@ -1,0 +1,101 @@
+#!/usr/bin/env python3
+"""What a step takes in each of many worlds of a moving scene on a GPU, and where the time goes.
+
+python scripts/bench/many_worlds.py [--scene hover_explore] [--worlds 1024] [--start 0.1] [--steps 20] [--device cuda:0]
+
+Worlds differ in their level. Printed are the median of the wall times of whole steps and the mean of their parts, which
+lie within one another, then each kernel and copy by itself, all in us a world and step.
+"""
+
+import argparse
+import statistics
+import time
+from collections import Counter
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+import palmfield
+from palmfield.data import folder
+from palmfield.engine.many_data import ManyData
+from palmfield.engine.worlds import SceneWorlds
+from palmfield.simulation.moving_worlds import MovingWorlds
+from palmfield.studies.bench.table import processor
+from palmfield.threads import cores
+
+PARTS = (
+    (SceneWorlds, "_each", "MuJoCo"),
+    (SceneWorlds, "_push", "poses, sound and forces"),
+    (ManyData, "take", "  poses taken"),
+    (MovingWorlds, "begin", "  sound, skins"),
+    (MovingWorlds, "_fill", "    inputs"),
+    (MovingWorlds, "_good", "    results looked at"),
+    (ManyData, "push", "  forces applied"),
+    (SceneWorlds, "_sense", "sensors"),
+    (SceneWorlds, "_advance", "states taken over"),
+)
+
+
+def watch(owner: Any, name: str, what: str, spent: Counter[str]) -> None:
+    """Count the seconds of a class's method."""
+    method = getattr(owner, name)
+
+    def timed(*args: Any, **kwargs: Any) -> Any:
+        start = time.perf_counter()
+        try:
+            return method(*args, **kwargs)
+        finally:
+            spent[what] += time.perf_counter() - start
+
+    setattr(owner, name, timed)
+
+
+def main() -> None:
+    """See the module's docstring."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scene", default="hover_explore")
+    parser.add_argument("--worlds", type=int, default=1024)
+    parser.add_argument("--start", type=float, default=0.1, help="time at which the steps begin [s]")
+    parser.add_argument("--steps", type=int, default=20)
+    parser.add_argument("--device", default="cuda:0")
+    given = parser.parse_args()
+    levels: dict[str, object] = {"stimulus.drive_amplitude": np.linspace(0.5, 1.0, given.worlds)}
+    path = folder("mjcf") / "scenes" / f"{given.scene}.xml"
+    start = time.perf_counter()
+    sim = palmfield.Simulation(path, device=given.device, keys=levels, worlds=given.worlds)
+    sim.start_at(given.start)
+    sim.step(3)
+    ready_s = time.perf_counter() - start
+    spent: Counter[str] = Counter()
+    for owner, name, what in PARTS:
+        watch(owner, name, what, spent)
+    times = []
+    for _ in range(given.steps):
+        start = time.perf_counter()
+        sim.step()
+        times.append(time.perf_counter() - start)
+    us = 1e6 / given.worlds
+    scenes: Any = sim._scenes
+    joined = len(scenes.moving.joined)
+    print(f"{processor()}, {cores()} cores, {given.device}: {given.scene}, {given.worlds} worlds, {joined} in one graph")
+    print(f"ready after {ready_s:.1f} s; {us * statistics.median(times):.1f} us a world and step")
+    for _, _, what in PARTS:
+        print(f"{what:32} {us * spent[what] / given.steps:7.2f}")
+    work = scenes.moving._work
+    if work is None or given.device == "cpu":
+        return
+    device = wp.get_device(given.device)
+    print(f"GPU memory in use: {(device.total_memory - device.free_memory) / 2**30:.1f} GiB")
+    with wp.ScopedTimer("kernels", cuda_filter=wp.TIMING_ALL, print=False) as timer:
+        for call in work._calls:
+            call()
+    kernels: Counter[str] = Counter()
+    for one in timer.timing_results:
+        kernels[one.name.removeprefix("forward kernel ")] += 1e3 * one.elapsed
+    for name, elapsed in kernels.most_common(12):
+        print(f"  {name[:40]:40} {elapsed / given.worlds:7.2f}")
+
+
+if __name__ == "__main__":
+    main()
