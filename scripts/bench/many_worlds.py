@@ -78,7 +78,8 @@ def main() -> None:
     us = 1e6 / given.worlds
     scenes: Any = sim._scenes
     joined = len(scenes.moving.joined)
-    print(f"{processor()}, {cores()} cores, {given.device}: {given.scene}, {given.worlds} worlds, {joined} in one graph")
+    print(f"{processor()}, {cores()} cores, {given.device}")
+    print(f"{given.scene}, {given.worlds} worlds, {joined} in one graph")
     print(f"ready after {ready_s:.1f} s; {us * statistics.median(times):.1f} us a world and step")
     for _, _, what in PARTS:
         print(f"{what:32} {us * spent[what] / given.steps:7.2f}")
