@@ -52,3 +52,41 @@ def test_worlds_are_what_each_is_by_itself(
         assert apart(worlds.skin().displacement[world], alone.skin().displacement) < 1e-5
         assert apart(worlds.sensors[world], np.array(alone.data.sensordata)) < 1e-4
         assert apart(worlds.data[world].qpos, alone.data.qpos) < 1e-9
+
+
+def test_copies_and_resets_go_on_from_what_the_device_has(by_graph: None) -> None:
+    """States lie on the device: a copy, a reset and a look at the skin in between change nothing of what comes."""
+    levels = {"stimulus.drive_amplitude": [1.0, 0.6]}
+    worlds: Any = palmfield.Simulation(SCENES / "hover_explore.xml", worlds=2, keys=COARSE | levels)
+    worlds.start_at(0.1)
+    worlds.step(2)
+    twin = worlds.copy()
+    looked = worlds.skin().displacement
+    worlds.step(2)
+    twin.step(2)
+    ended, forces = worlds.skin().displacement, worlds.forces
+    assert len(twin._scenes.moving.joined) == 2 and np.abs(ended - looked).max() > 0.0
+    np.testing.assert_array_equal(twin.skin().displacement, ended)
+    np.testing.assert_array_equal(twin.forces, forces)
+    worlds.start_at(0.1)
+    assert not worlds.skin().displacement.any()
+    worlds.step(4)
+    np.testing.assert_array_equal(worlds.skin().displacement, ended)
+
+
+def test_a_step_in_which_a_level_jumps_is_taken_by_each_world_itself(by_graph: None) -> None:
+    stops = {"stimulus.stop_s": [0.1025, 0.2]}
+    worlds: Any = palmfield.Simulation(SCENES / "hover_explore.xml", worlds=2, keys=COARSE | stops)
+    worlds.start_at(0.1)
+    joined = []
+    for _ in range(5):
+        worlds.step()
+        joined.append(worlds._scenes.moving.joined.tolist())
+    assert joined == [[0, 1], [0, 1], [1], [0, 1], [0, 1]]
+    alone = palmfield.Simulation(
+        SCENES / "hover_explore.xml", keys=COARSE | {"stimulus.stop_s": 0.1025, "skin.solver": "modal"}
+    )
+    alone.start_at(0.1)
+    alone.step(5)
+    assert apart(worlds.skin().displacement[0], alone.skin().displacement) < 1e-5
+    assert apart(worlds.emitted[0], alone.emitted) < 1e-9
