@@ -16,7 +16,7 @@ WEDGES = {"element_m": 0.008}
 
 @pytest.mark.parametrize(
     "solver, loaded",
-    [("wedges", []), ("reduced", []), ("modal", []), ("spectral_elements", ["hexa", "spectral_elements"])],
+    [("reduced", []), ("spectral_elements", ["hexa", "spectral_elements"])],
 )
 def test_a_scene_imports_the_solvers_that_it_uses_only(small_scene, solver, loaded):
     path = small_scene(skin={"solver": solver, **(WEDGES if solver != "spectral_elements" else {})})

@@ -2,7 +2,6 @@
 their class."""
 
 import re
-import subprocess
 import sys
 from pathlib import Path
 
@@ -129,16 +128,6 @@ def test_own_solvers_ask_for_no_entry_points(monkeypatch):
     monkeypatch.setattr("palmfield.config.skin.entry_points", lambda **which: pytest.fail("asked"))
     for solver in ("auto", "wedges", "particles"):
         assert SkinConfig(solver=solver, shape="disc", radius_m=0.02, thickness_m=0.01).solver == solver
-
-
-def test_a_scene_loads_the_solvers_that_it_names_only(small_scene):
-    code = (
-        "import sys, palmfield\n"
-        f"palmfield.Simulation({str(small_scene())!r}, device='cpu').step()\n"
-        "print(*(name for name in sys.modules if name.startswith('palmfield.skin.solvers.')))\n"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True)
-    assert done.stdout.split() == []
 
 
 PACKAGE_FOLDER = Path(palmfield.__file__).parent
