@@ -62,17 +62,16 @@ class MovingWorlds:
     def __init__(self, models: Sequence[HapticModel], works: Sequence[Workspace], state: HapticState):
         self.models, self.works, self.state = models, works, state
         self._layout = PoseLayout.of(models[0])
-        able = [model for model in models if may_join(model, self._layout)]
-        self.some = bool(able)
+        able = [may_join(model, self._layout) for model in models]
+        self.some = any(able)
         self.joined: Rows = np.zeros(0, dtype=np.intp)
         self._probes: list[tuple[int, SensorPlace]] = []
         self._work: _WorldsWork | None = None
         self._ahead: _Ahead | None = None
-        if not able:
+        if not self.some:
             return
-        self._rings = able[0].response_on
-        same = [model in able and model.response_on == self._rings for model in models]
-        self._may: Bool = np.array(same)
+        self._rings = models[able.index(True)].response_on
+        self._may: Bool = np.array(able) & [model.response_on == self._rings for model in models]
         self._here: Bool = np.zeros(len(models), dtype=bool)
         self._fetched = True
         stimuli = [model.stimuli[0] for model in models]
