@@ -261,6 +261,11 @@ def whole_numbers(values: ArrayLike, device: str = "cpu") -> Any:
     return wp.array(np.asarray(values, dtype=np.int32), dtype=wp.int32, device=device)
 
 
+def vectors(values: ArrayLike, device: str) -> Any:
+    """A Warp array of vec3d, with a copy of these values, shape (n, 3)."""
+    return wp.array(np.ascontiguousarray(values, np.float64), dtype=wp.vec3d, device=device)
+
+
 DIRECT_LAUNCH = ("1.19",)
 """Versions of Warp whose compiled kernels on the CPU are known to take a launch's bounds and its packed arguments."""
 

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from palmfield.acoustics.directivities import form_of
 from palmfield.acoustics.directivity import EXACT
@@ -171,16 +172,18 @@ class PathDrives:
             known = self._known[key] = np.array(rows, np.complex128)
         return known
 
-    def can(self, step: PathStep, totals: Float) -> bool:
-        """Whether the transducers can make all foci that sound; totals: of PathMemory, as numbers, shape (f, 3)."""
-        count = len(step.levels)
-        real, imaginary, facing = totals[: count + 1].T
-        good = facing > 0.0
-        if self.aim[0] > 0.0:
-            good &= real * real + imaginary * imaginary >= self.aim[0]
-        good[:count] |= step.levels == 0.0
-        good[count] |= step.mean == 0.0 and step.now == 0.0
-        return bool(np.logical_and.reduce(good))
+
+def foci_made(totals: Float, levels: Float, quiet: Any, target: Any) -> NDArray[np.bool_]:
+    """In which worlds the transducers can make all foci that sound, shape (w,).
+
+    totals: of PathMemory, as numbers, shape (w, f, 3), the focus at the step's beginning last; levels: of the pressure
+    at the others, (w, f - 1); quiet: whether nothing sounds at the last one, (w,); target: the first of `aim_of`, (w,)
+    """
+    real, imaginary, facing = np.moveaxis(totals, -1, 0)
+    good = (facing > 0.0) & (real * real + imaginary * imaginary >= np.asarray(target)[:, None])
+    good[:, :-1] |= levels == 0.0
+    good[:, -1] |= quiet
+    return np.asarray(np.logical_and.reduce(good, axis=1))
 
 
 def push_rows(weights: Float) -> Int:

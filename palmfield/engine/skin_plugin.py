@@ -7,7 +7,7 @@ import numpy as np
 from palmfield.config import Config, SkinConfig
 from palmfield.engine.host import Module, World
 from palmfield.mujoco_host.drawing import Drawing
-from palmfield.mujoco_host.mujoco_view import ModelView, PluginSensor
+from palmfield.mujoco_host.mujoco_view import ModelView
 from palmfield.types import Float
 
 ARP_GROUP = 2
@@ -111,10 +111,9 @@ class SkinModule(Module):
         order = np.argsort(-shares)[: int(np.count_nonzero(shares > FAINT))]
         drawing.triangles(seen.vertices + LIFT_m * seen.normals, seen.faces[order], arp_colours(shares[order]))
 
-    def hand_over(self) -> list[PluginSensor]:
-        """Leave forces, sensors and state to who steps several worlds together; returns the sensors."""
+    def hand_over(self) -> None:
+        """Leave forces, sensors and state to who steps several worlds together."""
         self.only_senses, self._sensors = True, []
-        return self.world.sensors(self.instance)
 
     def copy_from(self, other: "SkinModule") -> None:
         """Go on as the other would."""

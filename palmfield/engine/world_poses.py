@@ -25,7 +25,16 @@ class WorldPoses:
         self._many = many
         self.runtimes, self._positions, self._matrices = runtimes, positions, matrices
         first = runtimes[0]
-        self._model, self._layout, self._taken = first.model, first.layout, first.taken
+        self._model, self._layout = first.model, first.layout
+        fields: dict[str, tuple[Field, Field]] = {"body": ("xpos", "xmat"), "site": ("site_xpos", "site_xmat")}
+        self._taking: list[tuple[Field, list[int], Float]] = []
+        for kind, chosen, rows in first.taken:
+            for field, result in zip(fields[kind], (positions, matrices), strict=True):
+                own = result[:, rows]
+                width = own.shape[2]
+                offsets = (width * chosen[:, None] + np.arange(width)).ravel().tolist()
+                flat = np.lib.stride_tricks.as_strided(own, (len(own), len(offsets)), (own.strides[0], own.strides[2]))
+                self._taking.append((field, offsets, flat))
         # Rows of arrays, stimuli's frames and transducers: a pose is another one as soon as any of them moves at all
         self._fixed = max([self._layout.frames.stop, *(rows.stop for rows in self._layout.transducers)])
         self._posed: list[PosedScene] = [runtime.work.reference for runtime in runtimes]
@@ -39,14 +48,8 @@ class WorldPoses:
 
     def take(self) -> None:
         """Take the world frames of all worlds."""
-        fields: dict[str, tuple[Field, Field]] = {"body": ("xpos", "xmat"), "site": ("site_xpos", "site_xmat")}
-        for kind, chosen, rows in self._taken:
-            for field, result in zip(fields[kind], (self._positions, self._matrices), strict=True):
-                own = result[:, rows]
-                width = own.shape[2]
-                offsets = (width * chosen[:, None] + np.arange(width)).ravel().tolist()
-                flat = np.lib.stride_tricks.as_strided(own, (len(own), len(offsets)), (own.strides[0], own.strides[2]))
-                self._many.take(field, offsets, flat)
+        for taking in self._taking:
+            self._many.take(*taking)
 
     def now(self, some: NDArray[np.bool_]) -> dict[int, PosedScene]:
         """The pose of some worlds, shape (worlds,), by what `take` has found.

@@ -138,7 +138,7 @@ class SceneWorlds:
             self._put(module.due(time_s, at_once=True))
         for one in self.data:
             place(one)
-            mujoco.mj_kinematics(self.mujoco_model, one)
+        self.many.call("mj_kinematics")
 
     def adopt(self, other: "SceneWorlds") -> None:
         """Go on as the other would, whose data and state are copied already."""
@@ -174,13 +174,12 @@ class SceneWorlds:
         """MuJoCo's time [s]. Raises SceneError for worlds at different times."""
         times = self.many.times()
         if (times != times[0]).any():
-            for number in (times != times[0]).nonzero()[0].tolist():
-                time_s = times[number]
-                raise SceneError(
-                    f"world {number} is at {time_s:g} s and world 0 at {times[0]:g} s, but worlds share their time: "
-                    "nobody else may set or step one, and MuJoCo resets a world that has become unstable (then make "
-                    "option 'timestep' smaller)"
-                )
+            number = int(np.argmax(times != times[0]))
+            raise SceneError(
+                f"world {number} is at {times[number]:g} s and world 0 at {times[0]:g} s, but worlds share their time: "
+                "nobody else may set or step one, and MuJoCo resets a world that has become unstable (then make "
+                "option 'timestep' smaller)"
+            )
         return float(times[0])
 
     def _lead(self, t0: float) -> None:
@@ -225,13 +224,7 @@ class SceneWorlds:
         """Push the bodies of some worlds: forces on the parts of each and torques about their origins, (g, b, 3)."""
         for body, own in enumerate(forces):
             self.forces[worlds, body] = np.add.reduce(own[0], axis=1)
-            bodies = self.runtimes[0].parts[body]
-            wholes = []
-            for part in own:
-                whole = np.zeros((len(self.data), len(bodies), 3))
-                whole[worlds] = part
-                wholes.append(whole)
-            self.many.push(bodies, *wholes)
+            self.many.push(self.runtimes[0].parts[body], worlds, *own)
 
     def _sense(self, posed: Mapping[int, PosedScene], t0: float) -> None:
         """Fill the sensors of all worlds."""

@@ -30,9 +30,10 @@ from palmfield.device import (
     launching,
     replayed,
     resolve,
+    vectors,
     whole_numbers,
 )
-from palmfield.drive.path_drives import PathDrives, PathMemory, PathStep, push_rows
+from palmfield.drive.path_drives import PathDrives, PathMemory, PathStep, foci_made, push_rows
 from palmfield.drive.transducer_response import EmittedCourse, present_drive
 from palmfield.errors import PalmfieldError
 from palmfield.hand.posed_surface import SkinBinding
@@ -249,7 +250,9 @@ class DeviceSound:
         work.run(moved, True, tuple(steps), True)
         self.launches += 1
         self._posed, self._fetched = posed, False
-        if not self._drives.can(path, work.forces.hosts["path_totals"][0]):
+        totals = work.forces.hosts["path_totals"][:, : len(path.foci)]
+        quiet = path.mean == 0.0 and path.now == 0.0
+        if not foci_made(totals, path.levels[None], quiet, self._drives.aim[:1])[0]:
             return False
         np.copyto(course.end, work.forces.hosts["path_end"].view(np.complex128)[0, :, 0])
         self._force_scale = 1.0 if self._drives.rings else path.mean
@@ -837,14 +840,14 @@ class _ScenePoints:
     def calls(self, motions: Any) -> list[Callable[[], object]]:
         """Launches that bring all points where motions take them."""
         device, carried = self._device, slice(0, self._carried)
-        inputs = [_vectors(self._rest.points, device), _vectors(self._directions, device)]
+        inputs = [vectors(self._rest.points, device), vectors(self._directions, device)]
         inputs += [_carriers(self._rest, device), motions, self.points[:, carried], self.normals[:, carried]]
         calls = [launch(carrying.carry_points, (self._worlds, self._carried), inputs, device)]
         if self._vertices is not None and self._faces is not None:
             faces: Any = wp.array(self._faces.astype(np.int32), dtype=wp.vec3i, device=device)
             results = [self.points[:, self._carried :], self.normals[:, self._carried :]]
             results += [self.areas[:, self._carried - self.sampled.start :]]
-            inputs = [_vectors(self._vertices.points, device), faces, _carriers(self._vertices, device), motions]
+            inputs = [vectors(self._vertices.points, device), faces, _carriers(self._vertices, device), motions]
             calls.append(launch(carrying.carry_faces, (self._worlds, len(self._faces)), [*inputs, *results], device))
         return calls
 
@@ -927,12 +930,8 @@ def _mesh_calls(
         for number, shape in enumerate(model.skins[skin].obstacles_in_one[0]):
             parts.append(_bound(shape, None, rows.obstacles[skin].start + number))
     bound = _joined(parts)
-    inputs = [_vectors(bound.points, device), _carriers(bound, device), motions, mesh.points.reshape((1, -1))]
+    inputs = [vectors(bound.points, device), _carriers(bound, device), motions, mesh.points.reshape((1, -1))]
     return [launch(carrying.carry_vertices, (1, len(bound.points)), inputs, device), mesh.refit]
-
-
-def _vectors(values: Float, device: str) -> Any:
-    return wp.array(np.ascontiguousarray(values, np.float64), dtype=wp.vec3d, device=device)
 
 
 def _do(calls: Sequence[Callable[[], object]]) -> None:

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from palmfield.acoustics.point_sound import Transducers
 from palmfield.acoustics.surface_load import CLEARANCE_M
-from palmfield.device import Branches, SharedArray, launch, launching, replayed, resolve, whole_numbers
-from palmfield.drive.path_drives import PathDrives, aim_of, push_rows
+from palmfield.device import Branches, SharedArray, launch, launching, replayed, resolve, vectors, whole_numbers
+from palmfield.drive.path_drives import PathDrives, aim_of, foci_made, push_rows
 from palmfield.drive.transducer_response import SILENT
 from palmfield.simulation.device_sound import FOCI, FORCE, LOAD, NOW, DeviceWork, serves
 from palmfield.simulation.emission import LEAST_MEANS, array_drives, mean_weights
@@ -222,7 +222,7 @@ class MovingWorlds:
         for name, count in ((LOAD, moments), (FORCE, pushes), (NOW, 1)):
             hosts[f"{name}_counts"][:] = np.where(sounds, count, 0)[:, None]
         hosts["path_counts"][:] = np.where(sounds[:, None], (moments + 1, 1), 0)
-        self._levels = levels
+        self._levels, self._means = levels, means
         return np.asarray(sounds)
 
     def _look_ahead(self, t0: float) -> _Ahead:
@@ -253,13 +253,9 @@ class MovingWorlds:
         """In which worlds what came out holds: nothing near a board, foci that can be made, loads of the class."""
         hosts = work.forces.hosts
         good = np.logical_and.reduce(hosts["heights"] >= CLEARANCE_M, axis=1)
-        totals, levels = hosts["path_totals"], self._levels[self._kinds]
-        moments = levels.shape[1] - 1
-        makes = totals[..., 2] > 0.0
-        target = work.aims[:, :1]
-        makes &= (target == 0.0) | (totals[..., 0] ** 2 + totals[..., 1] ** 2 >= target)
-        makes |= levels == 0.0
-        good &= np.logical_and.reduce(makes[:, :moments], axis=1) | ~sounds
+        levels = self._levels[self._kinds]
+        quiet = (self._means[self._kinds] == 0.0) & (levels[:, -1] == 0.0)
+        good &= foci_made(hosts["path_totals"], levels[:, :-1], quiet, work.aims[:, 0]) | ~sounds
         good &= np.isfinite(np.add.reduce(hosts["forces"], axis=(1, 2)))
         for number in work.models:
             energy, whole, *_ = _outside(work, number)
@@ -362,10 +358,10 @@ class _WorldsWork(DeviceWork):
         centres, halves, rest, rows = _parts(first, layout)
         places, axes = arrays["places"], arrays["axes"]
         moved = [arrays["turns"], arrays["shifts"], arrays["origins"]]
-        placing = [places, axes, whole_numbers(rows, device), _vectors(rest, device), *moved]
+        placing = [places, axes, whole_numbers(rows, device), vectors(rest, device), *moved]
         focusing = [places, axes, layout.frames.start, arrays["own_foci"], arrays["path_foci"]]
         boards: Any = wp.array(_boards(first), dtype=wp.vec4d, device=device)
-        boxes = [_vectors(centres, device), _vectors(halves, device), boards]
+        boxes = [vectors(centres, device), vectors(halves, device), boards]
         stepped, reading, taking = [], [], []
         self._active = SharedArray((worlds, 1), wp.int32, device)
         for number, model in steppers.items():
@@ -459,10 +455,6 @@ def _boards(model: HapticModel) -> Float:
         normal = turn[:, 2]
         result.append([*normal, normal @ place + board.height])
     return np.array(result)
-
-
-def _vectors(values: Float, device: str) -> Any:
-    return wp.array(np.ascontiguousarray(values, np.float64), dtype=wp.vec3d, device=device)
 
 
 def _numbers(pairs: Any) -> Any:
