@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 from mutation_table import MUTATIONS, Mutation
-from mutations import Ended, copied, judged, mutated, outcome_of, pytest_in, unmutated
+from mutations import ROOT, Ended, copied, judged, mutated, outcome_of, pytest_in, unmutated
 
 
 @pytest.fixture(scope="module")
@@ -30,6 +30,11 @@ def test_no_fault_is_there_twice_and_none_changes_nothing() -> None:
     assert max(Counter((one.file, one.text, one.becomes) for one in MUTATIONS).values()) == 1
     assert max(Counter((one.stage, one.name) for one in MUTATIONS).values()) == 1
     assert all(one.text != one.becomes for one in MUTATIONS)
+
+
+def test_what_a_fault_replaces_is_there_once() -> None:
+    counts = {one.name: (ROOT / one.file).read_text(encoding="utf-8").count(one.text) for one in MUTATIONS}
+    assert {name: count for name, count in counts.items() if count != 1} == {}
 
 
 def test_only_the_named_tests_own_failure_counts() -> None:

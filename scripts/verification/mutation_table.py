@@ -528,8 +528,8 @@ MUTATIONS = (
         "channels in another order",
         "sensors",
         "palmfield/simulation/sensors.py",
-        "for channel in CHANNELS.values()]",
-        "for channel in reversed(CHANNELS.values())]",
+        "map(call, CHANNELS.values(),",
+        "map(call, reversed(CHANNELS.values()),",
         "tests/engine/test_plugins.py::test_sensor_reads_force_and_motion",
     ),
     Mutation(
