@@ -18,8 +18,9 @@ from palmfield.simulation.posed_scene import PosedScene, PoseLayout, posed_scene
 from palmfield.simulation.scene_reader import read_scene
 from palmfield.simulation.sensors import SensorPlace, channels, check_site, sensor_place, skin_reading
 from palmfield.simulation.state import HapticState, stepper_of
-from palmfield.simulation.step import Steps, Workspace, gather
+from palmfield.simulation.step import Steps
 from palmfield.simulation.validate import check_clear
+from palmfield.simulation.workspace import Workspace, gather
 from palmfield.skin.stepper import SkinStepper
 from palmfield.types import Complex, Float
 
@@ -67,6 +68,7 @@ class SceneRuntime:
         self.skins_rest = False
         self._posed: PosedScene = self.work.reference
         self._numbers = b""
+        self._begun: tuple[float, bytes, bytes] | None = None
         self._places: dict[str, SensorPlace] = {}
         self.check_options()
         if like is None:
@@ -99,7 +101,7 @@ class SceneRuntime:
 
     def forget(self) -> None:
         """Know nothing of the last pose."""
-        self._posed, self._numbers = self.work.reference, b""
+        self._posed, self._numbers, self._begun = self.work.reference, b"", None
 
     def prepare(self, bar: Progress) -> None:
         """Make what steps the skins and is not made yet, with the time that the plan expects for it on a bar."""
@@ -123,7 +125,12 @@ class SceneRuntime:
     @cached_property
     def steps(self) -> Steps:
         """The steps of this one mjData."""
-        return Steps([self.model], [self.work], self.state)
+        steps = Steps([self.model], [self.work], self.state)
+        if steps.moving.some:
+            for skin, bound in enumerate(self.binding.skins):
+                for sensor in self.view.sensors(bound.instance):
+                    steps.watch(skin, self.place(skin, sensor))
+        return steps
 
     @property
     def applied_parts(self) -> list[tuple[Float, Float]]:
@@ -142,12 +149,11 @@ class SceneRuntime:
 
         Raises SceneError where a body reaches into an array.
         """
-        for kind, chosen, part in self.taken:
-            positions, matrices = self.view.frames[kind]
-            # Mode "clip", as the others go through a buffer
-            positions.take(chosen, 0, self._positions[part], "clip")
-            matrices.take(chosen, 0, self._matrices[part], "clip")
-        last, numbers = self._posed, self._positions.tobytes() + self._matrices.tobytes()
+        return self._posed_at(self._frames())
+
+    def _posed_at(self, numbers: bytes) -> PosedScene:
+        """What the frames that were taken last mean."""
+        last = self._posed
         if numbers == self._numbers:
             return last
         rotations = self._matrices.reshape(-1, 3, 3)
@@ -156,6 +162,27 @@ class SceneRuntime:
             check_clear(posed)
         self._posed, self._numbers = posed, numbers
         return posed
+
+    def _frames(self) -> bytes:
+        """Take MuJoCo's present frames; their numbers."""
+        for kind, chosen, part in self.taken:
+            positions, matrices = self.view.frames[kind]
+            # Mode "clip", as the others go through a buffer
+            positions.take(chosen, 0, self._positions[part], "clip")
+            matrices.take(chosen, 0, self._matrices[part], "clip")
+        return self._positions.tobytes() + self._matrices.tobytes()
+
+    def _begin(self, t0: float, anew: bool) -> None:
+        """Let the step begin that does so at t0 [s] in the present pose and state; not again unless `anew`."""
+        frames, begun, steps = self._frames(), self._begun, self.steps
+        if not anew and begun is not None and begun == (round(t0, 12), frames, steps.state_now()):
+            return
+        if steps.moving.some:
+            places = self._positions[None], self._matrices[None]
+            steps.begin_at(*places, t0, lambda here: {0: self._posed_at(frames)} if here[0] else {})
+        else:
+            steps.begin({0: self._posed_at(frames)}, t0)
+        self._begun = round(t0, 12), frames, steps.state_now()
 
     @property
     def amplitudes(self) -> Complex:
@@ -173,12 +200,12 @@ class SceneRuntime:
 
     def body_forces(self) -> list[tuple[Float, Float]]:
         """`applied_parts` over the step that begins now."""
-        self.steps.begin({0: self.posed}, self.view.raw.time)
+        self._begin(self.view.raw.time, anew=True)
         return self.applied_parts
 
     def push(self) -> None:
         """Add the sound's forces to MuJoCo's passive ones."""
-        self.steps.begin({0: self.posed}, self.view.raw.time)
+        self._begin(self.view.raw.time, anew=True)
         for outlet, force in zip(self.outlets, self.steps.forces, strict=True):
             outlet.forces[:], outlet.torques[:] = force[0]
             outlet.apply()
@@ -188,7 +215,7 @@ class SceneRuntime:
         end = self.view.raw.time
         self.check_options()
         begin = end - self.spec.timestep_s
-        self.steps.again(self.posed, begin)
+        self._begin(begin, anew=False)
         self.steps.advance(begin, end, not self.skins_rest)
 
     def check_options(self) -> None:
@@ -243,7 +270,7 @@ class SceneRuntime:
     def sense(self, skin: int, sensors: Sequence[PluginSensor]) -> None:
         """Fill a skin's sensors from the state at the present time."""
         time_s = self.view.raw.time
-        self.steps.again(self.posed, time_s)
+        self._begin(time_s, anew=False)
         force = self.applied[self.model.skins[skin].body]
         for sensor in sensors:
             place = self._places.get(sensor.name) or self.place(skin, sensor)

@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from palmfield.engine.host import raise_errors, world_of
 from palmfield.engine.many_data import ManyData
@@ -22,10 +21,10 @@ from palmfield.errors import SceneError, explaining, naming_world
 from palmfield.mujoco_host.mujoco_view import DataView, ModelView, PluginSensor, Write, mocap_offsets
 from palmfield.mujoco_host.structs import mirror
 from palmfield.simulation.model import HapticModel
-from palmfield.simulation.moving_worlds import MovingWorlds
 from palmfield.simulation.sensors import channels_of_worlds
 from palmfield.simulation.state import HapticState, new_state
-from palmfield.simulation.step import Steps, Workspace
+from palmfield.simulation.step import Steps
+from palmfield.simulation.workspace import Workspace
 from palmfield.types import Float
 
 
@@ -77,8 +76,7 @@ class SceneWorlds:
             runtime.join(model, self.state.world(number), works[-1], (positions[number], matrices[number]), beside)
             self._sensors.append([view.sensors(skin.instance) for skin in runtime.binding.skins])
         self.steps = Steps(models, works, self.state, alone=True)
-        self.moving = MovingWorlds(models, works, self.state)
-        self._watched: list[list[int]] = []  # numbers of the sensors' places, by skin
+        self._watched = False
         self._poses, self._frames = WorldPoses(self.runtimes, self.many, positions, matrices), (positions, matrices)
 
     # -- stepping ------------------------------------------------------------------------------------------------------
@@ -105,7 +103,6 @@ class SceneWorlds:
             if time_s is not None:
                 one.time = time_s
         self.place()
-        self.moving.forget()
         for part in (*self.state.arrays, *self.state.skins):
             part[:] = 0.0
         for runtime in self.runtimes:
@@ -187,63 +184,32 @@ class SceneWorlds:
 
     def settle(self) -> None:
         """Bring the state up to date, where a device has what is newer."""
-        self.moving.fetch()
-
-    def _watch(self) -> None:
-        """Have the places of all sensors watched, once: before a state has been given to a device."""
-        if not self._watched and self.moving.some:
-            for skin, sensors in enumerate(self._sensors[0]):
-                places = [self.runtimes[0].place(skin, sensor) for sensor in sensors]
-                self._watched.append([self.moving.watch(skin, place) for place in places])
+        self.steps.moving.fetch()
 
     def _push(self, t0: float) -> None:
         """Add the sound's forces to MuJoCo's passive ones."""
-        self._watch()
+        if not self._watched and self.steps.moving.some:
+            for skin, sensors in enumerate(self._sensors[0]):
+                for sensor in sensors:
+                    self.steps.watch(skin, self.runtimes[0].place(skin, sensor))
+        self._watched = True
         self._poses.take()
-        steps = self.steps
-        watched = steps.observer is not None or any(part is not None for part in self.runtimes[0].work.observe)
-        self.moving.begin(*self._frames, t0, watched)
-        alone = np.ones(len(self.data), dtype=bool)
-        alone[self.moving.joined] = False
-        steps.begin(self._poses.now(alone), t0)
-        if alone.any():
-            here = alone.nonzero()[0]
-            self._apply(here, [(force[here, 0], force[here, 1]) for force in steps.forces])
-        self._apply(self.moving.joined, self.moving.mean_forces())
-
-    def _apply(self, worlds: NDArray[np.intp], forces: Sequence[tuple[Float, Float]]) -> None:
-        """Push the bodies of some worlds: forces on the parts of each and torques about their origins, (g, b, 3)."""
-        for body, own in enumerate(forces):
-            self.forces[worlds, body] = np.add.reduce(own[0], axis=1)
-            self.many.push(self.runtimes[0].parts[body], worlds, *own)
+        self.steps.begin_at(*self._frames, t0, self._poses.now)
+        everybody = np.arange(len(self.data))
+        for body, own in enumerate(self.steps.forces):
+            self.forces[:, body] = np.add.reduce(own[:, 0], axis=1)
+            self.many.push(self.runtimes[0].parts[body], everybody, own[:, 0], own[:, 1])
 
     def _sense(self, t0: float) -> None:
         """Fill the sensors of all worlds."""
-        moving = self.moving.joined
-        alone = np.ones(len(self.data), dtype=bool)
-        alone[moving] = False
-        here = alone.nonzero()[0]
         for skin, sensors in enumerate(self._sensors[0]):
-            for which, sensor in enumerate(sensors):
-                if len(here):
-                    arp, motion = self.steps.sense(skin, self.runtimes[0].place(skin, sensor), t0)
-                    self._tell(skin, which, here, motion[here], arp[here])
-                if len(moving):
-                    arp, motion = self.moving.sensed(self._watched[skin][which])
-                    self._tell(skin, which, moving, motion, arp)
-
-    def _tell(self, skin: int, which: int, worlds: NDArray[np.intp], motion: Float, arp: Float) -> None:
-        """Fill a sensor in some worlds: displacement [m] and velocity [m/s], shape (g, 2), and ARP [Pa], shape (g,)."""
-        read = channels_of_worlds(self.forces[worlds, self.models[0].skins[skin].body], motion, arp)
-        if len(worlds) == len(self.data):
-            self.many.put("sensordata", self._sensors[0][skin][which].offsets, read)
-            return
-        for world, row in zip(worlds.tolist(), read, strict=True):
-            self._sensors[world][skin][which].data[:] = row
+            force = self.forces[:, self.models[0].skins[skin].body]
+            for sensor in sensors:
+                arp, motion = self.steps.sense(skin, self.runtimes[0].place(skin, sensor), t0)
+                self.many.put("sensordata", sensor.offsets, channels_of_worlds(force, motion, arp))
 
     def _advance(self, t1: float) -> None:
         """Carry transducers and skins of all worlds over MuJoCo's last step, with the poses at its beginning."""
-        self.moving.advance()
         self.steps.advance(t1 - self.models[0].spec.timestep_s, t1)
 
 

@@ -443,14 +443,15 @@ class DeviceWork:
         models: Mapping[int, DeviceModel] | None = None,
         drives: PathDrives | None = None,
         worlds: int = 1,
-        more: tuple[Parts, Parts] | None = None,
+        more: tuple[Parts, Parts, tuple[str, ...]] | None = None,
     ):
         """worlds: how many
 
-        more: further inputs and results, for worlds that are stepped together: of what is usual, only what GOING and
-            COMING name goes in and out then, and skins get pressure only where the steppers of `models` take it
+        more: further inputs and results, for worlds that are stepped together, and names: of what is usual, only what
+            these, GOING and COMING name goes in and out then, and skins get pressure only where the steppers of
+            `models` take it
         """
-        chosen, (asked, told) = more is not None, more or ({}, {})
+        chosen, (asked, told, shared) = more is not None, more or ({}, {}, ())
         self.models, self.drives = dict(models or {}), drives
         self.model, self.device, self.probes = model, transducers.device, tuple(probes)
         self._rows = _motion_rows(model)
@@ -475,7 +476,9 @@ class DeviceWork:
         if drives is not None:
             parts |= PathMemory.inputs(sizes[LOAD][0], sizes[FOCI][0], transducers.count, worlds)
             results |= PathMemory.results(sizes[FOCI][0], transducers.count, worlds)
-        kept = {name: part for name, part in (parts | results).items() if chosen and name not in GOING + COMING}
+        kept = {
+            name: part for name, part in (parts | results).items() if chosen and name not in GOING + COMING + shared
+        }
         self.inputs = SharedBlock(
             {name: part for name, part in parts.items() if name not in kept} | dict(asked), self.device
         )

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from palmfield.types import Float
 
+Bool = NDArray[np.bool_]
 Rows = NDArray[np.intp]
 Serials = NDArray[np.int64]
 

@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
 from palmfield.acoustics.point_sound import Transducers
 from palmfield.acoustics.surface_load import CLEARANCE_M
@@ -20,12 +19,13 @@ from palmfield.drive.path_drives import PathDrives, aim_of, foci_made, push_rows
 from palmfield.drive.transducer_response import SILENT
 from palmfield.simulation.device_sound import FOCI, FORCE, LOAD, NOW, DeviceWork, serves
 from palmfield.simulation.emission import LEAST_MEANS, array_drives, mean_weights
+from palmfield.simulation.kept import Bool, Rows
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PoseLayout
 from palmfield.simulation.sensors import SensorPlace
 from palmfield.simulation.small_models.leaving import leaves_class, loudest_load
 from palmfield.simulation.state import HEADER, WHOLE, HapticState, check_arrays, claim, stepper_of
-from palmfield.simulation.step import Workspace
+from palmfield.simulation.workspace import Workspace
 from palmfield.skin.reduction.device_models import SECTIONS
 from palmfield.skin.stepper import DeviceModel, Outside
 from palmfield.stimulus.focal_points import FocalPoints
@@ -34,8 +34,6 @@ from palmfield.transforms import IDENTITY
 from palmfield.types import Float
 from warp_kernels import world_steps as kernels
 
-Bool = NDArray[np.bool_]
-Rows = NDArray[np.intp]
 AHEAD = 32
 """Steps for which foci and levels are computed in one go."""
 
@@ -59,8 +57,9 @@ class MovingWorlds:
     some: whether any world can ever take its step here; joined: numbers of those that take the present one, shape (g,)
     """
 
-    def __init__(self, models: Sequence[HapticModel], works: Sequence[Workspace], state: HapticState):
-        self.models, self.works, self.state = models, works, state
+    def __init__(self, models: Sequence[HapticModel], works: Sequence[Workspace], state: HapticState, alone: bool):
+        """alone: whether nobody else writes the state, so that it stays on the device from step to step"""
+        self.models, self.works, self.state, self._alone = models, works, state, alone
         self._layout = PoseLayout.of(models[0])
         able = [may_join(model, self._layout) for model in models]
         self.some = any(able)
@@ -85,13 +84,12 @@ class MovingWorlds:
         self._loudest: Float = np.zeros((len(models[0].skins), len(models)))
         self._sums: Float = np.zeros((len(models[0].skins), SECTIONS, len(models)))
 
-    def watch(self, skin: int, place: SensorPlace) -> int:
-        """Compute what a sensor reads there as well; its number among those that are watched."""
+    def watch(self, skin: int, place: SensorPlace) -> None:
+        """Compute what a sensor reads there as well."""
         if (skin, place) not in self._probes:
             self.fetch()
             self._probes.append((skin, place))
             self._work = None
-        return self._probes.index((skin, place))
 
     def forget(self) -> None:
         """What is in the state now has not come from here: after a reset, or in a copy."""
@@ -137,7 +135,10 @@ class MovingWorlds:
             joins &= part[:, 0] != WHOLE
         if joins.any():
             work = self._work or self._made()
-            self._bring(work, joins)
+            if self._alone:
+                self._bring(work, joins)
+            else:
+                self._take(work)
             sounds = self._fill(work, places, axes, t0, joins)
             work.step()
             joins &= self._good(work, sounds)
@@ -157,21 +158,34 @@ class MovingWorlds:
             steppers[number] = model
         aims = [aim_of(array_drives(self.models[world], first.arrays)[0]) for world in self._leading]
         of_worlds = np.array(aims)[self._kinds]
-        self._work = _WorldsWork(self.models, self.works[0], self._layout, self._probes, steppers, of_worlds)
+        self._work = _WorldsWork(
+            self.models, self.works[0], self._layout, self._probes, steppers, of_worlds, self._alone
+        )
         return self._work
+
+    def _take(self, work: "_WorldsWork") -> None:
+        """Give the device the state as it is in this step. Raises SceneError for another's."""
+        hosts = work.inputs.hosts
+        emitted = np.concatenate(self.state.emitted, axis=1)
+        hosts["path_begun"][:] = emitted.view(np.float64).reshape(hosts["path_begun"].shape)
+        self._most = np.maximum.reduce(np.abs(emitted), axis=1)
+        for number in work.models:
+            hosts[f"before_{number}"][:] = stepper_of(self.models[0], self.state, number)[1]
+        self._begin_class(work.models)
 
     def _begin_class(self, steppers: dict[int, DeviceModel]) -> None:
         """Against which load that of each world is little."""
         for number, model in steppers.items():
             known: dict[int, float] = {}
             for world, kind in enumerate(self._kinds.tolist()):
-                if kind not in known:
-                    work = self.works[world]
-                    known[kind] = loudest_load(
-                        self.models[world], number, model.stepper, work.reference, work.radiation
-                    )
-                outside = self.works[world].outside[number]
-                self._loudest[number, world] = known[kind] if outside.loudest is None else outside.loudest
+                work = self.works[world]
+                outside = work.outside[number]
+                if outside.loudest is None:
+                    if kind not in known:
+                        own = self.models[world], number, model.stepper, work.reference, work.radiation
+                        known[kind] = loudest_load(*own)
+                    outside.loudest = known[kind]
+                self._loudest[number, world] = outside.loudest
                 self._sums[number, :, world] = outside.sums
 
     def _bring(self, work: "_WorldsWork", joins: Bool) -> None:
@@ -264,8 +278,8 @@ class MovingWorlds:
             good &= ~np.asarray(leaves_class(self.models[0], number, share))
         return np.asarray(good)
 
-    def mean_forces(self) -> list[tuple[Float, Float]]:
-        """Forces [N] on the parts of each body and torques about their origins [N m], world axes, shapes (g, b, 3).
+    def mean_forces(self) -> list[Float]:
+        """Forces [N] on the parts of each body and torques about their origins [N m], world axes, shape (g, 2, b, 3).
 
         In the worlds that have joined: the mean over the step that begins.
         """
@@ -276,15 +290,15 @@ class MovingWorlds:
         result, start = [], 0
         for body in self.models[0].bodies:
             own = work.forces.hosts["forces"][rows, start : start + body.parts]
-            result.append((own[..., :3] @ turn, own[..., 3:] @ turn))
+            result.append(np.stack([own[..., :3] @ turn, own[..., 3:] @ turn], axis=1))
             start += body.parts
         return result
 
-    def sensed(self, number: int) -> tuple[Float, Float]:
-        """ARP [Pa], shape (g,), displacement [m] and velocity [m/s], (g, 2), at what `watch` has given this number."""
+    def sensed(self, skin: int, place: SensorPlace) -> tuple[Float, Float]:
+        """ARP [Pa], shape (g,), displacement [m] and velocity [m/s], (g, 2), at a sensor's place that is watched."""
         work, rows = self._work, self.joined
         assert work is not None
-        skin = self._probes[number][0]
+        number = self._probes.index((skin, place))
         column = [i for i, (other, _) in enumerate(self._probes) if other == skin].index(number)
         sounding = work.inputs.hosts["now_counts"][rows, 0] > 0
         arp = np.where(sounding, work.forces.hosts["probes"][rows, number], 0.0)
@@ -292,10 +306,16 @@ class MovingWorlds:
 
     # -- its end -------------------------------------------------------------------------------------------------------
 
-    def advance(self) -> None:
-        """Let what the worlds that have joined emit, and their skins, be as the step ends."""
+    def advance(self, skins: bool = True) -> None:
+        """Let what the worlds that have joined emit, and their skins, be as the step ends.
+
+        skins: False leaves them as they are
+        """
         work, rows = self._work, self.joined
         if work is None or len(rows) == 0:
+            return
+        if not self._alone:
+            self._give(work, skins)
             return
         hosts = work.forces.hosts
         self._most = np.where(self._here, hosts["most"], 0.0)
@@ -306,6 +326,30 @@ class MovingWorlds:
             self._loudest[number, rows] = most[rows]
         work.take_over(rows)
         self._fetched = False
+
+    def numbers(self) -> list[Float]:
+        """Of the skins' states, those that steps here begin with; none where no world has joined."""
+        if self._work is None or len(self.joined) == 0:
+            return []
+        sizes = {number: HEADER + of.stepper.state_size for number, of in self._work.models.items()}
+        return [self.state.skins[number][:, :size] for number, size in sizes.items()]
+
+    def _give(self, work: "_WorldsWork", skins: bool) -> None:
+        """Write the only world's state as the step ends."""
+        model, hosts, keeper = self.models[0], work.forces.hosts, self.works[0]
+        if check_arrays(model, self.state):
+            keeper.begin_run()
+            self._begin_class(work.models)
+        if self._rings:
+            end, start = hosts["path_end"].view(np.complex128)[0, :, 0], 0
+            for part in self.state.emitted:
+                part[0] = end[start : start + part.shape[1]]
+                start += part.shape[1]
+        for number, of in work.models.items() if skins else ():
+            seen = np.concatenate(_outside(work, number)).tolist()
+            keeper.outside[number].add(Outside(*seen))
+            self.state.skins[number][:, HEADER : HEADER + of.stepper.state_size] = hosts[f"after_{number}"]
+            claim(model, self.state, number, of.stepper)
 
 
 class _WorldsWork(DeviceWork):
@@ -319,6 +363,7 @@ class _WorldsWork(DeviceWork):
         probes: Sequence[tuple[int, SensorPlace]],
         steppers: dict[int, DeviceModel],
         aims: Float,
+        alone: bool,
     ):
         first, worlds = models[0], len(models)
         transducers = Transducers(first.arrays, resolve(first.spec.device))
@@ -341,7 +386,11 @@ class _WorldsWork(DeviceWork):
         for number in steppers:
             told[f"sums_{number}"] = (worlds, SECTIONS), wp.float64
             told[f"read_{number}"] = (worlds, 2, max(1, sum(skin == number for skin, _ in probes))), wp.float64
-        super().__init__(first, work.reference, transducers, probes, sizes, steppers, drives, worlds, (asked, told))
+        states = [f"{name}_{number}" for number in steppers for name in ("before", "after")]
+        shared = () if alone else ("path_begun", "path_end", *states)
+        super().__init__(
+            first, work.reference, transducers, probes, sizes, steppers, drives, worlds, (asked, told, shared)
+        )
         self.aims, arrays, device = aims, self.arrays, self.device
         arrays["path_aims"].assign(aims)
         arrays["path_pushes"].assign(push_rows(weights))

@@ -7,21 +7,18 @@ arrays with an entry for each world. What any other world emits comes from `palm
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from palmfield.drive.array_drive import UnitDrive
 from palmfield.drive.transducer_response import SILENT, EmittedCourse, of_unit, ring, silence
 from palmfield.errors import PalmfieldError
 from palmfield.simulation.emission import LEAST_MEANS, Emission, array_drives
-from palmfield.simulation.kept import Rows, Serials
+from palmfield.simulation.kept import Bool, Rows, Serials
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.state import LEVEL, HapticState
 from palmfield.stimulus.levels import Levels, goes_smoothly
 from palmfield.stimulus.schedule import Moments, first_point, substep_moments
 from palmfield.types import Complex, Float
-
-Bool = NDArray[np.bool_]
 
 
 class SmoothSound:

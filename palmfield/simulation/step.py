@@ -11,26 +11,21 @@ from operator import call, methodcaller
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
-from scipy import sparse
 
 from palmfield.device import resolve
-from palmfield.drive.transducer_response import EmittedCourse, present_drive, rows
+from palmfield.drive.transducer_response import EmittedCourse, present_drive
 from palmfield.errors import naming_world
-from palmfield.simulation.device_sound import DeviceSound, SkinEnd, SkinStart, serves
-from palmfield.simulation.emission import Emission, MeanDrives, looks_ahead
-from palmfield.simulation.forces import BodyForces
-from palmfield.simulation.kept import Kept, Rows, Serials
+from palmfield.simulation.device_sound import SkinEnd
+from palmfield.simulation.emission import Emission
+from palmfield.simulation.kept import Bool, Kept, Rows, Serials
 from palmfield.simulation.model import HapticModel
-from palmfield.simulation.path_sound import PathSound
-from palmfield.simulation.posed_scene import PosedScene, reference_scene
-from palmfield.simulation.radiation import Radiation, Role
+from palmfield.simulation.moving_worlds import MovingWorlds
+from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.sensors import SensorPlace
 from palmfield.simulation.small_models.leaving import (
-    OutsideClass,
     continue_on_whole_layer,
     leaves_class,
     leaves_small_model,
-    loudest_load,
 )
 from palmfield.simulation.smooth_sound import SmoothSound
 from palmfield.simulation.state import (
@@ -38,22 +33,21 @@ from palmfield.simulation.state import (
     HEADER,
     WHOLE,
     HapticState,
-    at_rest,
     check_arrays,
     claim,
     stepper_of,
     untouched,
 )
-from palmfield.skin.stepper import DeviceStep, Outside, Reader, SkinStepper, SurfaceLoads
+from palmfield.simulation.workspace import Workspace, gather, scatter
+from palmfield.skin.stepper import DeviceStep, Outside, SkinStepper, SurfaceLoads
 from palmfield.stimulus.schedule import Moments, substep_moments
 from palmfield.types import Complex, Float, Float32
 
 CLOCK_S = 1e-12
 """Times nearer to each other than this are one and the same."""
-MOST_OFF_PATH = 8
-"""Courses one after another off a path, as while transducers ring up, until the path is given up."""
 T = TypeVar("T")
 ONE: Float = np.ones((1, 1, 1))
+NOBODY: Mapping[int, PosedScene] = {}
 KEPT = 64
 """Ways in which worlds were shared out among steppers."""
 
@@ -78,107 +72,6 @@ class StepTrace:
     course: Callable[[int], EmittedCourse]
     begun: Callable[[int], Complex]
     motion: tuple[tuple[tuple[Rows, Float | Float32], ...], ...]
-
-
-class Workspace:
-    """What one world's steps keep: emission, radiation, forces, and what is watched.
-
-    unit_forces: of one drive; device_sound: what computes steps where the device is a GPU
-    outside: of each skin what of its load has been outside the class that its modes serve
-    observe: what is watched of each skin, an operator (m, unknowns) or None
-    """
-
-    def __init__(self, model: HapticModel, beside: "Workspace | None" = None):
-        """beside: of another world with the same bodies, stepped by the same thread: buffers are shared with it."""
-        self.model = model
-        self.reference: PosedScene = reference_scene(model) if beside is None else beside.reference
-        self.emission = Emission(model)
-        self.radiation: Radiation = Radiation(model, None if beside is None else beside.radiation)
-        self.device_sound = DeviceSound(model, self.reference) if serves(model) else None
-        self.path_sound: PathSound = PathSound(
-            model, self.radiation, self.reference, None if beside is None else beside.path_sound
-        )
-        self.unit_forces = BodyForces(model, self.radiation)
-        self.outside = [OutsideClass() for _ in model.skins]
-        self.amplitudes: Complex = np.zeros(len(model.arrays), np.complex128)
-        self.observe: tuple[sparse.csr_matrix | None, ...] = (None,) * len(model.skins)
-        self._may_look_ahead = self.device_sound is None and looks_ahead(model)
-        # Of the worlds beside as well: a reader of many vectors is as large as they are
-        self._readers: dict[tuple[int, SkinStepper], tuple[sparse.csr_matrix, Reader]]
-        self._readers = {} if beside is None else beside._readers
-
-    def begin_run(self) -> None:
-        """Forget what was of another run."""
-        self.path_sound.off = 0
-        self.outside = [OutsideClass() for _ in self.outside]
-
-    def adopt(self, other: "Workspace") -> None:
-        """Go on from another's, in a copy of its state; of the same model in the same PosedScenes."""
-        self.reference = other.reference
-        self.emission.adopt(other.emission)
-        self.radiation.continue_from(other.radiation)
-        self.path_sound.adopt(other.path_sound)
-        self.outside = [part.copy() for part in other.outside]
-
-    def patterns(self, posed: PosedScene, skin: int, stepper: SkinStepper, course: EmittedCourse) -> Float32:
-        """The patterns of ARP [Pa] that a course's `shares` weigh, where a stepper takes them, shape (p, n)."""
-        role: Role = "quadrature"
-        if stepper.points is not None:
-            self.radiation.choose(skin, stepper.points)
-            role = "load"
-        path = self.path_sound
-        if path.serves and len(course.units) > 1:
-            on_path = path.arp(posed, skin, role, rows(course))
-            path.off = 0 if on_path is not None else path.off + 1
-            if on_path is not None:
-                return on_path
-        return self.radiation.patterns(posed, skin, role, course)
-
-    def look_ahead(self, posed: PosedScene) -> None:
-        """Let the emission look ahead where that pays: not along a path whose sound is known."""
-        path = self.path_sound
-        known = path.serves and path.off < MOST_OFF_PATH and path.holds(posed)
-        self.emission.ahead = self._may_look_ahead and not known
-
-    def mean_pressure(self, posed: PosedScene, body: int, mean: MeanDrives) -> Float | Float32 | None:
-        """Mean ARP [Pa] at a body's samples; None for one drive, whose own is kept."""
-        skin, arp = self.unit_forces.skins[body], None
-        if self.path_sound.serves:
-            arp = self.path_sound.arp(posed, skin, "samples", mean.levels @ mean.units)
-        if arp is None and len(mean.weights) > 1:
-            arp = self.radiation.sums(posed, skin, mean.units, mean.levels, "samples")
-        return None if arp is None else mean.weights @ arp
-
-    def by_device(self, state: HapticState, posed: PosedScene, t0: float, watched: bool) -> list[tuple[Float, Float]]:
-        """Mean forces over the step that begins at t0 [s], as of `Steps.begin` but in the array frame, of each body.
-
-        The device computes the step's load with them, and steps the skins over it that nobody watches.
-        """
-        device, model, skins = self.device_sound, self.model, {}
-        assert device is not None
-        for number, operator in enumerate(self.observe):
-            # One that nothing has stepped yet may have no stepper: to look at forces doesn't make it
-            if operator is None and (model.begin[number].made or not at_rest(state, number)):
-                stepper, numbers = stepper_of(model, state, number)
-                skins[number] = SkinStart(stepper, numbers[0])
-        return device.over(self.emission, posed, gather(state, self), t0, skins, watched)
-
-    def outside_share(self, skin: int, stepper: SkinStepper, seen: Outside) -> float:
-        """What of a step's load on a skin lies outside the class of its modes, see OutsideClass.add."""
-        outside = self.outside[skin]
-        if outside.loudest is None:
-            outside.loudest = loudest_load(self.model, skin, stepper, self.reference, self.radiation)
-        return outside.add(seen)
-
-    def reader(self, skin: int, stepper: SkinStepper) -> Reader | None:
-        """Reads what is watched of a skin off this stepper's states; a run may leave a small model in any step."""
-        operator = self.observe[skin]
-        if operator is None:
-            return None
-        known = self._readers.get((skin, stepper))
-        if known is None or known[0] is not operator:
-            known = self._readers[skin, stepper] = operator, stepper.reader(operator)
-        return known[1]
 
 
 class _Group(NamedTuple):
@@ -216,13 +109,13 @@ class Steps:
         self.smooth = SmoothSound(models, [work.emission for work in works], state, able, alone)
         self.forces: list[Float] = [np.zeros((worlds, 2, body.parts, 3)) for body in first.bodies]
         self.observer: Callable[[StepTrace], None] | None = None
+        self.moving = MovingWorlds(models, works, state, alone)
         self._several, self._device = worlds > 1, resolve(first.spec.device)
         self._states = [state.world(world) for world in range(worlds)] if worlds > 1 else [state]
         self._in: Callable[..., Any] = self._named if worlds > 1 else call
         self._posed: list[PosedScene] = [work.reference for work in works]
         self._poses: Serials = np.zeros(worlds, np.int64)
         self._apart: list[int] = []
-        self._begun: tuple[float, bytes] | None = None
         self._joined_keys: Serials = np.zeros((0, 2), np.int64)
         # Of the unit drives: forces by body, ARP at sensors by place, and what lies outside the modes' class by skin
         self._unit_forces = [Kept(worlds, 2, body.parts, 3) for body in first.bodies]
@@ -239,9 +132,9 @@ class Steps:
 
     def forget(self) -> None:
         """Begin again, after a reset."""
-        self._begun = None
         self._served[:] = 0
         self.smooth.forget()
+        self.moving.forget()
 
     def adopt(self, other: "Steps") -> None:
         """Go on from another's, in a copy of its state in the same PosedScenes."""
@@ -262,8 +155,32 @@ class Steps:
 
     # -- the beginning of a step ---------------------------------------------------------------------------------------
 
+    def watch(self, skin: int, place: SensorPlace) -> None:
+        """Let a graph compute what a sensor reads there; before the first step."""
+        if self.moving.some:
+            self.moving.watch(skin, place)
+
+    def begin_at(
+        self, places: Float, axes: Float, t0: float, posed: Callable[[Bool], Mapping[int, PosedScene]]
+    ) -> None:
+        """Take the frames of all worlds where a step begins at t0 [s], and compute the forces over it.
+
+        places [m], axes: of the layout's rows, shapes (worlds, rows, 3) and (worlds, rows, 9)
+        posed: gives the PosedScenes of some worlds, shape (worlds,): a graph that steps others needs none
+        """
+        watched = self.observer is not None
+        for operator in self.works[0].observe:
+            watched = watched or operator is not None
+        self.moving.begin(places, axes, t0, watched)
+        moving = self.moving.joined
+        here = np.ones(len(self.models), dtype=bool)
+        here[moving] = False
+        self.begin(posed(here) if len(moving) < len(here) else NOBODY, t0)
+        for forces, own in zip(self.forces, self.moving.mean_forces(), strict=False):
+            forces[moving] = own
+
     def begin(self, posed: Mapping[int, PosedScene], t0: float) -> None:
-        """Take the poses of some worlds where a step begins at t0 [s], and compute the forces over it."""
+        """The same for worlds that no graph steps, in their PosedScenes."""
         for world, now in posed.items():
             self._posed[world], self._poses[world] = now, now.serial
         self._apart = self.smooth.begin(posed, t0)
@@ -285,7 +202,13 @@ class Steps:
                 forces[sounding] = factors[loud, None, None, None] * made
         for world in self._apart:
             self._in(self._push_one, world, t0)
-        self._begun = (t0, self._emitted()) if not self._several else None
+
+    def state_now(self) -> bytes:
+        """What the step that has begun was computed from, of a state that others may write: equal while it holds."""
+        parts: tuple[Complex | Float, ...] = self.state.emitted
+        if len(self.moving.joined):
+            parts = *parts, *self.moving.numbers()
+        return b"".join(map(methodcaller("tobytes"), parts))
 
     def _force_of(self, body: int, worlds: Rows) -> Callable[[int], Float]:
         """Gives the force of the i-th world's unit drive on a body."""
@@ -330,20 +253,6 @@ class Steps:
             self._means[world] = mean.units[0], float(mean.weights[0]), mean.serial
             forces[world] = mean.weights[0] * self._unit_forces[body].rows(np.array([world]), key, make)[0]
 
-    def again(self, posed: PosedScene, t0: float) -> None:
-        """`begin` in the only world, unless the step that has begun is this one."""
-        begun = self._begun
-        if (
-            begun is None
-            or posed.serial != self._poses[0]
-            or abs(begun[0] - t0) > CLOCK_S
-            or begun[1] != self._emitted()
-        ):
-            self.begin({0: posed}, t0)
-
-    def _emitted(self) -> bytes:
-        return b"".join(map(methodcaller("tobytes"), self.state.emitted))
-
     def pressed(self, world: int, body: int) -> Float | None:
         """The mean ARP [Pa] at a body's samples in the step that began last, shape (n,); None in silence."""
         known = self._pressed.get((world, body))
@@ -373,6 +282,9 @@ class Steps:
         begun = here[part[here, 0] != 0.0]
         if not self._several and len(begun):
             stepper_of(self.models[0], self.state, skin)  # refuses another's state
+        moving = self.moving.joined
+        if len(moving):
+            arp[moving], motion[moving] = self.moving.sensed(skin, place)
         for stepper, own in self.steppers(skin, begun):
             read = stepper.read(part[own, HEADER : HEADER + stepper.state_size], place.reader(stepper))
             motion[own] = read[..., 0]
@@ -419,6 +331,8 @@ class Steps:
         skins: False leaves them as they are. Raises SceneError for a state of another solver and where a small model
         that key `solver` names can't go on.
         """
+        if len(self.moving.joined):
+            self.moving.advance(skins)
         joined = self.smooth.joined
         new = joined[self.state.arrays[0][joined, 0] != BEGUN] if self._several else joined
         for world in [*new.tolist(), *self._apart]:
@@ -427,7 +341,6 @@ class Steps:
             self._advance_smooth(t0, t1, skins)
         for world in self._apart:
             self._in(self._advance_one, world, t0, t1, skins)
-        self._begun = None
 
     def _check(self, world: int) -> None:
         """Begin a run in a state that is nobody's; SceneError for another's."""
@@ -665,20 +578,3 @@ class Steps:
         keys: Serials = np.empty((len(worlds), 2), np.int64)
         keys[:, 0], keys[:, 1] = self._poses[worlds], self.smooth.serials[worlds]
         return keys
-
-
-def gather(state: HapticState, work: Workspace) -> Complex:
-    """What all transducers emit, shape (N,), in the workspace's array."""
-    start = 0
-    for part in state.emitted:
-        work.amplitudes[start : start + part.shape[1]] = part[0]
-        start += part.shape[1]
-    return work.amplitudes
-
-
-def scatter(state: HapticState, amplitudes: Complex) -> None:
-    """Write what all transducers emit, shape (N,), into the state."""
-    start = 0
-    for part in state.emitted:
-        part[0] = amplitudes[start : start + part.shape[1]]
-        start += part.shape[1]

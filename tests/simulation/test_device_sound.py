@@ -15,12 +15,12 @@ from palmfield.data import folder
 from palmfield.device import Branches
 from palmfield.drive.transducer_response import of_drives, rows
 from palmfield.errors import DeviceError, PalmfieldError
-from palmfield.simulation import device_sound, validate
-from palmfield.simulation import step as step_module
+from palmfield.simulation import device_sound, validate, workspace
 from palmfield.simulation.device_sound import DeviceSound, serves
 from palmfield.simulation.emission import of_one
 from palmfield.simulation.radiation import Radiation
-from palmfield.simulation.step import Steps, Workspace, gather
+from palmfield.simulation.step import Steps
+from palmfield.simulation.workspace import Workspace, gather
 from palmfield.skin.reduction import device_models
 from palmfield.skin.reduction.modal_stepper import ModalStepper
 
@@ -37,7 +37,7 @@ def by_graph(monkeypatch: pytest.MonkeyPatch) -> Callable[..., palmfield.Simulat
 
     def opened(scene: Path, **keywords: Any) -> palmfield.Simulation:
         with monkeypatch.context() as patch:
-            patch.setattr(step_module, "serves", lambda model: True)
+            patch.setattr(workspace, "serves", lambda model: True)
             return palmfield.Simulation(scene, device="cpu", **keywords)
 
     return opened
@@ -98,7 +98,7 @@ def test_boundary_elements_and_float64_are_left_to_the_stages(
         ({"array": {"precision": "accurate"}}, False),
     ):
         with monkeypatch.context() as patch:
-            patch.setattr(step_module, "serves", lambda model: False)
+            patch.setattr(workspace, "serves", lambda model: False)
             sim = palmfield.Simulation(small_scene(**keys))
         assert serves(sim.runtime.model) is served
 
@@ -283,7 +283,7 @@ def test_runs_repeat_to_the_bit(small_scene: Any, by_graph: Any) -> None:
 def test_a_copy_goes_on_by_itself(small_scene: Any, by_graph: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     sim = by_graph(small_scene())
     sim.step(3)
-    monkeypatch.setattr(step_module, "serves", lambda model: True)
+    monkeypatch.setattr(workspace, "serves", lambda model: True)
     twin = sim.copy()
     sim.step(4)
     twin.step(4)

@@ -7,7 +7,7 @@ import palmfield
 from palmfield.data import folder
 from palmfield.drive.transducer_response import rows
 from palmfield.simulation.radiation import Radiation
-from palmfield.simulation.step import gather
+from palmfield.simulation.workspace import gather
 
 SCENES = folder("mjcf") / "scenes"
 

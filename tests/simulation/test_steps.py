@@ -12,7 +12,8 @@ import pytest
 import palmfield
 from palmfield.acoustics import surface_arp
 from palmfield.simulation.state import HEADER, new_state
-from palmfield.simulation.step import Steps, Workspace
+from palmfield.simulation.step import Steps
+from palmfield.simulation.workspace import Workspace
 from palmfield.skin.fem.wedge_stepper import WedgeStepper
 from palmfield.skin.reduction.reduced_stepper import ReducedStepper
 
