@@ -34,6 +34,7 @@ from palmfield.transforms import IDENTITY
 from palmfield.types import Float
 from warp_kernels import world_steps as kernels
 
+NOTHING = 1e-300
 AHEAD = 32
 """Steps for which foci and levels are computed in one go."""
 
@@ -65,8 +66,11 @@ class MovingWorlds:
         self.some = any(able)
         self.joined: Rows = np.zeros(0, dtype=np.intp)
         self._probes: list[tuple[int, SensorPlace]] = []
+        self._columns: list[int] = []  # of each among those of its skin
         self._work: _WorldsWork | None = None
         self._ahead: _Ahead | None = None
+        self._numbers: list[Float] = []
+        self._seen: dict[int, Outside] = {}  # what lies outside the modes' class in this step, by skin, shape (w,) each
         if not self.some:
             return
         self._rings = models[able.index(True)].response_on
@@ -88,6 +92,7 @@ class MovingWorlds:
         """Compute what a sensor reads there as well."""
         if (skin, place) not in self._probes:
             self.fetch()
+            self._columns.append(sum(other == skin for other, _ in self._probes))
             self._probes.append((skin, place))
             self._work = None
 
@@ -133,7 +138,7 @@ class MovingWorlds:
         joins &= ~np.logical_or.reduce((self._edges > t0 + TICK_S) & (self._edges <= end), axis=1)
         for part in self.state.skins:
             joins &= part[:, 0] != WHOLE
-        if joins.any():
+        if np.logical_or.reduce(joins):
             work = self._work or self._made()
             if self._alone:
                 self._bring(work, joins)
@@ -142,7 +147,7 @@ class MovingWorlds:
             sounds = self._fill(work, places, axes, t0, joins)
             work.step()
             joins &= self._good(work, sounds)
-        if np.logical_and(self._here, ~joins).any():
+        if np.logical_or.reduce(self._here & ~joins):
             self.fetch()
             self._here &= joins
         self.joined = joins.nonzero()[0]
@@ -234,8 +239,8 @@ class MovingWorlds:
         sounds &= joins
         pushes = hosts["weights"].shape[1]
         for name, count in ((LOAD, moments), (FORCE, pushes), (NOW, 1)):
-            hosts[f"{name}_counts"][:] = np.where(sounds, count, 0)[:, None]
-        hosts["path_counts"][:] = np.where(sounds[:, None], (moments + 1, 1), 0)
+            hosts[f"{name}_counts"][:] = (count * sounds)[:, None]
+        hosts["path_counts"][:, 0], hosts["path_counts"][:, 1] = (moments + 1) * sounds, sounds
         self._levels, self._means = levels, means
         return np.asarray(sounds)
 
@@ -272,10 +277,9 @@ class MovingWorlds:
         good &= foci_made(hosts["path_totals"], levels[:, :-1], quiet, work.aims[:, 0]) | ~sounds
         good &= np.isfinite(np.add.reduce(hosts["forces"], axis=(1, 2)))
         for number in work.models:
-            energy, whole, *_ = _outside(work, number)
-            loudest = np.maximum(self._loudest[number], whole)
-            share = np.sqrt(np.divide(energy, loudest, out=np.zeros_like(energy), where=loudest > 0.0))
-            good &= ~np.asarray(leaves_class(self.models[0], number, share))
+            seen = self._seen[number] = _outside(work, number)
+            loudest = np.maximum(np.maximum(self._loudest[number], seen.energy_of_all), NOTHING)
+            good &= ~np.asarray(leaves_class(self.models[0], number, np.sqrt(seen.energy / loudest)))
         return np.asarray(good)
 
     def mean_forces(self) -> list[Float]:
@@ -290,7 +294,8 @@ class MovingWorlds:
         result, start = [], 0
         for body in self.models[0].bodies:
             own = work.forces.hosts["forces"][rows, start : start + body.parts]
-            result.append(np.stack([own[..., :3] @ turn, own[..., 3:] @ turn], axis=1))
+            # Forces and torques
+            result.append(own.reshape(*own.shape[:2], 2, 3).swapaxes(1, 2) @ turn[:, None])
             start += body.parts
         return result
 
@@ -299,9 +304,10 @@ class MovingWorlds:
         work, rows = self._work, self.joined
         assert work is not None
         number = self._probes.index((skin, place))
-        column = [i for i, (other, _) in enumerate(self._probes) if other == skin].index(number)
+        column = self._columns[number]
         sounding = work.inputs.hosts["now_counts"][rows, 0] > 0
-        arp = np.where(sounding, work.forces.hosts["probes"][rows, number], 0.0)
+        arp = np.zeros(len(rows))
+        arp[sounding] = work.forces.hosts["probes"][rows, number][sounding]
         return arp, work.forces.hosts[f"read_{skin}"][rows, :, column]
 
     # -- its end -------------------------------------------------------------------------------------------------------
@@ -320,7 +326,7 @@ class MovingWorlds:
         hosts = work.forces.hosts
         self._most = np.where(self._here, hosts["most"], 0.0)
         for number in work.models:
-            seen = _outside(work, number)
+            seen = self._seen[number]
             self._sums[number][:, rows] += np.array(seen)[:, rows]
             most = np.maximum(self._loudest[number], np.asarray(seen.energy_of_all))
             self._loudest[number, rows] = most[rows]
@@ -329,10 +335,7 @@ class MovingWorlds:
 
     def numbers(self) -> list[Float]:
         """Of the skins' states, those that steps here begin with; none where no world has joined."""
-        if self._work is None or len(self.joined) == 0:
-            return []
-        sizes = {number: HEADER + of.stepper.state_size for number, of in self._work.models.items()}
-        return [self.state.skins[number][:, :size] for number, size in sizes.items()]
+        return self._numbers if len(self.joined) else []
 
     def _give(self, work: "_WorldsWork", skins: bool) -> None:
         """Write the only world's state as the step ends."""
@@ -346,8 +349,7 @@ class MovingWorlds:
                 part[0] = end[start : start + part.shape[1]]
                 start += part.shape[1]
         for number, of in work.models.items() if skins else ():
-            seen = np.concatenate(_outside(work, number)).tolist()
-            keeper.outside[number].add(Outside(*seen))
+            keeper.outside[number].add(Outside(*np.concatenate(self._seen[number]).tolist()))
             self.state.skins[number][:, HEADER : HEADER + of.stepper.state_size] = hosts[f"after_{number}"]
             claim(model, self.state, number, of.stepper)
 

@@ -47,7 +47,6 @@ CLOCK_S = 1e-12
 """Times nearer to each other than this are one and the same."""
 T = TypeVar("T")
 ONE: Float = np.ones((1, 1, 1))
-NOBODY: Mapping[int, PosedScene] = {}
 KEPT = 64
 """Ways in which worlds were shared out among steppers."""
 
@@ -173,9 +172,12 @@ class Steps:
             watched = watched or operator is not None
         self.moving.begin(places, axes, t0, watched)
         moving = self.moving.joined
-        here = np.ones(len(self.models), dtype=bool)
-        here[moving] = False
-        self.begin(posed(here) if len(moving) < len(here) else NOBODY, t0)
+        if len(moving) < len(self.models):
+            here = np.ones(len(self.models), dtype=bool)
+            here[moving] = False
+            self.begin(posed(here), t0)
+        else:
+            self._apart, self.smooth.joined = [], moving[:0]
         for forces, own in zip(self.forces, self.moving.mean_forces(), strict=False):
             forces[moving] = own
 

@@ -13,7 +13,7 @@ from palmfield.simulation import moving_worlds
 
 SCENES = folder("mjcf") / "scenes"
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
-MOST_CALLS = 110
+MOST_CALLS = 75
 COARSE = {"skin.accuracy": 0.5, "skin.max_frequency_Hz": 300}
 
 
