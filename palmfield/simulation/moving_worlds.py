@@ -67,7 +67,7 @@ class MovingWorlds:
         self.joined: Rows = np.zeros(0, dtype=np.intp)
         self._probes: list[tuple[int, SensorPlace]] = []
         self._columns: list[int] = []  # of each among those of its skin
-        self._work: _WorldsWork | None = None
+        self._work: WorldsWork | None = None
         self._ahead: _Ahead | None = None
         self._numbers: list[Float] = []
         self._seen: dict[int, Outside] = {}  # what lies outside the modes' class in this step, by skin, shape (w,) each
@@ -152,7 +152,7 @@ class MovingWorlds:
             self._here &= joins
         self.joined = joins.nonzero()[0]
 
-    def _made(self) -> "_WorldsWork":
+    def _made(self) -> "WorldsWork":
         """Memory and graph for what is watched now. Raises DeviceError where the device has no room for it."""
         first = self.models[0]
         steppers: dict[int, DeviceModel] = {}
@@ -163,12 +163,12 @@ class MovingWorlds:
             steppers[number] = model
         aims = [aim_of(array_drives(self.models[world], first.arrays)[0]) for world in self._leading]
         of_worlds = np.array(aims)[self._kinds]
-        self._work = _WorldsWork(
+        self._work = WorldsWork(
             self.models, self.works[0], self._layout, self._probes, steppers, of_worlds, self._alone
         )
         return self._work
 
-    def _take(self, work: "_WorldsWork") -> None:
+    def _take(self, work: "WorldsWork") -> None:
         """Give the device the state as it is in this step. Raises SceneError for another's."""
         hosts = work.inputs.hosts
         emitted = np.concatenate(self.state.emitted, axis=1)
@@ -193,7 +193,7 @@ class MovingWorlds:
                 self._loudest[number, world] = outside.loudest
                 self._sums[number, :, world] = outside.sums
 
-    def _bring(self, work: "_WorldsWork", joins: Bool) -> None:
+    def _bring(self, work: "WorldsWork", joins: Bool) -> None:
         """Give the device the state of worlds that join and are not there."""
         if not (joins & ~self._here).any():
             return
@@ -214,7 +214,7 @@ class MovingWorlds:
             work.arrays[f"before_{number}"].assign(np.ascontiguousarray(numbers))
         self._here = joins.copy()
 
-    def _fill(self, work: "_WorldsWork", places: Float, axes: Float, t0: float, joins: Bool) -> Bool:
+    def _fill(self, work: "WorldsWork", places: Float, axes: Float, t0: float, joins: Bool) -> Bool:
         """Take frames, foci and levels of a step that begins at t0 [s]; in which of these worlds something sounds."""
         ahead, step = self._ahead, -1
         if ahead is not None and t0 in ahead.starts:
@@ -268,7 +268,7 @@ class MovingWorlds:
             means.append([mean_arp_factor(config, start, start + timestep_s, count) for start in starts])
         return _Ahead(starts, np.array(foci), np.array(levels), np.array(means))
 
-    def _good(self, work: "_WorldsWork", sounds: Bool) -> Bool:
+    def _good(self, work: "WorldsWork", sounds: Bool) -> Bool:
         """In which worlds what came out holds: nothing near a board, foci that can be made, loads of the class."""
         hosts = work.forces.hosts
         good = np.logical_and.reduce(hosts["heights"] >= CLEARANCE_M, axis=1)
@@ -337,7 +337,7 @@ class MovingWorlds:
         """Of the skins' states, those that steps here begin with; none where no world has joined."""
         return self._numbers if len(self.joined) else []
 
-    def _give(self, work: "_WorldsWork", skins: bool) -> None:
+    def _give(self, work: "WorldsWork", skins: bool) -> None:
         """Write the only world's state as the step ends."""
         model, hosts, keeper = self.models[0], work.forces.hosts, self.works[0]
         if check_arrays(model, self.state):
@@ -354,7 +354,7 @@ class MovingWorlds:
             claim(model, self.state, number, of.stepper)
 
 
-class _WorldsWork(DeviceWork):
+class WorldsWork(DeviceWork):
     """Memory and launches of all worlds. aims: of each world, see `palmfield.drive.path_drives.aim_of`"""
 
     def __init__(
@@ -461,7 +461,7 @@ class _WorldsWork(DeviceWork):
             self._replays[1]()
 
 
-def _outside(work: _WorldsWork, skin: int) -> Outside:
+def _outside(work: WorldsWork, skin: int) -> Outside:
     """What of a skin's load in the last step was outside the modes' class, shape (w,) each."""
     seen = work.models[skin].outside([*work.forces.hosts[f"sums_{skin}"].T])
     assert seen is not None
