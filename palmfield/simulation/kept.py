@@ -1,6 +1,7 @@
 """Values of several worlds that are computed again only where pose or drive are others."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,15 +20,16 @@ class Kept:
         self._values: Float = np.zeros((worlds, *shape))
         self._keys: Serials = np.zeros((worlds, 2), np.int64)
 
-    def rows(self, worlds: Rows, keys: Serials, make: Callable[[int], Float | float]) -> Float:
+    def rows(self, worlds: Rows, keys: Serials, make: Callable[..., Float | float], *given: Any) -> Float:
         """The values of some worlds, shape (g, ...), under serial numbers (g, 2).
 
-        make: computes that of the i-th of them
+        make: computes that of a world by its number and what is given
         """
         stale = np.logical_or.reduce(self._keys[worlds] != keys, axis=1)
         for i in stale.nonzero()[0].tolist():
-            self._values[worlds[i]] = make(i)
-            self._keys[worlds[i]] = keys[i]
+            world = int(worlds[i])
+            self._values[world] = make(world, *given)
+            self._keys[world] = keys[i]
         return self._values[worlds]
 
     def copy(self) -> "Kept":

@@ -25,7 +25,7 @@ class SmoothSound:
     """Levels of the worlds' unit drives. Belongs to one state.
 
     joined: numbers of the worlds whose present step is told by a level, rising, shape (g,)
-    serials: of the unit drives of all worlds, shape (worlds,)
+    serials: of the unit drives of all worlds; now: how much of them is emitted, complex, shapes (worlds,)
     """
 
     def __init__(
@@ -50,7 +50,7 @@ class SmoothSound:
         self.serials: Serials = np.zeros(worlds, np.int64)
         # How much of them was emitted when this last wrote the state, and is now
         self._held: Complex = state.arrays[0][:, LEVEL].view(np.complex128)[:, 0]
-        self._now: Complex = np.zeros(worlds, np.complex128)
+        self.now: Complex = np.zeros(worlds, np.complex128)
         self._known: Bool = np.zeros(worlds, dtype=bool)
         self.joined: Rows = np.zeros(0, dtype=np.intp)
 
@@ -66,7 +66,7 @@ class SmoothSound:
         """Go on from another's, in a copy of its state in the same PosedScenes."""
         self._poses, self.serials, self._of = other._poses.copy(), other.serials.copy(), list(other._of)
         self._units, self._powers, self._peaks = other._units.copy(), other._powers.copy(), other._peaks.copy()
-        self._now, self._known = other._now.copy(), other._known.copy()
+        self.now, self._known = other.now.copy(), other._known.copy()
 
     def begin(self, posed: Mapping[int, PosedScene], t0: float) -> list[int]:
         """Find out which of some worlds a level tells in the step that begins at t0 [s]; numbers of the others."""
@@ -111,7 +111,7 @@ class SmoothSound:
             found = np.divide(products, powers, out=np.zeros_like(products), where=powers > 0.0)
             levels = np.where(new, found, levels)
             alike[asked] = _are(emitted, levels, units)
-        self._now[asked] = levels
+        self.now[asked] = levels
         return alike
 
     def unit(self, world: int) -> Complex:
@@ -120,13 +120,9 @@ class SmoothSound:
         assert known is not None
         return known.amplitudes
 
-    def present(self, worlds: Rows) -> Complex:
-        """How much of their unit drives some worlds emit, shape (g,)."""
-        return self._now[worlds]
-
     def present_factors(self, t0: float) -> Float:
         """ARP at t0 [s] relative to that of the unit drives, in the worlds that have joined, shape (g,)."""
-        level = np.abs(self._now)
+        level = np.abs(self.now)
         emitted = level**2 * (level * self._peaks >= SILENT)
         if np.logical_and.reduce(self._ringing[self.joined]):
             return emitted[self.joined]
@@ -152,11 +148,11 @@ class SmoothSound:
         levels: Complex = np.sqrt(self._levels.at(moments.times)).astype(np.complex128)
         ringing = self._ringing.nonzero()[0]
         if len(ringing) == 0:
-            return levels, self._now
+            return levels, self.now
         # The arrays, and so their transducers, are those of all worlds
         stepper = self.models[ringing[0]].stimuli[0].response.stepper
-        rung, end = ring(self._now, levels.T, moments, stepper)
-        silent = ~np.logical_or.reduce(levels, axis=1) & (np.abs(self._now) * self._peaks < SILENT)
+        rung, end = ring(self.now, levels.T, moments, stepper)
+        silent = ~np.logical_or.reduce(levels, axis=1) & (np.abs(self.now) * self._peaks < SILENT)
         rung *= np.abs(rung) * self._peaks >= SILENT
         return np.where(self._ringing[:, None], rung.T, levels), np.where(silent, 0.0, end)
 
@@ -171,7 +167,7 @@ class SmoothSound:
         """Write what the worlds that have joined emit in the end, levels of shape (g,), into the state."""
         rings = self._ringing[self.joined]
         worlds, levels = self.joined[rings], end[rings]
-        self._now[worlds] = self._held[worlds] = levels
+        self.now[worlds] = self._held[worlds] = levels
         start = 0
         for part in self.state.emitted:
             part[worlds] = levels[:, None] * self._units[worlds, start : start + part.shape[1]]

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
+from palmfield.blas import one_blas_thread
 from palmfield.device import resolve
 from palmfield.drive.transducer_response import EmittedCourse, present_drive
 from palmfield.errors import naming_world
@@ -111,6 +112,7 @@ class Steps:
         self.moving = MovingWorlds(models, works, state, alone)
         self._several, self._device = worlds > 1, resolve(first.spec.device)
         self._states = [state.world(world) for world in range(worlds)] if worlds > 1 else [state]
+        self._devices = any(work.device_sound is not None for work in works)
         self._in: Callable[..., Any] = self._named if worlds > 1 else call
         self._posed: list[PosedScene] = [work.reference for work in works]
         self._poses: Serials = np.zeros(worlds, np.int64)
@@ -185,25 +187,26 @@ class Steps:
         """The same for worlds that no graph steps, in their PosedScenes."""
         for world, now in posed.items():
             self._posed[world], self._poses[world] = now, now.serial
-        self._apart = self.smooth.begin(posed, t0)
-        joined = self.smooth.joined
-        self._pressed.clear()
-        self._means.clear()
-        if len(joined):
-            factors = self.smooth.mean_factors(t0)
-            if self.observer is not None:
-                for world, factor in zip(joined.tolist(), factors.tolist(), strict=True):
-                    if factor > 0.0:
-                        self._means[world] = self.smooth.unit(world), factor, int(self.smooth.serials[world])
-            keys = self._joined_keys = self._keys(joined)
-            loud = factors > 0.0
-            for body, forces in enumerate(self.forces):
-                forces[joined] = 0.0
-                sounding = joined[loud]
-                made = self._unit_forces[body].rows(sounding, keys[loud], self._force_of(body, sounding))
-                forces[sounding] = factors[loud, None, None, None] * made
-        for world in self._apart:
-            self._in(self._push_one, world, t0)
+        with one_blas_thread:
+            self._apart = self.smooth.begin(posed, t0)
+            joined = self.smooth.joined
+            self._pressed.clear()
+            self._means.clear()
+            if len(joined):
+                factors = self.smooth.mean_factors(t0)
+                if self.observer is not None:
+                    for world, factor in zip(joined.tolist(), factors.tolist(), strict=True):
+                        if factor > 0.0:
+                            self._means[world] = self.smooth.unit(world), factor, int(self.smooth.serials[world])
+                keys = self._joined_keys = self._keys(joined)
+                loud = factors > 0.0
+                for body, forces in enumerate(self.forces):
+                    forces[joined] = 0.0
+                    sounding = joined[loud]
+                    made = self._unit_forces[body].rows(sounding, keys[loud], self._unit_force, body)
+                    forces[sounding] = factors[loud, None, None, None] * made
+            for world in self._apart:
+                self._in(self._push_one, world, t0)
 
     def state_now(self) -> bytes:
         """What the step that has begun was computed from, of a state that others may write: equal while it holds."""
@@ -212,16 +215,11 @@ class Steps:
             parts = *parts, *self.moving.numbers()
         return b"".join(map(methodcaller("tobytes"), parts))
 
-    def _force_of(self, body: int, worlds: Rows) -> Callable[[int], Float]:
-        """Gives the force of the i-th world's unit drive on a body."""
-
-        def make(i: int) -> Float:
-            world = int(worlds[i])
-            posed, work = self._posed[world], self.works[world]
-            force = work.unit_forces.under(posed, body, self.smooth.unit(world), int(self.smooth.serials[world]))
-            return np.asarray(force @ posed.array_frame.rotation.T)
-
-        return make
+    def _unit_force(self, world: int, body: int) -> Float:
+        """The force of a world's unit drive on a body, world axes, shape (2, b, 3)."""
+        posed, unit, serial = self._posed[world], self.smooth.unit(world), int(self.smooth.serials[world])
+        force = self.works[world].unit_forces.under(posed, body, unit, serial)
+        return np.asarray(force @ posed.array_frame.rotation.T)
 
     def _push_one(self, world: int, t0: float) -> None:
         """The forces in a world that nothing else carries."""
@@ -276,7 +274,7 @@ class Steps:
             factors = self.smooth.present_factors(t0)
             loud = factors > 0.0
             worlds = joined[loud]
-            arp[worlds] = factors[loud] * kept.rows(worlds, self._joined_keys[loud], self._arp_of(skin, place, worlds))
+            arp[worlds] = factors[loud] * kept.rows(worlds, self._joined_keys[loud], self._probe, skin, place)
         for world in self._apart:
             arp[world] = self._in(self._arp_in_one, world, skin, place, kept, t0)
         here = joined if not self._apart else np.sort(np.concatenate([joined, np.array(self._apart, np.intp)]))
@@ -292,15 +290,13 @@ class Steps:
             motion[own] = read[..., 0]
         return arp, motion
 
-    def _arp_of(self, skin: int, place: SensorPlace, worlds: Rows) -> Callable[[int], float]:
-        """Gives the ARP of the i-th world's unit drive at a sensor [Pa]."""
-        return lambda i: self._probe(int(worlds[i]), skin, place, self.smooth.unit(int(worlds[i])))
-
-    def _probe(self, world: int, skin: int, place: SensorPlace, drive: Complex) -> float:
+    def _probe(self, world: int, skin: int, place: SensorPlace, drive: Complex | None = None) -> float:
+        """ARP at a sensor [Pa] of a drive, shape (N,), of a world's unit drive without."""
         posed = self._posed[world]
         body = posed.bodies[self.models[0].skins[skin].body]
         points, normals = body.moved(place.probe.closest, place.probe.normals, place.binding)
-        return float(self.works[world].radiation.at(posed, skin, "probe", points, normals, drive).arp[0])
+        sounding = self.smooth.unit(world) if drive is None else drive
+        return float(self.works[world].radiation.at(posed, skin, "probe", points, normals, sounding).arp[0])
 
     def _arp_in_one(self, world: int, skin: int, place: SensorPlace, kept: Kept, t0: float) -> float:
         """ARP at a sensor's place [Pa] in a world that nothing else carries."""
@@ -322,7 +318,7 @@ class Steps:
         if known is None:
             key = np.array([[posed.serial, course.serial]])
             own = np.array([world])
-            known = float(kept.rows(own, key, lambda _: self._probe(world, skin, place, drive))[0])
+            known = float(kept.rows(own, key, self._probe, skin, place, drive)[0])
         return factor * known
 
     # -- its end -------------------------------------------------------------------------------------------------------
@@ -333,16 +329,17 @@ class Steps:
         skins: False leaves them as they are. Raises SceneError for a state of another solver and where a small model
         that key `solver` names can't go on.
         """
-        if len(self.moving.joined):
-            self.moving.advance(skins)
-        joined = self.smooth.joined
-        new = joined[self.state.arrays[0][joined, 0] != BEGUN] if self._several else joined
-        for world in [*new.tolist(), *self._apart]:
-            self._in(self._check, world)
-        if len(joined):
-            self._advance_smooth(t0, t1, skins)
-        for world in self._apart:
-            self._in(self._advance_one, world, t0, t1, skins)
+        with one_blas_thread:
+            if len(self.moving.joined):
+                self.moving.advance(skins)
+            joined = self.smooth.joined
+            new = joined[self.state.arrays[0][joined, 0] != BEGUN] if self._several else joined
+            for world in [*new.tolist(), *self._apart]:
+                self._in(self._check, world)
+            if len(joined):
+                self._advance_smooth(t0, t1, skins)
+            for world in self._apart:
+                self._in(self._advance_one, world, t0, t1, skins)
 
     def _check(self, world: int) -> None:
         """Begin a run in a state that is nobody's; SceneError for another's."""
@@ -359,7 +356,7 @@ class Steps:
             factors = levels.real**2 + levels.imag**2
             keys = self._joined_keys.copy()
             keys[:, 1] *= np.logical_or.reduce(factors, axis=1)
-            begun = smooth.present(worlds)
+            begun = smooth.now[worlds]
             group = _Group(
                 worlds,
                 keys,
@@ -398,7 +395,7 @@ class Steps:
         motion = []
         for skin in range(len(self.models[0].skins)):
             self._leave_small_models(group, skin, t0)
-            ends = self._ends(group, skin)
+            ends = self._ends(group, skin) if self._devices else {}
             if self._leave_class(group, skin, ends, t0):
                 ends = {}
             watched = []
@@ -487,7 +484,8 @@ class Steps:
         mixed = stepper.mixed(SurfaceLoads(np.zeros(0), first, last))
         squares = np.add.reduce(mixed**2, axis=(1, 2))
 
-        def of_unit(i: int) -> Float:
+        def of_unit(world: int) -> Float:
+            i = worlds.searchsorted(world)
             return np.array(stepper.outside(SurfaceLoads(pressure[i : i + 1], ONE, ONE)))
 
         units = self._unit_outside[skin].rows(worlds, group.keys[at], of_unit)
