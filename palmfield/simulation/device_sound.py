@@ -25,9 +25,11 @@ from palmfield.device import (
     Branches,
     SharedArray,
     SharedBlock,
+    check_room,
     filled,
     launch,
     launching,
+    nbytes,
     replayed,
     resolve,
     vectors,
@@ -479,6 +481,14 @@ class DeviceWork:
         kept = {
             name: part for name, part in (parts | results).items() if chosen and name not in GOING + COMING + shared
         }
+        steppers = {number: one.stepper for number, one in self.models.items()} if chosen else {}
+        samples = sum(len(body.sample_parts) for body in reference.bodies)
+        loaded = sum(len(_loaded(skin, steppers.get(number))[0]) for number, skin in enumerate(model.skins))
+        # Points and normals; areas and loads of samples; what presses
+        points_bytes = 24 * (samples + loaded + len(probes)) + 16 * samples
+        points_bytes += 4 * (sizes[FORCE][1] * samples + sizes[LOAD][1] * loaded)
+        tables = nbytes(parts) + nbytes(results) + nbytes(asked) + nbytes(told)
+        check_room(worlds * points_bytes + tables, worlds, self.device)
         self.inputs = SharedBlock(
             {name: part for name, part in parts.items() if name not in kept} | dict(asked), self.device
         )
@@ -490,7 +500,6 @@ class DeviceWork:
             arrays[name] = wp.zeros(shape, dtype=dtype, device=self.device)
         motions = filled(carrying.Motions(), turns=arrays["turns"], shifts=arrays["shifts"])
         meshes = self._meshes(reference)
-        steppers = {number: one.stepper for number, one in self.models.items()} if chosen else {}
         points = _ScenePoints(model, reference, self._rows, probes, self.device, worlds, steppers)
         self._chosen = chosen
         self.quadrature = points.quadrature

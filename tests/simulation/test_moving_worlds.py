@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 import palmfield
+from palmfield import device
 from palmfield.data import folder
-from palmfield.simulation import moving_worlds
+from palmfield.errors import DeviceError
+from palmfield.simulation import device_sound, moving_worlds
 
 SCENES = folder("mjcf") / "scenes"
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
@@ -141,3 +143,27 @@ def test_one_world_takes_the_same_graph(
         np.testing.assert_array_equal(sim.data.plugin_state, ended)
     assert python_calls(lambda: mujoco.mj_step(graph.model, graph.data)) <= MOST_CALLS
     palmfield.raise_errors(graph.data)
+
+
+def test_worlds_that_a_device_has_no_room_for_are_refused_with_the_number_that_fits(
+    by_graph: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    taken: list[int] = []
+    real = device_sound.check_room
+
+    def check(needed: int, worlds: int, device: str) -> None:
+        taken.append(needed)
+        real(needed, worlds, device)
+
+    monkeypatch.setattr(device_sound, "check_room", check)
+    levels = {"stimulus.drive_amplitude": [1.0, 0.8, 0.6]}
+    path = SCENES / "hover_explore.xml"
+    worlds = by_graph(path, worlds=3, keys=COARSE | levels)
+    worlds.start_at(0.1)
+    worlds.step()
+    work = worlds.steps.moving._work
+    points = work.load.array.size * 4 + sum(part.nbytes for part in (work.inputs, work.forces))
+    assert points < taken[0] < 3 * 2**24
+    monkeypatch.setattr(device, "free_bytes", lambda _: taken[0] // 2)
+    with pytest.raises(DeviceError, match=r"3 worlds take .* GB on cpu, .* MB each.*allowed: worlds <= 1"):
+        by_graph(path, worlds=3, keys=COARSE | levels)
