@@ -17,7 +17,7 @@ import platformdirs
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from palmfield.errors import PalmfieldError
+from palmfield.errors import DeviceError, PalmfieldError
 from warp_kernels import products
 
 KERNELS = "WARP_CACHE_PATH"
@@ -147,6 +147,27 @@ class SharedBlock:
     def download(self) -> None:
         """As SharedArray.download, for all arrays."""
         self._whole.download()
+
+
+def nbytes(parts: Mapping[str, tuple[tuple[int, ...], Any]]) -> int:
+    """What arrays take together; parts: shape and Warp type by name."""
+    return sum(int(np.prod(shape)) * wp.types.type_size_in_bytes(dtype) for shape, dtype in parts.values())
+
+
+def free_bytes(device: str) -> int | None:
+    """Memory that is free on a device of `resolve`; None for the CPU, whose memory nobody limits here."""
+    return None if device == "cpu" else int(wp.get_device(device).free_memory)
+
+
+def check_room(needed: int, worlds: int, device: str) -> None:
+    """Raise DeviceError where so many bytes for so many worlds are not free on a device, before they are taken."""
+    free = free_bytes(device)
+    if free is not None and needed > free:
+        raise DeviceError(
+            f"{worlds} worlds take {needed / 2**30:.2f} GB on {device}, {needed / worlds / 2**20:.2f} MB each, and "
+            f"{free / 2**30:.2f} GB are free; allowed: worlds <= {int(worlds * free / needed)}, or fewer samples by "
+            "key force_accuracy"
+        )
 
 
 _loading = threading.Lock()

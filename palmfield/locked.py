@@ -3,9 +3,12 @@
 import threading
 from collections.abc import Callable
 from functools import cached_property
+from itertools import count
 from typing import Any, Generic, Self, TypeVar, overload
 
 T = TypeVar("T")
+next_serial: Callable[[], int] = count(1).__next__
+"""Gives a number that nothing else in this process has; what is kept for it holds as long as the number is the same."""
 
 
 class locked_cached_property(cached_property[T]):

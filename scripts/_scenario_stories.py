@@ -311,10 +311,10 @@ def stroke_velocities(speed_m_s: float) -> dict[str, Float]:
     rows: list[tuple[float, Float]] = []
 
     def note(trace: StepTrace) -> None:
-        assert trace.motion[0] is not None
-        rows.extend((t * speed_m_s, motion[1].copy()) for t, motion in zip(trace.times, trace.motion[0], strict=True))
+        [(_, [seen])] = trace.motion[0]
+        rows.extend((t * speed_m_s, motion[1].copy()) for t, motion in zip(trace.times, seen, strict=True))
 
-    work.observe, work.observer = (layer.surface_operator,), note
+    work.observe, sim.steps.observer = (layer.surface_operator,), note
     while sim.time * speed_m_s < 0.9 * way:
         sim.step()
     rows = [row for row in rows if 0.6 * way <= row[0] <= 0.9 * way]

@@ -24,6 +24,7 @@ from palmfield.acoustics.transducer import ANY_P0, ANY_QUALITY
 from palmfield.acoustics.transducer_file import TransducerTable
 from palmfield.config import ArrayConfig
 from palmfield.errors import SceneError
+from palmfield.locked import next_serial
 from palmfield.transforms import Numbers, Placement, corners_of
 from palmfield.types import Air, Array, Complex, Estimate, Field, Float, Float32, Int
 
@@ -241,6 +242,7 @@ class PhasedArray:
     corners: of a box round each side's transducers, array frame [m], shape (8 sides, 3)
     facing: mean direction of each side's transducers, array frame, by column, shape (3, sides)
     heights: of the middle of each side along that direction [m], shape (sides,)
+    serial: no other has it
     """
 
     def __init__(
@@ -254,7 +256,7 @@ class PhasedArray:
         first = instances[0].config
         self.air = Air(first.temperature_C, first.humidity_percent, first.pressure_Pa)
         self.precision: Mode = first.precision
-        self.device, self.wall_m = device, wall_m
+        self.device, self.wall_m, self.serial = device, wall_m, next_serial()
         self.placements = tuple(placements)
         self.frames = tuple(placement.transform for placement in self.placements)
         self._lock = threading.Lock()

@@ -15,6 +15,7 @@ from palmfield.acoustics.reference import directivity
 from palmfield.drive.board import Board, play
 from palmfield.drive.foci import leading_vector, solve_foci, together
 from palmfield.errors import DeviceError, SceneError, naming
+from palmfield.locked import next_serial
 from palmfield.stimulus.focal_points import FocalPoints
 from palmfield.types import Air, Array, Complex, Float, Int
 
@@ -49,10 +50,11 @@ class UnitDrive:
 
     amplitudes: complex, relative to full drive, shape (N,); level: amplitude asked of each transducer, 0..1
     conjugate: of the amplitudes; power: sum of |amplitude|^2; peak: largest |amplitude|
+    serial: its number; no other drive has it
     """
 
     def __init__(self, amplitudes: Complex, level: float):
-        self.amplitudes, self.level = amplitudes, level
+        self.amplitudes, self.level, self.serial = amplitudes, level, next_serial()
         amplitudes.flags.writeable = False  # what is kept for a unit drive holds as long as it is the same object
         self.conjugate: Complex = amplitudes.conj()
         self.power = float((self.conjugate @ amplitudes).real)

@@ -179,7 +179,7 @@ def foci_made(totals: Float, levels: Float, quiet: Any, target: Any) -> NDArray[
     totals: of PathMemory, as numbers, shape (w, f, 3), the focus at the step's beginning last; levels: of the pressure
     at the others, (w, f - 1); quiet: whether nothing sounds at the last one, (w,); target: the first of `aim_of`, (w,)
     """
-    real, imaginary, facing = np.moveaxis(totals, -1, 0)
+    real, imaginary, facing = totals.transpose(2, 0, 1)
     good = (facing > 0.0) & (real * real + imaginary * imaginary >= np.asarray(target)[:, None])
     good[:, :-1] |= levels == 0.0
     good[:, -1] |= quiet

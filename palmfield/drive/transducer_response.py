@@ -18,6 +18,7 @@ from palmfield.config import StimulusConfig
 from palmfield.drive.array_drive import ArrayDrive, UnitDrive
 from palmfield.drive.response import Pole, pole_weights
 from palmfield.drive.response_error import ResponseError, response_errors, shares
+from palmfield.locked import next_serial
 from palmfield.stimulus.focal_points import FocalPoints
 from palmfield.stimulus.schedule import Moments, first_point, frames_at
 from palmfield.types import Complex, Float, Int
@@ -233,29 +234,53 @@ def ring(
     return at_moments, emitted
 
 
-class Superposition(NamedTuple):
-    """A few drives that get louder and softer each by itself. units: amplitudes, shape (k, N); levels: how much of each
-    is emitted at each moment, shape (m, k)."""
+class Batch(NamedTuple):
+    """Drives of several steps, whose fields are computed in one go. drives: shape (M, N)"""
 
-    units: Complex
-    levels: Complex
+    serial: int
+    drives: Complex
 
 
 class EmittedCourse(NamedTuple):
-    """What stimuli make the transducers emit at some moments: one drive that gets louder and softer, or any.
+    """What stimuli make the transducers emit at m moments: levels @ units.
 
-    unit, levels: the amplitudes, shape (N,), and by how much of them is emitted at each moment, complex, shape (m,):
-        ARP goes with |level|^2. Both None where each moment has a drive of its own; the unit alone where all is silent
-    emitted: complex amplitudes at each moment, shape (m, N), where levels don't tell them, else None
+    units: drives, shape (k, N): none in silence, one that gets louder and softer, one of each of a few stimuli, or one
+        a moment (k = m > 1; the levels are the identity then)
+    levels: how much of each is emitted at each moment, complex, shape (m, k)
     end: complex amplitudes at the end of the last step, shape (N,); where the response is off those at the beginning
-    parts: what `emitted` is the sum of, where several stimuli each have one unit drive
+    serial: equal for courses with the same patterns of ARP: that of the one unit, or at each moment
+    batch, row: drives of this and other steps, None where there is no such batch, and the first of them that is a unit
     """
 
-    unit: Complex | None
-    levels: Complex | Float | None
-    emitted: Complex | None
+    units: Complex
+    levels: Complex
     end: Complex
-    parts: Superposition | None = None
+    serial: int
+    batch: Batch | None = None
+    row: int = 0
+
+    @property
+    def shares(self) -> Float:
+        """How much of each pattern of ARP there is at the moments, shape (m, p): of one unit's, which goes with
+        |level|^2, or of each moment's own; of a pattern of nothing in silence."""
+        if len(self.units) > 1:
+            return np.eye(len(self.levels))
+        return np.abs(self.levels) ** 2 if len(self.units) else np.zeros((len(self.levels), 1))
+
+
+def silence(moments: int, end: Complex) -> EmittedCourse:
+    """Nothing at some moments; end: as of EmittedCourse."""
+    return EmittedCourse(np.zeros((0, len(end)), np.complex128), np.zeros((moments, 0), np.complex128), end, 0)
+
+
+def of_unit(unit: UnitDrive, levels: Complex | Float, end: Complex) -> EmittedCourse:
+    """One drive at some levels, shape (m,)."""
+    return EmittedCourse(unit.amplitudes[None], levels[:, None].astype(np.complex128, copy=False), end, unit.serial)
+
+
+def of_drives(drives: Complex, end: Complex) -> EmittedCourse:
+    """A drive of its own at each moment, shape (m, N); they must not change."""
+    return EmittedCourse(drives, np.eye(len(drives), dtype=np.complex128), end, next_serial())
 
 
 def emitted_over(
@@ -288,8 +313,7 @@ def emitted_over(
         points, levels = _points_and_levels(stimulus, moments.times, lags)
     silent = not np.logical_or.reduce(levels, axis=None)
     if silent and (not response.on or np.maximum.reduce(np.abs(emitted)) < SILENT):
-        nothing = np.zeros(len(levels))
-        return EmittedCourse(None, nothing, None, np.zeros_like(emitted) if response.on else emitted)
+        return silence(len(levels), np.zeros_like(emitted) if response.on else emitted)
     if stimulus.path == "point":
         unit = drive.unit_drive_at(focal_points, points[0, 0])
         if drive.rounds_levels and not len(focal_points.offsets):
@@ -297,9 +321,9 @@ def emitted_over(
         return _of_one_unit(unit, levels, group, response, emitted, moments)
     commanded = _commanded(drive, points, levels, group, focal_points)
     if not response.on:
-        return EmittedCourse(None, None, commanded, emitted)
+        return of_drives(commanded, emitted)
     at_moments, end = ring(emitted, commanded, moments, response.stepper)
-    return EmittedCourse(None, None, at_moments, np.asarray(end))
+    return of_drives(at_moments, np.asarray(end))
 
 
 def _own(emitted: Complex, drive: ArrayDrive) -> Complex:
@@ -319,13 +343,13 @@ def _of_one_unit(
 ) -> EmittedCourse:
     """`emitted_over` for one focus whose level alone changes; levels: of the drive, shape (m, d)."""
     if not response.on:
-        return EmittedCourse(unit.amplitudes, levels[:, 0], None, emitted)
+        return of_unit(unit, levels[:, 0], emitted)
     if group is None and response.stepper.alike:
         level = _level_of(unit, emitted)
         if level is not None:
             rung, end = ring(level, levels[:, 0], moments, response.stepper)
             rung *= np.abs(rung) * unit.peak >= SILENT
-            return EmittedCourse(unit.amplitudes, rung, None, end * unit.amplitudes)
+            return of_unit(unit, rung, end * unit.amplitudes)
     commanded = (levels if group is None else levels[:, group]) * unit.amplitudes
     at_moments, last = ring(emitted, commanded, moments, response.stepper)
     end = np.asarray(last)
@@ -333,8 +357,8 @@ def _of_one_unit(
         rung = at_moments @ unit.conjugate / unit.power
         if np.maximum.reduce(np.abs(at_moments - rung[:, None] * unit.amplitudes), axis=None) < SILENT:
             rung *= np.abs(rung) * unit.peak >= SILENT
-            return EmittedCourse(unit.amplitudes, rung, None, end)
-    return EmittedCourse(None, None, at_moments, end)
+            return of_unit(unit, rung, end)
+    return of_drives(at_moments, end)
 
 
 def _level_of(unit: UnitDrive, emitted: Complex) -> complex | None:
@@ -362,23 +386,22 @@ def emitted_now(
     if not drive.everything:
         emitted = _own(emitted, drive)
     if np.maximum.reduce(np.abs(emitted)) < SILENT:
-        return EmittedCourse(None, np.zeros(1), None, emitted)
+        return silence(1, emitted)
     if stimulus.path == "point":
         unit = drive.unit_drive_at(focal_points, first_point(stimulus))
         level = _level_of(unit, emitted)
         if level is not None:
-            return EmittedCourse(unit.amplitudes, np.array([level]), None, emitted)
+            return of_unit(unit, np.array([level]), emitted)
     # A copy, as what is emitted may be gathered in one array again and again, and fields are kept for their drive
-    return EmittedCourse(None, None, emitted[None].copy(), emitted)
+    return of_drives(emitted[None].copy(), emitted)
 
 
 def present_drive(course: EmittedCourse) -> tuple[Complex | None, float]:
     """The drive that sounds at a course's first moment, shape (N,), and the factor of its ARP; None in silence."""
-    if course.emitted is not None:
-        return course.emitted[0], 1.0
-    if course.unit is None or course.levels is None or course.levels[0] == 0.0:
-        return None, 0.0
-    return course.unit, float(abs(course.levels[0]) ** 2)
+    if len(course.units) > 1:
+        return rows(course)[0], 1.0
+    factor = abs(course.levels[0, 0]) ** 2 if len(course.units) else 0.0
+    return (course.units[0], float(factor)) if factor > 0.0 else (None, 0.0)
 
 
 def instant(time_s: float) -> Moments:
@@ -394,28 +417,22 @@ def combined(courses: Sequence[EmittedCourse]) -> EmittedCourse:
     if len(courses) == 1:
         return courses[0]
     end = courses[0].end
-    sounding = []
-    for i, course in enumerate(courses):
-        end = course.end if i == 0 else end + course.end
-        if course.emitted is not None or course.unit is not None:
-            sounding.append(course)
+    for course in courses[1:]:
+        end = end + course.end
+    sounding = [course for course in courses if len(course.units)]
     if not sounding:
-        return EmittedCourse(None, courses[0].levels, None, end)
+        return courses[0]._replace(end=end)
     if len(sounding) == 1:
         return sounding[0]._replace(end=end)
-    total = rows(sounding[0]).copy()
-    for course in sounding[1:]:
-        total += rows(course)
-    if len(sounding) >= len(total) or any(course.unit is None for course in sounding):
-        return EmittedCourse(None, None, total, end)
-    units, levels = np.array([course.unit for course in sounding]), np.array([course.levels for course in sounding])
-    return EmittedCourse(None, None, total, end, Superposition(units, levels.T.astype(np.complex128)))
+    if len(sounding) >= len(courses[0].levels) or any(len(course.units) > 1 for course in sounding):
+        return of_drives(np.add.reduce([rows(course) for course in sounding]), end)
+    units = np.concatenate([course.units for course in sounding])
+    levels = np.concatenate([course.levels for course in sounding], axis=1)
+    return EmittedCourse(units, levels, end, next_serial())
 
 
 def rows(course: EmittedCourse) -> Complex:
     """Amplitudes at each moment, shape (m, N)."""
-    if course.emitted is not None:
-        return course.emitted
-    assert course.levels is not None
-    unit: Complex = np.zeros(len(course.end), np.complex128) if course.unit is None else course.unit
-    return np.asarray(course.levels[:, None] * unit)
+    if len(course.units) == len(course.levels) > 1:
+        return course.units
+    return np.asarray(course.levels @ course.units)

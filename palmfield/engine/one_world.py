@@ -9,6 +9,7 @@ from palmfield.engine.host import raise_errors, world_of
 from palmfield.engine.motion_plugin import place
 from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.errors import SceneError
+from palmfield.simulation.step import Steps
 from palmfield.types import Float
 
 
@@ -26,6 +27,11 @@ class OneWorld:
         world.quiet = True
         self.data, self.mujoco_model, self.name = (data,), data.model, name
         self.runtimes: list[SceneRuntime] = [world.scene]
+
+    @property
+    def steps(self) -> Steps:
+        """What steps sound and skins."""
+        return self.runtimes[0].steps
 
     @property
     def forces(self) -> Float:

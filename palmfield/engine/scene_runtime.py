@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.progress import Progress
 
-from palmfield.drive.transducer_response import EmittedCourse, present_drive
+from palmfield.drive.transducer_response import EmittedCourse
 from palmfield.errors import SceneError
 from palmfield.mujoco_host.mujoco_view import DataView, ForceOutlet, PluginSensor
 from palmfield.simulation.build import model_of
@@ -17,17 +17,16 @@ from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene, PoseLayout, posed_scene
 from palmfield.simulation.scene_reader import read_scene
 from palmfield.simulation.sensors import SensorPlace, channels, check_site, sensor_place, skin_reading
-from palmfield.simulation.state import HapticState, at_rest, check_arrays, stepper_of, untouched
-from palmfield.simulation.step import Workspace, gather, step, step_sound
+from palmfield.simulation.state import HapticState, stepper_of
+from palmfield.simulation.step import Steps
 from palmfield.simulation.validate import check_clear
+from palmfield.simulation.workspace import Workspace, gather
 from palmfield.skin.stepper import SkinStepper
 from palmfield.types import Complex, Float
 
 RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
 PASSIVE = int(mujoco.mjtDisableBit.mjDSBL_SPRING) | int(mujoco.mjtDisableBit.mjDSBL_DAMPER)
 """Flags that together switch all passive forces off."""
-AT_REST: Float = np.zeros(2)
-"""Displacement and velocity of skin that nothing has stepped yet: to read them takes no stepper."""
 
 
 class SceneRuntime:
@@ -35,9 +34,7 @@ class SceneRuntime:
 
     outlets: what takes the force on each body's parts
     taken: which frames of MuJoCo's sites and bodies are taken, by number, and to which rows they go
-    applied: mean force on each body over the present step [N], world axes, shape (3,) each
     skins_rest: whether steps leave skins out: what moves gets the push of the sound all the same
-    applied_parts: the same on the bones of each body, and torques about their origins [N m], shapes (b, 3)
     """
 
     def __init__(self, view: DataView, like: "SceneRuntime | None" = None):
@@ -71,11 +68,8 @@ class SceneRuntime:
         self.skins_rest = False
         self._posed: PosedScene = self.work.reference
         self._numbers = b""
+        self._begun: tuple[float, bytes, bytes] | None = None
         self._places: dict[str, SensorPlace] = {}
-        # ARP [Pa] of a unit drive at each sensor, with pose and drive for which it holds
-        self._unit_arp: dict[str, tuple[PosedScene, Complex, float]] = {}
-        self.applied: list[Float] = [np.zeros(3) for _ in self.bodies]
-        self.applied_parts = [(np.zeros((len(parts), 3)), np.zeros((len(parts), 3))) for parts in self.parts]
         self.check_options()
         if like is None:
             check_clear(self.work.reference)
@@ -107,8 +101,7 @@ class SceneRuntime:
 
     def forget(self) -> None:
         """Know nothing of the last pose."""
-        self._posed, self._numbers = self.work.reference, b""
-        self._unit_arp.clear()
+        self._posed, self._numbers, self._begun = self.work.reference, b"", None
 
     def prepare(self, bar: Progress) -> None:
         """Make what steps the skins and is not made yet, with the time that the plan expects for it on a bar."""
@@ -129,18 +122,38 @@ class SceneRuntime:
             tuple(view.state(skin.instance).reshape(1, -1) for skin in binding.skins),
         )
 
+    @cached_property
+    def steps(self) -> Steps:
+        """The steps of this one mjData."""
+        steps = Steps([self.model], [self.work], self.state)
+        if steps.moving.some:
+            for skin, bound in enumerate(self.binding.skins):
+                for sensor in self.view.sensors(bound.instance):
+                    steps.watch(skin, self.place(skin, sensor))
+        return steps
+
+    @property
+    def applied_parts(self) -> list[tuple[Float, Float]]:
+        """Mean force over the present step on the parts of each body [N], and torques about their origins [N m], world
+        axes, shapes (b, 3)."""
+        return [(force[0, 0], force[0, 1]) for force in self.steps.forces]
+
+    @property
+    def applied(self) -> list[Float]:
+        """Mean force on each body over the present step [N], world axes, shape (3,) each."""
+        return [np.add.reduce(force[0, 0], axis=0) for force in self.steps.forces]
+
     @property
     def posed(self) -> PosedScene:
         """What MuJoCo's present poses mean; the same object while nothing moves.
 
         Raises SceneError where a body reaches into an array.
         """
-        for kind, chosen, part in self.taken:
-            positions, matrices = self.view.frames[kind]
-            # Mode "clip", as the others go through a buffer
-            positions.take(chosen, 0, self._positions[part], "clip")
-            matrices.take(chosen, 0, self._matrices[part], "clip")
-        last, numbers = self._posed, self._positions.tobytes() + self._matrices.tobytes()
+        return self._posed_at(self._frames())
+
+    def _posed_at(self, numbers: bytes) -> PosedScene:
+        """What the frames that were taken last mean."""
+        last = self._posed
         if numbers == self._numbers:
             return last
         rotations = self._matrices.reshape(-1, 3, 3)
@@ -149,6 +162,27 @@ class SceneRuntime:
             check_clear(posed)
         self._posed, self._numbers = posed, numbers
         return posed
+
+    def _frames(self) -> bytes:
+        """Take MuJoCo's present frames; their numbers."""
+        for kind, chosen, part in self.taken:
+            positions, matrices = self.view.frames[kind]
+            # Mode "clip", as the others go through a buffer
+            positions.take(chosen, 0, self._positions[part], "clip")
+            matrices.take(chosen, 0, self._matrices[part], "clip")
+        return self._positions.tobytes() + self._matrices.tobytes()
+
+    def _begin(self, t0: float, anew: bool) -> None:
+        """Let the step begin that does so at t0 [s] in the present pose and state; not again unless `anew`."""
+        frames, begun, steps = self._frames(), self._begun, self.steps
+        if not anew and begun is not None and begun == (round(t0, 12), frames, steps.state_now()):
+            return
+        if steps.moving.some:
+            places = self._positions[None], self._matrices[None]
+            steps.begin_at(*places, t0, lambda here: {0: self._posed_at(frames)} if here[0] else {})
+        else:
+            steps.begin({0: self._posed_at(frames)}, t0)
+        self._begun = round(t0, 12), frames, steps.state_now()
 
     @property
     def amplitudes(self) -> Complex:
@@ -165,46 +199,24 @@ class SceneRuntime:
         return posed, self.work.emission.now(posed, gather(self.state, self.work), self.view.raw.time)
 
     def body_forces(self) -> list[tuple[Float, Float]]:
-        """Forces [N] on the parts of each body and torques about their origins [N m], world axes, shapes (b, 3).
-
-        The mean over the MuJoCo step that begins now.
-        """
-        posed, time_s = self.posed, self.view.raw.time
-        if self.work.emission.holds:
-            if untouched(self.state):
-                self.work.emission.forget()
-            self.work.emission.begin(posed, time_s)
-        turn = posed.array_frame.rotation.T
-        forces = []
-        work = self.work
-        if work.device_sound is not None:
-            of_bodies = work.by_device(self.model, self.state, posed, time_s)
-        else:
-            of_bodies = work.unit_forces.over(work.emission, posed, gather(self.state, work), time_s)
-        for force, torque in of_bodies:
-            forces.append((force @ turn, torque @ turn))
-        return forces
+        """`applied_parts` over the step that begins now."""
+        self._begin(self.view.raw.time, anew=True)
+        return self.applied_parts
 
     def push(self) -> None:
         """Add the sound's forces to MuJoCo's passive ones."""
-        for number, (force, torque) in enumerate(self.body_forces()):
-            outlet = self.outlets[number]
-            outlet.forces[:], outlet.torques[:] = force, torque
+        self._begin(self.view.raw.time, anew=True)
+        for outlet, force in zip(self.outlets, self.steps.forces, strict=True):
+            outlet.forces[:], outlet.torques[:] = force[0]
             outlet.apply()
-            self.applied_parts[number] = force, torque
-            self.applied[number] = np.add.reduce(force, axis=0)
 
     def advance(self) -> None:
         """Carry transducers and skins over MuJoCo's last step, with the pose at its beginning."""
         end = self.view.raw.time
         self.check_options()
-        if check_arrays(self.model, self.state):
-            self.work.begin_run()
         begin = end - self.spec.timestep_s
-        if self.skins_rest:
-            step_sound(self.model, self.state, self.posed, begin, self.work)
-        else:
-            step(self.model, self.state, self.posed, begin, end, self.work)
+        self._begin(begin, anew=False)
+        self.steps.advance(begin, end, not self.skins_rest)
 
     def check_options(self) -> None:
         """Raises SceneError for options of MuJoCo's under which the sound's forces would be wrong or left out.
@@ -235,14 +247,16 @@ class SceneRuntime:
 
         That is where the stimuli's points were at the last control tick, and which loads were computed ahead.
         """
-        self.work.emission.held = list(other.work.emission.held)
-        self.applied, self.applied_parts = list(other.applied), list(other.applied_parts)
         if other.model is self.model:
-            # Poses are told apart as objects, and nothing in them changes: the copy goes on with the same ones.
-            self.work.reference, self._posed, self._numbers = other.work.reference, other._posed, other._numbers
-            self.work.prefetch.adopt(other.work.prefetch)
-            self.work.path_sound.adopt(other.work.path_sound)
-            self.work.outside = [part.copy() for part in other.work.outside]
+            self.adopt_pose(other)
+            self.steps.adopt(other.steps)
+        else:
+            self.work.emission.held = list(other.work.emission.held)
+            self.steps.forces = [force.copy() for force in other.steps.forces]
+
+    def adopt_pose(self, other: "SceneRuntime") -> None:
+        """Be in the PosedScene in which another of the same model is: nothing in it changes."""
+        self._posed, self._numbers = other._posed, other._numbers
 
     def exchange(self, model: HapticModel) -> None:
         """Go on with another model of the same arrays, bodies and skins; the state must be reset.
@@ -250,45 +264,18 @@ class SceneRuntime:
         What stepped the skins goes on as well, so that it must serve the loads of the other model's stimuli.
         """
         self.model, self.spec, self.work = model, model.spec, Workspace(model)
+        self.__dict__.pop("steps", None)
         self.forget()
 
     def sense(self, skin: int, sensors: Sequence[PluginSensor]) -> None:
         """Fill a skin's sensors from the state at the present time."""
-        posed, emitted, time_s = self.posed, gather(self.state, self.work), self.view.raw.time
-        part, device = self.model.skins[skin], self.work.device_sound
-        by_path = device is not None and device.course(posed, emitted, time_s) is not None
-        sounding = None if by_path else present_drive(self.work.emission.now(posed, emitted, time_s))
-        resting = at_rest(self.state, skin)
+        time_s = self.view.raw.time
+        self._begin(time_s, anew=False)
+        force = self.applied[self.model.skins[skin].body]
         for sensor in sensors:
             place = self._places.get(sensor.name) or self.place(skin, sensor)
-            motion = AT_REST
-            if not resting:
-                stepper, numbers = stepper_of(self.model, self.state, skin)
-                motion = stepper.read(numbers, place.reader(stepper))[0, :, 0]
-            arp = device.sensed(skin, place) if by_path and device is not None else None
-            if arp is None:
-                if sounding is None:
-                    sounding = present_drive(self.work.emission.now(posed, emitted, time_s))
-                drive, factor = sounding
-                arp = 0.0
-                if drive is not None:
-                    kept = self._unit_arp.get(sensor.name)
-                    known = None
-                    if kept is not None and kept[0] is posed and kept[1] is drive:
-                        known = kept[2]
-                    if known is None and device is not None:
-                        known = device.probed(skin, place, posed, drive)
-                    if known is None:
-                        if device is not None:
-                            device.watch(skin, place)
-                        body = posed.bodies[part.body]
-                        points, normals = body.moved(place.probe.closest, place.probe.normals, place.binding)
-                        known = float(self.work.radiation.at(posed, skin, "probe", points, normals, drive).arp[0])
-                    # Another drive may come in the same memory, but not another unit drive
-                    if not drive.flags.writeable:
-                        self._unit_arp[sensor.name] = posed, drive, known
-                    arp = factor * known
-            sensor.data[:] = channels(skin_reading(self.applied[part.body], motion, arp))
+            [arp], [motion] = self.steps.sense(skin, place, time_s)
+            sensor.data[:] = channels(skin_reading(force, motion, arp))
 
     def place(self, skin: int, sensor: PluginSensor) -> SensorPlace:
         """Where a sensor reads, kept. Raises SceneError for one that is not on the skin's body or far from the skin."""

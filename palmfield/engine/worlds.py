@@ -6,11 +6,9 @@ passive ones before mj_step2 integrates, so that nothing lags behind what a plai
 
 import copy
 from collections.abc import Mapping, Sequence
-from operator import is_
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from palmfield.engine.host import raise_errors, world_of
 from palmfield.engine.many_data import ManyData
@@ -23,12 +21,10 @@ from palmfield.errors import SceneError, explaining, naming_world
 from palmfield.mujoco_host.mujoco_view import DataView, ModelView, PluginSensor, Write, mocap_offsets
 from palmfield.mujoco_host.structs import mirror
 from palmfield.simulation.model import HapticModel
-from palmfield.simulation.moving_worlds import MovingWorlds
-from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.sensors import channels_of_worlds
-from palmfield.simulation.state import HEADER, HapticState, new_state
-from palmfield.simulation.step import Workspace
-from palmfield.simulation.step_together import TogetherStep
+from palmfield.simulation.state import HapticState, new_state
+from palmfield.simulation.step import Steps
+from palmfield.simulation.workspace import Workspace
 from palmfield.types import Float
 
 
@@ -79,12 +75,9 @@ class SceneWorlds:
             beside = self.runtimes[0] if number else None
             runtime.join(model, self.state.world(number), works[-1], (positions[number], matrices[number]), beside)
             self._sensors.append([view.sensors(skin.instance) for skin in runtime.binding.skins])
-        self.together = TogetherStep(models, works, self.state)
-        self.moving = MovingWorlds(models, works, self.state)
-        self._watched: list[list[int]] = []  # numbers of the sensors' places, by skin
+        self.steps = Steps(models, works, self.state, alone=True)
+        self._watched = False
         self._poses, self._frames = WorldPoses(self.runtimes, self.many, positions, matrices), (positions, matrices)
-        # The ARP of the unit drives at a sensor, by skin and number, with the poses for which it holds
-        self._probed: dict[tuple[int, int], tuple[bytes, list[PosedScene], Float]] = {}
 
     # -- stepping ------------------------------------------------------------------------------------------------------
 
@@ -95,8 +88,8 @@ class SceneWorlds:
         with explaining():
             self._lead(t0)
             self._each("mj_step1")
-            posed = self._push(t0)
-            self._sense(posed, t0)
+            self._push(t0)
+            self._sense(t0)
             self._each("mj_step2")
             t1 = self._common_time()
             for module in self._scripts:
@@ -110,7 +103,6 @@ class SceneWorlds:
             if time_s is not None:
                 one.time = time_s
         self.place()
-        self.moving.forget()
         for part in (*self.state.arrays, *self.state.skins):
             part[:] = 0.0
         for runtime in self.runtimes:
@@ -118,7 +110,7 @@ class SceneWorlds:
             runtime.work.emission.forget()
             runtime.work.begin_run()
         self._poses.forget()
-        self.together.forget()
+        self.steps.forget()
         self.look()
 
     def look(self) -> None:
@@ -127,7 +119,8 @@ class SceneWorlds:
         self._lead(t0)
         self._each("mj_step1")
         with explaining():
-            self._sense(self._push(t0), t0)
+            self._push(t0)
+            self._sense(t0)
         for one in self.data:
             mujoco.mj_forwardSkip(self.mujoco_model, one, int(mujoco.mjtStage.mjSTAGE_VEL), 0)
 
@@ -144,8 +137,8 @@ class SceneWorlds:
         """Go on as the other would, whose data and state are copied already."""
         self.forces[:] = other.forces
         for runtime, origin in zip(self.runtimes, other.runtimes, strict=True):
-            runtime.adopt(origin)
-        self.together.adopt(other.together)
+            runtime.adopt_pose(origin)
+        self.steps.adopt(other.steps)
 
     def copy(self) -> "SceneWorlds":
         """As many worlds again in the same state."""
@@ -191,106 +184,33 @@ class SceneWorlds:
 
     def settle(self) -> None:
         """Bring the state up to date, where a device has what is newer."""
-        self.moving.fetch()
+        self.steps.moving.fetch()
 
-    def _watch(self) -> None:
-        """Have the places of all sensors watched, once: before a state has been given to a device."""
-        if not self._watched and self.moving.some:
+    def _push(self, t0: float) -> None:
+        """Add the sound's forces to MuJoCo's passive ones."""
+        if not self._watched and self.steps.moving.some:
             for skin, sensors in enumerate(self._sensors[0]):
-                places = [self.runtimes[0].place(skin, sensor) for sensor in sensors]
-                self._watched.append([self.moving.watch(skin, place) for place in places])
-
-    def _push(self, t0: float) -> dict[int, PosedScene]:
-        """Poses of worlds that nothing else carries; the sound's forces are added to MuJoCo's passive ones."""
-        self._watch()
+                for sensor in sensors:
+                    self.steps.watch(skin, self.runtimes[0].place(skin, sensor))
+        self._watched = True
         self._poses.take()
-        together, first = self.together, self.runtimes[0].work
-        watched = any(operator is not None for operator in first.observe) or first.observer is not None
-        self.moving.begin(*self._frames, t0, watched or together.observer is not None)
-        alone = np.ones(len(self.data), dtype=bool)
-        alone[self.moving.joined] = False
-        posed = self._poses.now(alone)
-        together.begin(posed, t0)
-        if together.apart:
-            for number in together.apart:
-                with naming_world(number):
-                    self.runtimes[number].push()
-                self.forces[number] = self.runtimes[number].applied
-        self._apply(together.joined, together.mean_forces(t0))
-        self._apply(self.moving.joined, self.moving.mean_forces())
-        return posed
+        self.steps.begin_at(*self._frames, t0, self._poses.now)
+        everybody = np.arange(len(self.data))
+        for body, own in enumerate(self.steps.forces):
+            self.forces[:, body] = np.add.reduce(own[:, 0], axis=1)
+            self.many.push(self.runtimes[0].parts[body], everybody, own[:, 0], own[:, 1])
 
-    def _apply(self, worlds: NDArray[np.intp], forces: Sequence[tuple[Float, Float]]) -> None:
-        """Push the bodies of some worlds: forces on the parts of each and torques about their origins, (g, b, 3)."""
-        for body, own in enumerate(forces):
-            self.forces[worlds, body] = np.add.reduce(own[0], axis=1)
-            self.many.push(self.runtimes[0].parts[body], worlds, *own)
-
-    def _sense(self, posed: Mapping[int, PosedScene], t0: float) -> None:
+    def _sense(self, t0: float) -> None:
         """Fill the sensors of all worlds."""
-        together = self.together
-        for number in together.apart:
-            for skin, sensors in enumerate(self._sensors[number]):
-                if sensors:
-                    with naming_world(number):
-                        self.runtimes[number].sense(skin, sensors)
-        if len(self.moving.joined):
-            for skin, numbers in enumerate(self._watched):
-                for which, number in enumerate(numbers):
-                    arp, motion = self.moving.sensed(number)
-                    self._tell(skin, which, self.moving.joined, motion, arp)
-        worlds = together.joined
-        if len(worlds) == 0 or not any(self._sensors[0]):
-            return
-        factors = together.present_factors(t0)
-        where = [posed[world] for world in worlds.tolist()]
         for skin, sensors in enumerate(self._sensors[0]):
-            for which in range(len(sensors)):
-                motion = self._motion_at(skin, which, worlds)
-                self._tell(skin, which, worlds, motion, factors * self._probe(skin, which, worlds, where))
-
-    def _tell(self, skin: int, which: int, worlds: NDArray[np.intp], motion: Float, arp: Float) -> None:
-        """Fill a sensor in some worlds: displacement [m] and velocity [m/s], shape (g, 2), and ARP [Pa], shape (g,)."""
-        read = channels_of_worlds(self.forces[worlds, self.models[0].skins[skin].body], motion, arp)
-        if len(worlds) == len(self.data):
-            self.many.put("sensordata", self._sensors[0][skin][which].offsets, read)
-            return
-        for world, row in zip(worlds.tolist(), read, strict=True):
-            self._sensors[world][skin][which].data[:] = row
-
-    def _motion_at(self, skin: int, which: int, worlds: NDArray[np.intp]) -> Float:
-        """Displacement [m] and velocity [m/s] of the skin at a sensor in some worlds, shape (g, 2)."""
-        part, result = self.state.skins[skin], np.zeros((len(self.data), 2))
-        begun = part[worlds, 0] != 0.0
-        for stepper, own in self.together.groups(skin, worlds[begun]):
-            reader = self.runtimes[own[0]].place(skin, self._sensors[own[0]][skin][which]).reader(stepper)
-            numbers = part[own, HEADER : HEADER + stepper.state_size]
-            result[own] = stepper.read(numbers, reader)[..., 0]
-        return result[worlds]
-
-    def _probe(self, skin: int, which: int, worlds: NDArray[np.intp], where: list[PosedScene]) -> Float:
-        """The ARP of the unit drives at a sensor in some worlds [Pa], shape (g,); where: their poses."""
-        known = self._probed.get((skin, which))
-        if known is not None and known[0] == worlds.tobytes() and all(map(is_, known[1], where)):
-            return known[2]
-        result = np.zeros(len(worlds))
-        for i, (world, posed) in enumerate(zip(worlds.tolist(), where, strict=True)):
-            runtime = self.runtimes[world]
-            place = runtime.place(skin, self._sensors[world][skin][which])
-            body = posed.bodies[self.models[world].skins[skin].body]
-            points, normals = body.moved(place.probe.closest, place.probe.normals, place.binding)
-            unit = self.together.unit(world)
-            result[i] = runtime.work.radiation.at(posed, skin, "probe", points, normals, unit).arp[0]
-        self._probed[skin, which] = worlds.tobytes(), where, result
-        return result
+            force = self.forces[:, self.models[0].skins[skin].body]
+            for sensor in sensors:
+                arp, motion = self.steps.sense(skin, self.runtimes[0].place(skin, sensor), t0)
+                self.many.put("sensordata", sensor.offsets, channels_of_worlds(force, motion, arp))
 
     def _advance(self, t1: float) -> None:
         """Carry transducers and skins of all worlds over MuJoCo's last step, with the poses at its beginning."""
-        self.moving.advance()
-        self.together.advance(t1 - self.models[0].spec.timestep_s, t1)
-        for number in self.together.apart:
-            with naming_world(number):
-                self.runtimes[number].advance()
+        self.steps.advance(t1 - self.models[0].spec.timestep_s, t1)
 
 
 def plain_model(model: mujoco.MjModel) -> mujoco.MjModel:

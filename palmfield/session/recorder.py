@@ -36,29 +36,33 @@ class Sink(Protocol):
 
 
 class Emitted(NamedTuple):
-    """What sounds at some moments: one drive (N,) with factors of its ARP (m,), or as many drives as moments (m, N)."""
+    """What sounds at some moments: one drive (N,) with factors of its ARP (m,), or as many drives as moments (m, N).
+
+    serial: of the one drive, 0 for many
+    """
 
     drives: Complex
     factors: Float
+    serial: int
 
 
 def emitted_at(course: EmittedCourse, moments: NDArray[np.int_]) -> Emitted:
     """What sounds at some moments of a course, by their numbers (m,)."""
-    if course.levels is None or course.unit is None:
-        return Emitted(rows(course)[moments], np.ones(len(moments)))
-    return Emitted(course.unit, np.abs(course.levels[moments]) ** 2)
+    if len(course.units) != 1:
+        return Emitted(rows(course)[moments], np.ones(len(moments)), 0)
+    return Emitted(course.units[0], np.abs(course.levels[moments, 0]) ** 2, course.serial)
 
 
 def emitted_at_ends(emission: Emission, trace: StepTrace, step_s: float) -> Emitted:
-    """What sounds at the ends of a step's substeps, each of which takes step_s [s]."""
-    moments, course = trace.moments, trace.course
+    """What sounds at the ends of the substeps of one world's step, each of which takes step_s [s]."""
+    moments, course = trace.moments, trace.course(0)
     if not any(moments.held_s):
         return emitted_at(course, np.argmax(moments.last, axis=1))
-    emitted, drives = trace.begun, []
+    emitted, drives = trace.begun(0), []
     for end in trace.times:
-        emitted = emission.over(trace.posed, emitted, float(end) - step_s, 1)[1].end
-        drives.append(rows(emission.now(trace.posed, emitted, float(end)))[0])
-    return Emitted(np.array(drives), np.ones(len(drives)))
+        emitted = emission.over(trace.posed[0], emitted, float(end) - step_s, 1)[1].end
+        drives.append(rows(emission.now(trace.posed[0], emitted, float(end)))[0])
+    return Emitted(np.array(drives), np.ones(len(drives)), 0)
 
 
 class Recorder:
@@ -99,11 +103,11 @@ class Recorder:
         course = work.emission.now(posed, self.runtime.amplitudes, now_s)
         block = self._block(np.array([now_s]), posed, emitted_at(course, np.array([0])), motions)
         self.sink.append(block)
-        work.observer = self._observe
+        self.runtime.steps.observer = self._observe
 
     def stop(self) -> None:
         """Watch no longer."""
-        self.runtime.work.observer = None
+        self.runtime.steps.observer = None
         self.runtime.work.observe = (None,) * len(self.model.skins)
 
     def _observe(self, trace: StepTrace) -> None:
@@ -114,11 +118,10 @@ class Recorder:
         trace, self._trace = self._trace, None
         if trace is None:
             return
-        motions = [motion for motion in trace.motion if motion is not None]
-        block = self._block(
-            trace.times, trace.posed, emitted_at_ends(self.runtime.work.emission, trace, self.model.step_s), motions
-        )
-        posed = trace.posed
+        motions = [seen for watched in trace.motion for _, [seen] in watched]
+        [posed] = trace.posed
+        emitted = emitted_at_ends(self.runtime.work.emission, trace, self.model.step_s)
+        block = self._block(trace.times, posed, emitted, motions)
         block["/"]["step_time"] = np.array([self.world.time - self.model.spec.timestep_s - self.begun_s])
         frame = posed.array_frame
         for array, placement in zip(self.model.spec.arrays, posed.arrays.placements, strict=True):
@@ -128,21 +131,21 @@ class Recorder:
         for number, skin in enumerate(self.model.skins):
             self._add_body(block, skin.spec.name, skin.body, posed)
             if number in self._carried:
-                self._add_pressed(block, skin)
+                self._add_pressed(block, skin, posed)
         block[group("mujoco", MUJOCO_SCENE)] = {"pose": self._body_poses()[None]}
         for name, data in self._sensors:
             block[group("sensors", name)] = {"value": data[None].copy()}
         self.sink.append(block)
 
-    def _add_pressed(self, block: Block, skin: SkinModel) -> None:
+    def _add_pressed(self, block: Block, skin: SkinModel, posed: PosedScene) -> None:
         """ARP on the faces of a skin's body; a GPU adds up forces without it."""
         if self.runtime.work.device_sound is not None:
             return
         faces = len(skin.closed_surface[1])
-        known = self.runtime.work.unit_forces.pressed(skin.body)
+        pressure = self.runtime.steps.pressed(0, skin.body)
         arp: Float = np.zeros(faces)
-        if known is not None:
-            (*_, numbers), pressure = known
+        if pressure is not None:
+            *_, numbers = self.runtime.work.radiation.samples(posed, self.runtime.work.unit_forces.skins[skin.body])
             owners, samples, shares = skin.sample_faces
             at_samples: Float = np.zeros(int(samples.max()) + 1)
             at_samples[numbers] = pressure
@@ -187,7 +190,10 @@ class Recorder:
         """ARP and amplitude at a skin's surface nodes, shapes (t, S); keeps the loudest moment."""
         radiation = self.runtime.work.radiation
         if emitted.drives.ndim == 1:
-            unit, factors = radiation.on(posed, number, "nodes", emitted.drives), emitted.factors[:, None]
+            unit, factors = (
+                radiation.on(posed, number, "nodes", emitted.drives, emitted.serial),
+                emitted.factors[:, None],
+            )
             sound = SurfaceSound(
                 (factors * unit.arp).astype(np.float32), (np.sqrt(factors) * unit.amplitude).astype(np.float32)
             )

@@ -17,7 +17,7 @@ from palmfield.session.duration import check_duration, check_steps, check_time, 
 from palmfield.session.open_scene import Source, compiled
 from palmfield.session.skin import Skin, chosen_name
 from palmfield.session.worlds import WorldsSkin, open_worlds
-from palmfield.simulation.step_together import TogetherStep
+from palmfield.simulation.step import Steps
 from palmfield.types import Complex, Float
 
 
@@ -104,10 +104,9 @@ class Simulation:
         return self._scenes.runtimes[0]
 
     @property
-    def together(self) -> TogetherStep:
-        """The steps that worlds take together."""
-        assert isinstance(self._scenes, SceneWorlds)
-        return self._scenes.together
+    def steps(self) -> Steps:
+        """What steps sound and skins."""
+        return self._scenes.steps
 
     # -- stepping ------------------------------------------------------------------------------------------------
 
@@ -236,8 +235,6 @@ class Simulation:
 
 def _emitted(runtime: SceneRuntime) -> Complex:
     _, course = runtime.now()
-    if course.emitted is None and course.unit is None:
-        return np.zeros(len(runtime.model.arrays), np.complex128)
     return rows(course)[0]
 
 

@@ -4,7 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from palmfield.engine.scene_runtime import SceneRuntime, present_drive
+from palmfield.drive.transducer_response import present_drive
+from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.errors import SceneError
 from palmfield.simulation.model import SkinModel
 from palmfield.simulation.state import at_rest, stepper_of
@@ -87,7 +88,7 @@ class Skin:
         drive, factor = present_drive(course)
         if drive is None:
             return np.zeros(len(self.rest_position), np.float32)
-        sound = self._runtime.work.radiation.on(posed, self._number, "nodes", drive)
+        sound = self._runtime.work.radiation.on(posed, self._number, "nodes", drive, course.serial)
         return np.float32(factor) * sound.arp
 
 

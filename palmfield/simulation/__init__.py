@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from palmfield.simulation.sensors import CHANNELS, SkinReading
     from palmfield.simulation.spec import ArraySpec, ObstacleSpec, SceneSpec, SkinSpec, StimulusSpec
     from palmfield.simulation.state import HapticState, new_state
-    from palmfield.simulation.step import StepTrace, Workspace
+    from palmfield.simulation.step import StepTrace
+    from palmfield.simulation.workspace import Workspace
 
 _WHERE = {
     "model_of": "build",
@@ -29,7 +30,8 @@ _WHERE = {
     **dict.fromkeys(("CHANNELS", "SkinReading"), "sensors"),
     **dict.fromkeys(("ArraySpec", "ObstacleSpec", "SceneSpec", "SkinSpec", "StimulusSpec"), "spec"),
     **dict.fromkeys(("HapticState", "new_state"), "state"),
-    **dict.fromkeys(("StepTrace", "Workspace"), "step"),
+    "StepTrace": "step",
+    "Workspace": "workspace",
 }
 __all__ = [
     "CHANNELS",

@@ -15,7 +15,7 @@ from palmfield.drive.array_drive import ArrayDrive
 from palmfield.drive.board import Board
 from palmfield.drive.boards import BOARDS, board_of
 from palmfield.drive.response import Pole
-from palmfield.drive.transducer_response import transducer_response
+from palmfield.drive.transducer_response import TransducerResponse, transducer_response
 from palmfield.errors import SceneError, naming
 from palmfield.hand.meshfile import load_mesh
 from palmfield.hand.meshquery import barycentric, build_mesh, closest_faces
@@ -189,12 +189,20 @@ def _new_body(skin: SkinConfig) -> BodyModel:
     return BodyModel(skin.body, hand.surface, bones, hand.depth_to_bone)
 
 
+Responses = dict[StimulusSpec, TransducerResponse]
+"""Of stimuli at any level."""
+
+
 def stimuli_of(
-    spec: SceneSpec, arrays: PhasedArray, board: Board, carriers: Sequence[BodyModel]
+    spec: SceneSpec,
+    arrays: PhasedArray,
+    board: Board,
+    carriers: Sequence[BodyModel],
+    known: Responses | None = None,
 ) -> tuple[tuple[StimulusModel, ...], Pole, bool]:
     """The stimuli, the pole of all transducers, and whether their ring-up is modelled.
 
-    carriers: the body of each skin
+    carriers: the body of each skin; known: responses that other worlds of the scene have, which are added to
     """
     strictest = min(skin.config.accuracy for skin in spec.skins)
     scattering = any(skin.config.body_sound == "scattering" for skin in spec.skins)
@@ -202,7 +210,8 @@ def stimuli_of(
     for stimulus in spec.stimuli:
         check_board(stimulus, board)
         carrier = None if stimulus.on_skin is None else carriers[stimulus.on_skin]
-        stimuli.append(_stimulus(stimulus, spec, arrays, board, carrier, strictest, spread=not scattering))
+        own = {} if known is None else known
+        stimuli.append(_stimulus(stimulus, spec, arrays, board, carrier, strictest, own, spread=not scattering))
     pole = stimuli[0].response.pole
     response_on = any(stimulus.response.on for stimulus in stimuli)
     # Transducers of one scene ring up, or none do: their sounds add up in one state.
@@ -219,13 +228,14 @@ def _stimulus(
     board: Board,
     carrier: BodyModel | None,
     accuracy: float,
+    known: Responses,
     *,
     spread: bool,
 ) -> StimulusModel:
     """A stimulus with its path and its transducers' response.
 
-    carrier: the body that its path runs on; accuracy: the strictest of all skins; spread: whether flight times may
-        differ
+    carrier: the body that its path runs on; accuracy: the strictest of all skins; known: see `stimuli_of`; spread:
+        whether flight times may differ
     """
     config: StimulusConfig = spec.config
     path, body = None, None
@@ -249,8 +259,22 @@ def _stimulus(
         drive = ArrayDrive(arrays, transducers.astype(np.int32), config.arp_peak_Pa, amplitude, board, about[:1], about)
         foci = focal_points.at(frame_at(config, config.start_s).focus)
         silent = not np.any(drive.unit_drive(foci).amplitudes)
-        response = transducer_response(config, drive, focal_points, array_instances(scene), accuracy, spread=spread)
+        # The same at any level that the board plays as it is
+        key = replace(spec, config=at_any_level(spec.config)) if board.exact else spec
+        response = known.get(key)
+        if response is None:
+            response = transducer_response(config, drive, focal_points, array_instances(scene), accuracy, spread=spread)
+            known[key] = response
     return StimulusModel(spec, config, transducers.astype(np.int32), path, offsets, response, foci, silent)
+
+
+def at_any_level(config: StimulusConfig) -> StimulusConfig:
+    """Equal for stimuli that differ in their level alone; where the duty is modulated, which changes the ARP's course,
+    the stimulus itself."""
+    if config.am_quantity == "duty":
+        return config
+    by_pressure = config.arp_peak_Pa is not None
+    return config.model_copy(update={"arp_peak_Pa": 1.0 if by_pressure else None, "drive_amplitude": None})
 
 
 def _path_on(spec: StimulusSpec, carrier: BodyModel, body: Transform) -> SurfacePath:

@@ -9,7 +9,15 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from palmfield.locked import Lazy
-from palmfield.simulation.build import demands_of, layers_for, model_of, stimuli_of, whole_of
+from palmfield.simulation.build import (
+    Responses,
+    at_any_level,
+    demands_of,
+    layers_for,
+    model_of,
+    stimuli_of,
+    whole_of,
+)
 from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
 from palmfield.simulation.posed_scene import STILL
 from palmfield.simulation.small_models.choice import choose_stepper, common_choice, first_stepper
@@ -49,9 +57,10 @@ def build_worlds(
     first = model_of(scene or specs[0])
     carriers = [first.bodies[skin.body] for skin in first.skins]
     stimuli: dict[SceneSpec, Stimuli] = {first.spec: (first.stimuli, first.response_on)} if scene is None else {}
+    responses: Responses = {}
     for spec in specs:
         if spec not in stimuli:
-            made, _, response_on = stimuli_of(spec, first.arrays, first.board, carriers)
+            made, _, response_on = stimuli_of(spec, first.arrays, first.board, carriers, responses)
             stimuli[spec] = made, response_on
     loads = {spec: load_key(made, first.board.exact) for spec, (made, _) in stimuli.items()}
     sounding = {spec: parts for spec, parts in stimuli.items() if loads[spec] is not None}
@@ -147,10 +156,5 @@ def load_key(stimuli: Sequence[StimulusModel], exact: bool) -> tuple[object, ...
         return None
     parts = []
     for stimulus in stimuli:
-        config = stimulus.config
-        by_pressure = config.arp_peak_Pa is not None
-        level = {"arp_peak_Pa": 1.0 if by_pressure else None, "drive_amplitude": None}
-        # Where the duty is modulated the ARP has another course at each level
-        alike = exact and config.am_quantity != "duty"
-        parts.append((config.model_copy(update=level) if alike else config, stimulus.silent))
+        parts.append((at_any_level(stimulus.config) if exact else stimulus.config, stimulus.silent))
     return tuple(parts)

@@ -25,16 +25,18 @@ from palmfield.device import (
     Branches,
     SharedArray,
     SharedBlock,
+    check_room,
     filled,
     launch,
     launching,
+    nbytes,
     replayed,
     resolve,
     vectors,
     whole_numbers,
 )
 from palmfield.drive.path_drives import PathDrives, PathMemory, PathStep, foci_made, push_rows
-from palmfield.drive.transducer_response import EmittedCourse, present_drive
+from palmfield.drive.transducer_response import EmittedCourse, of_drives, present_drive
 from palmfield.errors import PalmfieldError
 from palmfield.hand.posed_surface import SkinBinding
 from palmfield.hand.rigged import strongest
@@ -79,20 +81,17 @@ Parts = Mapping[str, tuple[tuple[int, ...], Any]]
 
 class Sounding(NamedTuple):
     """Drives whose sums sound. units: shape (k, N); levels: of each sum, shape (m, k), None for each drive by itself;
-    weights: of the sums in a mean, shape (m,)"""
+    serial: equal for the same sums; weights: of the sums in a mean, shape (m,)"""
 
     units: Complex
-    levels: Complex | None = None
+    levels: Complex | None
+    serial: int
     weights: Float | None = None
 
     @property
     def sums(self) -> int:
         """How many sums there are."""
         return len(self.units if self.levels is None else self.levels)
-
-    def same(self, other: "Sounding | None") -> bool:
-        """Whether all numbers are equal."""
-        return other is not None and all(_same(one, its) for one, its in zip(self, other, strict=True))
 
 
 class SkinStart(NamedTuple):
@@ -111,11 +110,11 @@ class SkinEnd(NamedTuple):
 
 
 class _SkinStep(NamedTuple):
-    """What a step of a skin was computed from. load: what sounds over it, None in silence, or the course that the
-    device computed; weights: of its patterns"""
+    """What a step of a skin was computed from. pose, load: serial numbers of the scene and the course; weights: of its
+    patterns"""
 
-    posed: PosedScene
-    load: Sounding | EmittedCourse | None
+    pose: int
+    load: int
     stepper: SkinStepper
     numbers: Float
     weights: Float
@@ -197,7 +196,7 @@ class DeviceSound:
         moments, course = emission.over(posed, emitted, t0, self.model.substeps)
         mean = emission.mean_drives(posed, emitted, t0)
         steps = self._steps(posed, moments, course, skins or {})
-        self.update(posed, mean, course, present_drive(emission.now(posed, emitted, t0))[0], steps)
+        self.update(posed, mean, course, emission.now(posed, emitted, t0), steps)
         return self.forces(posed)
 
     def _steps(
@@ -208,13 +207,9 @@ class DeviceSound:
         for number, start in skins.items():
             model = self._model(number, start.stepper)
             if model is not None:
-                weights = model.weights(*pattern_weights(moments, course))
-                steps[number] = _SkinStep(posed, self._load(course), start.stepper, start.numbers.copy(), weights)
+                weights = model.weights(*_pattern_weights(moments, course))
+                steps[number] = _SkinStep(posed.serial, course.serial, start.stepper, start.numbers.copy(), weights)
         return steps
-
-    def _load(self, course: EmittedCourse) -> Sounding | EmittedCourse | None:
-        """What tells a course's load from others."""
-        return course if self._path is not None and course is self._path.course else _of_course(course)
 
     def _over_path(
         self,
@@ -234,7 +229,9 @@ class DeviceSound:
         elif self._driven is not posed.arrays:
             self._drives.move(drive)
             self._driven = posed.arrays
-        course = EmittedCourse(None, None, None, np.empty(len(emitted), np.complex128))
+        moments = len(path.moments.times)
+        nobody_knows = np.empty((moments, 0), np.complex128)
+        course = of_drives(nobody_knows, np.empty(len(emitted), np.complex128))
         self._path = known = _PathKnown(posed, t0, emitted.copy(), path.moments, course)
         steps = self._steps(posed, path.moments, course, skins)
         count = len(path.moments.times)
@@ -274,38 +271,34 @@ class DeviceSound:
         posed: PosedScene,
         mean: MeanDrives,
         course: EmittedCourse,
-        now: Complex | None,
+        now: EmittedCourse,
         skins: Mapping[int, "_SkinStep"] = NO_SKINS,
     ) -> None:
         """Compute the sound of a step.
 
-        mean: drives of the mean force over it; course: what is emitted over it; now: the drive that the sensors read,
-        shape (N,), None in silence; skins: which are stepped, by number, and how
+        mean: drives of the mean force over it; course: what is emitted over it; now: what the sensors read, a course of
+        one moment; skins: which are stepped, by number, and how
         """
         force, self._force_scale = _of_mean(mean)
         self._pushes = force is not None
-        sounding = {LOAD: _of_course(course), FORCE: force, NOW: None if now is None else Sounding(now[None])}
+        drive, _ = present_drive(now)
+        present = None if drive is None else Sounding(drive[None], None, now.serial)
+        sounding = {LOAD: _of_course(course), FORCE: force, NOW: present}
         self._launch(posed, sounding, skins)
 
     def stepped(
-        self,
-        skin: int,
-        stepper: SkinStepper,
-        numbers: Float,
-        posed: PosedScene,
-        moments: Moments,
-        course: EmittedCourse,
+        self, skin: int, stepper: SkinStepper, numbers: Float, keys: tuple[int, int], ends: tuple[Float, Float]
     ) -> SkinEnd | None:
-        """A skin after a step that begins with numbers (state_size,); None where `over` wasn't asked for just that."""
+        """A skin after a step that begins with numbers (state_size,); None where `over` has computed another.
+
+        keys: serial numbers of scene and course; ends: weights of its patterns at the beginning and the end of each
+        substep, shapes (s, p)
+        """
         known, work = self._skins.get(skin), self.work
-        if known is None or work is None or known.posed is not posed or known.stepper is not stepper:
+        if known is None or work is None or known.stepper is not stepper or (known.pose, known.load) != keys:
             return None
-        model, load = self._models[skin, stepper], self._load(course)
-        weights = model.weights(*pattern_weights(moments, course)) if model is not None else None
-        alike = load is known.load
-        if isinstance(load, Sounding) and isinstance(known.load, Sounding):
-            alike = load.same(known.load)
-        if model is None or not alike or not _same(weights, known.weights) or not _same(numbers, known.numbers):
+        model = self._models[skin, stepper]
+        if model is None or not _same(model.weights(*ends), known.weights) or not _same(numbers, known.numbers):
             return None
         hosts = work.forces.hosts
         sums = np.add.reduce(hosts[f"squares_{skin}"][0], axis=(1, 2))
@@ -338,13 +331,13 @@ class DeviceSound:
         It is computed again where the last step's was for another pose or course. A view that the next step overwrites.
         """
         known = self._path
-        if known is not None and course is known.course and self._posed is posed:
+        if known is not None and course.serial == known.course.serial and self._posed is posed:
             sums = len(known.moments.times)
         else:
             wanted = _of_course(course)
             assert wanted is not None
             sums = wanted.sums
-            if self._posed is not posed or not wanted.same(self._sounding.get(LOAD)):
+            if self._posed is not posed or not _holds(self._sounding.get(LOAD), wanted):
                 self._launch(posed, self._sounding | {LOAD: wanted})
         work = self.work
         assert work is not None
@@ -363,12 +356,12 @@ class DeviceSound:
             return None
         return float(work.forces.hosts["probes"][0, work.probes.index((skin, place))])
 
-    def probed(self, skin: int, place: SensorPlace, posed: PosedScene, drive: Complex) -> float | None:
-        """ARP [Pa] at a sensor's place for a drive, shape (N,); None where the last step wasn't for that."""
+    def probed(self, skin: int, place: SensorPlace, posed: PosedScene, serial: int) -> float | None:
+        """ARP [Pa] at a sensor's place for a drive, by its serial number; None where the last step wasn't for that."""
         known, work = self._sounding.get(NOW), self.work
         if work is None or self._posed is not posed or known is None or (skin, place) not in work.probes:
             return None
-        if not _same(known.units[0], drive):
+        if known.serial != serial:
             return None
         return float(work.forces.hosts["probes"][0, work.probes.index((skin, place))])
 
@@ -381,7 +374,7 @@ class DeviceSound:
         changed = [
             name
             for name, one in sounding.items()
-            if one is not None and (moved or not one.same(self._sounding.get(name)))
+            if one is not None and (moved or not _holds(self._sounding.get(name), one))
         ]
         self._skins, self._path = NO_SKINS, None
         if not changed and not skins:
@@ -452,14 +445,15 @@ class DeviceWork:
         models: Mapping[int, DeviceModel] | None = None,
         drives: PathDrives | None = None,
         worlds: int = 1,
-        more: tuple[Parts, Parts] | None = None,
+        more: tuple[Parts, Parts, tuple[str, ...]] | None = None,
     ):
         """worlds: how many
 
-        more: further inputs and results, for worlds that are stepped together: of what is usual, only what GOING and
-            COMING name goes in and out then, and skins get pressure only where the steppers of `models` take it
+        more: further inputs and results, for worlds that are stepped together, and names: of what is usual, only what
+            these, GOING and COMING name goes in and out then, and skins get pressure only where the steppers of
+            `models` take it
         """
-        chosen, (asked, told) = more is not None, more or ({}, {})
+        chosen, (asked, told, shared) = more is not None, more or ({}, {}, ())
         self.models, self.drives = dict(models or {}), drives
         self.model, self.device, self.probes = model, transducers.device, tuple(probes)
         self._rows = _motion_rows(model)
@@ -484,7 +478,17 @@ class DeviceWork:
         if drives is not None:
             parts |= PathMemory.inputs(sizes[LOAD][0], sizes[FOCI][0], transducers.count, worlds)
             results |= PathMemory.results(sizes[FOCI][0], transducers.count, worlds)
-        kept = {name: part for name, part in (parts | results).items() if chosen and name not in GOING + COMING}
+        kept = {
+            name: part for name, part in (parts | results).items() if chosen and name not in GOING + COMING + shared
+        }
+        steppers = {number: one.stepper for number, one in self.models.items()} if chosen else {}
+        samples = sum(len(body.sample_parts) for body in reference.bodies)
+        loaded = sum(len(_loaded(skin, steppers.get(number))[0]) for number, skin in enumerate(model.skins))
+        # Points and normals; areas and loads of samples; what presses
+        points_bytes = 24 * (samples + loaded + len(probes)) + 16 * samples
+        points_bytes += 4 * (sizes[FORCE][1] * samples + sizes[LOAD][1] * loaded)
+        tables = nbytes(parts) + nbytes(results) + nbytes(asked) + nbytes(told)
+        check_room(worlds * points_bytes + tables, worlds, self.device)
         self.inputs = SharedBlock(
             {name: part for name, part in parts.items() if name not in kept} | dict(asked), self.device
         )
@@ -496,7 +500,6 @@ class DeviceWork:
             arrays[name] = wp.zeros(shape, dtype=dtype, device=self.device)
         motions = filled(carrying.Motions(), turns=arrays["turns"], shifts=arrays["shifts"])
         meshes = self._meshes(reference)
-        steppers = {number: one.stepper for number, one in self.models.items()} if chosen else {}
         points = _ScenePoints(model, reference, self._rows, probes, self.device, worlds, steppers)
         self._chosen = chosen
         self.quadrature = points.quadrature
@@ -945,25 +948,25 @@ def _same(one: Complex | Float | None, other: Complex | Float | None) -> bool:
     return one.shape == other.shape and not np.logical_or.reduce(one != other, axis=None)
 
 
-def pattern_weights(moments: Moments, course: EmittedCourse) -> tuple[Float, Float]:
-    """Weights of a course's patterns of pressure at the beginning and the end of each substep, shapes (s, m)."""
-    if course.levels is None:
+def _holds(known: Sounding | None, wanted: Sounding) -> bool:
+    """Whether what sounded last gives what is wanted."""
+    return known is not None and known.serial == wanted.serial
+
+
+def _pattern_weights(moments: Moments, course: EmittedCourse) -> tuple[Float, Float]:
+    """Weights of a course's patterns of pressure at the beginning and the end of each substep, shapes (s, p)."""
+    if len(course.units) > 1:
         return moments.first, moments.last
-    if course.unit is None:
-        nothing = np.zeros((len(moments.first), 1))
-        return nothing, nothing
-    factors = (np.abs(course.levels) ** 2)[:, None]
-    return moments.first @ factors, moments.last @ factors
+    shares = course.shares
+    return moments.first @ shares, moments.last @ shares
 
 
 def _of_course(course: EmittedCourse) -> Sounding | None:
     """What presses on the skins over a step; None in silence."""
-    if course.levels is not None:
-        return None if course.unit is None else Sounding(course.unit[None])
-    assert course.emitted is not None
-    if course.parts is not None:
-        return Sounding(course.parts.units, course.parts.levels)
-    return Sounding(course.emitted)
+    if len(course.units) == 0:
+        return None
+    few = 1 < len(course.units) < len(course.levels)
+    return Sounding(course.units, course.levels if few else None, course.serial)
 
 
 def _of_mean(mean: MeanDrives) -> tuple[Sounding | None, float]:
@@ -971,5 +974,5 @@ def _of_mean(mean: MeanDrives) -> tuple[Sounding | None, float]:
     if len(mean.weights) == 0:
         return None, 0.0
     if len(mean.weights) == 1:
-        return Sounding(mean.units, None, np.ones(1)), float(mean.weights[0])
-    return Sounding(*mean), 1.0
+        return Sounding(mean.units, None, mean.serial, np.ones(1)), float(mean.weights[0])
+    return Sounding(mean.units, mean.levels, mean.serial, mean.weights), 1.0

@@ -14,14 +14,16 @@ from palmfield.drive.board import Board
 from palmfield.drive.path_drives import PathStep
 from palmfield.drive.transducer_response import (
     NO_LAG,
+    Batch,
     EmittedCourse,
     combined,
     commanded_drive,
     delays_now,
     emitted_now,
     emitted_over,
-    rows,
+    of_drives,
 )
+from palmfield.locked import next_serial
 from palmfield.simulation.model import HapticModel, StimulusModel, about_stimulus
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.stimulus.focal_points import FocalPoints
@@ -37,6 +39,8 @@ LEAST_MEANS = 4
 By estimate two parts leave 5 % of error in the millisecond in which transducers ring up, and then 1 % for 7 m/s."""
 BOOLE, BOOLE_SHARES = 4, np.array([7.0, 32.0, 12.0, 32.0, 7.0]) / 90.0
 """Parts of a step over which a course goes along a straight line, and the shares of their ends in its mean."""
+AHEAD, WORTHWHILE = 128, 32
+"""Substeps that are looked ahead where nothing moves, and different drives among them from which that pays."""
 NEGLIGIBLE = 1e-5
 """Share of the emitted power that the mean force may leave out."""
 
@@ -44,15 +48,26 @@ NEGLIGIBLE = 1e-5
 class MeanDrives(NamedTuple):
     """What gives a mean ARP: weights @ ARP(levels @ units). weights: shape (m,), none in silence.
 
-    units: drives, shape (k, N); levels: complex, shape (m, k)
+    units: drives, shape (k, N); levels: complex, shape (m, k); serial: as of EmittedCourse
     """
 
     units: Complex
     levels: Complex
     weights: Float
+    serial: int
 
 
-SILENCE = MeanDrives(np.zeros((0, 0), np.complex128), np.zeros((0, 0), np.complex128), np.zeros(0))
+SILENCE = MeanDrives(np.zeros((0, 0), np.complex128), np.zeros((0, 0), np.complex128), np.zeros(0), 0)
+
+
+class _Coming(NamedTuple):
+    """A step that was looked at ahead. pose: its serial number; begun: what is emitted at t0 [s], shape (N,)"""
+
+    pose: int
+    t0: float
+    begun: Complex
+    moments: Moments
+    course: EmittedCourse
 
 
 class PlacedStimulus(NamedTuple):
@@ -74,21 +89,32 @@ class Emission:
     """Drives and emission of a model's transducers.
 
     held: of each stimulus with a control rate, None before its first step; holds: whether there is such a stimulus
+    ahead: whether steps are looked at ahead while nothing moves, so that the fields of all are one product
     """
+
+    ahead = False
 
     def __init__(self, model: HapticModel):
         self.model = model
         self.held: list[HeldPoints | None] = [None] * len(model.stimuli)
         self._drives: tuple[PhasedArray, list[ArrayDrive]] = (model.arrays, array_drives(model, model.arrays))
         self._placed: tuple[PosedScene | None, list[PlacedStimulus]] = (None, [])
-        self._over: tuple[PosedScene, tuple[float, int, bytes], tuple[Moments, EmittedCourse]] | None = None
-        self._now: tuple[PosedScene, tuple[float, bytes], EmittedCourse] | None = None
+        self._over: tuple[tuple[int, float, int, bytes], tuple[Moments, EmittedCourse]] | None = None
+        self._now: tuple[tuple[int, float, bytes], EmittedCourse] | None = None
+        self._coming: list[_Coming] = []
+        self._last_pose = 0  # of the last step, by its serial number
         self.holds = any(config.control_rate_Hz > 0.0 for config in model.configs)
         self._moves_alone = _moves_alone(model, self._drives[1])
 
     def forget(self) -> None:
-        """Begin again, as at the start of a run: nothing is held."""
+        """Begin again, as at the start of a run: nothing is held or looked at ahead."""
         self.held = [None] * len(self.model.stimuli)
+        self._coming, self._last_pose = [], 0
+
+    def adopt(self, other: "Emission") -> None:
+        """Go on from another's, in a copy of its state in the same PosedScenes."""
+        self.held = list(other.held)
+        self._coming, self._last_pose = list(other._coming), other._last_pose
 
     def begin(self, posed: PosedScene, time_s: float) -> None:
         """Take the stimuli's points where a step begins, for those whose control tick is due."""
@@ -126,14 +152,46 @@ class Emission:
 
     def over(self, posed: PosedScene, emitted: Complex, t0: float, count: int) -> tuple[Moments, EmittedCourse]:
         """What is emitted at the moments of `count` substeps from t0 [s] on; emitted: at t0, shape (N,)."""
-        model, last, key = self.model, self._over, (round(t0, 12), count, emitted.tobytes())
-        # It is asked twice in a step: for the mean force, and for the skins' loads
-        if last is not None and last[0] is posed and last[1] == key and not self.holds:
-            return last[2]
-        moments = substep_moments(model.configs, t0, model.step_s, count)
-        result = moments, self._course(posed, emitted, t0, moments)
-        self._over = posed, key, result
+        model, last, key = self.model, self._over, (posed.serial, round(t0, 12), count, emitted.tobytes())
+        # The mean force and the skins' loads take the same
+        if last is not None and last[0] == key and not self.holds:
+            return last[1]
+        result = self._looked_ahead(posed, emitted, t0) if self.ahead and count == model.substeps else None
+        if result is None:
+            moments = substep_moments(model.configs, t0, model.step_s, count)
+            result = moments, self._course(posed, emitted, t0, moments)
+        self._over = key, result
         return result
+
+    def _looked_ahead(self, posed: PosedScene, emitted: Complex, t0: float) -> tuple[Moments, EmittedCourse] | None:
+        """A step from among those that were looked at ahead, in a pose in which the last step was taken."""
+        still, self._last_pose = posed.serial == self._last_pose, posed.serial
+        coming = self._coming.pop(0) if self._coming else None
+        if still and (coming is None or not _begins(coming, posed, emitted, t0)):
+            self._coming = self._look_ahead(posed, emitted.copy(), t0)
+            coming = self._coming.pop(0)
+        if not still or coming is None:
+            self._coming = []
+            return None
+        return coming.moments, coming.course
+
+    def _look_ahead(self, posed: PosedScene, begun: Complex, t0: float) -> list[_Coming]:
+        """The next steps, AHEAD substeps in all, with a batch of their drives."""
+        model, steps = self.model, list[_Coming]()
+        while not steps or len(steps) * model.substeps < AHEAD:
+            moments = substep_moments(model.configs, t0, model.step_s, model.substeps)
+            course = self._course(posed, begun, t0, moments)
+            steps.append(_Coming(posed.serial, t0, begun, moments, course))
+            begun, t0 = course.end, t0 + model.spec.timestep_s
+        if not all(len(one.course.units) == len(one.course.levels) > 1 for one in steps):
+            return steps
+        drives = np.concatenate([one.course.units for one in steps])
+        # A focus that rests at a few points is a few drives: each of them costs less by itself
+        changes = np.logical_or.reduce(drives[1:] != drives[:-1], axis=1)
+        if np.add.reduce(changes) + 1 < WORTHWHILE:
+            return steps
+        batch, count = Batch(next_serial(), drives), len(steps[0].course.levels)
+        return [one._replace(course=one.course._replace(batch=batch, row=count * i)) for i, one in enumerate(steps)]
 
     def _course(self, posed: PosedScene, emitted: Complex, t0: float, moments: Moments) -> EmittedCourse:
         courses = []
@@ -168,18 +226,18 @@ class Emission:
     def now(self, posed: PosedScene, emitted: Complex, time_s: float) -> EmittedCourse:
         """What is emitted at the present time [s], as a course of one moment; emitted: shape (N,)."""
         # The sensors of several skins ask for the same
-        last, key = self._now, (time_s, emitted.tobytes())
-        if last is not None and last[0] is posed and last[1] == key and not self.holds:
-            return last[2]
+        last, key = self._now, (posed.serial, time_s, emitted.tobytes())
+        if last is not None and last[0] == key and not self.holds:
+            return last[1]
         first = None if self.model.response_on else self._first(posed, emitted, time_s)
         if first is not None:
-            result = EmittedCourse(None, None, first, emitted)
+            result = of_drives(first, emitted)
         else:
             courses = []
             for part, drive, place in self.placed(posed, time_s):
                 courses.append(emitted_now(part.config, drive, part.response, emitted, place, time_s))
             result = courses[0] if len(courses) == 1 else combined(courses)
-        self._now = posed, key, result
+        self._now = key, result
         return result
 
     def _first(self, posed: PosedScene, emitted: Complex, t0: float) -> Complex | None:
@@ -187,13 +245,13 @@ class Emission:
 
         Only along a straight line from there; asked where what is commanded sounds at once.
         """
-        over = self._over
-        if over is None or over[0] is not posed or self.holds:
+        if self._over is None or self.holds:
             return None
-        (begin, _, before), (moments, course) = over[1:]
-        if course.emitted is None or moments.held_s[0] > 0.0 or (begin, before) != (round(t0, 12), emitted.tobytes()):
+        (pose, begin, _, before), (moments, course) = self._over
+        same = (pose, begin, before) == (posed.serial, round(t0, 12), emitted.tobytes())
+        if not same or moments.held_s[0] > 0.0 or not len(course.units) == len(course.levels) > 1:
             return None
-        return course.emitted[:1]
+        return course.units[:1]
 
     def commanded(self, posed: PosedScene, times: Float) -> Complex:
         """What the transducers are told at some times [s], shape (k, N); what they make of it comes later."""
@@ -242,9 +300,10 @@ class Emission:
             points, factors = frames_at(part.config, np.array([t0]))
             first = self._first(posed, emitted, t0)
             if first is not None and factors[0] > 0.0:
-                return of_one(first[0], level / factors[0])
+                return of_one(first, level / factors[0], next_serial())
             point = points[0]
-        return of_one(drive.unit_drive_at(place, point).amplitudes, level)
+        unit = drive.unit_drive_at(place, point)
+        return of_one(unit.amplitudes[None], level, unit.serial)
 
 
 def mean_weights(moments: Moments) -> Float:
@@ -261,9 +320,9 @@ def mean_weights(moments: Moments) -> Float:
     return np.asarray(0.5 * np.add.reduce(moments.first + moments.last, axis=0) / len(moments.first))
 
 
-def of_one(unit: Complex, weight: float) -> MeanDrives:
-    """The mean ARP of one drive, shape (N,), that gets louder and softer."""
-    return MeanDrives(unit[None], np.ones((1, 1), np.complex128), np.array([weight]))
+def of_one(unit: Complex, weight: float, serial: int) -> MeanDrives:
+    """The mean ARP of one drive, shape (1, N), that gets louder and softer."""
+    return MeanDrives(unit, np.ones((1, 1), np.complex128), np.array([weight]), serial)
 
 
 def of_moments(course: EmittedCourse, weights: Float) -> MeanDrives:
@@ -271,20 +330,34 @@ def of_moments(course: EmittedCourse, weights: Float) -> MeanDrives:
 
     The moments stay apart: which points are lit goes by each moment's own flow of energy.
     """
-    if course.levels is not None:
-        level = float(weights @ np.abs(course.levels) ** 2)
-        return SILENCE if course.unit is None or level == 0.0 else of_one(course.unit, level)
-    if course.parts is not None:
-        return MeanDrives(*course.parts, weights)
+    if len(course.units) < 2:
+        level = float(np.add.reduce(weights @ np.abs(course.levels) ** 2))
+        return SILENCE if level == 0.0 else of_one(course.units, level, course.serial)
+    if len(course.units) < len(course.levels):
+        return MeanDrives(course.units, course.levels, weights, next_serial())
     counted = weights > 0.0
     roots = np.sqrt(weights[counted])[:, None]
-    scaled = roots * rows(course)[counted]
+    scaled = roots * course.units[counted]
     powers, shares = np.linalg.eigh(scaled @ scaled.conj().T)
     kept = powers > NEGLIGIBLE * powers[-1]
     if not np.logical_or.reduce(kept):
         return SILENCE
     levels = np.asarray(shares[:, kept] / roots, np.complex128)
-    return MeanDrives(shares.conj().T[kept] @ scaled, levels, weights[counted])
+    return MeanDrives(shares.conj().T[kept] @ scaled, levels, weights[counted], next_serial())
+
+
+def _begins(step: _Coming, posed: PosedScene, emitted: Complex, t0: float) -> bool:
+    """Whether a step begins so."""
+    here = step.pose == posed.serial and abs(step.t0 - t0) < TICK_S
+    return here and not np.logical_or.reduce(step.begun != emitted)
+
+
+def looks_ahead(model: HapticModel) -> bool:
+    """Whether coming drives differ, and one product gives the load of many of them."""
+    changing = any(part.config.path != "point" or part.response.delayed for part in model.stimuli)
+    free = all(skin.spec.config.body_sound == "none" for skin in model.skins)
+    alike = len(model.arrays.groups) == 1 and model.arrays.wall_m is None
+    return changing and free and alike and model.arrays.precision == "fast"
 
 
 def _moves_alone(model: HapticModel, drives: list[ArrayDrive]) -> bool:

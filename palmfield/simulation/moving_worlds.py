@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
 from palmfield.acoustics.point_sound import Transducers
 from palmfield.acoustics.surface_load import CLEARANCE_M
@@ -20,12 +19,13 @@ from palmfield.drive.path_drives import PathDrives, aim_of, foci_made, push_rows
 from palmfield.drive.transducer_response import SILENT
 from palmfield.simulation.device_sound import FOCI, FORCE, LOAD, NOW, DeviceWork, serves
 from palmfield.simulation.emission import LEAST_MEANS, array_drives, mean_weights
+from palmfield.simulation.kept import Bool, Rows
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PoseLayout
 from palmfield.simulation.sensors import SensorPlace
 from palmfield.simulation.small_models.leaving import leaves_class, loudest_load
 from palmfield.simulation.state import HEADER, WHOLE, HapticState, check_arrays, claim, stepper_of
-from palmfield.simulation.step import Workspace
+from palmfield.simulation.workspace import Workspace
 from palmfield.skin.reduction.device_models import SECTIONS
 from palmfield.skin.stepper import DeviceModel, Outside
 from palmfield.stimulus.focal_points import FocalPoints
@@ -34,8 +34,7 @@ from palmfield.transforms import IDENTITY
 from palmfield.types import Float
 from warp_kernels import world_steps as kernels
 
-Bool = NDArray[np.bool_]
-Rows = NDArray[np.intp]
+NOTHING = 1e-300
 AHEAD = 32
 """Steps for which foci and levels are computed in one go."""
 
@@ -59,15 +58,19 @@ class MovingWorlds:
     some: whether any world can ever take its step here; joined: numbers of those that take the present one, shape (g,)
     """
 
-    def __init__(self, models: Sequence[HapticModel], works: Sequence[Workspace], state: HapticState):
-        self.models, self.works, self.state = models, works, state
+    def __init__(self, models: Sequence[HapticModel], works: Sequence[Workspace], state: HapticState, alone: bool):
+        """alone: whether nobody else writes the state, so that it stays on the device from step to step"""
+        self.models, self.works, self.state, self._alone = models, works, state, alone
         self._layout = PoseLayout.of(models[0])
         able = [may_join(model, self._layout) for model in models]
         self.some = any(able)
         self.joined: Rows = np.zeros(0, dtype=np.intp)
         self._probes: list[tuple[int, SensorPlace]] = []
-        self._work: _WorldsWork | None = None
+        self._columns: list[int] = []  # of each among those of its skin
+        self._work: WorldsWork | None = None
         self._ahead: _Ahead | None = None
+        self._numbers: list[Float] = []
+        self._seen: dict[int, Outside] = {}  # what lies outside the modes' class in this step, by skin, shape (w,) each
         if not self.some:
             return
         self._rings = models[able.index(True)].response_on
@@ -85,13 +88,13 @@ class MovingWorlds:
         self._loudest: Float = np.zeros((len(models[0].skins), len(models)))
         self._sums: Float = np.zeros((len(models[0].skins), SECTIONS, len(models)))
 
-    def watch(self, skin: int, place: SensorPlace) -> int:
-        """Compute what a sensor reads there as well; its number among those that are watched."""
+    def watch(self, skin: int, place: SensorPlace) -> None:
+        """Compute what a sensor reads there as well."""
         if (skin, place) not in self._probes:
             self.fetch()
+            self._columns.append(sum(other == skin for other, _ in self._probes))
             self._probes.append((skin, place))
             self._work = None
-        return self._probes.index((skin, place))
 
     def forget(self) -> None:
         """What is in the state now has not come from here: after a reset, or in a copy."""
@@ -135,18 +138,21 @@ class MovingWorlds:
         joins &= ~np.logical_or.reduce((self._edges > t0 + TICK_S) & (self._edges <= end), axis=1)
         for part in self.state.skins:
             joins &= part[:, 0] != WHOLE
-        if joins.any():
+        if np.logical_or.reduce(joins):
             work = self._work or self._made()
-            self._bring(work, joins)
+            if self._alone:
+                self._bring(work, joins)
+            else:
+                self._take(work)
             sounds = self._fill(work, places, axes, t0, joins)
             work.step()
             joins &= self._good(work, sounds)
-        if np.logical_and(self._here, ~joins).any():
+        if np.logical_or.reduce(self._here & ~joins):
             self.fetch()
             self._here &= joins
         self.joined = joins.nonzero()[0]
 
-    def _made(self) -> "_WorldsWork":
+    def _made(self) -> "WorldsWork":
         """Memory and graph for what is watched now. Raises DeviceError where the device has no room for it."""
         first = self.models[0]
         steppers: dict[int, DeviceModel] = {}
@@ -157,24 +163,37 @@ class MovingWorlds:
             steppers[number] = model
         aims = [aim_of(array_drives(self.models[world], first.arrays)[0]) for world in self._leading]
         of_worlds = np.array(aims)[self._kinds]
-        self._work = _WorldsWork(self.models, self.works[0], self._layout, self._probes, steppers, of_worlds)
+        self._work = WorldsWork(
+            self.models, self.works[0], self._layout, self._probes, steppers, of_worlds, self._alone
+        )
         return self._work
+
+    def _take(self, work: "WorldsWork") -> None:
+        """Give the device the state as it is in this step. Raises SceneError for another's."""
+        hosts = work.inputs.hosts
+        emitted = np.concatenate(self.state.emitted, axis=1)
+        hosts["path_begun"][:] = emitted.view(np.float64).reshape(hosts["path_begun"].shape)
+        self._most = np.maximum.reduce(np.abs(emitted), axis=1)
+        for number in work.models:
+            hosts[f"before_{number}"][:] = stepper_of(self.models[0], self.state, number)[1]
+        self._begin_class(work.models)
 
     def _begin_class(self, steppers: dict[int, DeviceModel]) -> None:
         """Against which load that of each world is little."""
         for number, model in steppers.items():
             known: dict[int, float] = {}
             for world, kind in enumerate(self._kinds.tolist()):
-                if kind not in known:
-                    work = self.works[world]
-                    known[kind] = loudest_load(
-                        self.models[world], number, model.stepper, work.reference, work.radiation
-                    )
-                outside = self.works[world].outside[number]
-                self._loudest[number, world] = known[kind] if outside.loudest is None else outside.loudest
+                work = self.works[world]
+                outside = work.outside[number]
+                if outside.loudest is None:
+                    if kind not in known:
+                        own = self.models[world], number, model.stepper, work.reference, work.radiation
+                        known[kind] = loudest_load(*own)
+                    outside.loudest = known[kind]
+                self._loudest[number, world] = outside.loudest
                 self._sums[number, :, world] = outside.sums
 
-    def _bring(self, work: "_WorldsWork", joins: Bool) -> None:
+    def _bring(self, work: "WorldsWork", joins: Bool) -> None:
         """Give the device the state of worlds that join and are not there."""
         if not (joins & ~self._here).any():
             return
@@ -195,7 +214,7 @@ class MovingWorlds:
             work.arrays[f"before_{number}"].assign(np.ascontiguousarray(numbers))
         self._here = joins.copy()
 
-    def _fill(self, work: "_WorldsWork", places: Float, axes: Float, t0: float, joins: Bool) -> Bool:
+    def _fill(self, work: "WorldsWork", places: Float, axes: Float, t0: float, joins: Bool) -> Bool:
         """Take frames, foci and levels of a step that begins at t0 [s]; in which of these worlds something sounds."""
         ahead, step = self._ahead, -1
         if ahead is not None and t0 in ahead.starts:
@@ -220,8 +239,8 @@ class MovingWorlds:
         sounds &= joins
         pushes = hosts["weights"].shape[1]
         for name, count in ((LOAD, moments), (FORCE, pushes), (NOW, 1)):
-            hosts[f"{name}_counts"][:] = np.where(sounds, count, 0)[:, None]
-        hosts["path_counts"][:] = np.where(sounds[:, None], (moments + 1, 1), 0)
+            hosts[f"{name}_counts"][:] = (count * sounds)[:, None]
+        hosts["path_counts"][:, 0], hosts["path_counts"][:, 1] = (moments + 1) * sounds, sounds
         self._levels, self._means = levels, means
         return np.asarray(sounds)
 
@@ -249,7 +268,7 @@ class MovingWorlds:
             means.append([mean_arp_factor(config, start, start + timestep_s, count) for start in starts])
         return _Ahead(starts, np.array(foci), np.array(levels), np.array(means))
 
-    def _good(self, work: "_WorldsWork", sounds: Bool) -> Bool:
+    def _good(self, work: "WorldsWork", sounds: Bool) -> Bool:
         """In which worlds what came out holds: nothing near a board, foci that can be made, loads of the class."""
         hosts = work.forces.hosts
         good = np.logical_and.reduce(hosts["heights"] >= CLEARANCE_M, axis=1)
@@ -258,14 +277,13 @@ class MovingWorlds:
         good &= foci_made(hosts["path_totals"], levels[:, :-1], quiet, work.aims[:, 0]) | ~sounds
         good &= np.isfinite(np.add.reduce(hosts["forces"], axis=(1, 2)))
         for number in work.models:
-            energy, whole, *_ = _outside(work, number)
-            loudest = np.maximum(self._loudest[number], whole)
-            share = np.sqrt(np.divide(energy, loudest, out=np.zeros_like(energy), where=loudest > 0.0))
-            good &= ~np.asarray(leaves_class(self.models[0], number, share))
+            seen = self._seen[number] = _outside(work, number)
+            loudest = np.maximum(np.maximum(self._loudest[number], seen.energy_of_all), NOTHING)
+            good &= ~np.asarray(leaves_class(self.models[0], number, np.sqrt(seen.energy / loudest)))
         return np.asarray(good)
 
-    def mean_forces(self) -> list[tuple[Float, Float]]:
-        """Forces [N] on the parts of each body and torques about their origins [N m], world axes, shapes (g, b, 3).
+    def mean_forces(self) -> list[Float]:
+        """Forces [N] on the parts of each body and torques about their origins [N m], world axes, shape (g, 2, b, 3).
 
         In the worlds that have joined: the mean over the step that begins.
         """
@@ -276,39 +294,67 @@ class MovingWorlds:
         result, start = [], 0
         for body in self.models[0].bodies:
             own = work.forces.hosts["forces"][rows, start : start + body.parts]
-            result.append((own[..., :3] @ turn, own[..., 3:] @ turn))
+            # Forces and torques
+            result.append(own.reshape(*own.shape[:2], 2, 3).swapaxes(1, 2) @ turn[:, None])
             start += body.parts
         return result
 
-    def sensed(self, number: int) -> tuple[Float, Float]:
-        """ARP [Pa], shape (g,), displacement [m] and velocity [m/s], (g, 2), at what `watch` has given this number."""
+    def sensed(self, skin: int, place: SensorPlace) -> tuple[Float, Float]:
+        """ARP [Pa], shape (g,), displacement [m] and velocity [m/s], (g, 2), at a sensor's place that is watched."""
         work, rows = self._work, self.joined
         assert work is not None
-        skin = self._probes[number][0]
-        column = [i for i, (other, _) in enumerate(self._probes) if other == skin].index(number)
+        number = self._probes.index((skin, place))
+        column = self._columns[number]
         sounding = work.inputs.hosts["now_counts"][rows, 0] > 0
-        arp = np.where(sounding, work.forces.hosts["probes"][rows, number], 0.0)
+        arp = np.zeros(len(rows))
+        arp[sounding] = work.forces.hosts["probes"][rows, number][sounding]
         return arp, work.forces.hosts[f"read_{skin}"][rows, :, column]
 
     # -- its end -------------------------------------------------------------------------------------------------------
 
-    def advance(self) -> None:
-        """Let what the worlds that have joined emit, and their skins, be as the step ends."""
+    def advance(self, skins: bool = True) -> None:
+        """Let what the worlds that have joined emit, and their skins, be as the step ends.
+
+        skins: False leaves them as they are
+        """
         work, rows = self._work, self.joined
         if work is None or len(rows) == 0:
+            return
+        if not self._alone:
+            self._give(work, skins)
             return
         hosts = work.forces.hosts
         self._most = np.where(self._here, hosts["most"], 0.0)
         for number in work.models:
-            seen = _outside(work, number)
+            seen = self._seen[number]
             self._sums[number][:, rows] += np.array(seen)[:, rows]
             most = np.maximum(self._loudest[number], np.asarray(seen.energy_of_all))
             self._loudest[number, rows] = most[rows]
         work.take_over(rows)
         self._fetched = False
 
+    def numbers(self) -> list[Float]:
+        """Of the skins' states, those that steps here begin with; none where no world has joined."""
+        return self._numbers if len(self.joined) else []
 
-class _WorldsWork(DeviceWork):
+    def _give(self, work: "WorldsWork", skins: bool) -> None:
+        """Write the only world's state as the step ends."""
+        model, hosts, keeper = self.models[0], work.forces.hosts, self.works[0]
+        if check_arrays(model, self.state):
+            keeper.begin_run()
+            self._begin_class(work.models)
+        if self._rings:
+            end, start = hosts["path_end"].view(np.complex128)[0, :, 0], 0
+            for part in self.state.emitted:
+                part[0] = end[start : start + part.shape[1]]
+                start += part.shape[1]
+        for number, of in work.models.items() if skins else ():
+            keeper.outside[number].add(Outside(*np.concatenate(self._seen[number]).tolist()))
+            self.state.skins[number][:, HEADER : HEADER + of.stepper.state_size] = hosts[f"after_{number}"]
+            claim(model, self.state, number, of.stepper)
+
+
+class WorldsWork(DeviceWork):
     """Memory and launches of all worlds. aims: of each world, see `palmfield.drive.path_drives.aim_of`"""
 
     def __init__(
@@ -319,6 +365,7 @@ class _WorldsWork(DeviceWork):
         probes: Sequence[tuple[int, SensorPlace]],
         steppers: dict[int, DeviceModel],
         aims: Float,
+        alone: bool,
     ):
         first, worlds = models[0], len(models)
         transducers = Transducers(first.arrays, resolve(first.spec.device))
@@ -341,7 +388,11 @@ class _WorldsWork(DeviceWork):
         for number in steppers:
             told[f"sums_{number}"] = (worlds, SECTIONS), wp.float64
             told[f"read_{number}"] = (worlds, 2, max(1, sum(skin == number for skin, _ in probes))), wp.float64
-        super().__init__(first, work.reference, transducers, probes, sizes, steppers, drives, worlds, (asked, told))
+        states = [f"{name}_{number}" for number in steppers for name in ("before", "after")]
+        shared = () if alone else ("path_begun", "path_end", *states)
+        super().__init__(
+            first, work.reference, transducers, probes, sizes, steppers, drives, worlds, (asked, told, shared)
+        )
         self.aims, arrays, device = aims, self.arrays, self.device
         arrays["path_aims"].assign(aims)
         arrays["path_pushes"].assign(push_rows(weights))
@@ -410,7 +461,7 @@ class _WorldsWork(DeviceWork):
             self._replays[1]()
 
 
-def _outside(work: _WorldsWork, skin: int) -> Outside:
+def _outside(work: WorldsWork, skin: int) -> Outside:
     """What of a skin's load in the last step was outside the modes' class, shape (w,) each."""
     seen = work.models[skin].outside([*work.forces.hosts[f"sums_{skin}"].T])
     assert seen is not None

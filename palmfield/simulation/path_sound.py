@@ -5,13 +5,13 @@ from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.radiation import Radiation, Role
 from palmfield.simulation.small_models.known_load import one_shape, path_drives
-from palmfield.types import Complex, Float32, Int
+from palmfield.types import Complex, Float32
 
 
 class PathSound:
     """ARP on the skins of a model, and on what carries them. Belongs to one state, and is used by one thread at a time.
 
-    serves: whether the model has such a path
+    serves: whether the model has such a path; off: courses one after another that lay off it
     reference: as `reference_scene`: only there do the fields hold
     """
 
@@ -20,24 +20,25 @@ class PathSound:
     ):
         """beside: of another world, stepped by the same thread: what either makes for the same stimuli serves both"""
         self.model, self.radiation, self.reference = model, radiation, reference
-        self.serves = serves(model)
+        self.serves, self.off = serves(model), 0
         self._span: list[Complex | None] = []  # of what is emitted, once it is known
-        self._fields: dict[tuple[int, Role], tuple[Int | None, SpannedFields | None]] = {}
-        self._arp: dict[tuple[int, Role], SpannedArp] = {}
+        # By skin, role and serial number of the points
+        self._fields: dict[tuple[int, Role, int], SpannedFields | None] = {}
+        self._arp: dict[tuple[int, Role, int], SpannedArp] = {}
         if beside is not None and beside.model.spec.stimuli == model.spec.stimuli:
             self._span, self._fields = beside._span, beside._fields
 
     def adopt(self, other: "PathSound") -> None:
         """Take over what another state of the same model has made."""
-        self.reference = other.reference
+        self.reference, self.off = other.reference, other.off
         self._span, self._fields, self._arp = list(other._span), dict(other._fields), {}
 
     def holds(self, posed: PosedScene) -> bool:
         """Whether arrays and bodies are in the reference pose."""
         return (
             self.serves
-            and posed.arrays is self.model.arrays
-            and all(one.body is other.body for one, other in zip(posed.skins, self.reference.skins, strict=True))
+            and posed.arrays.serial == self.model.arrays.serial
+            and all(one.serial == other.serial for one, other in zip(posed.bodies, self.reference.bodies, strict=True))
         )
 
     def arp(self, posed: PosedScene, skin: int, role: Role, drives: Complex) -> Float32 | None:
@@ -48,16 +49,15 @@ class PathSound:
         """
         if not self.holds(posed):
             return None
-        numbers = self.radiation.chosen(skin) if role == "load" else None
-        known = self._fields.get((skin, role))
-        if known is None or known[0] is not numbers:
-            known = self._fields[skin, role] = numbers, self._make(posed, skin, role)
-        if known[1] is None:
+        key = skin, role, self.radiation.chosen(skin) if role == "load" else 0
+        if key not in self._fields:
+            self._fields[key] = self._make(posed, skin, role)
+        fields = self._fields[key]
+        if fields is None:
             return None
-        spanned = self._arp.get((skin, role))
-        if spanned is None or spanned.fields is not known[1]:
-            spanned = self._arp[skin, role] = SpannedArp(known[1])
-        return spanned.evaluate(drives)
+        if key not in self._arp:
+            self._arp[key] = SpannedArp(fields)
+        return self._arp[key].evaluate(drives)
 
     def _make(self, posed: PosedScene, skin: int, role: Role) -> SpannedFields | None:
         model = self.model

@@ -1,7 +1,7 @@
 """What one pose of MuJoCo's bodies means for sound and skin, in the frame of the first array.
 
-A PosedScene is made once per MuJoCo step. Everything that follows from the pose hangs on it and is computed when first
-asked for, so that "the same pose" is the same object: fields kept for it can't belong to another.
+A PosedScene is made once per MuJoCo step. Everything that follows from the pose hangs on it and is computed when it is
+first needed. It and its parts have serial numbers, by which fields are kept.
 """
 
 from collections.abc import Sequence
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.errors import naming
 from palmfield.hand.posed_surface import SkinBinding, blend
+from palmfield.locked import next_serial
 from palmfield.simulation.model import BodyModel, HapticModel, SkinModel, StimulusModel, array_instances
 from palmfield.stimulus.focal_points import FocalPoints, SurfaceCourse
 from palmfield.transforms import IDENTITY, Placement, Transform
@@ -68,11 +69,13 @@ class PosedSurface:
 
     model: the body at rest; skin: the first skin on it; frame: seen from the first array
     bone_positions, bone_rotations: in the body's frame, shapes (b, 3) and (b, 3, 3); none for a body in one piece
+    serial: no other has it
     """
 
     def __init__(self, model: BodyModel, skin: SkinModel, frame: Transform, bones: tuple[Float, Float]):
         self.model, self.skin, self.frame = model, skin, frame
         self.bone_positions, self.bone_rotations = bones
+        self.serial = next_serial()
         place, turn = frame
         self.numbers = place.tobytes() + turn.tobytes() + bones[0].tobytes() + bones[1].tobytes()
 
@@ -151,7 +154,7 @@ class PosedSkin:
     """
 
     def __init__(self, skin: SkinModel, body: PosedSurface, obstacles: tuple[Float, Float]):
-        self.skin, self.body = skin, body
+        self.skin, self.body, self.serial = skin, body, next_serial()
         self.obstacle_positions, self.obstacle_rotations = obstacles
         self.numbers = obstacles[0].tobytes() + obstacles[1].tobytes()
 
@@ -197,7 +200,8 @@ class PosedScene:
 
     array_frame: frame of the first array in the world
     arrays: all arrays as they stand to one another; frames: each stimulus's frame, seen from the first array
-    sources: the numbers of which `arrays` was made, where arrays or transducers may move
+    sources: the numbers of which `arrays` was made, where arrays or transducers may move; serial: no other has it
+    sound_keys: of each skin, equal in poses in which a drive's sound on it is the same
     """
 
     def __init__(
@@ -209,8 +213,15 @@ class PosedScene:
         skins: Sequence[PosedSkin],
         sources: bytes = b"",
     ):
-        self.array_frame, self.arrays, self.sources = array_frame, arrays, sources
+        self.array_frame, self.arrays, self.sources, self.serial = array_frame, arrays, sources, next_serial()
         self.frames, self.bodies, self.skins = tuple(frames), tuple(bodies), tuple(skins)
+        of_all: tuple[int, ...] = (arrays.serial,)
+        for skin in self.skins:
+            of_all += (skin.serial,)
+        self.sound_keys: tuple[tuple[int, ...], ...] = ()
+        for skin in self.skins:
+            free = skin.skin.spec.config.body_sound == "none"
+            self.sound_keys += ((arrays.serial, skin.serial) if free else of_all,)
         self.numbers = b""
         for position, rotation in (array_frame, *self.frames):
             self.numbers += position.tobytes() + rotation.tobytes()

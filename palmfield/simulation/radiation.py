@@ -1,12 +1,11 @@
 """ARP on the surfaces of a posed scene: the stages field and ARP of a step, with what they keep for the next one.
 
 A Radiation belongs to one state and is used by one thread at a time: it holds buffers for the points of each skin, and
-the last answers, which hold as long as pose and drive are the same objects or equal.
+the last ARP of each role, under the serial numbers of pose and drive.
 """
 
 from collections.abc import Callable
 from functools import partial
-from operator import is_
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -19,6 +18,8 @@ from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.acoustics.shadow_nodes import ShadowNodes, shadow_nodes
 from palmfield.acoustics.surface_arp import Shades, SurfaceArp, rows_of
 from palmfield.acoustics.surface_load import distance_to_arrays
+from palmfield.drive.transducer_response import EmittedCourse
+from palmfield.locked import next_serial
 from palmfield.simulation.model import HapticModel, SkinModel
 from palmfield.simulation.posed_scene import PosedScene, PosedSkin, PosedSurface, reference_scene
 from palmfield.simulation.seen_samples import SeenSamples, seen_samples
@@ -30,6 +31,9 @@ Role = Literal["quadrature", "load", "samples", "nodes", "vertices", "probe"]
 
 SKIN_SPACING_m, BODY_SPACING_m = 0.008, 0.024
 """Between the nodes at which shadows are weighed: on a skin's layer, and on the body for the force on it."""
+ALWAYS = np.ones(1, dtype=bool)
+Key = tuple[int, ...]
+"""Serial numbers of what something was computed from."""
 
 
 class Radiation:
@@ -41,38 +45,71 @@ class Radiation:
         self._evaluators: dict[tuple[int, str, int], tuple[PhasedArray, SurfaceArp]] = {}
         self._occlusions: dict[int, tuple[PosedScene, Occlusion]] = {}
         self._scattered: dict[int, tuple[PosedScene, Complex, RigidScatteredField]] = {}
-        self._last: dict[tuple[int, str], tuple[PosedScene, Complex, SurfaceSound]] = {}
+        self._sounds: dict[tuple[int, str], tuple[Key, SurfaceSound]] = {}
+        self._batches: dict[tuple[int, str], tuple[Key, Float32]] = {}
         self._chosen: dict[int, _ChosenPoints] = {}
-        self._seen: dict[int, tuple[PosedSurface, PhasedArray, SeenSamples]] = {}
+        self._choices: dict[tuple[int, int], _ChosenPoints] = {}  # which hold the numbers, so that ids stay theirs
+        self._seen: dict[int, tuple[Key, SeenSamples]] = {}
         self._shadings: dict[tuple[int, str, int], _Shading] = {}
         self._bent = [bends(skin) for skin in model.skins]
         self._reference: list[PosedScene] = []
         self._emitters: list[tuple[PhasedArray, Emitters]] = []
         if beside is not None:
             self._evaluators, self._occlusions = beside._evaluators, beside._occlusions
-            self._chosen, self._shadings = beside._chosen, beside._shadings
+            self._chosen, self._choices, self._shadings = beside._chosen, beside._choices, beside._shadings
             self._reference, self._emitters = beside._reference, beside._emitters
 
     def choose(self, skin: int, points: Int) -> None:
         """Take these of a skin's quadrature points, numbers of shape (p,), for the role "load"."""
-        known = self._chosen.get(skin)
-        if known is None or known.numbers is not points:
-            self._chosen[skin] = _ChosenPoints(self.model.skins[skin], points)
+        key = skin, id(points)
+        if key not in self._choices:
+            self._choices[key] = _ChosenPoints(self.model.skins[skin], points)
+        self._chosen[skin] = self._choices[key]
 
-    def chosen(self, skin: int) -> Int:
-        """Numbers of a skin's points for the role "load", shape (p,)."""
-        return self._chosen[skin].numbers
+    def chosen(self, skin: int) -> int:
+        """The serial number of a skin's points for the role "load"."""
+        return self._chosen[skin].serial
 
-    def on(self, posed: PosedScene, skin: int, role: Role, drive: Complex) -> SurfaceSound:
-        """ARP at a skin's quadrature points, force samples or surface nodes, for what the transducers emit, (N,)."""
-        known = self._last.get((skin, role))
-        here = known is not None and (known[0] is posed or self._holds(known[0], posed, skin))
-        if known is not None and here and (known[1] is drive or _equal(known[1], drive)):
-            return known[2]
+    def on(self, posed: PosedScene, skin: int, role: Role, drive: Complex, serial: int = 0) -> SurfaceSound:
+        """ARP at a skin's quadrature points, force samples or surface nodes, for what the transducers emit, (N,).
+
+        serial: of the drive, under which the answer is kept; 0 for one that has none
+        """
+        key = *self._places(posed, skin, role), serial
+        known = self._sounds.get((skin, role))
+        if serial and known is not None and known[0] == key:
+            return known[1]
         points, normals = self.points(posed, skin, role)
         sound = self.at(posed, skin, role, points, normals, drive)
-        self._last[skin, role] = posed, drive, sound
+        if serial:
+            self._sounds[skin, role] = key, sound
         return sound
+
+    def patterns(self, posed: PosedScene, skin: int, role: Role, course: EmittedCourse) -> Float32:
+        """The patterns of ARP [Pa] that a course's `shares` weigh, shape (p, n)."""
+        if len(course.units) == 0:
+            return np.zeros((1, len(self.points(posed, skin, role)[0])), np.float32)
+        if len(course.units) == 1:
+            return self.on(posed, skin, role, course.units[0], course.serial).arp[None]
+        if len(course.units) < len(course.levels):
+            return self.sums(posed, skin, course.units, course.levels, role)
+        if course.batch is not None:
+            key = *self._places(posed, skin, role), course.batch.serial
+            known = self._batches.get((skin, role))
+            if known is None or known[0] != key:
+                known = self._batches[skin, role] = key, self.many(posed, skin, course.batch.drives, role)
+            return known[1][course.row : course.row + len(course.units)]
+        # What sounds on unchanged is computed once
+        changes = np.logical_or.reduce(course.units[1:] != course.units[:-1], axis=1)
+        if np.logical_and.reduce(changes):
+            return self.many(posed, skin, course.units, role)
+        first = np.concatenate((ALWAYS, changes))
+        computed = self.many(posed, skin, course.units[first], role)
+        return np.asarray(computed[np.add.accumulate(first, dtype=np.intp) - 1])
+
+    def _places(self, posed: PosedScene, skin: int, role: Role) -> "Key":
+        """Equal where a skin's points for a role are where they were, as is all that sound meets on its way."""
+        return posed.sound_keys[skin] if role != "load" else (*posed.sound_keys[skin], self._chosen[skin].serial)
 
     def many(self, posed: PosedScene, skin: int, drives: Complex, role: Role = "quadrature") -> Float32:
         """ARP as `on` gives it for several drives, shape (m, N): shape (m, n)."""
@@ -140,6 +177,10 @@ class Radiation:
         """Begin with solutions that another Radiation of the same bodies has found."""
         self._scattered = dict(scattered)
 
+    def continue_from(self, other: "Radiation") -> None:
+        """Take over what another one has computed ahead, for a copy of its state in the same PosedScenes."""
+        self._batches, self._choices = dict(other._batches), dict(other._choices)
+
     def points(self, posed: PosedScene, skin: int, role: Role) -> tuple[Float, Float]:
         """Points [m] and outward normals, array frame, shapes (n, 3), of a skin or its body."""
         part = posed.skins[skin]
@@ -152,24 +193,20 @@ class Radiation:
     def samples(self, posed: PosedScene, skin: int) -> SeenSamples:
         """Points for the force on a skin's body: those that the arrays see, and all where sound goes round the body."""
         body, arrays = posed.skins[skin].body, posed.arrays
-        known = self._seen.get(skin)
-        if known is None or known[0] is not body or known[1] is not arrays:
+        known, key = self._seen.get(skin), (arrays.serial, body.serial)
+        if known is None or known[0] != key:
             around = self.model.skins[skin].spec.config.body_sound == "scattering"
             made = (
                 (*body.samples, np.arange(len(body.samples[2]), dtype=np.int32))
                 if around
                 else seen_samples(body, arrays)
             )
-            known = self._seen[skin] = body, arrays, made
-        return known[2]
+            known = self._seen[skin] = key, made
+        return known[1]
 
     def _holds(self, known: PosedScene, posed: PosedScene, skin: int) -> bool:
         """Whether the sound on a skin is the same in both poses."""
-        if known.arrays is not posed.arrays:
-            return False
-        if self.model.skins[skin].spec.config.body_sound == "none":
-            return known.skins[skin] is posed.skins[skin]
-        return all(map(is_, known.skins, posed.skins))
+        return known.sound_keys[skin] == posed.sound_keys[skin]
 
     def _evaluator(self, posed: PosedScene, skin: int, role: str, count: int) -> SurfaceArp:
         key = skin, role, count
@@ -310,15 +347,15 @@ class _ChosenPoints:
 
     def __init__(self, skin: SkinModel, numbers: Int):
         quadrature = skin.layer.quadrature
-        self.numbers = numbers
+        self.numbers, self.serial = numbers, next_serial()
         self._points, self._normals = quadrature.points[numbers], quadrature.normals[numbers]
         self._binding = skin.carrier.bind(self._points)
-        self._last: tuple[PosedSkin, tuple[Float, Float]] | None = None
+        self._last: tuple[int, tuple[Float, Float]] | None = None
 
     def at(self, posed: PosedSkin) -> tuple[Float, Float]:
         """Positions [m] and outward normals in a pose, array frame, shapes (p, 3)."""
-        if self._last is None or self._last[0] is not posed:
-            self._last = posed, posed.body.moved(self._points, self._normals, self._binding)
+        if self._last is None or self._last[0] != posed.serial:
+            self._last = posed.serial, posed.body.moved(self._points, self._normals, self._binding)
         return self._last[1]
 
 

@@ -20,7 +20,10 @@ from palmfield.skin.stepper import SkinStepper
 from palmfield.types import Complex, Float
 
 HEADER = 4
-"""Numbers before a state's own: what wrote it (0 nobody, BEGUN, WHOLE), its fingerprint, and two spare ones."""
+"""Numbers before a state's own: what wrote it (0 nobody, BEGUN, WHOLE), its fingerprint, and two more, of which the
+first array uses LEVEL."""
+LEVEL = slice(2, 4)
+"""A complex number: how much of a unit drive all transducers emitted when a step of `SmoothSound` wrote the state."""
 BEGUN, WHOLE = 1.0, 2.0
 VERSION = 1
 """Of the layout of these numbers."""

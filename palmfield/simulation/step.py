@@ -1,237 +1,580 @@
-"""One MuJoCo step of the sound and the skins: drive -> emitted -> field -> ARP -> skin load -> skin.
+"""One MuJoCo step of the sound and the skins in one world or several: pose -> drive -> field -> ARP -> load -> skin.
 
-What a step keeps from one to the next (buffers, the last fields, loads computed ahead) lies in a Workspace, which
-belongs to one state. Forces and sensors are read at the step's beginning, by `palmfield.simulation.forces` and
-`palmfield.simulation.sensors`.
+`Steps.begin` takes the poses where a step begins and computes the forces over it, `sense` what sensors read there,
+and `advance` carries transducers and skins over it. Worlds whose sound one number tells are computed together.
+What is kept from one step to the next lies under serial numbers of poses and drives.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from operator import call, methodcaller
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
-from scipy import sparse
 
-from palmfield.drive.transducer_response import EmittedCourse
-from palmfield.simulation.device_sound import DeviceSound, SkinStart, pattern_weights, serves
+from palmfield.blas import one_blas_thread
+from palmfield.device import resolve
+from palmfield.drive.transducer_response import EmittedCourse, present_drive
+from palmfield.errors import naming_world
+from palmfield.simulation.device_sound import SkinEnd
 from palmfield.simulation.emission import Emission
-from palmfield.simulation.forces import BodyForces
+from palmfield.simulation.kept import Bool, Kept, Rows, Serials
 from palmfield.simulation.model import HapticModel
-from palmfield.simulation.path_sound import PathSound
-from palmfield.simulation.posed_scene import PosedScene, reference_scene
-from palmfield.simulation.prefetch import LoadPrefetch
-from palmfield.simulation.radiation import Radiation, Role
+from palmfield.simulation.moving_worlds import MovingWorlds
+from palmfield.simulation.posed_scene import PosedScene
+from palmfield.simulation.sensors import SensorPlace
 from palmfield.simulation.small_models.leaving import (
-    OutsideClass,
     continue_on_whole_layer,
     leaves_class,
     leaves_small_model,
-    loudest_load,
 )
-from palmfield.simulation.state import WHOLE, HapticState, at_rest, claim, stepper_of
-from palmfield.skin.stepper import Outside, Reader, SkinStepper, SurfaceLoads
-from palmfield.stimulus.schedule import Moments
-from palmfield.types import Complex, Float, Float32, Int
+from palmfield.simulation.smooth_sound import SmoothSound
+from palmfield.simulation.state import (
+    BEGUN,
+    HEADER,
+    WHOLE,
+    HapticState,
+    check_arrays,
+    claim,
+    stepper_of,
+    untouched,
+)
+from palmfield.simulation.workspace import Workspace, gather, scatter
+from palmfield.skin.stepper import DeviceStep, Outside, SkinStepper, SurfaceLoads
+from palmfield.stimulus.schedule import Moments, substep_moments
+from palmfield.types import Complex, Float, Float32
+
+CLOCK_S = 1e-12
+"""Times nearer to each other than this are one and the same."""
+T = TypeVar("T")
+ONE: Float = np.ones((1, 1, 1))
+KEPT = 64
+"""Ways in which worlds were shared out among steppers."""
 
 
 @dataclass(frozen=True)
 class StepTrace:
-    """What happened in a step, for those who watch. Arrays are valid until the next step.
+    """What happened in a step, in one world or in several whose courses are alike. Valid until the next step.
 
-    times: ends of the substeps [s], shape (s,); posed: where everything was
-    course, moments: what was emitted at the moments of the load
-    begun, emitted: what is emitted at the beginning and at the end, shape (N,)
-    motion: of each skin what is watched of it, displacement [m] and velocity [m/s] after each substep, (s, 2, m)
+    times: ends of the substeps [s], shape (s,); worlds: their numbers, shape (g,); posed: where everything was, of each
+    moments: of the load; levels: of the drives there, complex, shape (g, m, k), as of EmittedCourse
+    course: gives all of what the i-th of the worlds has emitted
+    begun: gives what the i-th emitted at the beginning, shape (N,)
+    motion: of each skin by stepper, numbers of the worlds (w,) and what is watched there, displacement [m] and velocity
+        [m/s] after each substep, (w, s, 2, m); the worlds watch the same
     """
 
     times: Float
-    posed: PosedScene
+    worlds: Rows
+    posed: tuple[PosedScene, ...]
     moments: Moments
-    course: EmittedCourse
-    begun: Complex
-    emitted: Complex
-    motion: tuple[Float | None, ...]
+    levels: Complex
+    course: Callable[[int], EmittedCourse]
+    begun: Callable[[int], Complex]
+    motion: tuple[tuple[tuple[Rows, Float | Float32], ...], ...]
 
 
-class Workspace:
-    """What one state's steps keep: emission, radiation, forces and prefetched loads, and who watches.
+class _Group(NamedTuple):
+    """Worlds whose loads have the same form over a step.
 
-    unit_forces: of one drive, and of steps on the CPU; device_sound: what computes steps where the device is a GPU
-    outside: of each skin what of its load has been outside the class that its modes serve
-    served: the pose in which a skin's small model was last found to serve
-    observe: what is watched of each skin, an operator (m, unknowns) or None; observer: told of each step
+    worlds: their numbers, shape (g,); keys: serial numbers of pose and course, shape (g, 2), 0 for silence
+    levels, course, begun: as of StepTrace; first, last: shares of the patterns at the ends of the substeps, (g, s, p)
     """
 
-    def __init__(self, model: HapticModel, beside: "Workspace | None" = None):
-        """beside: of another world with the same bodies, stepped by the same thread: buffers are shared with it."""
-        self.reference: PosedScene = reference_scene(model) if beside is None else beside.reference
-        self.emission = Emission(model)
-        self.radiation: Radiation = Radiation(model, None if beside is None else beside.radiation)
-        self.device_sound = DeviceSound(model, self.reference) if serves(model) else None
-        self.path_sound: PathSound = PathSound(
-            model, self.radiation, self.reference, None if beside is None else beside.path_sound
-        )
-        self.unit_forces = BodyForces(model, self.radiation, self.path_sound)
-        self.prefetch = LoadPrefetch(model, self.emission, self.radiation, self.path_sound)
-        self.outside = [OutsideClass() for _ in model.skins]
-        self.served: list[PosedScene | None] = [None] * len(model.skins)
-        self.amplitudes: Complex = np.zeros(len(model.arrays), np.complex128)
-        self.observe: tuple[sparse.csr_matrix | None, ...] = (None,) * len(model.skins)
+    worlds: Rows
+    keys: Serials
+    moments: Moments
+    levels: Complex
+    course: Callable[[int], EmittedCourse]
+    begun: Callable[[int], Complex]
+    first: Float
+    last: Float
+
+
+class Steps:
+    """The steps of a state's worlds, one after the other. Belongs to one state and is used by one thread at a time.
+
+    models, works: of each world; state: of all; observer: gets the trace of each step of each group of worlds
+    forces: mean force over the step that has begun on each body's parts [N], and torques about their origins [N m],
+        world axes, of each body, shape (worlds, 2, b, 3)
+    """
+
+    def __init__(
+        self, models: Sequence[HapticModel], works: Sequence[Workspace], state: HapticState, alone: bool = False
+    ):
+        """alone: whether nobody else writes the state"""
+        self.models, self.works, self.state = models, works, state
+        worlds, first = len(models), models[0]
+        able = [worlds > 1 or work.device_sound is None for work in works]
+        self.smooth = SmoothSound(models, [work.emission for work in works], state, able, alone)
+        self.forces: list[Float] = [np.zeros((worlds, 2, body.parts, 3)) for body in first.bodies]
         self.observer: Callable[[StepTrace], None] | None = None
-        # Of the worlds beside as well: a reader of many vectors is as large as they are
-        self._readers: dict[tuple[int, SkinStepper], tuple[sparse.csr_matrix, Reader]]
-        self._readers = {} if beside is None else beside._readers
+        self.moving = MovingWorlds(models, works, state, alone)
+        self._several, self._device = worlds > 1, resolve(first.spec.device)
+        self._states = [state.world(world) for world in range(worlds)] if worlds > 1 else [state]
+        self._devices = any(work.device_sound is not None for work in works)
+        self._in: Callable[..., Any] = self._named if worlds > 1 else call
+        self._posed: list[PosedScene] = [work.reference for work in works]
+        self._poses: Serials = np.zeros(worlds, np.int64)
+        self._apart: list[int] = []
+        self._joined_keys: Serials = np.zeros((0, 2), np.int64)
+        # Of the unit drives: forces by body, ARP at sensors by place, and what lies outside the modes' class by skin
+        self._unit_forces = [Kept(worlds, 2, body.parts, 3) for body in first.bodies]
+        self._unit_arp: dict[SensorPlace, Kept] = {}
+        self._unit_outside = [Kept(worlds, len(Outside._fields)) for _ in first.skins]
+        # What pushed bodies last: ARP at the samples by world and body, or one drive by world, its share and number
+        self._pressed: dict[tuple[int, int], Float] = {}
+        self._means: dict[int, tuple[Complex, float, int]] = {}
+        self._stacks: dict[tuple[int, SkinStepper], tuple[bytes, Float32]] = {}
+        # The pose in which a small model was last found to serve, by skin and world
+        self._served: Serials = np.zeros((len(first.skins), worlds), np.int64)
+        self._shared_out: dict[tuple[int, bytes, bytes], list[tuple[SkinStepper, Rows]]] = {}
+        self._on_devices: dict[tuple[int, SkinStepper], DeviceStep | None] = {}
 
-    def by_device(
-        self, model: HapticModel, state: HapticState, posed: PosedScene, t0: float
-    ) -> list[tuple[Float, Float]]:
-        """Mean forces over the step that begins at t0 [s], as `palmfield.simulation.forces.BodyForces.over`.
+    def forget(self) -> None:
+        """Begin again, after a reset."""
+        self._served[:] = 0
+        self.smooth.forget()
+        self.moving.forget()
 
-        The device computes the step's load with them, and steps the skins over it where nobody watches all substeps.
+    def adopt(self, other: "Steps") -> None:
+        """Go on from another's, in a copy of its state in the same PosedScenes."""
+        for work, origin in zip(self.works, other.works, strict=True):
+            work.adopt(origin)
+        self.smooth.adopt(other.smooth)
+        self._posed, self._poses, self._served = list(other._posed), other._poses.copy(), other._served.copy()
+        self.forces = [force.copy() for force in other.forces]
+        self._unit_forces = [kept.copy() for kept in other._unit_forces]
+        self._unit_outside = [kept.copy() for kept in other._unit_outside]
+        self._stacks = dict(other._stacks)
+
+    def play(self, emissions: Mapping[int, Emission]) -> None:
+        """Let other sound take the place of that of some worlds' stimuli."""
+        for world, emission in emissions.items():
+            self.works[world].emission = emission
+            self.smooth.leave_out(world)
+
+    # -- the beginning of a step ---------------------------------------------------------------------------------------
+
+    def watch(self, skin: int, place: SensorPlace) -> None:
+        """Let a graph compute what a sensor reads there; before the first step."""
+        if self.moving.some:
+            self.moving.watch(skin, place)
+
+    def begin_at(
+        self, places: Float, axes: Float, t0: float, posed: Callable[[Bool], Mapping[int, PosedScene]]
+    ) -> None:
+        """Take the frames of all worlds where a step begins at t0 [s], and compute the forces over it.
+
+        places [m], axes: of the layout's rows, shapes (worlds, rows, 3) and (worlds, rows, 9)
+        posed: gives the PosedScenes of some worlds, shape (worlds,): a graph that steps others needs none
         """
-        device, skins = self.device_sound, {}
-        assert device is not None
-        for number, watched in enumerate(self.observe):
-            # One that nothing has stepped yet may have no stepper: to look at forces doesn't make it
-            if watched is None and (model.begin[number].made or not at_rest(state, number)):
-                stepper, numbers = stepper_of(model, state, number)
-                skins[number] = SkinStart(stepper, numbers[0])
-        watched_by_any = self.observer is not None or any(operator is not None for operator in self.observe)
-        return device.over(self.emission, posed, gather(state, self), t0, skins, watched_by_any)
+        watched = self.observer is not None
+        for operator in self.works[0].observe:
+            watched = watched or operator is not None
+        self.moving.begin(places, axes, t0, watched)
+        moving = self.moving.joined
+        if len(moving) < len(self.models):
+            here = np.ones(len(self.models), dtype=bool)
+            here[moving] = False
+            self.begin(posed(here), t0)
+        else:
+            self._apart, self.smooth.joined = [], moving[:0]
+        for forces, own in zip(self.forces, self.moving.mean_forces(), strict=False):
+            forces[moving] = own
 
-    def begin_run(self) -> None:
-        """Forget what was of another run."""
-        self.prefetch.forget()
-        self.served = [None] * len(self.served)
-        self.outside = [OutsideClass() for _ in self.outside]
+    def begin(self, posed: Mapping[int, PosedScene], t0: float) -> None:
+        """The same for worlds that no graph steps, in their PosedScenes."""
+        for world, now in posed.items():
+            self._posed[world], self._poses[world] = now, now.serial
+        with one_blas_thread:
+            self._apart = self.smooth.begin(posed, t0)
+            joined = self.smooth.joined
+            self._pressed.clear()
+            self._means.clear()
+            if len(joined):
+                factors = self.smooth.mean_factors(t0)
+                if self.observer is not None:
+                    for world, factor in zip(joined.tolist(), factors.tolist(), strict=True):
+                        if factor > 0.0:
+                            self._means[world] = self.smooth.unit(world), factor, int(self.smooth.serials[world])
+                keys = self._joined_keys = self._keys(joined)
+                loud = factors > 0.0
+                for body, forces in enumerate(self.forces):
+                    forces[joined] = 0.0
+                    sounding = joined[loud]
+                    made = self._unit_forces[body].rows(sounding, keys[loud], self._unit_force, body)
+                    forces[sounding] = factors[loud, None, None, None] * made
+            for world in self._apart:
+                self._in(self._push_one, world, t0)
 
-    def outside_share(self, model: HapticModel, skin: int, stepper: SkinStepper, seen: Outside) -> float:
-        """What of a step's load on a skin lies outside the class of its modes, see OutsideClass.add."""
-        outside = self.outside[skin]
-        if outside.loudest is None:
-            outside.loudest = loudest_load(model, skin, stepper, self.reference, self.radiation)
-        return outside.add(seen)
+    def state_now(self) -> bytes:
+        """What the step that has begun was computed from, of a state that others may write: equal while it holds."""
+        parts: tuple[Complex | Float, ...] = self.state.emitted
+        if len(self.moving.joined):
+            parts = *parts, *self.moving.numbers()
+        return b"".join(map(methodcaller("tobytes"), parts))
 
-    def reader(self, skin: int, stepper: SkinStepper) -> Reader | None:
-        """Reads what is watched of a skin off this stepper's states; a run may leave a small model in any step."""
-        operator = self.observe[skin]
-        if operator is None:
+    def _unit_force(self, world: int, body: int) -> Float:
+        """The force of a world's unit drive on a body, world axes, shape (2, b, 3)."""
+        posed, unit, serial = self._posed[world], self.smooth.unit(world), int(self.smooth.serials[world])
+        force = self.works[world].unit_forces.under(posed, body, unit, serial)
+        return np.asarray(force @ posed.array_frame.rotation.T)
+
+    def _push_one(self, world: int, t0: float) -> None:
+        """The forces in a world that nothing else carries."""
+        work, posed, state = self.works[world], self._posed[world], self._states[world]
+        if (work.emission.holds or work.emission.ahead) and untouched(state):
+            work.emission.forget()
+        if work.emission.holds:
+            work.emission.begin(posed, t0)
+        turn = posed.array_frame.rotation.T
+        if work.device_sound is not None:
+            watched = self.observer is not None or any(operator is not None for operator in work.observe)
+            for body, own in enumerate(work.by_device(state, posed, t0, watched)):
+                self.forces[body][world] = np.array(own) @ turn
+            return
+        work.look_ahead(posed)
+        mean = work.emission.mean_drives(posed, gather(state, work), t0)
+        key = np.array([[posed.serial, mean.serial]])
+        for body, forces in enumerate(self.forces):
+            if len(mean.weights) == 0:
+                forces[world] = 0.0
+                continue
+            arp = work.mean_pressure(posed, body, mean)
+            if arp is not None:
+                self._pressed[world, body] = np.asarray(arp, np.float64)
+                forces[world] = work.unit_forces.pressed(posed, body, arp) @ turn
+                continue
+
+            def make(_: int, body: int = body) -> Float:
+                return np.asarray(work.unit_forces.under(posed, body, mean.units[0], mean.serial) @ turn)
+
+            self._means[world] = mean.units[0], float(mean.weights[0]), mean.serial
+            forces[world] = mean.weights[0] * self._unit_forces[body].rows(np.array([world]), key, make)[0]
+
+    def pressed(self, world: int, body: int) -> Float | None:
+        """The mean ARP [Pa] at a body's samples in the step that began last, shape (n,); None in silence."""
+        known = self._pressed.get((world, body))
+        if known is not None or world not in self._means:
+            return known
+        unit, factor, serial = self._means[world]
+        work, posed = self.works[world], self._posed[world]
+        skin = work.unit_forces.skins[body]
+        return factor * work.radiation.on(posed, skin, "samples", unit, serial).arp.astype(np.float64)
+
+    def sense(self, skin: int, place: SensorPlace, t0: float) -> tuple[Float, Float]:
+        """ARP [Pa], shape (worlds,), displacement [m] and velocity [m/s], (worlds, 2), at a sensor's place as a step
+        begins; 0 in worlds that have not begun one here."""
+        count = len(self.models)
+        arp, motion = np.zeros(count), np.zeros((count, 2))
+        joined = self.smooth.joined
+        kept = self._unit_arp.get(place) or self._unit_arp.setdefault(place, Kept(count))
+        if len(joined):
+            factors = self.smooth.present_factors(t0)
+            loud = factors > 0.0
+            worlds = joined[loud]
+            arp[worlds] = factors[loud] * kept.rows(worlds, self._joined_keys[loud], self._probe, skin, place)
+        for world in self._apart:
+            arp[world] = self._in(self._arp_in_one, world, skin, place, kept, t0)
+        here = joined if not self._apart else np.sort(np.concatenate([joined, np.array(self._apart, np.intp)]))
+        part = self.state.skins[skin]
+        begun = here[part[here, 0] != 0.0]
+        if not self._several and len(begun):
+            stepper_of(self.models[0], self.state, skin)  # refuses another's state
+        moving = self.moving.joined
+        if len(moving):
+            arp[moving], motion[moving] = self.moving.sensed(skin, place)
+        for stepper, own in self.steppers(skin, begun):
+            read = stepper.read(part[own, HEADER : HEADER + stepper.state_size], place.reader(stepper))
+            motion[own] = read[..., 0]
+        return arp, motion
+
+    def _probe(self, world: int, skin: int, place: SensorPlace, drive: Complex | None = None) -> float:
+        """ARP at a sensor [Pa] of a drive, shape (N,), of a world's unit drive without."""
+        posed = self._posed[world]
+        body = posed.bodies[self.models[0].skins[skin].body]
+        points, normals = body.moved(place.probe.closest, place.probe.normals, place.binding)
+        sounding = self.smooth.unit(world) if drive is None else drive
+        return float(self.works[world].radiation.at(posed, skin, "probe", points, normals, sounding).arp[0])
+
+    def _arp_in_one(self, world: int, skin: int, place: SensorPlace, kept: Kept, t0: float) -> float:
+        """ARP at a sensor's place [Pa] in a world that nothing else carries."""
+        work, posed = self.works[world], self._posed[world]
+        emitted, device = gather(self._states[world], work), work.device_sound
+        if device is not None and device.course(posed, emitted, t0) is not None:
+            arp = device.sensed(skin, place)
+            if arp is not None:
+                return arp
+        course = work.emission.now(posed, emitted, t0)
+        drive, factor = present_drive(course)
+        if drive is None:
+            return 0.0
+        known = None
+        if device is not None:
+            known = device.probed(skin, place, posed, course.serial)
+            if known is None:
+                device.watch(skin, place)
+        if known is None:
+            key = np.array([[posed.serial, course.serial]])
+            own = np.array([world])
+            known = float(kept.rows(own, key, self._probe, skin, place, drive)[0])
+        return factor * known
+
+    # -- its end -------------------------------------------------------------------------------------------------------
+
+    def advance(self, t0: float, t1: float, skins: bool = True) -> None:
+        """Carry transducers and skins of the worlds that have begun from t0 to t1 [s], in place.
+
+        skins: False leaves them as they are. Raises SceneError for a state of another solver and where a small model
+        that key `solver` names can't go on.
+        """
+        with one_blas_thread:
+            if len(self.moving.joined):
+                self.moving.advance(skins)
+            joined = self.smooth.joined
+            new = joined[self.state.arrays[0][joined, 0] != BEGUN] if self._several else joined
+            for world in [*new.tolist(), *self._apart]:
+                self._in(self._check, world)
+            if len(joined):
+                self._advance_smooth(t0, t1, skins)
+            for world in self._apart:
+                self._in(self._advance_one, world, t0, t1, skins)
+
+    def _check(self, world: int) -> None:
+        """Begin a run in a state that is nobody's; SceneError for another's."""
+        if check_arrays(self.models[world], self._states[world]):
+            self.works[world].begin_run()
+            self._served[:, world] = 0
+
+    def _advance_smooth(self, t0: float, t1: float, skins: bool) -> None:
+        """`advance` in the worlds whose sound a level tells."""
+        model, smooth = self.models[0], self.smooth
+        worlds, moments = smooth.joined, substep_moments((), t0, model.step_s, model.substeps)
+        levels, end = smooth.over(moments)
+        if skins:
+            factors = levels.real**2 + levels.imag**2
+            keys = self._joined_keys.copy()
+            keys[:, 1] *= np.logical_or.reduce(factors, axis=1)
+            begun = smooth.now[worlds]
+            group = _Group(
+                worlds,
+                keys,
+                moments,
+                levels[..., None],
+                lambda i: smooth.course(int(worlds[i]), levels[i], end[i]),
+                lambda i: begun[i] * smooth.unit(int(worlds[i])),
+                (factors @ moments.first.T)[..., None],
+                (factors @ moments.last.T)[..., None],
+            )
+            self._step_skins(group, t0, t1)
+        smooth.advance(end)
+
+    def _advance_one(self, world: int, t0: float, t1: float, skins: bool) -> None:
+        """`advance` in a world that nothing else carries."""
+        model, work, posed, state = self.models[world], self.works[world], self._posed[world], self._states[world]
+        begun, device = gather(state, work), work.device_sound
+        known = None if device is None or self.observer is not None else device.course(posed, begun, t0)
+        moments, course = known or work.emission.over(posed, begun, t0, model.substeps)
+        if skins:
+            first, last = moments.first, moments.last
+            if len(course.units) < 2:
+                shares = course.shares
+                first, last = first @ shares, last @ shares
+            keys = np.array([[posed.serial, course.serial]])
+            levels = course.levels[None]
+            group = _Group(
+                np.array([world]), keys, moments, levels, lambda _: course, lambda _: begun, first[None], last[None]
+            )
+            self._step_skins(group, t0, t1)
+        if model.response_on:
+            scatter(state, course.end)
+
+    def _step_skins(self, group: _Group, t0: float, t1: float) -> None:
+        """Step the skins of a group of worlds, in place, and hand on what is watched."""
+        motion = []
+        for skin in range(len(self.models[0].skins)):
+            self._leave_small_models(group, skin, t0)
+            ends = self._ends(group, skin) if self._devices else {}
+            if self._leave_class(group, skin, ends, t0):
+                ends = {}
+            watched = []
+            for stepper, own in self.steppers(skin, group.worlds):
+                seen = self._step(group, skin, stepper, own, ends, (t0, t1))
+                if seen is not None:
+                    watched.append((own, seen))
+            motion.append(tuple(watched))
+        if self.observer is not None:
+            model, worlds = self.models[0], group.worlds
+            times = t0 + model.step_s * np.arange(1, model.substeps + 1, dtype=np.float64)
+            posed = tuple([self._posed[world] for world in worlds.tolist()])
+            self.observer(
+                StepTrace(times, worlds, posed, group.moments, group.levels, group.course, group.begun, tuple(motion))
+            )
+
+    def _leave_small_models(self, group: _Group, skin: int, t0: float) -> None:
+        """Turn small models into whole layers where something has moved."""
+        worlds, served = group.worlds, self._served[skin]
+        asked = (served[worlds] != self._poses[worlds]) & (self.state.skins[skin][worlds, 0] != WHOLE)
+        for i in asked.nonzero()[0].tolist():
+            world = int(worlds[i])
+            if self._in(self._leaves, world, skin, t0):
+                self._continue_whole(group, i, skin, t0)
+            # One that serves only from the beginning of the sound on must be looked at again, and so where points are
+            # held
+            elif not self.works[world].emission.holds and self.models[world].begin[skin].value.any_course:
+                served[world] = self._poses[world]
+
+    def _leaves(self, world: int, skin: int, t0: float) -> bool:
+        """Whether a skin's small model no longer serves."""
+        work, state = self.works[world], self._states[world]
+        return leaves_small_model(
+            self.models[world], state, skin, self._posed[world], work.reference, work.emission, t0
+        )
+
+    def _continue_whole(self, group: _Group, i: int, skin: int, t0: float) -> None:
+        """Let the whole layer go on with the motion of a skin in the i-th world."""
+        world = int(group.worlds[i])
+        work, state = self.works[world], self._states[world]
+        continue_on_whole_layer(
+            self.models[world], state, skin, self._posed[world], work.emission, work.radiation, group.begun(i), t0
+        )
+
+    def _ends(self, group: _Group, skin: int) -> dict[int, SkinEnd]:
+        """What a device has computed of a skin's step already, by world."""
+        world = int(group.worlds[0])
+        device = self.works[world].device_sound
+        if device is None or world not in self._apart or self.works[world].observe[skin] is not None:
+            return {}
+        stepper, numbers = stepper_of(self.models[world], self._states[world], skin)
+        pose, load = group.keys[0].tolist()
+        end = device.stepped(skin, stepper, numbers[0], (pose, load), (group.first[0], group.last[0]))
+        return {} if end is None else {world: end}
+
+    def _leave_class(self, group: _Group, skin: int, ends: Mapping[int, SkinEnd], t0: float) -> bool:
+        """Measure what of the loads lies outside the class of a skin's modes; the whole layer goes on where it is much.
+
+        Returns whether it does in any world.
+        """
+        left = False
+        for stepper, own in self.steppers(skin, group.worlds):
+            if not stepper.of_class:
+                continue
+            at = group.worlds.searchsorted(own)
+            for i, seen in zip(at.tolist(), self._outside(group, skin, stepper, at, ends), strict=True):
+                world = int(group.worlds[i])
+                model, work = self.models[world], self.works[world]
+                if leaves_class(model, skin, work.outside_share(skin, stepper, seen)):
+                    self._continue_whole(group, i, skin, t0)
+                    left = True
+        return left
+
+    def _outside(
+        self, group: _Group, skin: int, stepper: SkinStepper, at: Rows, ends: Mapping[int, SkinEnd]
+    ) -> list[Outside]:
+        """What of the loads on a skin lies outside the class of its modes, in the worlds at some places of a group."""
+        worlds = group.worlds[at]
+        known = ends.get(int(worlds[0]))
+        if known is not None and known.outside is not None:
+            return [known.outside]
+        first, last = group.first[at], group.last[at]
+        pressure, fixed = self._stack(group, skin, stepper, at)
+        if not fixed:
+            return [stepper.outside(SurfaceLoads(pressure, first, last))]
+        mixed = stepper.mixed(SurfaceLoads(np.zeros(0), first, last))
+        squares = np.add.reduce(mixed**2, axis=(1, 2))
+
+        def of_unit(world: int) -> Float:
+            i = worlds.searchsorted(world)
+            return np.array(stepper.outside(SurfaceLoads(pressure[i : i + 1], ONE, ONE)))
+
+        units = self._unit_outside[skin].rows(worlds, group.keys[at], of_unit)
+        return [Outside(*row) for row in (squares[:, None] * units).tolist()]
+
+    def _patterns(self, group: _Group, skin: int, stepper: SkinStepper, i: int) -> Float32:
+        """Patterns of ARP in the i-th world of a group [Pa], shape (p, n)."""
+        world = int(group.worlds[i])
+        posed, course = self._posed[world], group.course(i)
+        device = self.works[world].device_sound
+        if device is not None and world in self._apart and len(course.units):
+            return device.patterns(posed, skin, course, stepper.points)
+        return self.works[world].patterns(posed, skin, stepper, course)
+
+    def _step(
+        self,
+        group: _Group,
+        skin: int,
+        stepper: SkinStepper,
+        worlds: Rows,
+        ends: Mapping[int, SkinEnd],
+        times: tuple[float, float],
+    ) -> Float | Float32 | None:
+        """Step a skin in some worlds by one stepper; what is watched of it in the first one, in all of them."""
+        part, numbers = self.state.skins[skin], slice(HEADER, HEADER + stepper.state_size)
+        for world in worlds.tolist() if not self._several else worlds[part[worlds, 0] == 0.0].tolist():
+            # Refuses a state that is not at rest though nobody has written it
+            stepper_of(self.models[world], self._states[world], skin)
+            claim(self.models[world], self._states[world], skin, stepper)
+        if ends:
+            part[worlds, numbers] = ends[int(worlds[0])].numbers
             return None
-        known = self._readers.get((skin, stepper))
-        if known is None or known[0] is not operator:
-            known = self._readers[skin, stepper] = operator, stepper.reader(operator)
-        return known[1]
+        at = group.worlds.searchsorted(worlds)
+        pressure, fixed = self._stack(group, skin, stepper, at)
+        loads = SurfaceLoads(pressure, group.first[at], group.last[at], fixed)
+        together = int(worlds[0]) not in self._apart
+        step = (self._on_device(skin, stepper) if together else None) or stepper.step
+        reader = self.works[worlds[0]].reader(skin, stepper)
+        if len(worlds) == len(part):
+            return step(part[:, numbers], loads, *times, reader)
+        states = part[worlds, numbers]
+        seen = step(states, loads, *times, reader)
+        part[worlds, numbers] = states
+        return seen
 
+    def _stack(self, group: _Group, skin: int, stepper: SkinStepper, at: Rows) -> tuple[Float32, bool]:
+        """Patterns of ARP in the worlds at some places of a group, shape (w, p, n): the same array while pose and
+        drive stay, and whether it may."""
+        fixed = group.first.shape[2] == 1
+        key = group.worlds[at].tobytes() + group.keys[at].tobytes()
+        known = self._stacks.get((skin, stepper))
+        if known is None or known[0] != key:
+            patterns = [self._patterns(group, skin, stepper, i) for i in at.tolist()]
+            stacked = np.stack(patterns) if len(patterns) > 1 else patterns[0][None]
+            known = self._stacks[skin, stepper] = key, stacked
+        return known[1], fixed
 
-def step(model: HapticModel, state: HapticState, posed: PosedScene, t0: float, t1: float, work: Workspace) -> None:
-    """Carry transducers and skins from t0 to t1 [s], one MuJoCo step, in place.
+    def steppers(self, skin: int, worlds: Rows) -> list[tuple[SkinStepper, Rows]]:
+        """Some worlds by what steps a skin in them."""
+        whole = self.state.skins[skin][worlds, 0] == WHOLE
+        key = skin, worlds.tobytes(), whole.tobytes()
+        known = self._shared_out.get(key)
+        if known is not None:
+            return known
+        steppers: dict[int, tuple[SkinStepper, list[int]]] = {}
+        for world, left in zip(worlds.tolist(), whole.tolist(), strict=True):
+            model = self.models[world]
+            stepper: SkinStepper = (model.whole if left else model.begin)[skin].value
+            steppers.setdefault(id(stepper), (stepper, []))[1].append(world)
+        if len(self._shared_out) >= KEPT:
+            self._shared_out.clear()
+        found = self._shared_out[key] = [(one, np.array(own, dtype=np.intp)) for one, own in steppers.values()]
+        return found
 
-    Raises SceneError for a state of another solver and where a small model that is asked for can't go on.
-    """
-    begun = gather(state, work)
-    if work.device_sound is None:
-        work.prefetch.predict_drives(posed, begun, t0)
-    device = work.device_sound
-    known = None if device is None or work.observer is not None else device.course(posed, begun, t0)
-    moments, course = known or work.emission.over(posed, begun, t0, model.substeps)
-    motions = []
-    for number in range(len(model.skins)):
-        motions.append(_step_skin(model, state, number, posed, begun, moments, course, t0, t1, work))
-    if model.response_on:
-        scatter(state, course.end)
-    if work.observer is not None:
-        times = t0 + model.step_s * np.arange(1, model.substeps + 1, dtype=np.float64)
-        work.observer(StepTrace(times, posed, moments, course, begun, course.end, tuple(motions)))
+    def _on_device(self, skin: int, stepper: SkinStepper) -> DeviceStep | None:
+        """What steps a skin in place of its stepper, where the device is a GPU and has it; kept."""
+        if not self._several:
+            return None
+        if (skin, stepper) not in self._on_devices:
+            self._on_devices[skin, stepper] = stepper.device_worlds(len(self.models), self._device)
+        return self._on_devices[skin, stepper]
 
+    def _named(self, function: Callable[..., T], world: int, *arguments: Any) -> T:
+        """What a function returns of one of several worlds, which its errors name."""
+        with naming_world(world):
+            return function(world, *arguments)
 
-def step_sound(model: HapticModel, state: HapticState, posed: PosedScene, t0: float, work: Workspace) -> None:
-    """Carry the transducers alone over the MuJoCo step from t0 [s] on, in place; skins stay as they are."""
-    if model.response_on:
-        _, course = work.emission.over(posed, gather(state, work), t0, model.substeps)
-        scatter(state, course.end)
-
-
-def _step_skin(
-    model: HapticModel,
-    state: HapticState,
-    number: int,
-    posed: PosedScene,
-    begun: Complex,
-    moments: Moments,
-    course: EmittedCourse,
-    t0: float,
-    t1: float,
-    work: Workspace,
-) -> Float | None:
-    """Carry a skin from t0 to t1 [s], in place; what is watched of it, (s, 2, m)."""
-    emission, device = work.emission, work.device_sound
-    stepper, numbers = stepper_of(model, state, number)
-    if work.served[number] is not posed and state.skins[number][0, 0] != WHOLE:
-        if leaves_small_model(model, state, number, posed, work.reference, emission, t0):
-            stepper, numbers = continue_on_whole_layer(model, state, number, posed, emission, work.radiation, begun, t0)
-        # One that serves only from the beginning of the sound on must be asked again, and so where points are held
-        elif not emission.holds and stepper.any_course:
-            work.served[number] = posed
-    reader = None if work.observe[number] is None else work.reader(number, stepper)
-    end = None
-    if device is not None and reader is None:
-        end = device.stepped(number, stepper, numbers[0], posed, moments, course)
-    loads = skin_loads(work, posed, number, stepper.points, moments, course) if end is None else None
-    if stepper.of_class:
-        seen = end.outside if end is not None else None
-        if seen is None:
-            assert loads is not None
-            seen = stepper.outside(loads)
-        if leaves_class(model, number, work.outside_share(model, number, stepper, seen)):
-            stepper, numbers = continue_on_whole_layer(model, state, number, posed, emission, work.radiation, begun, t0)
-            reader = None if work.observe[number] is None else work.reader(number, stepper)
-            end, loads = None, skin_loads(work, posed, number, stepper.points, moments, course)
-    motion = None
-    if end is not None:
-        numbers[0] = end.numbers
-    else:
-        assert loads is not None
-        motion = stepper.step(numbers, loads, t0, t1, reader)
-    claim(model, state, number, stepper)
-    return motion[0] if motion is not None else None
-
-
-def skin_loads(
-    work: Workspace, posed: PosedScene, skin: int, points: Int | None, moments: Moments, course: EmittedCourse
-) -> SurfaceLoads:
-    """The ARP over a step's substeps at a skin's quadrature points, or at some of them, by their numbers (p,)."""
-    device = work.device_sound
-    role: Role = "quadrature"
-    if points is not None and device is None:
-        work.radiation.choose(skin, points)
-        role = "load"
-    first, last = (moments.first, moments.last) if course.levels is None else pattern_weights(moments, course)
-    if course.levels is not None and course.unit is None:
-        count = len(posed.skins[skin].skin.layer.quadrature.points if points is None else points)
-        pressures: Float | Float32 = np.zeros((1, count))
-    elif device is not None:
-        pressures = device.patterns(posed, skin, course, points)
-    elif course.unit is not None:
-        pressures = work.radiation.on(posed, skin, role, course.unit).arp[None]
-    elif course.parts is not None:
-        pressures = work.radiation.sums(posed, skin, *course.parts, role)
-    else:
-        assert course.emitted is not None
-        pressures = work.prefetch.pressures(posed, skin, course.emitted, role)
-    return SurfaceLoads(pressures[None], first[None], last[None])
-
-
-def gather(state: HapticState, work: Workspace) -> Complex:
-    """What all transducers emit, shape (N,), in the workspace's array."""
-    start = 0
-    for part in state.emitted:
-        work.amplitudes[start : start + part.shape[1]] = part[0]
-        start += part.shape[1]
-    return work.amplitudes
-
-
-def scatter(state: HapticState, amplitudes: Complex) -> None:
-    """Write what all transducers emit, shape (N,), into the state."""
-    start = 0
-    for part in state.emitted:
-        part[0] = amplitudes[start : start + part.shape[1]]
-        start += part.shape[1]
+    def _keys(self, worlds: Rows) -> Serials:
+        """Serial numbers of the poses and unit drives of worlds whose sound a level tells, shape (g, 2)."""
+        keys: Serials = np.empty((len(worlds), 2), np.int64)
+        keys[:, 0], keys[:, 1] = self._poses[worlds], self.smooth.serials[worlds]
+        return keys

@@ -26,6 +26,7 @@ import palmfield
 from palmfield.device import Branches, resolve
 from palmfield.simulation import step as step_module
 from palmfield.simulation.device_sound import DeviceSound, DeviceWork
+from palmfield.simulation.moving_worlds import WorldsWork
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENES = ROOT / "mjcf" / "scenes"
@@ -181,6 +182,7 @@ def measure(scene: Path, watch: Stopwatch, options: argparse.Namespace) -> None:
         other = opened(scene, "cpu", argparse.Namespace(device="", accuracy=options.accuracy))
         print(f"  against the CPU over {options.compare} steps: {differences(numbers(other, options.compare), there)}")
     watch.watch(DeviceWork, "run", "device")
+    watch.watch(WorldsWork, "step", "worlds' graph")
     watch.watch(DeviceSound, "patterns", "load fetched")
     for lazy in (*sim.runtime.model.begin, *sim.runtime.model.whole):
         if lazy.made:
@@ -206,7 +208,7 @@ def measure(scene: Path, watch: Stopwatch, options: argparse.Namespace) -> None:
     )
     sound = sim.runtime.work.device_sound
     assert sound is not None
-    print(f"  launches {sound.launches}")
+    print(f"  launches {sound.launches}, in the worlds' graph {len(sim.steps.moving.joined)}")
     if sound.work is not None:
         by_itself(sound.work, device, options)
 

@@ -77,13 +77,13 @@ def main() -> None:
         times.append(time.perf_counter() - start)
     us = 1e6 / given.worlds
     scenes: Any = sim._scenes
-    joined = len(scenes.moving.joined)
+    joined = len(scenes.steps.moving.joined)
     print(f"{processor()}, {cores()} cores, {given.device}")
     print(f"{given.scene}, {given.worlds} worlds, {joined} in one graph")
     print(f"ready after {ready_s:.1f} s; {us * statistics.median(times):.1f} us a world and step")
     for _, _, what in PARTS:
         print(f"{what:32} {us * spent[what] / given.steps:7.2f}")
-    work = scenes.moving._work
+    work = scenes.steps.moving._work
     if work is None or given.device == "cpu":
         return
     device = wp.get_device(given.device)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from palmfield.engine.scene_runtime import present_drive
+from palmfield.drive.transducer_response import present_drive
 from palmfield.session.loudest_moment import LoudestMoment
 from palmfield.session.simulation import Simulation
 

@@ -8,7 +8,7 @@ import pytest
 
 import palmfield
 from palmfield.errors import SceneError
-from palmfield.simulation.step import gather
+from palmfield.simulation.workspace import gather
 
 BAD_AND_NOT_COMPILED = '<keyframe><key qpos="0 0 0 0 0"/></keyframe>'
 """MuJoCo refuses it after the plugins were asked for their sizes, and before they are made."""

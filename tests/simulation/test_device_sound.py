@@ -13,14 +13,14 @@ import palmfield
 from palmfield.acoustics.surface_load import CLEARANCE_M
 from palmfield.data import folder
 from palmfield.device import Branches
+from palmfield.drive.transducer_response import of_drives, rows
 from palmfield.errors import DeviceError, PalmfieldError
-from palmfield.simulation import device_sound, validate
-from palmfield.simulation import step as step_module
+from palmfield.simulation import device_sound, validate, workspace
 from palmfield.simulation.device_sound import DeviceSound, serves
 from palmfield.simulation.emission import of_one
-from palmfield.simulation.forces import BodyForces
 from palmfield.simulation.radiation import Radiation
-from palmfield.simulation.step import gather
+from palmfield.simulation.step import Steps
+from palmfield.simulation.workspace import Workspace, gather
 from palmfield.skin.reduction import device_models
 from palmfield.skin.reduction.modal_stepper import ModalStepper
 
@@ -37,7 +37,7 @@ def by_graph(monkeypatch: pytest.MonkeyPatch) -> Callable[..., palmfield.Simulat
 
     def opened(scene: Path, **keywords: Any) -> palmfield.Simulation:
         with monkeypatch.context() as patch:
-            patch.setattr(step_module, "serves", lambda model: True)
+            patch.setattr(workspace, "serves", lambda model: True)
             return palmfield.Simulation(scene, device="cpu", **keywords)
 
     return opened
@@ -51,9 +51,11 @@ def stages(sim: palmfield.Simulation) -> dict[str, Any]:
     _, course = work.emission.over(posed, emitted, now, runtime.model.substeps)
     loads = []
     for skin in range(len(runtime.model.skins)):
-        drives = course.unit[None] if course.emitted is None else course.emitted
-        loads.append(radiation.many(posed, skin, drives))
-    forces = BodyForces(runtime.model, radiation).over(work.emission, posed, emitted, now)
+        loads.append(radiation.many(posed, skin, course.units if len(course.units) == 1 else rows(course)))
+    steps = Steps([runtime.model], [Workspace(runtime.model)], runtime.state)
+    steps.begin({0: posed}, now)
+    turn = posed.array_frame.rotation
+    forces = [tuple(force[0] @ turn) for force in steps.forces]
     return {"posed": posed, "course": course, "loads": loads, "forces": forces}
 
 
@@ -96,7 +98,7 @@ def test_boundary_elements_and_float64_are_left_to_the_stages(
         ({"array": {"precision": "accurate"}}, False),
     ):
         with monkeypatch.context() as patch:
-            patch.setattr(step_module, "serves", lambda model: False)
+            patch.setattr(workspace, "serves", lambda model: False)
             sim = palmfield.Simulation(small_scene(**keys))
         assert serves(sim.runtime.model) is served
 
@@ -136,7 +138,7 @@ def test_a_moving_focus_is_driven_on_the_device(small_scene: Any, by_graph: Any,
     np.testing.assert_allclose(known[1].end, course.end, rtol=0.0, atol=1e-12)
     points = np.arange(0, 40, 7)
     load = work.device_sound.patterns(posed, 0, known[1], points).copy()
-    other = Radiation(runtime.model).many(posed, 0, course.emitted)[:, points]
+    other = Radiation(runtime.model).many(posed, 0, course.units)[:, points]
     np.testing.assert_allclose(load, other, rtol=0.0, atol=3e-5 * np.abs(other).max())
 
 
@@ -201,9 +203,10 @@ def test_a_state_that_is_put_back_goes_on_from_there(small_scene: Any, by_graph:
     moments, course = runtime.work.device_sound.course(posed, begun, now)
     stepper, numbers = runtime.skin_states()[0]
     device = runtime.work.device_sound
-    assert device.stepped(0, stepper, numbers[0], posed, moments, course) is not None
+    known = (posed.serial, course.serial), (moments.first, moments.last)
+    assert device.stepped(0, stepper, numbers[0], *known) is not None
     numbers[0, 0] += 1e-6
-    assert device.stepped(0, stepper, numbers[0], posed, moments, course) is None
+    assert device.stepped(0, stepper, numbers[0], *known) is None
 
 
 def test_branches_of_a_graph_are_all_done() -> None:
@@ -280,7 +283,7 @@ def test_runs_repeat_to_the_bit(small_scene: Any, by_graph: Any) -> None:
 def test_a_copy_goes_on_by_itself(small_scene: Any, by_graph: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     sim = by_graph(small_scene())
     sim.step(3)
-    monkeypatch.setattr(step_module, "serves", lambda model: True)
+    monkeypatch.setattr(workspace, "serves", lambda model: True)
     twin = sim.copy()
     sim.step(4)
     twin.step(4)
@@ -296,10 +299,9 @@ def test_more_drives_than_before_take_more_room(small_scene: Any, by_graph: Any)
     rng = np.random.default_rng(0)
     drives = np.exp(2j * np.pi * rng.uniform(size=(11, 256)))
     course = runtime.work.emission.over(posed, gather(runtime.state, runtime.work), sim.data.time, 2)[1]
-    many = course._replace(unit=None, levels=None, emitted=drives)
-    for wanted in (many, course._replace(unit=drives[0], levels=np.ones(1), emitted=None), many):
-        given = drives if wanted.emitted is not None else drives[:1]
-        expected = Radiation(runtime.model).many(posed, 0, given)
+    many = of_drives(drives, course.end)
+    for wanted in (many, of_drives(drives[:1], course.end), many):
+        expected = Radiation(runtime.model).many(posed, 0, wanted.units)
         found = sound.patterns(posed, 0, wanted)
         assert np.abs(found - expected).max() < 3e-5 * expected.max()
 
@@ -344,11 +346,11 @@ def test_what_is_not_finite_is_named(small_scene: Any, by_graph: Any) -> None:
     course = sim.runtime.work.emission.now(posed, drive, 0.0)
     drive[7] = np.nan
     with pytest.raises(PalmfieldError, match=r"drive of transducer 7 = .*nan.* is not finite"):
-        sound.update(posed, of_one(drive, 1.0), course, None)
+        sound.update(posed, of_one(drive[None], 1.0, 1), course, course)
     posed.bodies[0].frame.position[1] = np.inf
     with pytest.raises(PalmfieldError, match=r"pose of 'pad' at .*inf.* is not finite"):
         DeviceSound(sim.runtime.model, sim.runtime.work.reference).update(
-            posed, of_one(np.ones(256, complex), 1.0), course, None
+            posed, of_one(np.ones((1, 256), complex), 1.0, 1), course, course
         )
 
 

@@ -5,7 +5,7 @@ import pytest
 import warp as wp
 
 import palmfield
-from palmfield.simulation import step_together
+from palmfield.simulation import step as step_module
 from palmfield.skin.reduction.device_worlds import DeviceWorlds
 
 KEYS = {
@@ -13,7 +13,7 @@ KEYS = {
     "stimulus.am_depth": [1.0, 0.5, 0.8],
     "stimulus.start_s": [0.0, 0.0035, 0.002],
 }
-SKIN = {"max_frequency_Hz": 400, "element_m": 0.01, "accuracy": 0.5, "solver": "modal"}
+SKIN = {"max_frequency_Hz": 400, "element_m": 0.01, "accuracy": 0.4, "solver": "modal"}
 STEPS = 9
 
 
@@ -30,7 +30,7 @@ def by_device(monkeypatch):
         return self._on_devices.setdefault(skin, DeviceWorlds(stepper, len(self.models), "cpu")).step
 
     monkeypatch.setattr(DeviceWorlds, "step", step)
-    monkeypatch.setattr(step_together.TogetherStep, "_on_device", of_skin)
+    monkeypatch.setattr(step_module.Steps, "_on_device", of_skin)
     return stepped
 
 
@@ -40,7 +40,12 @@ def watched(path):
     seen: list[list[tuple[np.ndarray, np.ndarray]]] = []
     for runtime in sim.runtimes:
         runtime.work.observe = tuple(skin.layer.surface_operator for skin in runtime.model.skins)
-    sim.together.observer = lambda trace: seen.append([(rows, motion.copy()) for rows, motion in trace.motion[0]])
+
+    def see(trace):
+        if len(trace.worlds) > 1:
+            seen.append([(rows, motion.copy()) for rows, motion in trace.motion[0]])
+
+    sim.steps.observer = see
     sim.step(STEPS)
     return sim, seen
 

@@ -1,22 +1,34 @@
 """Worlds whose bodies move, in one graph on a device (here the CPU as one), against simulations by themselves."""
 
+from collections.abc import Callable
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 
 import palmfield
+from palmfield import device
 from palmfield.data import folder
-from palmfield.simulation import moving_worlds
+from palmfield.errors import DeviceError
+from palmfield.simulation import device_sound, moving_worlds
 
 SCENES = folder("mjcf") / "scenes"
+STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+MOST_CALLS = 75
 COARSE = {"skin.accuracy": 0.5, "skin.max_frequency_Hz": 300}
 
 
 @pytest.fixture
-def by_graph(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The CPU is taken for a device whose graphs step worlds."""
-    monkeypatch.setattr(moving_worlds, "serves", lambda model: True)
+def by_graph(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
+    """Opens a scene on the CPU as on a device whose graphs step worlds."""
+
+    def opened(*scene: Any, **keywords: Any) -> Any:
+        with monkeypatch.context() as patch:
+            patch.setattr(moving_worlds, "serves", lambda model: True)
+            return palmfield.Simulation(*scene, **keywords)
+
+    return opened
 
 
 def apart(one: np.ndarray, other: np.ndarray) -> float:
@@ -36,13 +48,13 @@ def apart(one: np.ndarray, other: np.ndarray) -> float:
     ],
 )
 def test_worlds_are_what_each_is_by_itself(
-    by_graph: None, scene: str, differs: dict[str, list[float]], start_s: float
+    by_graph: Callable[..., Any], scene: str, differs: dict[str, list[float]], start_s: float
 ) -> None:
     path = SCENES / f"{scene}.xml"
-    worlds: Any = palmfield.Simulation(path, worlds=3, keys=COARSE | differs)
+    worlds = by_graph(path, worlds=3, keys=COARSE | differs)
     worlds.start_at(start_s)
     worlds.step(4)
-    assert len(worlds._scenes.moving.joined) == 3
+    assert len(worlds.steps.moving.joined) == 3
     for world in range(3):
         keys = {name: values[world] for name, values in differs.items()}
         alone = palmfield.Simulation(path, keys=COARSE | keys | {"skin.solver": "modal"})
@@ -54,18 +66,27 @@ def test_worlds_are_what_each_is_by_itself(
         assert apart(worlds.data[world].qpos, alone.data.qpos) < 1e-9
 
 
-def test_copies_and_resets_go_on_from_what_the_device_has(by_graph: None) -> None:
+def copied(sim: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """A copy, as on such a device."""
+    with monkeypatch.context() as patch:
+        patch.setattr(moving_worlds, "serves", lambda model: True)
+        return sim.copy()
+
+
+def test_copies_and_resets_go_on_from_what_the_device_has(
+    by_graph: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """States lie on the device: a copy, a reset and a look at the skin in between change nothing of what comes."""
     levels = {"stimulus.drive_amplitude": [1.0, 0.6]}
-    worlds: Any = palmfield.Simulation(SCENES / "hover_explore.xml", worlds=2, keys=COARSE | levels)
+    worlds = by_graph(SCENES / "hover_explore.xml", worlds=2, keys=COARSE | levels)
     worlds.start_at(0.1)
     worlds.step(2)
-    twin = worlds.copy()
+    twin = copied(worlds, monkeypatch)
     looked = worlds.skin().displacement
     worlds.step(2)
     twin.step(2)
     ended, forces = worlds.skin().displacement, worlds.forces
-    assert len(twin._scenes.moving.joined) == 2 and np.abs(ended - looked).max() > 0.0
+    assert len(twin.steps.moving.joined) == 2 and np.abs(ended - looked).max() > 0.0
     np.testing.assert_array_equal(twin.skin().displacement, ended)
     np.testing.assert_array_equal(twin.forces, forces)
     worlds.start_at(0.1)
@@ -74,14 +95,14 @@ def test_copies_and_resets_go_on_from_what_the_device_has(by_graph: None) -> Non
     np.testing.assert_array_equal(worlds.skin().displacement, ended)
 
 
-def test_a_step_in_which_a_level_jumps_is_taken_by_each_world_itself(by_graph: None) -> None:
+def test_a_step_in_which_a_level_jumps_is_taken_by_each_world_itself(by_graph: Callable[..., Any]) -> None:
     stops = {"stimulus.stop_s": [0.1025, 0.2]}
-    worlds: Any = palmfield.Simulation(SCENES / "hover_explore.xml", worlds=2, keys=COARSE | stops)
+    worlds = by_graph(SCENES / "hover_explore.xml", worlds=2, keys=COARSE | stops)
     worlds.start_at(0.1)
     joined = []
     for _ in range(5):
         worlds.step()
-        joined.append(worlds._scenes.moving.joined.tolist())
+        joined.append(worlds.steps.moving.joined.tolist())
     assert joined == [[0, 1], [0, 1], [1], [0, 1], [0, 1]]
     alone = palmfield.Simulation(
         SCENES / "hover_explore.xml", keys=COARSE | {"stimulus.stop_s": 0.1025, "skin.solver": "modal"}
@@ -90,3 +111,59 @@ def test_a_step_in_which_a_level_jumps_is_taken_by_each_world_itself(by_graph: N
     alone.step(5)
     assert apart(worlds.skin().displacement[0], alone.skin().displacement) < 1e-5
     assert apart(worlds.emitted[0], alone.emitted) < 1e-9
+
+
+@pytest.mark.parametrize("scene", ["hover_explore", "follow_fingertip"])
+def test_one_world_takes_the_same_graph(
+    by_graph: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, scene: str, python_calls: Any
+) -> None:
+    """In MuJoCo's own step, whose state is all that it goes on from."""
+    path, keys = SCENES / f"{scene}.xml", COARSE | {"skin.solver": "modal"}
+    sims = by_graph(path, keys=keys), palmfield.Simulation(path, keys=keys)
+    for sim in sims:
+        sim.start_at(0.1)
+        sim.step(3)
+    graph, alone = sims
+    assert len(graph.steps.moving.joined) == 1
+    kept = np.zeros(mujoco.mj_stateSize(graph.model, STATE))
+    mujoco.mj_getState(graph.model, graph.data, kept, STATE)
+    twin = copied(graph, monkeypatch)
+    graph.step(3)
+    alone.step(3)
+    assert apart(graph.forces, alone.forces) < 1e-5
+    assert apart(graph.skin().displacement, alone.skin().displacement) < 1e-5
+    assert apart(graph.data.sensordata, alone.data.sensordata) < 1e-4
+    assert apart(graph.data.qpos, alone.data.qpos) < 1e-9 and apart(graph.emitted, alone.emitted) < 1e-9
+    shares = [sim.runtime.work.outside[0].energy_share for sim in sims]
+    assert shares[0] == pytest.approx(shares[1], rel=1e-3) and shares[1] > 0.0
+    ended = graph.data.plugin_state.copy()
+    mujoco.mj_setState(graph.model, graph.data, kept, STATE)
+    for sim in (graph, twin):
+        sim.step(3)
+        np.testing.assert_array_equal(sim.data.plugin_state, ended)
+    assert python_calls(lambda: mujoco.mj_step(graph.model, graph.data)) <= MOST_CALLS
+    palmfield.raise_errors(graph.data)
+
+
+def test_worlds_that_a_device_has_no_room_for_are_refused_with_the_number_that_fits(
+    by_graph: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    taken: list[int] = []
+    real = device_sound.check_room
+
+    def check(needed: int, worlds: int, device: str) -> None:
+        taken.append(needed)
+        real(needed, worlds, device)
+
+    monkeypatch.setattr(device_sound, "check_room", check)
+    levels = {"stimulus.drive_amplitude": [1.0, 0.8, 0.6]}
+    path = SCENES / "hover_explore.xml"
+    worlds = by_graph(path, worlds=3, keys=COARSE | levels)
+    worlds.start_at(0.1)
+    worlds.step()
+    work = worlds.steps.moving._work
+    points = work.load.array.size * 4 + sum(part.nbytes for part in (work.inputs, work.forces))
+    assert points < taken[0] < 3 * 2**24
+    monkeypatch.setattr(device, "free_bytes", lambda _: taken[0] // 2)
+    with pytest.raises(DeviceError, match=r"3 worlds take .* GB on cpu, .* MB each.*allowed: worlds <= 1"):
+        by_graph(path, worlds=3, keys=COARSE | levels)

@@ -40,8 +40,8 @@ def test_a_path_on_a_still_body_gives_what_each_field_by_itself_does(small_scene
     path = small_scene(stimulus=CIRCLE, array={"response": response}, skin=SKIN)
     (force, motion), sim = ran(path)
     sound = sim.runtime.work.path_sound
-    assert sound.serves and all(fields is not None for _, fields in sound._fields.values())
-    assert {role for _, role in sound._fields} == {"samples", "load"}
+    assert sound.serves and None not in sound._fields.values()
+    assert {role for _, role, _ in sound._fields} == {"samples", "load"}
     monkeypatch.setattr(path_sound, "serves", lambda model: False)
     (plain_force, plain_motion), plain = ran(path)
     assert not plain.runtime.work.path_sound._fields
@@ -73,7 +73,7 @@ def test_copies_share_the_fields(small_scene):
         part.step(3)
     own, other = sim.runtime.work.path_sound, copy.runtime.work.path_sound
     assert own._fields.keys() == other._fields.keys() and own._fields
-    assert all(own._fields[key][1] is other._fields[key][1] for key in own._fields)
+    assert all(own._fields[key] is other._fields[key] for key in own._fields)
     assert np.array_equal(sim.skin().displacement, copy.skin().displacement)
 
 
@@ -96,7 +96,7 @@ def test_loads_are_computed_ahead_where_a_path_has_no_small_span(small_scene, mo
     monkeypatch.setattr(path_sound, "drives_span", lambda drives: None)
     sim = load(small_scene(stimulus=CIRCLE, skin=SKIN))
     sim.step(STEPS)
-    assert sim.runtime.work.path_sound.serves and sim.runtime.work.prefetch._loads
+    assert sim.runtime.work.path_sound.serves and sim.runtime.work.radiation._batches
 
 
 @pytest.mark.parametrize(

@@ -5,8 +5,9 @@ import pytest
 
 import palmfield
 from palmfield.data import folder
+from palmfield.drive.transducer_response import rows
 from palmfield.simulation.radiation import Radiation
-from palmfield.simulation.step import gather
+from palmfield.simulation.workspace import gather
 
 SCENES = folder("mjcf") / "scenes"
 
@@ -27,9 +28,9 @@ def hands():
 @pytest.mark.parametrize("skin", [0, 1])
 def test_sums_are_what_each_moments_drive_gives(hands, skin, role):
     runtime, posed, course = hands
-    assert course.parts is not None and len(course.emitted) > 2
-    sums = Radiation(runtime.model).sums(posed, skin, *course.parts, role)
-    moment_by_moment = Radiation(runtime.model).many(posed, skin, course.emitted, role)
+    assert len(course.units) == 2 < len(course.levels)
+    sums = Radiation(runtime.model).sums(posed, skin, course.units, course.levels, role)
+    moment_by_moment = Radiation(runtime.model).many(posed, skin, rows(course), role)
     np.testing.assert_allclose(sums, moment_by_moment, atol=3e-6 * moment_by_moment.max())
     assert np.ptp(moment_by_moment, axis=0).max() > 1.0
 
@@ -41,11 +42,12 @@ def test_the_mean_force_is_that_of_each_moments_drive(hands):
     assert len(mean.units) == 2  # as many as there are stimuli
     moments, course = emission.over(posed, emitted, runtime.view.raw.time, runtime.model.substeps)
     weights = 0.5 * (moments.first + moments.last).sum(axis=0) / runtime.model.substeps
-    for body, (force, _) in enumerate(runtime.work.unit_forces.over(emission, posed, emitted, runtime.view.raw.time)):
+    turn = posed.array_frame.rotation
+    for body, (force, _) in enumerate(runtime.body_forces()):
         radiation = Radiation(runtime.model)
-        arp = weights @ radiation.many(posed, body, course.emitted, "samples")
+        arp = weights @ radiation.many(posed, body, rows(course), "samples")
         _, normals, areas, _ = radiation.samples(posed, body)
-        whole = -(arp * areas) @ normals
+        whole = -(arp * areas) @ normals @ turn.T
         np.testing.assert_allclose(force.sum(axis=0), whole, atol=1e-5 * np.linalg.norm(whole))
 
 
@@ -60,10 +62,10 @@ def test_the_mean_force_is_that_over_all_moments():
     posed, emitted, now = runtime.posed, gather(runtime.state, work), sim.data.time
     moments, course = work.emission.over(posed, emitted, now, runtime.model.substeps)
     weights = 0.5 * (moments.first + moments.last).sum(axis=0) / runtime.model.substeps
-    [(force, _), _] = work.unit_forces.over(work.emission, posed, emitted, now)
+    [(force, _), _] = runtime.body_forces()
     radiation = Radiation(runtime.model)
-    arp = weights @ radiation.many(posed, 0, course.emitted, "samples")
+    arp = weights @ radiation.many(posed, 0, rows(course), "samples")
     _, normals, areas, _ = radiation.samples(posed, 0)
-    whole = -(arp * areas) @ normals
+    whole = -(arp * areas) @ normals @ posed.array_frame.rotation.T
     assert np.linalg.norm(whole) > 2e-4
     np.testing.assert_allclose(force.sum(axis=0), whole, atol=1e-5 * np.linalg.norm(whole))

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from palmfield.cli.app import main
-from palmfield.engine.scene_runtime import present_drive
+from palmfield.drive.transducer_response import present_drive
 from palmfield.errors import SceneError
 from palmfield.hand.preset import load_preset
 from palmfield.hand.rigged_mjcf import rigged_mjcf

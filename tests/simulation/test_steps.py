@@ -12,8 +12,8 @@ import pytest
 import palmfield
 from palmfield.acoustics import surface_arp
 from palmfield.simulation.state import HEADER, new_state
-from palmfield.simulation.step import Workspace
-from palmfield.simulation.step import step as model_step
+from palmfield.simulation.step import Steps
+from palmfield.simulation.workspace import Workspace
 from palmfield.skin.fem.wedge_stepper import WedgeStepper
 from palmfield.skin.reduction.reduced_stepper import ReducedStepper
 
@@ -70,8 +70,10 @@ def test_a_state_of_its_own_steps_as_mujocos_does(small_scene, solver):
 
     def on(state, first, last):
         work = Workspace(model)
+        steps = Steps([model], [work], state)
         for number in range(first, last):
-            model_step(model, state, work.reference, number * timestep_s, (number + 1) * timestep_s, work)
+            steps.begin({0: work.reference}, number * timestep_s)
+            steps.advance(number * timestep_s, (number + 1) * timestep_s)
 
     state = new_state(model)
     on(state, 0, 4)

@@ -13,7 +13,7 @@ from palmfield.simulation.emission import Emission
 from palmfield.simulation.posed_scene import PosedScene, posed_scene
 from palmfield.simulation.radiation import Radiation
 from palmfield.simulation.sensors import SkinReading, channels
-from palmfield.simulation.step import StepTrace, skin_loads, step
+from palmfield.simulation.step import Steps, StepTrace
 from palmfield.skin.stepper import Reader, SkinStepper, SurfaceLoads
 from palmfield.stimulus.focal_points import FocalPoints
 from palmfield.stimulus.schedule import Moments
@@ -26,10 +26,10 @@ from palmfield.stimulus.schedule import Moments
         (ArrayDrive.unit_drives, {FocalPoints}, set()),
         (Emission.over, {PosedScene}, {Moments, EmittedCourse}),
         (Radiation.on, {PosedScene}, {SurfaceSound}),
-        (skin_loads, {PosedScene, Moments, EmittedCourse}, {SurfaceLoads}),
+        (Radiation.patterns, {PosedScene, EmittedCourse}, set()),
         (SkinStepper.step, {SurfaceLoads, Reader}, set()),
         (channels, {SkinReading}, set()),
-        (step, {PosedScene}, set()),
+        (Steps.begin, {PosedScene}, set()),
     ],
 )
 def test_stages_meet_in_types_of_their_own(stage, takes, gives):

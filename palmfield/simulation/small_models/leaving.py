@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from palmfield.drive.transducer_response import present_drive
 from palmfield.errors import SceneError
 from palmfield.simulation.emission import Emission, array_drives
 from palmfield.simulation.model import HapticModel
@@ -44,7 +45,7 @@ def leaves_small_model(
     if stepper.any_pose and stepper.any_course:
         return False
     start_s = model.stimuli[model.sounding].config.start_s
-    moved = posed.skins[skin] is not reference.skins[skin] or posed.arrays is not model.arrays
+    moved = posed.skins[skin].serial != reference.skins[skin].serial or posed.arrays.serial != model.arrays.serial
     if not moved:
         stimulus, _, points = emission.placed(posed, t0)[model.sounding]
         difference = np.abs(points.at(first_point(stimulus.config)) - stimulus.reference_foci)
@@ -83,13 +84,12 @@ def continue_on_whole_layer(
 
     def pressure() -> Float:
         course = emission.now(posed, amplitudes, t0)
+        drive, factor = present_drive(course)
         assert small.points is not None
+        if drive is None:
+            return np.zeros(len(small.points))
         radiation.choose(skin, small.points)
-        if course.unit is not None and course.levels is not None:
-            return np.asarray(abs(course.levels[0]) ** 2 * radiation.on(posed, skin, "load", course.unit).arp)
-        if course.emitted is not None:
-            return radiation.on(posed, skin, "load", course.emitted[0]).arp.astype(np.float64)
-        return np.zeros(len(small.points))
+        return factor * radiation.on(posed, skin, "load", drive, course.serial).arp.astype(np.float64)
 
     numbers[:, : whole.state_size] = small.lifted(numbers[:, : small.state_size], pressure)
     claim(model, state, skin, whole)

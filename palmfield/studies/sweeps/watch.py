@@ -1,7 +1,5 @@
 """What a sweep watches of running worlds: motion of all vertices, highest ARP, forces and sensors of each."""
 
-from functools import partial
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,7 +10,6 @@ from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.sensors import CHANNELS
 from palmfield.simulation.state import at_rest
 from palmfield.simulation.step import StepTrace
-from palmfield.simulation.step_together import TogetherTrace
 from palmfield.types import Float, Float32
 
 NORMAL = list(CHANNELS).index("normal_displacement_m")
@@ -33,8 +30,7 @@ class Watched:
     def __init__(self, simulation: Simulation, steps: int) -> None:
         self.simulation = simulation
         self.runtimes = simulation.runtimes
-        if simulation.worlds is not None:
-            simulation.together.observer = self._together
+        simulation.steps.observer = self._observe
         model, world = self.runtimes[0].model, self.runtimes[0].view
         self._bodies = [skin.body for skin in model.skins]
         names = [sensor.name for skin in self.runtimes[0].binding.skins for sensor in world.sensors(skin.instance)]
@@ -48,14 +44,13 @@ class Watched:
         self.loudest: list[list[LoudestMoment | None]] = [[None] * len(model.skins) for _ in self.runtimes]
         self.forces: Float = np.zeros((steps, count, len(model.skins), 3))
         self.sensors: Float = np.zeros((steps, count, len(names)))
-        # The highest ARP of a world's unit drive on a skin, with the pose for which it holds
-        self._units: dict[tuple[int, int], tuple[PosedScene, float]] = {}
+        # The highest ARP of a world's unit drive on a skin, with the numbers of pose and drive for which it holds
+        self._units: dict[tuple[int, int], tuple[tuple[int, int], float]] = {}
         self._steps, self.begun_s = 0, simulation.time
         operators = tuple(skin.layer.surface_operator for skin in model.skins)
         for number, runtime in enumerate(self.runtimes):
             runtime.work.observe = operators
             self._begin(number)
-            runtime.work.observer = partial(self._alone, number)
 
     def step(self) -> None:
         """One step of MuJoCo's has ended."""
@@ -80,51 +75,49 @@ class Watched:
         """Of the arrays over time: the substeps of the present step."""
         return slice(1 + self._steps * count, 1 + (self._steps + 1) * count)
 
-    def _alone(self, world: int, trace: StepTrace) -> None:
-        """Take the step of one world."""
+    def _observe(self, trace: StepTrace) -> None:
+        """Take the step of some worlds."""
         rows = self._rows(len(trace.times))
         self.times[rows] = trace.times - self.begun_s
-        for motion, seen in zip(self.motion, trace.motion, strict=True):
-            assert seen is not None
-            motion[world, rows] = seen
-        runtime = self.runtimes[world]
-        emitted = emitted_at_ends(runtime.work.emission, trace, runtime.model.step_s)
-        self._hear(world, trace.posed, emitted, trace.times, rows)
-
-    def _together(self, trace: TogetherTrace) -> None:
-        """Take the step of the worlds that have joined."""
-        rows = self._rows(len(trace.times))
-        self.times[rows] = trace.times - self.begun_s
-        last = trace.factors.argmax(axis=1)
-        factors = trace.factors[np.arange(len(last)), last]
-        for skin, motion in enumerate(self.motion):
-            for worlds, seen in trace.motion[skin]:
+        for motion, watched in zip(self.motion, trace.motion, strict=True):
+            for worlds, seen in watched:
                 # World by world, as whole rows: NumPy takes an index array number by number
                 for world, own in zip(worlds.tolist(), seen, strict=True):
                     motion[world, rows] = own
-            units = np.array([self._unit(world, skin) for world in trace.worlds.tolist()])
-            self.arp[trace.worlds, skin, rows] = trace.factors * units[:, None]
-            arp = factors * units
+        if len(trace.worlds) == 1 or trace.levels.shape[2] != 1:
+            [world] = trace.worlds.tolist()
+            runtime = self.runtimes[world]
+            emitted = emitted_at_ends(runtime.work.emission, trace, runtime.model.step_s)
+            self._hear(world, trace.posed[0], emitted, trace.times, rows)
+            return
+        at_ends = trace.levels[:, np.argmax(trace.moments.last, axis=1), 0]
+        factors = at_ends.real**2 + at_ends.imag**2
+        last = factors.argmax(axis=1)
+        highest = factors[np.arange(len(last)), last]
+        for skin in range(len(self.motion)):
+            units = np.array([self._unit(trace, i, skin) for i in range(len(last))])
+            self.arp[trace.worlds, skin, rows] = factors * units[:, None]
+            arp = highest * units
             louder = np.flatnonzero(arp > self.peak_arp[trace.worlds, skin])
             self.peak_arp[trace.worlds[louder], skin] = arp[louder]
-            for row in louder.tolist():
-                world = int(trace.worlds[row])
-                self._note(world, skin, trace.times[last[row]], factors[row])
+            for i in louder.tolist():
+                self._note(trace, i, skin, trace.times[last[i]], highest[i])
 
-    def _unit(self, world: int, skin: int) -> float:
-        """The highest ARP of a joined world's unit drive on a skin [Pa]."""
-        together = self.simulation.together  # type: ignore[union-attr]
-        posed, known = together.posed(world), self._units.get((world, skin))
-        if known is not None and known[0] is posed:
-            return known[1]
-        arp = self.runtimes[world].work.radiation.on(posed, skin, "nodes", together.unit(world).copy()).arp
-        self._units[world, skin] = posed, float(arp.max())
-        return self._units[world, skin][1]
+    def _unit(self, trace: StepTrace, i: int, skin: int) -> float:
+        """The highest ARP on a skin of the unit drive of the i-th world that took the step [Pa]; 0 in silence."""
+        world, posed, course = int(trace.worlds[i]), trace.posed[i], trace.course(i)
+        if len(course.units) == 0:
+            return 0.0
+        known, key = self._units.get((world, skin)), (posed.serial, course.serial)
+        if known is None or known[0] != key:
+            radiation = self.runtimes[world].work.radiation
+            arp = radiation.on(posed, skin, "nodes", course.units[0], course.serial).arp
+            known = self._units[world, skin] = key, float(arp.max())
+        return known[1]
 
-    def _note(self, world: int, skin: int, time_s: float, factor: float) -> None:
-        together = self.simulation.together  # type: ignore[union-attr]
-        moment = LoudestMoment(float(time_s), together.posed(world), together.unit(world).copy(), float(factor))
-        self.loudest[world][skin] = moment
+    def _note(self, trace: StepTrace, i: int, skin: int, time_s: float, factor: float) -> None:
+        moment = LoudestMoment(float(time_s), trace.posed[i], trace.course(i).units[0], float(factor))
+        self.loudest[int(trace.worlds[i])][skin] = moment
 
     def _hear(self, world: int, posed: PosedScene, emitted: Emitted, times: Float, rows: slice) -> None:
         """Take what sounds in one world at some times [s]. rows: their places along time"""
@@ -132,7 +125,7 @@ class Watched:
         for skin in range(len(self.motion)):
             peaks: NDArray[np.floating]
             if one:
-                peaks = emitted.factors * radiation.on(posed, skin, "nodes", emitted.drives).arp.max()
+                peaks = emitted.factors * radiation.on(posed, skin, "nodes", emitted.drives, emitted.serial).arp.max()
             else:
                 peaks = radiation.many(posed, skin, emitted.drives, "nodes").max(axis=1)
             self.arp[world, skin, rows] = peaks

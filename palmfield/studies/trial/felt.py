@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from palmfield.drive.board import Emitted
-from palmfield.drive.transducer_response import EmittedCourse
+from palmfield.drive.transducer_response import EmittedCourse, of_drives
 from palmfield.interrupts import interrupts_held
 from palmfield.session.duration import step_count
 from palmfield.session.simulation import Simulation
@@ -39,14 +39,14 @@ class PlayedEmission(Emission):
     def over(self, posed: PosedScene, emitted: Complex, t0: float, count: int) -> tuple[Moments, EmittedCourse]:
         moments = substep_moments((), t0, self.model.step_s, count, hold=True)
         rows = self.sounding(moments.times)
-        return moments, EmittedCourse(None, None, rows, rows[-1])
+        return moments, of_drives(rows, rows[-1])
 
     def path_step(self, posed: PosedScene, t0: float, count: int) -> None:
         return None
 
     def now(self, posed: PosedScene, emitted: Complex, time_s: float) -> EmittedCourse:
         rows = self.sounding(np.array([time_s]))
-        return EmittedCourse(None, None, rows, rows[0])
+        return of_drives(rows, rows[0])
 
     def commanded(self, posed: PosedScene, times: Float) -> Complex:
         return self.sounding(times)
@@ -96,8 +96,7 @@ def felt(
     if choice == "reduced":
         # A small model serves the scene's own sound alone; modes serve any
         sim = Simulation(scene, device="cpu", accuracy=accuracy, board=board, keys={**keys, f"{name}.solver": "modal"})
-    work = sim.runtime.work
-    work.emission = work.prefetch.emission = PlayedEmission(sim.runtime.model, emitted)
+    sim.steps.play({0: PlayedEmission(sim.runtime.model, emitted)})
     part = sim.skin(name)
     there = sim.runtime.posed.skins[number].nodes[0]
     nodes = np.linalg.norm(there[None] - places[:, None], axis=2).argmin(axis=1)

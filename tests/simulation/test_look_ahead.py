@@ -5,7 +5,7 @@ import pytest
 from scipy import sparse
 
 from palmfield.session.simulation import load
-from palmfield.simulation.prefetch import AHEAD
+from palmfield.simulation.emission import AHEAD
 
 STEADY = {"modulation": "none", "am_quantity": None, "am_frequency_Hz": None, "am_depth": None}
 CIRCLE = STEADY | {"path": "circle", "path_diameter_m": 0.01, "path_rate_Hz": 70}
@@ -33,32 +33,25 @@ def motion_of(sim):
 
 
 class Watch:
-    """How often drives are predicted, and how many substeps take a load that was computed ahead, or one at once."""
+    """How often drives are looked at ahead, and how many substeps take a load that was computed ahead, or at once."""
 
     def __init__(self, sim, ahead):
         work = sim.runtime.work
         self.predictions, self.taken = 0, {True: 0, False: 0}
-        over, many, pressures = work.emission.over, work.radiation.many, work.prefetch.pressures
-        computed = []
+        look_ahead, patterns = work.emission._look_ahead, work.patterns
 
-        def counting_over(posed, emitted, t0, count):
-            self.predictions += count > SUBSTEPS
-            return over(posed, emitted, t0, count)
+        def counting(*arguments):
+            self.predictions += 1
+            return look_ahead(*arguments)
 
-        def counting_many(posed, skin, drives, *role):
-            computed.append(len(drives))
-            return many(posed, skin, drives, *role)
+        def taking(posed, skin, stepper, course):
+            if len(course.units) > 1:
+                self.taken[course.batch is not None] += SUBSTEPS
+            return patterns(posed, skin, stepper, course)
 
-        def counting_pressures(posed, skin, drives, role):
-            computed.clear()
-            result = pressures(posed, skin, drives, role)
-            self.taken[all(count > 2 * SUBSTEPS for count in computed)] += SUBSTEPS
-            return result
-
-        work.emission.over, work.radiation.many = counting_over, counting_many
-        work.prefetch.pressures = counting_pressures
+        work.emission._look_ahead, work.patterns = counting, taking
         if not ahead:
-            work.prefetch.predict_drives = lambda *arguments: None
+            work._may_look_ahead = False
 
 
 def watched(path, ahead, steps=22, speed=0.0):

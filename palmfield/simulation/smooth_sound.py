@@ -1,0 +1,191 @@
+"""What many worlds emit, where one drive gets louder and softer in each, as a focus in one place makes it.
+
+Such a world emits a number times its unit drive, so that pole, levels and means over a step are a few operations on
+arrays with an entry for each world. What any other world emits comes from `palmfield.simulation.emission`.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from palmfield.drive.array_drive import UnitDrive
+from palmfield.drive.transducer_response import SILENT, EmittedCourse, of_unit, ring, silence
+from palmfield.errors import PalmfieldError
+from palmfield.simulation.emission import LEAST_MEANS, Emission, array_drives
+from palmfield.simulation.kept import Bool, Rows, Serials
+from palmfield.simulation.model import HapticModel
+from palmfield.simulation.posed_scene import PosedScene
+from palmfield.simulation.state import LEVEL, HapticState
+from palmfield.stimulus.levels import Levels, goes_smoothly
+from palmfield.stimulus.schedule import Moments, first_point, substep_moments
+from palmfield.types import Complex, Float
+
+
+class SmoothSound:
+    """Levels of the worlds' unit drives. Belongs to one state.
+
+    joined: numbers of the worlds whose present step is told by a level, rising, shape (g,)
+    serials: of the unit drives of all worlds; now: how much of them is emitted, complex, shapes (worlds,)
+    """
+
+    def __init__(
+        self,
+        models: Sequence[HapticModel],
+        emissions: Sequence[Emission],
+        state: HapticState,
+        able: Sequence[bool],
+        alone: bool,
+    ):
+        """able: which worlds may ever join; alone: whether nobody else writes the state, so that levels may be kept
+        from step to step"""
+        self.models, self.emissions, self.state, self._alone = models, emissions, state, alone
+        self._may_join: Bool = np.array([can and _may_join(model) for can, model in zip(able, models, strict=True)])
+        self._ringing: Bool = self._may_join & [model.response_on for model in models]
+        self._levels = Levels([model.stimuli[0].config for model in models])
+        worlds, first = len(models), models[0]
+        self._poses: Serials = np.zeros(worlds, np.int64)
+        self._of: list[UnitDrive | None] = [None] * worlds
+        self._units: Complex = np.zeros((worlds, len(first.arrays)), np.complex128)
+        self._powers, self._peaks = np.zeros(worlds), np.zeros(worlds)
+        self.serials: Serials = np.zeros(worlds, np.int64)
+        # How much of them was emitted when this last wrote the state, and is now
+        self._held: Complex = state.arrays[0][:, LEVEL].view(np.complex128)[:, 0]
+        self.now: Complex = np.zeros(worlds, np.complex128)
+        self._known: Bool = np.zeros(worlds, dtype=bool)
+        self.joined: Rows = np.zeros(0, dtype=np.intp)
+
+    def forget(self) -> None:
+        """Begin again: after a reset nothing is known of what is emitted."""
+        self._known[:] = False
+
+    def leave_out(self, world: int) -> None:
+        """Never tell a world's sound from now on."""
+        self._may_join[world] = self._ringing[world] = False
+
+    def adopt(self, other: "SmoothSound") -> None:
+        """Go on from another's, in a copy of its state in the same PosedScenes."""
+        self._poses, self.serials, self._of = other._poses.copy(), other.serials.copy(), list(other._of)
+        self._units, self._powers, self._peaks = other._units.copy(), other._powers.copy(), other._peaks.copy()
+        self.now, self._known = other.now.copy(), other._known.copy()
+
+    def begin(self, posed: Mapping[int, PosedScene], t0: float) -> list[int]:
+        """Find out which of some worlds a level tells in the step that begins at t0 [s]; numbers of the others."""
+        here = np.zeros(len(self.models), dtype=bool)
+        here[list(posed)] = True
+        joins = self._may_join & here
+        if not np.logical_or.reduce(joins):
+            self.joined = self.joined[:0]
+            return list(posed)
+        joins &= ~self._levels.jump(t0, t0 + self.models[0].spec.timestep_s)
+        for world, now in posed.items():
+            if joins[world] and self._poses[world] != now.serial:
+                joins[world] = self._meet(world, now, t0)
+        joins &= self._levels_alike(joins)
+        self._known = joins & self._alone
+        self.joined = joins.nonzero()[0]
+        return (here & ~joins).nonzero()[0].tolist()
+
+    def _meet(self, world: int, posed: PosedScene, t0: float) -> bool:
+        """Take the unit drive of a world in a new pose; whether there is one."""
+        part, drive, points = self.emissions[world].placed(posed, t0)[0]
+        try:
+            unit = drive.unit_drive_at(points, first_point(part.config))
+        except PalmfieldError:
+            return False  # the world may be silent now; if not, its own step raises this again
+        self._of[world], self.serials[world], self._poses[world] = unit, unit.serial, posed.serial
+        self._units[world], self._powers[world], self._peaks[world] = unit.amplitudes, unit.power, unit.peak
+        self._known[world] = False
+        return True
+
+    def _levels_alike(self, joins: Bool) -> Bool:
+        """In which worlds a number times the unit drive is emitted, shape (worlds,); finds these numbers."""
+        alike = joins.copy()
+        asked = (joins & self._ringing & ~self._known).nonzero()[0]
+        if len(asked) == 0:
+            return alike
+        emitted = np.concatenate([part[asked] for part in self.state.emitted], axis=1)
+        units, levels = self._units[asked], self._held[asked]
+        new = ~_are(emitted, levels, units)
+        if np.logical_or.reduce(new):
+            products, powers = np.einsum("gn,gn->g", units.conj(), emitted), self._powers[asked]
+            found = np.divide(products, powers, out=np.zeros_like(products), where=powers > 0.0)
+            levels = np.where(new, found, levels)
+            alike[asked] = _are(emitted, levels, units)
+        self.now[asked] = levels
+        return alike
+
+    def unit(self, world: int) -> Complex:
+        """The unit drive of a world that has joined, shape (N,)."""
+        known = self._of[world]
+        assert known is not None
+        return known.amplitudes
+
+    def present_factors(self, t0: float) -> Float:
+        """ARP at t0 [s] relative to that of the unit drives, in the worlds that have joined, shape (g,)."""
+        level = np.abs(self.now)
+        emitted = level**2 * (level * self._peaks >= SILENT)
+        if np.logical_and.reduce(self._ringing[self.joined]):
+            return emitted[self.joined]
+        commanded = self._levels.at(np.array([t0]))[:, 0]
+        return np.where(self._ringing, emitted, commanded)[self.joined]
+
+    def mean_factors(self, t0: float) -> Float:
+        """The same, in the mean over the step that begins at t0 [s]."""
+        model = self.models[0]
+        count = max(LEAST_MEANS, model.substeps)
+        moments = substep_moments((), t0, model.spec.timestep_s / count, count, hold=True)
+        levels, _ = self._over(moments)
+        factors = levels.real**2 + levels.imag**2
+        return np.asarray((np.add.reduce(factors @ moments.first.T, axis=1) / count)[self.joined])
+
+    def over(self, moments: Moments) -> tuple[Complex, Complex]:
+        """Levels of the unit drives of the worlds that have joined at some moments, (g, m), and at the end, (g,)."""
+        levels, end = self._over(moments)
+        return levels[self.joined], end[self.joined]
+
+    def _over(self, moments: Moments) -> tuple[Complex, Complex]:
+        """The same in all worlds."""
+        levels: Complex = np.sqrt(self._levels.at(moments.times)).astype(np.complex128)
+        ringing = self._ringing.nonzero()[0]
+        if len(ringing) == 0:
+            return levels, self.now
+        # The arrays, and so their transducers, are those of all worlds
+        stepper = self.models[ringing[0]].stimuli[0].response.stepper
+        rung, end = ring(self.now, levels.T, moments, stepper)
+        silent = ~np.logical_or.reduce(levels, axis=1) & (np.abs(self.now) * self._peaks < SILENT)
+        rung *= np.abs(rung) * self._peaks >= SILENT
+        return np.where(self._ringing[:, None], rung.T, levels), np.where(silent, 0.0, end)
+
+    def course(self, world: int, levels: Complex, end: complex) -> EmittedCourse:
+        """What `over` has found of a world that has joined: levels, shape (m,), and at the end."""
+        unit = self._of[world]
+        assert unit is not None
+        last = end * unit.amplitudes
+        return of_unit(unit, levels, last) if np.logical_or.reduce(levels) else silence(len(levels), last)
+
+    def advance(self, end: Complex) -> None:
+        """Write what the worlds that have joined emit in the end, levels of shape (g,), into the state."""
+        rings = self._ringing[self.joined]
+        worlds, levels = self.joined[rings], end[rings]
+        self.now[worlds] = self._held[worlds] = levels
+        start = 0
+        for part in self.state.emitted:
+            part[worlds] = levels[:, None] * self._units[worlds, start : start + part.shape[1]]
+            start += part.shape[1]
+
+
+def _are(emitted: Complex, levels: Complex, units: Complex) -> Bool:
+    """Whether what is emitted, shape (g, N), is a number times a unit drive in each world, shape (g,)."""
+    rest = emitted - levels[:, None] * units
+    return np.asarray(np.maximum.reduce(rest.real**2 + rest.imag**2, axis=1) < SILENT**2)
+
+
+def _may_join(model: HapticModel) -> bool:
+    """Whether what a world emits is as a rule a number times one drive."""
+    if len(model.stimuli) != 1:
+        return False
+    stimulus = model.stimuli[0]
+    response = stimulus.response
+    alike = not response.on or (not response.delayed and response.stepper.alike)
+    rounds = array_drives(model, model.arrays)[0].rounds_levels
+    return goes_smoothly(stimulus.config) and alike and not rounds

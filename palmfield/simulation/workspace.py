@@ -1,0 +1,138 @@
+"""What one world's steps keep: emission, fields, forces, and what is watched."""
+
+import numpy as np
+from scipy import sparse
+
+from palmfield.drive.transducer_response import EmittedCourse, rows
+from palmfield.simulation.device_sound import DeviceSound, SkinStart, serves
+from palmfield.simulation.emission import Emission, MeanDrives, looks_ahead
+from palmfield.simulation.forces import BodyForces
+from palmfield.simulation.model import HapticModel
+from palmfield.simulation.path_sound import PathSound
+from palmfield.simulation.posed_scene import PosedScene, reference_scene
+from palmfield.simulation.radiation import Radiation, Role
+from palmfield.simulation.small_models.leaving import OutsideClass, loudest_load
+from palmfield.simulation.state import HapticState, at_rest, stepper_of
+from palmfield.skin.stepper import Outside, Reader, SkinStepper
+from palmfield.types import Complex, Float, Float32
+
+MOST_OFF_PATH = 8
+"""Courses one after another off a path, as while transducers ring up, until the path is given up."""
+
+
+class Workspace:
+    """What one world's steps keep: emission, radiation, forces, and what is watched.
+
+    unit_forces: of one drive; device_sound: what computes steps where the device is a GPU
+    outside: of each skin what of its load has been outside the class that its modes serve
+    observe: what is watched of each skin, an operator (m, unknowns) or None
+    """
+
+    def __init__(self, model: HapticModel, beside: "Workspace | None" = None):
+        """beside: of another world with the same bodies, stepped by the same thread: buffers are shared with it."""
+        self.model = model
+        self.reference: PosedScene = reference_scene(model) if beside is None else beside.reference
+        self.emission = Emission(model)
+        self.radiation: Radiation = Radiation(model, None if beside is None else beside.radiation)
+        self.device_sound = DeviceSound(model, self.reference) if serves(model) else None
+        self.path_sound: PathSound = PathSound(
+            model, self.radiation, self.reference, None if beside is None else beside.path_sound
+        )
+        self.unit_forces = BodyForces(model, self.radiation)
+        self.outside = [OutsideClass() for _ in model.skins]
+        self.amplitudes: Complex = np.zeros(len(model.arrays), np.complex128)
+        self.observe: tuple[sparse.csr_matrix | None, ...] = (None,) * len(model.skins)
+        self._may_look_ahead = self.device_sound is None and looks_ahead(model)
+        # Of the worlds beside as well: a reader of many vectors is as large as they are
+        self._readers: dict[tuple[int, SkinStepper], tuple[sparse.csr_matrix, Reader]]
+        self._readers = {} if beside is None else beside._readers
+
+    def begin_run(self) -> None:
+        """Forget what was of another run."""
+        self.path_sound.off = 0
+        self.outside = [OutsideClass() for _ in self.outside]
+
+    def adopt(self, other: "Workspace") -> None:
+        """Go on from another's, in a copy of its state; of the same model in the same PosedScenes."""
+        self.reference = other.reference
+        self.emission.adopt(other.emission)
+        self.radiation.continue_from(other.radiation)
+        self.path_sound.adopt(other.path_sound)
+        self.outside = [part.copy() for part in other.outside]
+
+    def patterns(self, posed: PosedScene, skin: int, stepper: SkinStepper, course: EmittedCourse) -> Float32:
+        """The patterns of ARP [Pa] that a course's `shares` weigh, where a stepper takes them, shape (p, n)."""
+        role: Role = "quadrature"
+        if stepper.points is not None:
+            self.radiation.choose(skin, stepper.points)
+            role = "load"
+        path = self.path_sound
+        if path.serves and len(course.units) > 1:
+            on_path = path.arp(posed, skin, role, rows(course))
+            path.off = 0 if on_path is not None else path.off + 1
+            if on_path is not None:
+                return on_path
+        return self.radiation.patterns(posed, skin, role, course)
+
+    def look_ahead(self, posed: PosedScene) -> None:
+        """Let the emission look ahead where that pays: not along a path whose sound is known."""
+        path = self.path_sound
+        known = path.serves and path.off < MOST_OFF_PATH and path.holds(posed)
+        self.emission.ahead = self._may_look_ahead and not known
+
+    def mean_pressure(self, posed: PosedScene, body: int, mean: MeanDrives) -> Float | Float32 | None:
+        """Mean ARP [Pa] at a body's samples; None for one drive, whose own is kept."""
+        skin, arp = self.unit_forces.skins[body], None
+        if self.path_sound.serves:
+            arp = self.path_sound.arp(posed, skin, "samples", mean.levels @ mean.units)
+        if arp is None and len(mean.weights) > 1:
+            arp = self.radiation.sums(posed, skin, mean.units, mean.levels, "samples")
+        return None if arp is None else mean.weights @ arp
+
+    def by_device(self, state: HapticState, posed: PosedScene, t0: float, watched: bool) -> list[tuple[Float, Float]]:
+        """Mean forces over the step that begins at t0 [s], as of `Steps.begin` but in the array frame, of each body.
+
+        The device computes the step's load with them, and steps the skins over it that nobody watches.
+        """
+        device, model, skins = self.device_sound, self.model, {}
+        assert device is not None
+        for number, operator in enumerate(self.observe):
+            # One that nothing has stepped yet may have no stepper: to look at forces doesn't make it
+            if operator is None and (model.begin[number].made or not at_rest(state, number)):
+                stepper, numbers = stepper_of(model, state, number)
+                skins[number] = SkinStart(stepper, numbers[0])
+        return device.over(self.emission, posed, gather(state, self), t0, skins, watched)
+
+    def outside_share(self, skin: int, stepper: SkinStepper, seen: Outside) -> float:
+        """What of a step's load on a skin lies outside the class of its modes, see OutsideClass.add."""
+        outside = self.outside[skin]
+        if outside.loudest is None:
+            outside.loudest = loudest_load(self.model, skin, stepper, self.reference, self.radiation)
+        return outside.add(seen)
+
+    def reader(self, skin: int, stepper: SkinStepper) -> Reader | None:
+        """Reads what is watched of a skin off this stepper's states; a run may leave a small model in any step."""
+        operator = self.observe[skin]
+        if operator is None:
+            return None
+        known = self._readers.get((skin, stepper))
+        if known is None or known[0] is not operator:
+            known = self._readers[skin, stepper] = operator, stepper.reader(operator)
+        return known[1]
+
+
+def gather(state: HapticState, work: Workspace) -> Complex:
+    """What all transducers emit, shape (N,), in the workspace's array."""
+    start = 0
+    for part in state.emitted:
+        work.amplitudes[start : start + part.shape[1]] = part[0]
+        start += part.shape[1]
+    return work.amplitudes
+
+
+def scatter(state: HapticState, amplitudes: Complex) -> None:
+    """Write what all transducers emit, shape (N,), into the state."""
+    start = 0
+    for part in state.emitted:
+        part[0] = amplitudes[start : start + part.shape[1]]
+        start += part.shape[1]
