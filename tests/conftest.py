@@ -4,7 +4,7 @@ import gc
 import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import mujoco
@@ -55,6 +55,14 @@ def small_scene(tmp_path: Path) -> Write:
 def module_scene(tmp_path_factory: pytest.TempPathFactory) -> Write:
     """As small_scene, for a fixture that serves a whole file."""
     return _writer(tmp_path_factory.mktemp("scene"))
+
+
+@pytest.fixture(scope="module")
+def kept_operators(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """One cache for the files that use it: what equal scenes need is computed once. Not where a test changes code."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PALMFIELD_CACHE", str(tmp_path_factory.getbasetemp() / "kept_operators"))
+        yield
 
 
 @pytest.fixture(scope="session")
