@@ -15,6 +15,9 @@ from palmfield.config import SkinConfig
 from palmfield.session import recorded_run
 
 
+pytestmark = pytest.mark.usefixtures("kept_operators")
+
+
 @pytest.fixture(autouse=True)
 def log_as_before():
     """The command line sets the log up for its whole process."""
@@ -42,7 +45,7 @@ def test_no_command_is_answered_by_help(monkeypatch, capsys):
     assert code in (0, 2) and "palmfield new first" in out.out + out.err
 
 
-QUICK = ("--duration", "0.002", "--set", "stimulus.modulation=none")
+QUICK = ("--duration", "0.002", "--set", "stimulus.modulation=none", "--no-plots")
 
 
 @pytest.mark.parametrize("before", [True, False], ids=["before the command", "after it"])
@@ -115,7 +118,7 @@ def test_strict_says_by_its_exit_code_that_an_accuracy_is_not_reached(
     accuracy, code, monkeypatch, capsys, small_scene, tmp_path
 ):
     """Elements of a size that is given leave the error as it is, whatever accuracy is wanted."""
-    out, keys = tmp_path / "out", ("--accuracy", accuracy, "--duration", "0.005", "--json")
+    out, keys = tmp_path / "out", ("--accuracy", accuracy, "--duration", "0.005", "--json", "--no-plots")
     scene = small_scene()
     ended, said = call(monkeypatch, capsys, "run", scene, "--out", out, *keys, "--strict")
     assert said.out, said.err
