@@ -6,6 +6,7 @@ import page_code
 import pytest
 from page_code import ROOT, RUN, blocks, cells, run_page
 
+pytestmark = pytest.mark.usefixtures("kept_operators")
 DOCS = ROOT / "docs"
 PAGES = sorted(path for path in DOCS.rglob("*.md") if path.relative_to(DOCS).parts[0] not in ("bench", "gallery"))
 NOTEBOOKS = sorted(DOCS.rglob("*.ipynb"))
