@@ -2,6 +2,7 @@
 
 import json
 import resource
+import shutil
 import signal
 import subprocess
 import sys
@@ -16,6 +17,7 @@ from palmfield.outputs import instances, normal_component, open_result
 from palmfield.outputs.summary_table import format_summary
 from palmfield.outputs.usd import validate_usd
 
+pytestmark = pytest.mark.usefixtures("kept_operators")
 FILES = ("result.nc", "summary.json", "pressure.png", "displacement.png", "scene.png", "scene.usdc")
 
 
@@ -114,9 +116,8 @@ def test_usd_passes_the_validators_and_moves(finished):
     assert len(moving) == 1 and moving[0].GetTimeSamples()[-1] == stage.GetEndTimeCode() == tree.sizes["time"] - 1
 
 
-def test_pictures_of_a_run_cut_off_while_drawing_can_be_made_later(small_scene, tmp_path):
-    out = tmp_path / "out"
-    palmfield.run(palmfield.load(small_scene()), out, progress=False)
+def test_pictures_of_a_run_cut_off_while_drawing_can_be_made_later(finished, tmp_path):
+    out = shutil.copytree(finished[0].out, tmp_path / "out")
     summary = (out / "summary.json").read_text()
     for name in ("scene.usdc", "displacement.png"):
         (out / name).unlink()
@@ -202,7 +203,7 @@ def test_full_disk_keeps_what_was_written(begin, small_scene, tmp_path):
     resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (2000, 2000))
     _, error = process.communicate(timeout=120)
     assert process.returncode != 0 and "OutputError" in error and "Traceback" in error
-    subprocess.run([sys.executable, "-m", "palmfield", "recover", str(out)], check=True, timeout=60)
+    palmfield.recover(out)
     tree = read(out)
     assert tree.attrs["complete"] == 0 and tree.sizes["time"] >= 2
 
