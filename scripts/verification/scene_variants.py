@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from palmfield import Simulation
 from palmfield.acoustics.arrays import layout
+from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.types import Float
 
 MJCF = Path(__file__).resolve().parents[2] / "mjcf"
@@ -358,6 +359,11 @@ def start_s(name: str, duration_s: float) -> float:
 
 def seen(variant: Variant, name: str, steps: int, keys: Mapping[str, object] | None = None) -> Seen:
     """What a variant shows after each of the scene's steps, said as the scene itself has it."""
+    return seen_worlds(variant, name, steps, keys)[variant.world]
+
+
+def seen_worlds(variant: Variant, name: str, steps: int, keys: Mapping[str, object] | None = None) -> list[Seen]:
+    """What each of a variant's worlds shows, see `seen`; one for a variant by itself."""
     sim = Simulation(variant.path, device="cpu", worlds=variant.worlds, keys={**(keys or {}), **variant.keys})
     begin = start_s(name, sim.duration_s)
     sim.start_at(begin)
@@ -375,21 +381,36 @@ def seen(variant: Variant, name: str, steps: int, keys: Mapping[str, object] | N
             skin = sim.skin(one)
             for what, row in zip(rows, (skin.displacement, skin.velocity, skin.arp, skin.position), strict=True):
                 rows[what].append(np.array(row, dtype=float))
-    world = (slice(None), *(() if variant.worlds is None else (variant.world,)))
+    arrays = {one: {what: np.array(row) for what, row in rows.items()} for one, rows in fields.items()}
+    if variant.worlds is None:
+        return [_in_own_terms(variant, sim, sim.runtime, np.array(forces), arrays)]
+    return [
+        _in_own_terms(
+            variant, sim, sim.runtimes[world], np.array(forces)[:, world],
+            {one: {what: row[:, world] for what, row in rows.items()} for one, rows in arrays.items()},
+        )
+        for world in range(variant.worlds)
+    ]  # fmt: skip
+
+
+def _in_own_terms(
+    variant: Variant, sim: Simulation, runtime: SceneRuntime, forces: Float, fields: Mapping[str, Mapping[str, Float]]
+) -> Seen:
+    """Forces (t, bodies, 3) and fields (t, ...) of one world, as the scene itself has them."""
     mirror, back = variant.mirror, variant.turn.inv()
     skins = {}
     for one, rows in fields.items():
-        found = {what: np.array(row)[world] for what, row in rows.items()}
+        found = dict(rows)
         for what in ("displacement", "velocity"):
             found[what] = found[what] * mirror / variant.factor
         found["ARP"] = found["ARP"] / variant.factor
         places = found["position"] - variant.shift
         found["position"] = back.apply(places.reshape(-1, 3)).reshape(places.shape) * mirror
         skins[one] = found
-    pushed = np.array(forces)[world] / variant.factor
+    pushed = forces / variant.factor
     pushed = back.apply(pushed.reshape(-1, 3)).reshape(pushed.shape) * mirror
     rest = {one: sim.skin(one).rest_position * mirror for one in sim.skins}
-    model = (sim.runtime if variant.worlds is None else sim.runtimes[variant.world]).model
+    model = runtime.model
     accuracy = [skin.spec.config.accuracy for skin in model.skins]
     stated = [getattr(lazy.value, "error", None) or own for lazy, own in zip(model.begin, accuracy, strict=True)]
     bodies = {one: pushed[:, k] for k, one in enumerate(sim.bodies)}
