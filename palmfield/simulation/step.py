@@ -193,7 +193,7 @@ class Steps:
             self._pressed.clear()
             self._means.clear()
             if len(joined):
-                factors = self.smooth.mean_factors(t0)
+                factors = self.smooth.mean_factors()
                 if self.observer is not None:
                     for world, factor in zip(joined.tolist(), factors.tolist(), strict=True):
                         if factor > 0.0:
@@ -271,7 +271,7 @@ class Steps:
         joined = self.smooth.joined
         kept = self._unit_arp.get(place) or self._unit_arp.setdefault(place, Kept(count))
         if len(joined):
-            factors = self.smooth.present_factors(t0)
+            factors = self.smooth.present_factors()
             loud = factors > 0.0
             worlds = joined[loud]
             arp[worlds] = factors[loud] * kept.rows(worlds, self._joined_keys[loud], self._probe, skin, place)
