@@ -49,6 +49,7 @@ class SmoothSound:
         count = max(LEAST_MEANS, first.substeps)
         # Moments of a mean, as of a step that begins at 0; what is commanded there, at those of the load and at present
         self._means = substep_moments((), 0.0, first.spec.timestep_s / count, count, hold=True)
+        self._shares: Float = np.add.reduce(self._means.first, axis=0) / count
         self._commanded: Float = np.zeros((worlds, 0))
         self._ahead: dict[float, Float] = {}
         self._poses: Serials = np.zeros(worlds, np.int64)
@@ -140,9 +141,11 @@ class SmoothSound:
     def mean_factors(self) -> Float:
         """The same, in the mean over the step that has begun."""
         moments = self._means
-        levels, _ = self._over(moments, self._commanded[:, : len(moments.times)])
-        factors = levels.real**2 + levels.imag**2
-        return np.asarray((factors @ np.add.reduce(moments.first, axis=0) / len(moments.first))[self.joined])
+        factors = self._commanded[:, : len(moments.times)]
+        if np.logical_or.reduce(self._ringing):
+            levels, _ = self._over(moments, factors)
+            factors = levels.real**2 + levels.imag**2
+        return np.asarray(np.add.reduce(factors * self._shares, axis=1)[self.joined])
 
     def over(self, moments: Moments) -> tuple[Complex, Complex]:
         """Levels of the unit drives of the worlds that have joined at the moments of the step, (g, m), and at its end,
