@@ -47,8 +47,11 @@ class SmoothSound:
         self._levels = Levels([model.stimuli[0].config for model in models])
         worlds, first = len(models), models[0]
         count = max(LEAST_MEANS, first.substeps)
-        # Moments of a mean, as of a step that begins at 0; what is commanded there, at those of the load and at present
-        self._means = substep_moments((), 0.0, first.spec.timestep_s / count, count, hold=True)
+        self._timestep_s = first.spec.timestep_s
+        # Moments of a mean in a step that begins at 0, and all at which something is commanded in it
+        self._means = substep_moments((), 0.0, self._timestep_s / count, count, hold=True)
+        loads = substep_moments((), 0.0, first.step_s, first.substeps)
+        self._offsets: Float = np.concatenate([self._means.times, loads.times, np.zeros(1)])
         self._shares: Float = np.add.reduce(self._means.first, axis=0) / count
         self._commanded: Float = np.zeros((worlds, 0))
         self._ahead: dict[float, Float] = {}
@@ -156,15 +159,11 @@ class SmoothSound:
     def _command(self, t0: float) -> None:
         """Find what is commanded over the step that begins at t0 [s], of AHEAD steps in one go."""
         if t0 not in self._ahead:
-            model, step_s, start = self.models[0], self.models[0].spec.timestep_s, t0
-            starts, times = list[float](), list[Float]()
-            for _ in range(AHEAD):
-                means = substep_moments((), start, self._means.step_s, len(self._means.first), hold=True)
-                loads = substep_moments((), start, model.step_s, model.substeps)
-                starts.append(start)
-                times += [means.times, loads.times, np.array([start])]
-                start += step_s
-            commanded = self._levels.at(np.concatenate(times)).reshape(len(self.models), AHEAD, -1)
+            starts = [t0]
+            while len(starts) < AHEAD:
+                starts.append(starts[-1] + self._timestep_s)
+            times = (np.array(starts)[:, None] + self._offsets).ravel()
+            commanded = self._levels.at(times).reshape(len(self.models), AHEAD, -1)
             self._ahead = {start: commanded[:, i] for i, start in enumerate(starts)}
         self._commanded = self._ahead[t0]
 

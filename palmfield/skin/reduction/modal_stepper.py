@@ -263,14 +263,13 @@ class ModalStepper(SkinStepper):
 
     def outside(self, loads: SurfaceLoads) -> Outside:
         """See SkinStepper."""
-        with one_blas_thread:
-            pressure = loads.pressure_Pa.astype(np.float32, copy=False)
-            residual = pressure - (pressure @ self._fit) @ self._back
-            mixed = self.mixed(loads)
-            squares = []
-            for part in (residual @ self._compliance, pressure @ self._compliance, residual, pressure):
-                numbers = (mixed @ part).ravel()
-                squares.append(float(numbers @ numbers))
+        pressure = loads.pressure_Pa.astype(np.float32, copy=False)
+        residual = pressure - (pressure @ self._fit) @ self._back
+        mixed = self.mixed(loads)
+        squares = []
+        for part in (residual @ self._compliance, pressure @ self._compliance, residual, pressure):
+            numbers = (mixed @ part).ravel()
+            squares.append(float(numbers @ numbers))
         return self.weighed(squares)
 
     def weighed(self, squares: Sequence[float]) -> Outside:
