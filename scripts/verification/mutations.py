@@ -4,27 +4,38 @@ python scripts/verification/mutations.py --write docs/bench/mutations.md
 """
 
 import argparse
+import importlib
 import importlib.util
+import multiprocessing
 import os
 import re
 import shutil
-import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from multiprocessing.connection import Connection
 from pathlib import Path
 from queue import Queue
 from typing import NamedTuple
+from unittest import mock
 from xml.etree import ElementTree
 
+import pytest
 from mutation_table import MUTATIONS, Mutation
 
 ROOT = Path(__file__).resolve().parents[2]
 COPIED = ("palmfield", "warp_kernels", "tests", "mjcf", "hand_models", "scripts", "pyproject.toml")
 LONGEST_S = 120.0
+ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}
+FORKS = multiprocessing.get_context("forkserver")
+"""Forks a process that has imported other packages than palmfield: these imports are half the time of a short test."""
+FORKS.set_forkserver_preload(["third_party"])
+STARTING = threading.Lock()
+"""Of the environment, which is another while a process starts."""
 EXPECTED = re.compile(r"assert |AssertionError|Failed: |palmfield\.errors\.")
 """How a test may end under a mutation: by its own assertion, or by an error that palmfield raises on purpose."""
 
@@ -71,7 +82,7 @@ def mutated(tree: Path, mutation: Mutation) -> Iterator[None]:
 class Ended(NamedTuple):
     """How a pytest process ended.
 
-    code: exit code, -1 beyond its time; output: what it printed
+    code: exit code, -1 beyond its time, -2 where the process ended without one; output: what it printed
     failures: first line of the message by test, named as on pytest's command line; errors of fixtures are none
     """
 
@@ -83,24 +94,47 @@ class Ended(NamedTuple):
 def pytest_in(tree: Path, tests: Sequence[str], longest_s: float) -> Ended:
     """Run tests of a copy in a process of its own, and read its exit code and its JUnit file: printed lines are cut
     to a terminal's width, or not, as the caller's environment has it."""
-    inherited = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}
-    own = {"PYTHONPATH": str(tree), "OPENBLAS_NUM_THREADS": "1", "PALMFIELD_CACHE": "off"}
-    report = tree / "junit.xml"
+    own = {"PYTHONPATH": str(tree), "PALMFIELD_CACHE": "off", "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", **ONE_THREAD}
+    report, printed = tree / "junit.xml", tree / "printed.txt"
     report.unlink(missing_ok=True)
-    options = ["-p", "no:cacheprovider", "-q", "-x", "--tb=short", f"--junitxml={report}"]
-    try:
-        done = subprocess.run(
-            [sys.executable, "-m", "pytest", *options, *tests],
-            cwd=tree,
-            env=inherited | own,
-            capture_output=True,
-            text=True,
-            timeout=longest_s,
-            check=False,
-        )
-    except subprocess.TimeoutExpired:
+    options = ["-p", "no:cacheprovider", "-q", "-x", "--tb=short", f"--junitxml={report}", *tests]
+    receiver, sender = FORKS.Pipe(duplex=False)
+    with STARTING:
+        inherited = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}
+    # The process to fork starts with the first test, and finds its module by this path.
+    with STARTING, mock.patch.dict(os.environ, PYTHONPATH=str(Path(__file__).parent), **ONE_THREAD):
+        process = FORKS.Process(target=_run_pytest, args=(tree, options, inherited | own, printed, sender))
+        process.start()
+    sender.close()
+    if not receiver.poll(longest_s):
+        process.kill()
+        process.join()
         return Ended(-1, f"took more than {longest_s:g} s", {})
-    return Ended(done.returncode, done.stdout + done.stderr, failures_in(report))
+    try:
+        code = receiver.recv()
+    except EOFError:
+        code = -2
+    process.join()
+    return Ended(code, printed.read_text(encoding="utf-8", errors="replace"), failures_in(report))
+
+
+def _run_pytest(tree: Path, options: list[str], environment: dict[str, str], printed: Path, sender: Connection) -> None:
+    """Run pytest on a copy in a process that was forked before anything of palmfield was imported; send its exit code.
+
+    Raises RuntimeError where something of palmfield is there.
+    """
+    os.dup2(os.open(printed, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), 1)
+    os.dup2(1, 2)
+    if "palmfield" in sys.modules:
+        raise RuntimeError("palmfield was imported before the copy that is tested")
+    os.environ.clear()
+    os.environ.update(environment)
+    os.chdir(tree)
+    sys.path.insert(0, str(tree))
+    sys.dont_write_bytecode = False
+    # As importing mujoco would
+    importlib.import_module("palmfield.engine.register").register()
+    sender.send(int(pytest.main(options)))
 
 
 def failures_in(report: Path) -> dict[str, str]:

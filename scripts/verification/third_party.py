@@ -1,0 +1,16 @@
+"""Imports what palmfield's tests import, but nothing of palmfield: a fork of this process can still take any copy."""
+
+import gc
+from importlib import import_module, metadata
+from unittest import mock
+
+# MuJoCo loads palmfield's entry point on import.
+with mock.patch.object(metadata, "entry_points", return_value=()):
+    import_module("mujoco")
+for name in (
+    "h5netcdf", "hypothesis", "matplotlib.figure", "pydantic", "pygltflib", "pytest", "rich.console", "scipy.integrate",
+    "scipy.interpolate", "scipy.optimize", "scipy.signal", "scipy.stats", "trimesh", "typer", "warp", "xarray",
+):  # fmt: skip
+    import_module(name)
+# What a fork collects is its own.
+gc.freeze()
