@@ -52,7 +52,8 @@ class OneBlasThread:
                 self._before.clear()
                 for read, write in self._libraries:
                     self._before.append(read())
-                    write(1)
+                    if self._before[-1] != 1:
+                        write(1)
             self._inside += 1
 
     def __exit__(self, *error: object) -> None:
@@ -60,7 +61,8 @@ class OneBlasThread:
             self._inside -= 1
             if self._inside == 0:
                 for (_, write), count in zip(self._libraries, self._before, strict=True):
-                    write(count)
+                    if count != 1:
+                        write(count)
 
 
 one_blas_thread = OneBlasThread()

@@ -8,7 +8,7 @@ that is longer under way starts from an earlier drive. A delay common to all is 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -280,7 +280,15 @@ def of_unit(unit: UnitDrive, levels: Complex | Float, end: Complex) -> EmittedCo
 
 def of_drives(drives: Complex, end: Complex) -> EmittedCourse:
     """A drive of its own at each moment, shape (m, N); they must not change."""
-    return EmittedCourse(drives, np.eye(len(drives), dtype=np.complex128), end, next_serial())
+    return EmittedCourse(drives, _identity(len(drives)), end, next_serial())
+
+
+@lru_cache(maxsize=64)
+def _identity(size: int) -> Complex:
+    """Levels of as many drives as moments, which nobody writes, shape (m, m)."""
+    identity = np.eye(size, dtype=np.complex128)
+    identity.flags.writeable = False
+    return identity
 
 
 def emitted_over(

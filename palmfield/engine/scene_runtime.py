@@ -271,7 +271,7 @@ class SceneRuntime:
         """Fill a skin's sensors from the state at the present time."""
         time_s = self.view.raw.time
         self._begin(time_s, anew=False)
-        force = self.applied[self.model.skins[skin].body]
+        force = np.add.reduce(self.steps.forces[self.model.skins[skin].body][0, 0], axis=0)
         for sensor in sensors:
             place = self._places.get(sensor.name) or self.place(skin, sensor)
             [arp], [motion] = self.steps.sense(skin, place, time_s)

@@ -12,6 +12,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 import warp_kernels.skinning as kernels
+from palmfield.blas import one_blas_thread
 from palmfield.device import SharedArray, recorded, resolve
 from palmfield.errors import SceneError
 from palmfield.hand.articulated import ArticulatedHand, HandBone, articulate
@@ -107,7 +108,8 @@ def _diffused(weights: Float, surface: Surface) -> Float:
     degree = sparse.diags_array(np.asarray(links.sum(axis=1)).ravel())
     # The mean over neighbours less the value is a quarter of the squared edge times the Laplacian.
     matrix = degree + 4.0 * SMOOTHING_m**2 / squared * (degree - links)
-    return splu(sparse.csc_array(matrix)).solve(degree @ weights)
+    with one_blas_thread:
+        return splu(sparse.csc_array(matrix)).solve(degree @ weights)
 
 
 class SkinnedSurface:

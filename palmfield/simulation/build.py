@@ -189,8 +189,8 @@ def _new_body(skin: SkinConfig) -> BodyModel:
     return BodyModel(skin.body, hand.surface, bones, hand.depth_to_bone)
 
 
-Responses = dict[StimulusSpec, TransducerResponse]
-"""Of stimuli at any level."""
+Responses = dict[tuple[StimulusSpec, bool], TransducerResponse]
+"""Of stimuli at any level, and whether they are silent."""
 
 
 def stimuli_of(
@@ -259,8 +259,8 @@ def _stimulus(
         drive = ArrayDrive(arrays, transducers.astype(np.int32), config.arp_peak_Pa, amplitude, board, about[:1], about)
         foci = focal_points.at(frame_at(config, config.start_s).focus)
         silent = not np.any(drive.unit_drive(foci).amplitudes)
-        # The same at any level that the board plays as it is
-        key = replace(spec, config=at_any_level(spec.config)) if board.exact else spec
+        # The same at any level that the board plays as it is, but for silence, in which nothing is left out
+        key = (replace(spec, config=at_any_level(spec.config)) if board.exact else spec), silent
         response = known.get(key)
         if response is None:
             response = transducer_response(config, drive, focal_points, array_instances(scene), accuracy, spread=spread)

@@ -89,7 +89,8 @@ class Emission:
     """Drives and emission of a model's transducers.
 
     held: of each stimulus with a control rate, None before its first step; holds: whether there is such a stimulus
-    ahead: whether steps are looked at ahead while nothing moves, so that the fields of all are one product
+    ahead: whether steps are looked at ahead while nothing moves, so that the fields of all are one product; coming:
+        those that have been
     """
 
     ahead = False
@@ -101,7 +102,7 @@ class Emission:
         self._placed: tuple[PosedScene | None, list[PlacedStimulus]] = (None, [])
         self._over: tuple[tuple[int, float, int, bytes], tuple[Moments, EmittedCourse]] | None = None
         self._now: tuple[tuple[int, float, bytes], EmittedCourse] | None = None
-        self._coming: list[_Coming] = []
+        self.coming: list[_Coming] = []
         self._last_pose = 0  # of the last step, by its serial number
         self.holds = any(config.control_rate_Hz > 0.0 for config in model.configs)
         self._moves_alone = _moves_alone(model, self._drives[1])
@@ -109,12 +110,12 @@ class Emission:
     def forget(self) -> None:
         """Begin again, as at the start of a run: nothing is held or looked at ahead."""
         self.held = [None] * len(self.model.stimuli)
-        self._coming, self._last_pose = [], 0
+        self.coming, self._last_pose = [], 0
 
     def adopt(self, other: "Emission") -> None:
         """Go on from another's, in a copy of its state in the same PosedScenes."""
         self.held = list(other.held)
-        self._coming, self._last_pose = list(other._coming), other._last_pose
+        self.coming, self._last_pose = list(other.coming), other._last_pose
 
     def begin(self, posed: PosedScene, time_s: float) -> None:
         """Take the stimuli's points where a step begins, for those whose control tick is due."""
@@ -166,12 +167,12 @@ class Emission:
     def _looked_ahead(self, posed: PosedScene, emitted: Complex, t0: float) -> tuple[Moments, EmittedCourse] | None:
         """A step from among those that were looked at ahead, in a pose in which the last step was taken."""
         still, self._last_pose = posed.serial == self._last_pose, posed.serial
-        coming = self._coming.pop(0) if self._coming else None
+        coming = self.coming.pop(0) if self.coming else None
         if still and (coming is None or not _begins(coming, posed, emitted, t0)):
-            self._coming = self._look_ahead(posed, emitted.copy(), t0)
-            coming = self._coming.pop(0)
+            self.coming = self._look_ahead(posed, emitted.copy(), t0)
+            coming = self.coming.pop(0)
         if not still or coming is None:
-            self._coming = []
+            self.coming = []
             return None
         return coming.moments, coming.course
 
@@ -190,8 +191,11 @@ class Emission:
         changes = np.logical_or.reduce(drives[1:] != drives[:-1], axis=1)
         if np.add.reduce(changes) + 1 < WORTHWHILE:
             return steps
-        batch, count = Batch(next_serial(), drives), len(steps[0].course.levels)
-        return [one._replace(course=one.course._replace(batch=batch, row=count * i)) for i, one in enumerate(steps)]
+        batch, row, courses = Batch(next_serial(), drives), 0, list[_Coming]()
+        for one in steps:
+            courses.append(one._replace(course=one.course._replace(batch=batch, row=row)))
+            row += len(one.course.units)
+        return courses
 
     def _course(self, posed: PosedScene, emitted: Complex, t0: float, moments: Moments) -> EmittedCourse:
         courses = []

@@ -20,6 +20,9 @@ from palmfield.stimulus.levels import Levels, goes_smoothly
 from palmfield.stimulus.schedule import Moments, first_point, substep_moments
 from palmfield.types import Complex, Float
 
+AHEAD = 16
+"""Steps for which what is commanded is computed in one go."""
+
 
 class SmoothSound:
     """Levels of the worlds' unit drives. Belongs to one state.
@@ -43,6 +46,15 @@ class SmoothSound:
         self._ringing: Bool = self._may_join & [model.response_on for model in models]
         self._levels = Levels([model.stimuli[0].config for model in models])
         worlds, first = len(models), models[0]
+        count = max(LEAST_MEANS, first.substeps)
+        self._timestep_s = first.spec.timestep_s
+        # Moments of a mean in a step that begins at 0, and all at which something is commanded in it
+        self._means = substep_moments((), 0.0, self._timestep_s / count, count, hold=True)
+        loads = substep_moments((), 0.0, first.step_s, first.substeps)
+        self._offsets: Float = np.concatenate([self._means.times, loads.times, np.zeros(1)])
+        self._shares: Float = np.add.reduce(self._means.first, axis=0) / count
+        self._commanded: Float = np.zeros((worlds, 0))
+        self._ahead: dict[float, Float] = {}
         self._poses: Serials = np.zeros(worlds, np.int64)
         self._of: list[UnitDrive | None] = [None] * worlds
         self._units: Complex = np.zeros((worlds, len(first.arrays)), np.complex128)
@@ -83,6 +95,7 @@ class SmoothSound:
         joins &= self._levels_alike(joins)
         self._known = joins & self._alone
         self.joined = joins.nonzero()[0]
+        self._command(t0)
         return (here & ~joins).nonzero()[0].tolist()
 
     def _meet(self, world: int, posed: PosedScene, t0: float) -> bool:
@@ -120,32 +133,43 @@ class SmoothSound:
         assert known is not None
         return known.amplitudes
 
-    def present_factors(self, t0: float) -> Float:
-        """ARP at t0 [s] relative to that of the unit drives, in the worlds that have joined, shape (g,)."""
+    def present_factors(self) -> Float:
+        """ARP as the step begins relative to that of the unit drives, in the worlds that have joined, shape (g,)."""
         level = np.abs(self.now)
         emitted = level**2 * (level * self._peaks >= SILENT)
-        if np.logical_and.reduce(self._ringing[self.joined]):
-            return emitted[self.joined]
-        commanded = self._levels.at(np.array([t0]))[:, 0]
-        return np.where(self._ringing, emitted, commanded)[self.joined]
+        if not np.logical_and.reduce(self._ringing):
+            emitted = np.where(self._ringing, emitted, self._commanded[:, -1])
+        return np.asarray(emitted[self.joined])
 
-    def mean_factors(self, t0: float) -> Float:
-        """The same, in the mean over the step that begins at t0 [s]."""
-        model = self.models[0]
-        count = max(LEAST_MEANS, model.substeps)
-        moments = substep_moments((), t0, model.spec.timestep_s / count, count, hold=True)
-        levels, _ = self._over(moments)
-        factors = levels.real**2 + levels.imag**2
-        return np.asarray((np.add.reduce(factors @ moments.first.T, axis=1) / count)[self.joined])
+    def mean_factors(self) -> Float:
+        """The same, in the mean over the step that has begun."""
+        moments = self._means
+        factors = self._commanded[:, : len(moments.times)]
+        if np.logical_or.reduce(self._ringing):
+            levels, _ = self._over(moments, factors)
+            factors = levels.real**2 + levels.imag**2
+        return np.asarray(np.add.reduce(factors * self._shares, axis=1)[self.joined])
 
     def over(self, moments: Moments) -> tuple[Complex, Complex]:
-        """Levels of the unit drives of the worlds that have joined at some moments, (g, m), and at the end, (g,)."""
-        levels, end = self._over(moments)
+        """Levels of the unit drives of the worlds that have joined at the moments of the step, (g, m), and at its end,
+        (g,)."""
+        levels, end = self._over(moments, self._commanded[:, len(self._means.times) : -1])
         return levels[self.joined], end[self.joined]
 
-    def _over(self, moments: Moments) -> tuple[Complex, Complex]:
-        """The same in all worlds."""
-        levels: Complex = np.sqrt(self._levels.at(moments.times)).astype(np.complex128)
+    def _command(self, t0: float) -> None:
+        """Find what is commanded over the step that begins at t0 [s], of AHEAD steps in one go."""
+        if t0 not in self._ahead:
+            starts = [t0]
+            while len(starts) < AHEAD:
+                starts.append(starts[-1] + self._timestep_s)
+            times = (np.array(starts)[:, None] + self._offsets).ravel()
+            commanded = self._levels.at(times).reshape(len(self.models), AHEAD, -1)
+            self._ahead = {start: commanded[:, i] for i, start in enumerate(starts)}
+        self._commanded = self._ahead[t0]
+
+    def _over(self, moments: Moments, commanded: Float) -> tuple[Complex, Complex]:
+        """Levels at some moments, shape (worlds, m), and at the end, (worlds,), by what is commanded there."""
+        levels: Complex = np.sqrt(commanded).astype(np.complex128)
         ringing = self._ringing.nonzero()[0]
         if len(ringing) == 0:
             return levels, self.now

@@ -128,6 +128,8 @@ class Steps:
         self._stacks: dict[tuple[int, SkinStepper], tuple[bytes, Float32]] = {}
         # The pose in which a small model was last found to serve, by skin and world
         self._served: Serials = np.zeros((len(first.skins), worlds), np.int64)
+        # Whether what steps a skin at first serves any pose and course
+        self._anywhere = [False] * len(first.skins)
         self._shared_out: dict[tuple[int, bytes, bytes], list[tuple[SkinStepper, Rows]]] = {}
         self._on_devices: dict[tuple[int, SkinStepper], DeviceStep | None] = {}
 
@@ -193,7 +195,7 @@ class Steps:
             self._pressed.clear()
             self._means.clear()
             if len(joined):
-                factors = self.smooth.mean_factors(t0)
+                factors = self.smooth.mean_factors()
                 if self.observer is not None:
                     for world, factor in zip(joined.tolist(), factors.tolist(), strict=True):
                         if factor > 0.0:
@@ -224,7 +226,7 @@ class Steps:
     def _push_one(self, world: int, t0: float) -> None:
         """The forces in a world that nothing else carries."""
         work, posed, state = self.works[world], self._posed[world], self._states[world]
-        if (work.emission.holds or work.emission.ahead) and untouched(state):
+        if (work.emission.holds or work.emission.coming) and untouched(state):
             work.emission.forget()
         if work.emission.holds:
             work.emission.begin(posed, t0)
@@ -271,7 +273,7 @@ class Steps:
         joined = self.smooth.joined
         kept = self._unit_arp.get(place) or self._unit_arp.setdefault(place, Kept(count))
         if len(joined):
-            factors = self.smooth.present_factors(t0)
+            factors = self.smooth.present_factors()
             loud = factors > 0.0
             worlds = joined[loud]
             arp[worlds] = factors[loud] * kept.rows(worlds, self._joined_keys[loud], self._probe, skin, place)
@@ -396,10 +398,11 @@ class Steps:
         for skin in range(len(self.models[0].skins)):
             self._leave_small_models(group, skin, t0)
             ends = self._ends(group, skin) if self._devices else {}
-            if self._leave_class(group, skin, ends, t0):
-                ends = {}
+            steppers = self.steppers(skin, group.worlds)
+            if self._leave_class(group, skin, steppers, ends, t0):
+                ends, steppers = {}, self.steppers(skin, group.worlds)
             watched = []
-            for stepper, own in self.steppers(skin, group.worlds):
+            for stepper, own in steppers:
                 seen = self._step(group, skin, stepper, own, ends, (t0, t1))
                 if seen is not None:
                     watched.append((own, seen))
@@ -414,8 +417,14 @@ class Steps:
 
     def _leave_small_models(self, group: _Group, skin: int, t0: float) -> None:
         """Turn small models into whole layers where something has moved."""
+        if self._anywhere[skin]:
+            return
         worlds, served = group.worlds, self._served[skin]
         asked = (served[worlds] != self._poses[worlds]) & (self.state.skins[skin][worlds, 0] != WHOLE)
+        if not np.logical_or.reduce(asked):
+            return
+        steppers = [model.begin[skin].value for model in self.models]
+        self._anywhere[skin] = all(one.any_pose and one.any_course for one in steppers)
         for i in asked.nonzero()[0].tolist():
             world = int(worlds[i])
             if self._in(self._leaves, world, skin, t0):
@@ -451,13 +460,20 @@ class Steps:
         end = device.stepped(skin, stepper, numbers[0], (pose, load), (group.first[0], group.last[0]))
         return {} if end is None else {world: end}
 
-    def _leave_class(self, group: _Group, skin: int, ends: Mapping[int, SkinEnd], t0: float) -> bool:
+    def _leave_class(
+        self,
+        group: _Group,
+        skin: int,
+        steppers: Sequence[tuple[SkinStepper, Rows]],
+        ends: Mapping[int, SkinEnd],
+        t0: float,
+    ) -> bool:
         """Measure what of the loads lies outside the class of a skin's modes; the whole layer goes on where it is much.
 
         Returns whether it does in any world.
         """
         left = False
-        for stepper, own in self.steppers(skin, group.worlds):
+        for stepper, own in steppers:
             if not stepper.of_class:
                 continue
             at = group.worlds.searchsorted(own)
@@ -479,7 +495,7 @@ class Steps:
             return [known.outside]
         first, last = group.first[at], group.last[at]
         pressure, fixed = self._stack(group, skin, stepper, at)
-        if not fixed:
+        if not fixed or not self._several:
             return [stepper.outside(SurfaceLoads(pressure, first, last))]
         mixed = stepper.mixed(SurfaceLoads(np.zeros(0), first, last))
         squares = np.add.reduce(mixed**2, axis=(1, 2))

@@ -24,7 +24,7 @@ import warp as wp
 
 import palmfield
 from palmfield.device import Branches, resolve
-from palmfield.simulation import step as step_module
+from palmfield.simulation import workspace
 from palmfield.simulation.device_sound import DeviceSound, DeviceWork
 from palmfield.simulation.moving_worlds import WorldsWork
 
@@ -66,12 +66,12 @@ class Stopwatch:
 @contextmanager
 def on_device(wanted: bool) -> Iterator[None]:
     """Whether scenes compute their sound by graphs, also on the CPU."""
-    kept = step_module.serves
-    step_module.serves = lambda model: wanted
+    kept = workspace.serves
+    workspace.serves = lambda model: wanted
     try:
         yield
     finally:
-        step_module.serves = kept
+        workspace.serves = kept
 
 
 def opened(scene: Path, device: str, options: argparse.Namespace) -> palmfield.Simulation:

@@ -143,6 +143,21 @@ def test_each_world_is_what_it_would_be_alone(sound, response, small_scene):
     assert max(np.abs(single.data.qpos).max() for single in singles) > 1e-9
 
 
+@pytest.mark.parametrize("worlds", [[0.5, 0.0, 1.0, 0.3], [0.0, 0.5, 0.0, 1.0]])
+def test_worlds_at_other_levels_have_the_response_of_single_runs(worlds, small_scene):
+    """Also after silent ones, which need none."""
+    keys = {"stimulus.drive_amplitude": worlds, "stimulus.start_s": [0.0, 0.0, 0.0, 0.01]}
+    path = small_scene(skin=SHARED)
+    together = palmfield.Simulation(path, worlds=4, keys=keys)
+    own = [model.stimuli[0].response for model in together._scenes.models]
+    for level, response, single in zip(worlds, own, singles_of(path, keys, 4), strict=True):
+        alone = single.runtime.model.stimuli[0].response
+        assert response.on == alone.on == (level > 0.0)
+        np.testing.assert_array_equal(response.delays_s, alone.delays_s)
+        assert response.ring_up.rms == pytest.approx(alone.ring_up.rms, rel=1e-12)
+        assert response.flight_time.rms == pytest.approx(alone.flight_time.rms, rel=1e-12)
+
+
 @pytest.mark.parametrize("sound", ["levels", "one load, louder and softer", "one is silent"])
 def test_small_models_of_worlds_are_those_of_single_runs(sound, small_scene):
     keys = SOUNDS[sound]

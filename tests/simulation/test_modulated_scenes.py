@@ -179,7 +179,7 @@ def motion(path):
     sim = palmfield.Simulation(written(path, "course.csv", OF_COURSE))
     work, seen = sim.runtime.work, []
     work.observe = (sim.runtime.model.skins[0].layer.surface_operator,)
-    work.observer = lambda trace: seen.extend(trace.motion[0].copy())
+    sim.steps.observer = lambda trace: seen.extend(trace.motion[0][0][1][0].copy())
     sim.step(15)
     return np.array(seen)[:, 0], sim
 

@@ -38,7 +38,7 @@ def watched(path, steps=15, change=lambda sim, step: None):
     sim = load(path)
     work, seen = sim.runtime.work, []
     work.observe = (sim.runtime.model.skins[0].layer.surface_operator,)
-    work.observer = lambda trace: seen.extend(trace.motion[0].copy())
+    sim.steps.observer = lambda trace: seen.extend(trace.motion[0][0][1][0].copy())
     for step in range(steps):
         change(sim, step)
         sim.step()

@@ -110,10 +110,11 @@ def modal_body(
             values, vectors = np.linalg.eigh(seen.T @ factor.solve(seen))
             kept = np.cumsum(values) > COMPLIANCE_LEFT_OUT * values.sum()
             compliance = vectors[:, kept] * np.sqrt(values[kept])
+            forces = nodal.T @ modes.vectors
         arrays: cache.Arrays = {"vectors": modes.vectors, "coupling": modes.coupling, "shares": modes.shares}
         arrays |= {"elastic": modes.elastic, "stiffness": modes.stiffness}
         arrays |= {"motion": modes.motion, "change": modes.change, "shapes": shapes.shapes, "sizes": shapes.sizes}
-        arrays |= {"points": shapes.points, "fit": shapes.fit, "forces": nodal.T @ modes.vectors}
+        arrays |= {"points": shapes.points, "fit": shapes.fit, "forces": forces}
         return arrays | {"compliance": compliance}
 
     wanted = tolerance, blocks, left_out, points, step_s
@@ -263,14 +264,13 @@ class ModalStepper(SkinStepper):
 
     def outside(self, loads: SurfaceLoads) -> Outside:
         """See SkinStepper."""
-        with one_blas_thread:
-            pressure = loads.pressure_Pa.astype(np.float32, copy=False)
-            residual = pressure - (pressure @ self._fit) @ self._back
-            mixed = self.mixed(loads)
-            squares = []
-            for part in (residual @ self._compliance, pressure @ self._compliance, residual, pressure):
-                numbers = (mixed @ part).ravel()
-                squares.append(float(numbers @ numbers))
+        pressure = loads.pressure_Pa.astype(np.float32, copy=False)
+        residual = pressure - (pressure @ self._fit) @ self._back
+        mixed = self.mixed(loads)
+        squares = []
+        for part in (residual @ self._compliance, pressure @ self._compliance, residual, pressure):
+            numbers = (mixed @ part).ravel()
+            squares.append(float(numbers @ numbers))
         return self.weighed(squares)
 
     def weighed(self, squares: Sequence[float]) -> Outside:
