@@ -14,7 +14,6 @@ from palmfield.cli.completion import plugins, settings
 from palmfield.config import SkinConfig
 from palmfield.session import recorded_run
 
-
 pytestmark = pytest.mark.usefixtures("kept_operators")
 
 
