@@ -140,6 +140,9 @@ class MovingWorlds:
             joins &= part[:, 0] != WHOLE
         if np.logical_or.reduce(joins):
             work = self._work or self._made()
+            if work is None:  # what steps a skin is not what was chosen for it
+                self.some, self.joined = False, self.joined[:0]
+                return
             if self._alone:
                 self._bring(work, joins)
             else:
@@ -152,14 +155,16 @@ class MovingWorlds:
             self._here &= joins
         self.joined = joins.nonzero()[0]
 
-    def _made(self) -> "WorldsWork":
-        """Memory and graph for what is watched now. Raises DeviceError where the device has no room for it."""
+    def _made(self) -> "WorldsWork | None":
+        """Memory and graph for what is watched now; None where a skin has no stepper for it. Raises DeviceError where
+        the device has no room."""
         first = self.models[0]
         steppers: dict[int, DeviceModel] = {}
         for number, skin in enumerate(first.skins):
             count, device = len(skin.layer.quadrature.points), resolve(first.spec.device)
             model = first.begin[number].value.device_model(first.substeps, count, device)
-            assert model is not None
+            if model is None:
+                return None
             steppers[number] = model
         aims = [aim_of(array_drives(self.models[world], first.arrays)[0]) for world in self._leading]
         of_worlds = np.array(aims)[self._kinds]

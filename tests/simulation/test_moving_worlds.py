@@ -26,7 +26,7 @@ def by_graph(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
     def opened(*scene: Any, **keywords: Any) -> Any:
         with monkeypatch.context() as patch:
             patch.setattr(moving_worlds, "serves", lambda model: True)
-            return palmfield.Simulation(*scene, **keywords)
+            return palmfield.Simulation(*scene, device="cpu", **keywords)
 
     return opened
 
@@ -57,7 +57,7 @@ def test_worlds_are_what_each_is_by_itself(
     assert len(worlds.steps.moving.joined) == 3
     for world in range(3):
         keys = {name: values[world] for name, values in differs.items()}
-        alone = palmfield.Simulation(path, keys=COARSE | keys | {"skin.solver": "modal"})
+        alone = palmfield.Simulation(path, device="cpu", keys=COARSE | keys | {"skin.solver": "modal"})
         alone.start_at(start_s)
         alone.step(4)
         assert apart(worlds.forces[world], alone.forces) < 1e-5
@@ -119,7 +119,7 @@ def test_one_world_takes_the_same_graph(
 ) -> None:
     """In MuJoCo's own step, whose state is all that it goes on from."""
     path, keys = SCENES / f"{scene}.xml", COARSE | {"skin.solver": "modal"}
-    sims = by_graph(path, keys=keys), palmfield.Simulation(path, keys=keys)
+    sims = by_graph(path, keys=keys), palmfield.Simulation(path, device="cpu", keys=keys)
     for sim in sims:
         sim.start_at(0.1)
         sim.step(3)
