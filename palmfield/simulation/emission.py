@@ -70,6 +70,9 @@ class _Coming(NamedTuple):
     course: EmittedCourse
 
 
+Ticks = tuple[float | None, ...]
+
+
 class PlacedStimulus(NamedTuple):
     """A stimulus, how it drives its transducers with the arrays as they stand, and where its points are."""
 
@@ -100,8 +103,8 @@ class Emission:
         self.held: list[HeldPoints | None] = [None] * len(model.stimuli)
         self._drives: tuple[PhasedArray, list[ArrayDrive]] = (model.arrays, array_drives(model, model.arrays))
         self._placed: tuple[PosedScene | None, list[PlacedStimulus]] = (None, [])
-        self._over: tuple[tuple[int, float, int, bytes], tuple[Moments, EmittedCourse]] | None = None
-        self._now: tuple[tuple[int, float, bytes], EmittedCourse] | None = None
+        self._over: tuple[tuple[int, float, int, bytes, Ticks], tuple[Moments, EmittedCourse]] | None = None
+        self._now: tuple[tuple[int, float, bytes, Ticks], EmittedCourse] | None = None
         self.coming: list[_Coming] = []
         self._last_pose = 0  # of the last step, by its serial number
         self.holds = any(config.control_rate_Hz > 0.0 for config in model.configs)
@@ -153,9 +156,10 @@ class Emission:
 
     def over(self, posed: PosedScene, emitted: Complex, t0: float, count: int) -> tuple[Moments, EmittedCourse]:
         """What is emitted at the moments of `count` substeps from t0 [s] on; emitted: at t0, shape (N,)."""
-        model, last, key = self.model, self._over, (posed.serial, round(t0, 12), count, emitted.tobytes())
+        model, last = self.model, self._over
+        key = posed.serial, round(t0, 12), count, emitted.tobytes(), self._ticks()
         # The mean force and the skins' loads take the same
-        if last is not None and last[0] == key and not self.holds:
+        if last is not None and last[0] == key:
             return last[1]
         result = self._looked_ahead(posed, emitted, t0) if self.ahead and count == model.substeps else None
         if result is None:
@@ -163,6 +167,10 @@ class Emission:
             result = moments, self._course(posed, emitted, t0, moments)
         self._over = key, result
         return result
+
+    def _ticks(self) -> Ticks:
+        """When the points that are held were taken [s]."""
+        return tuple([held and held.time_s for held in self.held]) if self.holds else ()
 
     def _looked_ahead(self, posed: PosedScene, emitted: Complex, t0: float) -> tuple[Moments, EmittedCourse] | None:
         """A step from among those that were looked at ahead, in a pose in which the last step was taken."""
@@ -230,8 +238,8 @@ class Emission:
     def now(self, posed: PosedScene, emitted: Complex, time_s: float) -> EmittedCourse:
         """What is emitted at the present time [s], as a course of one moment; emitted: shape (N,)."""
         # The sensors of several skins ask for the same
-        last, key = self._now, (posed.serial, time_s, emitted.tobytes())
-        if last is not None and last[0] == key and not self.holds:
+        last, key = self._now, (posed.serial, time_s, emitted.tobytes(), self._ticks())
+        if last is not None and last[0] == key:
             return last[1]
         first = None if self.model.response_on else self._first(posed, emitted, time_s)
         if first is not None:
@@ -251,7 +259,7 @@ class Emission:
         """
         if self._over is None or self.holds:
             return None
-        (pose, begin, _, before), (moments, course) = self._over
+        (pose, begin, _, before, _), (moments, course) = self._over
         same = (pose, begin, before) == (posed.serial, round(t0, 12), emitted.tobytes())
         if not same or moments.held_s[0] > 0.0 or not len(course.units) == len(course.levels) > 1:
             return None

@@ -74,6 +74,15 @@ def test_loads_computed_ahead_are_those_of_each_step(small_scene, response):
         assert np.linalg.norm(ahead[i] - at_once[i]) < 1e-5 * np.linalg.norm(at_once[i])
 
 
+def test_points_that_are_held_between_ticks_are_looked_at_ahead(small_scene):
+    path = fixed(small_scene(stimulus=CIRCLE | {"control_rate_Hz": 900.0}, skin=WHOLE))
+    ahead, watch, _ = watched(path, True, 30)
+    at_once, _, _ = watched(path, False, 30)
+    assert watch.predictions == 3 and watch.taken[True] > 0.9 * sum(watch.taken.values())
+    for i in (0, 1):  # displacement, velocity
+        assert np.linalg.norm(ahead[i] - at_once[i]) < 1e-5 * np.linalg.norm(at_once[i])
+
+
 def test_a_moving_body_gets_each_step_its_own_load(small_scene):
     path = small_scene(stimulus=CIRCLE, skin=WHOLE)
     ahead, watch, sim = watched(path, True, 5, 0.01)
