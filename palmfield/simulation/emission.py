@@ -1,4 +1,4 @@
-"""What the transducers are told and what they emit over a step: the stages drive and emitted.
+"""What is commanded of the transducers and what they emit over a step: the stages drive and emitted.
 
 An Emission belongs to one state and is used by one thread at a time: it keeps the drives of the arrays as they stand
 now, and where each stimulus's points were at the last control tick.
@@ -215,7 +215,7 @@ class Emission:
         """The focus over `count` substeps from t0 [s] on, for a device that computes the drives.
 
         None where it can't: in silence, for a point, and for anything but one focus of all transducers, which are alike
-        and play what they are told.
+        and play what is commanded.
         """
         model = self.model
         if not self._moves_alone or (model.response_on and model.substeps == 1):
@@ -253,9 +253,9 @@ class Emission:
         return result
 
     def _first(self, posed: PosedScene, emitted: Complex, t0: float) -> Complex | None:
-        """What sounds at t0 [s], shape (1, N), if `over` was asked for the step from there on; None if not.
+        """What sounds at t0 [s], shape (1, N), if `over` has computed the step from there on; None if not.
 
-        Only along a straight line from there; asked where what is commanded sounds at once.
+        Only along a straight line from there; for drives that sound at once.
         """
         if self._over is None or self.holds:
             return None
@@ -266,7 +266,7 @@ class Emission:
         return course.units[:1]
 
     def commanded(self, posed: PosedScene, times: Float) -> Complex:
-        """What the transducers are told at some times [s], shape (k, N); what they make of it comes later."""
+        """What is commanded at some times [s], shape (k, N); what the transducers make of it comes later."""
         total = np.zeros((len(times), len(posed.arrays)), np.complex128)
         for part, drive, place in self.placed(posed, float(times[0])):
             total += commanded_drive(part.config, drive, None, times, place)

@@ -27,7 +27,7 @@ AHEAD = 16
 class SmoothSound:
     """Levels of the worlds' unit drives. Belongs to one state.
 
-    joined: numbers of the worlds whose present step is told by a level, rising, shape (g,)
+    joined: numbers of the worlds whose sound one level determines in the present step, rising, shape (g,)
     serials: of the unit drives of all worlds; now: how much of them is emitted, complex, shapes (worlds,)
     """
 
@@ -71,7 +71,7 @@ class SmoothSound:
         self._known[:] = False
 
     def leave_out(self, world: int) -> None:
-        """Never tell a world's sound from now on."""
+        """Leave a world's sound to others from now on."""
         self._may_join[world] = self._ringing[world] = False
 
     def adopt(self, other: "SmoothSound") -> None:
@@ -81,7 +81,7 @@ class SmoothSound:
         self.now, self._known = other.now.copy(), other._known.copy()
 
     def begin(self, posed: Mapping[int, PosedScene], t0: float) -> list[int]:
-        """Find out which of some worlds a level tells in the step that begins at t0 [s]; numbers of the others."""
+        """Find the worlds whose sound one level determines in the step that begins at t0 [s]; numbers of the others."""
         here = np.zeros(len(self.models), dtype=bool)
         here[list(posed)] = True
         joins = self._may_join & here
@@ -113,18 +113,18 @@ class SmoothSound:
     def _levels_alike(self, joins: Bool) -> Bool:
         """In which worlds a number times the unit drive is emitted, shape (worlds,); finds these numbers."""
         alike = joins.copy()
-        asked = (joins & self._ringing & ~self._known).nonzero()[0]
-        if len(asked) == 0:
+        unknown = (joins & self._ringing & ~self._known).nonzero()[0]
+        if len(unknown) == 0:
             return alike
-        emitted = np.concatenate([part[asked] for part in self.state.emitted], axis=1)
-        units, levels = self._units[asked], self._held[asked]
+        emitted = np.concatenate([part[unknown] for part in self.state.emitted], axis=1)
+        units, levels = self._units[unknown], self._held[unknown]
         new = ~_are(emitted, levels, units)
         if np.logical_or.reduce(new):
-            products, powers = np.einsum("gn,gn->g", units.conj(), emitted), self._powers[asked]
+            products, powers = np.einsum("gn,gn->g", units.conj(), emitted), self._powers[unknown]
             found = np.divide(products, powers, out=np.zeros_like(products), where=powers > 0.0)
             levels = np.where(new, found, levels)
-            alike[asked] = _are(emitted, levels, units)
-        self.now[asked] = levels
+            alike[unknown] = _are(emitted, levels, units)
+        self.now[unknown] = levels
         return alike
 
     def unit(self, world: int) -> Complex:

@@ -1,7 +1,7 @@
 """One MuJoCo step of the sound and the skins in one world or several: pose -> drive -> field -> ARP -> load -> skin.
 
 `Steps.begin` takes the poses where a step begins and computes the forces over it, `sense` what sensors read there,
-and `advance` carries transducers and skins over it. Worlds whose sound one number tells are computed together.
+and `advance` carries transducers and skins over it. Worlds whose sound one number determines are computed together.
 What is kept from one step to the next lies under serial numbers of poses and drives.
 """
 
@@ -350,7 +350,7 @@ class Steps:
             self._served[:, world] = 0
 
     def _advance_smooth(self, t0: float, t1: float, skins: bool) -> None:
-        """`advance` in the worlds whose sound a level tells."""
+        """`advance` in the worlds whose sound one level determines."""
         model, smooth = self.models[0], self.smooth
         worlds, moments = smooth.joined, substep_moments((), t0, model.step_s, model.substeps)
         levels, end = smooth.over(moments)
@@ -420,12 +420,12 @@ class Steps:
         if self._anywhere[skin]:
             return
         worlds, served = group.worlds, self._served[skin]
-        asked = (served[worlds] != self._poses[worlds]) & (self.state.skins[skin][worlds, 0] != WHOLE)
-        if not np.logical_or.reduce(asked):
+        moved = (served[worlds] != self._poses[worlds]) & (self.state.skins[skin][worlds, 0] != WHOLE)
+        if not np.logical_or.reduce(moved):
             return
         steppers = [model.begin[skin].value for model in self.models]
         self._anywhere[skin] = all(one.any_pose and one.any_course for one in steppers)
-        for i in asked.nonzero()[0].tolist():
+        for i in moved.nonzero()[0].tolist():
             world = int(worlds[i])
             if self._in(self._leaves, world, skin, t0):
                 self._continue_whole(group, i, skin, t0)
@@ -590,7 +590,7 @@ class Steps:
             return function(world, *arguments)
 
     def _keys(self, worlds: Rows) -> Serials:
-        """Serial numbers of the poses and unit drives of worlds whose sound a level tells, shape (g, 2)."""
+        """Serial numbers of the poses and unit drives of worlds whose sound one level determines, (g, 2)."""
         keys: Serials = np.empty((len(worlds), 2), np.int64)
         keys[:, 0], keys[:, 1] = self._poses[worlds], self.smooth.serials[worlds]
         return keys
