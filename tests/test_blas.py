@@ -6,7 +6,7 @@ import sys
 import pytest
 
 RUN = """
-import os
+import os, time
 import numpy, scipy.linalg
 from threadpoolctl import ThreadpoolController
 
@@ -19,6 +19,11 @@ own = [task for task in os.listdir("/proc/self/task") if task != str(os.getpid()
 
 def worked_s():
     return sum(int(open(f"/proc/self/task/{task}/schedstat").read().split()[0]) for task in own) / 1e9
+
+last = -1.0
+while worked_s() > last:  # threads turn for a while after their last product
+    last = worked_s()
+    time.sleep(0.3)
 
 import palmfield
 from palmfield.data import folder
