@@ -157,7 +157,7 @@ class Emission:
     def over(self, posed: PosedScene, emitted: Complex, t0: float, count: int) -> tuple[Moments, EmittedCourse]:
         """What is emitted at the moments of `count` substeps from t0 [s] on; emitted: at t0, shape (N,)."""
         model, last = self.model, self._over
-        key = posed.serial, round(t0, 12), count, emitted.tobytes(), self._ticks()
+        key = posed.serial, round(t0, 12), count, emitted.tobytes(), self._ticks() if self.holds else ()
         # The mean force and the skins' loads take the same
         if last is not None and last[0] == key:
             return last[1]
@@ -170,7 +170,7 @@ class Emission:
 
     def _ticks(self) -> Ticks:
         """When the points that are held were taken [s]."""
-        return tuple([held and held.time_s for held in self.held]) if self.holds else ()
+        return tuple([held and held.time_s for held in self.held])
 
     def _looked_ahead(self, posed: PosedScene, emitted: Complex, t0: float) -> tuple[Moments, EmittedCourse] | None:
         """A step from among those that were looked at ahead, in a pose in which the last step was taken."""
@@ -238,7 +238,7 @@ class Emission:
     def now(self, posed: PosedScene, emitted: Complex, time_s: float) -> EmittedCourse:
         """What is emitted at the present time [s], as a course of one moment; emitted: shape (N,)."""
         # The sensors of several skins ask for the same
-        last, key = self._now, (posed.serial, time_s, emitted.tobytes(), self._ticks())
+        last, key = self._now, (posed.serial, time_s, emitted.tobytes(), self._ticks() if self.holds else ())
         if last is not None and last[0] == key:
             return last[1]
         first = None if self.model.response_on else self._first(posed, emitted, time_s)

@@ -120,7 +120,7 @@ class SmoothSound:
         units, levels = self._units[unknown], self._held[unknown]
         new = ~_are(emitted, levels, units)
         if np.logical_or.reduce(new):
-            products, powers = np.einsum("gn,gn->g", units.conj(), emitted), self._powers[unknown]
+            products, powers = np.add.reduce(units.conj() * emitted, axis=1), self._powers[unknown]
             found = np.divide(products, powers, out=np.zeros_like(products), where=powers > 0.0)
             levels = np.where(new, found, levels)
             alike[unknown] = _are(emitted, levels, units)
