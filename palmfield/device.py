@@ -129,7 +129,7 @@ class SharedBlock:
     """
 
     def __init__(self, parts: Mapping[str, tuple[tuple[int, ...], Any]], device: str) -> None:
-        sizes = [int(np.prod(shape)) * wp.types.type_size_in_bytes(dtype) for shape, dtype in parts.values()]
+        sizes = [nbytes(part) for part in parts.values()]
         starts = np.cumsum([0, *(-(-size // PAGE) * PAGE for size in sizes)]).tolist()
         self.nbytes = max(starts[-1], 1)
         self._whole = SharedArray(self.nbytes, wp.uint8, device)
@@ -149,9 +149,10 @@ class SharedBlock:
         self._whole.download()
 
 
-def nbytes(parts: Mapping[str, tuple[tuple[int, ...], Any]]) -> int:
-    """What arrays take together; parts: shape and Warp type by name."""
-    return sum(int(np.prod(shape)) * wp.types.type_size_in_bytes(dtype) for shape, dtype in parts.values())
+def nbytes(part: tuple[tuple[int, ...], Any]) -> int:
+    """What an array takes, by its shape and Warp type."""
+    shape, dtype = part
+    return int(np.prod(shape)) * wp.types.type_size_in_bytes(dtype)
 
 
 def free_bytes(device: str) -> int | None:

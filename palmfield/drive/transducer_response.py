@@ -259,13 +259,15 @@ class EmittedCourse(NamedTuple):
     batch: Batch | None = None
     row: int = 0
 
-    @property
-    def shares(self) -> Float:
-        """How much of each pattern of ARP there is at the moments, shape (m, p): of one unit's, which goes with
-        |level|^2, or of each moment's own; of a pattern of nothing in silence."""
+    def weights(self, moments: Moments) -> tuple[Float, Float]:
+        """Weights of the patterns of ARP at the beginning and the end of each step of `moments`, shapes (s, p).
+
+        Patterns are that of one unit, which goes with |level|^2, or each moment's own; one of nothing in silence.
+        """
         if len(self.units) > 1:
-            return np.eye(len(self.levels))
-        return np.abs(self.levels) ** 2 if len(self.units) else np.zeros((len(self.levels), 1))
+            return moments.first, moments.last
+        factors = np.abs(self.levels) ** 2 if len(self.units) else np.zeros((len(self.levels), 1))
+        return moments.first @ factors, moments.last @ factors
 
 
 def silence(moments: int, end: Complex) -> EmittedCourse:

@@ -207,7 +207,7 @@ class DeviceSound:
         for number, start in skins.items():
             model = self._model(number, start.stepper)
             if model is not None:
-                weights = model.weights(*_pattern_weights(moments, course))
+                weights = model.weights(*course.weights(moments))
                 steps[number] = _SkinStep(posed.serial, course.serial, start.stepper, start.numbers.copy(), weights)
         return steps
 
@@ -487,7 +487,7 @@ class DeviceWork:
         # Points and normals; areas and loads of samples; what presses
         points_bytes = 24 * (samples + loaded + len(probes)) + 16 * samples
         points_bytes += 4 * (sizes[FORCE][1] * samples + sizes[LOAD][1] * loaded)
-        tables = nbytes(parts) + nbytes(results) + nbytes(asked) + nbytes(told)
+        tables = sum(map(nbytes, (*parts.values(), *results.values(), *asked.values(), *told.values())))
         check_room(worlds * points_bytes + tables, worlds, self.device)
         self.inputs = SharedBlock(
             {name: part for name, part in parts.items() if name not in kept} | dict(asked), self.device
@@ -951,14 +951,6 @@ def _same(one: Complex | Float | None, other: Complex | Float | None) -> bool:
 def _holds(known: Sounding | None, wanted: Sounding) -> bool:
     """Whether what sounded last gives what is wanted."""
     return known is not None and known.serial == wanted.serial
-
-
-def _pattern_weights(moments: Moments, course: EmittedCourse) -> tuple[Float, Float]:
-    """Weights of a course's patterns of pressure at the beginning and the end of each substep, shapes (s, p)."""
-    if len(course.units) > 1:
-        return moments.first, moments.last
-    shares = course.shares
-    return moments.first @ shares, moments.last @ shares
 
 
 def _of_course(course: EmittedCourse) -> Sounding | None:

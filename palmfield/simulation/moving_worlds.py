@@ -25,7 +25,7 @@ from palmfield.simulation.posed_scene import PoseLayout
 from palmfield.simulation.sensors import SensorPlace
 from palmfield.simulation.small_models.leaving import leaves_class, loudest_load
 from palmfield.simulation.state import HEADER, WHOLE, HapticState, check_arrays, claim, stepper_of
-from palmfield.simulation.workspace import Workspace
+from palmfield.simulation.workspace import Workspace, scatter
 from palmfield.skin.reduction.device_models import SECTIONS
 from palmfield.skin.stepper import DeviceModel, Outside
 from palmfield.stimulus.focal_points import FocalPoints
@@ -349,10 +349,7 @@ class MovingWorlds:
             keeper.begin_run()
             self._begin_class(work.models)
         if self._rings:
-            end, start = hosts["path_end"].view(np.complex128)[0, :, 0], 0
-            for part in self.state.emitted:
-                part[0] = end[start : start + part.shape[1]]
-                start += part.shape[1]
+            scatter(self.state, hosts["path_end"].view(np.complex128)[0, :, 0])
         for number, of in work.models.items() if skins else ():
             keeper.outside[number].add(Outside(*np.concatenate(self._seen[number]).tolist()))
             self.state.skins[number][:, HEADER : HEADER + of.stepper.state_size] = hosts[f"after_{number}"]

@@ -86,7 +86,7 @@ class Radiation:
         return sound
 
     def patterns(self, posed: PosedScene, skin: int, role: Role, course: EmittedCourse) -> Float32:
-        """The patterns of ARP [Pa] that a course's `shares` weigh, shape (p, n)."""
+        """The patterns of ARP [Pa] that a course's `weights` weigh, shape (p, n)."""
         if len(course.units) == 0:
             return np.zeros((1, len(self.points(posed, skin, role)[0])), np.float32)
         if len(course.units) == 1:

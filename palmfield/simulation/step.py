@@ -7,7 +7,8 @@ What is kept from one step to the next lies under serial numbers of poses and dr
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from operator import call, methodcaller
+from itertools import repeat
+from operator import call, is_not, methodcaller
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -171,10 +172,7 @@ class Steps:
         places [m], axes: of the layout's rows, shapes (worlds, rows, 3) and (worlds, rows, 9)
         posed: gives the PosedScenes of some worlds, shape (worlds,): a graph that steps others needs none
         """
-        watched = self.observer is not None
-        for operator in self.works[0].observe:
-            watched = watched or operator is not None
-        self.moving.begin(places, axes, t0, watched)
+        self.moving.begin(places, axes, t0, self._watched(self.works[0]))
         moving = self.moving.joined
         if len(moving) < len(self.models):
             here = np.ones(len(self.models), dtype=bool)
@@ -210,6 +208,10 @@ class Steps:
             for world in self._apart:
                 self._in(self._push_one, world, t0)
 
+    def _watched(self, work: Workspace) -> bool:
+        """Whether all substeps of a world are watched, which a graph does not give."""
+        return self.observer is not None or any(map(is_not, work.observe, repeat(None)))
+
     def state_now(self) -> bytes:
         """What the step that has begun was computed from, of a state that others may write: equal while it holds."""
         parts: tuple[Complex | Float, ...] = self.state.emitted
@@ -232,8 +234,7 @@ class Steps:
             work.emission.begin(posed, t0)
         turn = posed.array_frame.rotation.T
         if work.device_sound is not None:
-            watched = self.observer is not None or any(operator is not None for operator in work.observe)
-            for body, own in enumerate(work.by_device(state, posed, t0, watched)):
+            for body, own in enumerate(work.by_device(state, posed, t0, self._watched(work))):
                 self.forces[body][world] = np.array(own) @ turn
             return
         work.look_ahead(posed)
@@ -379,10 +380,7 @@ class Steps:
         known = None if device is None or self.observer is not None else device.course(posed, begun, t0)
         moments, course = known or work.emission.over(posed, begun, t0, model.substeps)
         if skins:
-            first, last = moments.first, moments.last
-            if len(course.units) < 2:
-                shares = course.shares
-                first, last = first @ shares, last @ shares
+            first, last = course.weights(moments)
             keys = np.array([[posed.serial, course.serial]])
             levels = course.levels[None]
             group = _Group(

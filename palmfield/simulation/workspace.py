@@ -61,7 +61,7 @@ class Workspace:
         self.outside = [part.copy() for part in other.outside]
 
     def patterns(self, posed: PosedScene, skin: int, stepper: SkinStepper, course: EmittedCourse) -> Float32:
-        """The patterns of ARP [Pa] that a course's `shares` weigh, where a stepper takes them, shape (p, n)."""
+        """The patterns of ARP [Pa] that a course's `weights` weigh, where a stepper takes them, shape (p, n)."""
         role: Role = "quadrature"
         if stepper.points is not None:
             self.radiation.choose(skin, stepper.points)
