@@ -21,11 +21,11 @@ from typing import Any
 import mujoco
 import numpy as np
 import warp as wp
+from palmfield.simulation.device_sound import DeviceSound, DeviceWork
 
 import palmfield
 from palmfield.device import Branches, resolve
 from palmfield.simulation import workspace
-from palmfield.simulation.device_sound import DeviceSound, DeviceWork
 from palmfield.simulation.moving_worlds import WorldsWork
 
 ROOT = Path(__file__).resolve().parents[2]
