@@ -54,6 +54,7 @@ class MovingWorlds:
     """The steps of several worlds, with what they keep from one to the next. Belongs to one state.
 
     some: whether any world can ever take its step here; joined: numbers of those that take the present one, shape (g,)
+    stepped: the skins that the present step has computed, each with how many numbers its state has
     """
 
     def __init__(
@@ -66,6 +67,7 @@ class MovingWorlds:
         able = [served and may_join(model, self._layout) for model in models]
         self.some = any(able)
         self.joined: Rows = np.zeros(0, dtype=np.intp)
+        self.stepped: list[tuple[int, int]] = []
         self._probes: list[tuple[int, SensorPlace]] = []
         self._columns: list[int] = []  # of each among those of its skin
         self._work: GraphWork | None = None
@@ -154,6 +156,7 @@ class MovingWorlds:
             self.fetch()
             self._here &= joins
         self.joined = joins.nonzero()[0]
+        self.stepped = self._sizes if len(self.joined) else []
 
     def _made(self) -> GraphWork | None:
         """Memory and graph for what is watched now; None where a skin has no stepper for it. Raises DeviceError where
@@ -188,6 +191,7 @@ class MovingWorlds:
             work.arrays[f"weights_{number}"].assign(np.tile(patterns, (worlds, 1, 1)))
         work.inputs.hosts["weights"][:] = counted
         self._all = tuple(steppers)
+        self._sizes = [(number, model.stepper.state_size) for number, model in steppers.items()]
         return work
 
     def _take(self, work: GraphWork) -> None:
@@ -354,12 +358,6 @@ class MovingWorlds:
             self._loudest[number, rows] = most[rows]
         work.take_over(rows)
         self._fetched = False
-
-    def stepped(self) -> list[tuple[int, int]]:
-        """Skins that the present step has computed, and how many numbers their states have."""
-        if self._work is None or len(self.joined) == 0:
-            return []
-        return [(number, model.stepper.state_size) for number, model in self._work.of.skins.items()]
 
     def _give(self, work: GraphWork, skins: bool) -> None:
         """Write the only world's state as the step ends."""

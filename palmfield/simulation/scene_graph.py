@@ -53,6 +53,7 @@ class SceneGraph:
 
     course: what is emitted over that step and at which moments, of a path without its drives; None where it was left
         to the stages
+    stepped: the skins that it has computed, each with how many numbers its state has
     launches: how many graphs have been launched
     """
 
@@ -71,6 +72,7 @@ class SceneGraph:
         self._driven: PhasedArray = model.arrays
         self._models: dict[tuple[int, SkinStepper], DeviceModel | None] = {}
         self.course: tuple[Moments, EmittedCourse] | None = None
+        self.stepped: list[tuple[int, int]] = []
         self.launches = 0
         self._now: GraphWork | None = None
         self._posed = 0  # serial number of the pose that the last launch computed
@@ -88,7 +90,7 @@ class SceneGraph:
 
     def forget(self) -> None:
         """Begin again, after a reset."""
-        self.course = None
+        self.course, self.stepped = None, []
 
     # -- the beginning of a step ---------------------------------------------------------------------------------------
 
@@ -97,7 +99,7 @@ class SceneGraph:
 
         watched: whether somebody wants to know the drives
         """
-        self.course, emission = None, self._work.emission
+        emission = self._work.emission
         emitted = gather(self._state, self._work)
         if posed.arrays is not self._arrays:
             self._transducers.move(posed.arrays)
@@ -113,6 +115,7 @@ class SceneGraph:
             mean, now = emission.mean_drives(posed, emitted, t0), emission.now(posed, emitted, t0)
             self._given(posed, moments, course, mean, now)
         self.course = moments, course
+        self.stepped = [(skin, one.state_size) for skin, one in self._stepped.items()]
         return True
 
     def _along(self, posed: PosedScene, path: PathStep, emitted: Complex, t0: float) -> EmittedCourse | None:
@@ -293,20 +296,17 @@ class SceneGraph:
         of_place = self._now.results.hosts["probes"][0, self._probes.index((skin, place))]
         return self._present * float(of_place)
 
-    def outside(self, skin: int) -> Outside | None:
-        """What of a skin's load was outside the class that its stepper serves, None where that has none."""
-        assert self._now is not None
-        sums = self._now.results.hosts[f"sums_{skin}"][0].tolist()
-        return self._now.of.skins[skin].outside(sums)
-
-    def stepped(self) -> list[tuple[int, int]]:
-        """Skins that the present step has computed, and how many numbers their states have."""
-        return [] if self.course is None else [(skin, one.state_size) for skin, one in self._stepped.items()]
+    def outside(self, skin: int, stepper: SkinStepper) -> Outside | None:
+        """What of a skin's load was outside the class that this stepper serves; None as of `after`, or where it has no
+        class."""
+        if self.after(skin, stepper) is None or self._now is None:
+            return None
+        return self._now.of.skins[skin].outside(self._now.results.hosts[f"sums_{skin}"][0].tolist())
 
     def after(self, skin: int, stepper: SkinStepper) -> Float | None:
         """Numbers of a skin as the step ends, shape (1, state_size), a view that the next step overwrites; None where
         this stepper has not stepped it here."""
-        if self._now is None or self._stepped.get(skin) is not stepper:
+        if self._now is None or self.course is None or self._stepped.get(skin) is not stepper:
             return None
         return np.asarray(self._now.results.hosts[f"after_{skin}"])
 

@@ -187,6 +187,8 @@ class Steps:
             self.begin(posed(here), t0)
         else:
             self._apart, self.smooth.joined = [], moving[:0]
+            if self.graph is not None:
+                self.graph.forget()
         for forces, own in zip(self.forces, self.moving.mean_forces(), strict=False):
             forces[moving] = own
 
@@ -224,9 +226,9 @@ class Steps:
     def state_now(self) -> bytes:
         """What the step that has begun was computed from, of a state that others may write: equal while it holds."""
         parts: tuple[Complex | Float, ...] = self.state.emitted
-        stepped = self.moving.stepped()
+        stepped = self.moving.stepped
         if self.graph is not None:
-            stepped += self.graph.stepped()
+            stepped = [*stepped, *self.graph.stepped]
         for skin, size in stepped:
             parts = *parts, self.state.skins[skin][:, : HEADER + size]
         return b"".join(map(methodcaller("tobytes"), parts))
@@ -446,11 +448,6 @@ class Steps:
             self.models[world], state, skin, self._posed[world], work.emission, work.radiation, group.begun(i), t0
         )
 
-    def _end(self, skin: int, stepper: SkinStepper) -> Float | None:
-        """Numbers of the one world's skin as the step ends, where a graph has computed it."""
-        known = self.graph is not None and self.graph.course is not None
-        return self.graph.after(skin, stepper) if self.graph is not None and known else None
-
     def _leave_class(
         self,
         group: _Group,
@@ -478,7 +475,7 @@ class Steps:
     def _outside(self, group: _Group, skin: int, stepper: SkinStepper, at: Rows) -> list[Outside]:
         """What of the loads on a skin lies outside the class of its modes, in the worlds at some places of a group."""
         worlds = group.worlds[at]
-        known = self.graph.outside(skin) if self.graph and self._end(skin, stepper) is not None else None
+        known = None if self.graph is None else self.graph.outside(skin, stepper)
         if known is not None:
             return [known]
         first, last = group.first[at], group.last[at]
@@ -517,7 +514,7 @@ class Steps:
             # Refuses a state that is not at rest though nobody has written it
             stepper_of(self.models[world], self._states[world], skin)
             claim(self.models[world], self._states[world], skin, stepper)
-        end = self._end(skin, stepper)
+        end = None if self.graph is None else self.graph.after(skin, stepper)
         if end is not None:
             part[:, numbers] = end
             return None
