@@ -105,7 +105,7 @@ def test_a_step_in_which_a_level_jumps_is_taken_by_each_world_itself(by_graph: C
         joined.append(worlds.steps.moving.joined.tolist())
     assert joined == [[0, 1], [0, 1], [1], [0, 1], [0, 1]]
     alone = palmfield.Simulation(
-        SCENES / "hover_explore.xml", keys=COARSE | {"stimulus.stop_s": 0.1025, "skin.solver": "modal"}
+        SCENES / "hover_explore.xml", device="cpu", keys=COARSE | {"stimulus.stop_s": 0.1025, "skin.solver": "modal"}
     )
     alone.start_at(0.1)
     alone.step(5)
