@@ -476,14 +476,12 @@ ENDS: tuple[Any, Any] = (np.minimum.reduce, np.maximum.reduce)
 
 def corners(points: NDArray[Any]) -> tuple[list[float], list[float]]:
     """Least and largest x, y, z of points, contiguous, shape (n, 3), n > 0; NaN where one is."""
-    whole, ends = len(points) // WIDE * WIDE, []
-    for reduce in ENDS:
-        few = points
-        if whole > 2 * WIDE:
-            wide = reduce(points[:whole].reshape(-1, 3 * WIDE), axis=0).reshape(WIDE, 3)
-            few = np.concatenate([wide, points[whole:]])
-        ends.append(reduce(np.ascontiguousarray(few.T), axis=1).tolist())
-    return ends[0], ends[1]
+    whole = len(points) // WIDE * WIDE
+    if whole > 2 * WIDE:
+        wide = points[:whole].reshape(-1, 3 * WIDE)
+        points = np.concatenate([*(reduce(wide, axis=0).reshape(WIDE, 3) for reduce in ENDS), points[whole:]])
+    columns = np.ascontiguousarray(points.T)
+    return ENDS[0](columns, axis=1).tolist(), ENDS[1](columns, axis=1).tolist()
 
 
 def distances(points: NDArray[Any], positions: Float) -> tuple[float, float]:
