@@ -43,6 +43,22 @@ class OneWorld:
         mujoco.mj_step(self.mujoco_model, self.data[0])
         raise_errors(self.data[0])
 
+    def several(self, most: int) -> int:
+        """So many of MuJoCo's steps in one go, without the forces and sensors of those before the last, where nothing
+        feels or reads them; otherwise one. Returns how many. Raises as `step`."""
+        runtime = self.runtimes[0]
+        count = most if most > 1 and runtime.may_gather else 1
+        if count > 1:
+            runtime.gathers = True
+            try:
+                for _ in range(count - 1):
+                    self.step()
+            finally:
+                runtime.gathers = False
+                runtime.settle()
+        self.step()
+        return count
+
     def restart(self, time_s: float | None = None) -> None:
         """At rest at a time [s], at 0 without, with hands where their motions have them then."""
         mujoco.mj_resetData(self.mujoco_model, self.data[0])

@@ -35,6 +35,7 @@ class SceneRuntime:
     outlets: what takes the force on each body's parts
     taken: which frames of MuJoCo's sites and bodies are taken, by number, and to which rows they go
     skins_rest: whether steps leave skins out: what moves gets the push of the sound all the same
+    gathers: whether steps are only noted, to be computed several at once, without forces and sensors: see `settle`
     """
 
     def __init__(self, view: DataView, like: "SceneRuntime | None" = None):
@@ -66,6 +67,8 @@ class SceneRuntime:
         self.taken = ("site", self._sites, slice(0, sites)), ("body", self._bodies, slice(sites, None))
         self._positions, self._matrices = np.zeros((count, 3)), np.zeros((count, 9))
         self.skins_rest = False
+        self.gathers = False
+        self._gathered: tuple[PosedScene, float, int] | None = None
         self._posed: PosedScene = self.work.reference
         self._numbers = b""
         self._begun: tuple[float, bytes, bytes] | None = None
@@ -205,15 +208,53 @@ class SceneRuntime:
 
     def push(self) -> None:
         """Add the sound's forces to MuJoCo's passive ones."""
+        if self.gathers:
+            self._note()
+            return
         self._begin(self.view.raw.time, anew=True)
         for outlet, force in zip(self.outlets, self.steps.forces, strict=True):
             outlet.forces[:], outlet.torques[:] = force[0]
             outlet.apply()
 
+    def _note(self) -> None:
+        """Note that a step begins, after those before it in another pose."""
+        posed = self._posed_at(self._frames())
+        if self._gathered is not None and (self._gathered[0] is not posed or self._gathered[2] >= self.steps.together):
+            self.settle()
+        if self._gathered is None:
+            self._gathered = posed, self.view.raw.time, 0
+
+    def settle(self) -> None:
+        """Compute the steps that were noted."""
+        gathered, self._gathered, self._begun = self._gathered, None, None
+        if gathered is not None and gathered[2] > 0:
+            self.steps.over(*gathered, not self.skins_rest)
+
+    @cached_property
+    def felt(self) -> str:
+        """What feels the sound's force or may read sensors, so that steps are not gathered; empty for nothing."""
+        model = self.view.model
+        for body in dict.fromkeys(number for parts in self.parts for part in parts for number in model.ancestors(part)):
+            if model.raw.body_dofnum[body] > 0:
+                return f"body '{model.names('body')[body]}' has degrees of freedom, which feel the sound"
+        others = sorted({plugin for _, plugin, _ in model.instances() if not plugin.startswith("palmfield.")})
+        return f"plugin '{others[0]}' may read sensors" if others else ""
+
+    @property
+    def may_gather(self) -> bool:
+        """Whether steps may be gathered now: nothing feels them, reads in them or watches them."""
+        steps, watched = self.steps, any(one is not None for one in self.work.observe)
+        called = mujoco.get_mjcb_control() or mujoco.get_mjcb_passive() or mujoco.get_mjcb_sensor()
+        return not (self.felt or watched or called or steps.observer is not None or steps.moving.some)
+
     def advance(self) -> None:
         """Carry transducers and skins over MuJoCo's last step, with the pose at its beginning."""
         end = self.view.raw.time
         self.check_options()
+        if self.gathers and self._gathered is not None:
+            posed, begin, count = self._gathered
+            self._gathered = posed, begin, count + 1
+            return
         begin = end - self.spec.timestep_s
         self._begin(begin, anew=False)
         self.steps.advance(begin, end, not self.skins_rest)
@@ -269,6 +310,8 @@ class SceneRuntime:
 
     def sense(self, skin: int, sensors: Sequence[PluginSensor]) -> None:
         """Fill a skin's sensors from the state at the present time."""
+        if self.gathers:
+            return
         time_s = self.view.raw.time
         self._begin(time_s, anew=False)
         force = np.add.reduce(self.steps.forces[self.model.skins[skin].body][0, 0], axis=0)

@@ -96,6 +96,11 @@ class SceneWorlds:
                 self._put(module.due(t1))
             self._advance(t1)
 
+    def several(self, most: int) -> int:
+        """One step, as of `OneWorld.several`."""
+        self.step()
+        return 1
+
     def restart(self, time_s: float | None = None) -> None:
         """All worlds at rest at a time [s], at 0 without, with hands where their motions have them then."""
         for one in self.data:

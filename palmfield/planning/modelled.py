@@ -18,8 +18,11 @@ from palmfield.skin.materials.material import shear_wave
 from palmfield.stimulus.modulation import arp_lines
 
 
-def modelled(model: HapticModel, duration_s: float) -> list[Row]:
-    """Rows of what is modelled in a run of this length [s], in the order of the pipeline."""
+def modelled(model: HapticModel, duration_s: float, felt: str) -> list[Row]:
+    """Rows of what is modelled in a run of this length [s], in the order of the pipeline.
+
+    felt: what keeps `Simulation.step` from taking several steps in one go, empty for nothing
+    """
     skin_points = sum(6 * len(skin.layer.mesh.surface_triangles6) for skin in model.skins)
     surface = f"{skin_points} skin points"
     if force_samples(model):
@@ -68,7 +71,8 @@ def modelled(model: HapticModel, duration_s: float) -> list[Row]:
         Row(
             "time",
             f"{substeps} steps of {1e3 * model.step_s:.3g} ms in MuJoCo steps of {1e3 * model.spec.timestep_s:.3g} ms",
-            "the sound or the pose changes, so a static answer will not do",
+            "the sound or the pose changes, so a static answer will not do; Simulation.step takes "
+            + (f"them one by one: {felt}" if felt else "several in one go, as nothing feels the sound"),
         )
     )
     return rows + [_solver(skin, model.still_m[skin.body]) for skin in model.skins]

@@ -88,7 +88,7 @@ def plan(
     model = view.runtime.model
     return Plan(
         view.name,
-        merged(modelled(model, view.duration_s)),
+        merged(modelled(model, view.duration_s, view.runtime.felt)),
         merged(left_out(model)),
         merged(besides(model)),
         merged(expected_errors(model)),

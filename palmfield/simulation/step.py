@@ -50,6 +50,8 @@ CLOCK_S = 1e-12
 """Times nearer to each other than this are one and the same."""
 T = TypeVar("T")
 ONE: Float = np.ones((1, 1, 1))
+TOGETHER = 16
+"""Steps in one pose that are taken in one go: more cost as much each."""
 KEPT = 64
 """Ways in which worlds were shared out among steppers."""
 
@@ -347,6 +349,33 @@ class Steps:
             for world in self._apart:
                 self._in(self._advance_one, world, t0, t1, skins)
 
+    def over(self, posed: PosedScene, t0: float, steps: int, skins: bool = True) -> None:
+        """Carry the only world over several steps from t0 [s] on, in one pose, of which nobody reads forces or sensors.
+
+        skins: as of `advance`, and what is raised
+        """
+        work, state = self.works[0], self._states[0]
+        self._posed[0], self._poses[0], self._apart = posed, posed.serial, [0]
+        self.smooth.forget()
+        if self.graph is not None:
+            self.graph.forget()
+        if untouched(state):
+            work.emission.forget()
+        if work.emission.holds:
+            work.emission.begin(posed, t0)
+        work.look_ahead(posed)
+        self._check(0)
+        with one_blas_thread:
+            self._advance_one(0, t0, t0 + steps * self.models[0].spec.timestep_s, skins)
+
+    @property
+    def together(self) -> int:
+        """How many steps in one pose `over` takes in one go: one where points are held, or where skins serve a class of
+        loads, of which every step is measured."""
+        model = self.models[0]
+        free = not self.works[0].emission.holds and not any(one.value.of_class for one in model.begin)
+        return TOGETHER if free else 1
+
     def _check(self, world: int) -> None:
         """Begin a run in a state that is nobody's; SceneError for another's."""
         if check_arrays(self.models[world], self._states[world]):
@@ -380,7 +409,8 @@ class Steps:
         """`advance` in a world that nothing else carries."""
         model, work, posed, state = self.models[world], self.works[world], self._posed[world], self._states[world]
         begun, known = gather(state, work), None if self.graph is None else self.graph.course
-        moments, course = known or work.emission.over(posed, begun, t0, model.substeps)
+        count = round((t1 - t0) / model.step_s)
+        moments, course = known or work.emission.over(posed, begun, t0, count)
         if skins:
             first, last = course.weights(moments)
             keys = np.array([[posed.serial, course.serial]])
@@ -408,7 +438,7 @@ class Steps:
             motion.append(tuple(watched))
         if self.observer is not None:
             model, worlds = self.models[0], group.worlds
-            times = t0 + model.step_s * np.arange(1, model.substeps + 1, dtype=np.float64)
+            times = t0 + model.step_s * np.arange(1, group.first.shape[1] + 1, dtype=np.float64)
             posed = tuple([self._posed[world] for world in worlds.tolist()])
             self.observer(
                 StepTrace(times, worlds, posed, group.moments, group.levels, group.course, group.begun, tuple(motion))
