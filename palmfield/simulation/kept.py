@@ -23,12 +23,14 @@ class Kept:
     def rows(self, worlds: Rows, keys: Serials, make: Callable[..., Float | float], *given: Any) -> Float:
         """The values of some worlds, shape (g, ...), under serial numbers (g, 2).
 
-        make: computes that of a world by its number and what is given
+        make: computes that of a world by its number and what is given, once for worlds with the same numbers
         """
         stale = np.logical_or.reduce(self._keys[worlds] != keys, axis=1)
+        made: dict[bytes, int] = {}
         for i in stale.nonzero()[0].tolist():
             world = int(worlds[i])
-            self._values[world] = make(world, *given)
+            same = made.setdefault(keys[i].tobytes(), world)
+            self._values[world] = make(world, *given) if same == world else self._values[same]
             self._keys[world] = keys[i]
         return self._values[worlds]
 

@@ -22,6 +22,8 @@ from palmfield.types import Complex, Float
 
 AHEAD = 16
 """Steps for which what is commanded is computed in one go."""
+ALIKE, LEAST = 1e-14, 1e-300
+"""Rounding of a drive, of its largest amplitude, and the least power that is no zero."""
 
 
 class SmoothSound:
@@ -57,6 +59,8 @@ class SmoothSound:
         self._ahead: dict[float, Float] = {}
         self._poses: Serials = np.zeros(worlds, np.int64)
         self._of: list[UnitDrive | None] = [None] * worlds
+        self._first: dict[tuple[int, tuple[float, ...]], UnitDrive] = {}  # by pose and point
+        self._scales: Float = np.ones(worlds)  # a world's own drive over its unit drive
         self._units: Complex = np.zeros((worlds, len(first.arrays)), np.complex128)
         self._powers, self._peaks = np.zeros(worlds), np.zeros(worlds)
         self.serials: Serials = np.zeros(worlds, np.int64)
@@ -78,6 +82,7 @@ class SmoothSound:
         """Go on from another's, in a copy of its state in the same PosedScenes."""
         self._poses, self.serials, self._of = other._poses.copy(), other.serials.copy(), list(other._of)
         self._units, self._powers, self._peaks = other._units.copy(), other._powers.copy(), other._peaks.copy()
+        self._first, self._scales = dict(other._first), other._scales.copy()
         self.now, self._known = other.now.copy(), other._known.copy()
 
     def begin(self, posed: Mapping[int, PosedScene], t0: float) -> list[int]:
@@ -101,10 +106,18 @@ class SmoothSound:
     def _meet(self, world: int, posed: PosedScene, t0: float) -> bool:
         """Take the unit drive of a world in a new pose; whether there is one."""
         part, drive, points = self.emissions[world].placed(posed, t0)[0]
+        point = first_point(part.config)
         try:
-            unit = drive.unit_drive_at(points, first_point(part.config))
+            unit = drive.unit_drive_at(points, point)
         except PalmfieldError:
             return False  # the world may be silent now; if not, its own step raises this again
+        if len(self._first) > len(self.models):
+            self._first.clear()
+        # Worlds whose drives differ in their level alone have one field
+        first = self._first.setdefault((posed.serial, tuple(point)), unit)
+        scale = abs(np.vdot(first.amplitudes, unit.amplitudes)) / max(first.power, LEAST)
+        alike = np.abs(unit.amplitudes - scale * first.amplitudes).max() <= ALIKE * unit.peak
+        unit, self._scales[world] = (first, scale) if alike else (unit, 1.0)
         self._of[world], self.serials[world], self._poses[world] = unit, unit.serial, posed.serial
         self._units[world], self._powers[world], self._peaks[world] = unit.amplitudes, unit.power, unit.peak
         self._known[world] = False
@@ -165,7 +178,7 @@ class SmoothSound:
             times = (np.array(starts)[:, None] + self._offsets).ravel()
             commanded = self._levels.at(times).reshape(len(self.models), AHEAD, -1)
             self._ahead = {start: commanded[:, i] for i, start in enumerate(starts)}
-        self._commanded = self._ahead[t0]
+        self._commanded = self._ahead[t0] * self._scales[:, None] ** 2
 
     def _over(self, moments: Moments, commanded: Float) -> tuple[Complex, Complex]:
         """Levels at some moments, shape (worlds, m), and at the end, (worlds,), by what is commanded there."""

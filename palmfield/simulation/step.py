@@ -568,7 +568,13 @@ class Steps:
         key = group.worlds[at].tobytes() + group.keys[at].tobytes()
         known = self._stacks.get((skin, stepper))
         if known is None or known[0] != key:
-            patterns = [self._patterns(group, skin, stepper, i) for i in at.tolist()]
+            made: dict[bytes, Float32] = {}
+            patterns = []
+            for i in at.tolist():
+                pattern = made.get(group.keys[i].tobytes())
+                if pattern is None or group.keys[i, 1] == 0:
+                    pattern = made[group.keys[i].tobytes()] = self._patterns(group, skin, stepper, i)
+                patterns.append(pattern)
             stacked = np.stack(patterns) if len(patterns) > 1 else patterns[0][None]
             known = self._stacks[skin, stepper] = key, stacked
         return known[1], fixed
