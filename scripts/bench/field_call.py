@@ -33,7 +33,7 @@ FIRST = 5
 """Calls that are left out: kernels are compiled and graphs captured in them."""
 LIMIT = 1e-4
 """Largest difference to the reference that passes, over its norm, of mode fast at 0.05 to 0.4 m."""
-SECONDS = 4.0
+SECONDS = 2.0
 """After which a row has repeats enough."""
 
 
