@@ -5,7 +5,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from palmfield.session.simulation import load
+from palmfield.simulation.emission import array_drives
+from palmfield.simulation.forces import BodyForces
 from palmfield.simulation.posed_scene import PoseLayout, posed_scene, reference_scene, settled_worlds
+from palmfield.simulation.radiation import Radiation
 from palmfield.transforms import IDENTITY, Transform, relative
 
 STEADY = {"modulation": "none", "am_quantity": None, "am_frequency_Hz": None, "am_depth": None}
@@ -79,3 +82,20 @@ def test_another_body_counts_where_it_may_cast_a_shadow(small_scene, add_skin, b
     after = posed(model, frames, before)
     first, second = (one == other for one, other in zip(before.sound_keys, after.sound_keys, strict=True))
     assert first == (body_sound == "none") and not second
+
+
+def test_forces_follow_a_body_that_turns(small_scene):
+    """By the samples where they are now, about where the body's origin is now."""
+    model = load(small_scene(stimulus=STEADY)).runtime.model
+    forces, frames = BodyForces(model, Radiation(model)), at_rest(model)
+    drive = array_drives(model, model.arrays)[0].unit_drive(model.stimuli[0].first_focus).amplitudes
+    for degrees in (0.0, 25.0, 25.0):
+        turn = Rotation.from_euler("y", degrees, degrees=True).as_matrix()
+        frames[-1] = Transform(frames[-1].position + 0.002, turn @ frames[-1].rotation)
+        scene = posed(model, frames)
+        found = forces.under(scene, 0, drive)
+        points, normals, areas = scene.bodies[0].samples
+        pushes = -(Radiation(model).at(scene, 0, "samples", points, normals, drive).arp * areas)[:, None] * normals
+        np.testing.assert_allclose(found[0, 0], pushes.sum(axis=0), rtol=0.0, atol=1e-5 * np.abs(found[0]).max())
+        torque = np.cross(points - frames[-1].position, pushes).sum(axis=0)
+        np.testing.assert_allclose(found[1, 0], torque, rtol=0.0, atol=1e-5 * np.abs(found[1]).max())
