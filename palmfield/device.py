@@ -4,6 +4,7 @@ import atexit
 import ctypes
 import functools
 import logging
+import math
 import os
 import shutil
 import tempfile
@@ -106,10 +107,13 @@ class SharedArray:
         else:
             self.host[...] = values
 
-    def upload(self) -> None:
-        """Give kernels what `host` holds; until the device's stream is waited for, it must stay as it is."""
+    def upload(self, count: int = 0) -> None:
+        """Give kernels what `host` holds, or its first `count` values.
+
+        Until the device's stream is waited for, they must stay as they are.
+        """
         if self._pinned is not None:
-            wp.copy(self.array, self._pinned)
+            wp.copy(self.array, self._pinned, count=count)
 
     def download(self) -> None:
         """Fetch into `host` what kernels have written."""
@@ -131,18 +135,25 @@ class SharedBlock:
     def __init__(self, parts: Mapping[str, tuple[tuple[int, ...], Any]], device: str) -> None:
         sizes = [nbytes(part) for part in parts.values()]
         starts = np.cumsum([0, *(-(-size // PAGE) * PAGE for size in sizes)]).tolist()
+        self._starts = dict(zip(parts, starts, strict=False))
         self.nbytes = max(starts[-1], 1)
         self._whole = SharedArray(self.nbytes, wp.uint8, device)
         self.arrays: dict[str, Any] = {}
         self.hosts: dict[str, NDArray[Any]] = {}
         for (name, (shape, dtype)), start in zip(parts.items(), starts, strict=False):
-            here = self._whole.host.ctypes.data + start
-            self.arrays[name] = wp.array(ptr=self._whole.array.ptr + start, dtype=dtype, shape=shape, device=device)
-            self.hosts[name] = wp.array(ptr=here, dtype=dtype, shape=shape, device="cpu").numpy()
+            there: Any = wp.array(ptr=self._whole.array.ptr + start, dtype=dtype, shape=shape, device=device)
+            here: Any = there
+            if device != "cpu":
+                here = wp.array(ptr=self._whole.host.ctypes.data + start, dtype=dtype, shape=shape, device="cpu")
+            self.arrays[name], self.hosts[name] = there, here.numpy()
 
-    def upload(self) -> None:
-        """As SharedArray.upload, for all arrays."""
-        self._whole.upload()
+    def upload(self, before: str | None = None) -> None:
+        """As SharedArray.upload, for all arrays, or those before this one."""
+        self._whole.upload(0 if before is None else self._starts[before])
+
+    def clear(self) -> None:
+        """Set what kernels see to 0."""
+        self._whole.array.zero_()
 
     def download(self) -> None:
         """As SharedArray.download, for all arrays."""
@@ -152,7 +163,7 @@ class SharedBlock:
 def nbytes(part: tuple[tuple[int, ...], Any]) -> int:
     """What an array takes, by its shape and Warp type."""
     shape, dtype = part
-    return int(np.prod(shape)) * wp.types.type_size_in_bytes(dtype)
+    return math.prod(shape) * wp.types.type_size_in_bytes(dtype)
 
 
 def free_bytes(device: str) -> int | None:
@@ -305,7 +316,12 @@ def recorded(kernel: Any, dim: int | tuple[int, ...], inputs: Sequence[Any], dev
     if device != "cpu" or command.block_dim != 1 or not wp.__version__.startswith(DIRECT_LAUNCH):
         return command.launch
     values = command.params[1:]
-    fields = [(f"argument_{i}", type(value)) for i, value in enumerate(values)]
-    arguments = type("Arguments", (ctypes.Structure,), {"_fields_": fields})(*values)
+    arguments = _arguments(tuple(map(type, values)))(*values)
     arguments.command = command  # the arrays must live as long as the call
     return functools.partial(command.hooks.forward, ctypes.byref(command.bounds), ctypes.byref(arguments))
+
+
+@functools.lru_cache(maxsize=256)
+def _arguments(types: tuple[type, ...]) -> type[ctypes.Structure]:
+    """A structure of packed arguments; to make one takes as long as to record a launch."""
+    return type("Arguments", (ctypes.Structure,), {"_fields_": [(f"argument_{i}", of) for i, of in enumerate(types)]})

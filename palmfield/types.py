@@ -89,6 +89,7 @@ class Field:
 
     pressure: complex peak pressure [Pa], shape (n,), complex64
     gradient: its gradient [Pa/m], shape (n, 3), complex64, or None
+    Of points on a device both are Warp arrays there, of wp.vec2, (real, imaginary).
     """
 
     pressure: NDArray[np.complex64]

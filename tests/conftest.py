@@ -15,7 +15,7 @@ from second_of_something import add_skin as add_skin
 from second_of_something import moment as moment
 from small_scene import small_scene_texts
 
-from palmfield.acoustics import surface_arp
+from palmfield.acoustics import field, surface_arp
 from palmfield.acoustics.air import density, sound_speed
 from palmfield.acoustics.reference import pressure64
 from palmfield.engine.host import world_of
@@ -134,8 +134,8 @@ def yardsticks() -> Callable[[Callable[[], object]], float]:
 @pytest.fixture
 def many_threads(monkeypatch: pytest.MonkeyPatch) -> Callable[[mujoco.MjData], int]:
     """Even small fields are shared out among four threads; tells into how many blocks those of a scene were."""
-    monkeypatch.setattr(surface_arp, "PAIRS_PER_THREAD", 1)
-    monkeypatch.setattr(surface_arp, "SMALL_BLOCK_PAIRS", 1)
+    monkeypatch.setattr(field, "PAIRS_PER_THREAD", 1)
+    monkeypatch.setattr(field, "SMALL_BLOCK_PAIRS", 1)
     monkeypatch.setattr(surface_arp, "cores", lambda: 4)
 
     def blocks(data: mujoco.MjData) -> int:

@@ -239,16 +239,18 @@ def pressure(form: Form) -> Any:
         points: wp.array(dtype=vec3),
         origins: wp.array(dtype=vec3),
         turns: wp.array(dtype=mat33),
-        ranges: wp.array(dtype=wp.vec2i),
+        ranges: wp.array2d(dtype=wp.vec2i),
         elements: wp.array(dtype=vec4),
         strengths: wp.array(dtype=wp.vec4),
         sound: Sound,
-        result: wp.array(dtype=wp.vec2),
+        result: wp.array2d(dtype=wp.vec2),
     ):
-        """By group: origin, rotation into its frame, range of its transducers. By transducer: x, y, phase, z; strength
-        [Pa m] times the coefficients of the fall. result: real and imaginary pressure [Pa] by point.
+        """By group: origin, rotation into its frame. By part and group: range of its transducers. By transducer: x, y,
+        phase, z; strength [Pa m] times the coefficients of the fall. result: real and imaginary pressure [Pa] of each
+        part's transducers by point.
         """
-        first = wp.tid() * width
+        part, thread = wp.tid()
+        first = thread * width
         count = points.shape[0]
         x = places()
         y = places()
@@ -256,7 +258,7 @@ def pressure(form: Form) -> Any:
         near = lanes()
         re = lanes()
         im = lanes()
-        for group in range(ranges.shape[0]):
+        for group in range(ranges.shape[1]):
             front = lanes()
             for i in range(width):
                 local = turns[group] * (points[wp.min(first + i, count - 1)] - origins[group])
@@ -271,7 +273,7 @@ def pressure(form: Form) -> Any:
                     front[i] = wp.float32(1.0)
             part_re = lanes()
             part_im = lanes()
-            for e in range(ranges[group][0], ranges[group][1]):
+            for e in range(ranges[part, group][0], ranges[part, group][1]):
                 element = row(elements, e)
                 strength = row32(strengths, e)
                 for i in range(width):
@@ -301,6 +303,42 @@ def pressure(form: Form) -> Any:
                 im[i] += front[i] * part_im[i]
         for i in range(width):
             if first + i < count:
-                result[first + i] = wp.vec2(re[i], im[i])
+                result[part, first + i] = wp.vec2(re[i], im[i])
+
+    return kernel
+
+
+@wp.kernel(module="unique", enable_backward=False)
+def sum_of_parts(parts: wp.array2d(dtype=wp.vec2), result: wp.array(dtype=wp.vec2)):
+    """Pressure [Pa] by point, from that of each part's transducers."""
+    i = wp.tid()
+    total = parts[0, i]
+    for part in range(1, parts.shape[0]):
+        total += parts[part, i]
+    result[i] = total
+
+
+@functools.cache
+def emitted(accurate: bool) -> Any:
+    """Kernel that takes a drive for the kernels of the field, in mode accurate or fast."""
+    vec4 = wp.vec4d if accurate else wp.vec4
+    real = wp.float64 if accurate else wp.float32
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def kernel(
+        drive: wp.array(dtype=wp.vec2d),
+        fall: wp.array(dtype=wp.vec4d),
+        per_radian: wp.float64,
+        elements: wp.array(dtype=vec4),
+        strengths: wp.array(dtype=wp.vec4),
+    ):
+        """drive: complex amplitudes by transducer; fall: p0 [Pa m] times the coefficients of the fall, one vector.
+        elements, strengths: get phases and amplitudes, see `pressure`
+        """
+        e = wp.tid()
+        element = elements[e]
+        element[2] = real(wp.atan2(drive[e][1], drive[e][0]) * per_radian)
+        elements[e] = element
+        strengths[e] = wp.vec4(wp.length(drive[e]) * fall[0])
 
     return kernel

@@ -30,16 +30,22 @@ def first_bad(values: NDArray[np.inexact]) -> int:
     return int(np.argmin(rows))
 
 
-def points(values: ArrayLike, dtype: type[np.floating]) -> NDArray[np.floating]:
-    """Positions as a contiguous array of `dtype`, shape (n, 3).
-
-    Raises PalmfieldError for another shape, complex numbers, text, NaN, infinity, and beyond FARTHEST_m.
-    """
+def positions(values: ArrayLike) -> NDArray[Any]:
+    """The values as an array of shape (n, 3). Raises PalmfieldError for another shape, complex numbers and text."""
     given = numbers(values, "points")
     if given.dtype.kind == "c":
         raise PalmfieldError("points are complex: give real positions (x, y, z), in metres")
     if given.ndim != 2 or given.shape[1] != 3:
         raise PalmfieldError(f"points have shape {given.shape}: give (n, 3), in metres")
+    return given
+
+
+def points(values: ArrayLike, dtype: type[np.floating]) -> NDArray[np.floating]:
+    """Positions as a contiguous array of `dtype`, shape (n, 3).
+
+    Raises PalmfieldError as `positions`, and for NaN, infinity, and beyond FARTHEST_m.
+    """
+    given = positions(values)
     if not (np.abs(given) <= FARTHEST_m).all():
         if np.isfinite(given).all():
             i = int(np.argmax(np.abs(given).max(axis=1)))
@@ -51,16 +57,18 @@ def points(values: ArrayLike, dtype: type[np.floating]) -> NDArray[np.floating]:
 
 def drive(values: ArrayLike, array: Array) -> NDArray[np.complex128]:
     """Complex amplitudes, shape (len(array),). Raises PalmfieldError for another shape, text, NaN or infinity."""
-    amplitudes = numbers(values, "drive").astype(np.complex128)
-    if amplitudes.shape != (len(array),):
-        raise PalmfieldError(
-            f"drive has shape {amplitudes.shape} but array '{array.name}' has {len(array)} transducers: "
-            f"give shape ({len(array)},)"
-        )
-    if not np.isfinite(amplitudes).all():
-        i = first_bad(amplitudes)
-        raise PalmfieldError(f"drive[{i}] = {amplitudes[i]} is not finite: remove or mend it")
-    return amplitudes
+    return amplitudes(values, len(array), f"array '{array.name}'")
+
+
+def amplitudes(values: ArrayLike, count: int, name: str) -> NDArray[np.complex128]:
+    """As `drive`, for so many transducers of what `name` says."""
+    given = numbers(values, "drive").astype(np.complex128)
+    if given.shape != (count,):
+        raise PalmfieldError(f"drive has shape {given.shape} but {name} has {count} transducers: give shape ({count},)")
+    if not np.isfinite(given).all():
+        i = first_bad(given)
+        raise PalmfieldError(f"drive[{i}] = {given[i]} is not finite: remove or mend it")
+    return given
 
 
 def frames(values: ArrayLike, array: Array) -> NDArray[np.complex128]:

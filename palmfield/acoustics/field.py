@@ -3,7 +3,9 @@
 import functools
 import math
 import warnings
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -16,22 +18,33 @@ from palmfield.acoustics.air import absorption_Np_m as air_absorption
 from palmfield.acoustics.air import sound_speed
 from palmfield.acoustics.directivities import directivity_coefficients
 from palmfield.acoustics.groups import groups
-from palmfield.device import SharedArray, filled, load_kernels, recorded, resolve
+from palmfield.device import SharedBlock, filled, launching, recorded, replayed, resolve
 from palmfield.errors import PalmfieldError
-from palmfield.threads import Calls, cores, pool, share
-from palmfield.types import Air, Array, Field, Float, Int
+from palmfield.threads import Calls, cores, share
+from palmfield.types import Air, Array, Complex, Field, Float, Int
 from warp_kernels import gradient as with_gradient
 from warp_kernels import pressure as kernels
 
 BLOCKS_PER_THREAD = 4
-PAIRS_PER_THREAD = 1_000_000
-"""Fewest pairs of point and transducer worth a thread of its own: about 1 ms of work against 0.1 ms to hand it over."""
+PAIRS_PER_THREAD = 100_000
+"""Fewest pairs of point and transducer worth a thread of its own: 0.13 ms of work against 0.02 ms to hand it over."""
+SMALL_BLOCK_PAIRS = 250_000
+"""Blocks are not made smaller than this to balance threads [pairs of point and transducer]."""
 
-SMALL_PAIRS = 4_000_000
-"""Up to so many pairs, 3 ms of work, buffers and launches are kept for the next call with as many points."""
-SMALL_PAIRS_PER_THREAD = 100_000
-"""PAIRS_PER_THREAD for these: what is recorded is handed over in 0.02 ms."""
+MOST_POINTS = 2**17
+"""More points than these are computed in several turns."""
 SIZES_KEPT = 8
+THREADS_ENOUGH = 2**17
+"""Threads that fill a GPU: for fewer points the transducers are shared out as well."""
+SHORTEST_RUN = 32
+"""Transducers that a thread takes at least."""
+
+WIDE = 1024
+"""Points that NumPy compares at once with as many others: along rows of three it takes 70 times as long."""
+
+RANGE_STEP_M = 1.0 / 64.0
+"""The fall of sound is fitted over ranges of distance whose ends are multiples of this [m]. So a fit serves many poses,
+and depends on where the points are now, not on where they were before: a run repeats to the bit."""
 
 CUBIC_REACH_Np = 0.4
 """Absorption times range of distances up to which a cubic follows the exponential, with an error of 1e-5."""
@@ -49,10 +62,110 @@ Mode = Literal["fast", "accurate"]
 MODES: tuple[Mode, ...] = ("fast", "accurate")
 
 
-class FieldEvaluator:
+@dataclass(frozen=True)
+class Points:
+    """Points on a field's device; array: Warp's, shape (n,); low, high: corners of a box that holds them [m]."""
+
+    array: Any
+    low: Sequence[float] = (-check.FARTHEST_m,) * 3
+    high: Sequence[float] = (check.FARTHEST_m,) * 3
+
+
+class FieldSum:
+    """The sum of one or several evaluators' fields. Safe to use from several threads at once.
+
+    What a call works with is kept for the next one with as many points: then only the result is allocated.
+
+    device: of `resolve`; count: drives that there are; name: for errors
+    """
+
+    device: str
+    count: int
+    name: str
+
+    def __init__(self) -> None:
+        # Those that no call is using just now, by number of points, gradient and normals
+        self._calls: dict[tuple[int, bool, bool], list[_Call]] = {}
+
+    @property
+    def parts(self) -> "Parts":
+        """Each evaluator, and which of the drives its transducers have, in its order."""
+        raise NotImplementedError
+
+    def pressure(self, points: Any, drive: ArrayLike, gradient: bool = False, normals: Any = None) -> Field:
+        """Field at points; see `pressure` below for shapes, units and errors.
+
+        points: or a Warp array on the field's device, of wp.vec3, in mode accurate of wp.vec3d, shape (n,), or what
+            `upload` returns. The result then is Warp arrays of (real, imaginary), wp.vec2: pressure, shape (n,), and
+            gradient, shape (n, 3). On a GPU they are not waited for, and a Warp array's coordinates are not checked.
+        drive: complex amplitudes of all transducers, shape (count,)
+        normals: unit outward, shape (n, 3), of opaque surfaces at the points: what transducers send from behind them is
+            left out (`warp_kernels.pressure.from_front`); a Warp array of wp.vec3 where points are one. The gradient
+            comes with it.
+        """
+        gradient = gradient or normals is not None
+        there = isinstance(points, Points | wp.array)
+        given: Any = self._on_device(points, normals) if there else check.positions(points)
+        emitted = check.amplitudes(drive, self.count, self.name)
+        total = len(given.array) if there else len(given)
+        shapes: tuple[tuple[int, ...], ...] = ((total,), (total, 3)) if gradient else ((total,),)
+        if there:
+            results: list[Any] = [wp.zeros(shape, dtype=wp.vec2, device=self.device) for shape in shapes]
+        else:
+            results = [np.zeros(shape, np.complex64) for shape in shapes]
+        for start in range(0, total if self.count > 0 else 0, MOST_POINTS):
+            own = slice(start, min(start + MOST_POINTS, total))
+            key = own.stop - own.start, gradient, normals is not None
+            known = self._calls.get(key)
+            if known is None:
+                if len(self._calls) >= SIZES_KEPT:
+                    self._calls.clear()
+                known = self._calls[key] = []
+            try:
+                call = known.pop()
+            except IndexError:
+                call = _Call(self.parts, *key)
+            outward = None if normals is None else part(normals, own)
+            found = [part(result, own) for result in results]
+            if there:
+                call.run_there(self.parts, replace(given, array=part(given.array, own)), emitted, outward, found)
+            elif not call.run(self.parts, given[own], emitted, outward, found):
+                check.points(given, np.float64)  # says which can't be
+            known.append(call)
+        return Field(*results)
+
+    def upload(self, points: ArrayLike) -> Points:
+        """Points, [m], shape (n, 3), on the field's device, for several calls of `pressure`. Errors as `pressure`."""
+        one = self.parts[0][0]
+        where = check.points(points, one.real)
+        array: Any = wp.array(where, dtype=one.vectors[0], device=self.device)
+        return Points(array, *corners(where)) if len(where) > 0 else Points(array)
+
+    def _on_device(self, points: Any, normals: Any) -> Points:
+        """Points as Warp arrays. Raises PalmfieldError for arrays of another type, shape or device."""
+        one = self.parts[0][0]
+        result = points if isinstance(points, Points) else Points(points)
+        for name, array, dtype in (("points", result.array, one.vectors[0]), ("normals", normals, wp.vec3)):
+            wanted = f"Warp array of {dtype.__name__}, shape {result.array.shape[:1]}, on {self.device}"
+            found = type(array).__name__
+            if isinstance(array, wp.array):
+                found = f"Warp array of {array.dtype.__name__}, shape {array.shape}, on {array.device}"
+            if array is not None and found != wanted:
+                raise PalmfieldError(f"{name}: {found}; give a {wanted}, or points and normals from NumPy")
+        if self.device != "cpu" or result is points or len(result.array) == 0:
+            return result
+        return Points(result.array, *corners(check.points(result.array.numpy(), one.real)))
+
+
+def part(values: Any, own: slice) -> Any:
+    """These values; all of them as they are, since Warp takes 10 us for a slice."""
+    return values if own.stop - own.start == len(values) else values[own]
+
+
+class FieldEvaluator(FieldSum):
     """The field of one array in one air; it holds the array on the device, so that a call moves only points and drive.
 
-    Safe to call from several threads at once. On the CPU large sets of points are shared among `threads` threads.
+    On the CPU points are shared among `threads` threads.
 
     mode: "fast" computes in float32, whose phase error grows with distance: 1.2e-5 of the field at 0.05 to 0.4 m and
         4e-5 at 0.4 to 1.2 m (on a GPU 2e-5 and 6e-5); "accurate" takes distance and phase in float64
@@ -70,13 +183,14 @@ class FieldEvaluator:
         absorption_Np_m: float | None = None,
         mode: Mode = "fast",
     ):
+        super().__init__()
         check.array(array)
         if mode not in MODES:
             raise PalmfieldError(f"mode '{mode}' is unknown: use one of {', '.join(MODES)}")
         if threads is not None and threads < 1:
             raise PalmfieldError(f"threads = {threads} can't compute: give 1 or more, or None for all cores")
         self.array, self.air = array, air
-        self.device = resolve(device)
+        self.device, self.count, self.name = resolve(device), len(array), f"array '{array.name}'"
         self.threads = cores() if threads is None else threads
         self.mode = mode
         self.absorption_Np_m = check.absorption(
@@ -84,7 +198,7 @@ class FieldEvaluator:
         )
         self._gpu = self.device != "cpu"
         self._accurate = mode == "accurate"
-        self.real: Any = np.float64 if self._accurate else np.float32
+        self.real: type[np.floating] = np.float64 if self._accurate else np.float32
         wavenumber = 2.0 * np.pi * array.frequency_Hz / sound_speed(air)
         directivity, slope, self._smooth = off_axis(array, wavenumber)
         sine, cosine = polynomials.sine_cosine()
@@ -110,59 +224,15 @@ class FieldEvaluator:
         self._wavenumber = wavenumber
         self._shapes = self._upload(np.array([directivity, slope], np.float32), kernels.vec6)
         self._groups = groups(array)
-        self._vec3, _, mat33 = self._form("cubic").vectors
-        self._origins = self._upload(self._groups.origins.astype(self.real), self._vec3)
+        vec3, _, mat33 = self.vectors
+        self._origins = self._upload(self._groups.origins.astype(self.real), vec3)
         self._turns = self._upload(self._groups.turns.astype(self.real), mat33)
         self._turns_radians = self._upload((wavenumber * self._groups.turns).astype(self.real), mat33)
-        self._ranges = self._upload(self._groups.ranges, wp.vec2i)
-        self._box = array.positions.min(axis=0), array.positions.max(axis=0)
-        # Those that no call is using just now, by number of points, fall and gradient
-        self._small: dict[tuple[int, str, bool, bool], list[_SmallCall]] = {}
+        self._box = corners(array.positions) if len(array) > 0 else ([0.0] * 3, [0.0] * 3)
 
-    def pressure(
-        self, points: ArrayLike, drive: ArrayLike, gradient: bool = False, normals: NDArray[np.float32] | None = None
-    ) -> Field:
-        """Field at points; see `pressure` below for shapes, units and errors.
-
-        normals: unit outward, shape (n, 3), of opaque surfaces at the points: what transducers send from behind them is
-            left out (`warp_kernels.pressure.from_front`). The gradient comes with it.
-        """
-        gradient = gradient or normals is not None
-        where = check.points(points, self.real)
-        amplitude = check.drive(drive, self.array)
-        count = len(where)
-        pressure = np.zeros(count, np.complex64)
-        slope = np.zeros((count, 3), np.complex64) if gradient else None
-        if count == 0 or len(self.array) == 0:
-            return Field(pressure, slope)
-        bounds = box_distances(where, self._box)
-        if self._gpu:
-            outward = None if normals is None else self._upload(normals, wp.vec3)
-            outputs = self._launch(self._upload(where, self._vec3), bounds, amplitude, gradient, outward)
-            for target, output in zip((pressure, slope), outputs, strict=False):
-                assert target is not None
-                target[:] = output.numpy().view(np.complex64)[..., 0]
-        elif count * len(self.array) <= SMALL_PAIRS:
-            self._small_on_cpu(where, bounds, amplitude, pressure, slope, normals)
-        else:
-            self._on_cpu(where, bounds, amplitude, pressure, slope, normals)
-        return Field(pressure, slope)
-
-    def upload(self, points: ArrayLike) -> "Points":
-        """Points, [m], shape (n, 3), on the evaluator's GPU for `pressure_on_gpu`. Errors as `pressure`."""
-        where = check.points(points, self.real)
-        bounds = distances(where, self.array.positions) if len(where) else (0.0, 0.0)
-        return Points(self._upload(where, self._vec3), bounds)
-
-    def pressure_on_gpu(self, points: "Points", drive: ArrayLike, gradient: bool = False) -> tuple[Any, ...]:
-        """As `pressure`, with the results left on the GPU, and not waited for.
-
-        Returns Warp arrays of (real, imaginary): pressure [Pa], shape (n,), and if asked its gradient [Pa/m], shape
-        (n, 3). Raises PalmfieldError for an evaluator on the CPU.
-        """
-        if not self._gpu:
-            raise PalmfieldError(f"pressure_on_gpu on device '{self.device}': make the evaluator with device cuda:0")
-        return self._launch(points.array, points.distances_m, check.drive(drive, self.array), gradient)
+    @property
+    def parts(self) -> "Parts":
+        return ((self, self.order),)
 
     def _form(self, fall: str, shaded: bool = False, faced: bool = False) -> kernels.Form:
         smooth = self._smooth and not self._accurate
@@ -174,6 +244,11 @@ class FieldEvaluator:
         return with_gradient.gradient(form) if gradient else kernels.pressure(form)
 
     @property
+    def vectors(self) -> tuple[Any, Any, Any]:
+        """Warp's types of a position, of four numbers and of a rotation."""
+        return self._form("cubic").vectors
+
+    @property
     def points_per_thread(self) -> int:
         """How many points each thread of a kernel takes."""
         return kernels.WIDTH["gpu" if self._gpu else "cpu"]
@@ -183,17 +258,26 @@ class FieldEvaluator:
         """First transducer of each group, and one past the last, counted in `order`, shape (g, 2)."""
         return self._groups.ranges
 
-    def inputs(self, elements: Any, strengths: Any, gradient: bool, ranges: Any = None) -> list[Any]:
-        """What a kernel takes between points and results.
+    def inputs(self, elements: Any, strengths: Any, gradient: bool, ranges: Any) -> list[Any]:
+        """What a kernel takes between points and results, on the device.
 
-        elements, strengths: see `elements`, on the device; ranges: others than all transducers of each group
+        elements, strengths: see `elements`; ranges: first transducer of each group, and one past the last, wp.vec2i,
+        shape (g,), without the gradient (parts, g)
         """
         if gradient:
             turns, sound, shapes = self._turns_radians, self._radians, [self._shapes]
         else:
             turns, sound, shapes = self._turns, self.sound, []
-        ranges = self._ranges if ranges is None else ranges
         return [self._origins, turns, ranges, elements, strengths, sound, *shapes]
+
+    def fall(self, low: Sequence[float], high: Sequence[float], gradient: bool) -> tuple[str, Float]:
+        """How sound falls off on its way to a box with these corners [m], see `falling`, and p0 times its coefficients.
+
+        The coefficients are for lengths in `unit_m`, shape (4,).
+        """
+        near, far = box_distances(low, high, self._box)
+        steps = int(near / RANGE_STEP_M), int(far / RANGE_STEP_M) + 1
+        return _fall(self.absorption_Np_m, self.array.p0_Pa_m, self.unit_m(gradient), *steps)
 
     def elements(self, gradient: bool) -> NDArray[Any]:
         """x, y, phase and z of each transducer in the order of its groups, shape (n, 4), the phase still 0.
@@ -219,191 +303,210 @@ class FieldEvaluator:
         """The length [m] in which the kernels count."""
         return float(1.0 / self._wavenumber) if gradient else 1.0
 
-    def _inputs(
-        self, bounds: tuple[float, float], drive: NDArray[np.complex128], gradient: bool, faced: bool
-    ) -> tuple[Any, int, list[Any]]:
-        """Kernel for points within these distances [m], points a thread, and what it takes between them and results."""
-        kind, fall = falling(self.absorption_Np_m, *bounds)
-        elements = self.elements(gradient)
-        strengths = np.empty((len(elements), 4), np.float32)
-        self._put_drive(drive, fall, gradient, elements, strengths)
-        _, vec4, _ = self._form(kind).vectors
-        inputs = self.inputs(self._upload(elements, vec4), self._upload(strengths, wp.vec4), gradient)
-        return self.kernel(kind, gradient, faced=faced), self.points_per_thread, inputs
-
-    def _put_drive(
-        self,
-        drive: NDArray[np.complex128],
-        fall: Float,
-        gradient: bool,
-        elements: NDArray[Any],
-        strengths: NDArray[np.float32],
-    ) -> None:
-        """Write phases into `elements` and amplitudes times the coefficients of the fall into `strengths`."""
-        emitted = drive if self.array.gain is None else drive * self.array.gain
-        emitted = emitted[self.order]
-        strengths[:] = self.array.p0_Pa_m * np.abs(emitted)[:, None] * in_unit(fall, self.unit_m(gradient))
-        elements[:, 2] = np.angle(emitted) / self.phase_unit
-
-    def _small_on_cpu(
-        self,
-        points: NDArray[Any],
-        bounds: tuple[float, float],
-        drive: NDArray[np.complex128],
-        pressure: NDArray[np.complex64],
-        slope: NDArray[np.complex64] | None,
-        normals: NDArray[np.float32] | None,
-    ) -> None:
-        """As `_on_cpu`, by launches that are recorded for so many points: there is little work in between them."""
-        kind, fall = falling(self.absorption_Np_m, *bounds)
-        key = len(points), kind, slope is not None, normals is not None
-        known = self._small.get(key)
-        if known is None:
-            if len(self._small) >= SIZES_KEPT:
-                self._small.clear()
-            known = self._small[key] = []
-        try:
-            call = known.pop()
-        except IndexError:
-            call = _SmallCall(self, *key)
-        self._put_drive(drive, fall, slope is not None, call.elements.host, call.strengths.host)
-        call.run(points, pressure, slope, normals)
-        if len(known) < self.threads:
-            known.append(call)
-
     def _upload(self, values: NDArray[Any], dtype: Any) -> Any:
         return wp.array(np.ascontiguousarray(values), dtype=dtype, device=self.device)
 
-    def _on_cpu(
-        self,
-        points: NDArray[Any],
-        bounds: tuple[float, float],
-        drive: NDArray[np.complex128],
-        pressure: NDArray[np.complex64],
-        slope: NDArray[np.complex64] | None,
-        normals: NDArray[np.float32] | None,
-    ) -> None:
-        """Fill pressure and slope in place: Warp sees NumPy's memory, slices of the points shared out among threads."""
-        kernel, width, inputs = self._inputs(bounds, drive, slope is not None, normals is not None)
-        load_kernels(kernel.module, "cpu")
 
-        def run(start: int, stop: int) -> None:
-            part: Any = wp.array(points[start:stop], dtype=self._vec3, device="cpu", copy=False)
-            outputs = [shared(pressure[start:stop])]
-            if slope is not None:
-                own: Any = None if normals is None else wp.array(normals[start:stop], dtype=wp.vec3, device="cpu")
-                outputs += [shared(slope[start:stop]), *UNSHADED, own]
-            wp.launch(kernel, dim=-(-(stop - start) // width), inputs=[part, *inputs, *outputs], device="cpu")
-
-        count = len(points)
-        threads = min(self.threads, 1 + count * len(self.array) // PAIRS_PER_THREAD)
-        if threads == 1:
-            run(0, count)
-            return
-        size = -(-count // (BLOCKS_PER_THREAD * threads * width)) * width
-        # The threads share one iterator, so that a slow core takes fewer blocks
-        starts = iter(range(0, count, size))
-
-        def work(_: int) -> None:
-            for start in starts:
-                run(start, min(start + size, count))
-
-        list(pool().map(work, range(threads)))
-
-    def _launch(
-        self,
-        points: Any,
-        bounds: tuple[float, float],
-        drive: NDArray[np.complex128],
-        gradient: bool,
-        normals: Any = None,
-    ) -> tuple[Any, ...]:
-        kernel, width, inputs = self._inputs(bounds, drive, gradient, normals is not None)
-        count = len(points)
-        outputs = [wp.zeros(count, dtype=wp.vec2, device=self.device)]
-        if gradient:
-            outputs.append(wp.zeros((count, 3), dtype=wp.vec2, device=self.device))
-        inputs = [points, *inputs, *outputs, *((*UNSHADED, normals) if gradient else ())]
-        wp.launch(kernel, dim=-(-count // width), inputs=inputs, device=self.device, block_dim=128)
-        return tuple(outputs)
+Parts = Sequence[tuple[FieldEvaluator, Int]]
 
 
-class _SmallCall:
-    """Buffers and recorded launches for a number of points on the CPU; one call at a time uses them.
+class _Call:
+    """Buffers and recorded launches for `count` points; one call at a time uses them.
 
-    elements, strengths: as kernels take them, to be filled before `run`
+    On a GPU they are a graph: a copy of all that a call takes, the kernels, and a copy of the result.
     """
 
-    def __init__(self, evaluator: FieldEvaluator, count: int, kind: str, gradient: bool, faced: bool):
-        vec3, vec4, _ = evaluator._form(kind).vectors
-        size = len(evaluator.array)
-        self.elements = SharedArray(size, vec4, "cpu")
-        self.elements.host[...] = evaluator.elements(gradient)
-        self.strengths = SharedArray(size, wp.vec4, "cpu")
-        self._points = SharedArray(count, vec3, "cpu")
-        self._results = [SharedArray(count, wp.vec2, "cpu")]
+    def __init__(self, parts: Parts, count: int, gradient: bool, faced: bool):
+        one = parts[0][0]
+        self._device, self._gradient, self._faced = one.device, gradient, faced
+        self._gpu = one.device != "cpu"
+        self._guard: AbstractContextManager[object] = launching if self._gpu else nullcontext()
+        # When what was uploaded last has left the buffers
+        self._sent = wp.Event(one.device) if self._gpu else None
+        accurate = one.mode == "accurate"
+        vec3, vec4, _ = one.vectors
+        # Points come last: where they are on the device, only what is before them is uploaded
+        self._inputs = SharedBlock(
+            {
+                "drive": ((sum(len(chosen) for _, chosen in parts),), wp.vec2d),
+                "falls": ((len(parts),), wp.vec4d),
+                "points": ((count,), vec3),
+                "normals": ((count if faced else 0,), wp.vec3),
+            },
+            one.device,
+        )
+        shapes: dict[str, tuple[tuple[int, ...], Any]] = {"pressure": ((count,), wp.vec2)}
         if gradient:
-            self._results.append(SharedArray((count, 3), wp.vec2, "cpu"))
-        self._normals = SharedArray(count if faced else 0, wp.vec3, "cpu")
-        kernel, width = evaluator.kernel(kind, gradient, faced=faced), evaluator.points_per_thread
-        inputs = evaluator.inputs(self.elements.array, self.strengths.array, gradient)
-        self._threads = max(1, min(evaluator.threads, count * size // SMALL_PAIRS_PER_THREAD))
-        step = -(-count // (self._threads * width)) * width
-        self._blocks: list[Calls] = []
-        for start in range(0, count, step):
-            own = slice(start, min(start + step, count))
-            arrays = [self._points.array[own], *inputs, *(result.array[own] for result in self._results)]
-            arrays += (*UNSHADED, self._normals.array[own] if faced else None) if gradient else ()
-            self._blocks.append((recorded(kernel, -(-(own.stop - start) // width), arrays, "cpu"),))
+            shapes["gradient"] = ((count, 3), wp.vec2)
+        self._results = SharedBlock(shapes, one.device)
+        self._drive = self._inputs.hosts["drive"].view(np.complex128)[:, 0]
+        self._found = [host.view(np.complex64)[..., 0] for host in self._results.hosts.values()]
+        self._chosen = np.concatenate([chosen for _, chosen in parts])
+        gains = [1.0 if part.array.gain is None else part.array.gain[part.order] for part, _ in parts]
+        self._gain = np.concatenate([gain * np.ones(part.count) for gain, (part, _) in zip(gains, parts, strict=True)])
+        drives, falls = self._inputs.arrays["drive"], self._inputs.arrays["falls"]
+        self._emitted: list[Callable[[], object]] = []
+        self._rows: list[tuple[Any, Any, Any]] = []
+        start = 0
+        for i, (evaluator, chosen) in enumerate(parts):
+            size = len(chosen)
+            elements: Any = wp.array(evaluator.elements(gradient), dtype=vec4, device=one.device)
+            strengths: Any = wp.empty(size, dtype=wp.vec4, device=one.device)
+            inputs = [drives[start : start + size], falls[i : i + 1], 1.0 / evaluator.phase_unit, elements, strengths]
+            self._emitted.append(recorded(kernels.emitted(accurate), size, inputs, one.device))
+            start += size
+            ranges = evaluator.ranges if gradient else split(evaluator.ranges, splits(evaluator, count))
+            on_device: Any = wp.array(np.ascontiguousarray(ranges), dtype=wp.vec2i, device=one.device)
+            self._rows.append((elements, strengths, on_device))
+        rows = 1 if gradient else sum(ranges.shape[0] for *_, ranges in self._rows)
+        self._pressures = self._results.arrays["pressure"].reshape((1, count))
+        if rows > 1:
+            self._pressures = wp.zeros((rows, count), dtype=wp.vec2, device=one.device)
+        self._threads, self._blocks = shared_out(one, count, len(self._chosen), one.threads)
+        self._launches: dict[tuple[tuple[str, ...], bool], Callable[[], object]] = {}
 
-    def run(
-        self,
-        points: NDArray[Any],
-        pressure: NDArray[np.complex64],
-        slope: NDArray[np.complex64] | None,
-        normals: NDArray[np.float32] | None,
-    ) -> None:
-        """Fill pressure, and slope where there is one, for points [m], shape (count, 3)."""
-        self._points.host[...] = points
+    def run(self, parts: Parts, points: NDArray[Any], drive: Complex, normals: Any, results: list[Any]) -> bool:
+        """Fill pressure, and the gradient where there is one; False for points that are not finite or too far away."""
+        here = self._inputs.hosts["points"]
+        with np.errstate(over="ignore"):
+            here[...] = points
+        low, high = corners(here)
+        if not math.isfinite(sum(low) + sum(high)) or min(low) < -check.FARTHEST_m or max(high) > check.FARTHEST_m:
+            return False
         if normals is not None:
-            self._normals.host[...] = normals
-        if slope is not None:
-            for result in self._results:
-                result.host.fill(0.0)  # the kernel adds to them
-        share(self._blocks, self._threads)
-        for target, result in zip((pressure, slope), self._results, strict=False):
-            assert target is not None
-            target[...] = result.host.view(np.complex64)[..., 0]
+            self._inputs.hosts["normals"][...] = normals
+        launch = self._prepared(parts, low, high, drive, True)
+        with self._guard:
+            launch()
+            if self._gpu:
+                wp.synchronize_stream(self._device)
+        for result, found in zip(results, self._found, strict=True):
+            result[...] = found
+        return True
+
+    def run_there(self, parts: Parts, points: Points, drive: Complex, normals: Any, results: list[Any]) -> None:
+        """As `run`, from Warp arrays into Warp arrays, and not waited for."""
+        launch = self._prepared(parts, points.low, points.high, drive, False)
+        arrays = self._inputs.arrays
+        with self._guard:
+            self._inputs.upload("points")
+            if self._sent is not None:
+                wp.get_stream(self._device).record_event(self._sent)
+            wp.copy(arrays["points"], points.array)
+            if normals is not None:
+                wp.copy(arrays["normals"], normals)
+            launch()
+            for result, found in zip(results, self._results.arrays.values(), strict=True):
+                wp.copy(result, found)
+
+    def _prepared(
+        self, parts: Parts, low: Sequence[float], high: Sequence[float], drive: Complex, copied: bool
+    ) -> Callable[[], object]:
+        """Launches for points in a box, with copies from and to the host if `copied`, after the drive has been put."""
+        falls = [one.fall(low, high, self._gradient) for one, _ in parts]
+        key = tuple(kind for kind, _ in falls), copied
+        launch = self._launches.get(key)
+        if launch is None:
+            calls = self._record(parts, key[0])
+            if copied:
+                calls = [self._inputs.upload, *calls, self._results.download]
+            launch = replayed(calls, self._device) if self._gpu else functools.partial(share, [calls], 1)
+            self._launches[key] = launch
+        if self._sent is not None:
+            with self._guard:
+                wp.synchronize_event(self._sent)
+        np.multiply(drive[self._chosen], self._gain, out=self._drive)
+        self._inputs.hosts["falls"][...] = [fall for _, fall in falls]
+        return launch
+
+    def _record(self, parts: Parts, falls: tuple[str, ...]) -> list[Callable[[], object]]:
+        arrays, results = self._inputs.arrays, self._results.arrays
+        blocks: list[Calls] = []
+        for own in self._blocks:
+            calls, row, count = [], 0, own.stop - own.start
+            for (one, _), fall, (elements, strengths, ranges) in zip(parts, falls, self._rows, strict=True):
+                inputs = [arrays["points"][own], *one.inputs(elements, strengths, self._gradient, ranges)]
+                threads = -(-count // one.points_per_thread)
+                dim: int | tuple[int, int] = threads
+                if self._gradient:
+                    normals = arrays["normals"][own] if self._faced else None
+                    inputs += [*(result[own] for result in results.values()), *UNSHADED, normals]
+                else:
+                    dim = ranges.shape[0], threads
+                    inputs.append(self._pressures[row : row + dim[0], own])
+                    row += dim[0]
+                kernel = one.kernel(fall, self._gradient, faced=self._faced)
+                calls.append(recorded(kernel, dim, inputs, self._device))
+            if row > 1:
+                inputs = [self._pressures[:, own], results["pressure"][own]]
+                calls.append(recorded(kernels.sum_of_parts, count, inputs, self._device))
+            blocks.append(calls)
+        # The kernel with the gradient adds to what is there
+        cleared = [self._results.clear] if self._gradient else []
+        return [*cleared, *self._emitted, functools.partial(share, blocks, self._threads)]
 
 
-@dataclass(frozen=True)
-class Points:
-    """Points on a GPU; array: Warp's, shape (n,); distances_m: bounds of those to the transducers."""
+def shared_out(one: FieldEvaluator, count: int, transducers: int, threads: int) -> tuple[int, list[slice]]:
+    """How many of these threads are worth their while for so many points, and the blocks of points that they share."""
+    pairs = count * transducers
+    if one.device != "cpu" or pairs == 0:
+        return 1, [slice(0, count)]
+    threads = max(1, min(threads, pairs // PAIRS_PER_THREAD))
+    blocks = threads if threads == 1 else max(threads, min(BLOCKS_PER_THREAD * threads, pairs // SMALL_BLOCK_PAIRS))
+    width = one.points_per_thread
+    size = -(-count // (blocks * width)) * width
+    return threads, [slice(start, min(start + size, count)) for start in range(0, count, size)]
 
-    array: Any
-    distances_m: tuple[float, float]
+
+def splits(one: FieldEvaluator, count: int) -> int:
+    """Parts into which the transducers are split, so that with so many points there are threads enough."""
+    threads = -(-count // one.points_per_thread)
+    return 1 if one.device == "cpu" else max(1, min(len(one.array) // SHORTEST_RUN, THREADS_ENOUGH // threads))
 
 
-def shared(values: NDArray[np.complex64]) -> Any:
-    """The complex numbers as Warp pairs in the same memory."""
-    return wp.array(values.view(np.float32).reshape(*values.shape, 2), dtype=wp.vec2, device="cpu", copy=False)
+def split(ranges: Int, parts: int) -> Int:
+    """Ranges (g, 2) in parts of equal length, shape (parts, g, 2)."""
+    first, stop = ranges[:, 0], ranges[:, 1]
+    ends = first + (stop - first) * np.arange(parts + 1)[:, None] // parts
+    return np.stack([ends[:-1], ends[1:]], axis=2).astype(np.int32)
+
+
+ENDS: tuple[Any, Any] = (np.minimum.reduce, np.maximum.reduce)
+
+
+def corners(points: NDArray[Any]) -> tuple[list[float], list[float]]:
+    """Least and largest x, y, z of points, contiguous, shape (n, 3), n > 0; NaN where one is."""
+    whole = len(points) // WIDE * WIDE
+    if whole > 2 * WIDE:
+        wide = points[:whole].reshape(-1, 3 * WIDE)
+        points = np.concatenate([*(reduce(wide, axis=0).reshape(WIDE, 3) for reduce in ENDS), points[whole:]])
+    columns = np.ascontiguousarray(points.T)
+    return ENDS[0](columns, axis=1).tolist(), ENDS[1](columns, axis=1).tolist()
 
 
 def distances(points: NDArray[Any], positions: Float) -> tuple[float, float]:
     """Bounds of the distance between any point and any position [m], from their boxes."""
-    return box_distances(points, (positions.min(axis=0), positions.max(axis=0)))
+    return box_distances(*corners(np.ascontiguousarray(points)), corners(positions))
 
 
-def box_distances(points: NDArray[Any], box: tuple[Float, Float]) -> tuple[float, float]:
-    """The same for positions in a box, of which two corners are given [m]."""
-    # By column: NumPy's reduction along the short rows takes 20 times as long
-    columns = np.ascontiguousarray(points.T)
-    low, high = np.minimum.reduce(columns, axis=1).tolist(), np.maximum.reduce(columns, axis=1).tolist()
+def box_distances(
+    low: Sequence[float], high: Sequence[float], box: tuple[Sequence[float], Sequence[float]]
+) -> tuple[float, float]:
+    """The same for points and positions in boxes, of which two corners are given [m]."""
     gap, reach = 0.0, 0.0
-    for first, last, least, most in zip(low, high, box[0].tolist(), box[1].tolist(), strict=True):
+    for first, last, least, most in zip(low, high, *box, strict=True):
         gap += max(least - last, first - most, 0.0) ** 2
         reach += (max(last, most) - min(first, least)) ** 2
     return math.sqrt(gap), math.sqrt(reach)
+
+
+@functools.lru_cache(maxsize=256)
+def _fall(absorption_Np_m: float, p0_Pa_m: float, unit_m: float, near: int, far: int) -> tuple[str, Float]:
+    """`FieldEvaluator.fall` between two distances in RANGE_STEP_M."""
+    kind, fall = falling(absorption_Np_m, near * RANGE_STEP_M, far * RANGE_STEP_M)
+    scaled = p0_Pa_m * in_unit(fall, unit_m)
+    scaled.setflags(write=False)
+    return kind, scaled
 
 
 def falling(absorption_Np_m: float, low: float, high: float) -> tuple[str, Float]:

@@ -17,7 +17,7 @@ from palmfield.acoustics.calibration_file import Calibration, calibrated
 from palmfield.acoustics.directivities import FORMS, form_of
 from palmfield.acoustics.directivity import Directivity
 from palmfield.acoustics.echo import image_shifts
-from palmfield.acoustics.field import FieldEvaluator, Mode
+from palmfield.acoustics.field import FieldEvaluator, FieldSum, Mode, Parts
 from palmfield.acoustics.placement import sides_of
 from palmfield.acoustics.reference import pressure64
 from palmfield.acoustics.transducer import ANY_P0, ANY_QUALITY
@@ -26,7 +26,7 @@ from palmfield.config import ArrayConfig
 from palmfield.errors import SceneError
 from palmfield.locked import next_serial
 from palmfield.transforms import Numbers, Placement, corners_of
-from palmfield.types import Air, Array, Complex, Estimate, Field, Float, Float32, Int
+from palmfield.types import Air, Array, Complex, Estimate, Float, Int
 
 HOUSING_M = 5e-3
 """How far a board reaches beyond its transducers, and how high a transducer is [m]."""
@@ -193,10 +193,10 @@ class BoardOutline:
         return float(np.minimum.reduce(z, where=over, initial=np.inf)) - self.height
 
 
-class MultiArrayField:
+class MultiArrayField(FieldSum):
     """The field of transducers of one or several directivities: the sum over an evaluator for each, on one device.
 
-    Safe to use from several threads at once. For many calls on the same number of points take
+    For the radiation pressure at the same number of points again and again take
     `palmfield.acoustics.surface_arp.SurfaceArp`.
 
     groups: which transducers each evaluator has; evaluators: one a group
@@ -206,22 +206,16 @@ class MultiArrayField:
 
     def __init__(self, groups: tuple[DirectivityGroup, ...], air: Air, device: str = "auto", mode: Mode = "fast"):
         """Raises SceneError for a bad array or air, PalmfieldError for a device that is not there."""
+        super().__init__()
         self.groups, self.air, self.mode = groups, air, mode
         self.evaluators = tuple(FieldEvaluator(group.array, air, device, mode=mode) for group in groups)
-        self.device = self.evaluators[0].device
+        self.device, self.name = self.evaluators[0].device, "the field"
         self.count = len(np.unique(np.concatenate([group.chosen for group in groups])))
+        self._parts = [(one, group.chosen[one.order]) for group, one in zip(groups, self.evaluators, strict=True)]
 
-    def pressure(self, points: Float, drive: Complex, gradient: bool = False, normals: Float32 | None = None) -> Field:
-        """As FieldEvaluator.pressure, for the drive of all transducers, shape (count,)."""
-        fields = [
-            evaluator.pressure(points, drive[group.chosen], gradient, normals)
-            for group, evaluator in zip(self.groups, self.evaluators, strict=True)
-        ]
-        total = fields[0].pressure, fields[0].gradient
-        for field in fields[1:]:
-            slope = None if total[1] is None or field.gradient is None else total[1] + field.gradient
-            total = total[0] + field.pressure, slope
-        return Field(*total)
+    @property
+    def parts(self) -> Parts:
+        return self._parts
 
 
 class PhasedArray:

@@ -11,7 +11,7 @@ import warp_kernels.arp as kernels
 from palmfield.acoustics import check
 from palmfield.acoustics.air import sound_speed
 from palmfield.acoustics.arp import ArpLaw, SurfaceSound, law_weights
-from palmfield.acoustics.field import UNSHADED, FieldEvaluator, falling, in_unit
+from palmfield.acoustics.field import UNSHADED, FieldEvaluator, shared_out
 from palmfield.acoustics.phased_array import DirectivityGroup, MultiArrayField
 from palmfield.acoustics.transfer import Transfer, arp_frames, matrix_bytes, memory_limit, too_steep
 from palmfield.device import SharedArray, filled, recorded
@@ -20,19 +20,11 @@ from palmfield.threads import Calls, cores, share
 from palmfield.types import Complex, Float, Float32, Int
 from warp_kernels.point_sound import BLOCK
 
-PAIRS_PER_THREAD = 100_000
-"""Fewest pairs of point and transducer worth a thread of its own: 0.13 ms of work against 0.02 ms to hand it over."""
 MATRIX_FROM = 32
 """Drives from which a transfer matrix is cheaper: for 256 transducers and 762 points it takes 3 ms and 0.1 ms a drive,
 and 7 ms more where it is new; a drive by itself takes 0.25 ms. The choice depends on their number alone, not on whether
 the matrix is there already: so a run repeats to the bit."""
-BLOCKS_PER_THREAD = 4
-SMALL_BLOCK_PAIRS = 250_000
-"""Blocks are not made smaller than this to balance threads [pairs of point and transducer]."""
-RANGE_STEP_M = 1.0 / 64.0
-"""The fall of sound is fitted over ranges of distance whose ends are multiples of this [m]. So a fit serves many poses,
-and depends on where the points are now, not on where they were before: a run repeats to the bit."""
-FITS_KEPT = 64
+RANGES_KEPT = 64
 MATRIX_KEPT_BYTES = 2**26
 """A transfer matrix up to this size is kept for the next call with the same points."""
 
@@ -83,7 +75,8 @@ class SurfaceArp:
         self._flat_normals = self._normals.host.reshape(-1)
         self._columns = np.empty((3, count), np.float64 if accurate else np.float32)
         self._group_drives = [_GroupDrive(*pair) for pair in zip(field.groups, field.evaluators, strict=True)]
-        self._threads, self._blocks = self._shared_out(cores() if threads is None else threads)
+        most = cores() if threads is None else threads
+        self._threads, self._blocks = shared_out(field.evaluators[0], count, field.count, most)
         self._recorded: dict[tuple[str, ...], list[Calls]] = {}
         self._shaded: dict[tuple[str, ...], list[Calls]] = {}
         self._shades: Any = None
@@ -277,17 +270,6 @@ class SurfaceArp:
         here = np.logical_and.reduce(last.where == points.astype(np.float32), axis=None)
         return last if here and np.logical_and.reduce(last.normals == normals.astype(np.float32), axis=None) else None
 
-    def _shared_out(self, threads: int) -> tuple[int, list[slice]]:
-        """How many threads are worth their while, and the blocks of points that they share out."""
-        pairs = self.count * self.field.count
-        if self._gpu or self.count == 0:
-            return 1, [slice(0, self.count)]
-        threads = max(1, min(threads, pairs // PAIRS_PER_THREAD))
-        blocks = threads if threads == 1 else max(threads, min(BLOCKS_PER_THREAD * threads, pairs // SMALL_BLOCK_PAIRS))
-        width = self.field.evaluators[0].points_per_thread
-        size = -(-self.count // (blocks * width)) * width
-        return threads, [slice(start, min(start + size, self.count)) for start in range(0, self.count, size)]
-
     def _record(self, falls: tuple[str, ...], shades: Shades | None = None) -> list[Calls]:
         """The launches of each block: every directivity adds its field, then comes the ARP."""
         blocks: list[Calls] = []
@@ -397,20 +379,10 @@ class _GroupDrive:
         self._narrowed: dict[bytes, Int] = {}
         self.inputs = evaluator.inputs(self.rows.array, self.strengths.array, True, self.ranges.array)
         self._per_turn = 1.0 / evaluator.phase_unit
-        box = array.positions.min(axis=0).tolist(), array.positions.max(axis=0).tolist()
-        self._box = list(zip(*box, strict=True))
-        self._fits: dict[tuple[int, int], tuple[str, Float]] = {}
 
     def prepare(self, low: list[float], high: list[float], drives: Complex) -> str:
         """Take drives (m, N) for points in this box [m]; returns how the sound's fall is computed, see `falling`."""
-        near = far = 0.0
-        for (least, most), first, last in zip(self._box, low, high, strict=True):
-            gap = max(least - last, first - most, 0.0)
-            reach = max(last, most) - min(first, least)
-            near += gap * gap
-            far += reach * reach
-        ends = int(math.sqrt(near) / RANGE_STEP_M), int(math.sqrt(far) / RANGE_STEP_M) + 1
-        kind, fall = self._fits.get(ends) or self._fit(ends)
+        kind, fall = self.evaluator.fall(low, high, gradient=True)
         emitted = drives.take(self._chosen, axis=1)
         if self._gain is not None:
             emitted *= self._gain
@@ -428,7 +400,7 @@ class _GroupDrive:
 
     def _narrow(self, silent: bytes) -> Int:
         """Ranges of transducers (g, 2) without those at either end that are silent; which are, as bytes of bools."""
-        if len(self._narrowed) >= FITS_KEPT:
+        if len(self._narrowed) >= RANGES_KEPT:
             self._narrowed.clear()
         self._narrowed[silent] = result = self._whole.copy()
         for group, (first, last) in enumerate(self._whole.tolist()):
@@ -440,12 +412,3 @@ class _GroupDrive:
         self.rows.upload()
         self.strengths.upload()
         self.ranges.upload()
-
-    def _fit(self, ends: tuple[int, int]) -> tuple[str, Float]:
-        if len(self._fits) >= FITS_KEPT:
-            self._fits.clear()
-        evaluator = self.evaluator
-        kind, fall = falling(evaluator.absorption_Np_m, ends[0] * RANGE_STEP_M, ends[1] * RANGE_STEP_M)
-        fit = kind, evaluator.array.p0_Pa_m * in_unit(fall, evaluator.unit_m(gradient=True))
-        self._fits[ends] = fit
-        return fit

@@ -126,7 +126,7 @@ class SceneRuntime:
     def steps(self) -> Steps:
         """The steps of this one mjData."""
         steps = Steps([self.model], [self.work], self.state)
-        if steps.moving.some:
+        if steps.moving.some or steps.graph is not None:
             for skin, bound in enumerate(self.binding.skins):
                 for sensor in self.view.sensors(bound.instance):
                     steps.watch(skin, self.place(skin, sensor))

@@ -6,19 +6,18 @@ Nothing here is done world by world but what is computed for many steps ahead. A
 `palmfield.simulation.step`.
 """
 
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
-import warp as wp
 
 from palmfield.acoustics.point_sound import Transducers
 from palmfield.acoustics.surface_load import CLEARANCE_M
-from palmfield.device import Branches, SharedArray, launch, launching, replayed, resolve, vectors, whole_numbers
+from palmfield.device import resolve
 from palmfield.drive.path_drives import PathDrives, aim_of, foci_made, push_rows
 from palmfield.drive.transducer_response import SILENT
-from palmfield.simulation.device_sound import FOCI, FORCE, LOAD, NOW, DeviceWork, serves
 from palmfield.simulation.emission import LEAST_MEANS, array_drives, mean_weights
+from palmfield.simulation.graph_work import FORCE, LOAD, NOW, GraphOf, GraphSizes, GraphWork
 from palmfield.simulation.kept import Bool, Rows
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PoseLayout
@@ -32,7 +31,6 @@ from palmfield.stimulus.focal_points import FocalPoints
 from palmfield.stimulus.schedule import TICK_S, edges_of, frames_at, mean_arp_factor, substep_moments
 from palmfield.transforms import IDENTITY
 from palmfield.types import Float
-from warp_kernels import world_steps as kernels
 
 NOTHING = 1e-300
 AHEAD = 32
@@ -56,20 +54,24 @@ class MovingWorlds:
     """The steps of several worlds, with what they keep from one to the next. Belongs to one state.
 
     some: whether any world can ever take its step here; joined: numbers of those that take the present one, shape (g,)
+    stepped: the skins that the present step has computed, each with how many numbers its state has
     """
 
-    def __init__(self, models: Sequence[HapticModel], works: Sequence[Workspace], state: HapticState, alone: bool):
-        """alone: whether nobody else writes the state, so that it stays on the device from step to step"""
+    def __init__(
+        self, models: Sequence[HapticModel], works: Sequence[Workspace], state: HapticState, alone: bool, served: bool
+    ):
+        """alone: whether nobody else writes the state, which then stays on the device from step to step
+        served: whether graphs compute sound"""
         self.models, self.works, self.state, self._alone = models, works, state, alone
         self._layout = PoseLayout.of(models[0])
-        able = [may_join(model, self._layout) for model in models]
+        able = [served and may_join(model, self._layout) for model in models]
         self.some = any(able)
         self.joined: Rows = np.zeros(0, dtype=np.intp)
+        self.stepped: list[tuple[int, int]] = []
         self._probes: list[tuple[int, SensorPlace]] = []
         self._columns: list[int] = []  # of each among those of its skin
-        self._work: WorldsWork | None = None
+        self._work: GraphWork | None = None
         self._ahead: _Ahead | None = None
-        self._numbers: list[Float] = []
         self._seen: dict[int, Outside] = {}  # what lies outside the modes' class in this step, by skin, shape (w,) each
         if not self.some:
             return
@@ -113,7 +115,7 @@ class MovingWorlds:
         for part in self.state.emitted:
             part[rows] = begun[rows, start : start + part.shape[1]]
             start += part.shape[1]
-        for number, model in work.models.items():
+        for number, model in work.of.skins.items():
             size = model.stepper.state_size
             own = slice(HEADER, HEADER + size)
             self.state.skins[number][rows, own] = work.arrays[f"before_{number}"].numpy()[rows]
@@ -148,14 +150,15 @@ class MovingWorlds:
             else:
                 self._take(work)
             sounds = self._fill(work, places, axes, t0, joins)
-            work.step()
+            work.run(True, True, self._all)
             joins &= self._good(work, sounds)
         if np.logical_or.reduce(self._here & ~joins):
             self.fetch()
             self._here &= joins
         self.joined = joins.nonzero()[0]
+        self.stepped = self._sizes if len(self.joined) else []
 
-    def _made(self) -> "WorldsWork | None":
+    def _made(self) -> GraphWork | None:
         """Memory and graph for what is watched now; None where a skin has no stepper for it. Raises DeviceError where
         the device has no room."""
         first = self.models[0]
@@ -166,24 +169,42 @@ class MovingWorlds:
             if model is None:
                 return None
             steppers[number] = model
+        transducers = Transducers(first.arrays, resolve(first.spec.device))
+        response = first.stimuli[0].response
+        drive = array_drives(first, first.arrays)[0]
+        drives = PathDrives(drive, transducers, response.stepper if first.response_on else None)
+        straight = substep_moments((), 0.0, first.step_s, first.substeps)
+        weights = mean_weights(straight)
+        counted = weights[weights > 0.0] if drives.rings else np.ones(1)
+        rows = first.substeps + 1, len(counted), 1
+        worlds, probes = len(self.models), tuple(self._probes)
+        of = GraphOf(worlds, probes, steppers, drives, True, self._alone)
+        sizes = GraphSizes(rows, rows, first.substeps + 2)
+        work = self._work = GraphWork(first, self.works[0].reference, transducers, of, sizes)
         aims = [aim_of(array_drives(self.models[world], first.arrays)[0]) for world in self._leading]
-        of_worlds = np.array(aims)[self._kinds]
-        self._work = WorldsWork(
-            self.models, self.works[0], self._layout, self._probes, steppers, of_worlds, self._alone
-        )
-        return self._work
+        self._aims = np.array(aims)[self._kinds]
+        work.arrays["path_aims"].assign(self._aims)
+        work.arrays["path_pushes"].assign(push_rows(weights))
+        work.arrays["path_ring"].assign(drives.ring(straight).view(np.float64).reshape(-1, 5, 2))
+        for number, model in steppers.items():
+            patterns = model.weights(straight.first, straight.last)
+            work.arrays[f"weights_{number}"].assign(np.tile(patterns, (worlds, 1, 1)))
+        work.inputs.hosts["weights"][:] = counted
+        self._all = tuple(steppers)
+        self._sizes = [(number, model.stepper.state_size) for number, model in steppers.items()]
+        return work
 
-    def _take(self, work: "WorldsWork") -> None:
+    def _take(self, work: GraphWork) -> None:
         """Give the device the state as it is in this step. Raises SceneError for another's."""
         hosts = work.inputs.hosts
         emitted = np.concatenate(self.state.emitted, axis=1)
         hosts["path_begun"][:] = emitted.view(np.float64).reshape(hosts["path_begun"].shape)
         self._most = np.maximum.reduce(np.abs(emitted), axis=1)
-        for number in work.models:
+        for number in work.of.skins:
             hosts[f"before_{number}"][:] = stepper_of(self.models[0], self.state, number)[1]
-        self._begin_class(work.models)
+        self._begin_class(work.of.skins)
 
-    def _begin_class(self, steppers: dict[int, DeviceModel]) -> None:
+    def _begin_class(self, steppers: Mapping[int, DeviceModel]) -> None:
         """Against which load that of each world is little."""
         for number, model in steppers.items():
             known: dict[int, float] = {}
@@ -198,7 +219,7 @@ class MovingWorlds:
                 self._loudest[number, world] = outside.loudest
                 self._sums[number, :, world] = outside.sums
 
-    def _bring(self, work: "WorldsWork", joins: Bool) -> None:
+    def _bring(self, work: GraphWork, joins: Bool) -> None:
         """Give the device the state of worlds that join and are not there."""
         if not (joins & ~self._here).any():
             return
@@ -207,19 +228,19 @@ class MovingWorlds:
             own = self.state.world(world)
             if check_arrays(self.models[world], own):
                 self.works[world].begin_run()
-            for number in work.models:
+            for number in work.of.skins:
                 stepper, _ = stepper_of(self.models[world], own, number)
                 claim(self.models[world], own, number, stepper)
-        self._begin_class(work.models)
+        self._begin_class(work.of.skins)
         emitted = np.concatenate(self.state.emitted, axis=1)
         self._most = np.maximum.reduce(np.abs(emitted), axis=1)
         work.arrays["path_begun"].assign(emitted.view(np.float64).reshape(*emitted.shape, 2))
-        for number, model in work.models.items():
+        for number, model in work.of.skins.items():
             numbers = self.state.skins[number][:, HEADER : HEADER + model.stepper.state_size]
             work.arrays[f"before_{number}"].assign(np.ascontiguousarray(numbers))
         self._here = joins.copy()
 
-    def _fill(self, work: "WorldsWork", places: Float, axes: Float, t0: float, joins: Bool) -> Bool:
+    def _fill(self, work: GraphWork, places: Float, axes: Float, t0: float, joins: Bool) -> Bool:
         """Take frames, foci and levels of a step that begins at t0 [s]; in which of these worlds something sounds."""
         ahead, step = self._ahead, -1
         if ahead is not None and t0 in ahead.starts:
@@ -273,15 +294,15 @@ class MovingWorlds:
             means.append([mean_arp_factor(config, start, start + timestep_s, count) for start in starts])
         return _Ahead(starts, np.array(foci), np.array(levels), np.array(means))
 
-    def _good(self, work: "WorldsWork", sounds: Bool) -> Bool:
+    def _good(self, work: GraphWork, sounds: Bool) -> Bool:
         """In which worlds what came out holds: nothing near a board, foci that can be made, loads of the class."""
-        hosts = work.forces.hosts
+        hosts = work.results.hosts
         good = np.logical_and.reduce(hosts["heights"] >= CLEARANCE_M, axis=1)
         levels = self._levels[self._kinds]
         quiet = (self._means[self._kinds] == 0.0) & (levels[:, -1] == 0.0)
-        good &= foci_made(hosts["path_totals"], levels[:, :-1], quiet, work.aims[:, 0]) | ~sounds
+        good &= foci_made(hosts["path_totals"], levels[:, :-1], quiet, self._aims[:, 0]) | ~sounds
         good &= np.isfinite(np.add.reduce(hosts["forces"], axis=(1, 2)))
-        for number in work.models:
+        for number in work.of.skins:
             seen = self._seen[number] = _outside(work, number)
             loudest = np.maximum(np.maximum(self._loudest[number], seen.energy_of_all), NOTHING)
             good &= ~np.asarray(leaves_class(self.models[0], number, np.sqrt(seen.energy / loudest)))
@@ -298,7 +319,7 @@ class MovingWorlds:
         turn = work.inputs.hosts["axes"][rows, 0].swapaxes(1, 2)
         result, start = [], 0
         for body in self.models[0].bodies:
-            own = work.forces.hosts["forces"][rows, start : start + body.parts]
+            own = work.results.hosts["forces"][rows, start : start + body.parts]
             # Forces and torques
             result.append(own.reshape(*own.shape[:2], 2, 3).swapaxes(1, 2) @ turn[:, None])
             start += body.parts
@@ -312,8 +333,8 @@ class MovingWorlds:
         column = self._columns[number]
         sounding = work.inputs.hosts["now_counts"][rows, 0] > 0
         arp = np.zeros(len(rows))
-        arp[sounding] = work.forces.hosts["probes"][rows, number][sounding]
-        return arp, work.forces.hosts[f"read_{skin}"][rows, :, column]
+        arp[sounding] = work.results.hosts["probes"][rows, number][sounding]
+        return arp, work.results.hosts[f"read_{skin}"][rows, :, column]
 
     # -- its end -------------------------------------------------------------------------------------------------------
 
@@ -328,9 +349,9 @@ class MovingWorlds:
         if not self._alone:
             self._give(work, skins)
             return
-        hosts = work.forces.hosts
+        hosts = work.results.hosts
         self._most = np.where(self._here, hosts["most"], 0.0)
-        for number in work.models:
+        for number in work.of.skins:
             seen = self._seen[number]
             self._sums[number][:, rows] += np.array(seen)[:, rows]
             most = np.maximum(self._loudest[number], np.asarray(seen.energy_of_all))
@@ -338,134 +359,23 @@ class MovingWorlds:
         work.take_over(rows)
         self._fetched = False
 
-    def numbers(self) -> list[Float]:
-        """Of the skins' states, those that steps here begin with; none where no world has joined."""
-        return self._numbers if len(self.joined) else []
-
-    def _give(self, work: "WorldsWork", skins: bool) -> None:
+    def _give(self, work: GraphWork, skins: bool) -> None:
         """Write the only world's state as the step ends."""
-        model, hosts, keeper = self.models[0], work.forces.hosts, self.works[0]
+        model, hosts, keeper = self.models[0], work.results.hosts, self.works[0]
         if check_arrays(model, self.state):
             keeper.begin_run()
-            self._begin_class(work.models)
+            self._begin_class(work.of.skins)
         if self._rings:
             scatter(self.state, hosts["path_end"].view(np.complex128)[0, :, 0])
-        for number, of in work.models.items() if skins else ():
+        for number, of in work.of.skins.items() if skins else ():
             keeper.outside[number].add(Outside(*np.concatenate(self._seen[number]).tolist()))
             self.state.skins[number][:, HEADER : HEADER + of.stepper.state_size] = hosts[f"after_{number}"]
             claim(model, self.state, number, of.stepper)
 
 
-class WorldsWork(DeviceWork):
-    """Memory and launches of all worlds. aims: of each world, see `palmfield.drive.path_drives.aim_of`"""
-
-    def __init__(
-        self,
-        models: Sequence[HapticModel],
-        work: Workspace,
-        layout: PoseLayout,
-        probes: Sequence[tuple[int, SensorPlace]],
-        steppers: dict[int, DeviceModel],
-        aims: Float,
-        alone: bool,
-    ):
-        first, worlds = models[0], len(models)
-        transducers = Transducers(first.arrays, resolve(first.spec.device))
-        response = first.stimuli[0].response
-        drive = array_drives(first, first.arrays)[0]
-        drives = PathDrives(drive, transducers, response.stepper if first.response_on else None)
-        moments = first.substeps + 1
-        straight = substep_moments((), 0.0, first.step_s, first.substeps)
-        weights = mean_weights(straight)
-        counted = weights[weights > 0.0] if drives.rings else np.ones(1)
-        pushes = len(counted)
-        sizes = {LOAD: (moments, moments), FORCE: (pushes, pushes), NOW: (1, 1), FOCI: (moments + 1, 0)}
-        frames, parts = layout.bodies[-1][1].stop, sum(body.parts for body in first.bodies)
-        asked: dict[str, Any] = {
-            "places": ((worlds, frames), wp.vec3d),
-            "axes": ((worlds, frames), wp.mat33d),
-            "own_foci": ((worlds, moments + 1), wp.vec3d),
-        }
-        told: dict[str, Any] = {"heights": ((worlds, parts), wp.float64), "most": ((worlds,), wp.float64)}
-        for number in steppers:
-            told[f"sums_{number}"] = (worlds, SECTIONS), wp.float64
-            told[f"read_{number}"] = (worlds, 2, max(1, sum(skin == number for skin, _ in probes))), wp.float64
-        states = [f"{name}_{number}" for number in steppers for name in ("before", "after")]
-        shared = () if alone else ("path_begun", "path_end", *states)
-        super().__init__(
-            first, work.reference, transducers, probes, sizes, steppers, drives, worlds, (asked, told, shared)
-        )
-        self.aims, arrays, device = aims, self.arrays, self.device
-        arrays["path_aims"].assign(aims)
-        arrays["path_pushes"].assign(push_rows(weights))
-        arrays["path_ring"].assign(drives.ring(straight).view(np.float64).reshape(-1, 5, 2))
-        self.inputs.hosts["weights"][:] = counted
-        for name in (LOAD, FORCE, NOW):
-            own = np.zeros((*arrays[f"{name}_levels"].shape, 2), np.float32)
-            sums = len(own) // worlds
-            own[..., 0] = np.tile(np.eye(sums, own.shape[1]), (worlds, 1))
-            arrays[f"{name}_levels"].assign(own)
-        for number, model in steppers.items():
-            patterns = model.weights(straight.first, straight.last)
-            arrays[f"weights_{number}"].assign(np.tile(patterns, (worlds, 1, 1)))
-        centres, halves, rest, rows = _parts(first, layout)
-        places, axes = arrays["places"], arrays["axes"]
-        moved = [arrays["turns"], arrays["shifts"], arrays["origins"]]
-        placing = [places, axes, whole_numbers(rows, device), vectors(rest, device), *moved]
-        focusing = [places, axes, layout.frames.start, arrays["own_foci"], arrays["path_foci"]]
-        boards: Any = wp.array(_boards(first), dtype=wp.vec4d, device=device)
-        boxes = [vectors(centres, device), vectors(halves, device), boards]
-        stepped, reading, taking = [], [], []
-        self._active = SharedArray((worlds, 1), wp.int32, device)
-        for number, model in steppers.items():
-            squares, sums = arrays[f"squares_{number}"], arrays[f"sums_{number}"]
-            stepped += [*self._skins[number], launch(kernels.sums_of_squares, sums.shape, [squares, sums], device)]
-            before, after = arrays[f"before_{number}"], arrays[f"after_{number}"]
-            readers = [place.reader(model.stepper).matrix for skin, place in probes if skin == number]
-            if readers:
-                read = arrays[f"read_{number}"]
-                matrix: Any = wp.array(np.hstack(readers), dtype=wp.float64, device=device)
-                states = before.reshape((worlds, before.shape[1] // len(matrix), len(matrix)))
-                reading.append(launch(kernels.read_modes, read.shape, [states, matrix, read], device))
-            taking.append(launch(kernels.take_over, before.shape, [self._active.array, after, before], device))
-        begun, end = (_numbers(arrays[f"path_{name}"]) for name in ("begun", "end"))
-        taking.append(launch(kernels.take_over, begun.shape, [self._active.array, end, begun], device))
-        self._calls: list[Callable[[], object]] = [
-            self.inputs.upload,
-            launch(kernels.place_parts, (worlds, parts), placing, device),
-            launch(kernels.place_foci, (worlds, moments + 1), focusing, device),
-            launch(kernels.heights, (worlds, parts), [moved[0], moved[2], *boxes, arrays["heights"]], device),
-            *self._path,
-            launch(kernels.largest, worlds, [arrays["path_end"], arrays["most"]], device),
-            *self._pose,
-            Branches(([*self._sound[LOAD], *stepped], self._sound[FORCE], [*self._sound[NOW], *reading])),
-            self.forces.download,
-        ]
-        self._taking = [self._active.upload, *taking]
-        self._replays: list[Callable[[], object]] = []
-
-    def step(self) -> None:
-        """Compute the step of which the inputs tell, and wait for what comes out; states stay as they are."""
-        if not self._replays:
-            self._replays += [replayed(self._calls, self.device), replayed(self._taking, self.device)]
-        with launching:
-            self._replays[0]()
-        if self.device != "cpu":
-            wp.synchronize_stream(self.device)
-
-    def take_over(self, rows: Rows) -> None:
-        """Let some worlds be as the last step has left them."""
-        if self.device != "cpu":
-            wp.synchronize_stream(self.device)
-        self._active.host[:] = 0
-        self._active.host[rows] = 1
-        with launching:
-            self._replays[1]()
-
-
-def _outside(work: WorldsWork, skin: int) -> Outside:
+def _outside(work: GraphWork, skin: int) -> Outside:
     """What of a skin's load in the last step was outside the modes' class, shape (w,) each."""
-    seen = work.models[skin].outside([*work.forces.hosts[f"sums_{skin}"].T])
+    seen = work.of.skins[skin].outside([*work.results.hosts[f"sums_{skin}"].T])
     assert seen is not None
     return seen
 
@@ -473,7 +383,7 @@ def _outside(work: WorldsWork, skin: int) -> Outside:
 def may_join(model: HapticModel, layout: PoseLayout) -> bool:
     """Whether a world's sound and skins can be computed here: one focus of transducers that keep still and are alike,
     which moves and sounds without jumps, on surfaces without shadows whose skins move by modes."""
-    if len(model.stimuli) != 1 or not serves(model) or layout.movable or model.substeps < 2:
+    if len(model.stimuli) != 1 or layout.movable or model.substeps < 2:
         return False
     part, drive = model.stimuli[0], array_drives(model, model.arrays)[0]
     response, config = part.response, part.config
@@ -485,34 +395,3 @@ def may_join(model: HapticModel, layout: PoseLayout) -> bool:
     bare = all(skin.spec.config.body_sound == "none" and not skin.spec.obstacles for skin in model.skins)
     modal = all(skin.choice.name == "modal" for skin in model.skins)
     return alike and exact and free and solid and boards and bare and modal
-
-
-def _parts(model: HapticModel, layout: PoseLayout) -> tuple[Float, Float, Float, list[int]]:
-    """Of all parts that the sound pushes: middles and half sizes of their boxes, their origins in the resting body [m],
-    shapes (p, 3), and rows of their frames."""
-    low, high, rest = [], [], []
-    rows: list[int] = []
-    for body, (row, bones) in zip(model.bodies, layout.bodies, strict=True):
-        low.append(body.boxes.min(axis=1))
-        high.append(body.boxes.max(axis=1))
-        rest.append(np.zeros((1, 3)) if body.hand is None else body.rest_origins)
-        rows += [row] if body.hand is None else range(bones.start, bones.stop)
-    least, most = np.concatenate(low), np.concatenate(high)
-    return 0.5 * (least + most), 0.5 * (most - least), np.concatenate(rest), rows
-
-
-def _boards(model: HapticModel) -> Float:
-    """Normals of the arrays' boards and their heights along them [m], array frame, shape (boards, 4)."""
-    result = []
-    for board, (place, turn) in zip(model.arrays.boards, model.arrays.frames, strict=True):
-        normal = turn[:, 2]
-        result.append([*normal, normal @ place + board.height])
-    return np.array(result)
-
-
-def _numbers(pairs: Any) -> Any:
-    """The same memory of pairs (w, n) as numbers, shape (w, 2 n)."""
-    worlds, count = pairs.shape
-    numbers: Any = wp.array(ptr=pairs.ptr, dtype=wp.float64, shape=(worlds, 2 * count), device=pairs.device)
-    numbers.owner = pairs  # whose memory it is
-    return numbers

@@ -17,12 +17,13 @@ from palmfield.blas import one_blas_thread
 from palmfield.device import resolve
 from palmfield.drive.transducer_response import EmittedCourse, present_drive
 from palmfield.errors import naming_world
-from palmfield.simulation.device_sound import SkinEnd
 from palmfield.simulation.emission import Emission
+from palmfield.simulation.graph_work import serves
 from palmfield.simulation.kept import Bool, Kept, Rows, Serials
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.moving_worlds import MovingWorlds
 from palmfield.simulation.posed_scene import PosedScene
+from palmfield.simulation.scene_graph import SceneGraph
 from palmfield.simulation.sensors import SensorPlace
 from palmfield.simulation.small_models.leaving import (
     continue_on_whole_layer,
@@ -106,14 +107,16 @@ class Steps:
         """alone: whether nobody else writes the state"""
         self.models, self.works, self.state = models, works, state
         worlds, first = len(models), models[0]
-        able = [worlds > 1 or work.device_sound is None for work in works]
+        graphs = serves(first)
+        # In a graph a pose that is new every step costs less
+        able = [worlds > 1 or not graphs or all(skin.settles for skin in model.skins) for model in models]
         self.smooth = SmoothSound(models, [work.emission for work in works], state, able, alone)
         self.forces: list[Float] = [np.zeros((worlds, 2, body.parts, 3)) for body in first.bodies]
         self.observer: Callable[[StepTrace], None] | None = None
-        self.moving = MovingWorlds(models, works, state, alone)
+        self.moving = MovingWorlds(models, works, state, alone, graphs)
+        self.graph = SceneGraph(first, works[0], state) if graphs and worlds == 1 else None
         self._several, self._device = worlds > 1, resolve(first.spec.device)
         self._states = [state.world(world) for world in range(worlds)] if worlds > 1 else [state]
-        self._devices = any(work.device_sound is not None for work in works)
         self._in: Callable[..., Any] = self._named if worlds > 1 else call
         self._posed: list[PosedScene] = [work.reference for work in works]
         self._poses: Serials = np.zeros(worlds, np.int64)
@@ -139,6 +142,8 @@ class Steps:
         self._served[:] = 0
         self.smooth.forget()
         self.moving.forget()
+        if self.graph is not None:
+            self.graph.forget()
 
     def adopt(self, other: "Steps") -> None:
         """Go on from another's, in a copy of its state in the same PosedScenes."""
@@ -163,6 +168,8 @@ class Steps:
         """Let a graph compute what a sensor reads there; before the first step."""
         if self.moving.some:
             self.moving.watch(skin, place)
+        if self.graph is not None:
+            self.graph.watch(skin, place)
 
     def begin_at(
         self, places: Float, axes: Float, t0: float, posed: Callable[[Bool], Mapping[int, PosedScene]]
@@ -180,6 +187,8 @@ class Steps:
             self.begin(posed(here), t0)
         else:
             self._apart, self.smooth.joined = [], moving[:0]
+            if self.graph is not None:
+                self.graph.forget()
         for forces, own in zip(self.forces, self.moving.mean_forces(), strict=False):
             forces[moving] = own
 
@@ -187,6 +196,8 @@ class Steps:
         """The same for worlds that no graph steps, in their PosedScenes."""
         for world, now in posed.items():
             self._posed[world], self._poses[world] = now, now.serial
+        if self.graph is not None:
+            self.graph.forget()
         with one_blas_thread:
             self._apart = self.smooth.begin(posed, t0)
             joined = self.smooth.joined
@@ -215,8 +226,11 @@ class Steps:
     def state_now(self) -> bytes:
         """What the step that has begun was computed from, of a state that others may write: equal while it holds."""
         parts: tuple[Complex | Float, ...] = self.state.emitted
-        if len(self.moving.joined):
-            parts = *parts, *self.moving.numbers()
+        stepped = self.moving.stepped
+        if self.graph is not None:
+            stepped = [*stepped, *self.graph.stepped]
+        for skin, size in stepped:
+            parts = *parts, self.state.skins[skin][:, : HEADER + size]
         return b"".join(map(methodcaller("tobytes"), parts))
 
     def _unit_force(self, world: int, body: int) -> Float:
@@ -232,10 +246,10 @@ class Steps:
             work.emission.forget()
         if work.emission.holds:
             work.emission.begin(posed, t0)
-        turn = posed.array_frame.rotation.T
-        if work.device_sound is not None:
-            for body, own in enumerate(work.by_device(state, posed, t0, self._watched(work))):
-                self.forces[body][world] = np.array(own) @ turn
+        turn, graph = posed.array_frame.rotation.T, self.graph
+        if graph is not None and graph.begin(posed, t0, self._watched(work)):
+            for body, forces in enumerate(self.forces):
+                forces[world] = graph.forces(body) @ turn
             return
         work.look_ahead(posed)
         mean = work.emission.mean_drives(posed, gather(state, work), t0)
@@ -304,25 +318,14 @@ class Steps:
     def _arp_in_one(self, world: int, skin: int, place: SensorPlace, kept: Kept, t0: float) -> float:
         """ARP at a sensor's place [Pa] in a world that nothing else carries."""
         work, posed = self.works[world], self._posed[world]
-        emitted, device = gather(self._states[world], work), work.device_sound
-        if device is not None and device.course(posed, emitted, t0) is not None:
-            arp = device.sensed(skin, place)
-            if arp is not None:
-                return arp
-        course = work.emission.now(posed, emitted, t0)
+        if self.graph is not None and self.graph.course is not None:
+            return self.graph.arp(skin, place)
+        course = work.emission.now(posed, gather(self._states[world], work), t0)
         drive, factor = present_drive(course)
         if drive is None:
             return 0.0
-        known = None
-        if device is not None:
-            known = device.probed(skin, place, posed, course.serial)
-            if known is None:
-                device.watch(skin, place)
-        if known is None:
-            key = np.array([[posed.serial, course.serial]])
-            own = np.array([world])
-            known = float(kept.rows(own, key, self._probe, skin, place, drive)[0])
-        return factor * known
+        key = np.array([[posed.serial, course.serial]])
+        return factor * float(kept.rows(np.array([world]), key, self._probe, skin, place, drive)[0])
 
     # -- its end -------------------------------------------------------------------------------------------------------
 
@@ -376,8 +379,7 @@ class Steps:
     def _advance_one(self, world: int, t0: float, t1: float, skins: bool) -> None:
         """`advance` in a world that nothing else carries."""
         model, work, posed, state = self.models[world], self.works[world], self._posed[world], self._states[world]
-        begun, device = gather(state, work), work.device_sound
-        known = None if device is None or self.observer is not None else device.course(posed, begun, t0)
+        begun, known = gather(state, work), None if self.graph is None else self.graph.course
         moments, course = known or work.emission.over(posed, begun, t0, model.substeps)
         if skins:
             first, last = course.weights(moments)
@@ -395,13 +397,12 @@ class Steps:
         motion = []
         for skin in range(len(self.models[0].skins)):
             self._leave_small_models(group, skin, t0)
-            ends = self._ends(group, skin) if self._devices else {}
             steppers = self.steppers(skin, group.worlds)
-            if self._leave_class(group, skin, steppers, ends, t0):
-                ends, steppers = {}, self.steppers(skin, group.worlds)
+            if self._leave_class(group, skin, steppers, t0):
+                steppers = self.steppers(skin, group.worlds)
             watched = []
             for stepper, own in steppers:
-                seen = self._step(group, skin, stepper, own, ends, (t0, t1))
+                seen = self._step(group, skin, stepper, own, (t0, t1))
                 if seen is not None:
                     watched.append((own, seen))
             motion.append(tuple(watched))
@@ -447,23 +448,11 @@ class Steps:
             self.models[world], state, skin, self._posed[world], work.emission, work.radiation, group.begun(i), t0
         )
 
-    def _ends(self, group: _Group, skin: int) -> dict[int, SkinEnd]:
-        """What a device has computed of a skin's step already, by world."""
-        world = int(group.worlds[0])
-        device = self.works[world].device_sound
-        if device is None or world not in self._apart or self.works[world].observe[skin] is not None:
-            return {}
-        stepper, numbers = stepper_of(self.models[world], self._states[world], skin)
-        pose, load = group.keys[0].tolist()
-        end = device.stepped(skin, stepper, numbers[0], (pose, load), (group.first[0], group.last[0]))
-        return {} if end is None else {world: end}
-
     def _leave_class(
         self,
         group: _Group,
         skin: int,
         steppers: Sequence[tuple[SkinStepper, Rows]],
-        ends: Mapping[int, SkinEnd],
         t0: float,
     ) -> bool:
         """Measure what of the loads lies outside the class of a skin's modes; the whole layer goes on where it is much.
@@ -475,7 +464,7 @@ class Steps:
             if not stepper.of_class:
                 continue
             at = group.worlds.searchsorted(own)
-            for i, seen in zip(at.tolist(), self._outside(group, skin, stepper, at, ends), strict=True):
+            for i, seen in zip(at.tolist(), self._outside(group, skin, stepper, at), strict=True):
                 world = int(group.worlds[i])
                 model, work = self.models[world], self.works[world]
                 if leaves_class(model, skin, work.outside_share(skin, stepper, seen)):
@@ -483,14 +472,12 @@ class Steps:
                     left = True
         return left
 
-    def _outside(
-        self, group: _Group, skin: int, stepper: SkinStepper, at: Rows, ends: Mapping[int, SkinEnd]
-    ) -> list[Outside]:
+    def _outside(self, group: _Group, skin: int, stepper: SkinStepper, at: Rows) -> list[Outside]:
         """What of the loads on a skin lies outside the class of its modes, in the worlds at some places of a group."""
         worlds = group.worlds[at]
-        known = ends.get(int(worlds[0]))
-        if known is not None and known.outside is not None:
-            return [known.outside]
+        known = None if self.graph is None else self.graph.outside(skin, stepper)
+        if known is not None:
+            return [known]
         first, last = group.first[at], group.last[at]
         pressure, fixed = self._stack(group, skin, stepper, at)
         if not fixed or not self._several:
@@ -509,9 +496,8 @@ class Steps:
         """Patterns of ARP in the i-th world of a group [Pa], shape (p, n)."""
         world = int(group.worlds[i])
         posed, course = self._posed[world], group.course(i)
-        device = self.works[world].device_sound
-        if device is not None and world in self._apart and len(course.units):
-            return device.patterns(posed, skin, course, stepper.points)
+        if self.graph is not None and self.graph.course is not None and len(course.units):
+            return self.graph.patterns(skin, stepper.points)
         return self.works[world].patterns(posed, skin, stepper, course)
 
     def _step(
@@ -520,7 +506,6 @@ class Steps:
         skin: int,
         stepper: SkinStepper,
         worlds: Rows,
-        ends: Mapping[int, SkinEnd],
         times: tuple[float, float],
     ) -> Float | Float32 | None:
         """Step a skin in some worlds by one stepper; what is watched of it in the first one, in all of them."""
@@ -529,8 +514,9 @@ class Steps:
             # Refuses a state that is not at rest though nobody has written it
             stepper_of(self.models[world], self._states[world], skin)
             claim(self.models[world], self._states[world], skin, stepper)
-        if ends:
-            part[worlds, numbers] = ends[int(worlds[0])].numbers
+        end = None if self.graph is None else self.graph.after(skin, stepper)
+        if end is not None:
+            part[:, numbers] = end
             return None
         at = group.worlds.searchsorted(worlds)
         pressure, fixed = self._stack(group, skin, stepper, at)

@@ -4,7 +4,6 @@ import numpy as np
 from scipy import sparse
 
 from palmfield.drive.transducer_response import EmittedCourse, rows
-from palmfield.simulation.device_sound import DeviceSound, SkinStart, serves
 from palmfield.simulation.emission import Emission, MeanDrives, looks_ahead
 from palmfield.simulation.forces import BodyForces
 from palmfield.simulation.model import HapticModel
@@ -12,7 +11,7 @@ from palmfield.simulation.path_sound import PathSound
 from palmfield.simulation.posed_scene import PosedScene, reference_scene
 from palmfield.simulation.radiation import Radiation, Role
 from palmfield.simulation.small_models.leaving import OutsideClass, loudest_load
-from palmfield.simulation.state import HapticState, at_rest, stepper_of
+from palmfield.simulation.state import HapticState
 from palmfield.skin.stepper import Outside, Reader, SkinStepper
 from palmfield.types import Complex, Float, Float32
 
@@ -23,7 +22,7 @@ MOST_OFF_PATH = 8
 class Workspace:
     """What one world's steps keep: emission, radiation, forces, and what is watched.
 
-    unit_forces: of one drive; device_sound: what computes steps where the device is a GPU
+    unit_forces: of one drive
     outside: of each skin what of its load has been outside the class that its modes serve
     observe: what is watched of each skin, an operator (m, unknowns) or None
     """
@@ -34,7 +33,6 @@ class Workspace:
         self.reference: PosedScene = reference_scene(model) if beside is None else beside.reference
         self.emission = Emission(model)
         self.radiation: Radiation = Radiation(model, None if beside is None else beside.radiation)
-        self.device_sound = DeviceSound(model, self.reference) if serves(model) else None
         self.path_sound: PathSound = PathSound(
             model, self.radiation, self.reference, None if beside is None else beside.path_sound
         )
@@ -42,7 +40,7 @@ class Workspace:
         self.outside = [OutsideClass() for _ in model.skins]
         self.amplitudes: Complex = np.zeros(len(model.arrays), np.complex128)
         self.observe: tuple[sparse.csr_matrix | None, ...] = (None,) * len(model.skins)
-        self._may_look_ahead = self.device_sound is None and looks_ahead(model)
+        self._may_look_ahead = looks_ahead(model)
         # Of the worlds beside as well: a reader of many vectors is as large as they are
         self._readers: dict[tuple[int, SkinStepper], tuple[sparse.csr_matrix, Reader]]
         self._readers = {} if beside is None else beside._readers
@@ -88,20 +86,6 @@ class Workspace:
         if arp is None and len(mean.weights) > 1:
             arp = self.radiation.sums(posed, skin, mean.units, mean.levels, "samples")
         return None if arp is None else mean.weights @ arp
-
-    def by_device(self, state: HapticState, posed: PosedScene, t0: float, watched: bool) -> list[tuple[Float, Float]]:
-        """Mean forces over the step that begins at t0 [s], as of `Steps.begin` but in the array frame, of each body.
-
-        The device computes the step's load with them, and steps the skins over it that nobody watches.
-        """
-        device, model, skins = self.device_sound, self.model, {}
-        assert device is not None
-        for number, operator in enumerate(self.observe):
-            # One that nothing has stepped yet may have no stepper: to look at forces doesn't make it
-            if operator is None and (model.begin[number].made or not at_rest(state, number)):
-                stepper, numbers = stepper_of(model, state, number)
-                skins[number] = SkinStart(stepper, numbers[0])
-        return device.over(self.emission, posed, gather(state, self), t0, skins, watched)
 
     def outside_share(self, skin: int, stepper: SkinStepper, seen: Outside) -> float:
         """What of a step's load on a skin lies outside the class of its modes, see OutsideClass.add."""

@@ -24,9 +24,9 @@ import warp as wp
 
 import palmfield
 from palmfield.device import Branches, resolve
-from palmfield.simulation import workspace
-from palmfield.simulation.device_sound import DeviceSound, DeviceWork
-from palmfield.simulation.moving_worlds import WorldsWork
+from palmfield.simulation import step as stepping
+from palmfield.simulation.graph_work import GraphWork
+from palmfield.simulation.scene_graph import SceneGraph
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENES = ROOT / "mjcf" / "scenes"
@@ -66,12 +66,12 @@ class Stopwatch:
 @contextmanager
 def on_device(wanted: bool) -> Iterator[None]:
     """Whether scenes compute their sound by graphs, also on the CPU."""
-    kept = workspace.serves
-    workspace.serves = lambda model: wanted
+    kept = stepping.serves
+    stepping.serves = lambda model: wanted
     try:
         yield
     finally:
-        workspace.serves = kept
+        stepping.serves = kept
 
 
 def opened(scene: Path, device: str, options: argparse.Namespace) -> palmfield.Simulation:
@@ -120,12 +120,12 @@ def device_us(calls: list[Callable[[], object]], device: str, repeats: int) -> f
     return statistics.median(times)
 
 
-def label(work: DeviceWork, call: Any) -> str:
+def label(work: GraphWork, call: Any) -> str:
     """What a call of a step does."""
     owner = getattr(call, "__self__", None)
     if owner is work.inputs:
         return "poses and drives in"
-    if owner is work.forces:
+    if owner is work.results:
         return "forces and sensors out"
     kernel = getattr(owner, "kernel", None)
     if kernel is None:
@@ -142,11 +142,11 @@ def one_by_one(calls: list[Any]) -> list[Any]:
     return result
 
 
-def by_itself(work: DeviceWork, device: str, options: argparse.Namespace) -> None:
+def by_itself(work: GraphWork, device: str, options: argparse.Namespace) -> None:
     """What the device takes for a step that has moved, and for one that has not."""
     again = AGAIN.get(device, 200)
     for moved in (True, False):
-        asked = moved, *work.asked[1:]
+        asked = moved, True, tuple(work.of.skins)
         work.run(*asked)
         waits = []
         for _ in range(again):
@@ -159,11 +159,11 @@ def by_itself(work: DeviceWork, device: str, options: argparse.Namespace) -> Non
         print(
             f"  {what}: launch and wait {statistics.median(waits):.0f} us (p99 {p99:.0f}), on the device {graph:.0f} us"
         )
-    in_us, out_us = (device_us([call], device, again) for call in (work.inputs.upload, work.forces.download))
-    print(f"  copies: {work.inputs.nbytes} bytes in {in_us:.1f} us, {work.forces.nbytes} out {out_us:.1f} us")
+    in_us, out_us = (device_us([call], device, again) for call in (work.inputs.upload, work.results.download))
+    print(f"  copies: {work.inputs.nbytes} bytes in {in_us:.1f} us, {work.results.nbytes} out {out_us:.1f} us")
     if options.timeline:
         total = 0.0
-        for call in one_by_one(work.calls(True, *work.asked[1:])):
+        for call in one_by_one(work.calls(True, True, tuple(work.of.skins))):
             took = device_us([call], device, min(again, 40))
             total += took
             print(f"    {took:7.1f} us  {label(work, call)}")
@@ -181,9 +181,8 @@ def measure(scene: Path, watch: Stopwatch, options: argparse.Namespace) -> None:
         there = numbers(sim, options.compare)
         other = opened(scene, "cpu", argparse.Namespace(device="", accuracy=options.accuracy))
         print(f"  against the CPU over {options.compare} steps: {differences(numbers(other, options.compare), there)}")
-    watch.watch(DeviceWork, "run", "device")
-    watch.watch(WorldsWork, "step", "worlds' graph")
-    watch.watch(DeviceSound, "patterns", "load fetched")
+    watch.watch(GraphWork, "run", "device")
+    watch.watch(SceneGraph, "patterns", "load fetched")
     for lazy in (*sim.runtime.model.begin, *sim.runtime.model.whole):
         if lazy.made:
             watch.watch(type(lazy.value), "step", "skin")
@@ -206,11 +205,12 @@ def measure(scene: Path, watch: Stopwatch, options: argparse.Namespace) -> None:
         f"  mj_step of {step_ms:g} ms: p50 {np.median(walls):.3f} ms, p99 {np.quantile(walls, 0.99):.3f}, max "
         f"{max(walls):.3f}; {shown}, Python and MuJoCo {rest:.3f}"
     )
-    sound = sim.runtime.work.device_sound
-    assert sound is not None
-    print(f"  launches {sound.launches}, in the worlds' graph {len(sim.steps.moving.joined)}")
-    if sound.work is not None:
-        by_itself(sound.work, device, options)
+    graph, moving = sim.steps.graph, sim.steps.moving
+    assert graph is not None
+    print(f"  graphs of the scene {graph.launches}, in the worlds' graph {len(moving.joined)}")
+    work = moving._work or graph._now
+    if work is not None:
+        by_itself(work, device, options)
 
 
 def main() -> int:

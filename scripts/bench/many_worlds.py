@@ -89,7 +89,7 @@ def main() -> None:
     device = wp.get_device(given.device)
     print(f"GPU memory in use: {(device.total_memory - device.free_memory) / 2**30:.1f} GiB")
     with wp.ScopedTimer("kernels", cuda_filter=wp.TIMING_ALL, print=False) as timer:
-        for call in work._calls:
+        for call in work.calls(True, True, tuple(work.of.skins)):
             call()
     kernels: Counter[str] = Counter()
     for one in timer.timing_results:

@@ -11,11 +11,12 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+import warp as wp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.polynomial.polynomial import polyder
 
-from palmfield.acoustics import polynomials
+from palmfield.acoustics import field, polynomials
 from palmfield.acoustics.arrays import layout, with_faults
 from palmfield.acoustics.directivities import FORMS
 from palmfield.acoustics.directivities.t4010a1 import T4010A1_DIRECTIVITY
@@ -309,8 +310,99 @@ def test_python_calls_of_a_small_call(python_calls: Callable[[Callable[[], objec
     assert python_calls(lambda: evaluator.pressure(points, drive)) <= 40
 
 
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("how", ["pressure", "gradient", "normals"])
+def test_points_on_the_device_give_the_same_there(mode: Mode, how: str) -> None:
+    evaluator = FieldEvaluator(with_faults(layout("uhev1"), [3], [7]), AIR, "cpu", mode=mode)
+    points, drive = cloud(3000).astype(evaluator.real), focus(layout("uhev1"), AIR, (0.0, 0.0, 0.2))
+    normals = np.tile(np.array([0.6, 0.0, -0.8], np.float32), (3000, 1)) if how == "normals" else None
+    expected = evaluator.pressure(points, drive, how == "gradient", normals)
+    there = wp.array(points, dtype=wp.vec3 if mode == "fast" else wp.vec3d, device="cpu")
+    outward = None if normals is None else wp.array(normals, dtype=wp.vec3, device="cpu")
+    for where in (there, evaluator.upload(points), there):
+        found = evaluator.pressure(where, drive, how == "gradient", outward)
+        for mine, theirs in ((found.pressure, expected.pressure), (found.gradient, expected.gradient)):
+            assert (mine is None) == (theirs is None) == (theirs is expected.gradient and how == "pressure")
+            if mine is not None:
+                assert isinstance(mine, wp.array)
+                np.testing.assert_array_equal(mine.numpy().view(np.complex64)[..., 0], theirs)
+
+
+def test_results_on_the_device_are_the_callers_own() -> None:
+    evaluator = FieldEvaluator(layout("uhev1"), AIR, "cpu")
+    there, drive = evaluator.upload(cloud(40)), np.ones(256)
+    first = evaluator.pressure(there, drive).pressure
+    kept = first.numpy().copy()
+    assert not np.array_equal(evaluator.pressure(there, 2.0 * drive).pressure.numpy(), kept)
+    np.testing.assert_array_equal(first.numpy(), kept)
+
+
+def test_points_on_the_device_that_are_none() -> None:
+    evaluator = FieldEvaluator(layout("uhev1"), AIR, "cpu")
+    drive, there = np.ones(256), wp.array(cloud(4), dtype=wp.vec3, device="cpu")
+    wanted = r"give a Warp array of vec3f, shape \(4,\), on cpu"
+    with pytest.raises(PalmfieldError, match=f"points: Warp array of vec3d, .*; {wanted}"):
+        evaluator.pressure(wp.array(cloud(4), dtype=wp.vec3d, device="cpu"), drive)
+    with pytest.raises(PalmfieldError, match=rf"shape \(4, 3\), on cpu; {wanted}"):
+        evaluator.pressure(wp.array(cloud(4), dtype=wp.float32, device="cpu"), drive)
+    with pytest.raises(PalmfieldError, match=f"normals: ndarray; {wanted}"):
+        evaluator.pressure(there, drive, normals=np.zeros((4, 3), np.float32))
+    with pytest.raises(PalmfieldError, match=rf"normals: .*shape \(3,\), on cpu; {wanted}"):
+        evaluator.pressure(there, drive, normals=there[:3])
+    there.numpy()[2, 1] = np.nan
+    with pytest.raises(PalmfieldError, match=r"points\[2\]"):
+        evaluator.pressure(there, drive)
+    assert evaluator.pressure(there[:0], drive, True).gradient.shape == (0, 3)
+
+
+@pytest.mark.parametrize(("count", "row"), [(5, 3), (9000, 8999)])
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -1e5, 1e300])
+def test_a_refused_point_leaves_nothing_to_the_next_call(count: int, row: int, bad: float) -> None:
+    evaluator = FieldEvaluator(layout("uhev1"), AIR, "cpu")
+    points, drive = cloud(count), np.ones(256)
+    before = evaluator.pressure(points, drive, True)
+    broken = points.copy()
+    broken[row, 2] = bad
+    with pytest.raises(PalmfieldError, match=rf"points\[{row}\]"):
+        evaluator.pressure(broken, drive, True)
+    np.testing.assert_array_equal(evaluator.pressure(points, drive, True).gradient, before.gradient)
+
+
+@pytest.mark.parametrize("gradient", [False, True])
+def test_points_in_turns_and_transducers_in_parts(gradient: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As a GPU shares out the transducers over few points."""
+    array, points = layout("two_bow_corrected"), cloud(2500)
+    drive = np.exp(2j * np.pi * np.random.default_rng(0).uniform(size=len(array)))
+    whole = FieldEvaluator(array, AIR, "cpu").pressure(points, drive, gradient)
+    monkeypatch.setattr(field, "splits", lambda *_: 7)
+    monkeypatch.setattr(field, "MOST_POINTS", 700)
+    evaluator = FieldEvaluator(array, AIR, "cpu")
+    found, again = (evaluator.pressure(points, drive, gradient) for _ in range(2))
+    there = evaluator.pressure(evaluator.upload(points), drive, gradient)
+    for name in ("pressure", "gradient")[: 1 + gradient]:
+        expected, mine = getattr(whole, name), getattr(found, name)
+        assert difference(mine, expected) < LIMIT
+        assert difference(getattr(there, name).numpy().view(np.complex64)[..., 0], expected) < LIMIT
+        np.testing.assert_array_equal(mine, getattr(again, name))
+
+
+def test_a_size_that_was_there_before_takes_no_memory_of_warp(monkeypatch: pytest.MonkeyPatch) -> None:
+    evaluator = FieldEvaluator(layout("uhev1"), AIR, "cpu")
+    before = evaluator.pressure(cloud(100), np.ones(256), True)
+    monkeypatch.setattr(wp.array, "__init__", lambda *_, **__: pytest.fail("a Warp array is made"))
+    np.testing.assert_array_equal(evaluator.pressure(cloud(100), np.ones(256), True).gradient, before.gradient)
+
+
+@pytest.mark.parametrize("shape", [(1, 3), (1000, 3), (3000, 3), (4 * field.WIDE, 3)])
+def test_corners_of_points(shape: tuple[int, int]) -> None:
+    points = np.random.default_rng(0).normal(size=shape).astype(np.float32)
+    assert field.corners(points) == (points.min(axis=0).tolist(), points.max(axis=0).tolist())
+    points[-1, 1] = points[0, 2] = np.nan
+    assert np.isnan(np.sum(field.corners(points), axis=0)).tolist() == [False, True, True]
+
+
 def test_many_sizes_of_small_calls_keep_few_buffers() -> None:
     evaluator = FieldEvaluator(layout("uhev1"), AIR, "cpu")
     for count in range(1, 4 * SIZES_KEPT):
         evaluator.pressure(np.full((count, 3), 0.1), np.ones(256))
-    assert len(evaluator._small) <= SIZES_KEPT
+    assert len(evaluator._calls) <= SIZES_KEPT

@@ -46,6 +46,40 @@ def test_surface_arp(keys: list[dict[str, object]]) -> None:
     assert (np.abs(other - one) < 1e-4 * one.max()).mean() > 0.998
 
 
+@pytest.mark.parametrize("keys", [{}, {"precision": "accurate"}, {"directivity": "point"}])
+@pytest.mark.parametrize("count", [40, 22_000, 140_000])
+def test_calls_of_the_field(keys: dict[str, object], count: int) -> None:
+    places = [HERE, BESIDE]
+    instances = [ArrayInstance(ArrayConfig.model_validate(one), at) for one, at in zip([keys, {}], places, strict=True)]
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-0.05, 0.05, (count, 3)) + np.array([0.1, 0.0, 0.2])
+    normals = np.tile(np.array([0.6, 0.0, -0.8], np.float32), (count, 1))
+    here, there = (PhasedArray(instances, places, device).field for device in ("cpu", GPU))
+    drives = np.exp(2j * np.pi * rng.uniform(size=(3, here.count)))
+    uploaded = there.upload(points)
+    outward = wp.array(normals, dtype=wp.vec3, device=GPU)
+    for own in ({}, {"gradient": True}, {"normals": normals}):
+        names = ("pressure", "gradient")[: 1 + bool(own)]
+        # Not waited for in between, so that no drive may come over the one before
+        kept = [there.pressure(uploaded, drive, **own | {"normals": outward} if "normals" in own else own)
+                for drive in drives]  # fmt: skip
+        raw = there.pressure(uploaded.array, drives[0], **own | {"normals": outward} if "normals" in own else own)
+        for drive, on_gpu in zip(drives, kept, strict=True):
+            one, other = here.pressure(points, drive, **own), there.pressure(points, drive, **own)
+            again = there.pressure(points, drive, **own)
+            for name in names:
+                mine, theirs = getattr(one, name), getattr(other, name)
+                size = np.linalg.norm(mine)
+                assert np.linalg.norm(theirs - mine) < 1e-4 * size
+                assert np.linalg.norm(getattr(on_gpu, name).numpy().view(np.complex64)[..., 0] - mine) < 1e-4 * size
+                np.testing.assert_array_equal(getattr(again, name), theirs)
+        for name in names:
+            mine = getattr(here.pressure(points, drives[0], **own), name)
+            assert np.linalg.norm(getattr(raw, name).numpy().view(np.complex64)[..., 0] - mine) < 1e-4 * np.linalg.norm(
+                mine
+            )
+
+
 def test_sums_of_few_drives() -> None:
     places = [HERE, BESIDE]
     rng = np.random.default_rng(0)

@@ -56,6 +56,15 @@ def test_fields_of_all_arrays_add(second: dict[str, object]) -> None:
     field = array.field.pressure(points, drive)
     assert array.field.count == len(array)
     np.testing.assert_allclose(field.pressure, expected, atol=3e-5 * np.abs(expected).max())
+    there = array.field.pressure(array.field.upload(points), drive).pressure
+    np.testing.assert_array_equal(there.numpy().view(np.complex64)[:, 0], field.pressure)
+    slopes = array.field.pressure(points, drive, gradient=True).gradient
+    alone = [array.field.pressure(points, np.where(np.arange(len(array)) < array.slices[1].start, *two), True).gradient
+             for two in ((drive, 0.0), (0.0, drive))]  # fmt: skip
+    assert slopes is not None and alone[0] is not None and alone[1] is not None
+    np.testing.assert_allclose(slopes, alone[0] + alone[1], atol=1e-5 * np.abs(slopes).max())
+    with pytest.raises(PalmfieldError, match=f"drive has shape .* but the field has {len(array)} transducers"):
+        array.field.pressure(points, drive[1:])
 
 
 def test_the_field_is_made_once_whoever_asks() -> None:

@@ -11,7 +11,7 @@ import palmfield
 from palmfield import device
 from palmfield.data import folder
 from palmfield.errors import DeviceError
-from palmfield.simulation import device_sound, moving_worlds
+from palmfield.simulation import graph_work, step
 
 SCENES = folder("mjcf") / "scenes"
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
@@ -25,7 +25,7 @@ def by_graph(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
 
     def opened(*scene: Any, **keywords: Any) -> Any:
         with monkeypatch.context() as patch:
-            patch.setattr(moving_worlds, "serves", lambda model: True)
+            patch.setattr(step, "serves", lambda model: True)
             return palmfield.Simulation(*scene, device="cpu", **keywords)
 
     return opened
@@ -69,7 +69,7 @@ def test_worlds_are_what_each_is_by_itself(
 def copied(sim: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
     """A copy, as on such a device."""
     with monkeypatch.context() as patch:
-        patch.setattr(moving_worlds, "serves", lambda model: True)
+        patch.setattr(step, "serves", lambda model: True)
         return sim.copy()
 
 
@@ -105,7 +105,7 @@ def test_a_step_in_which_a_level_jumps_is_taken_by_each_world_itself(by_graph: C
         joined.append(worlds.steps.moving.joined.tolist())
     assert joined == [[0, 1], [0, 1], [1], [0, 1], [0, 1]]
     alone = palmfield.Simulation(
-        SCENES / "hover_explore.xml", keys=COARSE | {"stimulus.stop_s": 0.1025, "skin.solver": "modal"}
+        SCENES / "hover_explore.xml", device="cpu", keys=COARSE | {"stimulus.stop_s": 0.1025, "skin.solver": "modal"}
     )
     alone.start_at(0.1)
     alone.step(5)
@@ -149,20 +149,20 @@ def test_worlds_that_a_device_has_no_room_for_are_refused_with_the_number_that_f
     by_graph: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     taken: list[int] = []
-    real = device_sound.check_room
+    real = graph_work.check_room
 
     def check(needed: int, worlds: int, device: str) -> None:
         taken.append(needed)
         real(needed, worlds, device)
 
-    monkeypatch.setattr(device_sound, "check_room", check)
+    monkeypatch.setattr(graph_work, "check_room", check)
     levels = {"stimulus.drive_amplitude": [1.0, 0.8, 0.6]}
     path = SCENES / "hover_explore.xml"
     worlds = by_graph(path, worlds=3, keys=COARSE | levels)
     worlds.start_at(0.1)
     worlds.step()
     work = worlds.steps.moving._work
-    points = work.load.array.size * 4 + sum(part.nbytes for part in (work.inputs, work.forces))
+    points = work.load.array.size * 4 + sum(part.nbytes for part in (work.inputs, work.results))
     assert points < taken[0] < 3 * 2**24
     monkeypatch.setattr(device, "free_bytes", lambda _: taken[0] // 2)
     with pytest.raises(DeviceError, match=r"3 worlds take .* GB on cpu, .* MB each.*allowed: worlds <= 1"):

@@ -1,0 +1,387 @@
+"""Memory and launches of a step on a device: one captured graph from frames to forces, sensors and skins.
+
+Frames, foci or drives, and what of the state the device does not keep, go in by one copy; forces, what sensors read and
+the skins' numbers as the step ends come out by another. What fills the one and reads the other is
+`palmfield.simulation.moving_worlds` for worlds whose bodies move, and `palmfield.simulation.scene_graph` for one world.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+import warp as wp
+
+from palmfield.acoustics.knife_edge import KnifeEdges
+from palmfield.acoustics.point_sound import DriveTable, Surface, Transducers, sound_calls
+from palmfield.acoustics.shadow_nodes import ShadowNodes, shadow_nodes
+from palmfield.device import (
+    Branches,
+    SharedArray,
+    SharedBlock,
+    check_room,
+    filled,
+    launch,
+    launching,
+    nbytes,
+    replayed,
+    resolve,
+    vectors,
+    whole_numbers,
+)
+from palmfield.drive.path_drives import PathDrives, PathMemory
+from palmfield.simulation.model import HapticModel
+from palmfield.simulation.posed_scene import PosedScene, PoseLayout
+from palmfield.simulation.radiation import BODY_SPACING_m, bends, load_nodes, sample_nodes
+from palmfield.simulation.scene_points import (
+    ForceOwners,
+    ScenePoints,
+    bring_mesh,
+    mesh_number,
+    meshes_of,
+    motions_of,
+)
+from palmfield.simulation.sensors import SensorPlace
+from palmfield.skin.reduction.device_models import SECTIONS
+from palmfield.skin.stepper import DeviceModel, StepMemory
+from palmfield.types import Float
+from warp_kernels import carried_points as carrying
+from warp_kernels import resultants as summing
+from warp_kernels import skin_steps
+from warp_kernels import world_steps as kernels
+
+LOAD, FORCE, NOW = "load", "force", "now"
+"""What drives are for: the skins' load over the step, the mean force over it, and the sensors at its beginning."""
+Launches = list[Callable[[], object]]
+PURPOSES = LOAD, FORCE, NOW
+PATH = "counts", "group", "foci", "wanted", "aims", "ring", "pushes", "begun", "end", "totals"
+"""Parts of a PathMemory that a step's inputs and results hold."""
+
+
+class GraphSizes(NamedTuple):
+    """Room for so much at most. drives, sums: for each of PURPOSES; foci: of a path, with that at the beginning; 0
+    where drives are given"""
+
+    drives: tuple[int, int, int]
+    sums: tuple[int, int, int]
+    foci: int
+
+    def holds(self, other: "GraphSizes") -> bool:
+        """Whether there is room for as much as in another."""
+        pairs = zip((*self.drives, *self.sums, self.foci), (*other.drives, *other.sums, other.foci), strict=True)
+        return all(mine >= its for mine, its in pairs)
+
+    def joined(self, other: "GraphSizes") -> "GraphSizes":
+        """Room for either."""
+        drives, sums = (
+            (max(a, x), max(b, y), max(c, z))
+            for (a, b, c), (x, y, z) in ((self.drives, other.drives), (self.sums, other.sums))
+        )
+        return GraphSizes(drives, sums, max(self.foci, other.foci))
+
+
+class GraphOf(NamedTuple):
+    """What a graph is for.
+
+    worlds: how many with the same bodies; probes: sensors' places, each with its skin's number
+    skins: what steps them, by number; drives: what makes drives of a path, None where they are given
+    free: whether frames are MuJoCo's of worlds that step alike: skins take pressure only where their steppers do, and
+        what is the same in all steps is not copied; kept: whether the state stays on the device from step to step
+    """
+
+    worlds: int
+    probes: tuple[tuple[int, SensorPlace], ...]
+    skins: Mapping[int, DeviceModel]
+    drives: PathDrives | None
+    free: bool = False
+    kept: bool = False
+
+
+class GraphWork:
+    """Memory and launches for so many worlds and so much at most.
+
+    inputs: what goes in; results: what comes out; arrays: all of it and what stays on the device, by name
+    load: ARP on the skins, (w m, q), of which `quadrature` says which columns are a skin's
+    """
+
+    def __init__(
+        self, model: HapticModel, reference: PosedScene, transducers: Transducers, of: GraphOf, sizes: GraphSizes
+    ):
+        """Raises DeviceError where the device has no room."""
+        self.of, self.sizes, self.model = of, sizes, model
+        device = self.device = transducers.device
+        layout = PoseLayout.of(model)
+        self._motions = motions_of(model, layout)
+        motions, worlds = self._motions.total, of.worlds
+        frames = layout.obstacles[-1].stop
+        parts, results = self._shapes(transducers.count, frames)
+        inside = self._inside()
+        points = ScenePoints(model, reference, self._motions, of.probes, device, worlds, self._steppers())
+        tables = sum(map(nbytes, (parts | results).values()))
+        check_room(worlds * points.nbytes(sizes.sums[0], sizes.sums[1]) + tables, worlds, device)
+        points.make()
+        self.inputs = SharedBlock({name: part for name, part in parts.items() if name not in inside}, device)
+        self.results = SharedBlock({name: part for name, part in results.items() if name not in inside}, device)
+        arrays = self.arrays = self.inputs.arrays | self.results.arrays
+        for name in inside:
+            shape, dtype = (parts | results)[name]
+            arrays[name] = wp.zeros(shape, dtype=dtype, device=device)
+        self.quadrature = points.quadrature
+        counts = points.loaded.stop, points.count - points.sampled.start, len(of.probes)
+        self.load = SharedArray((worlds * sizes.sums[0], counts[0]), wp.float32, device)
+        pressed: Any = wp.zeros((worlds * sizes.sums[1], counts[1]), dtype=wp.float32, device=device)
+        self._pose: Launches = self._placing(layout, motions)
+        self._sound = self._sounds(reference, transducers, points, (self.load.array, pressed, arrays["probes"]))
+        self._sound[FORCE] += self._pushing(reference, points, pressed, transducers)
+        self._focus: Launches = []
+        if of.drives is not None:
+            here = [arrays["places"], arrays["axes"], layout.frames.start, arrays["own_foci"], arrays["path_foci"]]
+            self._focus = [
+                launch(kernels.place_foci, (worlds, sizes.foci), here, device),
+                *of.drives.calls(self._path_memory()),
+                launch(kernels.largest, worlds, [arrays["path_end"], arrays["most"]], device),
+            ]
+            arrays["path_aims"].assign(np.tile(of.drives.aim, (worlds, 1)))
+            for name, drives, sums in zip(PURPOSES, sizes.drives, sizes.sums, strict=True):
+                levels = arrays[f"{name}_levels"]
+                unit = np.zeros((sums, levels.shape[1], 2), np.float32)
+                unit[..., 0] = np.eye(sums, levels.shape[1])
+                levels.assign(np.tile(unit, (worlds, 1, 1)))
+                assert drives == sums
+        self._skins: dict[int, Launches] = {}
+        self._reading, self._taking = Launches(), Launches()
+        self._active = SharedArray((worlds, 1), wp.int32, device)
+        for number, one in of.skins.items():
+            self._skins[number] = self._stepping(number, one)
+        if of.kept:
+            begun, end = (_numbers(arrays[f"path_{name}"]) for name in ("begun", "end"))
+            self._taking.append(launch(kernels.take_over, begun.shape, [self._active.array, end, begun], device))
+        self._replays: dict[tuple[bool, bool, tuple[int, ...]], Callable[[], object]] = {}
+        self._taken: Callable[[], object] | None = None
+
+    def _shapes(self, transducers: int, frames: int) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Shapes and types of all that goes in and comes out, or might."""
+        of, sizes, worlds = self.of, self.sizes, self.of.worlds
+        parts: dict[str, tuple[tuple[int, ...], Any]] = {
+            "places": ((worlds, frames), wp.vec3d),
+            "axes": ((worlds, frames), wp.mat33d),
+            "turns": ((worlds, self._motions.total), wp.mat33d),
+            "shifts": ((worlds, self._motions.total), wp.vec3d),
+            "origins": ((worlds, self._motions.total), wp.vec3d),
+            "weights": ((worlds, sizes.sums[1]), wp.float64),
+        }
+        results: dict[str, tuple[tuple[int, ...], Any]] = {
+            "forces": ((worlds, self._motions.parts, 6), wp.float64),
+            "probes": ((worlds * sizes.sums[2], max(len(of.probes), 1)), wp.float32),
+            "heights": ((worlds, self._motions.parts), wp.float64),
+        }
+        for name, drives, sums in zip(PURPOSES, sizes.drives, sizes.sums, strict=True):
+            for part, what in DriveTable.parts(drives, sums, transducers, worlds).items():
+                parts[f"{name}_{part}"] = what
+        for number, one in of.skins.items():
+            probes = sum(skin == number for skin, _ in of.probes)
+            parts[f"before_{number}"] = results[f"after_{number}"] = (worlds, one.stepper.state_size), wp.float64
+            parts[f"weights_{number}"] = (worlds, one.weight_rows, sizes.sums[0]), wp.float64
+            results[f"squares_{number}"] = (worlds, SECTIONS, one.substeps, skin_steps.LANES), wp.float64
+            results[f"sums_{number}"] = (worlds, SECTIONS), wp.float64
+            results[f"read_{number}"] = (worlds, 2, max(1, probes)), wp.float64
+        if of.drives is not None:
+            parts["own_foci"] = (worlds, sizes.foci), wp.vec3d
+            parts |= PathMemory.inputs(sizes.drives[0], sizes.foci, transducers, worlds)
+            results |= PathMemory.results(sizes.foci, transducers, worlds) | {"most": ((worlds,), wp.float64)}
+        return parts, results
+
+    def _inside(self) -> list[str]:
+        """What of it stays on the device."""
+        of = self.of
+        names = ["turns", "shifts", "origins", *(f"squares_{number}" for number in of.skins)]
+        if of.drives is not None:
+            names += [
+                "path_foci",
+                "path_aims",
+                *(f"{name}_{part}" for name in PURPOSES for part in ("drives", "levels")),
+            ]
+        if of.free:
+            names += ["path_group", "path_ring", "path_pushes", *(f"weights_{number}" for number in of.skins)]
+        if of.kept:
+            names += ["path_begun", "path_end"]
+            names += [f"{name}_{number}" for number in of.skins for name in ("before", "after")]
+        return names
+
+    def _steppers(self) -> dict[int, Any]:
+        """Of the skins whose points are only those at which their steppers take pressure."""
+        return {number: one.stepper for number, one in self.of.skins.items()} if self.of.free else {}
+
+    def _placing(self, layout: PoseLayout, motions: int) -> Launches:
+        """Launches that make motions of frames."""
+        arrays, device, worlds, of = self.arrays, self.device, self.of.worlds, self._motions
+        moved = [arrays["turns"], arrays["shifts"], arrays["origins"]]
+        inputs = [arrays["places"], arrays["axes"], whole_numbers(of.frames, device), vectors(of.rest, device)]
+        calls: Launches = [launch(kernels.place_parts, (worlds, motions), [*inputs, *moved], device)]
+        if self.of.free:
+            centres, halves = boxes_of(self.model)
+            boards: Any = wp.array(_boards(self.model), dtype=wp.vec4d, device=device)
+            inputs = [moved[0], moved[2], vectors(centres, device), vectors(halves, device), boards, arrays["heights"]]
+            calls.append(launch(kernels.heights, (worlds, of.parts), inputs, device))
+        return calls
+
+    def _sounds(
+        self, reference: PosedScene, transducers: Transducers, points: ScenePoints, arps: tuple[Any, Any, Any]
+    ) -> dict[str, Launches]:
+        """Launches of each purpose's ARP; what brings points and shadows into place goes with the pose."""
+        model, arrays, device = self.model, self.arrays, self.device
+        meshes = self._kept = meshes_of(model, reference, device)
+        surfaces: dict[str, list[Surface]] = {name: [] for name in PURPOSES}
+        places = dict(zip(PURPOSES, (points.loaded, points.sampled, points.probed), strict=True))
+        weighing: Launches = []
+
+        def add(name: str, skin: int, own: slice, nodes: Callable[[], ShadowNodes]) -> None:
+            """One more surface; how its shadows are weighed goes with the pose."""
+            spec = model.skins[skin].spec
+            mesh = meshes[mesh_number(model, skin)] if spec.config.body_sound == "shadows" else None
+            surface = Surface(own, spec.arp_law, mesh.mesh if mesh is not None else None)
+            if mesh is not None and bends(model.skins[skin]):
+                edges = KnifeEdges(mesh.outline, transducers.emitters, nodes(), own.stop - own.start, 1)
+                begin = places[name].start + own.start
+                stages = edges.stages(points.points[0], points.normals[0], begin + edges.nodes.numbers)
+                weighing.extend(call for stage in stages for calls in stage for call in calls)
+                surface = surface._replace(mesh=None, shades=edges.shades)
+            surfaces[name].append(surface)
+
+        for number, own in enumerate(points.quadrature):
+            add(LOAD, number, own, partial(load_nodes, reference.skins[number]))
+        for i, (number, place) in enumerate(self.of.probes):
+            alone = partial(shadow_nodes, place.probe.closest, place.probe.normals, BODY_SPACING_m)
+            add(NOW, number, slice(i, i + 1), alone)
+        for body, own in points.samples:
+            add(FORCE, model.carried(body)[0], own, partial(sample_nodes, reference.bodies[body]))
+        sound: dict[str, Launches] = {}
+        for name, arp in zip(PURPOSES, arps, strict=True):
+            table = DriveTable(*(arrays[f"{name}_{part}"] for part in ("counts", "drives", "levels")))
+            here = points.points[:, places[name]], points.normals[:, places[name]]
+            sound[name] = [*sound_calls(transducers, table, *here, surfaces[name], model.arrays, arp)]
+        motions = filled(carrying.Motions(), turns=arrays["turns"], shifts=arrays["shifts"])
+        self._pose += points.calls(motions)
+        for skin, mesh in meshes.items():
+            self._pose += bring_mesh(model, reference, skin, self._motions, mesh.mesh, motions, device)
+            if any(bends(one) for one in model.skins):
+                self._pose += mesh.outline.calls()
+        self._pose += weighing
+        return sound
+
+    def _pushing(self, reference: PosedScene, points: ScenePoints, pressed: Any, transducers: Transducers) -> Launches:
+        """Launches that make forces of the ARP at the samples."""
+        arrays, device = self.arrays, self.device
+        sampled = points.points[:, points.sampled], points.normals[:, points.sampled]
+        loads: Any = wp.zeros((self.of.worlds, pressed.shape[1]), dtype=wp.float64, device=device)
+        weighed = [arrays[f"{FORCE}_counts"], arrays["weights"], pressed, points.areas, *sampled, transducers.corners]
+        owners = ForceOwners(reference, self._motions, points.samples)
+        return [
+            launch(summing.mean_load, loads.shape, [*weighed, loads], device),
+            *owners.calls(loads, *sampled, arrays["origins"], arrays["forces"], device),
+        ]
+
+    def _path_memory(self) -> PathMemory:
+        """Where a moving focus's numbers are."""
+        here = self.arrays
+        return PathMemory(*(here[f"path_{name}"] for name in PATH), *(here[f"{name}_drives"] for name in PURPOSES))
+
+    def _stepping(self, skin: int, model: DeviceModel) -> Launches:
+        """Launches of a skin's step; those that read its sensors and take its end over go with others."""
+        arrays, device, worlds = self.arrays, self.device, self.of.worlds
+        counts, pressure = arrays[f"{LOAD}_counts"], self.load.array[:, self.quadrature[skin]]
+        names = "weights", "before", "after", "squares"
+        weights, before, after, squares = (arrays[f"{name}_{skin}"] for name in names)
+        memory = StepMemory(counts, pressure, weights, before, after, squares, self.of.free)
+        readers = [place.reader(model.stepper).matrix for number, place in self.of.probes if number == skin]
+        if readers and self.of.free:
+            read = arrays[f"read_{skin}"]
+            matrix: Any = wp.array(np.hstack(readers), dtype=wp.float64, device=device)
+            states = before.reshape((worlds, before.shape[1] // len(matrix), len(matrix)))
+            self._reading.append(launch(kernels.read_modes, read.shape, [states, matrix, read], device))
+        if self.of.kept:
+            self._taking.append(launch(kernels.take_over, before.shape, [self._active.array, after, before], device))
+        sums = arrays[f"sums_{skin}"]
+        return [*model.calls(memory), launch(kernels.sums_of_squares, sums.shape, [squares, sums], device)]
+
+    def calls(self, moved: bool, sounds: bool, skins: tuple[int, ...]) -> Launches:
+        """What is done for a step, in order.
+
+        moved: whether poses are new; sounds: whether sound is computed; skins: numbers of those that are stepped
+        """
+        stepped = [call for number in skins for call in self._skins[number]]
+        placed = Branches((self._pose if moved else [], self._focus if sounds else []))
+        calls: Launches = [self.inputs.upload, placed]
+        if sounds:
+            now = [*self._sound[NOW], *self._reading]
+            calls.append(Branches(([*self._sound[LOAD], *stepped], self._sound[FORCE], now)))
+        else:
+            calls += stepped
+        return [*calls, self.results.download]
+
+    def replay(self, moved: bool, sounds: bool, skins: tuple[int, ...]) -> Callable[[], object]:
+        """All of these calls in one: on a GPU a captured graph, made when it is first asked for."""
+        key = moved, sounds, skins
+        known = self._replays.get(key)
+        if known is None:
+            calls = self.calls(*key)
+            # Refitting a mesh is not recorded on the CPU, and takes memory from the pool on a GPU
+            refits = moved and len(self._kept) > 0
+            captures = not refits or (self.device != "cpu" and wp.get_device(self.device).is_mempool_supported)
+            known = self._replays[key] = replayed(calls, self.device) if captures else partial(_do, calls)
+        return known
+
+    def run(self, moved: bool, sounds: bool, skins: tuple[int, ...]) -> None:
+        """Compute a step and wait for what comes out."""
+        replay = self.replay(moved, sounds, skins)
+        with launching:
+            replay()
+        if self.device != "cpu":
+            wp.synchronize_stream(self.device)
+
+    def take_over(self, rows: Any) -> None:
+        """Let the state of some worlds that the device keeps be as the last step has left it."""
+        if self._taken is None:
+            self._taken = replayed([self._active.upload, *self._taking], self.device)
+        if self.device != "cpu":
+            wp.synchronize_stream(self.device)
+        self._active.host[:] = 0
+        self._active.host[rows] = 1
+        with launching:
+            self._taken()
+
+
+def serves(model: HapticModel) -> bool:
+    """Whether a model's sound is computed here: on a GPU, but for echoes, boundary elements and 'accurate'."""
+    fast = model.arrays.precision == "fast" and model.arrays.wall_m is None
+    solved = any(skin.spec.config.body_sound == "scattering" for skin in model.skins)
+    return resolve(model.spec.device) != "cpu" and fast and not solved
+
+
+def boxes_of(model: HapticModel) -> tuple[Float, Float]:
+    """Middles and half sizes of the boxes of all parts that the sound pushes [m], shapes (p, 3)."""
+    low = np.concatenate([body.boxes.min(axis=1) for body in model.bodies])
+    high = np.concatenate([body.boxes.max(axis=1) for body in model.bodies])
+    return 0.5 * (low + high), 0.5 * (high - low)
+
+
+def _boards(model: HapticModel) -> Float:
+    """Normals of the arrays' boards and their heights along them [m], array frame, shape (boards, 4)."""
+    result = []
+    for board, (place, turn) in zip(model.arrays.boards, model.arrays.frames, strict=True):
+        normal = turn[:, 2]
+        result.append([*normal, normal @ place + board.height])
+    return np.array(result)
+
+
+def _numbers(pairs: Any) -> Any:
+    """The same memory of pairs (w, n) as numbers, shape (w, 2 n)."""
+    worlds, count = pairs.shape
+    numbers: Any = wp.array(ptr=pairs.ptr, dtype=wp.float64, shape=(worlds, 2 * count), device=pairs.device)
+    numbers.owner = pairs  # whose memory it is
+    return numbers
+
+
+def _do(calls: Sequence[Callable[[], object]]) -> None:
+    for call in calls:
+        call()

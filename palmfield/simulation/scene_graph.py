@@ -1,0 +1,343 @@
+"""The step of one world in its PosedScenes, in a captured graph on a device: what `MovingWorlds` does not step.
+
+Such are shadows, several stimuli or foci, flight times, paths that small models know, and boards that round. The state
+goes in and out in each step. Drives come from the emission, but for one focus that moves, whose drives kernels make.
+What the device does not step of the skins is stepped elsewhere under the load that it has computed.
+"""
+
+import cmath
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+import warp as wp
+
+from palmfield.acoustics import check
+from palmfield.acoustics.phased_array import PhasedArray
+from palmfield.acoustics.point_sound import Transducers, fill_table
+from palmfield.device import resolve
+from palmfield.drive.path_drives import PathDrives, PathStep, foci_made, push_rows
+from palmfield.drive.transducer_response import EmittedCourse, of_drives, present_drive
+from palmfield.errors import PalmfieldError
+from palmfield.simulation.emission import MeanDrives
+from palmfield.simulation.graph_work import PURPOSES, GraphOf, GraphSizes, GraphWork
+from palmfield.simulation.model import HapticModel
+from palmfield.simulation.posed_scene import PosedScene, PoseLayout
+from palmfield.simulation.scene_points import MotionRows, motions_of
+from palmfield.simulation.sensors import SensorPlace
+from palmfield.simulation.state import HapticState, at_rest, stepper_of
+from palmfield.simulation.workspace import Workspace, gather
+from palmfield.skin.stepper import DeviceModel, Outside, SkinStepper
+from palmfield.stimulus.schedule import Moments
+from palmfield.types import Complex, Float, Float32, Int
+
+
+class Sounding(NamedTuple):
+    """Drives whose sums sound. units: shape (k, N); levels: of each sum, shape (m, k), None for each drive by itself;
+    serial: equal for the same sums; weights: of the sums in a mean, shape (m,)"""
+
+    units: Complex
+    levels: Complex | None
+    serial: int
+    weights: Float | None = None
+
+    @property
+    def sums(self) -> int:
+        """How many sums there are."""
+        return len(self.units if self.levels is None else self.levels)
+
+
+class SceneGraph:
+    """One world's graph, and what it has found in the step that began last. Belongs to one state.
+
+    course: what is emitted over that step and at which moments, of a path without its drives; None where it was left
+        to the stages
+    stepped: the skins that it has computed, each with how many numbers its state has
+    launches: how many graphs have been launched
+    """
+
+    def __init__(self, model: HapticModel, work: Workspace, state: HapticState):
+        self.model, self._work, self._state, self._reference = model, work, state, work.reference
+        device = resolve(model.spec.device)
+        self._transducers, self._arrays = Transducers(model.arrays, device), model.arrays
+        layout = PoseLayout.of(model)
+        self._motions: MotionRows = motions_of(model, layout)
+        # Arrays and stimuli stay in the first array's frame
+        count = layout.obstacles[-1].stop
+        self._frames = np.zeros((count, 3)), np.tile(np.eye(3), (count, 1, 1))
+        self._probes: tuple[tuple[int, SensorPlace], ...] = ()
+        self._graphs: dict[bool, GraphWork] = {}  # by whether kernels make the drives
+        self._drives: PathDrives | None = None
+        self._driven: PhasedArray = model.arrays
+        self._models: dict[tuple[int, SkinStepper], DeviceModel | None] = {}
+        self.course: tuple[Moments, EmittedCourse] | None = None
+        self.stepped: list[tuple[int, int]] = []
+        self.launches = 0
+        self._now: GraphWork | None = None
+        self._posed = 0  # serial number of the pose that the last launch computed
+        self._sounding: dict[str, int] = {}  # of what sounded in it
+        self._fetched = False
+        self._force_scale = 0.0
+        self._present = 0.0  # what sensors read relative to it
+        self._stepped: dict[int, SkinStepper] = {}
+
+    def watch(self, skin: int, place: SensorPlace) -> None:
+        """Compute the ARP at a sensor's place as well, from the next step on."""
+        if (skin, place) not in self._probes:
+            self._probes += ((skin, place),)
+            self._graphs.clear()
+
+    def forget(self) -> None:
+        """Begin again, after a reset."""
+        self.course, self.stepped = None, []
+
+    # -- the beginning of a step ---------------------------------------------------------------------------------------
+
+    def begin(self, posed: PosedScene, t0: float, watched: bool) -> bool:
+        """Compute the step that begins at t0 [s]; whether that was possible.
+
+        watched: whether somebody wants to know the drives
+        """
+        emission = self._work.emission
+        emitted = gather(self._state, self._work)
+        if posed.arrays is not self._arrays:
+            self._transducers.move(posed.arrays)
+            self._arrays = posed.arrays
+        path = None if watched else emission.path_step(posed, t0, self.model.substeps)
+        if path is not None:
+            moments, course = path.moments, self._along(posed, path, emitted, t0)
+            if course is None:
+                return False
+        else:
+            # First, as the others take from it what they can
+            moments, course = emission.over(posed, emitted, t0, self.model.substeps)
+            mean, now = emission.mean_drives(posed, emitted, t0), emission.now(posed, emitted, t0)
+            self._given(posed, moments, course, mean, now)
+        self.course = moments, course
+        self.stepped = [(skin, one.state_size) for skin, one in self._stepped.items()]
+        return True
+
+    def _along(self, posed: PosedScene, path: PathStep, emitted: Complex, t0: float) -> EmittedCourse | None:
+        """A step of one focus that moves; None where the transducers can't make it, which is said elsewhere."""
+        if not math.isfinite(np.add.reduce(path.foci, axis=None)):
+            raise PalmfieldError(f"focus at {path.foci.tolist()} m is not finite: mend what moves it")
+        drives = self._path_drives(posed, t0)
+        moments, count = len(path.moments.times), len(path.levels)
+        counted = path.weights[path.weights > 0.0] if drives.rings else np.ones(1)
+        rows = moments, len(counted), 1
+        course = of_drives(np.empty((moments, 0), np.complex128), np.empty(len(emitted), np.complex128))
+        graph, models = self._room(GraphSizes(rows, rows, len(path.foci)), drives)
+        self._take(graph, models, path.moments, course)
+        hosts = graph.inputs.hosts
+        hosts["path_counts"][0] = count + 1, count // moments
+        hosts["path_group"][0] = 0 if path.group is None else path.group
+        hosts["own_foci"][0, : count + 1] = path.foci
+        wanted = hosts["path_wanted"][0]
+        wanted[:count], wanted[count], wanted[count + 1] = path.levels, 1.0, path.now
+        ring = drives.ring(path.moments)
+        hosts["path_ring"].view(np.complex128)[: len(ring), :, 0] = ring
+        hosts["path_begun"].view(np.complex128)[0, :, 0] = emitted
+        hosts["path_pushes"][:moments] = push_rows(path.weights)
+        hosts["weights"][0, : len(counted)] = counted
+        for name, sums in zip(PURPOSES, rows, strict=True):
+            hosts[f"{name}_counts"][0] = sums
+        self._launch(graph, posed, dict.fromkeys(PURPOSES, 0), tuple(models))
+        totals, quiet = graph.results.hosts["path_totals"][:, : count + 1], path.mean == 0.0 and path.now == 0.0
+        if not foci_made(totals, path.levels[None], quiet, drives.aim[:1])[0]:
+            return None
+        np.copyto(course.end, graph.results.hosts["path_end"].view(np.complex128)[0, :, 0])
+        self._force_scale, self._present = 1.0 if drives.rings else path.mean, 1.0
+        return course
+
+    def _path_drives(self, posed: PosedScene, t0: float) -> PathDrives:
+        """What makes drives of a focus, with the arrays as they stand."""
+        if self._drives is None or self._driven is not posed.arrays:
+            drive, response = self._work.emission.placed(posed, t0)[0].drive, self.model.stimuli[0].response
+            if self._drives is None:
+                self._drives = PathDrives(drive, self._transducers, response.stepper if response.on else None)
+            else:
+                self._drives.move(drive)
+            self._driven = posed.arrays
+        return self._drives
+
+    def _given(
+        self, posed: PosedScene, moments: Moments, course: EmittedCourse, mean: MeanDrives, now: EmittedCourse
+    ) -> None:
+        """A step with these drives."""
+        force, self._force_scale = _of_mean(mean)
+        drive, factor = present_drive(now)
+        present = None if drive is None else Sounding(drive[None], None, now.serial)
+        sounding = dict(zip(PURPOSES, (_of_course(course), force, present), strict=True))
+        drives = [1 if one is None else len(one.units) for one in sounding.values()]
+        sums = [1 if one is None else one.sums for one in sounding.values()]
+        graph, models = self._room(GraphSizes((drives[0], drives[1], 1), (sums[0], sums[1], 1), 0), None)
+        self._take(graph, models, moments, course)
+        serials, changed = dict[str, int](), graph is not self._now or posed.serial != self._posed
+        for name, one in sounding.items():
+            # What sounded last gives nothing more to hear in silence, but may be heard again
+            serials[name] = self._sounding.get(name, 0) if one is None else one.serial
+            if one is not None and (changed or self._sounding.get(name) != one.serial):
+                self._tell(graph, name, one)
+        sounds = any(one is not None for one in sounding.values()) and (changed or serials != self._sounding)
+        self._present = 0.0 if present is None else factor
+        if sounds or models:
+            self._launch(graph, posed, serials, tuple(models), sounds)
+        else:
+            self._stepped = {}
+
+    def _room(self, sizes: GraphSizes, drives: PathDrives | None) -> tuple[GraphWork, dict[int, DeviceModel]]:
+        """A graph with room for so much, and which skins it steps now."""
+        models: dict[int, DeviceModel] = {}
+        for number, operator in enumerate(self._work.observe):
+            # One that nothing has stepped yet may have no stepper: to look at forces doesn't make it
+            if operator is None and (self.model.begin[number].made or not at_rest(self._state, number)):
+                model = self._model(number, stepper_of(self.model, self._state, number)[0])
+                if model is not None:
+                    models[number] = model
+        known = self._graphs.get(drives is not None)
+        same = known is not None and all(known.of.skins.get(number) is one for number, one in models.items())
+        if known is None or not same or not known.sizes.holds(sizes):
+            sizes = sizes if known is None else sizes.joined(known.sizes)
+            skins = models if known is None else {**known.of.skins, **models}
+            self._graphs.pop(drives is not None, None)  # its memory is free for the next one
+            self._now = known = None
+            of = GraphOf(1, self._probes, skins, drives)
+            known = self._graphs[drives is not None] = GraphWork(
+                self.model, self._reference, self._transducers, of, sizes
+            )
+        return known, models
+
+    def _model(self, skin: int, stepper: SkinStepper) -> DeviceModel | None:
+        """What steps a skin on the device, None where that is left to the CPU; kept."""
+        if (skin, stepper) not in self._models:
+            points = len(self.model.skins[skin].layer.quadrature.points)
+            self._models[skin, stepper] = stepper.device_model(self.model.substeps, points, self._transducers.device)
+        return self._models[skin, stepper]
+
+    def _take(
+        self, graph: GraphWork, models: Mapping[int, DeviceModel], moments: Moments, course: EmittedCourse
+    ) -> None:
+        """Take the skins' numbers at the step's beginning, and how much there is of each pattern of pressure."""
+        hosts = graph.inputs.hosts
+        for number, model in models.items():
+            weights = model.weights(*course.weights(moments))
+            hosts[f"before_{number}"][:] = stepper_of(self.model, self._state, number)[1]
+            # Of other patterns nothing: in silence the device still has the last ones, and as many
+            hosts[f"weights_{number}"][0] = 0.0
+            hosts[f"weights_{number}"][0, :, : weights.shape[1]] = weights
+
+    def _tell(self, graph: GraphWork, name: str, sounding: Sounding) -> None:
+        """Take what sounds for one purpose. Raises PalmfieldError for drives that are not finite."""
+        if not cmath.isfinite(np.add.reduce(sounding.units, axis=None)):
+            bad = check.first_bad(sounding.units.T)
+            values = sounding.units[:, bad].tolist()
+            raise PalmfieldError(f"drive of transducer {bad} = {values} is not finite: mend what makes the drive")
+        hosts = graph.inputs.hosts
+        table = hosts[f"{name}_counts"][0], hosts[f"{name}_drives"], hosts[f"{name}_levels"]
+        fill_table(table, self._transducers.strengths(sounding.units), sounding.levels)
+        if sounding.weights is not None:
+            hosts["weights"][0, : sounding.sums] = sounding.weights
+
+    def _launch(
+        self, graph: GraphWork, posed: PosedScene, serials: dict[str, int], skins: tuple[int, ...], sounds: bool = True
+    ) -> None:
+        """Compute a step."""
+        moved = sounds and (graph is not self._now or posed.serial != self._posed)
+        if moved:
+            self._place(graph, posed)
+        kept = (self._posed, self._sounding) if graph is self._now else (0, dict[str, int]())
+        # Should it fail, nothing is known
+        self._now, self._posed, self._sounding, self._stepped = None, 0, {}, {}
+        graph.run(moved, sounds, skins)
+        self.launches += 1
+        self._now, (self._posed, self._sounding) = graph, ((posed.serial, serials) if sounds else kept)
+        self._fetched &= not sounds
+        self._stepped = {number: graph.of.skins[number].stepper for number in skins}
+
+    def _place(self, graph: GraphWork, posed: PosedScene) -> None:
+        """Take a pose. Raises PalmfieldError for one that is not finite."""
+        places, axes = graph.inputs.hosts["places"][0], graph.inputs.hosts["axes"][0]
+        rows = self._motions
+        places[:], axes[:] = self._frames
+        for body, own in zip(posed.bodies, rows.bodies, strict=True):
+            turn = body.frame.rotation
+            at = slice(rows.frames[own.start], rows.frames[own.stop - 1] + 1)
+            places[at] = body.origins
+            axes[at] = turn if body.model.hand is None else turn @ body.bone_rotations
+        for skin, own in zip(posed.skins, rows.obstacles, strict=True):
+            if own.stop > own.start:
+                at, frame = slice(rows.frames[own.start], rows.frames[own.stop - 1] + 1), skin.body.frame
+                places[at] = frame.points(skin.obstacle_positions)
+                axes[at] = frame.rotation @ skin.obstacle_rotations
+        if not math.isfinite(np.add.reduce(places, axis=None) + np.add.reduce(axes, axis=None)):
+            names = [body.model.name for body in posed.bodies] + [skin.skin.spec.name for skin in posed.skins]
+            for name, own in zip(names, [*rows.bodies, *rows.obstacles], strict=True):
+                here = rows.frames[own]
+                if not (np.isfinite(places[here]).all() and np.isfinite(axes[here]).all()):
+                    raise PalmfieldError(
+                        f"pose of '{name}' at {places[here].tolist()} is not finite: mend what moves it"
+                    )
+
+    # -- what came out -------------------------------------------------------------------------------------------------
+
+    def forces(self, body: int) -> Float:
+        """Mean force [N] on a body's parts and torques about their origins [N m], array frame, shape (2, b, 3)."""
+        own = self._motions.bodies[body]
+        if self._now is None or self._force_scale == 0.0:
+            return np.zeros((2, own.stop - own.start, 3))
+        of_parts = self._now.results.hosts["forces"][0, own] * self._force_scale
+        return np.asarray(of_parts.reshape(-1, 2, 3).swapaxes(0, 1))
+
+    def arp(self, skin: int, place: SensorPlace) -> float:
+        """ARP [Pa] as the step begins at a sensor's place that is watched."""
+        if self._now is None or self._present == 0.0:
+            return 0.0
+        of_place = self._now.results.hosts["probes"][0, self._probes.index((skin, place))]
+        return self._present * float(of_place)
+
+    def outside(self, skin: int, stepper: SkinStepper) -> Outside | None:
+        """What of a skin's load was outside the class that this stepper serves; None as of `after`, or where it has no
+        class."""
+        if self.after(skin, stepper) is None or self._now is None:
+            return None
+        return self._now.of.skins[skin].outside(self._now.results.hosts[f"sums_{skin}"][0].tolist())
+
+    def after(self, skin: int, stepper: SkinStepper) -> Float | None:
+        """Numbers of a skin as the step ends, shape (1, state_size), a view that the next step overwrites; None where
+        this stepper has not stepped it here."""
+        if self._now is None or self.course is None or self._stepped.get(skin) is not stepper:
+            return None
+        return np.asarray(self._now.results.hosts[f"after_{skin}"])
+
+    def patterns(self, skin: int, points: Int | None = None) -> Float32:
+        """ARP [Pa] of the step's course at a skin's quadrature points, shape (m, q); points: those that are wanted, all
+        without. A view that the next step overwrites."""
+        assert self._now is not None and self.course is not None
+        load = self._now.load
+        if not self._fetched:
+            load.download()
+            if self._now.device != "cpu":
+                wp.synchronize_stream(self._now.device)
+            self._fetched = True
+        course = self.course[1]
+        sums = len(course.levels) if len(course.units) > 1 else 1
+        result: Float32 = load.host[:sums, self._now.quadrature[skin]]
+        return result if points is None else result[:, points]
+
+
+def _of_course(course: EmittedCourse) -> Sounding | None:
+    """What presses on the skins over a step; None in silence."""
+    if len(course.units) == 0:
+        return None
+    few = 1 < len(course.units) < len(course.levels)
+    return Sounding(course.units, course.levels if few else None, course.serial)
+
+
+def _of_mean(mean: MeanDrives) -> tuple[Sounding | None, float]:
+    """What presses on bodies over a step, and a factor of it; None in silence."""
+    if len(mean.weights) == 0:
+        return None, 0.0
+    if len(mean.weights) == 1:
+        return Sounding(mean.units, None, mean.serial, np.ones(1)), float(mean.weights[0])
+    return Sounding(mean.units, mean.levels, mean.serial, mean.weights), 1.0

@@ -1,0 +1,287 @@
+"""The points of a scene at which sound is computed, on a device: where motions of bodies and bones take them.
+
+They are those of the skins' load, the sensors, and the force on bodies; with them go the meshes of what casts shadows.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import warp as wp
+from scipy import sparse
+
+from palmfield.acoustics.body_scattering import Occlusion
+from palmfield.device import filled, launch, vectors, whole_numbers
+from palmfield.hand.posed_surface import SkinBinding
+from palmfield.hand.rigged import strongest
+from palmfield.hand.skinning import SkinnedSurface
+from palmfield.simulation.model import HapticModel, SkinModel
+from palmfield.simulation.posed_scene import PosedScene, PoseLayout
+from palmfield.simulation.radiation import occluding_counts, occluding_faces, occluding_vertices
+from palmfield.simulation.sensors import SensorPlace
+from palmfield.skin.stepper import SkinStepper
+from palmfield.types import Float, Int
+from warp_kernels import carried_points as carrying
+from warp_kernels import resultants as summing
+
+RUN = 16
+"""Force samples that one thread adds up."""
+
+
+class MotionRows(NamedTuple):
+    """Which motions are whose: those of bodies come first, and push.
+
+    bodies: by body, its bones or itself; obstacles: by skin; total: how many there are
+    frames: the row of each one's frame in a PoseLayout; rest: its origin in the resting body [m], shape (total, 3)
+    """
+
+    bodies: list[slice]
+    obstacles: list[slice]
+    total: int
+    frames: list[int]
+    rest: Float
+
+    @property
+    def parts(self) -> int:
+        """How many of them push."""
+        last: int = self.bodies[-1].stop
+        return last
+
+
+def motions_of(model: HapticModel, layout: PoseLayout) -> MotionRows:
+    """Motions of a model's bodies and obstacles."""
+    bodies, obstacles, frames = list[slice](), list[slice](), list[int]()
+    rest: list[Float] = []
+    for body, (row, bones) in zip(model.bodies, layout.bodies, strict=True):
+        bodies.append(slice(len(frames), len(frames) + body.parts))
+        frames += [row] if body.hand is None else range(bones.start, bones.stop)
+        rest.append(np.zeros((1, 3)) if body.hand is None else body.rest_origins)
+    for own in layout.obstacles:
+        obstacles.append(slice(len(frames), len(frames) + own.stop - own.start))
+        frames += range(own.start, own.stop)
+        rest.append(np.zeros((own.stop - own.start, 3)))
+    return MotionRows(bodies, obstacles, len(frames), frames, np.concatenate(rest))
+
+
+class _Bound(NamedTuple):
+    """Points at rest [m], shape (n, 3), and the motions that carry them with their shares, both of shape (n, 4)."""
+
+    points: Float
+    motions: Int
+    shares: Float
+
+
+def _bound(points: Float, binding: SkinBinding | None, first: int) -> _Bound:
+    """Points that go with a body whose motions begin at row `first`: with its bones, or with the body itself."""
+    if binding is not None:
+        return _Bound(points, (binding.bones + first).astype(np.int32), binding.shares)
+    motions = np.full((len(points), 4), first, np.int32)
+    return _Bound(points, motions, np.tile([1.0, 0.0, 0.0, 0.0], (len(points), 1)))
+
+
+def _bound_vertices(hand: SkinnedSurface | None, vertices: Float, first: int) -> _Bound:
+    """The vertices of a surface, with its bones if it has any."""
+    if hand is None:
+        return _bound(vertices, None, first)
+    shares, bones = strongest(sparse.csr_array(hand.weights))
+    return _Bound(hand.surface.vertices, (bones + first).astype(np.int32), shares)
+
+
+def _joined(parts: Sequence[_Bound]) -> _Bound:
+    return _Bound(*(np.concatenate(values) for values in zip(*parts, strict=True)))
+
+
+def _carriers(bound: _Bound, device: str) -> Any:
+    """As kernels take them."""
+    return filled(
+        carrying.Carriers(),
+        motions=wp.array(bound.motions, dtype=wp.vec4i, device=device),
+        shares=wp.array(bound.shares, dtype=wp.vec4d, device=device),
+    )
+
+
+class ScenePoints:
+    """All points of a scene on a device: of the skins' load, the sensors, and the force on bodies, in this order.
+
+    points, normals: vec3; areas: of the force samples [m2], float64
+    quadrature: where each skin's points are; samples: of each body its number and where its force samples are among
+        those of all; loaded, probed, sampled: all points of one kind; count: of all
+    """
+
+    def __init__(
+        self,
+        model: HapticModel,
+        reference: PosedScene,
+        rows: MotionRows,
+        probes: Sequence[tuple[int, SensorPlace]],
+        device: str,
+        worlds: int = 1,
+        steppers: Mapping[int, SkinStepper] | None = None,
+    ):
+        """steppers: of the skins whose points are only those at which these take pressure"""
+        self._device, self._worlds = device, worlds
+        bound: list[tuple[_Bound, Float]] = []
+        self.quadrature: list[slice] = []
+        count = 0
+        for skin in model.skins:
+            first = rows.bodies[skin.body].start
+            points, normals, binding = _loaded(skin, (steppers or {}).get(len(self.quadrature)))
+            bound.append((_bound(points, binding, first), normals))
+            self.quadrature.append(slice(count, count + len(points)))
+            count = self.quadrature[-1].stop
+        self.loaded = slice(0, count)
+        for number, place in probes:
+            first = rows.bodies[model.skins[number].body].start
+            bound.append((_bound(place.probe.closest, place.binding, first), place.probe.normals))
+            count += 1
+        self.probed = slice(self.loaded.stop, count)
+        self.samples: list[tuple[int, slice]] = []
+        areas: list[Float] = []
+        start = count
+        whole = [number for number, body in enumerate(model.bodies) if body.hand is None]
+        for number in whole:
+            points, normals, own = _rest_samples(reference, number)
+            bound.append((_bound(points, None, rows.bodies[number].start), normals))
+            self.samples.append((number, slice(count - start, count - start + len(points))))
+            areas.append(own)
+            count += len(points)
+        self._carried = count
+        vertices: list[_Bound] = []
+        faces: list[Int] = []
+        corners = 0
+        for number, body in enumerate(model.bodies):
+            if body.hand is None:
+                continue
+            own_faces = body.sampled.surface.faces
+            vertices.append(_bound_vertices(body.sampled, body.sampled.surface.vertices, rows.bodies[number].start))
+            faces.append(own_faces + corners)
+            corners += len(vertices[-1].points)
+            self.samples.append((number, slice(count - start, count - start + len(own_faces))))
+            areas.append(np.zeros(len(own_faces)))
+            count += len(own_faces)
+        self.sampled, self.count = slice(start, count), count
+        self._areas = np.concatenate(areas)
+        self._rest = _joined([part for part, _ in bound])
+        self._directions = np.concatenate([normals for _, normals in bound])
+        self._vertices: _Bound | None = _joined(vertices) if vertices else None
+        self._faces: Int | None = np.concatenate(faces) if faces else None
+
+    def nbytes(self, loads: int, pushes: int) -> int:
+        """What points, and ARP there of so many drives, take in a world."""
+        sampled, loaded = self.sampled.stop - self.sampled.start, self.loaded.stop
+        return 24 * self.count + 16 * sampled + 4 * (pushes * sampled + loads * loaded)
+
+    def make(self) -> None:
+        """Take memory on the device."""
+        shape = self._worlds, self.count
+        self.points: Any = wp.zeros(shape, dtype=wp.vec3, device=self._device)
+        self.normals: Any = wp.zeros(shape, dtype=wp.vec3, device=self._device)
+        areas = np.tile(self._areas, (self._worlds, 1))
+        self.areas: Any = wp.array(areas, dtype=wp.float64, device=self._device)
+
+    def calls(self, motions: Any) -> list[Callable[[], object]]:
+        """Launches that bring all points where motions take them."""
+        device, carried = self._device, slice(0, self._carried)
+        inputs = [vectors(self._rest.points, device), vectors(self._directions, device)]
+        inputs += [_carriers(self._rest, device), motions, self.points[:, carried], self.normals[:, carried]]
+        calls = [launch(carrying.carry_points, (self._worlds, self._carried), inputs, device)]
+        if self._vertices is not None and self._faces is not None:
+            faces: Any = wp.array(self._faces.astype(np.int32), dtype=wp.vec3i, device=device)
+            results = [self.points[:, self._carried :], self.normals[:, self._carried :]]
+            results += [self.areas[:, self._carried - self.sampled.start :]]
+            inputs = [vectors(self._vertices.points, device), faces, _carriers(self._vertices, device), motions]
+            calls.append(launch(carrying.carry_faces, (self._worlds, len(self._faces)), [*inputs, *results], device))
+        return calls
+
+
+def _loaded(skin: SkinModel, stepper: SkinStepper | None) -> tuple[Float, Float, SkinBinding | None]:
+    """Where a skin takes pressure [m], normals there and what carries them: all its points, or those of a stepper."""
+    quadrature = skin.layer.quadrature
+    if stepper is None or stepper.points is None:
+        return quadrature.points, quadrature.normals, skin.quadrature_binding
+    points = quadrature.points[stepper.points]
+    return points, quadrature.normals[stepper.points], skin.carrier.bind(points)
+
+
+def _rest_samples(reference: PosedScene, number: int) -> tuple[Float, Float, Float]:
+    """Points [m], normals and areas [m2] for the force on a body in one piece, in its frame."""
+    body = reference.bodies[number]
+    if body.model.surface is None:
+        quadrature = body.skin.layer.quadrature
+        return quadrature.points, quadrature.normals, quadrature.weights
+    return body.model.rest_samples
+
+
+class ForceOwners:
+    """Force samples by the part of a body that they push."""
+
+    def __init__(self, reference: PosedScene, rows: MotionRows, samples: Sequence[tuple[int, slice]]):
+        owners: Int = np.zeros(samples[-1][1].stop, np.int32)
+        self._parts = rows.parts
+        for number, own in samples:
+            owners[own] = rows.bodies[number].start + reference.bodies[number].sample_parts
+        self._order = np.argsort(owners, kind="stable").astype(np.int32)
+        counts = np.bincount(owners, minlength=self._parts)
+        starts: list[int] = []
+        of_parts, at = [0], 0
+        for count in counts.tolist():
+            starts += range(at, at + count, RUN)
+            of_parts.append(len(starts))
+            at += count
+        self._run_parts = np.repeat(np.arange(self._parts), np.diff(of_parts))
+        self._starts, self._of_parts = np.array([*starts, at], np.int32), np.array(of_parts, np.int32)
+
+    def calls(
+        self, loads: Any, points: Any, normals: Any, origins: Any, result: Any, device: str
+    ) -> list[Callable[[], object]]:
+        """Launches that add loads up by part."""
+        order, starts, parts, of_parts = (
+            whole_numbers(values, device) for values in (self._order, self._starts, self._run_parts, self._of_parts)
+        )
+        runs = len(self._starts) - 1
+        worlds = len(result)
+        sums: Any = wp.zeros((worlds, runs, 6), dtype=wp.float64, device=device)
+        lanes: Any = wp.zeros((worlds, summing.LANES, self._parts, 6), dtype=wp.float64, device=device)
+        return [
+            launch(
+                summing.sums_of_runs,
+                (worlds, runs),
+                [loads, points, normals, order, starts, parts, origins, sums],
+                device,
+            ),
+            launch(summing.sums_of_parts, lanes.shape, [sums, of_parts, lanes], device),
+            launch(summing.sums_of_lanes, result.shape, [lanes, result], device),
+        ]
+
+
+def mesh_number(model: HapticModel, skin: int) -> int:
+    """The first skin on which the same things cast shadows."""
+    if model.skins[skin].spec.obstacles:
+        return skin
+    return next(number for number, other in enumerate(model.skins) if not other.spec.obstacles)
+
+
+def meshes_of(model: HapticModel, reference: PosedScene, device: str) -> dict[int, Occlusion]:
+    """What casts shadows, by the number of a skin on which it does; skins without obstacles share one."""
+    meshes: dict[int, Occlusion] = {}
+    for number, skin in enumerate(model.skins):
+        key = mesh_number(model, number)
+        if skin.spec.config.body_sound == "shadows" and key not in meshes:
+            counts, faces = occluding_counts(reference, number), occluding_faces(reference, number)
+            meshes[key] = Occlusion(occluding_vertices(reference, number), faces, device, counts)
+    return meshes
+
+
+def bring_mesh(
+    model: HapticModel, reference: PosedScene, skin: int, rows: MotionRows, mesh: wp.Mesh, motions: Any, device: str
+) -> list[Callable[[], object]]:
+    """Launches that bring what casts shadows where motions take it."""
+    parts = []
+    for body, own in zip(reference.bodies, rows.bodies, strict=True):
+        parts.append(_bound_vertices(body.model.hand, body.vertices, own.start))
+    if model.skins[skin].obstacles:
+        for number, shape in enumerate(model.skins[skin].obstacles_in_one[0]):
+            parts.append(_bound(shape, None, rows.obstacles[skin].start + number))
+    bound = _joined(parts)
+    inputs = [vectors(bound.points, device), _carriers(bound, device), motions, mesh.points.reshape((1, -1))]
+    return [launch(carrying.carry_vertices, (1, len(bound.points)), inputs, device), mesh.refit]
