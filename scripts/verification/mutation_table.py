@@ -1,4 +1,4 @@
-"""Faults that a change could bring in, at least one in every stage, and the test that finds each."""
+"""Faults that a change could bring in, three or more in every stage of a step, and the test that finds each."""
 
 from typing import NamedTuple
 
