@@ -90,7 +90,7 @@ def main() -> None:
         parser.error(
             f"--points {given.points} --repeats {given.repeats}: 1 to {field.MOST_POINTS} points, >= 5 repeats"
         )
-    device, array, air = resolve(given.device), layout(given.layout), Air()
+    device, array, air = resolve("cuda:0" if given.device == "cuda" else given.device), layout(given.layout), Air()
     drive = focus(array, air, np.array([0.02, -0.01, 0.2]))
     rng = np.random.default_rng(1)
     points = rng.uniform([-0.1, -0.1, 0.05], [0.1, 0.1, 0.4], (given.points, 3))
