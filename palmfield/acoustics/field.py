@@ -504,7 +504,8 @@ def box_distances(
 def _fall(absorption_Np_m: float, p0_Pa_m: float, unit_m: float, near: int, far: int) -> tuple[str, Float]:
     """`FieldEvaluator.fall` between two distances in RANGE_STEP_M."""
     kind, fall = falling(absorption_Np_m, near * RANGE_STEP_M, far * RANGE_STEP_M)
-    scaled = p0_Pa_m * in_unit(fall, unit_m)
+    # For distances in the unit, so that amplitudes over distance stay in Pa
+    scaled: Float = p0_Pa_m * fall * unit_m ** np.array([-1.0, 0.0, 1.0, 2.0])
     scaled.setflags(write=False)
     return kind, scaled
 
@@ -570,11 +571,6 @@ def _in_cosine(in_sine: tuple[float, ...]) -> tuple[Float, Float, bool]:
     for values in kept:
         values.setflags(write=False)
     return *kept, smooth
-
-
-def in_unit(fall: Float, unit_m: float) -> Float:
-    """The coefficients of `falling` for distances in units of unit_m, so that amplitudes over distance stay in Pa."""
-    return np.asarray(fall * unit_m ** np.array([-1.0, 0.0, 1.0, 2.0]))
 
 
 def padded(function: Polynomial | Chebyshev, count: int) -> Float:

@@ -397,11 +397,12 @@ def test_a_state_of_another_array_is_refused(small_scene):
     refused(second, data, "array", "array")
 
 
-def test_a_state_of_another_version_is_refused(model, monkeypatch):
+@pytest.mark.parametrize(("of", "now"), [("VERSION", states.VERSION + 1), ("version", lambda name: "0.0.1")])
+def test_a_state_of_another_version_is_refused(model, monkeypatch, of, now):
     data = stepped(model, mujoco.MjData(model), 3)
     vector = full_state(model, data)
     marks = world_of(data).scene.model.marks
-    monkeypatch.setattr(states, "VERSION", states.VERSION + 1)
+    monkeypatch.setattr(states, of, now)
     marks.clear()
     try:
         later = mujoco.MjData(model)

@@ -1,6 +1,7 @@
 """Error budgets of runs: inputs against runs with other inputs, what is left out against runs with it."""
 
 import json
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -109,6 +110,19 @@ def test_the_fields_error_is_that_of_single_precision(small_scene, moment):
         loudest, model = moment(scene), scene.runtime.model
         errors.append(field_error(model, 0, loudest, Radiation(model)))
     assert errors[1] < errors[0] < 5e-5
+
+
+def test_the_fields_error_is_that_of_the_pressures_square():
+    def sound(amplitude):
+        return lambda points, drive: amplitude * np.exp(1j * points[:, 0])
+
+    field = SimpleNamespace(pressure=lambda *given: SimpleNamespace(pressure=sound(1.001)(*given)))
+    arrays = SimpleNamespace(with_echoes64=sound(1.0), field=field)
+    points = np.random.default_rng(0).normal(size=(100, 3))
+    posed = SimpleNamespace(arrays=arrays, skins=[SimpleNamespace(quadrature=(points, None))])
+    radiation = SimpleNamespace(on=lambda *given: SimpleNamespace(arp=np.ones(100)))
+    found = field_error(None, 0, SimpleNamespace(posed=posed, drive=None), radiation)
+    assert found == pytest.approx(1.001**2 - 1.0, rel=1e-3)
 
 
 def test_a_ring_up_that_is_left_out_covers_a_run_with_it(small_scene, moment):

@@ -1,12 +1,14 @@
 """Where the phases between foci turn at once, as a run counts it, beside NumPy's eigenvectors of its result."""
 
 import logging
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.special import j1
 
 import palmfield
+from palmfield.session.phase_turns import PhaseTurns
 from palmfield.session.stimulus_import import import_stimulus
 from palmfield.stimulus.focus_table import focus_table, write_focus_table
 
@@ -97,3 +99,14 @@ def test_foci_whose_eigenvalues_stay_apart_turn_nowhere(small_scene, tmp_path, c
 def test_one_focus_has_no_phases_to_turn(small_scene):
     (numbers,) = palmfield.run(small_scene(duration_s=0.002)).summary["stimuli"]
     assert "phase_turns" not in numbers
+
+
+def test_a_vector_turns_where_it_stands_at_right_angles_to_the_last_one():
+    """Of complex vectors, whose common phase means nothing."""
+    first, other = np.array([1.0, 1j]) / np.sqrt(2.0), np.array([1.0, -1j]) / np.sqrt(2.0)
+    vectors = iter([first, 1j * first, other, other])
+    drive = SimpleNamespace(wavenumber=730.0, leading_of=lambda foci, wanted: next(vectors))
+    turns = PhaseTurns()
+    for record in range(4):
+        turns.see(0.001 * record, drive, np.array([[0.0, 0.0, 0.1], [0.01, 0.0, 0.1]]) + 1e-5 * record, None)
+    assert turns.times == [0.002]

@@ -8,6 +8,8 @@ import pytest
 
 import palmfield
 from palmfield.errors import SceneError
+from palmfield.session.duration import step_count
+from palmfield.session.loudest_moment import nearest_focus
 from palmfield.simulation.workspace import gather
 
 BAD_AND_NOT_COMPILED = '<keyframe><key qpos="0 0 0 0 0"/></keyframe>'
@@ -124,3 +126,15 @@ def test_odd_counts_and_times_are_refused(small_scene, worlds):
             sim.start_at(time_s)
     sim.step(np.int64(1))
     sim.start_at(np.float32(0.0))
+
+
+def test_a_duration_is_the_steps_that_come_nearest_to_it():
+    assert [step_count(k * 1e-4, 1e-4) for k in range(1, 1000)] == list(range(1, 1000))
+    assert step_count(0.0029, 0.0001) == 29 and step_count(1e-6, 0.001) == 1
+
+
+def test_a_skin_lies_under_the_focus_that_is_nearest_to_a_node():
+    nodes = np.column_stack([np.linspace(-0.05, 0.05, 11), np.zeros((11, 2))])
+    above_the_middle, at_the_rim = [0.0, 0.0, 0.004], [0.05, 0.0, 0.002]
+    for foci in ([above_the_middle, at_the_rim], [at_the_rim, above_the_middle]):
+        np.testing.assert_array_equal(nearest_focus(np.array(foci), nodes), at_the_rim)

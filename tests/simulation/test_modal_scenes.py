@@ -207,10 +207,12 @@ def test_skins_without_modes_are_refused(small_scene, skin, why):
 
 def test_faster_stimuli_have_more_error(small_scene):
     corners = []
-    for keys in (STEADY, {"am_frequency_Hz": 300}, LETTER):
+    # Once round a circle as wide as the spot is pi widths
+    circle = LETTER | {"path_rate_Hz": 190, "control_rate_Hz": 0}
+    for keys in (STEADY, {"am_frequency_Hz": 300}, LETTER, circle):
         model = load(small_scene(stimulus=keys)).runtime.model
         corners.append(corner_Hz(model.stimuli[0], 0.01))
-    assert corners == [75.0, 150.0, 500.0]
+    assert corners == pytest.approx([75.0, 150.0, 500.0, 190.0], rel=1e-4)
 
 
 def test_modes_do_not_depend_on_the_scene_s_turn_and_the_order_of_its_arrays(tmp_path):

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+import warp as wp
 from scipy import sparse
 
 from palmfield.skin.fem.assembly import SkinSystem, assemble
@@ -14,8 +15,10 @@ from palmfield.skin.materials.catalogue import PRESETS
 from palmfield.skin.materials.material import Material
 from palmfield.skin.mesh.disc import disc_patch
 from palmfield.skin.mesh.wedges import WedgeMesh, extrude
-from palmfield.skin.stepper import SurfaceLoads
+from palmfield.skin.reduction.device_models import SECTIONS
+from palmfield.skin.stepper import StepMemory, SurfaceLoads
 from palmfield.types import Float
+from warp_kernels.skin_steps import LANES
 
 SPOT_M, DEPTH_M, RADIUS_M = 0.0103, 0.02, 0.06
 
@@ -85,3 +88,34 @@ def make_spot():
 def coarse_spot():
     """About 1.5 k degrees of freedom: for what must hold on any mesh."""
     return disc_spot(0.009, 1, radius_m=0.03)
+
+
+@pytest.fixture(scope="session")
+def on_device():
+    """Steps a skin by the launches of a device model on the CPU."""
+
+    def step(model, state, loads):
+        """States after all substeps, shape (w, n), and sums of squares, (w, SECTIONS).
+
+        loads: pressure at all of the layer's points; of the second world the last pattern is none, whatever lies there
+        """
+        worlds, substeps, patterns = loads.first.shape
+        counts, pressure = np.full((worlds, 2), patterns), loads.pressure_Pa.copy()
+        counts[1, 1], pressure[1, -1] = patterns - 1, np.nan
+        weights = np.array([model.weights(*ends) for ends in zip(loads.first, loads.last, strict=True)])
+        after = wp.zeros(state.shape, dtype=wp.float64, device="cpu")
+        squares = wp.zeros((worlds, SECTIONS, substeps, LANES), dtype=wp.float64, device="cpu")
+        counts, pressure, weights, before = (
+            wp.array(values, dtype=dtype, device="cpu")
+            for values, dtype in (
+                (counts, wp.int32),
+                (pressure.reshape(-1, pressure.shape[2]), wp.float32),
+                (weights, wp.float64),
+                (state, wp.float64),
+            )
+        )
+        for call in model.calls(StepMemory(counts, pressure, weights, before, after, squares)):
+            call()
+        return after.numpy(), squares.numpy().sum(axis=(2, 3))
+
+    return step

@@ -16,6 +16,7 @@ from palmfield.skin.fem.solver import harmonic, static
 from palmfield.skin.fem.wedge_stepper import WedgeStepper
 from palmfield.skin.materials.material import Branch, Material, kelvin_voigt, standard_linear
 from palmfield.skin.reduction import modal_stepper
+from palmfield.skin.reduction.device_models import DeviceModes
 from palmfield.skin.reduction.modal_stepper import ModalStepper, modal_body
 from palmfield.skin.stepper import SurfaceLoads
 
@@ -281,6 +282,63 @@ def test_what_lies_outside_the_class_is_seen(disc, modes):
         shares.append((np.sqrt(seen.energy / seen.energy_of_all), np.sqrt(seen.plain / seen.plain_of_all)))
     assert max(shares[0]) < 0.05
     assert min(shares[1]) > 0.15
+
+
+def test_of_what_is_no_sum_of_shapes_nothing_is_hidden(disc, modes):
+    """Least squares fit away a part of noise, which the share counts all the same."""
+    noise = np.random.default_rng(2).standard_normal((1, 400, len(modes.points)))
+    each = np.eye(400)[None]
+    seen = modes.outside(SurfaceLoads(noise, each, each))
+    # Of the mixture of a step's ends: both are the same here
+    assert seen.plain / seen.plain_of_all == pytest.approx(1.0, abs=0.01)
+
+
+def test_half_the_step_leaves_a_quarter_of_the_error(disc, modes):
+    """Under a pressure that comes smoothly, against steps of a twentieth."""
+    pressure = bell(disc, [[0.002, 0.001]])[:, modes.points]
+    reader, ends = modes.reader(disc.surface), []
+    for parts in (1, 2, 20):
+        stepper = ModalStepper(modes.body, disc.system, STEP / parts, 100.0)
+        times = np.linspace(0.0, 0.004, 20 * parts + 1)
+        level = (np.sin(0.5 * np.pi * times / 0.004) ** 4)[None, :, None]
+        state = np.zeros((1, stepper.state_size))
+        stepper.step(state, SurfaceLoads(pressure[None], level[:, :-1], level[:, 1:]), 0.0, 0.004)
+        ends.append(stepper.read(state, reader)[0, 0])
+    errors = [np.linalg.norm(end - ends[2]) for end in ends[:2]]
+    assert 3.6 < errors[0] / errors[1] < 4.4
+
+
+def random_loads(disc, worlds=2, patterns=3):
+    """Any patterns at any levels; of the second world the last one sounds nowhere."""
+    random = np.random.default_rng(4)
+    first, last = random.uniform(-1.0, 1.0, (2, worlds, SUBSTEPS, patterns))
+    first[1, :, -1] = last[1, :, -1] = 0.0
+    pressure = 100.0 * random.standard_normal((worlds, patterns, len(disc.quadrature.weights)))
+    return SurfaceLoads(pressure.astype(np.float32), first, last)
+
+
+def stepped_on_device(on_device, disc, stepper):
+    loads, state = random_loads(disc), np.zeros((2, stepper.state_size))
+    march(stepper, [random_loads(disc)], disc, state)
+    found, squares = on_device(DeviceModes(stepper, SUBSTEPS, "cpu"), state, loads)
+    expected = state.copy()
+    stepper.step(expected, at_points(loads, stepper), 0.0, SUBSTEPS * STEP)
+    rows = [part.reshape(2, stepper.state_rows, -1) for part in (found, expected)]
+    assert (np.abs(rows[0] - rows[1]).max(axis=2) < 2e-5 * np.abs(rows[1]).max(axis=2)).all()
+    for world in range(2):
+        own = at_points(
+            SurfaceLoads(*(part[world, None] for part in (loads.pressure_Pa, loads.first, loads.last))), stepper
+        )
+        np.testing.assert_allclose(stepper.weighed(squares[world]), stepper.outside(own), rtol=1e-4)
+
+
+def test_a_device_moves_modes_as_their_stepper(disc, modes, on_device):
+    stepped_on_device(on_device, disc, modes)
+
+
+def test_a_device_moves_coupled_modes_as_their_stepper(sheets, on_device):
+    assert sheets[1].coupled
+    stepped_on_device(on_device, *sheets)
 
 
 def test_the_energy_norm_is_that_of_the_skin(disc, modes):

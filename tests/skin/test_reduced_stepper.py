@@ -15,6 +15,7 @@ from palmfield.skin.fem.solver import harmonic, static
 from palmfield.skin.fem.wedge_stepper import WedgeStepper
 from palmfield.skin.materials.material import Branch, Material
 from palmfield.skin.reduction import reduced_stepper as module
+from palmfield.skin.reduction.device_models import DeviceReduced
 from palmfield.skin.reduction.dynamic_stiffness import DynamicStiffness
 from palmfield.skin.reduction.krylov import Krylov, harmonics, level, periodic
 from palmfield.skin.reduction.reduced_stepper import KnownLoad, reduced_stepper
@@ -182,6 +183,18 @@ def test_pressures_that_stay_are_stepped_over_at_once(disc, at_one_place):
         for state, fixed in zip(states, (False, True), strict=True):
             stepper.step(state, SurfaceLoads(pressure, first, last, fixed), 0.0, 5.0 * STEP)
         np.testing.assert_allclose(states[1], states[0], rtol=0.0, atol=1e-12 * np.abs(states[0]).max())
+
+
+def test_a_device_moves_a_small_model_as_its_stepper(disc, at_one_place, on_device):
+    stepper, random = at_one_place, np.random.default_rng(3)
+    pressure = random.standard_normal((2, 2, disc[0].system.ndof)).astype(np.float32)
+    state = random.standard_normal((2, stepper.state_size))
+    first, last = random.random((2, 2, 5, 2))
+    first[1, :, -1] = last[1, :, -1] = 0.0
+    loads = SurfaceLoads(pressure, first, last)
+    found, _ = on_device(DeviceReduced(stepper, 5, pressure.shape[2], "cpu"), state, loads)
+    stepper.step(state, loads, 0.0, 5.0 * STEP)
+    np.testing.assert_allclose(found, state, rtol=0.0, atol=1e-5 * np.abs(state).max())
 
 
 def test_more_vectors_than_allowed_are_refused(disc, monkeypatch):
