@@ -22,6 +22,9 @@ from palmfield.types import Complex, Float
 
 AHEAD = 16
 """Steps for which what is commanded is computed in one go."""
+SHARED_FROM = 32
+"""Worlds from which on those that differ in their level have one field, of which the rounding of float32 is another: it
+changes ARP by some 1e-6, where the field errs by 2e-5. Fewer worlds are each as by itself."""
 ALIKE, LEAST = 1e-14, 1e-300
 """Rounding of a drive, of its largest amplitude, and the least power that is no zero."""
 
@@ -117,7 +120,8 @@ class SmoothSound:
         first = self._first.setdefault((posed.serial, tuple(point)), unit)
         scale = abs(np.vdot(first.amplitudes, unit.amplitudes)) / max(first.power, LEAST)
         alike = np.abs(unit.amplitudes - scale * first.amplitudes).max() <= ALIKE * unit.peak
-        unit, self._scales[world] = (first, scale) if alike else (unit, 1.0)
+        shared = alike and len(self.models) >= SHARED_FROM
+        unit, self._scales[world] = (first, scale) if shared else (unit, 1.0)
         self._of[world], self.serials[world], self._poses[world] = unit, unit.serial, posed.serial
         self._units[world], self._powers[world], self._peaks[world] = unit.amplitudes, unit.power, unit.peak
         self._known[world] = False

@@ -6,6 +6,7 @@ What is kept from one step to the next lies under serial numbers of poses and dr
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from itertools import repeat
 from operator import call, is_not, methodcaller
@@ -13,7 +14,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from palmfield.blas import one_blas_thread
+from palmfield.blas import MANY, one_blas_thread
 from palmfield.device import resolve
 from palmfield.drive.transducer_response import EmittedCourse, present_drive
 from palmfield.errors import naming_world
@@ -337,7 +338,7 @@ class Steps:
         skins: False leaves them as they are. Raises SceneError for a state of another solver and where a small model
         that key `solver` names can't go on.
         """
-        with one_blas_thread:
+        with one_blas_thread if len(self.models) < MANY else nullcontext():
             if len(self.moving.joined):
                 self.moving.advance(skins)
             joined = self.smooth.joined
@@ -575,7 +576,9 @@ class Steps:
                 if pattern is None or group.keys[i, 1] == 0:
                     pattern = made[group.keys[i].tobytes()] = self._patterns(group, skin, stepper, i)
                 patterns.append(pattern)
-            stacked = np.stack(patterns) if len(patterns) > 1 else patterns[0][None]
+            shape = len(patterns), *patterns[0].shape
+            # One that all worlds have is there once
+            stacked = np.broadcast_to(patterns[0], shape) if len(made) == 1 else np.stack(patterns)
             known = self._stacks[skin, stepper] = key, stacked
         return known[1], fixed
 

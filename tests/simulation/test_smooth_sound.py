@@ -7,7 +7,7 @@ import palmfield
 from palmfield.drive.transducer_response import rows
 from palmfield.simulation.emission import Emission
 from palmfield.simulation.posed_scene import PosedScene, reference_scene
-from palmfield.simulation.smooth_sound import SmoothSound
+from palmfield.simulation.smooth_sound import SHARED_FROM, SmoothSound
 from palmfield.simulation.state import new_state
 from palmfield.stimulus.schedule import substep_moments
 from palmfield.transforms import IDENTITY, Transform
@@ -66,3 +66,21 @@ def test_one_level_a_world_is_what_its_transducers_emit(small_scene, response, a
             np.testing.assert_allclose(emitted, [courses[world].end for world in worlds], atol=1e-9)
     # All but steps in which a sound begins or ends, and 5 in which the old drive fades: exp(-pi 40 kHz/25 t) = SILENT
     assert met.tolist() == [9 if response == "on" else 14, 12, 13]
+
+
+def test_many_worlds_of_other_levels_have_one_field(small_scene):
+    levels = np.linspace(0.4, 1.0, SHARED_FROM)
+    scene = small_scene(skin={"solver": "wedges", "accuracy": 0.5})
+    worlds = palmfield.Simulation(scene, worlds=SHARED_FROM, keys={"stimulus.drive_amplitude": levels})
+    worlds.step(4)
+    assert len(np.unique(worlds.steps.smooth.serials)) == 1
+    for world in (0, 17, SHARED_FROM - 1):
+        alone = palmfield.Simulation(scene, keys={"stimulus.drive_amplitude": levels[world]})
+        alone.step(4)
+        for mine, its in (
+            (worlds.forces[world], alone.forces),
+            (worlds.sensors[world], alone.data.sensordata),
+            (worlds.skin().displacement[world], alone.skin().displacement),
+            (worlds.emitted[world], alone.emitted),
+        ):
+            assert np.abs(mine - its).max() < 5e-6 * np.abs(its).max()  # the field itself errs by 2e-5

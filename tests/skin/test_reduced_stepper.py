@@ -185,6 +185,19 @@ def test_pressures_that_stay_are_stepped_over_at_once(disc, at_one_place):
         np.testing.assert_allclose(states[1], states[0], rtol=0.0, atol=1e-12 * np.abs(states[0]).max())
 
 
+@pytest.mark.parametrize("fixed", [False, True])
+def test_one_pressure_of_all_worlds_is_as_one_of_each(disc, at_one_place, fixed):
+    rng = np.random.default_rng(0)
+    pressure, weights = rng.normal(size=(1, at_one_place.unknowns)), rng.uniform(size=(2, 5, 4, 1))
+    states = []
+    for shared in (np.broadcast_to(pressure, (5, *pressure.shape)), np.tile(pressure, (5, 1, 1))):
+        state = np.ones((5, at_one_place.state_size))
+        for _ in range(2):
+            at_one_place.step(state, SurfaceLoads(shared, *weights, fixed), 0.0, 4 * STEP)
+        states.append(state)
+    np.testing.assert_allclose(*states, rtol=0.0, atol=1e-12 * np.abs(states[1]).max())
+
+
 def test_a_device_moves_a_small_model_as_its_stepper(disc, at_one_place, on_device):
     stepper, random = at_one_place, np.random.default_rng(3)
     pressure = random.standard_normal((2, 2, disc[0].system.ndof)).astype(np.float32)

@@ -5,6 +5,7 @@ It is exact in time, and a substep is one dense product.
 
 import itertools
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +13,7 @@ import numpy as np
 from scipy import sparse
 
 from palmfield import cache
-from palmfield.blas import one_blas_thread
+from palmfield.blas import MANY, one_blas_thread
 from palmfield.skin.fem.assembly import SkinSystem
 from palmfield.skin.reduction.device_models import DeviceReduced, pays
 from palmfield.skin.reduction.dynamic_stiffness import DynamicStiffness
@@ -119,7 +120,7 @@ class ReducedStepper(SkinStepper):
                     state[:] = states[:, -1] @ modes.back
                     states = states if observe is None else states @ modes.back
             else:
-                forces = self._forces(loads)
+                forces = np.broadcast_to(self._forces(loads), (worlds, loads.first.shape[2], self.shares.shape[1]))
                 for one, after, force, first, last in zip(state, states, forces, loads.first, loads.last, strict=True):
                     after[:] = self.model.march(one, first @ force, last @ force, (t1 - t0) / substeps)
                 state[:] = states[:, -1]
@@ -131,20 +132,20 @@ class ReducedStepper(SkinStepper):
         """All substeps at once, under pressures that stay: nobody asks for what lies between."""
         worlds, substeps, _ = loads.first.shape
         known = self._leaps
-        with one_blas_thread:
+        with one_blas_thread if worlds < MANY else nullcontext():
             if known is None or known[0] is not loads.pressure_Pa or known[1] != substeps:
                 forces = self._forces(loads)
                 pushes = np.stack([forces @ self.start, forces @ self.end], axis=1)
-                steps, power = [pushes], self.advance.T
+                steps, power = [pushes], self.advance.T  # one world's where all have the same pressure
                 for _ in range(substeps - 1):
                     steps.append(steps[-1] @ self.advance.T)
                     power = power @ self.advance.T
                 # What is pushed first goes the longest way, (w, start and end, s, k, n)
-                ways = np.stack(steps[::-1], axis=2).reshape(worlds, -1, self.state_size)
+                ways = np.stack(steps[::-1], axis=2).reshape(len(forces), -1, self.state_size)
                 self._leaps = known = loads.pressure_Pa, substeps, ways, power
             weights = np.stack([loads.first, loads.last], axis=1).reshape(worlds, 1, -1)
             after = state @ known[3]
-            after += np.matmul(weights, known[2])[:, 0]
+            after += weights[:, 0] @ known[2][0] if len(known[2]) == 1 else np.matmul(weights, known[2])[:, 0]
         state[:] = after
 
     def _march(self, state: Float, states: Float) -> None:
@@ -156,11 +157,12 @@ class ReducedStepper(SkinStepper):
             before = after
 
     def _forces(self, loads: SurfaceLoads) -> Float:
-        """Shapes of force under patterns of pressure (w, k, q), shape (w, k, j)."""
+        """Shapes of force under patterns of pressure (w, k, q), (w, k, j), of one world where all have the same."""
         pressure, known = loads.pressure_Pa, self._fixed
         if loads.fixed and known is not None and known[0] is pressure:
             return known[1]
-        forces = np.asarray(pressure @ (self._single_shares if pressure.dtype == np.float32 else self.shares))
+        own = pressure[:1] if pressure.strides[0] == 0 else pressure
+        forces = np.asarray(own @ (self._single_shares if pressure.dtype == np.float32 else self.shares))
         if loads.fixed:
             self._fixed = pressure, forces
         return forces
