@@ -70,7 +70,6 @@ def fields(rows: int, gpu: bool, shaded: bool = False) -> Any:
         drives: wp.array2d(dtype=wp.vec2),
         weights_re: wp.array3d(dtype=wp.float32),
         weights_im: wp.array3d(dtype=wp.float32),
-        corners: wp.array(dtype=wp.vec3),
         result: wp.array4d(dtype=wp.float32),
     ):
         """Of the transducers [first, stop) in runs of `size`; what the runs give begins at result[:, run].
@@ -82,8 +81,6 @@ def fields(rows: int, gpu: bool, shaded: bool = False) -> Any:
         counts: how many drives there are in each world; drives: complex amplitude of each transducer [Pa m], shape
             (w drives, n)
         weights_re, weights_im: as `gradient.gradient`, read if `shaded`
-        corners: of a convex hull with all transducers in it, as `resultants.mean_load`: points that it lies behind get
-            nothing; None where they count
         result: the numbers of a field, shape (w drives, runs, PARTS, points)
         """
         block, j, i = wp.tid()
@@ -93,13 +90,6 @@ def fields(rows: int, gpu: bool, shaded: bool = False) -> Any:
         if row - world * capacity < counts[world, 0]:
             point = points[world, i]
             normal = STEEPNESS * normals[world, i]
-            last = wp.min(first + (j + 1) * size, stop)
-            if corners.shape[0] > 0:
-                nearest = wp.float32(-wp.inf)
-                for k in range(corners.shape[0]):
-                    nearest = wp.max(nearest, wp.dot(corners[k] - point, normals[world, i]))
-                if nearest <= 0.0:
-                    last = wp.int32(0)
             in_directivity = shapes[0]
             in_slope = shapes[1]
             # From a struct they would be loaded again for each transducer
@@ -116,7 +106,7 @@ def fields(rows: int, gpu: bool, shaded: bool = False) -> Any:
             y_im = lanes()
             z_re = lanes()
             z_im = lanes()
-            for e in range(first + j * size, last):
+            for e in range(first + j * size, wp.min(first + (j + 1) * size, stop)):
                 loudest = wp.float32(0.0)
                 for r in range(rows):
                     a = drives[row + r, e]

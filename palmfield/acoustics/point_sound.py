@@ -179,12 +179,10 @@ def sound_calls(
     surfaces: Sequence[Surface],
     arrays: PhasedArray,
     result: Any,
-    seen: bool = False,
 ) -> Calls:
     """Launches that compute the ARP [Pa] of a table's sums at points, into `result`, shape (w m, n).
 
     points [m], normals: unit, outward, on the device, vec3, shape (w, n); arrays: for the air
-    seen: whether only points count that a transducer may be in front of, as of `resultants.mean_load`
     """
     device, count = transducers.device, points.shape[1]
     if count == 0:
@@ -198,7 +196,6 @@ def sound_calls(
         sizes.append(max(SHORTEST_RUN, -(-length // most)))
     runs = [-(-(own.stop - own.start) // size) for (own, _, _), size in zip(transducers.groups, sizes, strict=True)]
     fields: wp.array = wp.zeros((capacity, sum(runs), kernels.PARTS, count), dtype=wp.float32, device=device)
-    corners = transducers.corners if seen else None
     calls = []
     run = 0
     shaded = [surface for surface in surfaces if surface.shades is not None]
@@ -206,13 +203,13 @@ def sound_calls(
         of_group = [*transducers.places, shapes, waves, own.start, own.stop, size, run, table.counts, table.drives]
         if len(shaded) < len(surfaces):
             kernel, dim = kernels.fields(rows, device != "cpu"), (capacity // rows, own_runs, count)
-            calls.append(launch(kernel, dim, [points, normals, *of_group, None, None, corners, fields], device))
+            calls.append(launch(kernel, dim, [points, normals, *of_group, None, None, fields], device))
         # Over what these points got without shades
         for surface in shaded:
             assert surface.shades is not None
             here, dim = surface.points, (capacity // rows, own_runs, surface.points.stop - surface.points.start)
             kernel = kernels.fields(rows, device != "cpu", shaded=True)
-            inputs = [points[:, here], normals[:, here], *of_group, *surface.shades, corners, fields[:, :, :, here]]
+            inputs = [points[:, here], normals[:, here], *of_group, *surface.shades, fields[:, :, :, here]]
             calls.append(launch(kernel, dim, inputs, device))
         run += own_runs
     for surface in surfaces:

@@ -259,7 +259,7 @@ class GraphWork:
         for name, arp in zip(PURPOSES, arps, strict=True):
             table = DriveTable(*(arrays[f"{name}_{part}"] for part in ("counts", "drives", "levels")))
             here = points.points[:, places[name]], points.normals[:, places[name]]
-            sound[name] = [*sound_calls(transducers, table, *here, surfaces[name], model.arrays, arp, name == FORCE)]
+            sound[name] = [*sound_calls(transducers, table, *here, surfaces[name], model.arrays, arp)]
         motions = filled(carrying.Motions(), turns=arrays["turns"], shifts=arrays["shifts"])
         self._pose += points.calls(motions)
         for skin, mesh in meshes.items():
