@@ -11,9 +11,6 @@ from typing import Any
 
 from threadpoolctl import ThreadpoolController
 
-MANY = 512
-"""Worlds whose skins' products are worth more BLAS threads than one."""
-
 
 class OneBlasThread:
     """A context in which every BLAS of this process uses one thread; it may be nested, and entered by many threads.

@@ -245,7 +245,8 @@ class SceneRuntime:
         """Whether steps may be gathered now: nothing feels them, reads in them or watches them."""
         steps, watched = self.steps, any(one is not None for one in self.work.observe)
         called = mujoco.get_mjcb_control() or mujoco.get_mjcb_passive() or mujoco.get_mjcb_sensor()
-        return not (self.felt or watched or called or steps.observer is not None or steps.moving.some)
+        graphs = steps.moving.some or steps.graph is not None  # which are quicker step by step
+        return not (self.felt or watched or called or steps.observer is not None or graphs)
 
     def advance(self) -> None:
         """Carry transducers and skins over MuJoCo's last step, with the pose at its beginning."""

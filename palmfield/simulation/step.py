@@ -6,7 +6,6 @@ What is kept from one step to the next lies under serial numbers of poses and dr
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass
 from itertools import repeat
 from operator import call, is_not, methodcaller
@@ -14,7 +13,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from palmfield.blas import MANY, one_blas_thread
+from palmfield.blas import one_blas_thread
 from palmfield.device import resolve
 from palmfield.drive.transducer_response import EmittedCourse, present_drive
 from palmfield.errors import naming_world
@@ -338,7 +337,7 @@ class Steps:
         skins: False leaves them as they are. Raises SceneError for a state of another solver and where a small model
         that key `solver` names can't go on.
         """
-        with one_blas_thread if len(self.models) < MANY else nullcontext():
+        with one_blas_thread:
             if len(self.moving.joined):
                 self.moving.advance(skins)
             joined = self.smooth.joined

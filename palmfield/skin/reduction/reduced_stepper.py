@@ -5,7 +5,6 @@ It is exact in time, and a substep is one dense product.
 
 import itertools
 from collections.abc import Callable
-from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +12,7 @@ import numpy as np
 from scipy import sparse
 
 from palmfield import cache
-from palmfield.blas import MANY, one_blas_thread
+from palmfield.blas import one_blas_thread
 from palmfield.skin.fem.assembly import SkinSystem
 from palmfield.skin.reduction.device_models import DeviceReduced, pays
 from palmfield.skin.reduction.dynamic_stiffness import DynamicStiffness
@@ -132,7 +131,7 @@ class ReducedStepper(SkinStepper):
         """All substeps at once, under pressures that stay: nobody asks for what lies between."""
         worlds, substeps, _ = loads.first.shape
         known = self._leaps
-        with one_blas_thread if worlds < MANY else nullcontext():
+        with one_blas_thread:
             if known is None or known[0] is not loads.pressure_Pa or known[1] != substeps:
                 forces = self._forces(loads)
                 pushes = np.stack([forces @ self.start, forces @ self.end], axis=1)
