@@ -13,6 +13,7 @@ from palmfield.drive.transducer_response import EmittedCourse
 from palmfield.errors import SceneError
 from palmfield.mujoco_host.mujoco_view import DataView, ForceOutlet, PluginSensor
 from palmfield.simulation.build import model_of
+from palmfield.simulation.graph_work import serves
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene, PoseLayout, posed_scene
 from palmfield.simulation.scene_reader import read_scene
@@ -232,8 +233,10 @@ class SceneRuntime:
 
     @cached_property
     def felt(self) -> str:
-        """What feels the sound's force or may read sensors, so that steps are not gathered; empty for nothing."""
+        """Why steps are not gathered: what feels the sound's force, or may read sensors; empty where they may be."""
         model = self.view.model
+        if serves(self.model):
+            return "a graph on a GPU takes each by itself"
         for body in dict.fromkeys(number for parts in self.parts for part in parts for number in model.ancestors(part)):
             if model.raw.body_dofnum[body] > 0:
                 return f"body '{model.names('body')[body]}' has degrees of freedom, which feel the sound"
