@@ -115,6 +115,10 @@ def test_what_feels_the_sound_is_stepped_one_by_one(
     assert sim.runtime.may_gather
     sim.steps.observer = lambda trace: None
     assert not sim.runtime.may_gather
+    plain = free.with_name("plain.xml")
+    arm = '<body name="arm" gravcomp="1"><joint type="slide"/><geom size="0.01" pos="0.1 0 0.2"/><body name="pad"'
+    plain.write_text(plain.read_text().replace('<body name="pad"', arm).replace("</body>", "</body></body>"))
+    assert "body 'arm' has degrees of freedom" in palmfield.Simulation(free).runtime.felt
 
 
 def test_an_error_in_the_midst_leaves_whole_steps(still: Callable[..., Path], monkeypatch: pytest.MonkeyPatch) -> None:
