@@ -115,10 +115,10 @@ class SharedArray:
         if self._pinned is not None:
             wp.copy(self.array, self._pinned, count=count)
 
-    def download(self) -> None:
-        """Fetch into `host` what kernels have written."""
+    def download(self, count: int = 0) -> None:
+        """Fetch into `host` what kernels have written, or the first `count` values of it."""
         if self._pinned is not None:
-            wp.copy(self._pinned, self.array)
+            wp.copy(self._pinned, self.array, count=count)
 
 
 PAGE = 256
@@ -150,10 +150,6 @@ class SharedBlock:
     def upload(self, before: str | None = None) -> None:
         """As SharedArray.upload, for all arrays, or those before this one."""
         self._whole.upload(0 if before is None else self._starts[before])
-
-    def clear(self) -> None:
-        """Set what kernels see to 0."""
-        self._whole.array.zero_()
 
     def download(self) -> None:
         """As SharedArray.download, for all arrays."""

@@ -60,56 +60,37 @@ def arp(
 class SurfacePoints:
     """What `surface_sound` takes, in one piece: a recorded launch packs each of its arguments anew.
 
-    pressure [Pa], gradient [Pa/m], shape (n, 3), unit outward normals; per_wavenumber, weights: as `arp`
-    arp, amplitude, flux: results
+    count: of drives; pressure [Pa], shape (m, n), gradient [Pa/m], shape (m, n, 3), of the first ones
+    normals: unit, outward; per_wavenumber, weights: as `arp`
+    arp, amplitude: results of each drive, shape (m, n); flux: of the first one
     """
 
-    pressure: wp.array(dtype=wp.vec2)
-    gradient: wp.array2d(dtype=wp.vec2)
+    count: wp.array(dtype=wp.int32)
+    pressure: wp.array2d(dtype=wp.vec2)
+    gradient: wp.array3d(dtype=wp.vec2)
     normals: wp.array(dtype=wp.vec3)
     per_wavenumber: wp.float32
     weights: wp.vec3
-    arp: wp.array(dtype=wp.float32)
-    amplitude: wp.array(dtype=wp.float32)
+    arp: wp.array2d(dtype=wp.float32)
+    amplitude: wp.array2d(dtype=wp.float32)
     flux: wp.array(dtype=wp.vec3)
 
 
 @wp.kernel
 def surface_sound(at: SurfacePoints):
-    """ARP [Pa], |p| [Pa] and Im(p* grad p) [Pa2/m], along which the sound's energy flows, by point.
-
-    It leaves pressure and gradient at zero, as the kernels of `gradient.py` add to them when they come round again.
-    """
+    """ARP [Pa], |p| [Pa] and Im(p* grad p) [Pa2/m], along which the sound's energy flows, by point."""
     i = wp.tid()
-    p = at.pressure[i]
-    gx = at.gradient[i, 0]
-    gy = at.gradient[i, 1]
-    gz = at.gradient[i, 2]
-    g_re = wp.vec3(gx[0], gy[0], gz[0])
-    g_im = wp.vec3(gx[1], gy[1], gz[1])
-    at.arp[i] = pressure_on_surface(p, g_re, g_im, at.normals[i], at.per_wavenumber, at.weights)
-    at.amplitude[i] = wp.length(p)
-    at.flux[i] = p[0] * g_im - p[1] * g_re
-    at.pressure[i] = wp.vec2()
-    for j in range(3):
-        at.gradient[i, j] = wp.vec2()
-
-
-@wp.kernel
-def keep(
-    number: wp.array(dtype=wp.int32),
-    pressure: wp.array(dtype=wp.vec2),
-    gradient: wp.array2d(dtype=wp.vec2),
-    kept_pressure: wp.array2d(dtype=wp.vec2),
-    kept_gradient: wp.array3d(dtype=wp.vec2),
-):
-    """Put pressure and gradient (n, 3) away as those of a number, and leave zeros, as `surface_sound` does."""
-    i = wp.tid()
-    kept_pressure[number[0], i] = pressure[i]
-    pressure[i] = wp.vec2()
-    for j in range(3):
-        kept_gradient[number[0], i, j] = gradient[i, j]
-        gradient[i, j] = wp.vec2()
+    for k in range(at.count[0]):
+        p = at.pressure[k, i]
+        gx = at.gradient[k, i, 0]
+        gy = at.gradient[k, i, 1]
+        gz = at.gradient[k, i, 2]
+        g_re = wp.vec3(gx[0], gy[0], gz[0])
+        g_im = wp.vec3(gx[1], gy[1], gz[1])
+        at.arp[k, i] = pressure_on_surface(p, g_re, g_im, at.normals[i], at.per_wavenumber, at.weights)
+        at.amplitude[k, i] = wp.length(p)
+        if k == 0:
+            at.flux[i] = p[0] * g_im - p[1] * g_re
 
 
 @wp.func

@@ -9,6 +9,7 @@ from typing import Any
 
 import warp as wp
 
+from warp_kernels.arp import times
 from warp_kernels.point_sound import BLOCK
 from warp_kernels.pressure import (
     CPU,
@@ -29,24 +30,90 @@ from warp_kernels.pressure import (
     vec6,
 )
 
+vec8 = wp.types.vector(length=8, dtype=wp.float32)
+MOST = 16
+"""Drives that `gradient` takes at once."""
+TILE = 16
+"""Transducers whose sound is kept for all drives, on the CPU: with the sums over them it fills half of the L1 cache."""
+NUMBERS = 8 * WIDTH["cpu"]
+SCRATCH = (TILE + MOST) * NUMBERS
+"""Numbers that `gradient` takes on the CPU for itself."""
+
+
+@wp.func_native(
+    snippet=f"""
+    float* const to = scratch.data + slot * {NUMBERS} + i;
+    for (int j = 0; j < 8; ++j) to[{WIDTH["cpu"]} * j] = values.c[j];
+"""
+)
+def keep(scratch: wp.array(dtype=wp.float32), slot: wp.int32, i: wp.int32, values: vec8):
+    """Put a transducer's sound at a point into the tile: LLVM doesn't vectorise Warp's own indexing."""
+    ...
+
+
+@wp.func_native(
+    snippet=f"for (int i = ({TILE} + low) * {NUMBERS}; i < ({TILE} + high) * {NUMBERS}; ++i) scratch.data[i] = 0.0f;"
+)
+def clear(scratch: wp.array(dtype=wp.float32), low: wp.int32, high: wp.int32):
+    """Set the sums of drives from `low` up to `high` to zero."""
+    ...
+
+
+@wp.func_native(
+    snippet=f"""
+    typedef float lanes __attribute__((vector_size(32)));
+    for (int k = low; k < high; ++k) {{
+        const float* const drive = reinterpret_cast<const float*>(
+            reinterpret_cast<const char*>(drives.data) + k * size_t(drives.strides[0])) + 2 * first;
+        for (int half = 0; half < 2; ++half) {{
+            const lanes* tile = reinterpret_cast<const lanes*>(scratch.data) + half;
+            lanes* const sums = reinterpret_cast<lanes*>(scratch.data + ({TILE} + k) * {NUMBERS}) + half;
+            lanes s[8] = {{}};
+            for (int n = 0; n < size; ++n, tile += 16) {{
+                const float re = drive[2 * n], im = drive[2 * n + 1];
+                for (int j = 0; j < 8; j += 2) {{ s[j] += re * tile[2 * j]; s[j + 1] += im * tile[2 * j]; }}
+                for (int j = 0; j < 8; j += 2) {{ s[j] -= im * tile[2 * j + 2]; s[j + 1] += re * tile[2 * j + 2]; }}
+            }}
+            for (int j = 0; j < 8; ++j) sums[2 * j] += s[j];
+        }}
+    }}
+"""
+)
+def add_tile(
+    scratch: wp.array(dtype=wp.float32),
+    size: wp.int32,
+    drives: wp.array2d(dtype=wp.vec2),
+    first: wp.int32,
+    low: wp.int32,
+    high: wp.int32,
+):
+    """Add what drives from `low` up to `high` make of the tile, `size` transducers from the first one, to their sums.
+
+    In C, with vectors for half of a thread's points: eight sums stay in registers over a tile, and are rounded by less.
+    """
+    ...
+
 
 @functools.cache
 def gradient(form: Form) -> Any:
-    """Kernel of the pressure and its gradient; WIDTH points a thread.
+    """Kernel of the pressure and its gradient for up to MOST drives, WIDTH points a thread; dim (1, threads).
 
     With r from transducer to point, d = |r|, q = z^2/d^2, D the directivity and S = 2 dD/dq, the gradient of
     exp(id - bd) D/d over exp(id - bd)/d is [(i - b - 1/d) D/d - q S/d^2] r + S z/d^2 along the axis.
+
+    On the CPU a thread does all drives: a transducer's sound at a point is computed once and multiplied by each drive's
+    amplitude. On a GPU each drive has threads of its own, dim (drives, threads).
     """
     vec3, vec4, mat33 = form.vectors
     width = WIDTH["gpu" if form.gpu else "cpu"]
     real = wp.float64 if form.accurate else wp.float32
     places = wp.types.vector(length=width, dtype=real)
     lanes = wp.types.vector(length=width, dtype=wp.float32)
+    parts = wp.types.matrix(shape=(8, width), dtype=wp.float32)
     row = row64 if form.accurate else row32
     root = root64 if form.accurate else root32
-    angle = form.angle
+    angle, fall_of = form.angle, form.fall_of
     gpu, flat, shaded, faced = form.gpu, form.flat, form.shaded, form.faced
-    fall = form.fall_of
     directivity = quartic if form.smooth else quintic
     slope = cubic if form.smooth else quartic
 
@@ -55,28 +122,49 @@ def gradient(form: Form) -> Any:
         points: wp.array(dtype=vec3),
         origins: wp.array(dtype=vec3),
         turns: wp.array(dtype=mat33),
-        ranges: wp.array(dtype=wp.vec2i),
+        ranges: wp.array(dtype=wp.vec4i),
         elements: wp.array(dtype=vec4),
-        strengths: wp.array(dtype=wp.vec4),
+        drives: wp.array2d(dtype=wp.vec2),
         sound: Sound,
         shapes: wp.array(dtype=vec6),
-        result: wp.array(dtype=wp.vec2),
-        rows: wp.array2d(dtype=wp.vec2),
+        fall: wp.array(dtype=wp.vec4),
+        count: wp.array(dtype=wp.int32),
+        adds: wp.bool,
+        result: wp.array2d(dtype=wp.vec2),
+        rows: wp.array3d(dtype=wp.vec2),
         weights_re: wp.array3d(dtype=wp.float32),
         weights_im: wp.array3d(dtype=wp.float32),
         normals: wp.array(dtype=wp.vec3),
+        scratch: wp.array(dtype=wp.float32),
     ):
-        """As `pressure`, and in `rows` the gradient [Pa/m], shape (points, 3); both must hold zeros.
+        """By group: origin, rotation into its frame, and in `ranges` the first transducer that sounds, one past the
+        last, and the same of drives that sound there. By transducer: x, y, 0, z.
 
+        drives: by drive and transducer, of which the first `count` are computed
+        shapes: the sound's directivity and slope; from an array a GPU keeps them in registers, but it loads a struct's
+        numbers again for each transducer
+        fall: p0 [Pa m] times the coefficients of the fall, one vector; adds: to what result and rows hold
+        result, rows: pressure [Pa] and gradient [Pa/m] as pairs, shapes (drives, points) and (drives, points, 3)
         weights_re, weights_im: what is left of each transducer's sound at each point, which the form `shaded` reads,
         shape (points / BLOCK, elements, BLOCK)
         normals: unit, outward, of opaque surfaces at the points, which the form `faced` reads
-        shapes: the sound's directivity and slope; from an array a GPU keeps them in registers, but it loads a struct's
-        numbers again for each transducer
+        scratch: SCRATCH numbers on the CPU, where a launch's threads run one after the other
         """
-        first = wp.tid() * width
-        count = points.shape[0]
-        loss = sound.absorption_Np_m
+        own, block = wp.tid()
+        first = block * width
+        low = wp.int32(0)
+        high = count[0]
+        if gpu:
+            low = own
+            high = wp.min(high, own + 1)
+        stop = wp.min(first + width, points.shape[0])
+        if not adds:
+            for k in range(low, high):
+                for at in range(first, stop):
+                    result[k, at] = wp.vec2()
+                    for j in range(3):
+                        rows[k, at, j] = wp.vec2()
+        strength = fall[0]
         if gpu:
             in_directivity = shapes[0]
             in_slope = shapes[1]
@@ -86,100 +174,112 @@ def gradient(form: Form) -> Any:
         x = places()
         y = places()
         z = places()  # its square in the flat form
-        near = lanes()
         n_x = lanes()
         n_y = lanes()
         n_z = lanes()  # times z in the flat form
         for group in range(ranges.shape[0]):
+            span = ranges[group]
+            begin = wp.max(low, span[2])
+            end = wp.min(high, span[3])
+            if begin >= end:
+                continue
             if faced:
                 # Back to a rotation, times the steepness
                 turn = wp.mat33(turns[group])
                 turn *= STEEPNESS / wp.length(turn[0])
             for i in range(width):
-                local = turns[group] * (points[wp.min(first + i, count - 1)] - origins[group])
+                local = turns[group] * (points[wp.min(first + i, stop - 1)] - origins[group])
                 x[i] = local[0]
                 y[i] = local[1]
+                z[i] = local[2]
                 if flat:
                     z[i] = local[2] * local[2] + real(NEAREST_M2)
-                    near[i] = wp.float32(z[i])
-                else:
-                    z[i] = local[2]
                 if faced:
-                    normal = turn * normals[wp.min(first + i, count - 1)]
+                    normal = turn * normals[wp.min(first + i, stop - 1)]
                     n_x[i] = normal[0]
                     n_y[i] = normal[1]
                     n_z[i] = normal[2] * wp.float32(local[2]) if flat else normal[2]
-            re = lanes()
-            im = lanes()
-            x_re = lanes()
-            x_im = lanes()
-            y_re = lanes()
-            y_im = lanes()
-            z_re = lanes()
-            z_im = lanes()
-            for e in range(ranges[group][0], ranges[group][1]):
+            sums = parts()
+            if not gpu:
+                clear(scratch, begin, end)
+            slot = wp.int32(0)
+            for e in range(span[0], span[1]):
                 element = row(elements, e)
-                strength = row32(strengths, e)
                 for i in range(width):
                     dx = x[i] - element[0]
                     dy = y[i] - element[1]
-                    if flat:
-                        z2 = z[i]
-                    else:
-                        dz = z[i] - element[3]
+                    dz = z[i]
+                    z2 = z[i]
+                    if not flat:
+                        dz -= element[3]
                         z2 = dz * dz + real(NEAREST_M2)
                     square = dx * dx + (dy * dy + z2)
                     distance = root(square)
                     d = distance[0]
                     inverse = distance[1]
-                    wave = angle(sound, square, d, inverse, element[2])
+                    wave = angle(sound, square, d, inverse, real(0.0))
                     if shaded:
                         w_re = weights_re[first // BLOCK, e, first % BLOCK + i]
                         w_im = weights_im[first // BLOCK, e, first % BLOCK + i]
-                        wave = wp.vec2(wave[0] * w_re - wave[1] * w_im, wave[0] * w_im + wave[1] * w_re)
-                    gain = fall(sound, strength, d, inverse)
-                    if flat:
-                        rise2 = near[i]
-                    else:
-                        rise2 = wp.float32(z2)
+                        wave = times(wave, wp.vec2(w_re, w_im))
+                    if gpu:
+                        wave = times(wave, drives[own, e])
+                    gain = fall_of(sound, strength, d, inverse)
+                    r_x = wp.float32(dx)
+                    r_y = wp.float32(dy)
+                    r_z = wp.float32(1.0)  # what the flat form leaves out is put in for the sum
+                    if not flat:
+                        r_z = wp.float32(dz)
                         gain = wp.where(dz > real(0.0), gain, wp.float32(0.0))
                     if faced:
-                        above = wp.float32(dx) * n_x[i] + wp.float32(dy) * n_y[i]
-                        if flat:
-                            above += n_z[i]
-                        else:
-                            above += wp.float32(dz) * n_z[i]
-                        gain *= from_front(-above * inverse)
-                    q = rise2 * (inverse * inverse)
+                        gain *= from_front(-(r_x * n_x[i] + r_y * n_y[i] + r_z * n_z[i]) * inverse)
+                    q = wp.float32(z2) * (inverse * inverse)
                     direct = gain * directivity(in_directivity, q)
                     bend = gain * (inverse * inverse) * slope(in_slope, q)
                     swing = direct * inverse
-                    decay = (inverse + loss) * swing + q * bend
+                    decay = (inverse + sound.absorption_Np_m) * swing + q * bend
                     along_re = decay * wave[0] + swing * wave[1]
                     along_im = decay * wave[1] - swing * wave[0]
-                    re[i] += direct * wave[0]
-                    im[i] += direct * wave[1]
-                    x_re[i] += along_re * wp.float32(dx)
-                    x_im[i] += along_im * wp.float32(dx)
-                    y_re[i] += along_re * wp.float32(dy)
-                    y_im[i] += along_im * wp.float32(dy)
-                    if flat:
-                        z_re[i] += along_re - bend * wave[0]
-                        z_im[i] += along_im - bend * wave[1]
+                    found = vec8(
+                        direct * wave[0],
+                        direct * wave[1],
+                        along_re * r_x,
+                        along_im * r_x,
+                        along_re * r_y,
+                        along_im * r_y,
+                        r_z * (along_re - bend * wave[0]),
+                        r_z * (along_im - bend * wave[1]),
+                    )
+                    if gpu:
+                        for j in range(8):
+                            sums[j, i] += found[j]
                     else:
-                        z_re[i] += wp.float32(dz) * (along_re - bend * wave[0])
-                        z_im[i] += wp.float32(dz) * (along_im - bend * wave[1])
-            back = wp.transpose(turns[group])
+                        keep(scratch, slot, i, found)
+                if not gpu:
+                    slot += 1
+                    # Always after the same ones, so that what is silent changes no rounding
+                    if (e + 1) % TILE == 0 or e == span[1] - 1:
+                        add_tile(scratch, slot, drives, e + 1 - slot, begin, end)
+                        slot = wp.int32(0)
+            back = wp.mat33(wp.transpose(turns[group]))
             for i in range(width):
-                if first + i < count:
+                if first + i < stop:
                     local = turns[group] * (points[first + i] - origins[group])
                     height = wp.float32(local[2]) if flat else wp.float32(1.0)
                     if height > 0.0:
-                        cosine = -wp.vec3(x_re[i], y_re[i], height * z_re[i])
-                        sine = -wp.vec3(x_im[i], y_im[i], height * z_im[i])
-                        result[first + i] = result[first + i] + wp.vec2(re[i], im[i])
-                        for j in range(3):
-                            axis = wp.vec3(wp.float32(back[j, 0]), wp.float32(back[j, 1]), wp.float32(back[j, 2]))
-                            rows[first + i, j] = rows[first + i, j] + wp.vec2(wp.dot(axis, cosine), wp.dot(axis, sine))
+                        for k in range(begin, end):
+                            found = vec8()
+                            for j in range(8):
+                                if gpu:
+                                    found[j] = sums[j, i]
+                                else:
+                                    found[j] = scratch[(TILE + k) * NUMBERS + j * width + i]
+                            cosine = -wp.vec3(found[2], found[4], height * found[6])
+                            sine = -wp.vec3(found[3], found[5], height * found[7])
+                            result[k, first + i] = result[k, first + i] + wp.vec2(found[0], found[1])
+                            for j in range(3):
+                                axis = wp.vec3(back[j, 0], back[j, 1], back[j, 2])
+                                grown = wp.vec2(wp.dot(axis, cosine), wp.dot(axis, sine))
+                                rows[k, first + i, j] = rows[k, first + i, j] + grown
 
     return kernel

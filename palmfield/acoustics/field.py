@@ -18,7 +18,7 @@ from palmfield.acoustics.air import absorption_Np_m as air_absorption
 from palmfield.acoustics.air import sound_speed
 from palmfield.acoustics.directivities import directivity_coefficients
 from palmfield.acoustics.groups import groups
-from palmfield.device import SharedBlock, filled, launching, recorded, replayed, resolve
+from palmfield.device import SharedBlock, filled, launching, recorded, replayed, resolve, whole_numbers
 from palmfield.errors import PalmfieldError
 from palmfield.threads import Calls, cores, share
 from palmfield.types import Air, Array, Complex, Field, Float, Int
@@ -54,9 +54,6 @@ QUADRATIC_REACH_Np = 0.08
 
 SMOOTH = 1e-5
 """Directivities that a quartic follows as well as this take one power less, which is a twentieth of the work."""
-
-UNSHADED = (None, None)
-"""In place of weights, for kernels with the gradient; normals, or None, come after them."""
 
 Mode = Literal["fast", "accurate"]
 MODES: tuple[Mode, ...] = ("fast", "accurate")
@@ -258,11 +255,15 @@ class FieldEvaluator(FieldSum):
         """First transducer of each group, and one past the last, counted in `order`, shape (g, 2)."""
         return self._groups.ranges
 
+    def ranges_of(self, drives: int) -> Int:
+        """`ranges`, and the first of drives and one past the last, as kernels with the gradient take them: (g, 4)."""
+        return np.insert(self.ranges, 2, [[0], [drives]], axis=1)
+
     def inputs(self, elements: Any, strengths: Any, gradient: bool, ranges: Any) -> list[Any]:
         """What a kernel takes between points and results, on the device.
 
-        elements, strengths: see `elements`; ranges: first transducer of each group, and one past the last, wp.vec2i,
-        shape (g,), without the gradient (parts, g)
+        elements, strengths: see `elements`, with the gradient drives; ranges: of `ranges_of`, without the gradient
+        first transducer of each group, and one past the last, wp.vec2i, shape (parts, g)
         """
         if gradient:
             turns, sound, shapes = self._turns_radians, self._radians, [self._shapes]
@@ -273,17 +274,21 @@ class FieldEvaluator(FieldSum):
     def fall(self, low: Sequence[float], high: Sequence[float], gradient: bool) -> tuple[str, Float]:
         """How sound falls off on its way to a box with these corners [m], see `falling`, and p0 times its coefficients.
 
-        The coefficients are for lengths in `unit_m`, shape (4,).
+        The coefficients are for lengths in m, with the gradient in units of 1/k, shape (4,).
         """
-        near, far = box_distances(low, high, self._box)
-        steps = int(near / RANGE_STEP_M), int(far / RANGE_STEP_M) + 1
-        return _fall(self.absorption_Np_m, self.array.p0_Pa_m, self.unit_m(gradient), *steps)
+        # `distances` of two boxes, without a call: each evaluation of a step's points asks for it
+        gap, reach = 0.0, 0.0
+        for first, last, least, most in zip(low, high, *self._box, strict=True):
+            gap += max(least - last, first - most, 0.0) ** 2
+            reach += (max(last, most) - min(first, least)) ** 2
+        steps = int(math.sqrt(gap) / RANGE_STEP_M), int(math.sqrt(reach) / RANGE_STEP_M) + 1
+        return _fall(self.absorption_Np_m, self.array.p0_Pa_m, 1.0 / self._wavenumber if gradient else 1.0, *steps)
 
     def elements(self, gradient: bool) -> NDArray[Any]:
         """x, y, phase and z of each transducer in the order of its groups, shape (n, 4), the phase still 0.
 
         The kernels take them with strengths, shape (n, 4): p0 times amplitude times the coefficients of the fall.
-        For the gradient lengths are in units of 1/k.
+        With the gradient they take drives instead, the phase stays 0, and lengths are in units of 1/k.
         """
         elements = np.zeros((len(self.order), 4), self.real)
         elements[:, [0, 1, 3]] = (self._wavenumber if gradient else 1.0) * self._groups.places
@@ -298,10 +303,6 @@ class FieldEvaluator(FieldSum):
     def phase_unit(self) -> float:
         """The angle [rad] in which the kernels count phases: a turn, or a radian."""
         return 1.0 if self._gpu and not self._accurate else 2.0 * np.pi
-
-    def unit_m(self, gradient: bool) -> float:
-        """The length [m] in which the kernels count."""
-        return float(1.0 / self._wavenumber) if gradient else 1.0
 
     def _upload(self, values: NDArray[Any], dtype: Any) -> Any:
         return wp.array(np.ascontiguousarray(values), dtype=dtype, device=self.device)
@@ -328,38 +329,42 @@ class _Call:
         # Points come last: where they are on the device, only what is before them is uploaded
         self._inputs = SharedBlock(
             {
-                "drive": ((sum(len(chosen) for _, chosen in parts),), wp.vec2d),
-                "falls": ((len(parts),), wp.vec4d),
+                "drive": ((1, sum(len(chosen) for _, chosen in parts)), wp.vec2 if gradient else wp.vec2d),
+                "falls": ((len(parts),), wp.vec4 if gradient else wp.vec4d),
                 "points": ((count,), vec3),
                 "normals": ((count if faced else 0,), wp.vec3),
             },
             one.device,
         )
-        shapes: dict[str, tuple[tuple[int, ...], Any]] = {"pressure": ((count,), wp.vec2)}
+        shapes: dict[str, tuple[tuple[int, ...], Any]] = {"pressure": ((1, count), wp.vec2)}
         if gradient:
-            shapes["gradient"] = ((count, 3), wp.vec2)
+            shapes["gradient"] = ((1, count, 3), wp.vec2)
         self._results = SharedBlock(shapes, one.device)
-        self._drive = self._inputs.hosts["drive"].view(np.complex128)[:, 0]
-        self._found = [host.view(np.complex64)[..., 0] for host in self._results.hosts.values()]
+        self._drive = self._inputs.hosts["drive"].view(np.complex64 if gradient else np.complex128)[0, :, 0]
+        self._found = [host.view(np.complex64)[0, ..., 0] for host in self._results.hosts.values()]
         self._chosen = np.concatenate([chosen for _, chosen in parts])
         gains = [1.0 if part.array.gain is None else part.array.gain[part.order] for part, _ in parts]
         self._gain = np.concatenate([gain * np.ones(part.count) for gain, (part, _) in zip(gains, parts, strict=True)])
         drives, falls = self._inputs.arrays["drive"], self._inputs.arrays["falls"]
+        self._one = whole_numbers([1], one.device)
         self._emitted: list[Callable[[], object]] = []
         self._rows: list[tuple[Any, Any, Any]] = []
         start = 0
         for i, (evaluator, chosen) in enumerate(parts):
             size = len(chosen)
             elements: Any = wp.array(evaluator.elements(gradient), dtype=vec4, device=one.device)
-            strengths: Any = wp.empty(size, dtype=wp.vec4, device=one.device)
-            inputs = [drives[start : start + size], falls[i : i + 1], 1.0 / evaluator.phase_unit, elements, strengths]
-            self._emitted.append(recorded(kernels.emitted(accurate), size, inputs, one.device))
+            strengths: Any = drives[:, start : start + size]
             start += size
-            ranges = evaluator.ranges if gradient else split(evaluator.ranges, splits(evaluator, count))
-            on_device: Any = wp.array(np.ascontiguousarray(ranges), dtype=wp.vec2i, device=one.device)
+            if not gradient:
+                inputs = [strengths[0], falls[i : i + 1], 1.0 / evaluator.phase_unit, elements]
+                strengths = wp.empty(size, dtype=wp.vec4, device=one.device)
+                self._emitted.append(recorded(kernels.emitted(accurate), size, [*inputs, strengths], one.device))
+            ranges = evaluator.ranges_of(1) if gradient else split(evaluator.ranges, splits(evaluator, count))
+            kind = wp.vec4i if gradient else wp.vec2i
+            on_device: Any = wp.array(np.ascontiguousarray(ranges), dtype=kind, device=one.device)
             self._rows.append((elements, strengths, on_device))
         rows = 1 if gradient else sum(ranges.shape[0] for *_, ranges in self._rows)
-        self._pressures = self._results.arrays["pressure"].reshape((1, count))
+        self._pressures = self._results.arrays["pressure"]
         if rows > 1:
             self._pressures = wp.zeros((rows, count), dtype=wp.vec2, device=one.device)
         self._threads, self._blocks = shared_out(one, count, len(self._chosen), one.threads)
@@ -397,7 +402,7 @@ class _Call:
                 wp.copy(arrays["normals"], normals)
             launch()
             for result, found in zip(results, self._results.arrays.values(), strict=True):
-                wp.copy(result, found)
+                wp.copy(result, found[0])
 
     def _prepared(
         self, parts: Parts, low: Sequence[float], high: Sequence[float], drive: Complex, copied: bool
@@ -424,26 +429,30 @@ class _Call:
         blocks: list[Calls] = []
         for own in self._blocks:
             calls, row, count = [], 0, own.stop - own.start
-            for (one, _), fall, (elements, strengths, ranges) in zip(parts, falls, self._rows, strict=True):
-                inputs = [arrays["points"][own], *one.inputs(elements, strengths, self._gradient, ranges)]
-                threads = -(-count // one.points_per_thread)
-                dim: int | tuple[int, int] = threads
+            room = scratch(self._device)
+            for i, ((one, _), fall, of_part) in enumerate(zip(parts, falls, self._rows, strict=True)):
+                inputs = [arrays["points"][own], *one.inputs(*of_part[:2], self._gradient, of_part[2])]
+                dim = 1, -(-count // one.points_per_thread)
                 if self._gradient:
                     normals = arrays["normals"][own] if self._faced else None
-                    inputs += [*(result[own] for result in results.values()), *UNSHADED, normals]
+                    found = (result[:, own] for result in results.values())
+                    inputs += [arrays["falls"][i : i + 1], self._one, i > 0, *found, None, None, normals, room]
                 else:
-                    dim = ranges.shape[0], threads
+                    dim = of_part[2].shape[0], dim[1]
                     inputs.append(self._pressures[row : row + dim[0], own])
                     row += dim[0]
                 kernel = one.kernel(fall, self._gradient, faced=self._faced)
                 calls.append(recorded(kernel, dim, inputs, self._device))
             if row > 1:
-                inputs = [self._pressures[:, own], results["pressure"][own]]
+                inputs = [self._pressures[:, own], results["pressure"][0, own]]
                 calls.append(recorded(kernels.sum_of_parts, count, inputs, self._device))
             blocks.append(calls)
-        # The kernel with the gradient adds to what is there
-        cleared = [self._results.clear] if self._gradient else []
-        return [*cleared, *self._emitted, functools.partial(share, blocks, self._threads)]
+        return [*self._emitted, functools.partial(share, blocks, self._threads)]
+
+
+def scratch(device: str) -> Any:
+    """What the kernels with the gradient take for themselves, each while it runs."""
+    return wp.empty(with_gradient.SCRATCH if device == "cpu" else 0, dtype=wp.float32, device=device)
 
 
 def shared_out(one: FieldEvaluator, count: int, transducers: int, threads: int) -> tuple[int, list[slice]]:
@@ -486,15 +495,8 @@ def corners(points: NDArray[Any]) -> tuple[list[float], list[float]]:
 
 def distances(points: NDArray[Any], positions: Float) -> tuple[float, float]:
     """Bounds of the distance between any point and any position [m], from their boxes."""
-    return box_distances(*corners(np.ascontiguousarray(points)), corners(positions))
-
-
-def box_distances(
-    low: Sequence[float], high: Sequence[float], box: tuple[Sequence[float], Sequence[float]]
-) -> tuple[float, float]:
-    """The same for points and positions in boxes, of which two corners are given [m]."""
     gap, reach = 0.0, 0.0
-    for first, last, least, most in zip(low, high, *box, strict=True):
+    for first, last, least, most in zip(*corners(np.ascontiguousarray(points)), *corners(positions), strict=True):
         gap += max(least - last, first - most, 0.0) ** 2
         reach += (max(last, most) - min(first, least)) ** 2
     return math.sqrt(gap), math.sqrt(reach)

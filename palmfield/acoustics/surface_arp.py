@@ -2,6 +2,7 @@
 
 import cmath
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,19 +12,20 @@ import warp_kernels.arp as kernels
 from palmfield.acoustics import check
 from palmfield.acoustics.air import sound_speed
 from palmfield.acoustics.arp import ArpLaw, SurfaceSound, law_weights
-from palmfield.acoustics.field import UNSHADED, FieldEvaluator, shared_out
+from palmfield.acoustics.field import FieldEvaluator, scratch, shared_out
 from palmfield.acoustics.phased_array import DirectivityGroup, MultiArrayField
 from palmfield.acoustics.transfer import Transfer, arp_frames, matrix_bytes, memory_limit, too_steep
 from palmfield.device import SharedArray, filled, recorded
 from palmfield.errors import PalmfieldError
 from palmfield.threads import Calls, cores, share
 from palmfield.types import Complex, Float, Float32, Int
+from warp_kernels.gradient import MOST
 from warp_kernels.point_sound import BLOCK
 
-MATRIX_FROM = 32
-"""Drives from which a transfer matrix is cheaper: for 256 transducers and 762 points it takes 3 ms and 0.1 ms a drive,
-and 7 ms more where it is new; a drive by itself takes 0.25 ms. The choice depends on their number alone, not on whether
-the matrix is there already: so a run repeats to the bit."""
+MATRIX_FROM = 128
+"""Drives from which a transfer matrix is cheaper: for 256 transducers and 762 points on one core 128 drives take 15 ms
+with a new one and without, 32 take 8.5 ms with a new one, 3.7 ms with one that is there and 3.6 ms without. The choice
+depends on their number alone, not on whether the matrix is there already: so a run repeats to the bit."""
 RANGES_KEPT = 64
 MATRIX_KEPT_BYTES = 2**26
 """A transfer matrix up to this size is kept for the next call with the same points."""
@@ -64,14 +66,12 @@ class SurfaceArp:
         self._gpu = device != "cpu"
         self._points = SharedArray(count, wp.vec3d if accurate else wp.vec3, device)
         self._normals = SharedArray(count, wp.vec3, device)
-        results = SharedArray(count, wp.float32, device), SharedArray(count, wp.float32, device)
-        flux = SharedArray(count, wp.vec3, device)
-        self._results = (*results, flux)
-        self._sound = SurfaceSound(results[0].host, results[1].host)
-        self._sound_and_flux = SurfaceSound(results[0].host, results[1].host, flux.host)
-        self._pressure: wp.array = wp.zeros(count, dtype=wp.vec2, device=device)
-        self._gradient: wp.array = wp.zeros((count, 3), dtype=wp.vec2, device=device)
-        self._interrupted = False  # between adding fields up and taking them out again, by Ctrl-C for example
+        self._arp, self._amplitude = (SharedArray((MOST, count), wp.float32, device) for _ in range(2))
+        self._flux = SharedArray(count, wp.vec3, device)
+        self._sound = SurfaceSound(self._arp.host[0], self._amplitude.host[0])
+        self._sound_and_flux = SurfaceSound(*self._sound[:2], self._flux.host)
+        self._sounding = SharedArray(1, wp.int32, device)  # drives at a time
+        self._fields = _fields(MOST, count, device)
         self._flat_normals = self._normals.host.reshape(-1)
         self._columns = np.empty((3, count), np.float64 if accurate else np.float32)
         self._group_drives = [_GroupDrive(*pair) for pair in zip(field.groups, field.evaluators, strict=True)]
@@ -132,17 +132,8 @@ class SurfaceArp:
             raise _not_finite("levels", levels)
         if self.count == 0 or len(levels) == 0:
             return np.zeros((len(levels), self.count), np.float32)
-        sums = self._run(points, normals, units, of=levels.shape)
+        sums = self._run(points, normals, units, levels=levels)
         assert sums is not None
-        sums.levels.host[..., 0] = levels.real
-        sums.levels.host[..., 1] = levels.imag
-        if self._gpu:
-            sums.levels.upload()
-            share(sums.sounds, 1)
-            sums.arp.download()
-            wp.synchronize_stream(self.field.device)
-        else:
-            share(sums.sounds, self._threads)
         return sums.arp.host.copy()
 
     def _run(
@@ -151,14 +142,14 @@ class SurfaceArp:
         normals: Float | Float32,
         drives: Complex,
         out: Float32 | None = None,
-        of: tuple[int, int] | None = None,
+        levels: Complex | None = None,
         shades: Shades | None = None,
         amplitudes: Float32 | None = None,
     ) -> "_Sums | None":
-        """Fill the buffers for one drive after another, complex128, shape (m, N).
+        """Fill the buffers for MOST drives after another, complex128, shape (m, N).
 
         out: takes their ARP, amplitudes: the pressures' peak amplitudes, shapes (m, count)
-        of: shape of the levels of sums: the drives' fields are kept for them, in what is returned
+        levels: of sums, whose ARP is in what is returned
         """
         self._points.host[...] = points
         self._normals.host[...] = normals
@@ -170,48 +161,52 @@ class SurfaceArp:
             check.points(points, np.float64)  # says which
         if not cmath.isfinite(np.add.reduce(drives, axis=None)):
             raise _not_finite("drive", drives[int(check.first_bad(drives))])
-        falls: tuple[str, ...] = ()
-        for group in self._group_drives:
-            falls = (*falls, group.prepare(low, high, drives))
-        sums = None if of is None else self._sums.get((falls, of)) or self._record_sums(falls, of)
-        blocks = self._recorded.get(falls) if sums is None else sums.fields
-        if shades is not None:
-            blocks = self._shaded.get(falls)
-            if blocks is None or self._shades is not shades.real:
-                self._shades, self._shaded = shades.real, {}
-                blocks = self._shaded[falls] = self._record(falls, shades)
-        if blocks is None:
-            blocks = self._recorded[falls] = self._record(falls)
-        arp, amplitude = self._sound.arp, self._sound.amplitude
-        for i in range(len(drives)):
+        sums: _Sums | None = None
+        for start in range(0, len(drives), MOST):
+            part = drives[start : start + MOST]
+            count = len(part)
+            self._sounding.host[0] = count
+            falls: tuple[str, ...] = ()
             for group in self._group_drives:
-                group.strengths.host[...] = group.amplitudes[i]
-                group.rows.host[:, 2] = group.phases[i]
-                group.ranges.host[...] = group.sounding[i]
-            if sums is not None:
-                sums.number.host[0] = i
-            if self._interrupted:
-                self._pressure.zero_()
-                self._gradient.zero_()
-            self._interrupted = True
+                kind, group.fall.host[...] = group.evaluator.fall(low, high, gradient=True)
+                falls = (*falls, kind)
+                emitted = part.take(group.chosen, axis=1)
+                if group.gain is not None:
+                    emitted *= group.gain
+                group.amplitudes[:count] = emitted
+                whole = np.logical_and.reduce(emitted, axis=None)
+                group.ranges.host[...] = group.whole if whole else group.narrowed(emitted)
+            if levels is not None:
+                sums = self._sums.get((falls, levels.shape)) or self._record_sums(falls, *levels.shape)
+                sums.levels.host[..., 0] = levels.real
+                sums.levels.host[..., 1] = levels.imag
+                blocks = sums.blocks[start // MOST]
+            else:
+                known = self._recorded
+                if shades is not None:
+                    if self._shades is not shades.real:
+                        self._shades, self._shaded = shades.real, {}
+                    known = self._shaded
+                if falls not in known:
+                    known[falls] = self._record(falls, shades)
+                blocks = known[falls]
             if self._gpu:
-                self._run_on_gpu(blocks, sums)
+                self._run_on_gpu(blocks, count, sums)
             elif self._threads > 1:
                 share(blocks, self._threads)
             else:
                 for calls in blocks:
                     for call in calls:
                         call()
-            self._interrupted = False
             if sums is not None:
                 continue
             # A NaN makes a point dark: it would not show in the ARP
-            if not math.isfinite(np.add.reduce(amplitude)):
+            if not math.isfinite(np.add.reduce(self._amplitude.host[:count], axis=None)):
                 raise _not_finite("normals", self._normals.host)
             if out is not None:
-                out[i] = arp
+                out[start : start + count] = self._arp.host[:count]
             if amplitudes is not None:
-                amplitudes[i] = amplitude
+                amplitudes[start : start + count] = self._amplitude.host[:count]
         if not math.isfinite(np.add.reduce(self._flat_normals)):
             raise _not_finite("normals", self._normals.host)
         return sums
@@ -227,10 +222,10 @@ class SurfaceArp:
     ) -> Float32:
         """ARP [Pa] of many drives at the points, shape (m, count), by the cheaper way.
 
-        From MATRIX_FROM drives on that is a transfer matrix, which is kept for a next call with the same points; one by
-        one otherwise, and where directivities differ, mode is "accurate" or points are too far apart for the matrix.
+        From MATRIX_FROM drives on that is a transfer matrix, which is kept for a next call with the same points. Fewer,
+        and drives where directivities differ, mode is "accurate" or points are too far apart, take the field's kernels.
 
-        drives: shape (m, field.count); out: array to fill and return, float32; shades: as `evaluate`, one by one then
+        drives: shape (m, field.count); out: array to fill and return, float32; shades: as `evaluate`, without a matrix
         amplitudes: array to fill with the pressures' peak amplitudes [Pa], shape (m, count), float32
         Raises PalmfieldError as `evaluate`, and for normals that are not unit vectors.
         """
@@ -271,81 +266,95 @@ class SurfaceArp:
         return last if here and np.logical_and.reduce(last.normals == normals.astype(np.float32), axis=None) else None
 
     def _record(self, falls: tuple[str, ...], shades: Shades | None = None) -> list[Calls]:
-        """The launches of each block: every directivity adds its field, then comes the ARP."""
+        """The launches of each block: every directivity adds its fields, then comes the ARP."""
         blocks: list[Calls] = []
         for block in self._blocks:
-            arp, amplitude, flux = (result.array[block] for result in self._results)
+            pressure, gradient = (values[:, block] for values in self._fields)
             at = filled(
                 kernels.SurfacePoints(),
-                pressure=self._pressure[block],
-                gradient=self._gradient[block],
+                count=self._sounding.array,
+                pressure=pressure,
+                gradient=gradient,
                 normals=self._normals.array[block],
                 per_wavenumber=self._per_wavenumber,
                 weights=wp.vec3(*self._weights),
-                arp=arp,
-                amplitude=amplitude,
-                flux=flux,
+                arp=self._arp.array[:, block],
+                amplitude=self._amplitude.array[:, block],
+                flux=self._flux.array[block],
             )
             sound = recorded(kernels.surface_sound, block.stop - block.start, [at], self.field.device)
-            blocks.append([*self._record_fields(falls, block, shades), sound])
+            blocks.append([*self._record_fields(falls, block, (pressure, gradient), shades), sound])
         return blocks
 
-    def _record_sums(self, falls: tuple[str, ...], shape: tuple[int, int]) -> "_Sums":
-        """The launches of each block for sums: of fields, which are kept, and of the ARP of m sums over k of them."""
-        (frames, units), device = shape, self.field.device
-        number = SharedArray(1, wp.int32, device)
-        levels = SharedArray(shape, wp.vec2, device)
+    def _record_sums(self, falls: tuple[str, ...], frames: int, units: int) -> "_Sums":
+        """The launches of each block for sums, MOST units after another; after the last comes the ARP of the sums."""
+        device = self.field.device
+        levels = SharedArray((frames, units), wp.vec2, device)
         arp = SharedArray((frames, self.count), wp.float32, device)
-        pressure: wp.array = wp.zeros((units, self.count), dtype=wp.vec2, device=device)
-        gradient: wp.array = wp.zeros((units, self.count, 3), dtype=wp.vec2, device=device)
-        fields: list[Calls] = []
-        sounds: list[Calls] = []
-        for block in self._blocks:
-            count = block.stop - block.start
-            now = [self._pressure[block], self._gradient[block]]
-            kept = [pressure[:, block], gradient[:, block]]
-            keep = recorded(kernels.keep, count, [number.array, *now, *kept], device)
-            fields.append([*self._record_fields(falls, block), keep])
-            inputs = [levels.array, *kept, self._normals.array[block], self._per_wavenumber, wp.vec3(*self._weights)]
-            sounds.append([recorded(kernels.arp_of_sums, count, [*inputs, arp.array[:, block]], device)])
-        self._sums[falls, shape] = result = _Sums(number, levels, arp, fields, sounds)
+        fields = _fields(units, self.count, device)
+        blocks: list[list[Calls]] = []
+        for start in range(0, units, MOST):
+            own = [tuple(values[start:, block] for values in fields) for block in self._blocks]
+            blocks.append([self._record_fields(falls, *pair) for pair in zip(self._blocks, own, strict=True)])
+        for i, block in enumerate(self._blocks):
+            inputs = [levels.array, *(values[:, block] for values in fields), self._normals.array[block]]
+            inputs += [self._per_wavenumber, wp.vec3(*self._weights), arp.array[:, block]]
+            sound = recorded(kernels.arp_of_sums, block.stop - block.start, inputs, device)
+            blocks[-1][i] = [*blocks[-1][i], sound]
+        self._sums[falls, (frames, units)] = result = _Sums(levels, arp, blocks)
         return result
 
-    def _run_on_gpu(self, blocks: list[Calls], sums: "_Sums | None") -> None:
-        self._points.upload()
-        self._normals.upload()
+    def _run_on_gpu(self, blocks: list[Calls], drives: int, sums: "_Sums | None") -> None:
+        """Launches, with copies of what they take there, and back of the ARP of sums or the sound of so many drives."""
+        taken = [self._points, self._normals, self._sounding]
+        for values in taken if sums is None else [*taken, sums.levels]:
+            values.upload()
         for group in self._group_drives:
             group.upload()
-        if sums is not None:
-            sums.number.upload()
         share(blocks, 1)
-        for result in self._results:
-            result.download()
+        if sums is not None:
+            sums.arp.download()
+        else:
+            for found in (self._arp, self._amplitude):
+                found.download(drives * self.count)
+            self._flux.download()
         wp.synchronize_stream(self.field.device)
 
-    def _record_fields(self, falls: tuple[str, ...], block: slice, shades: Shades | None = None) -> Calls:
-        """Launches that add the field of each directivity at a block's points."""
+    def _record_fields(
+        self, falls: tuple[str, ...], block: slice, into: tuple[Any, Any], shades: Shades | None = None
+    ) -> Calls:
+        """Launches that put together the fields of all directivities at a block's points.
+
+        into: pressures and gradients of up to MOST drives there
+        """
         calls, row = [], 0
+        room = scratch(self.field.device)
         for group, fall in zip(self._group_drives, falls, strict=True):
-            kernel = group.evaluator.kernel(fall, gradient=True, shaded=shades is not None, faced=True)
-            threads = -(-(block.stop - block.start) // group.evaluator.points_per_thread)
-            outputs = [self._pressure[block], self._gradient[block], *UNSHADED, self._normals.array[block]]
+            adds = row > 0
             rows, row = slice(row, row + len(group.evaluator.array)), row + len(group.evaluator.array)
+            weights: Sequence[Any] = (None, None)
             if shades is not None:
-                outputs[2:4] = [weights[block.start // BLOCK :, rows] for weights in shades]
-            inputs = [self._points.array[block], *group.inputs, *outputs]
-            calls.append(recorded(kernel, threads, inputs, self.field.device))
+                weights = [values[block.start // BLOCK :, rows] for values in shades]
+            inputs = [self._points.array[block], *group.inputs, self._sounding.array, adds, *into, *weights]
+            inputs += [self._normals.array[block], room]
+            threads = -(-(block.stop - block.start) // group.evaluator.points_per_thread)
+            kernel = group.evaluator.kernel(fall, True, shades is not None, faced=True)
+            calls.append(recorded(kernel, (MOST if self._gpu else 1, threads), inputs, self.field.device))
         return calls
 
 
-class _Sums(NamedTuple):
-    """What `evaluate_sums` works with: which unit's field comes, how much of each unit sounds, and the launches."""
+def _fields(drives: int, points: int, device: str) -> tuple[Any, Any]:
+    """Room for pressures and gradients."""
+    pressure: wp.array = wp.empty((drives, points), dtype=wp.vec2, device=device)
+    return pressure, wp.empty((drives, points, 3), dtype=wp.vec2, device=device)
 
-    number: SharedArray
+
+class _Sums(NamedTuple):
+    """What `evaluate_sums` works with: how much of each unit sounds, the ARP, and the launches by MOST units."""
+
     levels: SharedArray
     arp: SharedArray
-    fields: list[Calls]
-    sounds: list[Calls]
+    blocks: list[list[Calls]]
 
 
 def _not_finite(name: str, values: Complex | Float | Float32) -> PalmfieldError:
@@ -354,61 +363,43 @@ def _not_finite(name: str, values: Complex | Float | Float32) -> PalmfieldError:
 
 
 class _GroupDrive:
-    """The transducers of one directivity as the kernels take them, for one drive after another.
+    """The transducers of one directivity as the kernels take them, for up to MOST drives at a time.
 
-    rows, strengths: what the kernels read; ranges: of each group the first transducer that sounds, and the one after
-        the last
-    sounding: the ranges of each drive
-    phases: of each drive, shape (m, n); amplitudes: times the coefficients of the sound's fall, shape (m, n, 4)
+    chosen: their numbers in the kernels' order; gain: of each, or None; whole: ranges where all drives sound
+    amplitudes: of drives, shape (MOST, n), `fall` and `ranges`: what the kernels read
     """
 
     def __init__(self, group: DirectivityGroup, evaluator: FieldEvaluator):
         self.evaluator = evaluator
         array, device = group.array, evaluator.device
-        accurate = evaluator.mode == "accurate"
-        self._chosen = group.chosen[evaluator.order].astype(np.intp)
-        self._gain = None if array.gain is None else array.gain[evaluator.order]
-        self.rows = SharedArray(len(array), wp.vec4d if accurate else wp.vec4, device)
-        self.rows.host[...] = evaluator.elements(gradient=True)
-        self.strengths = SharedArray(len(array), wp.vec4, device)
-        self.phases: Float = np.zeros((0, len(array)))
-        self.amplitudes: Float = np.zeros((0, len(array), 4))
-        self._whole = evaluator.ranges
-        self.ranges = SharedArray(len(self._whole), wp.vec2i, device)
-        self.sounding: list[Int] = []
+        self.chosen = group.chosen[evaluator.order].astype(np.intp)
+        self.gain = None if array.gain is None else array.gain[evaluator.order]
+        vec4 = wp.vec4d if evaluator.mode == "accurate" else wp.vec4
+        elements: Any = wp.array(evaluator.elements(gradient=True), dtype=vec4, device=device)
+        self._drives = SharedArray((MOST, len(array)), wp.vec2, device)
+        self.amplitudes = self._drives.host.view(np.complex64)[..., 0]
+        self.fall = SharedArray(1, wp.vec4, device)
+        self.whole = evaluator.ranges_of(MOST)
+        self.ranges = SharedArray(len(self.whole), wp.vec4i, device)
         self._narrowed: dict[bytes, Int] = {}
-        self.inputs = evaluator.inputs(self.rows.array, self.strengths.array, True, self.ranges.array)
-        self._per_turn = 1.0 / evaluator.phase_unit
+        inputs = evaluator.inputs(elements, self._drives.array, True, self.ranges.array)
+        self.inputs = [*inputs, self.fall.array]
 
-    def prepare(self, low: list[float], high: list[float], drives: Complex) -> str:
-        """Take drives (m, N) for points in this box [m]; returns how the sound's fall is computed, see `falling`."""
-        kind, fall = self.evaluator.fall(low, high, gradient=True)
-        emitted = drives.take(self._chosen, axis=1)
-        if self._gain is not None:
-            emitted *= self._gain
-        strengths = np.abs(emitted)
-        self.sounding = [self._whole] * len(strengths)
-        if not np.logical_and.reduce(strengths, axis=None):
-            for i, strength in enumerate(strengths):
-                silent = (strength == 0.0).tobytes()
-                known = self._narrowed.get(silent)
-                self.sounding[i] = self._narrow(silent) if known is None else known
-        self.amplitudes = strengths[:, :, None] * fall
-        self.phases = np.arctan2(emitted.imag, emitted.real)
-        self.phases *= self._per_turn
-        return kind
-
-    def _narrow(self, silent: bytes) -> Int:
-        """Ranges of transducers (g, 2) without those at either end that are silent; which are, as bytes of bools."""
+    def narrowed(self, emitted: Complex) -> Int:
+        """Ranges without what is silent at either end, transducers or drives, of amplitudes (m, n)."""
+        silent = (emitted == 0.0).tobytes()
+        known = self._narrowed.get(silent)
+        if known is not None:
+            return known
         if len(self._narrowed) >= RANGES_KEPT:
             self._narrowed.clear()
-        self._narrowed[silent] = result = self._whole.copy()
-        for group, (first, last) in enumerate(self._whole.tolist()):
-            loud = np.flatnonzero(np.frombuffer(silent[first:last], np.uint8) == 0)
-            result[group] = (first + loud[0], first + loud[-1] + 1) if len(loud) else (first, first)
+        self._narrowed[silent] = result = np.zeros_like(self.whole)
+        for ends, (first, last) in zip(result, self.whole[:, :2].tolist(), strict=True):
+            drives, numbers = np.nonzero(emitted[:, first:last])
+            if len(drives) > 0:
+                ends[:] = first + numbers.min(), first + numbers.max() + 1, drives[0], drives[-1] + 1
         return result
 
     def upload(self) -> None:
-        self.rows.upload()
-        self.strengths.upload()
-        self.ranges.upload()
+        for values in (self._drives, self.fall, self.ranges):
+            values.upload()

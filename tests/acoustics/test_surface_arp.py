@@ -21,6 +21,7 @@ from palmfield.errors import PalmfieldError, SceneError
 from palmfield.threads import share
 from palmfield.transforms import IDENTITY, Placement, Transform
 from palmfield.types import Complex, Float
+from warp_kernels.gradient import MOST
 
 HERE = Placement.of(IDENTITY)
 TILTED = Transform(np.array([0.25, 0.0, 0.05]), Rotation.from_euler("y", -40, degrees=True).as_matrix())
@@ -159,6 +160,23 @@ def test_sums_of_few_drives_are_what_they_are_drive_by_drive(name: str) -> None:
         ):
             with pytest.raises(PalmfieldError, match="this SurfaceArp takes"):
                 call(bad)
+
+
+@pytest.mark.parametrize("name", ARRAYS)
+def test_drives_computed_together_are_to_the_bit_what_each_is_alone(name: str) -> None:
+    """More than are taken at once, of which some are silent, or sound from one array or part of it alone."""
+    array = phased(name)
+    points, normals = surface(100)
+    drives = np.array([driven(array, seed) for seed in range(MOST + 3)])
+    drives[2] = drives[MOST + 1] = 0.0
+    drives[4:6, array.slices[0]] = drives[6:9, array.slices[-1]] = drives[MOST:, 20:] = 0.0
+    at = SurfaceArp(array.field, 100, threads=1)
+    alone = np.array([at.evaluate(points, normals, drive).arp.copy() for drive in drives])
+    together = SurfaceArp(array.field, 100, threads=2)
+    for first in (0, 2, 5):
+        np.testing.assert_array_equal(together.evaluate_many(points, normals, drives[first:]), alone[first:])
+    sums = together.evaluate_sums(points, normals, drives, np.eye(len(drives), dtype=complex))
+    np.testing.assert_allclose(sums, alone, atol=1e-6 * alone.max())
 
 
 def test_a_surface_that_moves_far() -> None:
