@@ -575,9 +575,12 @@ class Steps:
                 if pattern is None or group.keys[i, 1] == 0:
                     pattern = made[group.keys[i].tobytes()] = self._patterns(group, skin, stepper, i)
                 patterns.append(pattern)
-            shape = len(patterns), *patterns[0].shape
-            # One that all worlds have is there once
-            stacked = np.broadcast_to(patterns[0], shape) if len(made) == 1 else np.stack(patterns)
+            if len(patterns) == 1:
+                stacked = patterns[0][None]
+            elif len(made) == 1:  # there once for all worlds
+                stacked = np.broadcast_to(patterns[0], (len(patterns), *patterns[0].shape))
+            else:
+                stacked = np.stack(patterns)
             known = self._stacks[skin, stepper] = key, stacked
         return known[1], fixed
 
