@@ -3,6 +3,7 @@
 import functools
 import math
 import warnings
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
@@ -68,7 +69,7 @@ class Points:
     high: Sequence[float] = (check.FARTHEST_m,) * 3
 
 
-class FieldSum:
+class FieldSum(ABC):
     """The sum of one or several evaluators' fields. Safe to use from several threads at once.
 
     What a call works with is kept for the next one with as many points: then only the result is allocated.
@@ -85,9 +86,9 @@ class FieldSum:
         self._calls: dict[tuple[int, bool, bool], list[_Call]] = {}
 
     @property
+    @abstractmethod
     def parts(self) -> "Parts":
         """Each evaluator, and which of the drives its transducers have, in its order."""
-        raise NotImplementedError
 
     def pressure(self, points: Any, drive: ArrayLike, gradient: bool = False, normals: Any = None) -> Field:
         """Field at points; see `pressure` below for shapes, units and errors.

@@ -154,6 +154,10 @@ class PathDrives:
             launch(kernels.ring_along, (worlds, self.count), inputs, device),
         ]
 
+    def pushed(self, weights: Float) -> Float:
+        """Weights in the mean ARP of the rows of `PathMemory.force`; weights: of the moments, shape (m,)."""
+        return weights[weights > 0.0] if self.rings else np.ones(1)
+
     def ring(self, moments: Moments) -> Complex:
         """Weights of the pole for each moment, shape (m, 5), see `warp_kernels.path_drives.ring_along`."""
         pole = self._pole

@@ -142,12 +142,11 @@ class GraphWork:
                 launch(kernels.largest, worlds, [arrays["path_end"], arrays["most"]], device),
             ]
             arrays["path_aims"].assign(np.tile(of.drives.aim, (worlds, 1)))
-            for name, drives, sums in zip(PURPOSES, sizes.drives, sizes.sums, strict=True):
+            for name, sums in zip(PURPOSES, sizes.sums, strict=True):
                 levels = arrays[f"{name}_levels"]
                 unit = np.zeros((sums, levels.shape[1], 2), np.float32)
                 unit[..., 0] = np.eye(sums, levels.shape[1])
                 levels.assign(np.tile(unit, (worlds, 1, 1)))
-                assert drives == sums
         self._skins: dict[int, Launches] = {}
         self._reading, self._taking = Launches(), Launches()
         self._active = SharedArray((worlds, 1), wp.int32, device)
@@ -219,7 +218,7 @@ class GraphWork:
         inputs = [arrays["places"], arrays["axes"], whole_numbers(of.frames, device), vectors(of.rest, device)]
         calls: Launches = [launch(kernels.place_parts, (worlds, motions), [*inputs, *moved], device)]
         if self.of.free:
-            centres, halves = boxes_of(self.model)
+            centres, halves = _boxes(self.model)
             boards: Any = wp.array(_boards(self.model), dtype=wp.vec4d, device=device)
             inputs = [moved[0], moved[2], vectors(centres, device), vectors(halves, device), boards, arrays["heights"]]
             calls.append(launch(kernels.heights, (worlds, of.parts), inputs, device))
@@ -358,7 +357,7 @@ def serves(model: HapticModel) -> bool:
     return resolve(model.spec.device) != "cpu" and fast and not solved
 
 
-def boxes_of(model: HapticModel) -> tuple[Float, Float]:
+def _boxes(model: HapticModel) -> tuple[Float, Float]:
     """Middles and half sizes of the boxes of all parts that the sound pushes [m], shapes (p, 3)."""
     low = np.concatenate([body.boxes.min(axis=1) for body in model.bodies])
     high = np.concatenate([body.boxes.max(axis=1) for body in model.bodies])

@@ -175,7 +175,7 @@ class MovingWorlds:
         drives = PathDrives(drive, transducers, response.stepper if first.response_on else None)
         straight = substep_moments((), 0.0, first.step_s, first.substeps)
         weights = mean_weights(straight)
-        counted = weights[weights > 0.0] if drives.rings else np.ones(1)
+        counted = drives.pushed(weights)
         rows = first.substeps + 1, len(counted), 1
         worlds, probes = len(self.models), tuple(self._probes)
         of = GraphOf(worlds, probes, steppers, drives, True, self._alone)

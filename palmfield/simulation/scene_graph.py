@@ -124,7 +124,7 @@ class SceneGraph:
             raise PalmfieldError(f"focus at {path.foci.tolist()} m is not finite: mend what moves it")
         drives = self._path_drives(posed, t0)
         moments, count = len(path.moments.times), len(path.levels)
-        counted = path.weights[path.weights > 0.0] if drives.rings else np.ones(1)
+        counted = drives.pushed(path.weights)
         rows = moments, len(counted), 1
         course = of_drives(np.empty((moments, 0), np.complex128), np.empty(len(emitted), np.complex128))
         graph, models = self._room(GraphSizes(rows, rows, len(path.foci)), drives)

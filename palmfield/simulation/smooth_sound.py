@@ -62,7 +62,7 @@ class SmoothSound:
         self._ahead: dict[float, Float] = {}
         self._poses: Serials = np.zeros(worlds, np.int64)
         self._of: list[UnitDrive | None] = [None] * worlds
-        self._first: dict[tuple[int, tuple[float, ...]], UnitDrive] = {}  # by pose and point
+        self._first: dict[tuple[float, ...], UnitDrive] = {}  # by pose and point
         self._scales: Float = np.ones(worlds)  # a world's own drive over its unit drive
         self._units: Complex = np.zeros((worlds, len(first.arrays)), np.complex128)
         self._powers, self._peaks = np.zeros(worlds), np.zeros(worlds)
@@ -114,18 +114,24 @@ class SmoothSound:
             unit = drive.unit_drive_at(points, point)
         except PalmfieldError:
             return False  # the world may be silent now; if not, its own step raises this again
-        if len(self._first) > len(self.models):
-            self._first.clear()
-        # Worlds whose drives differ in their level alone have one field
-        first = self._first.setdefault((posed.serial, tuple(point)), unit)
-        scale = abs(np.vdot(first.amplitudes, unit.amplitudes)) / max(first.power, LEAST)
-        alike = np.abs(unit.amplitudes - scale * first.amplitudes).max() <= ALIKE * unit.peak
-        shared = alike and len(self.models) >= SHARED_FROM
-        unit, self._scales[world] = (first, scale) if shared else (unit, 1.0)
+        if len(self.models) >= SHARED_FROM:
+            unit, self._scales[world] = self._shared(unit, (posed.serial, *point))
         self._of[world], self.serials[world], self._poses[world] = unit, unit.serial, posed.serial
         self._units[world], self._powers[world], self._peaks[world] = unit.amplitudes, unit.power, unit.peak
         self._known[world] = False
         return True
+
+    def _shared(self, unit: UnitDrive, key: tuple[float, ...]) -> tuple[UnitDrive, float]:
+        """The first world's drive in this pose to this point and what number times it a world's own is, or its own.
+
+        So worlds whose drives differ in their level alone have one field.
+        """
+        if len(self._first) > len(self.models):
+            self._first.clear()
+        first = self._first.setdefault(key, unit)
+        scale = float(abs(np.vdot(first.amplitudes, unit.amplitudes))) / max(first.power, LEAST)
+        alike = np.abs(unit.amplitudes - scale * first.amplitudes).max() <= ALIKE * unit.peak
+        return (first, scale) if alike else (unit, 1.0)
 
     def _levels_alike(self, joins: Bool) -> Bool:
         """In which worlds a number times the unit drive is emitted, shape (worlds,); finds these numbers."""

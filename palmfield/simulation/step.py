@@ -357,8 +357,6 @@ class Steps:
         work, state = self.works[0], self._states[0]
         self._posed[0], self._poses[0], self._apart = posed, posed.serial, [0]
         self.smooth.forget()
-        if self.graph is not None:
-            self.graph.forget()
         if untouched(state):
             work.emission.forget()
         if work.emission.holds:
@@ -571,10 +569,10 @@ class Steps:
             made: dict[bytes, Float32] = {}
             patterns = []
             for i in at.tolist():
-                pattern = made.get(group.keys[i].tobytes())
-                if pattern is None or group.keys[i, 1] == 0:
-                    pattern = made[group.keys[i].tobytes()] = self._patterns(group, skin, stepper, i)
-                patterns.append(pattern)
+                own = group.keys[i].tobytes()
+                if own not in made:
+                    made[own] = self._patterns(group, skin, stepper, i)
+                patterns.append(made[own])
             if len(patterns) == 1:
                 stacked = patterns[0][None]
             elif len(made) == 1:  # there once for all worlds

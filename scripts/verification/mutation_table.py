@@ -970,7 +970,7 @@ MUTATIONS = (
         "palmfield/simulation/scene_points.py",
         "(1, len(bound.points)), inputs, device), mesh.refit]",
         "(1, len(bound.points)), inputs, device)]",
-        "tests/simulation/test_scene_graph.py::test_shadows_of_an_obstacle_and_of_the_hand[rays]",
+        "tests/simulation/test_scene_graph.py::test_shadows_of_hands_and_of_an_obstacle[rays-grasp_object-0.2]",
     ),
     Mutation(
         "level for its square in the load",

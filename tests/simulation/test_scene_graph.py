@@ -226,18 +226,11 @@ def test_bones_carry_points_and_samples(by_graph: Any) -> None:
     agree(sim)
 
 
+@pytest.mark.parametrize(("scene", "start_s"), [("two_hands", 0.3), ("grasp_object", 0.2)])
 @pytest.mark.parametrize("edges", ["rays", "knife_edge"])
-def test_shadows_of_two_hands(by_graph: Any, edges: str) -> None:
-    sim = by_graph(SCENES / "two_hands.xml", accuracy=0.5, keys={"skin.shadow_edges": edges})
-    sim.start_at(0.3)
-    sim.step(2)
-    agree(sim, flipped=2e-3)
-
-
-@pytest.mark.parametrize("edges", ["rays", "knife_edge"])
-def test_shadows_of_an_obstacle_and_of_the_hand(by_graph: Any, edges: str) -> None:
-    sim = by_graph(SCENES / "grasp_object.xml", accuracy=0.5, keys={"skin.shadow_edges": edges})
-    sim.start_at(0.2)
+def test_shadows_of_hands_and_of_an_obstacle(by_graph: Any, edges: str, scene: str, start_s: float) -> None:
+    sim = by_graph(SCENES / f"{scene}.xml", accuracy=0.5, keys={"skin.shadow_edges": edges})
+    sim.start_at(start_s)
     sim.step(2)
     agree(sim, flipped=2e-3)
 
