@@ -111,6 +111,6 @@ def test_a_recording_has_the_pressure_on_all_faces():
 
 def test_the_plan_says_how_many_and_to_what():
     model = posed("palm_am200", 0.0075).runtime.model
-    sound = modelled(model, 0.1)[0]
+    sound = modelled(model, 0.1, "")[0]
     count = len(model.bodies[0].sample_mesh.corners)
     assert f"{count} places of the surface for the force, to 0.75 % (rms over foci)" in str(sound)
