@@ -128,3 +128,10 @@ class Patch:
     rim: NDArray[np.bool_]
     axis: Float | None = None
     report: dict[str, float] = field(default_factory=dict)
+
+
+def json_value(value: object) -> object:
+    """NumPy's scalars and arrays as JSON has them."""
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    raise TypeError(f"{type(value).__name__} is not JSON")

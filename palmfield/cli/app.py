@@ -197,8 +197,8 @@ def info(
 
     Example: palmfield info mjcf/scenes/phantom_step.xml
     """
-    from palmfield.cli.as_json import print_json, scene_facts
-    from palmfield.cli.describe import describe
+    from palmfield.cli.as_json import print_json
+    from palmfield.cli.describe import describe, scene_facts
     from palmfield.session.preview import preview
 
     view = preview(scene, device=device, accuracy=accuracy, keys=given_keys(keys))

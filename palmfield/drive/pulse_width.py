@@ -8,7 +8,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.signal import firwin, upfirdn
 
 from palmfield.errors import DeviceError
 from palmfield.stimulus.duty_law import duty_cycle, relative_pressure
@@ -89,6 +88,8 @@ def resample(
         first and last frame are held beyond the ends. It may overshoot: clip a duty to 0..1/2.
     Raises DeviceError where the carrier is no whole multiple of the frame rate, or for a bad cutoff or span.
     """
+    from scipy.signal import firwin, upfirdn
+
     values = np.asarray(frames)
     if not (frame_rate_Hz > 0.0 and abs(carrier_Hz / frame_rate_Hz - round(carrier_Hz / frame_rate_Hz)) < 1e-9):
         raise DeviceError(

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import bilinear, lfilter
+from scipy.linalg import solve_banded
 
 from palmfield.config import StimulusConfig
 from palmfield.stimulus.modulation import sharpest_s
@@ -141,7 +141,6 @@ def changes_of_motion(
     lag, spread = max(1, round(delay / step)), max(1, round(spread_s / step))
     frequency_Hz = max(frequency_Hz, SLOWEST_Hz)
     w = 2.0 * math.pi * frequency_Hz
-    oscillator = bilinear([w**2], [1.0, 2.0 * LOSS * w, w**2], 1.0 / step)
     before = math.ceil(FORGOTTEN / (frequency_Hz * step))
     changes = []
     for begin, end in windows(stimulus, delay):
@@ -152,7 +151,7 @@ def changes_of_motion(
         rung = np.abs(_rung(levels.astype(complex), rate * step)) ** 2
         # Each against what is as late as it: a mere delay changes no motion, but what a window holds of it
         pairs = (rung, np.abs(_later(levels, lag)) ** 2), (late**2, np.abs(_later(levels, max(1, spread // 2))) ** 2)
-        sizes = [[float(np.abs(lfilter(*oscillator, load))[before:].max()) for load in pair] for pair in pairs]
+        sizes = [[float(np.abs(_oscillation(load, w * step))[before:].max()) for load in pair] for pair in pairs]
         if all(own > 0.0 for _, own in sizes):
             changes.append([changed / own - 1.0 for changed, own in sizes])
     ring_up, flight_time = zip(*changes, strict=True) if changes else ((0.0,), (0.0,))
@@ -197,10 +196,29 @@ def _moving(drives: Complex, weights: Float, z: Complex, delays: Float, lag: int
     return np.sqrt(ring_up), np.sqrt(flight_time)
 
 
+def _oscillation(load: Float, angle: float) -> Float:
+    """Displacement of an oscillator at rest at first, relative to that under a held load of 1, by the bilinear rule.
+
+    angle: by which it turns in a sample [rad]
+    """
+    c = 2.0 / angle
+    end = c**2 + 2.0 * LOSS * c + 1.0
+    rows = [1.0, 2.0 * (1.0 - c**2) / end, (c**2 - 2.0 * LOSS * c + 1.0) / end]
+    return np.asarray(_recursion(rows, np.convolve(load, [1.0, 2.0, 1.0])[: len(load)] / end))
+
+
+def _recursion(rows: Sequence[complex], loads: Complex | Float) -> Complex:
+    """x of rows[0] x[n] + rows[1] x[n-1] + ... = loads[n], with zeros before: a banded system."""
+    bands = np.tile(np.array(rows)[:, None], len(loads))
+    return np.asarray(solve_banded((len(rows) - 1, 0), bands, loads, check_finite=False))
+
+
 def _rung(drive: Complex, z: complex) -> Complex:
     """What a pole emits in the middle of each sample, the drive being held over it; settled at first. Exact."""
     half = np.exp(-0.5 * z)
-    ends, _ = lfilter([1.0 - half**2], [1.0, -(half**2)], drive, zi=[half**2 * drive[0]])
+    loads = (1.0 - half**2) * drive
+    loads[0] += half**2 * drive[0]
+    ends = _recursion([1.0, -(half**2)], loads)
     begins = np.concatenate([drive[:1], ends[:-1]])
     return np.asarray(half * begins + (1.0 - half) * drive)
 

@@ -12,7 +12,6 @@ import trimesh
 from palmfield.errors import SceneError
 from palmfield.given_files import read_bytes, regular
 from palmfield.hand.chirality import fingertips, way_from_wrist
-from palmfield.hand.gltf import read_gltf
 from palmfield.hand.holes import plane_axes
 from palmfield.hand.joint_tree import joined
 from palmfield.hand.mano import read_mano
@@ -159,6 +158,8 @@ def _read(file: Path) -> tuple[Float, Int, str | None, SkinRig | None]:
     _check_count(file, announced_faces(file))
     rig: SkinRig | None = None
     if suffix in GLTF:
+        from palmfield.hand.gltf import read_gltf
+
         vertices, faces, rig = read_gltf(file, partial(_check_count, file))
     elif suffix in MANO:
         vertices, faces, rig = read_mano(file)

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palmfield.outputs.schema import LABELS, PLACES, RECORDS, ROOT, Attributes, Checked, Variable, ordered, variables_of
+from palmfield.types import json_value
 
 CHUNK_BYTES = 1_000_000
 """Of a compressed chunk in the result. HDF5 keeps 1 MiB a variable: a chunk is filled before it is packed."""
@@ -289,15 +290,8 @@ def joined(blocks: list[Checked]) -> Checked:
 def storable(value: object) -> object:
     """Value that netCDF can hold as an attribute; what it cannot becomes JSON text."""
     if isinstance(value, bool | np.bool_) or not isinstance(value, str | int | float | np.number):
-        return json.dumps(value, default=plain)
+        return json.dumps(value, default=json_value)
     return value
-
-
-def plain(value: object) -> object:
-    """NumPy's scalars and arrays as JSON has them."""
-    if isinstance(value, np.generic | np.ndarray):
-        return value.tolist()
-    raise TypeError(f"{type(value).__name__} is not JSON")
 
 
 def _groups(file: Any, path: str) -> Iterator[tuple[str, Any]]:

@@ -24,7 +24,6 @@ from palmfield.outputs.netcdf import (
     UNREADABLE,
     image,
     joined,
-    plain,
     read_attributes,
     read_image,
     read_lengths,
@@ -42,6 +41,7 @@ from palmfield.outputs.schema import (
     tree,
     variables_of,
 )
+from palmfield.types import json_value
 
 RESULT = "result.nc"
 DERIVED = ("summary.json", "pressure.png", "displacement.png", "scene.png", "scene.usdc", "scene.partial.usdc")
@@ -279,7 +279,7 @@ def write_json(path: Path, obj: object) -> None:
     Raises OutputError for what JSON cannot hold (NaN included) and where the file cannot be written.
     """
     try:
-        text = json.dumps(obj, indent=2, default=plain, allow_nan=False)
+        text = json.dumps(obj, indent=2, default=json_value, allow_nan=False)
     except (TypeError, ValueError) as error:
         raise OutputError(
             f"cannot write {path} as JSON: {error}; give finite numbers, text, lists and dicts"

@@ -10,7 +10,6 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from trimesh.triangles import closest_point, points_to_barycentric
 
 from palmfield.errors import SceneError
 from palmfield.hand.geodesic import Piece, shortest_way
@@ -212,6 +211,8 @@ def _check(surface: Surface) -> None:
 
 def _nearest(surface: Surface, point: Float, name: str) -> tuple[int, Float]:
     """Face and foot of a point on the surface."""
+    from trimesh.triangles import closest_point
+
     # In millimetres: trimesh's tolerance is absolute, and in metres takes points inside small triangles for edge points
     corners, points = 1e3 * surface.vertices[surface.faces], np.tile(1e3 * point, (len(surface.faces), 1))
     feet = 1e-3 * closest_point(corners, points)
@@ -347,6 +348,8 @@ def _joined(pieces: list[Piece]) -> Piece:
 
 
 def _skin_path(surface: Surface, piece: Piece, closed: bool) -> SurfacePath:
+    from trimesh.triangles import points_to_barycentric
+
     segments, places = piece
     points = np.array(places)
     faces = np.array([*segments, segments[-1]], dtype=np.int32)
