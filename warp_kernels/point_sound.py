@@ -107,13 +107,14 @@ def fields(rows: int, gpu: bool, shaded: bool = False) -> Any:
             z_re = lanes()
             z_im = lanes()
             for e in range(first + j * size, wp.min(first + (j + 1) * size, stop)):
-                loudest = wp.float32(0.0)
-                for r in range(rows):
-                    a = drives[row + r, e]
-                    a_re[r] = a[0]
-                    a_im[r] = a[1]
-                    loudest += wp.abs(a[0]) + wp.abs(a[1])
-                if loudest > 0.0:
+                # One drive is often that of another array; several are read where there is light only
+                sounds = True
+                if rows == 1:
+                    a = drives[row, e]
+                    a_re[0] = a[0]
+                    a_im[0] = a[1]
+                    sounds = wp.abs(a[0]) + wp.abs(a[1]) > 0.0
+                if sounds:
                     place = row32(places, e)
                     axis = row32(facing, e)
                     x = point[0] - place[0]
@@ -149,15 +150,28 @@ def fields(rows: int, gpu: bool, shaded: bool = False) -> Any:
                         gx = wp.vec2(along_re * x + axial_re * axis[0], along_im * x + axial_im * axis[0])
                         gy = wp.vec2(along_re * y + axial_re * axis[1], along_im * y + axial_im * axis[1])
                         gz = wp.vec2(along_re * z + axial_re * axis[2], along_im * z + axial_im * axis[2])
+                        # A sum at a time: each is one multiplication with addition
                         for r in range(rows):
-                            p_re[r] += a_re[r] * p[0] - a_im[r] * p[1]
-                            p_im[r] += a_re[r] * p[1] + a_im[r] * p[0]
-                            x_re[r] += a_re[r] * gx[0] - a_im[r] * gx[1]
-                            x_im[r] += a_re[r] * gx[1] + a_im[r] * gx[0]
-                            y_re[r] += a_re[r] * gy[0] - a_im[r] * gy[1]
-                            y_im[r] += a_re[r] * gy[1] + a_im[r] * gy[0]
-                            z_re[r] += a_re[r] * gz[0] - a_im[r] * gz[1]
-                            z_im[r] += a_re[r] * gz[1] + a_im[r] * gz[0]
+                            if rows > 1:
+                                a = drives[row + r, e]
+                                a_re[r] = a[0]
+                                a_im[r] = a[1]
+                            p_re[r] += a_re[r] * p[0]
+                            p_re[r] -= a_im[r] * p[1]
+                            p_im[r] += a_re[r] * p[1]
+                            p_im[r] += a_im[r] * p[0]
+                            x_re[r] += a_re[r] * gx[0]
+                            x_re[r] -= a_im[r] * gx[1]
+                            x_im[r] += a_re[r] * gx[1]
+                            x_im[r] += a_im[r] * gx[0]
+                            y_re[r] += a_re[r] * gy[0]
+                            y_re[r] -= a_im[r] * gy[1]
+                            y_im[r] += a_re[r] * gy[1]
+                            y_im[r] += a_im[r] * gy[0]
+                            z_re[r] += a_re[r] * gz[0]
+                            z_re[r] -= a_im[r] * gz[1]
+                            z_im[r] += a_re[r] * gz[1]
+                            z_im[r] += a_im[r] * gz[0]
             for r in range(rows):
                 result[row + r, run + j, 0, i] = p_re[r]
                 result[row + r, run + j, 1, i] = p_im[r]

@@ -116,7 +116,7 @@ class GraphWork:
         frames = layout.obstacles[-1].stop
         parts, results = self._shapes(transducers.count, frames)
         inside = self._inside()
-        points = ScenePoints(model, reference, self._motions, of.probes, device, worlds, self._steppers())
+        points = ScenePoints(model, reference, self._motions, of.probes, device, worlds, self._steppers(), of.free)
         tables = sum(map(nbytes, (parts | results).values()))
         check_room(worlds * points.nbytes(sizes.sums[0], sizes.sums[1]) + tables, worlds, device)
         points.make()
@@ -274,7 +274,7 @@ class GraphWork:
         sampled = points.points[:, points.sampled], points.normals[:, points.sampled]
         loads: Any = wp.zeros((self.of.worlds, pressed.shape[1]), dtype=wp.float64, device=device)
         weighed = [arrays[f"{FORCE}_counts"], arrays["weights"], pressed, points.areas, *sampled, transducers.corners]
-        owners = ForceOwners(reference, self._motions, points.samples)
+        owners = ForceOwners(reference, self._motions, points)
         return [
             launch(summing.mean_load, loads.shape, [*weighed, loads], device),
             *owners.calls(loads, *sampled, arrays["origins"], arrays["forces"], device),

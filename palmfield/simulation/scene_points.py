@@ -15,15 +15,19 @@ from palmfield.device import filled, launch, vectors, whole_numbers
 from palmfield.hand.posed_surface import SkinBinding
 from palmfield.hand.rigged import strongest
 from palmfield.hand.skinning import SkinnedSurface
+from palmfield.hand.triangles import face_normals
 from palmfield.simulation.model import HapticModel, SkinModel
 from palmfield.simulation.posed_scene import PosedScene, PoseLayout
 from palmfield.simulation.radiation import occluding_counts, occluding_faces, occluding_vertices
 from palmfield.simulation.sensors import SensorPlace
 from palmfield.skin.stepper import SkinStepper
-from palmfield.types import Float, Int
+from palmfield.types import Float, Int, Surface
 from warp_kernels import carried_points as carrying
 from warp_kernels import resultants as summing
 
+SQUARE = 8
+"""Cells on a side, a power of two, in which directions are told apart."""
+TINY = 1e-30
 RUN = 16
 """Force samples that one thread adds up."""
 
@@ -105,7 +109,8 @@ class ScenePoints:
 
     points, normals: vec3; areas: of the force samples [m2], float64
     quadrature: where each skin's points are; samples: of each body its number and where its force samples are among
-        those of all; loaded, probed, sampled: all points of one kind; count: of all
+        those of all; orders: of bodies whose samples lie in another order, which of the body's each one is
+    loaded, probed, sampled: all points of one kind; count: of all
     """
 
     def __init__(
@@ -117,8 +122,10 @@ class ScenePoints:
         device: str,
         worlds: int = 1,
         steppers: Mapping[int, SkinStepper] | None = None,
+        alike: bool = False,
     ):
-        """steppers: of the skins whose points are only those at which these take pressure"""
+        """steppers: of the skins whose points are only those at which these take pressure; alike: whether force samples
+        that look alike lie together, so that threads side by side are in the dark together"""
         self._device, self._worlds = device, worlds
         bound: list[tuple[_Bound, Float]] = []
         self.quadrature: list[slice] = []
@@ -136,6 +143,7 @@ class ScenePoints:
             count += 1
         self.probed = slice(self.loaded.stop, count)
         self.samples: list[tuple[int, slice]] = []
+        self.orders: dict[int, Int] = {}
         areas: list[Float] = []
         start = count
         whole = [number for number, body in enumerate(model.bodies) if body.hand is None]
@@ -153,6 +161,9 @@ class ScenePoints:
             if body.hand is None:
                 continue
             own_faces = body.sampled.surface.faces
+            if alike:
+                order = self.orders[number] = _by_direction(body.sampled.surface, reference.bodies[number].sample_parts)
+                own_faces = own_faces[order]
             vertices.append(_bound_vertices(body.sampled, body.sampled.surface.vertices, rows.bodies[number].start))
             faces.append(own_faces + corners)
             corners += len(vertices[-1].points)
@@ -194,6 +205,20 @@ class ScenePoints:
         return calls
 
 
+def _by_direction(surface: Surface, owners: Int) -> Int:
+    """Order of faces in which those that look the same way, and of these one bone's, follow on one another, shape (n,).
+
+    Of 32 that follow on one another none is lit for 40 % of the hand's faces, where it was 1 to 2 %.
+    """
+    normals = face_normals(surface.vertices, surface.faces)[0]
+    # On an octahedron unfolded to a square, which a curve fills
+    flat = normals / np.maximum(np.abs(normals).sum(axis=1, keepdims=True), TINY)
+    folded = np.where(flat[:, 2:] >= 0.0, flat[:, :2], (1.0 - np.abs(flat[:, 1::-1])) * np.copysign(1.0, flat[:, :2]))
+    cells = np.minimum((SQUARE / 2 * (folded + 1.0)).astype(np.int64), SQUARE - 1)
+    along = sum(((cells[:, i] >> bit) & 1) << (2 * bit + i) for i in range(2) for bit in range(SQUARE.bit_length() - 1))
+    return np.lexsort((owners, along)).astype(np.int32)
+
+
 def _loaded(skin: SkinModel, stepper: SkinStepper | None) -> tuple[Float, Float, SkinBinding | None]:
     """Where a skin takes pressure [m], normals there and what carries them: all its points, or those of a stepper."""
     quadrature = skin.layer.quadrature
@@ -215,11 +240,13 @@ def _rest_samples(reference: PosedScene, number: int) -> tuple[Float, Float, Flo
 class ForceOwners:
     """Force samples by the part of a body that they push."""
 
-    def __init__(self, reference: PosedScene, rows: MotionRows, samples: Sequence[tuple[int, slice]]):
+    def __init__(self, reference: PosedScene, rows: MotionRows, of: ScenePoints):
+        samples = of.samples
         owners: Int = np.zeros(samples[-1][1].stop, np.int32)
         self._parts = rows.parts
         for number, own in samples:
-            owners[own] = rows.bodies[number].start + reference.bodies[number].sample_parts
+            parts = reference.bodies[number].sample_parts
+            owners[own] = rows.bodies[number].start + parts[of.orders.get(number, slice(None))]
         self._order = np.argsort(owners, kind="stable").astype(np.int32)
         counts = np.bincount(owners, minlength=self._parts)
         starts: list[int] = []
