@@ -2,6 +2,7 @@
 """What a step takes in each of many worlds of a moving scene on a GPU, and where the time goes.
 
 python scripts/bench/many_worlds.py [--scene hover_explore] [--worlds 1024] [--start 0.1] [--steps 20] [--device cuda:0]
+    [--key skin.force_accuracy=0.0075]
 
 Worlds differ in their level. Printed are the median of the wall times of whole steps and the mean of their parts, which
 lie within one another, then each kernel and copy by itself, all in us a world and step.
@@ -59,8 +60,10 @@ def main() -> None:
     parser.add_argument("--start", type=float, default=0.1, help="time at which the steps begin [s]")
     parser.add_argument("--steps", type=int, default=20)
     parser.add_argument("--device", default="cuda:0")
+    parser.add_argument("--key", action="append", default=[], help="a key of the scene and its value in all worlds")
     given = parser.parse_args()
     levels: dict[str, object] = {"stimulus.drive_amplitude": np.linspace(0.5, 1.0, given.worlds)}
+    levels |= dict(key.split("=", 1) for key in given.key)
     path = folder("mjcf") / "scenes" / f"{given.scene}.xml"
     start = time.perf_counter()
     sim = palmfield.Simulation(path, device=given.device, keys=levels, worlds=given.worlds)
