@@ -13,23 +13,27 @@ from typing import TYPE_CHECKING
 from palmfield.lazy_names import lazy_names
 
 if TYPE_CHECKING:
+    from palmfield.acoustics.air import density, sound_speed
     from palmfield.acoustics.arp import SurfaceSound
     from palmfield.acoustics.arrays import layout
     from palmfield.acoustics.body_scattering import Occlusion, RigidScatteredField, boundary_mesh
     from palmfield.acoustics.derived import intensity, particle_velocity
     from palmfield.acoustics.field import FieldEvaluator, pressure
     from palmfield.acoustics.phased_array import ArrayInstance, MultiArrayField, PhasedArray
+    from palmfield.acoustics.reference import pressure64
     from palmfield.acoustics.surface_arp import SurfaceArp
     from palmfield.acoustics.surface_load import clearance, distance_to_arrays, pushes, resultants
     from palmfield.acoustics.transfer import Transfer, arp_frames
 
 _WHERE = {
+    **dict.fromkeys(("density", "sound_speed"), "air"),
     "SurfaceSound": "arp",
     "layout": "arrays",
     **dict.fromkeys(("Occlusion", "RigidScatteredField", "boundary_mesh"), "body_scattering"),
     **dict.fromkeys(("intensity", "particle_velocity"), "derived"),
     **dict.fromkeys(("FieldEvaluator", "pressure"), "field"),
     **dict.fromkeys(("ArrayInstance", "MultiArrayField", "PhasedArray"), "phased_array"),
+    "pressure64": "reference",
     "SurfaceArp": "surface_arp",
     **dict.fromkeys(("clearance", "distance_to_arrays", "pushes", "resultants"), "surface_load"),
     **dict.fromkeys(("Transfer", "arp_frames"), "transfer"),
@@ -47,12 +51,15 @@ __all__ = [
     "arp_frames",
     "boundary_mesh",
     "clearance",
+    "density",
     "distance_to_arrays",
     "intensity",
     "layout",
     "particle_velocity",
     "pressure",
+    "pressure64",
     "pushes",
     "resultants",
+    "sound_speed",
 ]
 __getattr__, __dir__ = lazy_names(__name__, _WHERE)

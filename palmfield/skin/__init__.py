@@ -15,8 +15,8 @@ from palmfield.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from palmfield.skin.fem.wedge_stepper import WedgeStepper
-    from palmfield.skin.materials.catalogue import preset
-    from palmfield.skin.materials.material import Branch, Material
+    from palmfield.skin.materials.catalogue import CATALOGUE, preset, softest_and_stiffest
+    from palmfield.skin.materials.material import Branch, Material, kelvin_voigt, shear_wave
     from palmfield.skin.materials.sheet import Sheet
     from palmfield.skin.problem import Foundation, Layer, Motion, Slab, Spot, Springs, Traction
     from palmfield.skin.reduction.reduced_stepper import KnownLoad, ReducedStepper, reduced_stepper
@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
 _WHERE = {
     "WedgeStepper": "fem.wedge_stepper",
-    "preset": "materials.catalogue",
-    **dict.fromkeys(("Branch", "Material"), "materials.material"),
+    **dict.fromkeys(("CATALOGUE", "preset", "softest_and_stiffest"), "materials.catalogue"),
+    **dict.fromkeys(("Branch", "Material", "kelvin_voigt", "shear_wave"), "materials.material"),
     "Sheet": "materials.sheet",
     **dict.fromkeys(("Foundation", "Layer", "Motion", "Slab", "Spot", "Springs", "Traction"), "problem"),
     **dict.fromkeys(("KnownLoad", "ReducedStepper", "reduced_stepper"), "reduction.reduced_stepper"),
@@ -36,6 +36,7 @@ _WHERE = {
     **dict.fromkeys(("Reader", "SkinStepper", "SurfaceLoads"), "stepper"),
 }
 __all__ = [
+    "CATALOGUE",
     "Branch",
     "Choice",
     "Foundation",
@@ -57,10 +58,13 @@ __all__ = [
     "Traction",
     "WedgeStepper",
     "choices",
+    "kelvin_voigt",
     "layer_sizes",
     "preset",
     "reduced_stepper",
     "scene_choices",
+    "shear_wave",
+    "softest_and_stiffest",
     "solve",
     "static",
 ]
