@@ -10,7 +10,6 @@ from setuptools.command.build_py import build_py
 
 ROOT = Path(__file__).resolve().parent
 FOLDERS = ("mjcf", "hand_models")
-TOLERANCES = "tolerances.toml"
 FENCE = re.compile(r"(^```.*?^```$)", re.DOTALL | re.MULTILINE)
 PICTURE = re.compile(r"!\[([^\]]*)\]\((?!https?://)([^)]+)\)\n*")
 LINK = re.compile(r"(?<!!)\[([^\]]*)\]\((?!https?://)([^)]+)\)")
@@ -27,9 +26,6 @@ class BuildWithData(build_py):
             target = Path(self.build_lib) / "palmfield" / "_data" / name
             shutil.rmtree(target, ignore_errors=True)  # an earlier build may have left files that are gone by now
             shutil.copytree(ROOT / name, target)
-        gallery = Path(self.build_lib) / "palmfield" / "_data" / "gallery"
-        gallery.mkdir(parents=True, exist_ok=True)
-        shutil.copy2(ROOT / "docs" / "gallery" / TOLERANCES, gallery / TOLERANCES)
 
 
 def described(readme: str, source: str | None) -> str:

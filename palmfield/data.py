@@ -7,21 +7,19 @@ from palmfield.errors import SceneError
 
 PACKAGE = Path(__file__).resolve().parent
 
-
-IN_CLONE = {"mjcf": "mjcf", "hand_models": "hand_models", "gallery": "docs/gallery"}
-"""Folders of data, and where they lie beside the package."""
+FOLDERS = ("mjcf", "hand_models")
 
 
-def folder(name: Literal["mjcf", "hand_models", "gallery"]) -> Path:
+def folder(name: Literal["mjcf", "hand_models"]) -> Path:
     """Folder of data files that ship with palmfield.
 
-    name: "mjcf" (arrays, hands and scenes), "hand_models" (hand presets) or "gallery" (how the papers are held)
+    name: "mjcf" (arrays, hands and scenes) or "hand_models" (hand presets)
     Returns an absolute path that exists.
     Raises SceneError for another name, and where the folder is in neither place.
     """
-    if name not in IN_CLONE:
-        raise SceneError(f"data folder {name!r} does not exist: ask for {', '.join(map(repr, IN_CLONE))}")
-    places = (PACKAGE / "_data" / name, PACKAGE.parent / IN_CLONE[name])
+    if name not in FOLDERS:
+        raise SceneError(f"data folder {name!r} does not exist: ask for {', '.join(map(repr, FOLDERS))}")
+    places = (PACKAGE / "_data" / name, PACKAGE.parent / name)
     for place in places:
         if place.is_dir():
             return place

@@ -10,13 +10,15 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 VENV, LOWEST_VENV = ROOT / ".venv", ROOT / ".venv-lowest"
+PAPERS = "papers"
+"""Folder of the second distribution, palmfield-papers."""
 OLDEST = (3, 11)
 LAST_LINES = 15
 LOWEST = re.compile(r"([A-Za-z0-9._-]+)\s*>=\s*([0-9][0-9A-Za-z.]*)\s*(,|$)")
 
 
 def environment(extra: str = "", venv: Path = VENV) -> Path:
-    """Python of an up-to-date environment with palmfield installed editable; makes or refreshes it where needed.
+    """Python of an up-to-date environment with both distributions editable in it; makes or refreshes it where needed.
 
     extra: optional dependencies, "" or "test"
     venv: VENV, or LOWEST_VENV, in which each dependency of palmfield has the lowest version that pyproject.toml allows
@@ -34,7 +36,7 @@ def environment(extra: str = "", venv: Path = VENV) -> Path:
     if stamp.get("key") != key or not works(python):
         stamp = {"key": key, "extras": []}
         make_venv(venv)
-    what = f"palmfield and its {extra} tools" if extra else "palmfield"
+    what = f"palmfield, palmfield-papers and {extra} tools" if extra else "palmfield and palmfield-papers"
     say(f"installing {what} into {venv.name} (1.2 GB of disk; the first time takes minutes)")
     mend = "is the network up, and does pip reach its package index? Mend that and run this again."
     options = []
@@ -52,6 +54,8 @@ def environment(extra: str = "", venv: Path = VENV) -> Path:
             *options,
             "--editable",
             f".[{extra}]" if extra else ".",
+            "--editable",
+            f"./{PAPERS}",
         ],
         mend,
     )
@@ -85,7 +89,7 @@ def python_of(venv: Path) -> Path:
 def fingerprint() -> str:
     """What an environment depends on: the project's declarations, the Python that made it, and where the clone lies."""
     digest = hashlib.sha256()
-    for name in ("pyproject.toml", "setup.py"):
+    for name in ("pyproject.toml", "setup.py", f"{PAPERS}/pyproject.toml"):
         digest.update((ROOT / name).read_bytes())
     digest.update(f"{version()} {sys.base_prefix} {ROOT}".encode())
     return digest.hexdigest()

@@ -18,8 +18,8 @@ OUT = _setup.ROOT / "out" / "demo"
 
 def main() -> int:
     parser = argparse.ArgumentParser(
-        description="Make .venv, install palmfield in it, and run mjcf/scenes/palm_am200.xml: a focus on the palm, "
-        "modulated at 200 Hz. Results go to out/demo.",
+        description="Make .venv, install palmfield and palmfield-papers in it, and run mjcf/scenes/palm_am200.xml: a "
+        "focus on the palm, modulated at 200 Hz. Results go to out/demo.",
         epilog="Anything else is passed on to `palmfield run`, for instance --out FOLDER.",
         allow_abbrev=False,
     )

@@ -30,10 +30,10 @@ TELL_CORES = (
 
 def main() -> int:
     parser = argparse.ArgumentParser(
-        description="Make .venv, install palmfield and its test tools in it, and run ruff check, ruff format --check, "
-        "mypy, import-linter and pytest. Before that, pytest's smoke tests run in .venv-lowest, with the lowest "
-        "versions of dependencies that pyproject.toml allows (made and run on Python 3.11 alone); after it, the "
-        "tests that play in real time (wall_clock) run alone, and "
+        description="Make .venv, install palmfield, palmfield-papers and test tools in it, and run ruff check, ruff "
+        "format --check, mypy, import-linter and pytest. Before that, pytest's smoke tests run in .venv-lowest, with "
+        "the lowest versions of dependencies that pyproject.toml allows (made and run on Python 3.11 alone); after it, "
+        "the tests that play in real time (wall_clock) run alone, and "
         "its numerics tests once more with OpenBLAS's kernels for another processor. Stops at the first that fails.",
         epilog="Tests run on all cores, those of a file one after the other. Anything else is passed "
         "on to pytest, for instance -k NAME, -m 'not slow', or a path from the "

@@ -1,4 +1,4 @@
-"""The package as users get it: a wheel, an editable install, an sdist; and the scripts on a bare Python."""
+"""Both distributions as users get them: a wheel, an editable install, an sdist; and the scripts on a bare Python."""
 
 import email
 import email.message
@@ -18,22 +18,27 @@ import pytest
 from markdown_it import MarkdownIt
 
 CLONE = Path(__file__).resolve().parents[1]
-SOURCES = ("palmfield", "warp_kernels", "mjcf", "hand_models")
+SOURCES = ("palmfield", "warp_kernels", "mjcf", "hand_models", "papers")
 FILES = (
     "pyproject.toml", "setup.py", "MANIFEST.in", "README.md", "LICENSE", "CHANGELOG.md", "CITATION.cff",
     "CONTRIBUTING.md",
 )  # fmt: skip
 MOST_MB = 1050
 """Of a plain install without the interpreter's compiled files, which make it 1.2 GB."""
-TOLERANCES = "docs/gallery/tolerances.toml"
+TOLERANCES = CLONE / "docs" / "gallery" / "tolerances.toml"
 TELL = """
 import palmfield.data
 print(palmfield.data.__file__)
-for name in ("mjcf", "hand_models", "gallery"):
+for name in ("mjcf", "hand_models"):
     print(palmfield.data.folder(name))
 import warp_kernels
 print(warp_kernels.__file__)
 """
+
+
+def linked() -> list[Path]:
+    """Files of the clone that the folder of the papers links to."""
+    return [path.resolve() for path in (CLONE / "papers").rglob("*") if path.is_symlink()]
 
 
 @pytest.fixture(scope="module")
@@ -42,9 +47,10 @@ def source(tmp_path_factory):
     copy = tmp_path_factory.mktemp("source") / "palmfield"
     copy.mkdir()
     for name in SOURCES:
-        shutil.copytree(CLONE / name, copy / name, ignore=shutil.ignore_patterns("__pycache__"))
-    (copy / TOLERANCES).parent.mkdir(parents=True)
-    for name in (*FILES, TOLERANCES):
+        left = shutil.ignore_patterns("__pycache__", "build", "*.egg-info")
+        shutil.copytree(CLONE / name, copy / name, symlinks=True, ignore=left)
+    for name in (*FILES, *(str(path.relative_to(CLONE)) for path in linked())):
+        (copy / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(CLONE / name, copy / name)
     (copy / "tests").mkdir()
     (copy / "tests" / "test_one.py").touch()
@@ -76,13 +82,22 @@ def tree(folder: Path) -> set[str]:
     return {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
 
 
-@pytest.fixture(scope="module")
-def wheel(source, tmp_path_factory):
-    out = tmp_path_factory.mktemp("wheels")
+def wheel_of(source: Path, out: Path) -> Path:
+    """As pip makes it."""
     options = ("--quiet", "--no-deps", "--no-build-isolation", "--no-index", "--wheel-dir", str(out))
     python("-m", "pip", "wheel", *options, str(source), cwd=out)
     (built,) = out.glob("*.whl")
     return built
+
+
+@pytest.fixture(scope="module")
+def wheel(source, tmp_path_factory):
+    return wheel_of(source, tmp_path_factory.mktemp("wheels"))
+
+
+@pytest.fixture(scope="module")
+def papers_wheel(source, tmp_path_factory):
+    return wheel_of(source / "papers", tmp_path_factory.mktemp("wheels"))
 
 
 def test_the_wheel_finds_its_data_without_the_clone(wheel, tmp_path):
@@ -93,7 +108,6 @@ def test_the_wheel_finds_its_data_without_the_clone(wheel, tmp_path):
         str(site / "palmfield" / "data.py"),
         str(site / "palmfield" / "_data" / "mjcf"),
         str(site / "palmfield" / "_data" / "hand_models"),
-        str(site / "palmfield" / "_data" / "gallery"),
         str(site / "warp_kernels" / "__init__.py"),
     ]
     for name in ("mjcf", "hand_models"):
@@ -107,7 +121,9 @@ def test_the_wheel_holds_the_packages_the_licence_and_nothing_else(wheel):
         metadata = archive.read(next(name for name in names if name.endswith("METADATA"))).decode()
         entry_points = archive.read(next(name for name in names if name.endswith("entry_points.txt"))).decode()
     assert {name.split("/")[0].split("-")[0] for name in names} == {"palmfield", "warp_kernels"}
-    assert not any(part in name for name in names for part in ("tests", "scripts", "peers", "numba"))
+    assert not any(
+        part in name for name in names for part in ("tests", "scripts", "peers", "numba", "papers", "tolerances")
+    )
     assert any(name.endswith("licenses/LICENSE") for name in names)
     assert "License-Expression: Apache-2.0" in metadata
     assert "palmfield = palmfield.cli.app:main" in entry_points
@@ -119,6 +135,26 @@ def test_the_wheel_holds_the_packages_the_licence_and_nothing_else(wheel):
         for package in ("palmfield", "warp_kernels")
         for path in (CLONE / package).rglob("*.py")
     }
+
+
+def test_the_wheel_of_the_papers_holds_their_package_and_the_tolerances(papers_wheel):
+    with zipfile.ZipFile(papers_wheel) as archive:
+        names = archive.namelist()
+        entry_points = archive.read(next(name for name in names if name.endswith("entry_points.txt"))).decode()
+        licence = archive.read(next(name for name in names if name.endswith("licenses/LICENSE")))
+        assert archive.read("palmfield_papers/tolerances.toml") == TOLERANCES.read_bytes()
+    assert {name.split("/")[0].split("-")[0] for name in names} == {"palmfield_papers"}
+    assert licence == (CLONE / "LICENSE").read_bytes()
+    assert entry_points.split() == ["[palmfield.commands]", "papers", "=", "palmfield_papers.cli:papers"]
+    told = metadata_of(papers_wheel)
+    assert told["Name"] == "palmfield-papers" and told["License-Expression"] == "Apache-2.0"
+    assert f"palmfield=={told['Version']}" in told.get_all("Requires-Dist")
+    assert all(link.startswith("http") for link in links(told.get_payload(decode=True).decode()))
+    package = CLONE / "papers" / "palmfield_papers"
+    modules = {str(path.relative_to(package.parent)) for path in package.rglob("*.py")}
+    assert {name for name in names if "/" in name and "dist-info" not in name} == {
+        *modules, "palmfield_papers/py.typed", "palmfield_papers/tolerances.toml",
+    }  # fmt: skip
 
 
 def links(markdown: str) -> list[str]:
@@ -170,16 +206,16 @@ def test_what_pypi_shows_beside_the_description(wheel):
 
 
 @pytest.mark.slow
-def test_the_demo_runs_from_a_plain_install_elsewhere(wheel, tmp_path):
+def test_the_demo_runs_from_a_plain_install_elsewhere(wheel, papers_wheel, tmp_path):
     """An environment with nothing in it but what the wheel asks for, in a folder that is not the clone."""
     python("-m", "venv", "there", cwd=tmp_path)
     own = tmp_path / "there" / "bin"
     environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
 
-    def run(*command: object) -> str:
+    def run(*command: object, code: int = 0) -> str:
         done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=900)
-        assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-3000:]
-        return done.stdout
+        assert done.returncode == code, done.stdout[-2000:] + done.stderr[-3000:]
+        return done.stdout if code == 0 else done.stderr
 
     run(own / "pip", "install", "--quiet", "--disable-pip-version-check", "--no-compile", wheel)
     site = Path(run(own / "python", "-c", "import palmfield; print(palmfield.__path__[0])").strip()).parent
@@ -194,6 +230,10 @@ def test_the_demo_runs_from_a_plain_install_elsewhere(wheel, tmp_path):
     names = {path.name for path in (tmp_path / "out").iterdir()}
     assert {"result.nc", "summary.json", "scene.usdc", "pressure.png", "displacement.png", "scene.png"} <= names
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["peak_displacement_m"] > 1e-7
+    # The papers are not there until they are installed too, which brings nothing else
+    assert run(own / "palmfield", "papers", "--only", "M7a", code=2).endswith(": pip install palmfield-papers\n")
+    run(own / "pip", "install", "--quiet", "--disable-pip-version-check", "--no-compile", "--no-index", papers_wheel)
+    assert json.loads(run(own / "palmfield", "papers", "--only", "M7a", "--quick", "--json"))["M7a"]["verdict"]
 
 
 def test_building_leaves_no_data_in_the_source_tree(wheel, source):
@@ -221,17 +261,33 @@ def test_an_editable_install_finds_the_data_beside_its_source(source, tmp_path):
         str(source / "palmfield" / "data.py"),
         str(source / "mjcf"),
         str(source / "hand_models"),
-        str(source / "docs" / "gallery"),
         str(source / "warp_kernels" / "__init__.py"),
     ]
 
 
-def test_the_sdist_can_build_the_same_wheel(source, wheel, tmp_path):
-    with tarfile.open(build("sdist", source, tmp_path / "sdist")) as archive:
-        archive.extractall(tmp_path, filter="data")
-    (unpacked,) = tmp_path.glob("palmfield-*")
-    assert not (unpacked / "tests").exists(), "some of the tests, without what they need"
-    with zipfile.ZipFile(build("wheel", unpacked, tmp_path / "wheel")) as mine, zipfile.ZipFile(wheel) as first:
+def test_an_editable_install_of_the_papers_reads_the_gallerys_tolerances(source, tmp_path):
+    site = tmp_path / "site"
+    install(build("editable", source / "papers", tmp_path / "out"), site)
+    tell = "import palmfield_papers; print(palmfield_papers.__path__[0])"
+    (told,) = python("-S", "-c", f"import site; site.addsitedir({str(site)!r}); {tell}", cwd=tmp_path).splitlines()
+    assert Path(told) == source / "papers" / "palmfield_papers"
+    assert (Path(told) / "tolerances.toml").resolve() == source / "docs" / "gallery" / "tolerances.toml"
+
+
+def unpacked(sdist: Path, folder: Path) -> Path:
+    with tarfile.open(sdist) as archive:
+        archive.extractall(folder, filter="data")
+    (there,) = (path for path in folder.iterdir() if path.name.startswith("palmfield") and path.is_dir())
+    return there
+
+
+@pytest.mark.parametrize("distribution", ["palmfield", "papers"])
+def test_the_sdist_can_build_the_same_wheel(distribution, source, wheel, papers_wheel, tmp_path):
+    of, own = {"palmfield": (source, wheel), "papers": (source / "papers", papers_wheel)}[distribution]
+    there = unpacked(build("sdist", of, tmp_path / "sdist"), tmp_path)
+    assert not (there / "tests").exists(), "some of the tests, without what they need"
+    assert not (there / "papers").exists() and not any(path.is_symlink() for path in there.rglob("*"))
+    with zipfile.ZipFile(build("wheel", there, tmp_path / "wheel")) as mine, zipfile.ZipFile(own) as first:
         assert sorted(mine.namelist()) == sorted(first.namelist())
 
 
@@ -256,6 +312,36 @@ def script(name, monkeypatch):
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+@pytest.mark.parametrize("extra", ["", "test"])
+def test_an_environment_has_both_distributions_by_one_command(extra, monkeypatch, tmp_path):
+    setup = script("_setup", monkeypatch)
+    commands = []
+    monkeypatch.setattr(setup, "run", lambda command, mend: commands.append([str(part) for part in command]))
+    monkeypatch.setattr(setup, "make_venv", lambda venv: venv.mkdir())
+    monkeypatch.setattr(setup, "has_pip", lambda python: True)
+    monkeypatch.setattr(setup, "LOWEST_VENV", tmp_path / "lowest")
+    for venv in (tmp_path / "venv", setup.LOWEST_VENV):
+        setup.environment(extra, venv)
+    assert len(commands) == 2
+    for command in commands:
+        assert command[-4:] == ["--editable", ".[test]" if extra else ".", "--editable", "./papers"]
+    assert "--constraint" in commands[1] and "--constraint" not in commands[0]
+
+
+def test_an_environment_is_as_old_as_either_declaration(monkeypatch, tmp_path):
+    setup = script("_setup", monkeypatch)
+    (tmp_path / "papers").mkdir()
+    files = ("pyproject.toml", "setup.py", "papers/pyproject.toml")
+    for name in files:
+        shutil.copy(CLONE / name, tmp_path / name)
+    monkeypatch.setattr(setup, "ROOT", tmp_path)
+    seen = [setup.fingerprint()]
+    for name in files:
+        (tmp_path / name).write_text((tmp_path / name).read_text() + "\n")
+        seen.append(setup.fingerprint())
+    assert len(set(seen)) == 4
 
 
 def test_lowest_versions_are_those_of_pyproject(monkeypatch, tmp_path, capsys):

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from palmfield.cli import completion
+from palmfield.cli import brought, completion
 from palmfield.cli.calibrate import calibrate
 from palmfield.cli.experiment import experiment
 from palmfield.cli.given import given_keys
@@ -20,10 +20,24 @@ from palmfield.errors import PalmfieldError, SceneError
 
 
 class _Door(TyperGroup):
-    """The whole program: what it is given is read as on this system."""
+    """The whole program: what it is given is read as on this system, and other distributions bring commands."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         return super().parse_args(ctx, [_of_this_system(argument) for argument in args])
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        self._take_in()
+        return super().list_commands(ctx)
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        if cmd_name not in self.commands:
+            self._take_in()
+        return super().get_command(ctx, cmd_name)
+
+    def _take_in(self) -> None:
+        """Take commands in that other distributions bring: only when asked for, as each loads a module."""
+        for name, command in brought.commands().items():
+            self.commands.setdefault(name, command)
 
 
 def _of_this_system(argument: str) -> str:
@@ -959,38 +973,6 @@ def usd_command(
     )  # fmt: skip
     if write_scene(run, out, shown, check=check, quiet=context.obj, as_json=as_json):
         raise typer.Exit(4)
-
-
-@app.command("papers")
-def papers_command(
-    context: typer.Context,
-    names: Annotated[
-        list[str] | None,
-        typer.Argument(help="chilles2019, reardon2023, mizushima2024, hasegawa2018, or all", metavar="[PAPER]..."),
-    ] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="coarser runs, for answers in minutes")] = False,
-    out: Annotated[Path, typer.Option(help="folder for pages, figures and rows.json")] = Path("out/papers"),
-    device: Annotated[str, typer.Option(help="where kernels run that can run on a GPU: cpu or cuda")] = "cpu",
-    jobs: Annotated[int, typer.Option(min=1, help="papers computed side by side, some 3 GB of memory each")] = 1,
-    only: Annotated[
-        list[str] | None,
-        typer.Option(help="only this number of docs/gallery/tolerances.toml, printed; may be repeated", metavar="ID"),
-    ] = None,
-    as_json: AsJson = False,
-) -> None:
-    """Compute what four papers claim, each number beside the paper's, held against tolerances fixed beforehand.
-
-    Writes a page, figures and rows.json for each paper, and index.html over all. Exit code 4 where a number failed.
-
-    Example: palmfield papers chilles2019 --quick
-    """
-    from palmfield.cli.papers import compute_numbers, compute_papers
-
-    if only:
-        raise typer.Exit(compute_numbers(only, quick=quick, device=device, as_json=as_json))
-    raise typer.Exit(
-        compute_papers(names or (), quick=quick, out=out, device=device, jobs=jobs, quiet=context.obj, as_json=as_json)
-    )
 
 
 @app.command()

@@ -281,14 +281,17 @@ def device_name(device: str) -> str:
     return "CPU" if device == "cpu" else wp.get_device(device).name
 
 
-def git_commit() -> str:
-    """Short name of the commit that runs, and whether files are changed; "unknown" where no git is."""
+def git_commit(*folders: str) -> str:
+    """Short name of the commit that runs, and whether files are changed; "unknown" where no git is.
+
+    folders: of the clone that count beside those of the packages
+    """
     try:
         name, changed = (
             subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
             for words in (
                 ["rev-parse", "--short", "HEAD"],
-                ["status", "--porcelain", "--", "palmfield", "warp_kernels"],
+                ["status", "--porcelain", "--", "palmfield", "warp_kernels", *folders],
             )
         )
     except (OSError, subprocess.CalledProcessError):

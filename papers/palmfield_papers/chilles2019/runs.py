@@ -1,0 +1,160 @@
+"""Motions of the slab's face per pascal, each solved once and kept by what it depends on."""
+
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from palmfield.instruments import SurfaceMotion, of_motion
+from palmfield.skin import Motion, solve
+from palmfield.skin.solver_choice import Name
+from palmfield.types import Float
+from palmfield_papers.chilles2019.setup import (
+    CIRCLE_RADIUS_M,
+    RADIUS_M,
+    RECORD_S,
+    STIMULUS_S,
+    Case,
+    Stimulus,
+    load_of,
+    slab_of,
+)
+
+RATE_HZ, ENDLESS_RATE_HZ, JUMP_RATE_HZ, JUMP_S = 32e3, 8e3, 128e3, 2e-3
+"""Of the times at which traces are asked, and of those near the beginning and the end of the stimulus. Pressure waves,
+which the elastic bulk hardly damps, come back to the middle from a rim, and not on the endless slab."""
+QUICK_CIRCLE_RATE_HZ = 16e3
+"""Of traces under the moving spot in quick runs."""
+MAP_RATE_HZ = 8e3
+LOSSLESS: dict[str, Any] = {"degree": 5}
+"""Resolution where the characteristic time is as printed: without losses all rings, and finer runs take many minutes.
+What that costs stands in the error."""
+LOSSLESS_ACCURACY, LOSSLESS_QUICK = 0.02, 0.1
+ANGLES = 12
+"""On each circle, the first on the x axis: the rms changes slowly round it."""
+GROUP = 241
+"""Points of a disc that are solved for together: more take the solver's memory beyond 4 GB."""
+OBSERVERS = {"step": (0.0, 0.0), "stm": (CIRCLE_RADIUS_M, 0.0)}
+
+
+@dataclass(frozen=True)
+class Run:
+    """Motion of points of the face per pascal of peak pressure; error: relative, of the displacement, by the solver."""
+
+    motion: SurfaceMotion
+    error: float
+
+
+def trace_times(case: Case, stimulus: Stimulus) -> Float:
+    """Times [s] of a trace, denser round the load's jumps, where velocities jump too."""
+    rate = ENDLESS_RATE_HZ if case.side == "infinite" else RATE_HZ
+    if case.quick and stimulus == "stm":
+        rate = min(rate, QUICK_CIRCLE_RATE_HZ)
+    near = np.arange(round(JUMP_S * JUMP_RATE_HZ) + 1) / JUMP_RATE_HZ
+    before = STIMULUS_S - np.arange(5) / JUMP_RATE_HZ
+    even = np.arange(round(RECORD_S * rate) + 1) / rate
+    return np.unique(np.round(np.concatenate([even, near, before, STIMULUS_S + near]), 9))
+
+
+def map_times() -> Float:
+    return np.arange(round(RECORD_S * MAP_RATE_HZ) + 1) / MAP_RATE_HZ
+
+
+def by_differences(motion: Motion) -> Motion:
+    """Velocities as central differences of the displacements, at even times.
+
+    The solver's own ring on at kilohertz after a jump of the load, which the times of a map don't resolve: integrated,
+    they would drift. Sums of differences don't.
+    """
+    return replace(motion, velocity_m_s=np.gradient(motion.displacement_m, motion.times_s, axis=0))
+
+
+def _solved(case: Case, stimulus: Stimulus, times_s: Float, at_m: Float, accuracy: float) -> Motion:
+    solver: Name = "lateral_waves" if case.side == "infinite" else "axisymmetric"
+    lossless = case.material == "tau_printed" and case.side != "infinite"
+    pinned = LOSSLESS if lossless else {}
+    if lossless:
+        accuracy = max(accuracy, LOSSLESS_QUICK if case.quick else LOSSLESS_ACCURACY)
+    # Time 0 is rest, which no solver needs to be asked for
+    motion = solve(
+        slab_of(case), load_of(stimulus, case.fwhm_m, case.circle_m), times_s[1:], at_m,
+        solver=solver, accuracy=accuracy, device=case.device, **pinned,
+    )  # fmt: skip
+    still = np.zeros((1, len(at_m), 3))
+    return replace(
+        motion,
+        times_s=times_s,
+        displacement_m=np.concatenate([still, motion.displacement_m]),
+        velocity_m_s=np.concatenate([still, motion.velocity_m_s]),
+    )
+
+
+def at_observer(case: Case, stimulus: Stimulus) -> Run:
+    """The point that the paper's traces are of: the middle, or (10 mm, 0) under the moving spot."""
+    return _at_observer(replace(case, level_Pa=1.0), stimulus)
+
+
+@cache
+def _at_observer(case: Case, stimulus: Stimulus) -> Run:
+    place = np.array([OBSERVERS["stm" if stimulus == "stm" else "step"]])
+    motion = _solved(case, stimulus, trace_times(case, stimulus), place, case.accuracy)
+    return Run(of_motion(motion, slab_of(case)), motion.displacement_error)
+
+
+def along_radius(case: Case, stimulus: Stimulus) -> Run:
+    """Points of the x axis a millimetre apart under a spot in the middle, from the middle to the rim."""
+    return _along_radius(replace(case, level_Pa=1.0), stimulus)
+
+
+@cache
+def _along_radius(case: Case, stimulus: Stimulus) -> Run:
+    held = case.side == "fixed"
+    radii = np.arange(round(1e3 * RADIUS_M) + (0 if held else 1)) * 1e-3
+    at = np.column_stack([radii, np.zeros_like(radii)])
+    # An error is the worst of all points, and near a held rim next to nothing moves: with twice that of a quick run the
+    # map within 30 mm changes by 0.1 % for a fifth of the time
+    motion = _solved(case, stimulus, map_times(), at, (4.0 if case.quick else 2.0) * case.accuracy)
+    if held:
+        rim = np.zeros((len(motion.times_s), 1, 3))
+        motion = replace(
+            motion,
+            points=np.concatenate([motion.points, [[RADIUS_M, 0.0, 0.0]]]),
+            displacement_m=np.concatenate([motion.displacement_m, rim], axis=1),
+            velocity_m_s=np.concatenate([motion.velocity_m_s, rim], axis=1),
+        )
+    return Run(of_motion(by_differences(motion), slab_of(case)), motion.displacement_error)
+
+
+def on_circles(case: Case) -> Run:
+    """The middle, then circles under the moving spot, ANGLES points on each of `circle_radii`."""
+    return _on_circles(replace(case, level_Pa=1.0))
+
+
+def circle_radii(quick: bool) -> Float:
+    """Radii [m] from near the middle to near the rim, finer where the spot runs; 21 mm is the first beyond 20 mm of a
+    grid of 1 mm, where row C21c looks for the largest."""
+    path = (
+        np.arange(2.0, 21.0, 2.0) if quick else np.concatenate([[2.0, 4.0], np.arange(5.0, 15.5), [16.0, 18.0, 20.0]])
+    )
+    return 1e-3 * np.concatenate([path, [21.0], np.arange(24.0, 57.0, 4.0)])
+
+
+@cache
+def _on_circles(case: Case) -> Run:
+    angles = 2.0 * np.pi * np.arange(ANGLES) / ANGLES
+    circle = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    points = np.concatenate([[[0.0, 0.0]], (circle_radii(case.quick)[:, None, None] * circle).reshape(-1, 2)])
+    times = map_times()
+    group = len(points) if case.side == "infinite" else GROUP
+    parts = [
+        _solved(case, "stm", times, points[first : first + group], (4.0 if case.quick else 2.0) * case.accuracy)
+        for first in range(0, len(points), group)
+    ]
+    whole = replace(
+        parts[0],
+        points=np.concatenate([part.points for part in parts]),
+        displacement_m=np.concatenate([part.displacement_m for part in parts], axis=1),
+        velocity_m_s=np.concatenate([part.velocity_m_s for part in parts], axis=1),
+    )
+    return Run(of_motion(by_differences(whole), slab_of(case)), max(part.displacement_error for part in parts))

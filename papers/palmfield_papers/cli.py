@@ -1,0 +1,72 @@
+"""`palmfield papers`: its options and what it does with them. What computes is loaded when it runs, so that --help is
+quick."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def papers(
+    context: typer.Context,
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(help="chilles2019, reardon2023, mizushima2024, hasegawa2018, or all", metavar="[PAPER]..."),
+    ] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="coarser runs, for answers in minutes")] = False,
+    out: Annotated[Path, typer.Option(help="folder for pages, figures and rows.json")] = Path("out/papers"),
+    device: Annotated[str, typer.Option(help="where kernels run that can run on a GPU: cpu or cuda")] = "cpu",
+    jobs: Annotated[int, typer.Option(min=1, help="papers computed side by side, some 3 GB of memory each")] = 1,
+    only: Annotated[
+        list[str] | None,
+        typer.Option(help="only this number of docs/gallery/tolerances.toml, printed; may be repeated", metavar="ID"),
+    ] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="print JSON only, with units in the names, for other programs")
+    ] = False,
+) -> None:
+    """Compute what four papers claim, each number beside the paper's, held against tolerances fixed beforehand.
+
+    Writes a page, figures and rows.json for each paper, and index.html over all. Exit code 4 where a number failed.
+
+    Example: palmfield papers chilles2019 --quick
+    """
+    if only:
+        raise typer.Exit(_numbers(only, quick=quick, device=device, as_json=as_json))
+    raise typer.Exit(
+        _papers(names or (), quick=quick, out=out, device=device, jobs=jobs, quiet=context.obj, as_json=as_json)
+    )
+
+
+def _papers(names: Sequence[str], *, quick: bool, out: Path, device: str, jobs: int, quiet: bool, as_json: bool) -> int:
+    """Compute, print a line for each paper, and return the exit code: 4 where a row failed."""
+    from palmfield.cli.as_json import print_json
+    from palmfield_papers.registry import NAMES
+    from palmfield_papers.run import INDEX, papers
+
+    chosen = NAMES if "all" in names or not names else tuple(dict.fromkeys(names))
+    done = papers(chosen, quick=quick, out=out, device=device, jobs=jobs, progress=not quiet)
+    if as_json:
+        print_json({one.name: one.__dict__ | {"folder": str(one.folder)} for one in done})
+    else:
+        for one in done:
+            print(one)
+        if not quiet:
+            print(f"wrote {out / INDEX}")
+    return 4 if any(one.failed for one in done) else 0
+
+
+def _numbers(ids: Sequence[str], *, quick: bool, device: str, as_json: bool) -> int:
+    """Compute some numbers alone, print each under its readings and controls, and return the exit code as above."""
+    from palmfield.cli.as_json import print_json
+    from palmfield_papers.page import told
+    from palmfield_papers.run import numbers
+
+    found = numbers(ids, quick=quick, device=device)
+    if as_json:
+        print_json({one.entry.id: one.as_dict() for one in found})
+    else:
+        for one in found:
+            print(told(one))
+    return 4 if any(tried.failed for one in found for tried in one.tried) else 0

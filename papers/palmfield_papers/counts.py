@@ -1,0 +1,108 @@
+"""What the rows of a paper come to: counts of verdicts, and whether each control was noticed."""
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from palmfield_papers.entries import Control
+from palmfield_papers.rows import Row
+from palmfield_papers.verdicts import VERDICTS, sure, verdict
+
+SHARE = 3
+"""One in so many of the claims that a control lists beforehand must turn."""
+
+
+WEIGHTLESS = {
+    "C14c": "a factor of 2, which the order of a filter that the paper does not name takes up alone",
+    "C19f": "a high-pass that leaves next to nothing of a held focus; without it the ratio is 0.45",
+    "C21a": "the focus runs on the circle where the largest motion is looked for",
+    "C21b": "the motion far from the focus, against half of that under it",
+    "C21c": "the motion far from the circle, against that under the focus",
+    "C21d": "the focus itself runs over a larger area",
+    "R11f": "the focus turns at the corners and rests there longer",
+    "R12l": "a rate twice as low differs more from the highest, whatever the slab does",
+    "R16-R18l": "a longer way in the same time leaves a longer wake",
+    "R20d": "a spot that passes faster is a shorter pulse",
+    "R20e": "a spot that passes faster is a shorter pulse",
+    "H6d": "sounds in step add up to more than with any other phases",
+    "H12a": "the sound does not depend on the modulation frequency without the transducers' response",
+    "H17a": "delays rounded to 1/50 of a period move a focus by far less than 1 mm",
+    "H22a": "34 dB lie between both sides",
+}
+"""Agreements that no answer of a run could have turned, and why. Found after the first runs, by what each number
+follows from: verdicts stay as they are, and these are counted separately."""
+
+
+@dataclass(frozen=True)
+class Noticed:
+    """A control: ids of listed claims that it turned, that it did not, and that gave no answer; wanted: at least."""
+
+    control: Control
+    turned: tuple[str, ...]
+    kept: tuple[str, ...]
+    silent: tuple[str, ...]
+    wanted: int
+
+    @property
+    def works(self) -> bool:
+        return len(self.turned) >= max(1, self.wanted)
+
+
+def counts(rows: Sequence[Row]) -> dict[str, int]:
+    """How many claims have which verdict."""
+    found = Counter(row.verdict for row in rows if row.verdict is not None)
+    return {name: found[name] for name in VERDICTS}
+
+
+def weightless(rows: Sequence[Row]) -> list[str]:
+    """Claims that agree and that nothing could have turned."""
+    return [row.entry.id for row in rows if row.verdict == "agrees" and row.entry.id in WEIGHTLESS]
+
+
+def noticed(controls: Sequence[Control], rows: Sequence[Row]) -> list[Noticed]:
+    """Each control that lists a claim of these rows."""
+    by_id = {row.entry.id: row for row in rows}
+    out = []
+    for control in controls:
+        listed = [by_id[name] for name in control.sensitive if name in by_id]
+        if not listed:
+            continue
+        said = {row.entry.id: row.turned(control.name) if control.name in row.controls else None for row in listed}
+        out.append(
+            Noticed(
+                control,
+                tuple(name for name, one in said.items() if one),
+                tuple(name for name, one in said.items() if one is False),
+                tuple(name for name, one in said.items() if one is None),
+                math.ceil(len(control.sensitive) / SHARE),
+            )
+        )
+    return out
+
+
+def unsure(rows: Sequence[Row]) -> list[str]:
+    """Claims that would have another verdict if one of their answers were off by its numerical error."""
+    return [row.entry.id for row in rows if row.entry.counts and any(_hangs_on(row, n) for n in range(len(row.tried)))]
+
+
+def _hangs_on(row: Row, number: int) -> bool:
+    one = row.tried[number]
+    if one.answer is None or one.held is None or sure(row.entry, one.answer):
+        return False
+    held = [other.held for other in row.tried]
+    held[number] = replace(one.held, within=not one.held.within)
+    return verdict(row.entry, held) != row.verdict
+
+
+def turned_later(rows: Sequence[Row]) -> list[str]:
+    """Of the claims of `untested`, those that a change turns which was written when answers were known."""
+    by_id = {row.entry.id: row for row in rows}
+    return [name for name in untested(rows) if any(by_id[name].differs(one) for _, one in by_id[name].later)]
+
+
+def untested(rows: Sequence[Row]) -> list[str]:
+    """Claims that agree and that no control turns."""
+    return [
+        row.entry.id for row in rows if row.verdict == "agrees" and not any(row.turned(name) for name in row.controls)
+    ]

@@ -1,0 +1,21 @@
+"""Hasegawa & Shinoda 2018, Aerial vibrotactile display based on multiunit ultrasound phased array: rows H1 to H22."""
+
+from palmfield_papers.answer import Paper
+from palmfield_papers.hasegawa2018 import drive, focus, observer
+from palmfield_papers.hasegawa2018.notes import notes
+from palmfield_papers.hasegawa2018.pictures import PICTURES
+
+PAPER = Paper(
+    name="hasegawa2018",
+    paper="Hasegawa 2018",
+    title="Hasegawa & Shinoda 2018: units of an ultrasonic phased array, together",
+    about="One and four units of 249 transducers: their focus at six depths, what duty cycles make of a wanted "
+    "radiation pressure, and what persons feel of it. Air of 20 degrees; transducers are pistons of 4.5 mm or have the "
+    "table of the T4010A1; pressures are those that a microphone of an eighth of an inch reads.",
+    answers={**focus.ANSWERS, **drive.ANSWERS, **observer.ANSWERS},
+    causes={**focus.CAUSES, **drive.CAUSES, **observer.CAUSES},
+    later={**focus.LATER, **drive.LATER},
+    found_later=focus.FOUND_LATER,
+    pictures=(*PICTURES, *observer.PICTURES),
+    notes=notes,
+)

@@ -1,0 +1,113 @@
+"""How the palm moves under the focus of four units: its amplitude in the middle for each newton, by frequency.
+
+Only the mean over angle of the focus's radiation pressure moves the middle of a flat endless layer, so that an integral
+over wavenumbers is exact: u = integral of C(k) P(k) k dk, P the Hankel transform of that mean, C the layer's compliance
+(`palmfield.skin.analytic.layer_oracle`).
+"""
+
+import math
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+from scipy.special import j0
+
+from palmfield.acoustics import FieldEvaluator, layout
+from palmfield.acoustics.arp import arp
+from palmfield.acoustics.focus import focus
+from palmfield.instruments import Plate, plate_force
+from palmfield.skin import CATALOGUE, Material, softest_and_stiffest
+from palmfield.skin.analytic.layer_oracle import layer_compliance
+from palmfield.types import Air, Array, Float
+
+DEPTH_M = 0.2
+JIG_M = 0.012
+"""Edge of the square on which the paper's 20 mN were measured."""
+REACH_M = 0.05
+"""Of the radiation pressure that counts: half the width of a palm, roughly. Twice as much is the finer run."""
+SHORTEST_rad_m = 1300.0
+"""Wavenumbers end here: those of ARP end at 2 k sin(42 degrees) = 980 rad/m."""
+SPACINGS = 400
+"""Of places on a plate's edge: 1 mm on the largest."""
+MATERIALS = ("preset", "softest", "stiffest")
+
+
+def four_units() -> Array:
+    """The four units of the paper with pistons of 4.5 mm, the base reading of `hasegawa_directivity`."""
+    return replace(layout("autd2018_2x2"), directivity_table=None)
+
+
+def palm(which: str) -> Material:
+    """The project's palm (MATERIALS), or it at an end of what is known of it."""
+    ends = softest_and_stiffest(CATALOGUE["palm"])
+    assert ends is not None
+    return {"preset": CATALOGUE["palm"].material, "softest": ends[0], "stiffest": ends[1]}[which]
+
+
+def _arp_at(points: Float, normals: Float) -> Float:
+    array, air = four_units(), Air()
+    drive = focus(array, air, [0.0, 0.0, DEPTH_M])
+    field = FieldEvaluator(array, air, device="cpu").pressure(points, drive, gradient=True)
+    return arp(field, normals, air, array.frequency_Hz, device="cpu").astype(np.float64)
+
+
+@cache
+def force_N(edge_m: float) -> float:
+    """Force on a square round the focus at full drive [N]."""
+    return plate_force(_arp_at, Plate(width_m=edge_m, height_m=edge_m, spacing_m=edge_m / SPACINGS)).force_N
+
+
+@cache
+def ring_mean(reach_m: float, rings: int) -> tuple[Float, Float, Float]:
+    """Radii [m], weights [m] of a quadrature over them, and the mean over angle of the ARP for each newton on the jig
+    [Pa/N], each of shape (rings,)."""
+    nodes, shares = np.polynomial.legendre.leggauss(rings)
+    radii = 0.5 * reach_m * (1.0 + nodes)
+    count = 4 * math.ceil(SHORTEST_rad_m * reach_m / 4.0) + 16
+    angles = 2.0 * math.pi * np.arange(count) / count
+    points = np.stack(
+        [np.outer(radii, np.cos(angles)), np.outer(radii, np.sin(angles)), np.full((rings, count), DEPTH_M)], axis=2
+    )
+    flat = points.reshape(-1, 3)
+    pressure = _arp_at(flat, np.tile([0.0, 0.0, -1.0], (len(flat), 1)))
+    return radii, 0.5 * reach_m * shares, pressure.reshape(rings, count).mean(axis=1) / force_N(JIG_M)
+
+
+def motion_m_per_N(
+    frequencies_Hz: tuple[float, ...], thickness_m: float, material: str = "preset", *, fine: bool = False
+) -> Float:
+    """Peak displacement of the middle for each newton of sinusoidal force on the jig [m/N], shape (n,).
+
+    material: of MATERIALS; fine: twice the reach and twice the wavenumbers, for the error
+    """
+    return np.array([_motion(f, thickness_m, material, fine) for f in frequencies_Hz])
+
+
+@cache
+def _motion(frequency_Hz: float, thickness_m: float, material: str, fine: bool) -> float:
+    k, weights, spectrum = _spectrum(fine)
+    compliance = layer_compliance(k, frequency_Hz, palm(material), thickness_m)
+    return float(abs((compliance * spectrum * k) @ weights))
+
+
+@cache
+def moved_area_m2(frequency_Hz: float, thickness_m: float) -> float:
+    """Area on which the motion exceeds half of that in the middle [m2], by the mean over angle of the focus."""
+    k, weights, spectrum = _spectrum(False)
+    radii = np.linspace(0.0, REACH_M, 501)
+    amplitude = np.abs(j0(np.outer(radii, k)) @ (layer_compliance(k, frequency_Hz, palm("preset"), thickness_m)
+                                                   * spectrum * k * weights))  # fmt: skip
+    inside = amplitude > 0.5 * amplitude[0]
+    return float(2.0 * math.pi * (radii * inside).sum() * radii[1])
+
+
+@cache
+def _spectrum(fine: bool) -> tuple[Float, Float, Float]:
+    """Wavenumbers, weights of a quadrature over them, and the Hankel transform of `ring_mean` [m2 Pa/N]."""
+    times = 2 if fine else 1
+    radii, shares, pressure = ring_mean(times * REACH_M, times * 96)
+    nodes, weights = np.polynomial.legendre.leggauss(8)
+    edges = np.linspace(0.0, SHORTEST_rad_m, times * 100 + 1)
+    half = 0.5 * (edges[1] - edges[0])
+    k = (edges[:-1, None] + half * (1.0 + nodes)).ravel()
+    return k, np.tile(weights * half, times * 100), j0(np.outer(k, radii)) @ (shares * radii * pressure)

@@ -1,0 +1,99 @@
+"""The two bows of Mizushima & Sato 2024 in the air of their room, and how they sound under a reading."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from palmfield.acoustics import pressure64
+from palmfield.acoustics.focus import focus
+from palmfield.acoustics.layouts import bow_focus, two_bow
+from palmfield.acoustics.piston_faces import as_faces
+from palmfield.instruments import Microphone, microphone_scan
+from palmfield.types import Air, Array, Complex, Float
+from palmfield_papers.answer import Setting
+from palmfield_papers.entries import book
+
+ROOM = Air(temperature_C=23.0)
+"""Section 4: the room is at 23 degrees."""
+SPEAKERS = 6
+"""Of a bow."""
+QUARTER_INCH_M = 6.35e-3
+
+
+@dataclass(frozen=True)
+class Bows:
+    """What is driven and how it is heard. Hashable, so that runs can be kept by it.
+
+    focal_length_m: of the parabola; radius_m: of a speaker's face; coherent: whether both bows sound in step
+    receiver_m: diameter of the microphone, 0 for a point
+    in_phase: all speakers alike, as one generator drives them, instead of in step at the focus
+    faces: each speaker as points all over its face (Rayleigh's integral) instead of by its far field
+    sounding: how many of a bow, those in its middle
+    """
+
+    focal_length_m: float = 50e-3
+    radius_m: float = 6e-3
+    coherent: bool = True
+    receiver_m: float = QUARTER_INCH_M
+    in_phase: bool = False
+    faces: bool = False
+    sounding: int = SPEAKERS
+
+
+def value_of(setting: Setting, axis: str) -> str:
+    """The reading of an axis; its base where the number doesn't depend on it."""
+    return dict(setting.readings).get(axis, book().axes[axis][0])
+
+
+def bows_of(setting: Setting) -> Bows:
+    """The configuration mizushima.field under the readings of a setting."""
+    millimetres = {name: float(value_of(setting, name).removesuffix(" mm")) for name in LENGTHS}
+    return Bows(
+        focal_length_m=1e-3 * millimetres["mizushima_focal_length"],
+        radius_m=1e-3 * millimetres["mizushima_radius"],
+        coherent=value_of(setting, "mizushima_bows") == "coherent",
+        receiver_m=0.0 if value_of(setting, "mizushima_receiver") == "point" else QUARTER_INCH_M,
+    )
+
+
+LENGTHS = ("mizushima_focal_length", "mizushima_radius")
+
+
+def array_of(bows: Bows) -> Array:
+    """Speakers of 1 Pa m, whose level the paper doesn't print and no half-width depends on."""
+    return replace(two_bow("two_bow", bows.focal_length_m, bows.radius_m), p0_Pa_m=1.0)
+
+
+def focus_of(bows: Bows) -> Float:
+    """The common focus [m], shape (3,), array frame: x across the bows, y along them, z away from the sensor."""
+    return np.array(bow_focus(array_of(bows)))
+
+
+def drives_of(bows: Bows) -> list[Complex]:
+    """Drives whose pressures add up (one), or whose squares do (one a bow), each of shape (12,)."""
+    array = array_of(bows)
+    drive = np.ones(len(array), complex) if bows.in_phase else focus(array, ROOM, focus_of(bows))
+    place = np.arange(len(array)) % SPEAKERS
+    drive = drive * (np.abs(2 * place - SPEAKERS + 1) < bows.sounding)
+    if bows.coherent:
+        return [drive]
+    first = np.arange(len(array)) < SPEAKERS
+    return [drive * first, drive * ~first]
+
+
+def mean_square(bows: Bows, places_m: Float) -> Float:
+    """Square of the pressure's amplitude as the microphone reads it [Pa2], shape (n,).
+
+    The radiation pressure and its part at the modulation frequency go with it.
+    """
+    array = array_of(bows)
+    microphone = Microphone(diameter_m=bows.receiver_m)
+    total = np.zeros(len(places_m))
+    for drive in drives_of(bows):
+        sources, emitted = as_faces(array, drive) if bows.faces else (array, drive)
+
+        def sound(points: Float, sources: Array = sources, emitted: Complex = emitted) -> Complex:
+            return pressure64(points, sources, emitted, ROOM)[0]
+
+        total += np.abs(microphone_scan(sound, places_m, microphone).values) ** 2
+    return total

@@ -1,0 +1,113 @@
+"""The slab of Reardon et al. 2023 under each reading, and the negative control that acts on it."""
+
+from dataclasses import dataclass, replace
+from typing import Any, Literal, cast
+
+from palmfield.skin import Material, Sheet, Slab, kelvin_voigt
+from palmfield_papers.answer import Setting
+
+DENSITY_kg_m3 = 923.5
+SHEAR_SPEED_m_s = 5.0
+THICKNESS_m = 0.01
+RADIUS_m = 0.125
+FWHM_m = 0.006
+PASCAL = 1.0
+"""Largest pressure of the spot. All that is held are ratios and places, in which it cancels."""
+FASTER = 1.4
+"""What the control `wave_speed` multiplies the shear speed by."""
+
+
+Back = Literal["free", "bonded"]
+
+
+@dataclass(frozen=True)
+class Plate:
+    """back: "free" or "bonded"; rim: "absorbing" (endless) or "reflecting" (a smooth wall round the 25 cm)."""
+
+    back: Back = "free"
+    rim: str = "absorbing"
+    viscosity_Pa_s: float = 0.02
+    shear_speed_m_s: float = SHEAR_SPEED_m_s
+    thickness_m: float = THICKNESS_m
+    fwhm_m: float = FWHM_m
+
+    @property
+    def material(self) -> Material:
+        """Kelvin-Voigt, nearly incompressible: the speed of pressure waves is not printed."""
+        shear = DENSITY_kg_m3 * self.shear_speed_m_s**2
+        return kelvin_voigt("reardon", DENSITY_kg_m3, shear, self.viscosity_Pa_s)
+
+    @property
+    def slab(self) -> Slab:
+        """As a problem of `palmfield.skin`."""
+        sheets = (Sheet(self.material, self.thickness_m),)
+        if self.rim == "reflecting":
+            return Slab(sheets, shape="disc", base=self.back, side="roller", radius_m=RADIUS_m)
+        return Slab(sheets, base=self.back)
+
+
+@dataclass(frozen=True)
+class Course:
+    """A focus that moves along straight lines at constant speed, from rest of the slab.
+
+    corners: [m], in turn; speed_m_s: along the lines; steps: samples of equal length in time, at which all is looked at
+    turns: how often a closed path (whose last corner is its first) is gone round
+    rate_Hz: the focus is moved so often and holds between; None where it moves on
+    skipped: samples from the start on that are not looked at
+    still_after_s: silence after the end [s], which is looked at as well
+    """
+
+    corners: tuple[tuple[float, float], ...]
+    speed_m_s: float
+    steps: int
+    turns: int = 1
+    rate_Hz: float | None = None
+    skipped: int = 0
+    still_after_s: float = 0.0
+
+
+DEEP: dict[str, Any] = {"back": "bonded", "thickness_m": 0.06}
+"""The paper's own solver ends its grid in an absorbing layer, below too. Shear waves need 24 ms to the base of 60 mm
+and back, about as long as the runs last."""
+
+
+def plate_of(setting: Setting, **changes: Any) -> Plate:
+    """The slab of rows R5 to R14 and R20; changes: of its fields, to look for causes."""
+    readings = dict(setting.readings)
+    plate = Plate(
+        back=cast(Back, readings.get("reardon_back", "free")),
+        rim=readings.get("reardon_rim", "absorbing"),
+        viscosity_Pa_s=_number(readings.get("reardon_viscosity", "0.02")),
+        shear_speed_m_s=SHEAR_SPEED_m_s * (FASTER if setting.control == "wave_speed" else 1.0),
+    )
+    return replace(plate, **changes)
+
+
+def tissue_of(setting: Setting, **changes: Any) -> Plate:
+    """The slab that stands for the hand in rows R16 to R19: bonded, endless."""
+    readings = dict(setting.readings)
+    tissue = readings.get("reardon_hand_tissue", "slab of 1 cm at 5 m/s, bonded")
+    speed = _number(tissue.split(" at ")[1])
+    plate = Plate(
+        back="bonded", viscosity_Pa_s=_number(readings.get("reardon_hand_viscosity", "1 Pa s")), shear_speed_m_s=speed
+    )
+    return replace(plate, **changes)
+
+
+def length_of(setting: Setting) -> float:
+    """Length of the straight path [m]."""
+    return 0.01 * _number(dict(setting.readings).get("reardon_path", "16 cm"))
+
+
+def threshold_of(setting: Setting) -> float:
+    """Share of the largest value that a wake reaches."""
+    return 0.01 * _number(dict(setting.readings).get("reardon_threshold", "10 %"))
+
+
+def first_number(setting: Setting, axis: str) -> float:
+    """The first number in the words of a reading, as "30 % of the ring"."""
+    return _number(setting.reading(axis).removeprefix("radius "))
+
+
+def _number(words: str) -> float:
+    return float(words.split()[0])

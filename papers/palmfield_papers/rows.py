@@ -1,0 +1,161 @@
+"""Each number of a paper: answered under its readings, held against its tolerance, and under the controls."""
+
+import logging
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from palmfield.errors import PalmfieldError
+from palmfield_papers.answer import Answer, Compute, Paper, Setting
+from palmfield_papers.entries import Book, Control, Entry
+from palmfield_papers.verdicts import Held, Verdict, hangs_on_estimator, hold, verdict
+
+logger = logging.getLogger("palmfield.papers")
+
+
+@dataclass(frozen=True)
+class Tried:
+    """One answer of a row. readings: all axes and their values; failed: why there is no answer, in words"""
+
+    readings: Mapping[str, str]
+    answer: Answer | None
+    held: Held | None
+    failed: str = ""
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        answer, held = self.answer, self.held
+        return {
+            "readings": dict(self.readings),
+            "ours": None if answer is None else answer.value,
+            "error": None if answer is None else answer.error,
+            "band": None if answer is None or answer.band is None else list(answer.band),
+            "margin": None if answer is None else answer.margin,
+            "against": None if answer is None else answer.against,
+            "other_estimate": None if answer is None else answer.other_estimate,
+            "note": self.failed or ("" if answer is None else answer.note),
+            "shown": {} if answer is None else dict(answer.shown),
+            "within": None if held is None else held.within,
+            "distance": None if held is None or held.distance == float("-inf") else held.distance,
+            "failed": bool(self.failed),
+        }
+
+
+@dataclass(frozen=True)
+class Row:
+    """One entry and all that was tried for it, the base readings first.
+
+    controls: by name, for claims alone; causes, later: what was changed, and what came then
+    found_later: readings that were found by looking at answers, which no verdict counts; seconds: of processor
+    """
+
+    entry: Entry
+    tried: tuple[Tried, ...]
+    verdict: Verdict | None
+    controls: Mapping[str, Tried] = field(default_factory=dict)
+    causes: tuple[tuple[str, Tried], ...] = ()
+    later: tuple[tuple[str, Tried], ...] = ()
+    found_later: tuple[tuple[str, Tried], ...] = ()
+    seconds: float = 0.0
+
+    @property
+    def base(self) -> Tried | None:
+        return self.tried[0] if self.tried else None
+
+    def turned(self, control: str) -> bool | None:
+        """Whether the yes or no changes under a control; None where one of both has none."""
+        return self.differs(self.controls[control])
+
+    def differs(self, other: Tried) -> bool | None:
+        """Whether the yes or no is another than under the base; None where one of both has none."""
+        if self.base is None or self.base.held is None or other.held is None:
+            return None
+        return self.base.held.within != other.held.within
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        entry = self.entry
+        return {
+            "id": entry.id,
+            "row": entry.row,
+            "kind": entry.kind,
+            "quantity": entry.quantity,
+            "unit": entry.unit,
+            "paper": entry.value,
+            "corrected": entry.corrected,
+            "column": entry.column,
+            "configuration": entry.configuration,
+            "condition": entry.condition,
+            "tolerance": {"rule": entry.tolerance.rule, "kind": entry.tolerance.kind, "value": entry.tolerance.value},
+            "verdict": self.verdict,
+            "tried": [one.as_dict() for one in self.tried],
+            "controls": {name: one.as_dict() | {"turned": self.turned(name)} for name, one in self.controls.items()},
+            "causes": [{"what": what, **one.as_dict()} for what, one in self.causes],
+            "later": [{"what": what, **one.as_dict(), "turned": self.differs(one)} for what, one in self.later],
+            "found_later": [{"what": what, **one.as_dict()} for what, one in self.found_later],
+            "seconds": round(self.seconds, 3),
+        }
+
+
+def _tried(entry: Entry, compute: Compute, setting: Setting) -> Tried:
+    readings = dict(setting.readings)
+    try:
+        answer = compute(setting)
+        return Tried(readings, answer, hold(entry, answer))
+    except PalmfieldError as error:
+        return Tried(readings, None, None, str(error))
+    except Exception as error:  # one row that fails must not cost the page
+        logger.exception("entry %s failed", entry.id)
+        return Tried(readings, None, None, f"{type(error).__name__}: {error}")
+
+
+def _acts_on(control: Control, entry: Entry, said: Verdict | None, quick: bool) -> bool:
+    """Those that list the claim; in full runs those of its configuration too, if it agrees."""
+    if control.name in entry.sensitive_to:
+        return True
+    return not quick and said == "agrees" and entry.configuration in control.configurations
+
+
+def row(entry: Entry, paper: Paper, book: Book, setting: Setting) -> Row:
+    """Answer an entry under its readings and, of claims that count, under the controls; test causes where it disagrees.
+
+    setting: quick and device are taken from it. INPUT, ERRATUM and CALC are answered under the base alone.
+    """
+    started = time.process_time()
+    compute = paper.answers.get(entry.id)
+    if compute is None:
+        said: Verdict | None = None
+        if entry.kind == "CLAIM":
+            said = "no answer" if entry.testable else "not testable"
+        return Row(entry, (), said)
+    readings = book.varied(entry) if entry.counts else [book.base(entry)]
+    tried = tuple(_tried(entry, compute, replace(setting, readings=one)) for one in readings)
+    if entry.kind != "CLAIM":
+        return Row(entry, tried, None, seconds=time.process_time() - started)
+    said, split = verdict(entry, [one.held for one in tried]), hangs_on_estimator(tried[0].answer)
+    base = replace(setting, readings=readings[0])
+    controls = {
+        control.name: _tried(entry, compute, replace(base, control=control.name))
+        for control in book.controls
+        if entry.counts and _acts_on(control, entry, said, setting.quick)
+    }
+    causes = tuple(
+        (cause.what, _tried(entry, cause.compute, base))
+        for cause in (paper.causes.get(entry.id, ()) if said == "disagrees" else ())
+    )
+    said = "depends" if split and said in ("agrees", "disagrees") else said
+    found = Row(entry, tried, said, controls, causes)
+    later: tuple[tuple[str, Tried], ...] = ()
+    if said == "agrees" and not any(found.turned(name) for name in controls):
+        later = tuple((one.what, _tried(entry, one.compute, base)) for one in paper.later.get(entry.id, ()))
+    readings_later = tuple(
+        (one.what, _tried(entry, one.compute, base)) for one in paper.found_later.get(entry.id, ()) if entry.counts
+    )
+    return replace(found, later=later, found_later=readings_later, seconds=time.process_time() - started)
+
+
+def rows(paper: Paper, book: Book, setting: Setting) -> Iterator[Row]:
+    """The rows of a paper, one after the other in the order of the file."""
+    for entry in book.of_paper(paper.paper):
+        yield row(entry, paper, book, setting)
