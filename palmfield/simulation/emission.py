@@ -101,8 +101,8 @@ class Emission:
     def __init__(self, model: HapticModel):
         self.model = model
         self.held: list[HeldPoints | None] = [None] * len(model.stimuli)
-        self._drives: tuple[PhasedArray, list[ArrayDrive]] = (model.arrays, array_drives(model, model.arrays))
-        self._placed: tuple[PosedScene | None, list[PlacedStimulus]] = (None, [])
+        self._drives: tuple[int, list[ArrayDrive]] = (model.arrays.serial, array_drives(model, model.arrays))
+        self._placed: tuple[int, list[PlacedStimulus]] = (0, [])
         self._over: tuple[tuple[int, float, int, bytes, Ticks], tuple[Moments, EmittedCourse]] | None = None
         self._now: tuple[tuple[int, float, bytes, Ticks], EmittedCourse] | None = None
         self.coming: list[_Coming] = []
@@ -135,13 +135,13 @@ class Emission:
 
     def placed(self, posed: PosedScene, time_s: float) -> list[PlacedStimulus]:
         """The stimuli with their drives and points; between control ticks, points are where they were at the last."""
-        if self._placed[0] is not posed:
-            if self._drives[0] is not posed.arrays:
-                self._drives = posed.arrays, array_drives(self.model, posed.arrays)
+        if self._placed[0] != posed.serial:
+            if self._drives[0] != posed.arrays.serial:
+                self._drives = posed.arrays.serial, array_drives(self.model, posed.arrays)
             drives, placed = self._drives[1], []
             for number, stimulus in enumerate(self.model.stimuli):
                 placed.append(PlacedStimulus(stimulus, drives[number], posed.focal_points(stimulus, number)))
-            self._placed = posed, placed
+            self._placed = posed.serial, placed
         placed = self._placed[1]
         if not self.holds:
             return placed

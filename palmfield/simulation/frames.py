@@ -34,7 +34,7 @@ class Frames:
             config.model_copy(update=UNMODULATED) if model.board.modulates else None for config in model.configs
         ]
         self._drives: dict[int, ArrayDrive] = {}
-        self._arrays: object = None
+        self._arrays = 0
 
     def at(self, posed: PosedScene, time_s: float, share: float = 1.0) -> bytes:
         """The bytes that make the board emit what the stimuli ask for at a time [s].
@@ -74,8 +74,8 @@ class Frames:
 
     def _wanted(self, number: int, drive: ArrayDrive, posed: PosedScene) -> ArrayDrive:
         """The drive of a stimulus as it is asked for, with the arrays as they stand."""
-        if self._arrays is not posed.arrays:
-            self._arrays = posed.arrays
+        if self._arrays != posed.arrays.serial:
+            self._arrays = posed.arrays.serial
             self._drives.clear()
         if number not in self._drives:
             config = self.model.stimuli[number].config

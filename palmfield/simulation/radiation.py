@@ -42,7 +42,7 @@ class Radiation:
     def __init__(self, model: HapticModel, beside: "Radiation | None" = None):
         """beside: of another world, stepped by the same thread: it lends its buffers and trees, not its answers."""
         self.model = model
-        self._evaluators: dict[tuple[int, str, int], tuple[PhasedArray, SurfaceArp]] = {}
+        self._evaluators: dict[tuple[int, str, int], tuple[int, SurfaceArp]] = {}
         self._occlusions: dict[int, tuple[PosedScene, Occlusion]] = {}
         self._scattered: dict[int, tuple[PosedScene, Complex, RigidScatteredField]] = {}
         self._sounds: dict[tuple[int, str], tuple[Key, SurfaceSound]] = {}
@@ -53,7 +53,7 @@ class Radiation:
         self._shadings: dict[tuple[int, str, int], _Shading] = {}
         self._bent = [bends(skin) for skin in model.skins]
         self._reference: list[PosedScene] = []
-        self._emitters: list[tuple[PhasedArray, Emitters]] = []
+        self._emitters: list[tuple[int, Emitters]] = []
         if beside is not None:
             self._evaluators, self._occlusions = beside._evaluators, beside._occlusions
             self._chosen, self._choices, self._shadings = beside._chosen, beside._choices, beside._shadings
@@ -117,8 +117,7 @@ class Radiation:
         if self.model.skins[skin].spec.config.body_sound != "none" and not bent:
             return np.stack([self.on(posed, skin, role, drive).arp for drive in drives])
         points, normals = self.points(posed, skin, role)
-        known = self._evaluators.get((skin, role, len(points)))
-        evaluator = known[1] if known and known[0] is posed.arrays else self._evaluator(posed, skin, role, len(points))
+        evaluator = self._evaluator(posed, skin, role, len(points))
         shades = self._shades(posed, skin, role, points, normals) if bent else None
         return evaluator.evaluate_many(points, normals, drives, shades=shades)
 
@@ -151,8 +150,7 @@ class Radiation:
         if kind == "scattering":
             own = posed.skins[skin].body.frame.inverse_points(points)
             return self._scattered_field(posed, skin, drive).at(own)
-        known = self._evaluators.get((skin, role, len(points)))
-        evaluator = known[1] if known and known[0] is posed.arrays else self._evaluator(posed, skin, role, len(points))
+        evaluator = self._evaluator(posed, skin, role, len(points))
         if self._bent[skin]:
             shades = self._shades(posed, skin, role, points, normals)
             sound = evaluator.evaluate(points, normals, drive, shades=shades)
@@ -165,7 +163,7 @@ class Radiation:
             sound.flux[arp == 0.0] = 0.0
             reach = distance_to_arrays(points, sound.flux, posed.arrays)
             last = self._occlusions.get(skin)
-            occlusion = last[1] if last and last[0] is posed else self._occlusion(posed, skin)
+            occlusion = last[1] if last and last[0].serial == posed.serial else self._occlusion(posed, skin)
             arp[~occlusion.lit(points, sound.flux, reach)] = 0.0
         return SurfaceSound(arp, sound.amplitude.copy())
 
@@ -211,9 +209,9 @@ class Radiation:
     def _evaluator(self, posed: PosedScene, skin: int, role: str, count: int) -> SurfaceArp:
         key = skin, role, count
         known = self._evaluators.get(key)
-        if known is None or known[0] is not posed.arrays:
+        if known is None or known[0] != posed.arrays.serial:
             law = self.model.skins[skin].spec.arp_law
-            known = self._evaluators[key] = posed.arrays, SurfaceArp(posed.arrays.field, count, law)
+            known = self._evaluators[key] = posed.arrays.serial, SurfaceArp(posed.arrays.field, count, law)
         return known[1]
 
     def _shades(self, posed: PosedScene, skin: int, role: Role, points: Float, normals: Float) -> Shades | None:
@@ -274,11 +272,11 @@ class Radiation:
     def _emitters_at(self, arrays: PhasedArray) -> Emitters:
         """The transducers where they are."""
         if not self._emitters:
-            self._emitters.append((arrays, Emitters(arrays, rows_of(arrays.field), arrays.field.device)))
+            self._emitters.append((arrays.serial, Emitters(arrays, rows_of(arrays.field), arrays.field.device)))
         known, emitters = self._emitters[0]
-        if known is not arrays:
+        if known != arrays.serial:
             emitters.move(arrays, rows_of(arrays.field))
-            self._emitters[0] = arrays, emitters
+            self._emitters[0] = arrays.serial, emitters
         return emitters
 
     def _numbers(self, posed: PosedScene, skin: int, role: Role) -> Int | None:

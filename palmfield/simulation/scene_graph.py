@@ -14,7 +14,6 @@ import numpy as np
 import warp as wp
 
 from palmfield.acoustics import check
-from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.acoustics.point_sound import Transducers, fill_table
 from palmfield.device import resolve
 from palmfield.drive.path_drives import PathDrives, PathStep, foci_made, push_rows
@@ -60,7 +59,7 @@ class SceneGraph:
     def __init__(self, model: HapticModel, work: Workspace, state: HapticState):
         self.model, self._work, self._state, self._reference = model, work, state, work.reference
         device = resolve(model.spec.device)
-        self._transducers, self._arrays = Transducers(model.arrays, device), model.arrays
+        self._transducers, self._arrays = Transducers(model.arrays, device), model.arrays.serial
         layout = PoseLayout.of(model)
         self._motions: MotionRows = motions_of(model, layout)
         # Arrays and stimuli stay in the first array's frame
@@ -69,7 +68,7 @@ class SceneGraph:
         self._probes: tuple[tuple[int, SensorPlace], ...] = ()
         self._graphs: dict[bool, GraphWork] = {}  # by whether kernels make the drives
         self._drives: PathDrives | None = None
-        self._driven: PhasedArray = model.arrays
+        self._driven = model.arrays.serial
         self._models: dict[tuple[int, SkinStepper], DeviceModel | None] = {}
         self.course: tuple[Moments, EmittedCourse] | None = None
         self.stepped: list[tuple[int, int]] = []
@@ -101,9 +100,9 @@ class SceneGraph:
         """
         emission = self._work.emission
         emitted = gather(self._state, self._work)
-        if posed.arrays is not self._arrays:
+        if posed.arrays.serial != self._arrays:
             self._transducers.move(posed.arrays)
-            self._arrays = posed.arrays
+            self._arrays = posed.arrays.serial
         path = None if watched else emission.path_step(posed, t0, self.model.substeps)
         if path is not None:
             moments, course = path.moments, self._along(posed, path, emitted, t0)
@@ -152,13 +151,13 @@ class SceneGraph:
 
     def _path_drives(self, posed: PosedScene, t0: float) -> PathDrives:
         """What makes drives of a focus, with the arrays as they stand."""
-        if self._drives is None or self._driven is not posed.arrays:
+        if self._drives is None or self._driven != posed.arrays.serial:
             drive, response = self._work.emission.placed(posed, t0)[0].drive, self.model.stimuli[0].response
             if self._drives is None:
                 self._drives = PathDrives(drive, self._transducers, response.stepper if response.on else None)
             else:
                 self._drives.move(drive)
-            self._driven = posed.arrays
+            self._driven = posed.arrays.serial
         return self._drives
 
     def _given(
