@@ -20,6 +20,8 @@ CHECKS = (("ruff", "check", "."), ("ruff", "format", "--check", "."), ("mypy",),
 PYTEST = ("pytest", "-n", "auto", "--dist", "loadfile")
 IN_REAL_TIME = ("pytest", "-m", "wall_clock", "--reruns", "2")
 """One test after the other, again where one failed: a machine that stands still for a moment makes a board late."""
+TIMES = ("--durations", "30", "--junitxml", "out/tests-whole.xml")
+"""What the slowest took is printed, what each took is kept: scripts/verification/slow_tests.py reads it."""
 CORES = {"SkylakeX": "Haswell", "Cooperlake": "Haswell", "SapphireRapids": "Haswell", "Nehalem": "Prescott"}
 """OpenBLAS's names of kernels: which others to test with where it takes these; on other x86 processors "Nehalem"."""
 TELL_CORES = (
@@ -40,15 +42,23 @@ def main() -> int:
         "repository's root; then it runs once, in .venv.",
         allow_abbrev=False,
     )
-    _, passed_on = parser.parse_known_args()
+    parser.add_argument(
+        "--quick", action="store_true", help="ruff and the tests that take less than 0.2 s, in two minutes"
+    )
+    parser.add_argument("--nightly", action="store_true", help="also the long checks that the usual run leaves out")
+    given, passed_on = parser.parse_known_args()
     python = _setup.environment("test")
+    if given.quick:
+        return run(python, *CHECKS[0]) or run(python, *PYTEST, "-m", "quick", *passed_on)
+    nightly = ("--nightly",) if given.nightly else ()
     for command in CHECKS:
         if status := run(python, *command):
             return status
     if passed_on:
-        return run(python, *PYTEST, *passed_on)
+        return run(python, *PYTEST, *nightly, *passed_on)
     core = another_core(python)
-    if status := smoke_on_lowest() or run(python, *PYTEST, "-m", "not wall_clock") or run(python, *IN_REAL_TIME):
+    whole = (*PYTEST, "-m", "not wall_clock", *TIMES, *nightly)
+    if status := smoke_on_lowest() or run(python, *whole) or run(python, *IN_REAL_TIME):
         return status
     return run(python, *PYTEST, "-m", "numerics", OPENBLAS_CORETYPE=core) if core else 0
 

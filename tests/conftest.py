@@ -10,6 +10,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from chosen_tests import choose
 from second_of_something import add_array as add_array
 from second_of_something import add_skin as add_skin
 from second_of_something import moment as moment
@@ -27,6 +28,16 @@ os.environ["PALMFIELD_CACHE"] = "off"
 os.environ["COLUMNS"] = "130"
 
 AIR = Air()
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--nightly", action="store_true", help="also run the long checks marked nightly")
+
+
+@pytest.hookimpl(tryfirst=True)  # before -m chooses
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    choose(config, items)
+
 
 Write = Callable[..., Path]
 

@@ -404,6 +404,10 @@ def test_any_stage_that_fails_is_the_exit_status_and_the_last(failing, monkeypat
     ran.clear()
     assert test.main() == (3 if failing in ("ruff", "mypy", "lint-imports", "whole") else 0)
     assert "smoke" not in ran and "numerics" not in ran
+    monkeypatch.setattr(sys, "argv", ["test.py", "--quick"])
+    ran.clear()
+    assert test.main() == (3 if failing in ("ruff", "whole") else 0)
+    assert ran == ["ruff", "whole"][: 1 if failing == "ruff" else 2]
 
 
 def test_ci_calls_the_test_script():

@@ -71,7 +71,7 @@ def test_pressure_on_a_sphere(ka: float, divisions: int) -> None:
     assert found.residual <= 1.01e-4
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_pressure_on_a_large_sphere() -> None:
     found = sphere(30.0, 46)
     assert found.elements_per_wavelength < 8.1
@@ -111,6 +111,7 @@ def surface_equation_error(ka: float) -> float:
     return float(np.sqrt(areas @ np.abs(pressure - exact) ** 2 / (areas @ np.abs(exact) ** 2)))
 
 
+@pytest.mark.nightly
 def test_no_irregular_frequencies() -> None:
     """Zeros of j_n between 3 and 7 lie at 3.142, 4.493, 5.763, 6.283 and 6.988; the mesh shifts them by its error."""
     irregular = np.array([np.pi, 4.4934, 5.7635, 2 * np.pi, 6.9879])

@@ -143,6 +143,7 @@ def test_what_is_emitted_is_what_was_asked_to_the_boards_steps(board):
             assert np.abs(np.abs(emitted) - np.abs(drive)).max() <= worst * (1 + 1e-9)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("board", OF_AMPLITUDES, ids=named)
 def test_ten_thousand_random_frames_come_back_exactly(board):
     """One twin takes them all; a frame made of what it emits is the same frame."""

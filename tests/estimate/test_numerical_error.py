@@ -49,6 +49,7 @@ def test_halving_p0_quarters_the_displacement(small_scene):
     assert peaks[0] / peaks[1] == pytest.approx(4, rel=1e-4)
 
 
+@pytest.mark.nightly
 def test_the_mesh_error_is_about_the_distance_to_a_fine_mesh(small_scene, moment):
     """The estimate against the answer on elements of half the size, both static and at 200 Hz."""
     scene = palmfield.load(small_scene())
@@ -70,6 +71,7 @@ def test_the_mesh_error_is_about_the_distance_to_a_fine_mesh(small_scene, moment
     assert 0.3 * true < errors["mesh_error_relative"] < 3.0 * true
 
 
+@pytest.mark.nightly
 def test_a_disc_of_few_rings_is_held_against_a_mesh_that_differs(small_scene, moment):
     """Elements of 0.8 times the size make the same rings of a disc of 13 mm, which told a fortieth of the error."""
     disc = {"radius_m": 0.0129, "thickness_m": 0.00313, "side": "roller", "base": "free_slip", "accuracy": 0.12}
@@ -99,6 +101,7 @@ def test_errors_add_up_by_squares_and_a_disc_has_no_cut_edge(small_scene, moment
     assert errors["step_error_relative"] > 0.0
 
 
+@pytest.mark.nightly
 def test_a_small_model_has_an_error_of_its_own_and_none_of_the_step(small_scene, moment):
     scene = palmfield.load(small_scene(), keys={"skin.solver": "reduced"})
     scene.step(3)
@@ -113,6 +116,7 @@ def test_a_small_model_has_an_error_of_its_own_and_none_of_the_step(small_scene,
     assert left["step_error_relative"] == pytest.approx(estimate(whole, moment(scene))["step_error_relative"])
 
 
+@pytest.mark.nightly
 def test_a_skin_beside_another_is_estimated_as_if_alone(small_scene, add_skin, moment):
     """Exchanging one layer leaves the other skin, and the answer, as they were."""
     alone = palmfield.load(small_scene())
@@ -246,6 +250,7 @@ def test_a_skin_that_rings_is_stated_to_ring(moment) -> None:
     assert true < errors["mesh_error_relative"] < 4.0 * true
 
 
+@pytest.mark.nightly
 def test_a_disc_that_is_right_by_chance_is_held_against_two_meshes(moment) -> None:
     """Elements of 0.64 times the size are farther from the truth than this disc's, of 0.41 half as far."""
     scene, force = on_phantom(
@@ -285,6 +290,7 @@ def box_scene(small_scene, **skin):
     return path
 
 
+@pytest.mark.nightly
 def test_a_cut_edge_counts_at_rest_as_well(small_scene, moment):
     """Half of what a free side changes, at rest or at the main frequency, of whole solutions on the scene's mesh."""
     keys = {"base": "springs", "base_normal_Pa_m": 3e5, "base_tangential_Pa_m": 3e4, "side": "fixed"}

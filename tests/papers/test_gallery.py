@@ -129,7 +129,7 @@ def test_the_pages_pictures_are_there(name):
     assert all((GALLERY / name / file).is_file() for file in shown)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_another_process_gives_the_same_numbers_to_1e_6():
     """With another seed of hashes, and one thread where there are more here."""
     ids = ("C6d", "R5i", "M4-M5e", "H13-H14f")

@@ -147,6 +147,7 @@ def test_grasp_an_object():
     assert np.linalg.norm(after - before) < 1e-3
 
 
+@pytest.mark.nightly
 def test_stroke_the_palm():
     """The faster the focus, the longer behind it the skin still moves at a tenth of its largest velocity."""
     wakes = []

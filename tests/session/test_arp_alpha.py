@@ -20,6 +20,7 @@ def finished(path, out, **keys):
         return result.summary["peak_displacement_m"], skin.attrs, told
 
 
+@pytest.mark.nightly
 def test_motion_is_in_proportion_to_alpha_and_results_and_budgets_say_it(small_scene, tmp_path):
     path, law = small_scene(), {"skin.arp_law": "alpha"}
     whole, about, told = finished(path, tmp_path / "whole", **law)
@@ -36,6 +37,7 @@ def test_the_default_law_has_no_alpha(small_scene, tmp_path):
     assert about["arp_law"] == "default" and "arp_alpha" not in about and told == []
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("solver", ["reduced", "modal"])
 def test_small_models_take_a_factor_too(small_scene, solver):
     peaks = []

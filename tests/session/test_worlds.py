@@ -375,6 +375,7 @@ def test_scripted_motions_lead_bodies_in_all_worlds(small_scene, tmp_path):
     assert differ(together.sensors[2], singles[2].data.sensordata) < SAME
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("body_sound", ["shadows", "scattering"])
 def test_shadows_and_scattering_belong_to_their_world(body_sound, small_scene):
     """Buffers and trees are shared; answers are not."""

@@ -30,6 +30,7 @@ def by_wedges(request):
     return request.param, *ran(request.param, "wedges")
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_a_scenario_moves_as_by_wedges_within_what_both_state(by_wedges, solver):
     """The cut edge is the same for both and left out."""

@@ -51,6 +51,7 @@ def test_the_mean_force_is_that_of_each_moments_drive(hands):
         np.testing.assert_allclose(force.sum(axis=0), whole, atol=1e-5 * np.linalg.norm(whole))
 
 
+@pytest.mark.nightly
 def test_the_mean_force_is_that_over_all_moments():
     """Of a modulation as fast as the moments at which the load is known: some of them alone would be off by a third."""
     keys: dict[str, object] = {f"{side}_focus.am_frequency_Hz": 1000.0 for side in ("right", "left")}

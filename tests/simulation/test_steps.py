@@ -26,7 +26,7 @@ MOST_GROWTH_BYTES = 64 * 1024
 # -- memory --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("changes", "speed"),
     [({}, 0.0), ({}, 3.0), (RINGING_CIRCLE, 0.0), ({"skin": {"solver": "reduced"}}, 0.0)],

@@ -32,6 +32,7 @@ def true_errors(motion, known) -> dict[str, float]:
     }
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("solver", ["axisymmetric", "spectral_elements", "wedges", "reduced"])
 def test_each_solver_states_three_errors_that_cover(solver: str) -> None:
     load = Spot(0.0103, [0.0, 4e-3], [0.0, 1.0])
@@ -56,6 +57,7 @@ HARD_SHEETS = {
 }
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", HARD_SHEETS)
 def test_the_error_of_a_sudden_velocity_is_covered(name: str) -> None:
     disc = Slab(HARD_SHEETS[name], shape="disc", side="fixed", radius_m=0.02)

@@ -126,6 +126,7 @@ def test_slow_circle_follows_the_static_answer():
     assert error < 3e-3
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("side", ["fixed", "free"])
 def test_turning_the_path_turns_the_motion(side):
     """A straight fast path: several radial shapes, all harmonics; a turn by 40 degrees must change nothing."""

@@ -149,6 +149,7 @@ def test_a_run_that_takes_too_long_is_given_up_and_said(monkeypatch: pytest.Monk
     assert time.perf_counter() - begin < 1.0
 
 
+@pytest.mark.nightly
 def test_estimates_of_a_round_case_hold_by_every_solver(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two solvers at two accuracies on one case, through the page."""
     monkeypatch.setattr(coverage_judge, "TRUTHS", {"disc": ("axisymmetric", "spectral_elements")})

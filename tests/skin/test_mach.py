@@ -41,7 +41,7 @@ def rayleigh_ratio():
     return np.sqrt(brentq(lambda q: (2.0 - q) ** 2 - 4.0 * np.sqrt((1.0 - q) * (1.0 - q * r)), 0.5, 0.9999))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_deep_slab_follows_the_rayleigh_wave():
     """100 mm deep, 5.5 m/s over 240 mm, long enough for the front to leave the start's own waves behind."""
     both = Material("both", DENSITY, SHEAR, (), bulk_from_poisson(NU, SHEAR), "", 0.0202, True)

@@ -65,6 +65,7 @@ def test_a_disc_that_nothing_holds_is_refused() -> None:
     assert static_axisymmetric(disc("roller", base=springs), HELD, [[0.0, 0.0]], accuracy=0.1).error <= 0.1
 
 
+@pytest.mark.nightly
 def test_a_late_time_is_not_rest_where_nothing_damps() -> None:
     elastic = dataclasses.replace(GEL, branches=())
     body = disc("fixed", sheets=(Sheet(elastic, 0.02),))

@@ -76,7 +76,7 @@ def test_a_spot_on_a_face_that_does_not_look_along_z_is_refused():
     assert able == [] or able == ["particles"]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_absorbing_sides_near_the_load_are_in_the_error():
     """A flat layer whose sides are 18 mm off against the endless slab: by quasi-static motion they err by 18 %."""
     times, asked = np.linspace(0.0, 0.02, 81), np.linspace(0.001, 0.02, 20)

@@ -29,6 +29,7 @@ def true_error(motion: Motion, body: Slab, load: Spot) -> float:
     return float((np.linalg.norm(motion.displacement_m - known.displacement_m, axis=(0, 2)) / size).max())
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("side", "width"), [("roller", 0.06), ("roller", 0.2), ("fixed", 0.0375), ("free", 0.0375)])
 def test_auto_states_the_error_of_a_spot_that_reaches_the_rim(side: str, width: float) -> None:
     """Lateral waves cut such a spot off: 2.5 and 25 % where 0.05 % were stated; few elements hid the edge's 2.6 %."""

@@ -144,6 +144,7 @@ def test_what_a_killed_writing_leaves_is_named_by_recover(tmp_path, capsys):
     assert len(list(tmp_path.iterdir())) == 2
 
 
+@pytest.mark.nightly
 def test_memory_does_not_grow_with_frames(tmp_path):
     """From a quarter of the frames on, the process's own memory stays; all that is written would take 27 MB more."""
     program = (

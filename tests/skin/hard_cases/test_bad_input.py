@@ -52,6 +52,7 @@ def test_solvers_of_slabs_refuse_layers(name):
         solve(Layer(FLAT, (Sheet(GEL, 0.008),)), LOAD, [0.01], [[0.0, 0.0, 0.0]], solver=name, device="cpu")
 
 
+@pytest.mark.nightly
 def test_a_thin_web_with_slanted_columns_is_solved():
     """0.4 mm at its thinnest, inward directions 30 degrees off the normal: three codes within what they state."""
     thin = 0.002 - 0.0016 * np.exp(-((FLAT.vertices[:, 0] / 0.006) ** 2))

@@ -35,6 +35,7 @@ def box():
     return Slab((Sheet(GEL, DEPTH),), "box", "bonded", "roller", size_m=(0.06, 0.04))
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("speed", SPEEDS)
 def test_spectral_wake_is_the_steady_integral(speed, solve_by, miss):
     """After 0.1 m the start is forgotten: u(x - v t, y) by a sum over k of C(k, k_x v / 2 pi) g(k), period 0.4 m."""
@@ -60,6 +61,7 @@ def test_spectral_wake_is_the_steady_integral(speed, solve_by, miss):
     assert error < 0.01
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("name", "speed"),
     [*(("spectral_elements", v) for v in SPEEDS), ("wedges", "shear"), ("wedges", "twice shear"), ("reduced", "shear")],

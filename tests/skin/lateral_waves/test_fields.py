@@ -22,6 +22,7 @@ def apart(one: np.ndarray, other: np.ndarray) -> float:
     return float(np.sqrt(((one - other) ** 2).sum() / (other**2).sum()))
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("base", ["free", "bonded"])
 def test_a_field_is_what_the_solver_sums_at_points(base):
     slab = Slab((SHEET,), base=base)

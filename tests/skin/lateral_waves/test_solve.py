@@ -43,7 +43,7 @@ def test_static_is_the_series(body, radius):
     np.testing.assert_allclose(-settled.displacement_m[0, :, 2], exact, rtol=1e-2)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(("body", "radius"), [(C0, None), (DISC, 0.06)])
 def test_pulse_is_the_integral_over_frequency(body, radius):
     """u(t) = sum over a fine comb of frequencies of U(f) P(f); the comb's period is long enough for all to die out."""
@@ -122,6 +122,7 @@ def test_box_is_like_the_endless_slab_before_anything_comes_back():
     assert error < 2e-3
 
 
+@pytest.mark.nightly
 def test_moving_waves_and_axial_waves_agree():
     """A spot that hops, each hop a hold, is a sum of spots at rest that go on and off: plane waves against J0, and the
     vector's components against -J1."""
@@ -192,7 +193,7 @@ def test_thrust_sets_a_free_slab_in_motion():
     np.testing.assert_allclose(mean, expected, rtol=1e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_estimate_covers_the_true_error():
     """Ten cases, against the same solver at 5e-4: the estimate is above the error in all but one, never far above it.
 

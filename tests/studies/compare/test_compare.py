@@ -48,6 +48,7 @@ def run(module_scene, tmp_path_factory):
     return out
 
 
+@pytest.mark.nightly
 def test_gain_delay_and_place_are_found_again(run, tmp_path):
     done = compare(run / "run", run / "scan.csv", instrument=run / "head.toml", out=tmp_path)
     assert done.place.residual_m.max() < 1e-6 and done.place.undetermined == 3 and done.near.all()

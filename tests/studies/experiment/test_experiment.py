@@ -171,7 +171,7 @@ def test_conditions_are_interleaved_or_in_blocks_by_the_seed(experiment):
     assert {1, 2} == set(targets) and 0.2 < np.mean(np.array(targets) == 1) < 0.8
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_thresholds_of_known_observers_are_found(experiment):
     """30 observers: medians of both conditions at the truth, and 95 % intervals of constant stimuli that hold it."""
     found, inside = [], 0

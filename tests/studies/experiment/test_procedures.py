@@ -26,6 +26,7 @@ def moves(procedure, answers):
     return [trial.level for trial in run] + [procedure.next_level(run)]
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("up", "down", "ratio", "level"),
     [(1, 1, 1.0, 0.5), (1, 2, 1.0, 0.7071), (1, 3, 1.0, 0.7937), (1, 4, 1.0, 0.8409), (2, 1, 1.0, 0.2929),

@@ -118,6 +118,7 @@ def test_a_silent_point_asks_for_nothing(small_scene, few_are_many):
     assert group.shared.demands[0].max_frequency_Hz < 900.0
 
 
+@pytest.mark.nightly
 def test_worlds_on_modes_have_the_numbers_of_runs_by_themselves(small_scene, few_are_many, simulated):
     # With these keys a run by itself has the group's layer, and its numbers come by another way, through a recorder
     scene = small_scene(skin={"max_frequency_Hz": 500.0}, duration_s=0.02)

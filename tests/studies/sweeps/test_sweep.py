@@ -31,6 +31,7 @@ def whole(module_scene, tmp_path_factory):
     return scene, result
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("frequency", "level"), [(100.0, 0.5), (200.0, 1.0)])
 def test_a_point_has_the_numbers_of_a_run_by_itself(frequency, level, whole):
     scene, result = whole

@@ -44,7 +44,7 @@ def kill_one_worker_after(count, out):
     return thread, killed
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_killed_worker_changes_nothing(small_scene, tmp_path):
     scene = small_scene(duration_s=0.1)
     here = palmfield.sweep(scene, DESIGN, tmp_path / "here", workers=0, progress=False, picture=False)
