@@ -18,8 +18,8 @@ import _setup
 
 CHECKS = (("ruff", "check", "."), ("ruff", "format", "--check", "."), ("mypy",), ("lint-imports",))
 PYTEST = ("pytest", "-n", "auto", "--dist", "loadfile")
-IN_REAL_TIME = ("pytest", "-m", "wall_clock", "--reruns", "2")
-"""One test after the other, again where one failed: a machine that stands still for a moment makes a board late."""
+IN_REAL_TIME = ("pytest", "-m", "wall_clock", "-n", "2", "--dist", "loadfile", "--reruns", "2")
+"""Two at a time, as they wait most of it, again where one failed: a machine that stands still makes a board late."""
 TIMES = ("--durations", "30", "--junitxml", "out/tests-whole.xml")
 """What the slowest took is printed, what each took is kept: scripts/verification/slow_tests.py reads it."""
 CORES = {"SkylakeX": "Haswell", "Cooperlake": "Haswell", "SapphireRapids": "Haswell", "Nehalem": "Prescott"}
@@ -35,7 +35,7 @@ def main() -> int:
         description="Make .venv, install palmfield, palmfield-papers and test tools in it, and run ruff check, ruff "
         "format --check, mypy, import-linter and pytest. Before that, pytest's smoke tests run in .venv-lowest, with "
         "the lowest versions of dependencies that pyproject.toml allows (made and run on Python 3.11 alone); after it, "
-        "the tests that play in real time (wall_clock) run alone, and "
+        "the tests that play in real time (wall_clock) run by themselves, two at a time, and "
         "its numerics tests once more with OpenBLAS's kernels for another processor. Stops at the first that fails.",
         epilog="Tests run on all cores, those of a file one after the other. Anything else is passed "
         "on to pytest, for instance -k NAME, -m 'not slow', or a path from the "
