@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from scipy.optimize import brentq
+import scipy  # which loads its parts when they are used
 
 from palmfield.acoustics.directivities.t4010a1 import T4010A1_DIRECTIVITY
 from palmfield.acoustics.placement import combined, from_poses, placed
@@ -186,7 +186,7 @@ def bow(focal_length_m: float) -> tuple[Float, Float]:
 
     half = [BOW_SPACING_M / 2]
     for _ in range(2):
-        half.append(brentq(excess, half[-1], half[-1] + 2 * BOW_SPACING_M, args=(half[-1],)))
+        half.append(scipy.optimize.brentq(excess, half[-1], half[-1] + 2 * BOW_SPACING_M, args=(half[-1],)))
     positions = np.array([[0.0, y, height(y) - focal_length_m] for y in [-v for v in reversed(half)] + half])
     return positions, -positions / np.linalg.norm(positions, axis=1, keepdims=True)
 

@@ -8,8 +8,8 @@ that in a focus they give the order of magnitude.
 import math
 
 import numpy as np
+import scipy  # which loads its parts when they are used
 from numpy.typing import ArrayLike
-from scipy.optimize import brentq
 from scipy.special import jv
 
 from palmfield.acoustics import check
@@ -109,7 +109,9 @@ def arp_left(sigma: float) -> float:
 
 def _shock_phase(sigma: float) -> float:
     """s in (0, pi) with s = sigma sin(s), for sigma above 1."""
-    return float(brentq(lambda s: s - sigma * math.sin(s), math.sqrt(min(1.0, sigma - 1.0)) * 1e-3, math.pi))
+    return float(
+        scipy.optimize.brentq(lambda s: s - sigma * math.sin(s), math.sqrt(min(1.0, sigma - 1.0)) * 1e-3, math.pi)
+    )
 
 
 def _check(sigma: float) -> None:

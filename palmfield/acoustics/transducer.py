@@ -1,8 +1,8 @@
 """What is known of any transducer, and a measured directivity as a polynomial."""
 
 import numpy as np
+import scipy  # which loads its parts when they are used
 from numpy.polynomial import polynomial
-from scipy.interpolate import PchipInterpolator
 
 from palmfield.errors import SceneError
 from palmfield.types import Estimate, Float
@@ -58,7 +58,9 @@ def table_misfit(table: Float) -> float:
 def nearest_quintic(table: Float) -> Float:
     """The fit of `table_coefficients`, however bad."""
     angle, amplitude = table.T
-    smooth = PchipInterpolator(np.concatenate([-angle[:0:-1], angle]), np.concatenate([amplitude[:0:-1], amplitude]))
+    smooth = scipy.interpolate.PchipInterpolator(
+        np.concatenate([-angle[:0:-1], angle]), np.concatenate([amplitude[:0:-1], amplitude])
+    )
     degrees = np.linspace(0.0, 90.0, 181)
     powers = polynomial.polyvander(np.sin(np.radians(degrees)) ** 2, 5)
     higher = np.linalg.lstsq(powers[:, 1:], smooth(degrees) - 1.0, rcond=None)[0]

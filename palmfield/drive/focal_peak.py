@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 import numpy as np
-from scipy.optimize import minimize
+import scipy  # which loads its parts when they are used
 
 from palmfield.types import Complex, Float
 
@@ -20,7 +20,7 @@ def loudest_point(pressure: Callable[[Float], Complex], middle: Float, focus: Fl
     line = middle + ALONG[:, None] * (focus - middle)
     start = line[int(np.abs(pressure(line)).argmax())]
     scale = float(np.abs(pressure(start[None]))[0])
-    found = minimize(
+    found = scipy.optimize.minimize(
         lambda point: -float(np.abs(pressure(point[None]))[0]) / scale,
         start,
         method="Nelder-Mead",

@@ -10,8 +10,8 @@ from collections.abc import Callable
 from typing import Literal, get_args
 
 import numpy as np
+import scipy  # which loads its parts when they are used
 from numpy.typing import ArrayLike
-from scipy.optimize import minimize
 from scipy.special import logsumexp, softmax
 
 from palmfield.acoustics import check
@@ -356,7 +356,7 @@ def lbfgs(matrix: Complex, targets: Float, phases: Complex, count: int) -> tuple
         for stage, sharpness in enumerate(SHARPNESS):
             left = (count - (len(residual) - 1)) // (len(SHARPNESS) - stage)
             if left > 0:
-                solution = minimize(
+                solution = scipy.optimize.minimize(
                     soft_minimum,
                     angles,
                     (scaled, sharpness),

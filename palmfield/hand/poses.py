@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
+import scipy  # which loads its parts when they are used
 
 from palmfield.errors import SceneError
 from palmfield.hand.articulated import ArticulatedHand, bone_poses, posed_landmark, poses_at
@@ -95,7 +95,7 @@ def _pinch(hand: ArticulatedHand, rest: dict[str, float]) -> dict[str, float]:
         )
 
     # Half-way in is off the bounds, as the method needs.
-    solution = least_squares(misses, 0.7 * start + 0.15 * (low + high), bounds=(low, high)).x
+    solution = scipy.optimize.least_squares(misses, 0.7 * start + 0.15 * (low + high), bounds=(low, high)).x
     return rest | {hand.joints[n].name: float(a) for n, a in zip(moving, solution, strict=True)}
 
 

@@ -2,7 +2,7 @@
 
 from dataclasses import astuple, replace
 
-from scipy.optimize import brentq
+import scipy  # which loads its parts when they are used
 
 from palmfield.config.skin import OVERRIDES, SkinConfig
 from palmfield.errors import SceneError
@@ -58,7 +58,7 @@ def layer_cutoff(sheets: tuple[Sheet, ...], depth_m: float) -> float:
         times = [sheet.thickness_m * depth_m / shear_wave(sheet.material, f_Hz)[0] for sheet in sheets]
         return 4.0 * f_Hz * sum(times) - 1.0
 
-    return float(brentq(excess, 1e-3 * slow, 1.000001 * slow))
+    return float(scipy.optimize.brentq(excess, 1e-3 * slow, 1.000001 * slow))
 
 
 def cutoff_Hz(skin: SkinConfig, sheets: tuple[Sheet, ...], depth_m: float) -> float | None:

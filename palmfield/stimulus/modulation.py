@@ -10,7 +10,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import brentq
+import scipy  # which loads its parts when they are used
 
 from palmfield.config import StimulusConfig
 from palmfield.errors import SceneError
@@ -144,7 +144,9 @@ def _peak_duty(config: StimulusConfig, form: Waveform, exponent: float) -> float
     if amplitude**2 >= most:
         return FULL_DUTY
     # At half the amplitude even the loudest moment has a quarter of the wanted ARP
-    peak = brentq(lambda peak: mean_arp(peak) - amplitude**2, 0.5 * amplitude, 1.0, xtol=ROUNDING * amplitude)
+    peak = scipy.optimize.brentq(
+        lambda peak: mean_arp(peak) - amplitude**2, 0.5 * amplitude, 1.0, xtol=ROUNDING * amplitude
+    )
     return float(duty_cycle(peak, exponent))
 
 

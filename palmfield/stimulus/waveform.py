@@ -5,7 +5,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import minimize_scalar
+import scipy  # which loads its parts when they are used
 
 from palmfield.config import StimulusConfig
 from palmfield.stimulus.am_file import AmTable
@@ -129,5 +129,7 @@ def _highest_of_burst(cycles: float, phase: float) -> float:
     # The highest crest lies within a period of the window's middle
     near = 0.5 + np.linspace(-1.0, 1.0, 257) * min(1.0 / cycles, 0.5)
     best, width = float(near[np.argmin(negative(near))]), float(near[1] - near[0])
-    found = minimize_scalar(negative, bounds=(best - width, best + width), method="bounded", options={"xatol": 1e-12})
+    found = scipy.optimize.minimize_scalar(
+        negative, bounds=(best - width, best + width), method="bounded", options={"xatol": 1e-12}
+    )
     return float(-found.fun)

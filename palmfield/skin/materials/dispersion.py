@@ -8,7 +8,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import brentq
+import scipy  # which loads its parts when they are used
 
 from palmfield.errors import SceneError
 from palmfield.skin.materials.material import Material, complex_bulk, complex_shear, shear_wave
@@ -81,7 +81,9 @@ def rayleigh_wavenumber(material: Material, f_Hz: float) -> complex:
 
 def elastic_root(ratio: float) -> float:
     """(c_R / c_s)^2 of an elastic solid of (c_s / c_p)^2 = ratio, 0 to 3/4: the one root of the cubic in 0..1."""
-    return float(brentq(lambda x: ((x - 8.0) * x + 24.0 - 16.0 * ratio) * x - 16.0 * (1.0 - ratio), 0.0, 1.0))
+    return float(
+        scipy.optimize.brentq(lambda x: ((x - 8.0) * x + 24.0 - 16.0 * ratio) * x - 16.0 * (1.0 - ratio), 0.0, 1.0)
+    )
 
 
 def cutoff(material: Material, thickness_m: float) -> float:
@@ -99,7 +101,7 @@ def cutoff(material: Material, thickness_m: float) -> float:
     high = 2.0 * low
     while excess(high) < 0.0:
         high *= 2.0
-    return float(brentq(excess, 0.5 * low, high, xtol=1e-9 * low))
+    return float(scipy.optimize.brentq(excess, 0.5 * low, high, xtol=1e-9 * low))
 
 
 def speed_and_length(wavenumber: complex, omega: float) -> tuple[float, float]:
