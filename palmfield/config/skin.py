@@ -1,7 +1,7 @@
 """Keys of palmfield.skin."""
 
 from importlib.metadata import entry_points
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self, get_args
 
 from pydantic import AfterValidator, Field, model_validator
 
@@ -27,7 +27,8 @@ def _installed(solver: str) -> str:
     return solver
 
 
-BODIES = ("hand", "articulated", "mesh", "rigged", "cylinder")
+Shape = Literal["hand", "articulated", "disc", "mesh", "rigged", "cylinder"]
+BODIES = tuple(shape for shape in get_args(Shape) if shape != "disc")
 """Shapes on which a layer is laid; a disc is the layer itself."""
 OF_SHAPES = {
     "hand": ("hand", "articulated"),
@@ -62,7 +63,7 @@ class SkinConfig(Config):
     }
 
     body: str = Field("hand", description="body that carries the surface; its frame is the surface's frame")
-    shape: Literal["hand", "articulated", "disc", "mesh", "rigged", "cylinder"] = Field(
+    shape: Shape = Field(
         "hand",
         description="parametric hand in one piece or on its bones, flat disc, mesh file in one piece or on its joints, "
         "cylinder with a rigid bone inside a layer of depth_m",

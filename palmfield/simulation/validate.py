@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 from palmfield.acoustics.phased_array import HOUSING_M, PhasedArray
 from palmfield.acoustics.surface_load import CLEARANCE_M
 from palmfield.acoustics.transfer import available_bytes
+from palmfield.config.skin import BODIES, OF_SHAPES
 from palmfield.drive.board import Board, check
 from palmfield.drive.boards import boards_for
 from palmfield.drive.response import Pole
@@ -36,7 +37,7 @@ FACING = np.diag([1.0, -1.0, -1.0])
 """How an array stands that looks at another from above: its frame turned by half a turn about x."""
 LEAST_POINTS = 3
 """On a turn of a path that is played in frames: fewer tell no path."""
-SURFACE_KEYS = ("shape", "hand", "mesh", "mesh_unit", "cylinder_radius_m", "cylinder_length_m")
+SURFACE_KEYS = ("shape", *(key for key, shapes in OF_SHAPES.items() if shapes != BODIES))
 """Keys that say what surface a body has; all skins on a body share them."""
 
 

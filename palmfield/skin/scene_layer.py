@@ -191,7 +191,7 @@ class SceneLayer:
         left = config.shape in OF_SHAPES["hand"] and load_preset(config.hand).side == "left"
         surface, mirror = (mirrored_surface(self.surface), MIRROR) if left else (self.surface, np.ones(3))
         # A hand knows where its bones are, so the layer may reach past the middle; any other body is all there is.
-        fraction = 0.45 if config.shape in ("mesh", "rigged", "cylinder") else 0.6
+        fraction = 0.6 if config.shape in OF_SHAPES["hand"] else 0.45
         patch = self.with_keys(
             lambda: surface_patch(
                 surface,
