@@ -16,7 +16,7 @@ import numpy as np
 import palmfield
 from palmfield.outputs import open_result
 from palmfield.outputs.pictures.asked import Asked
-from palmfield.outputs.pictures.maps import motion_map
+from palmfield.outputs.pictures.kinds.maps import motion_map
 from palmfield.outputs.render import render_scene
 from palmfield.outputs.style import save, style
 

@@ -1,11 +1,12 @@
 """What is asked of a picture, and what a result has of it."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from typing import Literal, NamedTuple
 
 import numpy as np
 import xarray as xr
+from matplotlib.figure import Figure
 
 from palmfield.errors import OutputError, did_you_mean
 from palmfield.outputs.frames import check_time, drive_frame, in_world, nearest
@@ -40,6 +41,27 @@ class Asked:
     skin: str | None = None
     quantity: Quantity = "displacement"
     observer: str | None = None
+
+
+ALL = frozenset(one.name for one in fields(Asked))
+Draw = Callable[[xr.DataTree, Asked], Figure]
+
+
+class Kind(NamedTuple):
+    """draw: raises OutputError or MeasurementError where the result doesn't hold what it needs; about: a sentence
+
+    heeds: what of `Asked` changes the picture, all where it isn't said; unit: of its limits
+    """
+
+    draw: Draw
+    about: str
+    heeds: frozenset[str] = ALL
+    unit: str = ""
+
+    @classmethod
+    def of_motion(cls, draw: Draw, about: str, *more: str, unit: str = "µm or µm/s") -> "Kind":
+        """A picture of a skin's motion; more: what it heeds besides what they all do."""
+        return cls(draw, about, frozenset({"places", "limits", "skin", "quantity", *more}), unit)
 
 
 def asked_for(

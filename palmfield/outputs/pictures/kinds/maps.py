@@ -1,4 +1,5 @@
-"""Maps of a skin's motion, looking onto the array: at a time, as root mean square, and as levels above threshold."""
+"""Maps of a skin, looking onto the array: its pressure, its motion at a time and as root mean square, and levels above
+threshold."""
 
 from typing import Any
 
@@ -14,11 +15,14 @@ from palmfield.outputs.pictures.asked import (
     IN_MICRO,
     UNITS,
     Asked,
+    Kind,
+    chosen_names,
     chosen_skin,
     chosen_time,
     chosen_vertices,
     limits_of,
 )
+from palmfield.outputs.plots import pressure_picture
 from palmfield.outputs.recorded_keys import keys_of
 from palmfield.outputs.schema import instances
 from palmfield.outputs.skin_view import SkinView, draw_patch, view_of_skin
@@ -33,6 +37,11 @@ SIZES = "cividis"
 LEAST_LEVEL_DB = -20.0
 """Levels below are drawn as this: nobody feels them, and -inf has no colour."""
 MARKERS = "os^Dv"
+
+
+def pressure(result: xr.DataTree, asked: Asked) -> Figure:
+    """Peak pressure amplitude and ARP on each skin when loudest, or at a time, seen from the array that it faces."""
+    return pressure_picture(result, chosen_names(result, asked), asked.time_s)
 
 
 def motion_map(result: xr.DataTree, asked: Asked) -> Figure:
@@ -146,3 +155,14 @@ def _one(
     _mark(axes, view.vertices, values, unit, marks)
     axes.set_title(title)
     return figure
+
+
+LEVELS_HEED = frozenset({"places", "limits", "skin", "observer"})
+KINDS = {
+    "pressure": Kind(
+        pressure, "peak pressure and ARP on each skin when they are largest", frozenset({"time_s", "skin"})
+    ),
+    "motion": Kind.of_motion(motion_map, "normal displacement or velocity of the skin at a time", "time_s"),
+    "rms": Kind.of_motion(rms_map, "root mean square of the skin's motion over the run"),
+    "levels": Kind(level_map_of, "level above threshold on the skin, by observer", LEVELS_HEED, "dB SL"),
+}

@@ -5,7 +5,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from palmfield.errors import OutputError
-from palmfield.outputs.pictures.asked import Asked, chosen_frame
+from palmfield.outputs.pictures.asked import Asked, Kind, chosen_frame
 from palmfield.outputs.schema import has_records, instances
 
 
@@ -34,3 +34,6 @@ def drives(result: xr.DataTree, asked: Asked) -> Figure:
         bar = figure.colorbar(drawn, ax=axes, shrink=0.85, label="phase [rad] (positive: delay)")
         bar.set_ticks([0.0, np.pi, 2.0 * np.pi], labels=["0", "π", "2π"])
     return figure
+
+
+KINDS = {"drives": Kind(drives, "phase and amplitude of each transducer", frozenset({"time_s"}))}

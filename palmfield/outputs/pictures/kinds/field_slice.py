@@ -5,7 +5,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from palmfield.outputs.frames import pose_at, to_local, to_world
-from palmfield.outputs.pictures.asked import Asked, chosen_frame, limits_of
+from palmfield.outputs.pictures.asked import Asked, Kind, chosen_frame, limits_of
 from palmfield.outputs.sound import driven_arrays, sound_at, sounding_foci
 from palmfield.outputs.style import beyond
 
@@ -53,3 +53,7 @@ def field_slice(result: xr.DataTree, asked: Asked) -> Figure:
     panel.set_title(f"Incident pressure at {where},\nin free air: {size.max():.0f} Pa at most")
     figure.colorbar(drawn, ax=panel, shrink=0.85, label="peak amplitude [Pa]", extend=beyond(size, low, high))
     return figure
+
+
+ABOUT = "incident pressure in a plane through array and focus, in free air"
+KINDS = {"field": Kind(field_slice, ABOUT, frozenset({"time_s", "limits"}), "Pa")}

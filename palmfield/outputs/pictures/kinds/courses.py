@@ -9,7 +9,7 @@ from scipy.signal.windows import hann
 from palmfield.errors import OutputError
 from palmfield.metrics.spectra import amplitude_spectrum
 from palmfield.outputs.motion import at_vertices
-from palmfield.outputs.pictures.asked import IN_MICRO, UNITS, Asked, chosen_skin, chosen_vertices, limits_of
+from palmfield.outputs.pictures.asked import IN_MICRO, UNITS, Asked, Kind, chosen_skin, chosen_vertices, limits_of
 from palmfield.outputs.style import COLOURS, LINES, beyond
 
 WINDOW_S = 0.02
@@ -86,3 +86,10 @@ def spectrogram(result: xr.DataTree, asked: Asked) -> Figure:
     axes.set_title(f"Normal {asked.quantity} at {what} (whole windows of {1e3 * count * step_s:.3g} ms)")
     figure.colorbar(drawn, ax=axes, label="dB re largest", extend=beyond(level, low, high))
     return figure
+
+
+KINDS = {
+    "course": Kind.of_motion(course, "the skin's motion over time at a few places"),
+    "spectrum": Kind.of_motion(spectrum, "its amplitude spectrum"),
+    "spectrogram": Kind.of_motion(spectrogram, "its power over time and frequency", unit="dB"),
+}

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from palmfield.errors import OutputError
 from palmfield.outputs.frames import in_world
 from palmfield.outputs.motion import extremes, normal_component
-from palmfield.outputs.pictures.asked import IN_MICRO, UNITS, Asked, chosen_skin, chosen_vertices, limits_of
+from palmfield.outputs.pictures.asked import IN_MICRO, UNITS, Asked, Kind, chosen_skin, chosen_vertices, limits_of
 from palmfield.outputs.schema import instances
 from palmfield.outputs.style import beyond, signed_colours
 
@@ -56,3 +56,6 @@ def wavefronts(result: xr.DataTree, asked: Asked) -> Figure:
     axes.set_title(f"Normal {asked.quantity} along a line over the skin ({len(order)} vertices, negative: inward)")
     figure.colorbar(drawn, ax=axes, label=UNITS[asked.quantity], extend=beyond(motion, low, high))
     return figure
+
+
+KINDS = {"wavefronts": Kind.of_motion(wavefronts, "motion along a line over the skin, over time")}

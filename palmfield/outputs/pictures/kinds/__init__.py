@@ -1,0 +1,34 @@
+"""What `palmfield plot` can draw. Each file here has a `KINDS`, its pictures by name."""
+
+from collections.abc import Sequence
+from importlib import import_module
+from pkgutil import iter_modules
+
+from palmfield.errors import OutputError
+from palmfield.outputs.pictures.asked import Asked, Kind
+
+KINDS: dict[str, Kind] = {
+    name: kind
+    for module in sorted(iter_modules(__path__), key=lambda module: module.name)
+    for name, kind in import_module(f"{__name__}.{module.name}").KINDS.items()
+}
+"""All kinds by name."""
+OPTIONS = {
+    "time_s": "--time",
+    "places": "--place",
+    "limits": "--limits",
+    "skin": "--skin",
+    "quantity": "--quantity",
+    "observer": "--observer",
+}
+
+
+def check_heeded(kinds: Sequence[str], asked: Asked) -> None:
+    """Raises OutputError where none of the kinds heeds what is asked, and for limits of kinds with several units."""
+    for name, option in OPTIONS.items():
+        if getattr(asked, name) != getattr(Asked(), name) and not any(name in KINDS[kind].heeds for kind in kinds):
+            able = [kind for kind, one in KINDS.items() if name in one.heeds]
+            raise OutputError(f"{option} changes nothing in {', '.join(kinds)}; it is for: {', '.join(able)}")
+    units = list(dict.fromkeys(KINDS[kind].unit for kind in kinds if KINDS[kind].unit))
+    if asked.limits is not None and len(units) > 1:
+        raise OutputError(f"--limits would be of several units ({', '.join(units)}); name kinds of one unit")
