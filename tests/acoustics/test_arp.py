@@ -124,7 +124,8 @@ def test_alpha_law_overstates_the_focus() -> None:
     points = points[np.hypot(points[:, 0], points[:, 1]) < 0.1]
     normals = np.tile([0.0, 0.0, -1.0], (len(points), 1))
     field = FieldEvaluator(array, AIR, "cpu").pressure(points, focus(array, AIR, (0.0, 0.0, 0.2)), gradient=True)
-    true, alpha = (arp(field, normals, AIR, FREQUENCY_HZ, law=law, device="cpu").sum(dtype=float) for law in LAWS)
+    laws = "default", "alpha"
+    true, alpha = (arp(field, normals, AIR, FREQUENCY_HZ, law=law, device="cpu").sum(dtype=float) for law in laws)
     assert true / alpha == pytest.approx(0.91, rel=0.02)
 
 
