@@ -16,7 +16,7 @@ from palmfield.hand import load_preset
 from palmfield.instruments import Plate, Scale
 from palmfield.perception import OBSERVERS
 from palmfield.skin import Sheet, Slab, Spot, preset
-from palmfield.types import Air, Field
+from palmfield.types import Air
 
 T = np.linspace(0.0, 0.1, 201)
 S = np.sin(2.0 * np.pi * 100.0 * T)
@@ -111,9 +111,6 @@ CALLS: dict[str, dict[str, Any]] = {
     "stimulus.z_shape": {"width_m": 0.02, "height_m": 0.01},
     "stimulus.zigzag": {"width_m": 0.02, "height_m": 0.01, "turns": 3},
     "stimulus.frame_at": {"config": StimulusConfig(), "t": 0.01},
-    "acoustics.intensity": {
-        "field": Field(np.ones(2, complex), np.ones((2, 3), complex)), "air": AIR, "frequency_Hz": 4e4,
-    },
     "acoustics.layout": {"name": "uhev1", "p0_Pa_m": 2.0},
     "acoustics.boundary_mesh": {"vertices": BALL, "faces": FACES, "wavelength_m": 0.02},
     "acoustics.pressure": {

@@ -17,12 +17,11 @@ if TYPE_CHECKING:
     from palmfield.acoustics.arp import SurfaceSound
     from palmfield.acoustics.arrays import layout
     from palmfield.acoustics.body_scattering import Occlusion, RigidScatteredField, boundary_mesh
-    from palmfield.acoustics.derived import intensity, particle_velocity
     from palmfield.acoustics.field import FieldEvaluator, pressure
     from palmfield.acoustics.phased_array import ArrayInstance, MultiArrayField, PhasedArray
     from palmfield.acoustics.reference import pressure64
     from palmfield.acoustics.surface_arp import SurfaceArp
-    from palmfield.acoustics.surface_load import clearance, distance_to_arrays, pushes, resultants
+    from palmfield.acoustics.surface_load import distance_to_arrays, pushes, resultants
     from palmfield.acoustics.transfer import Transfer, arp_frames
 
 _WHERE = {
@@ -30,12 +29,11 @@ _WHERE = {
     "SurfaceSound": "arp",
     "layout": "arrays",
     **dict.fromkeys(("Occlusion", "RigidScatteredField", "boundary_mesh"), "body_scattering"),
-    **dict.fromkeys(("intensity", "particle_velocity"), "derived"),
     **dict.fromkeys(("FieldEvaluator", "pressure"), "field"),
     **dict.fromkeys(("ArrayInstance", "MultiArrayField", "PhasedArray"), "phased_array"),
     "pressure64": "reference",
     "SurfaceArp": "surface_arp",
-    **dict.fromkeys(("clearance", "distance_to_arrays", "pushes", "resultants"), "surface_load"),
+    **dict.fromkeys(("distance_to_arrays", "pushes", "resultants"), "surface_load"),
     **dict.fromkeys(("Transfer", "arp_frames"), "transfer"),
 }
 __all__ = [
@@ -50,12 +48,9 @@ __all__ = [
     "Transfer",
     "arp_frames",
     "boundary_mesh",
-    "clearance",
     "density",
     "distance_to_arrays",
-    "intensity",
     "layout",
-    "particle_velocity",
     "pressure",
     "pressure64",
     "pushes",

@@ -143,6 +143,11 @@ def frequency(value: float) -> float:
     return value
 
 
+def angular_frequency(frequency_Hz: float) -> float:
+    """2 pi f [rad/s]. Raises SceneError for a frequency that is not positive and finite."""
+    return 2.0 * np.pi * frequency(frequency_Hz)
+
+
 def in_front(array: Array, point: NDArray[np.float64], name: str) -> None:
     """Raise SceneError unless the point [m], shape (3,), is in front of every transducer; `name` begins the message."""
     height = np.einsum("ij,ij->i", point - array.positions, array.normals)

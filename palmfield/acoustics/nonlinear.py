@@ -14,7 +14,6 @@ from scipy.special import jv
 
 from palmfield.acoustics import check
 from palmfield.acoustics.air import density, sound_speed
-from palmfield.acoustics.derived import angular_frequency
 from palmfield.acoustics.placement import sides_of
 from palmfield.acoustics.reference import pressure64
 from palmfield.errors import PalmfieldError
@@ -37,7 +36,7 @@ def steepening(pressures_Pa: ArrayLike, step_m: float, air: Air, frequency_Hz: f
     loudness = np.abs(np.asarray(pressures_Pa))
     if not np.isfinite(loudness).all():
         raise PalmfieldError(f"pressures_Pa[{check.first_bad(loudness)}] is not finite: give peak pressures")
-    per_Pa_m = NONLINEARITY * angular_frequency(frequency_Hz) / (density(air) * sound_speed(air) ** 3)
+    per_Pa_m = NONLINEARITY * check.angular_frequency(frequency_Hz) / (density(air) * sound_speed(air) ** 3)
     return float(per_Pa_m * np.trapezoid(loudness, dx=step_m))
 
 

@@ -3,24 +3,14 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from palmfield.acoustics.phased_array import BoardOutline, PhasedArray
+from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.acoustics.shadow import REACH_m
-from palmfield.types import Array, Float, Float32, Int
+from palmfield.types import Float, Float32, Int
 
 CLEARANCE_M = 2e-3
 """Least distance of a body from an array's board [m]."""
 GRAZING = 1e-6
 """A ray that goes along a board, to this cosine, does not meet it."""
-
-
-def clearance(array: Array, points: Float) -> float:
-    """Least distance of points from an array's board [m], negative behind it, inf where none is over it.
-
-    points: [m], in the array's own frame, shape (n, 3)
-    The board is the rectangle around transducers that lie in one plane of constant z and face along z. Any other array
-    has none: there it is the distance from the face of the nearest transducer. `PhasedArray.boards` has them made.
-    """
-    return BoardOutline.of(array).clearance(points)
 
 
 def distance_to_arrays(points: Float, flux: Float | Float32, phased_array: PhasedArray) -> Float:

@@ -6,7 +6,6 @@ from scipy.spatial import KDTree
 
 from palmfield.acoustics import check
 from palmfield.acoustics.air import density, sound_speed
-from palmfield.acoustics.derived import angular_frequency
 from palmfield.acoustics.directivities import form_of
 from palmfield.acoustics.nonlinear import arp_left, beam_steepening, steepening
 from palmfield.acoustics.reference import directivity, pressure64
@@ -95,7 +94,7 @@ def _too_loud(array: Array, point: np.ndarray, peak: float, air: Air, beam: tupl
     else:
         sigma = steepening([peak, peak], float(distance.mean()), air, array.frequency_Hz)
         if sigma > 1.0:  # as loud all the way: a focused beam steepens less
-            wavenumber = angular_frequency(array.frequency_Hz) / sound_speed(air)
+            wavenumber = check.angular_frequency(array.frequency_Hz) / sound_speed(air)
             focused = np.exp(-1j * wavenumber * distance)
             loud = float(np.abs(pressure64(point[None], array, focused, air)[0][0]))
             sigma = beam_steepening(array, focused, point, air) * peak / loud if loud > 0.0 else 0.0
@@ -111,7 +110,7 @@ def _too_loud(array: Array, point: np.ndarray, peak: float, air: Air, beam: tupl
             f"{SATURATION_Pa:g} Pa: lower the drive"
         )
     gain = 1.0 if array.gain is None else np.abs(array.gain)
-    wavenumber = angular_frequency(array.frequency_Hz) / sound_speed(air)
+    wavenumber = check.angular_frequency(array.frequency_Hz) / sound_speed(air)
     shape = directivity(array, wavenumber, np.linspace(0.0, 1.0, 181)).max()
     most = float((array.p0_Pa_m * shape * gain / np.maximum(distance, 1e-9)).sum())
     if peak > most * (1.0 + 1e-3):

@@ -92,11 +92,6 @@ class Foci:
         return float(np.mean(self.magnitude_Pa / self.bound_Pa))
 
     @property
-    def efficiency(self) -> float:
-        """Sum of |p|^2, each over that of a single focus: about 1 at best for foci that do not overlap."""
-        return float(np.sum((self.magnitude_Pa / self.bound_Pa) ** 2))
-
-    @property
     def power(self) -> float:
         """Mean |a|^2 over the transducers: 1 where all are driven fully."""
         return float(np.mean(np.abs(self.drive) ** 2))

@@ -28,7 +28,6 @@ TOLERANCE, IN_POINTS = 1e-5, 5e-4
 """Of each array's largest value. The second is for the motion of skins with small models, which have looked at their
 load in few points since: a tenth of what reduction may cost at accuracy 0.05."""
 MOTION = ("displacement_m", "velocity_m_s", "sensor channel 3", "sensor channel 4")
-WATCHED = ("sensordata", "displacement_m", "velocity_m_s", "force_N", "qpos")
 P0_PA_M = 2.53
 """Of all arrays then."""
 FORCE, DISPLACEMENT, VELOCITY, ARP = slice(0, 3), 3, 4, 5

@@ -43,7 +43,6 @@ REACH_m = 0.09
 """Half the length of screens: the sound of all transducers passes nearer to their middle."""
 CELL_m = 5e-4
 STEP_m = 1e-4
-SCREENS = (("strip of 16 mm", -0.008, 0.008), ("half plane", 0.0, 0.2))
 ELEMENTS_HEADING = "## A finger over a palm, by boundary elements"
 """Of the part of the page that another script writes."""
 

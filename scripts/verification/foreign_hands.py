@@ -240,17 +240,6 @@ def inner_shell(path: Path) -> None:
     )
 
 
-def sleeve(path: Path) -> None:
-    """The cuff of a sleeve about the wrist, a body of its own."""
-    vertices, faces = plain_hand()
-    cuff = trimesh.creation.annulus(
-        0.042, 0.048, 0.05, transform=trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0])
-    )
-    cuff.apply_translation([0.0, vertices[:, 1].min() + 0.01, 0.015])
-    both = trimesh.util.concatenate([trimesh.Trimesh(1e3 * vertices, faces, process=False), cuff.apply_scale(1e3)])
-    both.export(path)
-
-
 def crossed(path: Path) -> None:
     vertices, faces = crossed_hand()
     write(path, 1e3 * vertices, faces)

@@ -5,7 +5,6 @@ scale. The formula says 2 p_rms^2/(rho c^2), integrated over the plate. `python 
 writes the page.
 """
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,10 +15,9 @@ from palmfield.acoustics.arrays import layout
 from palmfield.acoustics.echo import image_count
 from palmfield.acoustics.field import FieldEvaluator
 from palmfield.acoustics.focus import focus
-from palmfield.acoustics.langevin import radiation_stress
 from palmfield.acoustics.nonlinear import arp_left, beam_steepening, fundamental_left
 from palmfield.instruments.force import Plate, plate_force
-from palmfield.types import Air, Array, Complex, Field, Float
+from palmfield.types import Air, Complex, Field, Float
 
 LAYOUTS = ("uhev1", "autd2018_2x2")
 DEPTHS_M = (0.1, 0.2, 0.3)
@@ -110,18 +108,3 @@ def _force(
     spacing = min(spacing_m, plate_m / SMALL_SPACINGS)
     plate = Plate(width_m=plate_m, height_m=plate_m, centre_m=(0.0, 0.0, depth_m), spacing_m=spacing)
     return tuple(plate_force(arp_at, plate))  # type: ignore[return-value]
-
-
-def momentum_force(array: Array, depth_m: float, half_m: float) -> float:
-    """Force of full drive on an endless rigid plane, by the momentum that the beam carries to it [N].
-
-    A check of the law that knows nothing of walls: twice the axial momentum flux of the incident sound. half_m: half of
-    the square over which it is summed
-    """
-    air = Air()
-    drive = focus(array, air, [0.0, 0.0, depth_m])
-    field = FieldEvaluator(array, air, device="cpu", absorption_Np_m=0.0)
-    x = (np.arange(2 * math.ceil(half_m / SPACING_M)) + 0.5) * SPACING_M - half_m
-    points = np.stack([*(grid.ravel() for grid in np.meshgrid(x, x)), np.full(x.size**2, depth_m)], axis=1)
-    stress = radiation_stress(field.pressure(points, drive, gradient=True), air, array.frequency_Hz)
-    return float(2.0 * stress[:, 2, 2].sum() * SPACING_M**2)

@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 from palmfield.acoustics import check
 from palmfield.acoustics.arp import arp
 from palmfield.acoustics.arrays import layout, placed, with_faults
-from palmfield.acoustics.derived import angular_frequency
 from palmfield.acoustics.field import FieldEvaluator
 from palmfield.acoustics.langevin import radiation_stress
 from palmfield.acoustics.reference import pressure64
@@ -75,7 +74,7 @@ def test_one_message_for_every_bad_carrier(frequency: float) -> None:
     for work in (
         lambda: arp(field, [[0.0, 0.0, 1.0]], AIR, frequency, device="cpu"),
         lambda: radiation_stress(field, AIR, frequency),
-        lambda: angular_frequency(frequency),
+        lambda: check.angular_frequency(frequency),
     ):
         with pytest.raises(SceneError, match=f"frequency_Hz = {frequency} is not positive and finite"):
             work()

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from palmfield.acoustics.arrays import from_poses, layout
-from palmfield.acoustics.phased_array import HOUSING_M, ArrayInstance, PhasedArray
+from palmfield.acoustics.phased_array import HOUSING_M, ArrayInstance, BoardOutline, PhasedArray
 from palmfield.acoustics.shadow import REACH_m
 from palmfield.acoustics.sphere import geodesic
-from palmfield.acoustics.surface_load import CLEARANCE_M, Parts, clearance, distance_to_arrays, pushes, resultants
+from palmfield.acoustics.surface_load import CLEARANCE_M, Parts, distance_to_arrays, pushes, resultants
 from palmfield.config import ArrayConfig
 from palmfield.hand.triangles import face_normals
 from palmfield.transforms import IDENTITY, Placement, Transform
@@ -72,12 +72,12 @@ def test_distance_to_arrays_goes_back_along_the_sound() -> None:
 def test_clearance() -> None:
     array = layout("uhev1")
     points = np.array([[0.0, 0.0, 0.03], [1.0, 0.0, -0.5]])
-    assert clearance(array, points) == pytest.approx(0.03 - array.positions[:, 2].mean())
-    assert clearance(array, points[1:]) == np.inf
-    assert clearance(array, points - [0.0, 0.0, 0.1]) < 0.0
+    assert BoardOutline.of(array).clearance(points) == pytest.approx(0.03 - array.positions[:, 2].mean())
+    assert BoardOutline.of(array).clearance(points[1:]) == np.inf
+    assert BoardOutline.of(array).clearance(points - [0.0, 0.0, 0.1]) < 0.0
     bowl = layout("two_bow_corrected")
     nearest = np.linalg.norm(bowl.positions - points[0], axis=1).min()
-    assert clearance(bowl, points[:1]) == pytest.approx(nearest - HOUSING_M)
+    assert BoardOutline.of(bowl).clearance(points[:1]) == pytest.approx(nearest - HOUSING_M)
 
 
 def test_clearance_is_measured_from_the_board_wherever_it_lies() -> None:
@@ -86,14 +86,14 @@ def test_clearance_is_measured_from_the_board_wherever_it_lies() -> None:
     for offset in np.array([[0.0, 0.0, 0.0], [0.3, -0.1, 0.05]]):
         moved = from_poses("moved", board.positions + offset, board.normals)
         over, low, outside = offset + np.array([[0, 0, 0.03], [half - 1e-4, 0, -0.01], [half + 1e-4, 0, -0.01]])
-        assert clearance(moved, over[None]) == pytest.approx(0.03)
-        assert clearance(moved, low[None]) == pytest.approx(-0.01)
-        assert clearance(moved, outside[None]) == np.inf
+        assert BoardOutline.of(moved).clearance(over[None]) == pytest.approx(0.03)
+        assert BoardOutline.of(moved).clearance(low[None]) == pytest.approx(-0.01)
+        assert BoardOutline.of(moved).clearance(outside[None]) == np.inf
 
 
 def test_clearance_of_an_array_without_a_board_is_that_of_its_faces() -> None:
     # On edge: all transducers lie in one plane of constant z and look along x
     positions = np.array([[0.0, y, 0.0] for y in np.linspace(-0.05, 0.05, 11)])
     upright = from_poses("upright", positions, np.tile([1.0, 0.0, 0.0], (11, 1)))
-    assert clearance(upright, np.array([[0.03, 0.0, 0.0]])) == pytest.approx(0.03 - HOUSING_M)
-    assert clearance(upright, np.array([[0.006, 0.0, 0.0]])) < CLEARANCE_M
+    assert BoardOutline.of(upright).clearance(np.array([[0.03, 0.0, 0.0]])) == pytest.approx(0.03 - HOUSING_M)
+    assert BoardOutline.of(upright).clearance(np.array([[0.006, 0.0, 0.0]])) < CLEARANCE_M

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from palmfield.lazy_names import lazy_names
 
 if TYPE_CHECKING:
-    from palmfield.skin.approximation.estimate import choose_sizes, largest_change, mesh_error
+    from palmfield.skin.approximation.estimate import choose_sizes, largest_change
     from palmfield.skin.approximation.load_scales import course_frequency, load_centre, load_frequency, load_width
     from palmfield.skin.approximation.reduce_bulk_modulus import relative_change
     from palmfield.skin.approximation.refine import (
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from palmfield.skin.approximation.truncate_domain import part_of, reach
 
 _WHERE = {
-    **dict.fromkeys(("choose_sizes", "largest_change", "mesh_error"), "estimate"),
+    **dict.fromkeys(("choose_sizes", "largest_change"), "estimate"),
     **dict.fromkeys(("course_frequency", "load_centre", "load_frequency", "load_width"), "load_scales"),
     "relative_change": "reduce_bulk_modulus",
     **dict.fromkeys(
@@ -42,7 +42,6 @@ __all__ = [
     "load_centre",
     "load_frequency",
     "load_width",
-    "mesh_error",
     "part_of",
     "reach",
     "refine_in_depth",

@@ -16,7 +16,7 @@ A step of 20, 40, 80 to a period errs by 0.99, 0.25, 0.063 %, that is 0.1 (w h)^
 the 200 Hz answer of the endless disc by 2.3, 0.3, 0.2 % where the shear wave falls to 1/e in l = 19.8 mm, and those of
 a 12 mm layer of the palm preset (l = 43 mm) at 40, 60, 80 mm by 15, 4.8, 2.0 %: about exp(-2 R / l). Slower waves die
 out over longer ways: at 70 Hz on the 20 mm disc a side at 60 mm still changes the answer by 14 %. A layer much thinner
-or thicker than the spot is outside this calibration: compare two meshes there, with mesh_error.
+or thicker than the spot is outside this calibration: compare two meshes there.
 """
 
 import math
@@ -24,7 +24,6 @@ import math
 import numpy as np
 
 from palmfield.errors import SceneError
-from palmfield.skin.approximation.richardson import error_of_finer
 from palmfield.skin.materials.material import Material, shear_wave
 from palmfield.types import Complex, Float
 
@@ -65,19 +64,6 @@ def choose_sizes(
     # Out and back the wave must fall to half the wanted error; an elastic layer needs a radius of one's own.
     away = 0.5 * length * math.log(2.0 / accuracy) if math.isfinite(length) else 4.0 * wavelength
     return fine, coarse, 1.2 * fwhm_m, edges / edges[-1], step, max(4.0 * fwhm_m, away)
-
-
-def mesh_error(coarse: Complex | Float, fine: Complex | Float, size_ratio: float, order: float = ORDER) -> float:
-    """Relative error of the finer mesh's answers, the largest of them: |coarse - fine| / (r^order - 1) / |fine|.
-
-    coarse, fine: the same answers (say static and harmonic displacement of the centre) on two meshes, shape (n,)
-    size_ratio: r, element size of the coarse over that of the fine mesh, in all directions, > 1
-    Richardson's estimate; it trusts `order` and two meshes that both resolve load and wave.
-    Raises SceneError for a ratio <= 1 or an answer of 0 on the finer mesh.
-    """
-    if not size_ratio > 1.0:
-        raise SceneError(f"size ratio {size_ratio}: it must be above 1")
-    return error_of_finer(largest_change(coarse, fine), size_ratio, order)
 
 
 def largest_change(answers: Complex | Float, reference: Complex | Float) -> float:
