@@ -8,6 +8,7 @@ docs/images/scattering when the file is the default one, else beside the file.
 
 import argparse
 import os
+import sys
 import time
 import warnings
 from pathlib import Path
@@ -24,14 +25,20 @@ from palmfield.acoustics.bem import DoubleLayer
 from palmfield.acoustics.field import FieldEvaluator
 from palmfield.acoustics.focus import focus
 from palmfield.acoustics.langevin import radiation_force
-from palmfield.acoustics.scattering import Scattering, array_sound, scatter, scattered_field, wall_arp, wall_force
-from palmfield.acoustics.shadow import lit, shadow_mesh, shadowed_pressure
-from palmfield.acoustics.sphere import force_over_energy, geodesic, surface_pressure
+from palmfield.acoustics.scattering import Scattering, scatter, wall_arp
+from palmfield.acoustics.shadow import shadow_mesh
+from palmfield.acoustics.sphere import surface_pressure
 from palmfield.device import resolve
 from palmfield.hand.triangles import face_normals, vertex_normals
 from palmfield.studies.bench.field import device_name, git_commit
 from palmfield.studies.bench.table import processor
 from palmfield.types import Air, Field, Float, Surface
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "oracles"))
+
+from rigid_sphere import force_over_energy, geodesic
+from scattered_sound import array_sound, scattered_field, wall_force
+from shadow_rays import lit, shadowed_pressure
 
 ROOT = Path(__file__).resolve().parents[1]
 AIR = Air()

@@ -4,6 +4,7 @@ python scripts/draw_materials.py
 """
 
 import subprocess
+import sys
 from dataclasses import replace
 from itertools import cycle
 from pathlib import Path
@@ -16,14 +17,17 @@ from scipy.optimize import least_squares
 
 from palmfield.outputs.style import COLOURS, save, style
 from palmfield.skin.analytic import as_printed
-from palmfield.skin.analytic.hyperelastic import advance, at_rest, piola
 from palmfield.skin.analytic.layer_oracle import centre_response
-from palmfield.skin.analytic.observed import predicted
 from palmfield.skin.materials.catalogue import CATALOGUE, DEPTH_M, PRESETS, TISSUES, hand_skin, varied
 from palmfield.skin.materials.dispersion import Waves, describe
 from palmfield.skin.materials.material import Material, complex_shear, elastic, prony, standard_linear
 from palmfield.skin.materials.prony_fit import fractional, fractional_kelvin_voigt
 from palmfield.skin.materials.ranges import UNITS
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "oracles"))
+
+from hyperelastic import advance, at_rest, piola
+from observed import predicted
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "docs" / "images" / "materials"
@@ -403,8 +407,7 @@ def page(traded: dict[int, tuple[list[float], list[float]]], fits: list[tuple[in
         "take the series, and `solve` adds to its error how far that is from G(s), rms over 5 to 1000 Hz.",
         LAW,
         "## Finite strain",
-        "`palmfield.skin.analytic.hyperelastic`: compressible neo-Hookean with the material's branches. At small "
-        "strain it is "
+        "Solver `particles` takes a compressible neo-Hookean law with the material's branches. At small strain it is "
         "the linear law; in simple shear it is so at any.",
         "![finite strain](images/materials/finite_strain.png)",
         "## As printed",

@@ -89,43 +89,6 @@ def far(width: int) -> wp.Kernel:
     return far
 
 
-@wp.kernel
-def far_gradient(
-    points: wp.array(dtype=wp.vec3),
-    centroids: wp.array(dtype=wp.vec3),
-    moments: wp.array(dtype=wp.vec3),
-    density: wp.array(dtype=wp.vec2),
-    gradient: wp.array2d(dtype=wp.vec2),
-):
-    """Gradient by the point of the one-point sum, per wavelength.
-
-    Of m.R F(d) with F = (ikd - 1) exp(ikd)/d^3 it is -m F - R (m.R) F'/d, F' = ((ikd)^2 - 3 ikd + 3) exp(ikd)/d^4.
-    """
-    i = wp.tid()
-    real = wp.vec3()
-    imag = wp.vec3()
-    for j in range(centroids.shape[0]):
-        r = centroids[j] - points[i]
-        d = wp.sqrt(wp.dot(r, r) + NEAREST)
-        kd = TURN * d
-        angle = TURN * (d - wp.floor(d + 0.5))
-        s = wp.sin(angle)
-        t = wp.cos(angle)
-        over = 1.0 / (d * d * d)
-        q = density[j]
-        wave_re = (t * q[0] - s * q[1]) * over
-        wave_im = (t * q[1] + s * q[0]) * over
-        f_re = -wave_re - kd * wave_im
-        f_im = -wave_im + kd * wave_re
-        bend = wp.dot(moments[j], r) / (d * d)
-        g_re = bend * ((3.0 - kd * kd) * wave_re + 3.0 * kd * wave_im)
-        g_im = bend * ((3.0 - kd * kd) * wave_im - 3.0 * kd * wave_re)
-        real -= f_re * moments[j] + g_re * r
-        imag -= f_im * moments[j] + g_im * r
-    for axis in range(3):
-        gradient[i, axis] = wp.vec2(real[axis], imag[axis])
-
-
 @wp.func
 def wave_factor(d: wp.float32):
     """(ikd - 1) exp(ikd)."""

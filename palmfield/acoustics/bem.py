@@ -105,17 +105,6 @@ class DoubleLayer:
         wp.launch(kernels.near_apply, dim=self.count, inputs=inputs, device=self.device)
         return result.numpy().view(np.complex64)[:, 0].astype(np.complex128)
 
-    def gradient(self, density: Complex) -> Complex:
-        """Gradient at the points [1/m], shape (n, 3), by the one-point sum alone: for points away from the mesh."""
-        result = wp.empty((self.count, 3), dtype=wp.vec2, device=self.device)
-        inputs = [self.points, self.centroids, self.moments, self.pairs(density), result]
-        wp.launch(kernels.far_gradient, dim=self.count, inputs=inputs, device=self.device)
-        return self.per_m * result.numpy().view(np.complex64)[..., 0].astype(np.complex128)
-
-    def near_pairs(self) -> NDArray[np.int64]:
-        """Number of triangles whose reach holds each point, shape (n,)."""
-        return np.diff(self.start.numpy())
-
     def pairs(self, density: Complex) -> wp.array:
         """Real and imaginary parts by triangle, on the device."""
         pairs = np.ascontiguousarray(density, np.complex64).view(np.float32).reshape(-1, 2)

@@ -24,7 +24,7 @@ class Directivity:
     misfit: largest distance of the kernels' quintic from `level` that is accepted, relative to the axis
     sized: whether `level` depends on kb, so that key `piston_radius_m` says something
     near: largest error of the far field times (distance/radius)^2; of a piston over angles to 85 degrees and for k b up
-        to 3.3, the usual transducer (`palmfield.studies.bench.rayleigh`, docs/bench/peers.md). Larger pistons have a
+        to 3.3, the usual transducer (`scripts/bench/rayleigh.py`, docs/bench/peers.md). Larger pistons have a
         null, where the sound is weak
     """
 

@@ -7,23 +7,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse.linalg import LinearOperator, gmres
 
-from palmfield.acoustics import check
 from palmfield.acoustics.arp import wall_pressure
-from palmfield.acoustics.bem import NEAR_EDGES, DoubleLayer
-from palmfield.acoustics.bem_mesh import checked, elements_per_wavelength, inner_points, mean_edge_m
-from palmfield.acoustics.field import FieldEvaluator
+from palmfield.acoustics.bem import DoubleLayer
+from palmfield.acoustics.bem_mesh import checked, elements_per_wavelength, inner_points
 from palmfield.acoustics.surface_gradient import surface_gradient
 from palmfield.device import resolve
 from palmfield.errors import PalmfieldError
-from palmfield.hand.meshquery import barycentric, build_mesh, closest_faces
 from palmfield.hand.triangles import face_normals
-from palmfield.types import Air, Array, Complex, Field, Float, Int
+from palmfield.types import Air, Complex, Float, Int
 
 Incident = Callable[[Float], Complex]
 """Complex peak pressure [Pa], shape (n,), of the sound without the body at points [m], shape (n, 3)."""
 
-WALL_EDGES = 1e-3
-"""Over this part of an edge the pressure changes by its square only, as the wall's normal velocity is 0."""
 
 RESTART = 60
 LARGEST_ITERATIONS = 300
@@ -52,20 +47,6 @@ class Scattering:
     iterations: int
     residual: float
     elements_per_wavelength: float
-
-
-def array_sound(
-    array: Array, drive: ArrayLike, air: Air, device: str = "auto", *, absorption_Np_m: float | None = None
-) -> Incident:
-    """Incident sound of an array for `scatter`, in the array frame.
-
-    drive: complex amplitudes, 1 is full drive, shape (len(array),)
-    absorption_Np_m: on the way to the body, instead of that of the air; between parts of the body there is none
-    Raises as `palmfield.acoustics.field.FieldEvaluator`.
-    """
-    evaluator = FieldEvaluator(array, air, device, absorption_Np_m=absorption_Np_m)
-    amplitudes = check.drive(drive, array)
-    return lambda points: evaluator.pressure(points, amplitudes).pressure.astype(np.complex128)
 
 
 def scatter(
@@ -158,54 +139,3 @@ def wall_arp(scattering: Scattering, air: Air) -> Float:
     The law is `palmfield.acoustics.arp.TOTAL_FIELD`.
     """
     return wall_pressure(scattering.pressure, scattering.gradient, scattering.wavenumber, air)
-
-
-def wall_force(scattering: Scattering, air: Air) -> Float:
-    """Radiation force on the whole body [N], shape (3,), from the pressure on its wall.
-
-    Right to 1 % on smooth bodies at 8 elements a wavelength. A sharp rim in full sound has a suction that faces cannot
-    resolve (23 % of the force on the benchmark's turned sheet): there take `langevin.radiation_force` on a surface
-    around the body, with `scattered_field` added to the incident sound.
-    """
-    return -(scattering.areas * wall_arp(scattering, air)) @ scattering.normals
-
-
-def scattered_field(
-    scattering: Scattering, points: ArrayLike, *, gradient: bool = False, device: str = "auto"
-) -> Field:
-    """Sound that the body adds at points outside it, in the mesh's frame; the incident sound is not in it.
-
-    points: [m], shape (n, 3); one nearer to the wall than a thousandth of an edge, on either side, gets the limit from
-        outside; where it is on a sharp edge, that on one of the faces
-    gradient: also its gradient; then every point must lie 3 edge lengths or more from the body
-    Returns Field: complex peak pressure [Pa], shape (n,), and gradient [Pa/m], shape (n, 3), or None.
-    Raises PalmfieldError for NaN, infinity or a wrong shape in points, and for a gradient wanted too near the body.
-    """
-    where = np.asarray(check.points(points, np.float64))
-    layer = DoubleLayer(
-        off_wall(scattering, where), scattering.vertices, scattering.faces, scattering.wavenumber, resolve(device)
-    )
-    pressure = layer.apply(scattering.pressure).astype(np.complex64)
-    if not gradient:
-        return Field(pressure)
-    close = layer.near_pairs() > 0
-    if close.any():
-        i = int(np.argmax(close))
-        raise PalmfieldError(
-            f"points[{i}] = {where[i].tolist()} is within {NEAR_EDGES:g} edges of the body, where the gradient is not "
-            "accurate: move it away or do without the gradient"
-        )
-    return Field(pressure, layer.gradient(scattering.pressure).astype(np.complex64))
-
-
-def off_wall(scattering: Scattering, points: Float) -> Float:
-    """The points, those nearer to the wall than WALL_EDGES moved out to there, where float32 knows the side."""
-    least = WALL_EDGES * mean_edge_m(scattering.vertices, scattering.faces)
-    face = closest_faces(build_mesh(scattering.vertices, scattering.faces), points, 2.0 * least)
-    near = np.flatnonzero(face >= 0)
-    corners = scattering.vertices[scattering.faces[face[near]]]
-    feet = np.einsum("ij,ijk->ik", barycentric(corners, points[near]), corners)
-    close = np.linalg.norm(points[near] - feet, axis=1) < least
-    moved = points.copy()
-    moved[near[close]] = feet[close] + least * scattering.normals[face[near[close]]]
-    return moved

@@ -11,6 +11,7 @@ Errors are those of |p|^2, as shares of the free focus's peak. A picture lies be
 """
 
 import argparse
+import sys
 import time
 from pathlib import Path
 from typing import NamedTuple
@@ -36,13 +37,17 @@ from check_shadows import (
 )
 
 from palmfield.acoustics.phased_array import PhasedArray
-from palmfield.acoustics.scattering import scatter, scattered_field
+from palmfield.acoustics.scattering import scatter
 from palmfield.acoustics.surface_arp import SurfaceArp
 from palmfield.outputs.style import COLOURS, save, style
 from palmfield.simulation.radiation import SKIN_SPACING_m
 from palmfield.studies.bench.field import git_commit
 from palmfield.studies.bench.table import processor
 from palmfield.types import Float, Int
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests" / "oracles"))
+
+from scattered_sound import scattered_field
 
 RADIUS_m, LENGTH_m = 0.008, 0.06
 """Of the finger; its length has both rounded ends in it."""

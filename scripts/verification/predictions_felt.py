@@ -1,7 +1,7 @@
 """What the observers predict of findings in mid-air: levels of simulated skin, without a number from the findings.
 
 The skin is the project's palm on bone, endless and flat, under Gaussian spots of 10.3 mm (a 16 x 16 array at 200 mm),
-and the motion is the steady one (`palmfield.skin.analytic.repeated_load`). Perceived strength is the highest level on
+and the motion is the steady one (`repeated_load`). Perceived strength is the highest level on
 the skin. Differences of levels don't depend on p0. `python scripts/verification/predictions.py` writes the page.
 """
 
@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from repeated_load import FlatLayer, RepeatedSpot
 
 from palmfield.perception.observers import OBSERVERS, Observer, levels_dB_SL
-from palmfield.skin.analytic.repeated_load import FlatLayer, RepeatedSpot
 from palmfield.skin.materials.catalogue import preset
 from palmfield.types import Complex, Float, Float32
 

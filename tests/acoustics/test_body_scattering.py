@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+from rigid_sphere import geodesic
+from shadow_rays import lit
 
 from palmfield.acoustics.air import sound_speed
 from palmfield.acoustics.body_scattering import BODY_SOUNDS, Occlusion, RigidScatteredField, boundary_mesh
 from palmfield.acoustics.scattering import wall_arp
-from palmfield.acoustics.shadow import lit, shadow_mesh
-from palmfield.acoustics.sphere import geodesic
+from palmfield.acoustics.shadow import shadow_mesh
 from palmfield.errors import PalmfieldError
 from palmfield.types import Air, Surface
 

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
+from rayleigh import array_of_pistons, hemisphere, one_piston, piston
 
 from palmfield.acoustics.air import sound_speed
 from palmfield.acoustics.arrays import layout
 from palmfield.acoustics.field import FieldEvaluator
 from palmfield.acoustics.focus import focus
 from palmfield.acoustics.reference import pressure64
-from palmfield.studies.bench.rayleigh import array_of_pistons, hemisphere, one_piston, piston
 from palmfield.types import Air
 
 AIR = Air()

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
+from rigid_sphere import geodesic
 from scipy.special import fresnel
 
 from palmfield.acoustics.body_scattering import Occlusion
@@ -10,7 +11,6 @@ from palmfield.acoustics.knife_edge import Emitters, KnifeEdges
 from palmfield.acoustics.phased_array import ArrayInstance, PhasedArray
 from palmfield.acoustics.reference import pressure64
 from palmfield.acoustics.shadow_nodes import shadow_nodes
-from palmfield.acoustics.sphere import geodesic
 from palmfield.acoustics.surface_arp import SurfaceArp, rows_of
 from palmfield.config import ArrayConfig
 from palmfield.transforms import IDENTITY, Placement

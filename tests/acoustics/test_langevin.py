@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+from rigid_sphere import geodesic
+from scattered_sound import scattered_field, wall_force
 
 from palmfield.acoustics.air import density, sound_speed
 from palmfield.acoustics.arp import arp
 from palmfield.acoustics.langevin import radiation_force, radiation_stress
-from palmfield.acoustics.scattering import scatter, scattered_field, wall_force
-from palmfield.acoustics.sphere import geodesic
+from palmfield.acoustics.scattering import scatter
 from palmfield.errors import PalmfieldError
 from palmfield.hand.triangles import face_normals
 from palmfield.types import Air, Field, Float

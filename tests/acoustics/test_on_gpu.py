@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 import warp as wp
+from rigid_sphere import geodesic
 
 from palmfield.acoustics.body_scattering import Occlusion
 from palmfield.acoustics.knife_edge import Emitters, KnifeEdges
 from palmfield.acoustics.phased_array import ArrayInstance, PhasedArray
 from palmfield.acoustics.shadow_nodes import shadow_nodes
-from palmfield.acoustics.sphere import geodesic
 from palmfield.acoustics.surface_arp import MATRIX_FROM, SurfaceArp
 from palmfield.config import ArrayConfig
 from palmfield.hand.articulated import bone_poses

@@ -4,6 +4,7 @@ same source."""
 import numpy as np
 import pytest
 import warp as wp
+from rigid_sphere import geodesic
 from scipy.spatial.transform import Rotation
 
 from palmfield.acoustics.air import density, sound_speed
@@ -12,7 +13,6 @@ from palmfield.acoustics.body_scattering import Occlusion
 from palmfield.acoustics.phased_array import ArrayInstance, PhasedArray
 from palmfield.acoustics.point_sound import DriveTable, Surface, Transducers, fill_table, sound_calls
 from palmfield.acoustics.reference import pressure64
-from palmfield.acoustics.sphere import geodesic
 from palmfield.acoustics.surface_arp import SurfaceArp
 from palmfield.acoustics.surface_load import distance_to_arrays
 from palmfield.config import ArrayConfig

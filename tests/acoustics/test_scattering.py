@@ -3,14 +3,16 @@
 import numpy as np
 import pytest
 import warp as wp
+from rigid_sphere import force_over_energy, geodesic
+from scattered_sound import scattered_field, wall_force
 from scipy.special import eval_legendre, spherical_jn, spherical_yn
 
 from palmfield.acoustics.air import density, sound_speed
 from palmfield.acoustics.bem import DoubleLayer
 from palmfield.acoustics.bem_mesh import checked, closed, elements_per_wavelength, inner_points, mean_edge_m
 from palmfield.acoustics.langevin import radiation_force
-from palmfield.acoustics.scattering import Incident, Scattering, scatter, scattered_field, wall_force
-from palmfield.acoustics.sphere import force_over_energy, geodesic, surface_pressure
+from palmfield.acoustics.scattering import Incident, Scattering, scatter
+from palmfield.acoustics.sphere import surface_pressure
 from palmfield.errors import PalmfieldError
 from palmfield.hand.triangles import face_normals
 from palmfield.types import Air, Complex, Field, Float, Int

@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+from rigid_sphere import geodesic
+from shadow_rays import lit, shadowed_pressure
 
 from palmfield.acoustics.arrays import layout
 from palmfield.acoustics.focus import focus
 from palmfield.acoustics.reference import pressure64
-from palmfield.acoustics.shadow import lit, shadow_mesh, shadowed_pressure, visibility
-from palmfield.acoustics.sphere import geodesic
+from palmfield.acoustics.shadow import shadow_mesh, visibility
 from palmfield.errors import PalmfieldError
 from palmfield.hand.triangles import face_normals, vertex_normals
 from palmfield.types import Air, Float, Int, Surface

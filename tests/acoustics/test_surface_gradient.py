@@ -1,9 +1,9 @@
 """Gradient along surfaces against polynomials, which it must hit exactly, and waves."""
 
 import numpy as np
+from rigid_sphere import geodesic
 from scipy.spatial import Delaunay
 
-from palmfield.acoustics.sphere import geodesic
 from palmfield.acoustics.surface_gradient import surface_gradient
 from palmfield.hand.triangles import face_normals
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from rayleigh import hemisphere, one_piston, piston
 from scipy.spatial.transform import Rotation
 
 from palmfield.acoustics.air import sound_speed
@@ -12,7 +13,6 @@ from palmfield.acoustics.focus import focus
 from palmfield.acoustics.reference import pressure64
 from palmfield.acoustics.validity import far_field_m, least_radius_m, warnings
 from palmfield.errors import PalmfieldError
-from palmfield.studies.bench.rayleigh import hemisphere, one_piston, piston
 from palmfield.types import Air
 
 AIR = Air()

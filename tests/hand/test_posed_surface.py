@@ -6,9 +6,9 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from rigid_sphere import geodesic
 from scipy.spatial.transform import Rotation
 
-from palmfield.acoustics.sphere import geodesic
 from palmfield.errors import PalmfieldError, SceneError
 from palmfield.hand.articulated import bone_poses
 from palmfield.hand.posed_surface import FaceSampler, SkinBinding, blend, face_samples

@@ -2,12 +2,12 @@ import math
 
 import numpy as np
 import pytest
+from hyperelastic import advance, at_rest, energy, piola, viscous_piola
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from palmfield.errors import SceneError
-from palmfield.skin.analytic.hyperelastic import advance, at_rest, energy, piola, viscous_piola
 from palmfield.skin.materials.material import Branch, Material, complex_bulk, complex_shear
 
 G, K = 1.2e4, 3.0e5

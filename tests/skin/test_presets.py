@@ -2,11 +2,11 @@ import math
 
 import numpy as np
 import pytest
+from observed import misfits, predicted
 from scipy.optimize import least_squares
 
 from palmfield.errors import SceneError
 from palmfield.skin.analytic.layer_oracle import centre_response
-from palmfield.skin.analytic.observed import misfits, predicted
 from palmfield.skin.materials.catalogue import (
     CATALOGUE,
     DEPTH_M,

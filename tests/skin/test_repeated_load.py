@@ -4,12 +4,12 @@ import math
 
 import numpy as np
 import pytest
+from repeated_load import FlatLayer, RepeatedSpot
 from scipy.special import jv
 
 from palmfield.errors import SceneError
 from palmfield.skin import preset
 from palmfield.skin.analytic.layer_oracle import centre_response, layer_compliance
-from palmfield.skin.analytic.repeated_load import FlatLayer, RepeatedSpot
 
 PALM, FWHM = preset("palm"), 0.0103
 PHASE = 2.0 * math.pi * (np.arange(256) + 0.5) / 256

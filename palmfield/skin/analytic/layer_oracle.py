@@ -1,9 +1,8 @@
 """Exact answers for a flat viscoelastic layer, by plane waves in depth: the independent check of the finite elements.
 
 Two estimates also use it at run time: how far a layer reaches that a load notices (approximation.truncate_domain) and
-what a smaller bulk modulus changes (approximation.reduce_bulk_modulus); and `analytic.observed` compares presets with
-measurements by it. Those estimates are tested by solvers that know nothing of this file: the former by elements
-(axisymmetric), the latter by lateral waves.
+what a smaller bulk modulus changes (approximation.reduce_bulk_modulus). Those estimates are tested by solvers that
+do not use this file: the former by elements (axisymmetric), the latter by lateral waves.
 
 Plane strain, e^{ikx - i w t}, depth z from the loaded face (z = 0) to the base (z = h). With
 alpha^2 = k^2 - w^2/c_p^2 and beta^2 = k^2 - w^2/c_s^2 the fields are a compression wave P = (ik, -alpha) e^{-alpha z},

@@ -1,8 +1,7 @@
 """Named skin materials, how sure their numbers are, and the layered skin of the hand.
 
 `preset(name)` gives a Material; `CATALOGUE` has, beside it, the range of its numbers and the measurements with which
-`palmfield.skin.analytic.observed.misfits` compares it. docs/materials.md is made from these. Modules `law_*` of this
-package add their `PRESETS`.
+tests compare it. docs/materials.md is made from these. Modules `law_*` of this package add their `PRESETS`.
 """
 
 from dataclasses import dataclass, replace

@@ -1,10 +1,10 @@
 """Forces between particles: momentum, rotations, patch test, the law of the material, no modes that cost nothing."""
 
+import hyperelastic
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from palmfield.skin.analytic import hyperelastic
 from palmfield.skin.materials.material import Branch, Material
 from palmfield.skin.problem import Sheet, Slab
 from palmfield.skin.solvers.particles.cloud import build_cloud

@@ -1,7 +1,6 @@
 """A baffled piston by its Rayleigh integral, which holds at any distance: how far the far-field model can be trusted.
 
-Shares no code with palmfield.acoustics. `python -m palmfield.studies.bench.rayleigh` prints the tables of
-docs/bench/peers.md.
+Shares no code with palmfield.acoustics. `python scripts/bench/rayleigh.py` prints the tables of docs/bench/peers.md.
 """
 
 import numpy as np
