@@ -24,7 +24,7 @@ from palmfield.skin.fem.wedge_stepper import WedgeStepper
 from palmfield.skin.materials.catalogue import preset
 from palmfield.skin.mesh.disc import disc_patch
 from palmfield.skin.mesh.wedges import extrude
-from palmfield.skin.problem import Motion, Sheet, Slab, Spot
+from palmfield.skin.problem import Motion, Sheet, SkinProblem, Slab, Spot
 from palmfield.skin.reduction.reduced import Reduced
 from palmfield.skin.reduction.reducer import reduce
 from palmfield.skin.solvers.axisymmetric.solve import cost_axisymmetric, solve_axisymmetric
@@ -67,11 +67,11 @@ def case_rows(sides: tuple[str, ...]) -> list[str]:
     rows = []
     for side in sides:
         for name, load in loads().items():
-            reference = solve_axisymmetric(disc(side), load, TIMES, POINTS, accuracy=0.002, degree=7)
+            reference = solve_axisymmetric(SkinProblem(disc(side), load, TIMES, POINTS, accuracy=0.002), degree=7)
             begin = time.process_time()
-            motion = solve_axisymmetric(disc(side), load, TIMES, POINTS, accuracy=0.01)
+            motion = solve_axisymmetric(SkinProblem(disc(side), load, TIMES, POINTS, accuracy=0.01))
             cpu = time.process_time() - begin
-            predicted = cost_axisymmetric(disc(side), load, TIMES, POINTS, 0.01)
+            predicted = cost_axisymmetric(SkinProblem(disc(side), load, TIMES, POINTS, 0.01))
             rows.append(
                 f"| {side} | {name} | {100 * differs(motion, reference):.2f} % "
                 f"| {100 * differs(motion, reference, 'velocity_m_s'):.1f} % | {100 * motion.error:.2f} % "
@@ -84,7 +84,7 @@ def case_rows(sides: tuple[str, ...]) -> list[str]:
 def oracle_row() -> str:
     """Steady AM at the end of 0.2 s on the roller disc against the series, real and imaginary part."""
     load = loads()["AM 200 Hz"]
-    motion = solve_axisymmetric(disc("roller"), load, TIMES, POINTS, accuracy=0.002)
+    motion = solve_axisymmetric(SkinProblem(disc("roller"), load, TIMES, POINTS, accuracy=0.002))
     last = TIMES > 0.18
     r = np.hypot(*POINTS.T)
     phase = np.exp(-2j * np.pi * 200.0 * TIMES[last])[:, None]
@@ -116,11 +116,11 @@ def wedge_rows() -> list[str]:
         ramp = SurfaceLoads(np.ones((1, 1, 1)), amplitude[:, :-1], amplitude[:, 1:])
         after = stepper.step(state, ramp, times[0], times[-1], stepper.reader(read))
         seen = np.concatenate([np.zeros((1, 2)), after[0, :, 0]])
-        motion = solve_axisymmetric(disc(side), load, times, POINTS, accuracy=0.002)
+        motion = solve_axisymmetric(SkinProblem(disc(side), load, times, POINTS, accuracy=0.002))
         ours = -motion.displacement_m[..., 2]
         gap = np.linalg.norm(seen - ours, axis=0) / np.linalg.norm(ours, axis=0)
         late = -solve_axisymmetric(
-            disc(side), loads()["step (to static)"], np.ones(1), POINTS, accuracy=0.002
+            SkinProblem(disc(side), loads()["step (to static)"], np.ones(1), POINTS, accuracy=0.002)
         ).displacement_m
         still = (read @ static(system, force)) / late[0, :, 2] - 1.0
         rows.append(
@@ -178,8 +178,10 @@ def random_rows(count: int = 10) -> tuple[list[str], float, float]:
     for number in range(count):
         body, load, times, points = random_case(random)
         accuracy = float(random.choice([0.05, 0.02, 0.01]))
-        motion = solve_axisymmetric(body, load, times, points, accuracy=accuracy)
-        reference = solve_axisymmetric(body, load, times, points, accuracy=0.1 * accuracy, degree=7, fine=1.5)
+        motion = solve_axisymmetric(SkinProblem(body, load, times, points, accuracy=accuracy))
+        reference = solve_axisymmetric(
+            SkinProblem(body, load, times, points, accuracy=0.1 * accuracy), degree=7, fine=1.5
+        )
         true = differs(motion, reference)
         ratios.append(motion.error / true)
         size = f"{1e3 * body.thickness_m:.1f} mm, R {1e3 * body.radius_m:.0f} mm"

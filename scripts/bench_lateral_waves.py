@@ -15,7 +15,7 @@ import numpy as np
 from palmfield.skin.analytic.mach import mach_half_angle
 from palmfield.skin.materials.catalogue import PRESETS
 from palmfield.skin.materials.material import Material, bulk_from_poisson
-from palmfield.skin.problem import Load, Motion, Sheet, Slab, Spot
+from palmfield.skin.problem import Load, Motion, Sheet, SkinProblem, Slab, Spot
 from palmfield.skin.solvers.lateral_waves import cost_lateral_waves, solve_lateral_waves, static_lateral_waves
 from palmfield.skin.solvers.lateral_waves.accuracy import relative_error
 
@@ -59,9 +59,11 @@ def reference_rows(threads: int) -> list[str]:
                 finer = static_lateral_waves(body, load, AT, tolerance=3e-4, threads=threads)
                 predicted = float("nan")
             else:
-                motion, wall, busy = timed(solve_lateral_waves, body, load, TIMES, AT, accuracy=0.01, threads=threads)
-                finer = solve_lateral_waves(body, load, TIMES, AT, tolerance=3e-4, threads=threads)
-                predicted = cost_lateral_waves(body, load, TIMES, AT, 0.01)
+                motion, wall, busy = timed(
+                    solve_lateral_waves, SkinProblem(body, load, TIMES, AT, accuracy=0.01), threads=threads
+                )
+                finer = solve_lateral_waves(SkinProblem(body, load, TIMES, AT), tolerance=3e-4, threads=threads)
+                predicted = cost_lateral_waves(SkinProblem(body, load, TIMES, AT, 0.01))
             error = relative_error(motion.displacement_m, finer.displacement_m)
             lowest = -1e9 * finer.displacement_m[..., 2].min(axis=0)
             last = -1e9 * finer.displacement_m[-1, :, 2]
@@ -84,9 +86,12 @@ def passage(speed: float) -> Spot:
     return Spot(0.006, np.array([0.0, 0.16 / speed]), np.ones(2), np.array([[-0.08, 0.0], [0.08, 0.0]]))
 
 
-def wake(body: Slab, speed: float, points: np.ndarray, threads: int, **keywords) -> tuple[Motion, float, float]:
+def wake(
+    body: Slab, speed: float, points: np.ndarray, threads: int, accuracy: float = 0.05, tolerance: float | None = None
+) -> tuple[Motion, float, float]:
     load = passage(speed)
-    return timed(solve_lateral_waves, body, load, load.times_s[-1:], points, threads=threads, **keywords)
+    problem = SkinProblem(body, load, load.times_s[-1:], points, accuracy)
+    return timed(solve_lateral_waves, problem, threads=threads, tolerance=tolerance)
 
 
 def plate_rows(threads: int) -> list[str]:
@@ -128,8 +133,9 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--deep", action="store_true")
     choice = parser.parse_args()
-    solve_lateral_waves(  # loads the kernels
-        Slab((Sheet(PRESETS["ecoflex_00-10"], 0.02),)), passage(5.0), np.array([1e-3]), AT, tolerance=0.1
+    # Loads the kernels
+    solve_lateral_waves(
+        SkinProblem(Slab((Sheet(PRESETS["ecoflex_00-10"], 0.02),)), passage(5.0), np.array([1e-3]), AT), tolerance=0.1
     )
     load = os.getloadavg()[0]
     lines = [

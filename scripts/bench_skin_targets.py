@@ -20,7 +20,7 @@ from bench_lateral_waves import SURFACE, passage, plate
 from bench_spectral_elements import gap
 
 from palmfield.skin.materials.catalogue import preset
-from palmfield.skin.problem import Motion, Sheet, Slab
+from palmfield.skin.problem import Motion, Sheet, SkinProblem, Slab
 from palmfield.skin.solvers.axisymmetric.solve import solve_axisymmetric
 from palmfield.skin.solvers.lateral_waves import solve_lateral_waves
 from palmfield.skin.solvers.spectral_elements.solve import solve_spectral_elements
@@ -74,10 +74,11 @@ def disc_rows(runs: int, solve: Callable[..., Motion], accuracy: float) -> list[
 
             def call(body=body, load=load) -> Motion:
                 # Another spot each time: models of the same one are kept, for other courses of its pressure
-                return solve(body, replace(load, fwhm_m=load.fwhm_m + next(OTHER_m)), TIMES, AT, accuracy=accuracy)
+                other = replace(load, fwhm_m=load.fwhm_m + next(OTHER_m))
+                return solve(SkinProblem(body, other, TIMES, AT, accuracy))
 
             def finer(body=body, load=load) -> Motion:
-                return solve_axisymmetric(body, load, TIMES, AT, accuracy=0.002, degree=7)
+                return solve_axisymmetric(SkinProblem(body, load, TIMES, AT, accuracy=0.002), degree=7)
 
             lines.append(row(f"{side}, {name}", runs, call, finer))
     return lines
@@ -89,10 +90,10 @@ def endless_rows(runs: int) -> list[str]:
     for name, load in loads().items():
 
         def call(load=load) -> Motion:
-            return solve_lateral_waves(body, load, TIMES, AT, accuracy=0.01, threads=2)
+            return solve_lateral_waves(SkinProblem(body, load, TIMES, AT, accuracy=0.01), threads=2)
 
         def finer(load=load) -> Motion:
-            return solve_lateral_waves(body, load, TIMES, AT, tolerance=3e-4, threads=2)
+            return solve_lateral_waves(SkinProblem(body, load, TIMES, AT), tolerance=3e-4, threads=2)
 
         lines.append(row(f"endless, {name}", runs, call, finer))
     return lines
@@ -106,10 +107,14 @@ def plate_rows(runs: int) -> list[str]:
                 body, load = Slab((Sheet(plate(nu), 0.01),), base=base), passage(speed)
 
                 def call(body=body, load=load) -> Motion:
-                    return solve_lateral_waves(body, load, load.times_s[-1:], SURFACE, accuracy=0.05, threads=2)
+                    return solve_lateral_waves(
+                        SkinProblem(body, load, load.times_s[-1:], SURFACE, accuracy=0.05), threads=2
+                    )
 
                 def finer(body=body, load=load) -> Motion:
-                    return solve_lateral_waves(body, load, load.times_s[-1:], SURFACE[::37], tolerance=1e-3, threads=2)
+                    return solve_lateral_waves(
+                        SkinProblem(body, load, load.times_s[-1:], SURFACE[::37]), tolerance=1e-3, threads=2
+                    )
 
                 lines.append(row(f"nu {nu}, {base}, {speed:g} m/s", runs, call, finer, velocity=True))
     return lines
@@ -124,8 +129,10 @@ def main() -> None:
     busy = os.getloadavg()[0]
     # Kernels are compiled before anything is timed
     first = loads()["1 ms ramp"]
-    solve_lateral_waves(Slab((Sheet(preset("ecoflex_00-10"), 0.02),)), first, TIMES[:10], AT, tolerance=0.1)
-    solve_spectral_elements(disc("fixed"), first, TIMES[:5], AT, accuracy=0.02)
+    solve_lateral_waves(
+        SkinProblem(Slab((Sheet(preset("ecoflex_00-10"), 0.02),)), first, TIMES[:10], AT), tolerance=0.1
+    )
+    solve_spectral_elements(SkinProblem(disc("fixed"), first, TIMES[:5], AT, accuracy=0.02))
     head = "| case | s | s of threads | slowest | yardstick [ms] | error | estimate | how |"
     rule = "|---|---|---|---|---|---|---|---|"
     lines = [

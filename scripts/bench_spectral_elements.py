@@ -11,6 +11,7 @@ run that estimates the error; kernels are compiled before.
 
 import argparse
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,7 @@ from palmfield.hand.surface import hand_surface
 from palmfield.skin.analytic.layer_oracle import centre_response
 from palmfield.skin.materials.catalogue import preset
 from palmfield.skin.materials.material import Material, bulk_from_poisson
-from palmfield.skin.problem import Layer, Sheet, Slab, Spot
+from palmfield.skin.problem import Layer, Sheet, SkinProblem, Slab, Spot
 from palmfield.skin.solver_choice import solve
 from palmfield.skin.solvers.spectral_elements.solve import solve_spectral_elements
 from palmfield.studies.bench.table import processor
@@ -66,11 +67,10 @@ def exact(course: Spot, times: np.ndarray, radius: float | None) -> np.ndarray:
     return np.stack([np.interp(times, grid, column) for column in series.T], axis=1)
 
 
-def timed(device: str, *arguments, **keywords):
+def timed(problem: SkinProblem, **keywords):
     """A solution, after a step or two of the same that compile what it needs."""
-    body, load, _, at = arguments
-    solve_spectral_elements(body, load, load.times_s[:1] + 1e-4, at, device=device, **keywords)
-    return solve_spectral_elements(*arguments, device=device, **keywords)
+    solve_spectral_elements(replace(problem, times=problem.load.times_s[:1] + 1e-4), **keywords)
+    return solve_spectral_elements(problem, **keywords)
 
 
 def gap(found: np.ndarray, wanted: np.ndarray) -> float:
@@ -86,12 +86,16 @@ def disc_rows(device: str) -> list[str]:
     rows = []
     for side, body in bodies.items():
         for name, course in courses().items():
-            motion = timed(device, body, course, times, PLACES, accuracy=0.02)
+            motion = timed(SkinProblem(body, course, times, PLACES, accuracy=0.02, device=device))
             if side in ("roller", "endless") and name != "STM 70 Hz":
                 wanted = exact(course, times, RADIUS if side == "roller" else None)
             else:
                 wanted = -solve_spectral_elements(
-                    body, course, times, PLACES, device=device, order=4, size_m=0.0067, deep=(3,), estimate=False
+                    SkinProblem(body, course, times, PLACES, device=device),
+                    order=4,
+                    size_m=0.0067,
+                    deep=(3,),
+                    estimate=False,
                 ).displacement_m[:, :, 2]
             error = gap(-motion.displacement_m[:, :, 2], wanted)
             rows.append(
@@ -115,7 +119,9 @@ def fast_rows(device: str, sizes: dict[int, tuple[float, ...]]) -> list[str]:
         finest = None
         for order, widths in sizes.items():
             for width in widths:
-                motion = timed(device, body, load, grid[1:], at, order=order, size_m=width, estimate=False)
+                motion = timed(
+                    SkinProblem(body, load, grid[1:], at, device=device), order=order, size_m=width, estimate=False
+                )
                 speed = motion.velocity_m_s[0, :, 2]
                 finest = speed if finest is None else finest
                 error = float(np.linalg.norm(speed - finest) / np.linalg.norm(finest))

@@ -27,7 +27,7 @@ from palmfield.simulation.spec import SceneSpec, SkinSpec, StimulusSpec
 from palmfield.skin.explicit_layer import ExplicitLayer, explicit_layer
 from palmfield.skin.fem.probe import surface_vectors
 from palmfield.skin.fem.wedge_stepper import WedgeStepper
-from palmfield.skin.mesh.surface import closed_boundary, output_triangles
+from palmfield.skin.mesh.wedges import closed_boundary, output_triangles
 from palmfield.skin.scene_layer import SceneLayer
 from palmfield.skin.stepper import SkinStepper
 from palmfield.stimulus.surface_path import SurfacePath

@@ -6,7 +6,9 @@ spot moves by negative z.
 """
 
 import math
+import time
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -271,6 +273,71 @@ class Motion:
     displacement_error: float = math.nan
     velocity_error: float = math.nan
     normal_error: float = math.nan
+
+
+@dataclass(frozen=True)
+class SkinProblem:
+    """What a solver solves: the motion of a body from rest under a load, at some times and points, to an accuracy.
+
+    times: requested times [s], rising, shape (t,); at: points of the face [m], shape (n, 2) or (n, 3)
+    accuracy: target relative error of accuracy_of, L2 over the times at a point, the largest of the points
+    accuracy_of: one of QUANTITIES; device: "auto", "cpu" or "cuda:N", for solvers that run on a GPU as well
+    Raises SceneError for times that do not rise, other shapes, numbers that are not finite, and another quantity.
+    """
+
+    body: Body
+    load: Load
+    times: Float
+    at: Float
+    accuracy: float = 0.05
+    accuracy_of: Quantity = "displacement"
+    device: str = "cpu"
+
+    def __post_init__(self) -> None:
+        check_quantity(self.accuracy_of)
+        object.__setattr__(self, "times", rising("times", self.times))
+        object.__setattr__(self, "at", requested_points(self.at))
+
+    @property
+    def judged(self) -> int:
+        """Place of `accuracy_of` among QUANTITIES."""
+        return check_quantity(self.accuracy_of)
+
+    @cached_property
+    def points(self) -> Float:
+        """The points on the body's face [m], shape (n, 3). Raises SceneError as `points_on_face`."""
+        return points_on_face(self.body, self.at)
+
+    def refuse(self, solver: str, reason: str | None) -> None:
+        """Raise SceneError where a solver has a reason not to solve it."""
+        if reason is not None:
+            raise SceneError(f"solver '{solver}': {reason}")
+
+    def solved(
+        self,
+        displacement_m: Float,
+        velocity_m_s: Float,
+        errors: Float,
+        source: str,
+        solver: str,
+        begun: float,
+        points: Float | None = None,
+    ) -> Motion:
+        """The Motion that a solver found, shape (t, n, 3).
+
+        errors: of the QUANTITIES, (3,); source, solver: in words; begun: time.perf_counter() as it began
+        points: where, if not at `points` [m], shape (n, 3)
+        """
+        return Motion(
+            times_s=self.times,
+            points=self.points if points is None else points,
+            displacement_m=displacement_m,
+            velocity_m_s=velocity_m_s,
+            error_source=source,
+            solver=solver,
+            seconds=time.perf_counter() - begun,
+            **stated(errors, self.accuracy_of),
+        )
 
 
 def stated(errors: Float, accuracy_of: Quantity) -> dict[str, Any]:

@@ -22,7 +22,7 @@ from palmfield.skin.fem.load import SurfaceQuadrature
 from palmfield.skin.fem.probe import SurfaceProbe, surface_motion
 from palmfield.skin.from_config import base_of, sheets_of, slowest
 from palmfield.skin.mesh.disc import disc_patch
-from palmfield.skin.mesh.rows import rows_of
+from palmfield.skin.mesh.rows import element_rows
 from palmfield.skin.mesh.wedges import WedgeMesh, extrude
 from palmfield.skin.problem import Sheet
 from palmfield.types import Float, Patch, Surface
@@ -102,7 +102,7 @@ def layer_sizes(
         rows = (len(shares) - 1) / resizing
         rows = math.ceil(rows) if resizing < 1 else max(1, math.floor(rows))
         shares = np.interp(np.linspace(0, 1, rows + 1), np.linspace(0, 1, len(shares)), shares)
-    shares, _ = rows_of(sheets, shares)
+    shares, _ = element_rows(sheets, shares)
     near, far = path_reach_m
     fine_radius, radius = fine_radius + near, radius + far
     radius = config.radius_m or config.patch_radius_m or radius
@@ -234,7 +234,7 @@ class SceneLayer:
     @locked_cached_property
     def system(self) -> SkinSystem:
         """Mass, damping and stiffness."""
-        materials = rows_of(self.sheets, self.sizes.depth_fractions)[1]
+        materials = element_rows(self.sheets, self.sizes.depth_fractions)[1]
         return assemble(
             self.mesh, materials, base=base_of(self.config), side=self.config.side,
             foundation_Pa_m=self.config.foundation, absorbing_Hz=self.demand.main_frequency_Hz,

@@ -30,18 +30,15 @@ from palmfield.skin.problem import (
     Load,
     Motion,
     Quantity,
+    SkinProblem,
     Slab,
     Spot,
     Springs,
     Traction,
-    check_quantity,
     depth_of,
+    numbers,
     points_on_face,
-    requested_points,
-    rising,
-    stated,
 )
-from palmfield.types import Float
 
 Name = Literal["auto", "lateral_waves", "axisymmetric", "reduced", "wedges", "spectral_elements", "particles"]
 
@@ -65,7 +62,7 @@ WHERE = {
 }
 """Modules of palmfield.skin that hold each solver's solve_NAME, refusal_NAME and cost_NAME.
 
-solve_NAME takes what `solve` does and its own resolution, and raises SceneError where it can't. Where there is one,
+solve_NAME takes a SkinProblem and its own resolution, and raises SceneError where it can't. Where there is one,
 finer_NAME returns the resolution with which to solve again, and prepared_NAME the body that the cost is of, with what
 solve_NAME takes up of finding it.
 """
@@ -93,6 +90,9 @@ LATE = 20.0
 
 HARDER: dict[Quantity, float] = {"displacement": 1.0, "velocity": 0.5, "normal": 1.0}
 """Accuracy of the displacement over that of each quantity that takes about the same work."""
+
+COMMON = ("accuracy", "accuracy_of", "device")
+"""What every solver takes next to its own resolution."""
 
 SLAB_S, LAYER_S = 0.02, 0.12
 """Seconds of the choice itself; a layer's part that matters is looked for as well."""
@@ -158,28 +158,23 @@ def choices(
     device: str = "auto",
 ) -> list[Choice]:
     """Every solver's prediction for a problem, the cheapest first; arguments as for `solve`."""
-    check_load(load)
-    check_quantity(accuracy_of)
-    moments, points = checked(times, at, accuracy)
-    body, load, _ = truncate_domain(body, load, float(moments[-1]), points, accuracy)
-    load = on_body(body, load)
-    return ranking(body, load, moments, points, accuracy, accuracy_of, resolve(device))
+    problem = checked(body, load, times, at, accuracy, accuracy_of, device)
+    return ranking(truncated(problem)[0])
 
 
-def ranking(
-    body: Body, load: Load, times: Float, at: Float, accuracy: float, accuracy_of: Quantity, device: str
-) -> list[Choice]:
-    """Choices for arguments that are checked. A solver whose cost can't be computed comes after those whose can."""
+def ranking(problem: SkinProblem) -> list[Choice]:
+    """A solver whose cost can't be computed comes after those whose can."""
     options = []
     for name in WHERE:
-        refusal, seconds, found = function(name, "refusal")(body, load), math.inf, dict[str, Any]()
+        refusal = function(name, "refusal")(problem.body, problem.load)
+        seconds, found = math.inf, dict[str, Any]()
         if refusal is None:
             try:
-                wanted = HARDER[accuracy_of] * accuracy
-                own = body
+                own = replace(problem, accuracy=HARDER[problem.accuracy_of] * problem.accuracy)
                 if "prepared" in WHERE[name]:
-                    own, found = function(name, "prepared")(body, load, times, at, wanted)
-                seconds = cost(name, own, load, times, at, wanted, device)
+                    body, found = function(name, "prepared")(own)
+                    own = replace(own, body=body)
+                seconds = cost(name, own)
             except (SceneError, MemoryError) as reason:
                 refusal = f"{reason}"
             except Exception:
@@ -223,47 +218,45 @@ def solve(
     losses is asked for at late times alone (`check_rest`).
     """
     begin = time.perf_counter()
-    check_load(load)
-    check_quantity(accuracy_of)
-    moments, points = checked(times, at, accuracy)
-    where = resolve(device)
+    problem = checked(body, load, times, at, accuracy, accuracy_of, device)
     if solver in FORMER:
         raise SceneError(f"solver '{solver}' is now '{FORMER[solver]}': use {FORMER[solver]}")
     if solver != "auto" and solver not in WHERE:
         raise SceneError(f"solver is '{solver}'; use auto or one of {', '.join(WHERE)}")
-    check_rest(body, load, moments)
+    check_rest(problem)
     # Points off the body would make every solver refuse.
-    on_face = points_on_face(body, points)
+    points_on_face(body, problem.at)
     cut, law = 0.0, max(sheet.material.series_error for sheet in body.sheets)
-    if not whole and is_pressed(load):
-        body, load, cut = truncate_domain(body, load, float(moments[-1]), points, accuracy)
-    load = on_body(body, load)
-    if not is_pressed(load):
-        return at_rest(moments, on_face, accuracy_of)
+    if whole or not is_pressed(load):
+        problem = replace(problem, load=on_body(body, load))
+    else:
+        problem, cut = truncated(problem)
+    if not is_pressed(problem.load):
+        return at_rest(problem)
     if solver == "auto":
         if resolution:
             raise SceneError(f"{', '.join(resolution)}: resolutions are a solver's own; name one with solver=")
-        options = ranking(body, load, moments, points, accuracy, accuracy_of, where)
+        options = ranking(problem)
         able = [choice for choice in options if choice.refusal is None and choice.name not in PREVIEW]
         if not able:
             raise SceneError("no solver can do this: " + "; ".join(f"{c.name}: {c.refusal}" for c in options))
-        taken, motion, why = _first_that_can(able, body, load, moments, points, accuracy, accuracy_of, where)
+        taken, motion, why = _first_that_can(able, problem)
         name, more = taken.name, taken.found
     else:
         name, why, more = solver, "asked for", {}
-        motion = _by_name(name, body, load, moments, points, accuracy, accuracy_of, where, resolution)
-    again = partial(function(name, "solve"), body, load, moments, points, accuracy_of=accuracy_of, device=where, **more)
+        motion = _by_name(name, problem, resolution)
+    again = partial(function(name, "solve"), **more)
     target, mesh = accuracy, dict[str, Any]()
     for _ in range(FINER):
         miss = (motion.error + cut + law) / accuracy
         if miss <= 1.0 or resolution:
             break
         if "finer" in WHERE[name]:
-            mesh = function(name, "finer")(body, load, points, accuracy, miss, **mesh)
+            mesh = function(name, "finer")(problem, miss, **mesh)
         else:
             target *= 0.7 / miss
         try:
-            motion = again(accuracy=target, **mesh)
+            motion = again(replace(problem, accuracy=target), **mesh)
         except SceneError as reason:
             why += f"; not solved finer: {reason}"
             break
@@ -279,22 +272,12 @@ def solve(
     return replace(motion, error=error, error_source=source, solver=solver_words, seconds=spent, **all_errors)
 
 
-def _first_that_can(
-    able: list[Choice],
-    body: Body,
-    load: Load,
-    times: Float,
-    at: Float,
-    accuracy: float,
-    accuracy_of: Quantity,
-    device: str,
-) -> tuple[Choice, Motion, str]:
+def _first_that_can(able: list[Choice], problem: SkinProblem) -> tuple[Choice, Motion, str]:
     """The first solver of a list that doesn't refuse once it has begun, what it found, and why it, in words."""
     refused: list[str] = []
     for place, choice in enumerate(able):
         try:
-            asked = {"accuracy": accuracy, "accuracy_of": accuracy_of, "device": device, **choice.found}
-            motion = function(choice.name, "solve")(body, load, times, at, **asked)
+            motion = function(choice.name, "solve")(problem, **choice.found)
         except (SceneError, MemoryError) as reason:
             refused.append(f"{choice.name} refused: {reason}")
             continue
@@ -304,27 +287,16 @@ def _first_that_can(
     raise SceneError("no solver can do this: " + "; ".join(refused))
 
 
-def _by_name(
-    name: str,
-    body: Body,
-    load: Load,
-    times: Float,
-    at: Float,
-    accuracy: float,
-    accuracy_of: Quantity,
-    device: str,
-    resolution: dict[str, Any],
-) -> Motion:
+def _by_name(name: str, problem: SkinProblem, resolution: dict[str, Any]) -> Motion:
     """What one solver finds, with a resolution of the caller's. Raises SceneError where it can't."""
-    refusal = None if resolution else function(name, "refusal")(body, load)
-    if refusal is not None:
-        raise SceneError(f"solver '{name}': {refusal}")
+    if not resolution:
+        problem.refuse(name, function(name, "refusal")(problem.body, problem.load))
     run: Callable[..., Motion] = function(name, "solve")
-    known = inspect.signature(run).parameters
+    own = list(inspect.signature(run).parameters)[1:]
     for key in resolution:
-        if key not in known:
-            raise SceneError(f"solver '{name}' has no '{key}'; it takes {', '.join(list(known)[4:])}")
-    return run(body, load, times, at, accuracy=accuracy, accuracy_of=accuracy_of, device=device, **resolution)
+        if key not in own:
+            raise SceneError(f"solver '{name}' has no '{key}'; it takes {', '.join([*COMMON, *own])}")
+    return run(problem, **resolution)
 
 
 def static(body: Body, load: Load, at: ArrayLike, *, accuracy: float = 0.05) -> Motion:
@@ -335,11 +307,11 @@ def static(body: Body, load: Load, at: ArrayLike, *, accuracy: float = 0.05) -> 
     """
     begin = time.perf_counter()
     check_load(load)
-    moments, points = checked(load.times_s[-1:], at, accuracy)
-    on_face = points_on_face(body, points)
+    problem = checked(body, load, load.times_s[-1:], at, accuracy, "displacement", "cpu")
+    points_on_face(body, problem.at)
     load = on_body(body, load)
     if not is_pressed(load):
-        return at_rest(moments, on_face, "displacement")
+        return at_rest(problem)
     refused: list[str] = []
     for name in AT_REST:
         reason = function(name, "refusal")(body, load)
@@ -348,7 +320,7 @@ def static(body: Body, load: Load, at: ArrayLike, *, accuracy: float = 0.05) -> 
             continue
         solver: Callable[..., Motion] = function(name, "static")
         try:
-            motion = solver(body, load, points, accuracy=accuracy)
+            motion = solver(body, load, problem.at, accuracy=accuracy)
         except (SceneError, MemoryError) as refusal:
             refused.append(f"{name}: {refusal}")
             continue
@@ -358,7 +330,7 @@ def static(body: Body, load: Load, at: ArrayLike, *, accuracy: float = 0.05) -> 
                 break
             target *= 0.7 * accuracy / motion.error
             try:
-                motion = solver(body, load, points, accuracy=target)
+                motion = solver(body, load, problem.at, accuracy=target)
             except (SceneError, MemoryError):
                 break
         words = "" if motion.error <= accuracy else f" (error NOT within the target of {100 * accuracy:.2g} %)"
@@ -370,29 +342,22 @@ def is_pressed(load: Load) -> bool:
     return bool(np.any(load.peak_Pa if isinstance(load, Spot) else load.pressure_Pa))
 
 
-def at_rest(times: Float, on_face: Float, accuracy_of: Quantity) -> Motion:
+def at_rest(problem: SkinProblem) -> Motion:
     """The motion of a body without a load."""
-    still = np.zeros((len(times), len(on_face), 3))
-    words = "no load: all is at rest", "none needed"
-    return Motion(
-        times,
-        on_face,
-        still,
-        still.copy(),
-        error_source=words[0],
-        solver=words[1],
-        seconds=0.0,
-        **stated(np.zeros(3), accuracy_of),
+    still = np.zeros((len(problem.times), len(problem.points), 3))
+    return problem.solved(
+        still, still.copy(), np.zeros(3), "no load: all is at rest", "none needed", time.perf_counter()
     )
 
 
-def check_rest(body: Body, load: Load, times: Float) -> None:
+def check_rest(problem: SkinProblem) -> None:
     """Raise SceneError where a late time stands for rest on a body that never comes to rest.
 
     That is one whose sheets, base and sides lose nothing, asked only LATE of its quarter waves after the load's last
     change and later: it rings there for ever.
     """
-    base, last = body.base, float(load.times_s[-1])
+    body, times = problem.body, problem.times
+    base, last = body.base, float(problem.load.times_s[-1])
     damped = isinstance(base, Springs) and max(base.normal_Pa_s_m, base.tangential_Pa_s_m) > 0.0
     endless = body.side == "absorbing" or (isinstance(body, Slab) and body.shape == "infinite")
     lossy = any(sheet.material.relaxes for sheet in body.sheets)
@@ -420,12 +385,31 @@ def check_load(load: object) -> None:
     raise SceneError(f"load is {str(load)[:60]!r}; give a Spot or a Traction")
 
 
-def checked(times: ArrayLike, at: ArrayLike, accuracy: float) -> tuple[Float, Float]:
-    """Times, shape (t,), and points, shape (n, 2 or 3). Raises SceneError."""
-    moments, points = rising("times", times), requested_points(at)
+def checked(
+    body: Body,
+    load: Load,
+    times: ArrayLike,
+    at: ArrayLike,
+    accuracy: float,
+    accuracy_of: Quantity,
+    device: str,
+) -> SkinProblem:
+    """The problem of a user's arguments. Raises SceneError."""
+    check_load(load)
+    problem = SkinProblem(
+        body, load, numbers("times", times), numbers("at", at), accuracy, accuracy_of, resolve(device)
+    )
     if not isinstance(accuracy, (int, float)) or not 1e-5 <= accuracy <= 0.5:
         raise SceneError(f"accuracy is {accuracy}; give a relative error of 1e-5 to 0.5")
-    return moments, points
+    return problem
+
+
+def truncated(problem: SkinProblem) -> tuple[SkinProblem, float]:
+    """The problem without what lies beyond the reach of load and points, and the error of leaving that out."""
+    body, load, cut = truncate_domain(
+        problem.body, problem.load, float(problem.times[-1]), problem.at, problem.accuracy
+    )
+    return replace(problem, body=body, load=on_body(body, load)), cut
 
 
 def function(name: str, what: str) -> Callable[..., Any]:
@@ -433,11 +417,7 @@ def function(name: str, what: str) -> Callable[..., Any]:
     return getattr(import_module(f"palmfield.skin.{WHERE[name][what]}"), f"{what}_{name}")
 
 
-def cost(name: str, body: Body, load: Load, times: Float, at: Float, accuracy: float, device: str) -> float:
+def cost(name: str, problem: SkinProblem) -> float:
     """Predicted seconds, those of the choice itself included."""
-    predict = function(name, "cost")
-    where: tuple[str, ...] = ()
-    if device != "cpu" and name in ("spectral_elements", "particles"):
-        where = (device,)
-    own = LAYER_S if isinstance(body, Layer) else SLAB_S
-    return own + float(predict(body, load, times, at, accuracy, *where))
+    own = LAYER_S if isinstance(problem.body, Layer) else SLAB_S
+    return own + float(function(name, "cost")(problem))

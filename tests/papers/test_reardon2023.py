@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from palmfield.skin.problem import Spot
+from palmfield.skin.problem import SkinProblem, Spot
 from palmfield.skin.solvers.lateral_waves import solve_lateral_waves
 from palmfield_papers.answer import Setting
 from palmfield_papers.entries import book
@@ -71,7 +71,9 @@ def test_a_run_is_what_the_solver_says_at_points():
     times, load, _ = runs.sampled(course)
     chosen = [(0.02, 0.0), (-0.01, 0.012)]
     spot = Spot(0.006, load.times_s, load.peak_Pa, load.centres())
-    known = solve_lateral_waves(THICK.slab, spot, times, np.array(chosen), accuracy=0.01, accuracy_of="velocity")
+    known = solve_lateral_waves(
+        SkinProblem(THICK.slab, spot, times, np.array(chosen), accuracy=0.01, accuracy_of="velocity")
+    )
     for n, (x, y) in enumerate(chosen):
         i, j = (int(np.abs(motion.places_m - part).argmin()) for part in (x, y))
         ours, right = motion.velocity[:, i, j], known.velocity_m_s[:, n, 2]

@@ -17,7 +17,7 @@ from palmfield.skin.from_config import layer_cutoff
 from palmfield.skin.materials.catalogue import preset
 from palmfield.skin.materials.dispersion import cutoff
 from palmfield.skin.materials.material import elastic
-from palmfield.skin.mesh.rows import rows_of
+from palmfield.skin.mesh.rows import element_rows
 from palmfield.skin.problem import Sheet
 
 
@@ -55,7 +55,7 @@ def test_a_stiff_sheet_on_a_soft_one_moves_less(small_scene):
 def test_no_row_crosses_two_sheets(shares):
     materials = [elastic(f"m{k}", 1e3, 1e4) for k in range(len(shares))]
     sheets = tuple(Sheet(m, s) for m, s in zip(materials, shares, strict=True))
-    edges, rows = rows_of(sheets, np.array([0.0, 0.11, 0.28, 0.56, 1.0]))
+    edges, rows = element_rows(sheets, np.array([0.0, 0.11, 0.28, 0.56, 1.0]))
     assert len(rows) == len(edges) - 1 >= len(shares) and np.all(np.diff(edges) > 0) and edges[-1] == 1.0
     for sheet, end in zip(sheets, np.cumsum(shares), strict=True):
         inside = [k for k, row in enumerate(rows) if row is sheet.material]

@@ -10,7 +10,7 @@ from palmfield.errors import SceneError
 from palmfield.skin.analytic.layer_oracle import centre_response
 from palmfield.skin.materials.catalogue import preset
 from palmfield.skin.materials.material import bulk_from_poisson
-from palmfield.skin.problem import Sheet, Slab, Spot, Springs, Traction, spread
+from palmfield.skin.problem import Sheet, SkinProblem, Slab, Spot, Springs, Traction, spread
 from palmfield.skin.reduction.dynamic_stiffness import DynamicStiffness
 from palmfield.skin.solvers.axisymmetric.element import DiscGrid, Line, graded
 from palmfield.skin.solvers.axisymmetric.samples import sample
@@ -88,7 +88,7 @@ def test_ramp_in_time_is_the_series_transformed():
     times = np.arange(0.0, 0.03, 2e-4)
     mean = float(centre_response(0.0, ECOFLEX, 0.02, FWHM, 0.06).real) * 1e-3 / window
     series = mean + 2.0 / window * (compliance * spectrum * np.exp(-1j * np.outer(times, w))).real.sum(axis=1)
-    motion = solve_axisymmetric(disc(), Spot(FWHM, t, shape), times, np.zeros((1, 2)), accuracy=0.002)
+    motion = solve_axisymmetric(SkinProblem(disc(), Spot(FWHM, t, shape), times, np.zeros((1, 2)), accuracy=0.002))
     error = np.linalg.norm(-motion.displacement_m[:, 0, 2] - series) / np.linalg.norm(series)
     print("ramp", error, motion.error)
     assert error < 2e-3
@@ -98,7 +98,7 @@ def test_spot_off_the_axis_sinks_as_on_it():
     """All harmonics: on a wide thin disc the answer depends on the distance from the spot only, and points from it."""
     spot = dataclasses.replace(STATIC, centre_m=np.array([0.006, 0.008]))
     offsets = np.array([[0.0, 0.0], [0.005, 0.0], [-0.003, 0.004], [0.0, -0.005], [0.008, 0.006]])
-    motion = solve_axisymmetric(disc(depth=0.008), spot, LATE, spot.centre_m + offsets, accuracy=0.002)
+    motion = solve_axisymmetric(SkinProblem(disc(depth=0.008), spot, LATE, spot.centre_m + offsets, accuracy=0.002))
     moved = motion.displacement_m[0]
     exact = centre_response(0.0, ECOFLEX, 0.008, FWHM, None, at=np.hypot(*offsets.T)).real
     print(-moved[:, 2] / exact - 1, motion.error, motion.solver)
@@ -118,7 +118,7 @@ def test_slow_circle_follows_the_static_answer():
     spot = Spot(FWHM, t, np.full(len(t), 2.0), path)
     points = np.array([[0.0, 0.0], [0.006, 0.003], [-0.002, 0.007]])
     times = t[8::8]
-    motion = solve_axisymmetric(disc(depth=0.008), spot, times, points, accuracy=0.005)
+    motion = solve_axisymmetric(SkinProblem(disc(depth=0.008), spot, times, points, accuracy=0.005))
     distance = np.linalg.norm(path[8::8, None] - points, axis=2)
     exact = 2.0 * centre_response(0.0, ECOFLEX, 0.008, FWHM, None, at=distance).real
     error = np.linalg.norm(-motion.displacement_m[..., 2] - exact) / np.linalg.norm(exact)
@@ -138,7 +138,9 @@ def test_turning_the_path_turns_the_motion(side):
     body = disc(radius=0.025, depth=0.01, side=side)
     times = np.linspace(0.0, 6e-3, 13)
     straight, turned = (
-        solve_axisymmetric(body, Spot(FWHM, t, np.array([0.0, 1.0, 0.5]), p), times, q, accuracy=0.05, degree=5)
+        solve_axisymmetric(
+            SkinProblem(body, Spot(FWHM, t, np.array([0.0, 1.0, 0.5]), p), times, q, accuracy=0.05), degree=5
+        )
         for p, q in ((path, points), (path @ turn, points @ turn))
     )
     expected = straight.displacement_m.copy()
@@ -153,7 +155,8 @@ def test_error_estimate_covers_what_a_finer_run_shows(side):
     body = disc(side=side)
     points = np.array([[0.0, 0.0], [0.01, 0.0]])
     motion, finer = (
-        solve_axisymmetric(body, spot, t[::4], points, accuracy=a, degree=p) for a, p in ((0.02, 5), (0.002, 7))
+        solve_axisymmetric(SkinProblem(body, spot, t[::4], points, accuracy=a), degree=p)
+        for a, p in ((0.02, 5), (0.002, 7))
     )
     missed = np.sqrt(((motion.displacement_m - finer.displacement_m) ** 2).sum(axis=(0, 2)))
     true = (missed / np.sqrt((finer.displacement_m**2).sum(axis=(0, 2)))).max()
@@ -165,7 +168,9 @@ def test_free_body_keeps_its_momentum():
     """Nothing holds it: after a pulse and its waves, it flies with impulse / mass."""
     t = np.array([0.0, 1e-3, 2e-3])
     body = disc(radius=0.02, depth=0.01, base="free", side="free")
-    motion = solve_axisymmetric(body, Spot(FWHM, t, np.array([0.0, 1.0, 0.0])), np.array([2.0, 2.2]), np.zeros((1, 2)))
+    motion = solve_axisymmetric(
+        SkinProblem(body, Spot(FWHM, t, np.array([0.0, 1.0, 0.0])), np.array([2.0, 2.2]), np.zeros((1, 2)))
+    )
     s = spread(FWHM)
     impulse = 1e-3 * 2 * math.pi * s**2 * (1 - math.exp(-0.5 * (0.02 / s) ** 2))
     mass = 1030.0 * math.pi * 0.02**2 * 0.01
@@ -174,30 +179,32 @@ def test_free_body_keeps_its_momentum():
 
 
 def test_base_of_springs_and_dashpots():
-    still = solve_axisymmetric(disc(), STATIC, LATE, np.zeros((1, 2)), degree=5).displacement_m
-    stiff = solve_axisymmetric(disc(base=Springs(1e14, 1e14)), STATIC, LATE, np.zeros((1, 2)), degree=5).displacement_m
+    still = solve_axisymmetric(SkinProblem(disc(), STATIC, LATE, np.zeros((1, 2))), degree=5).displacement_m
+    stiff = solve_axisymmetric(
+        SkinProblem(disc(base=Springs(1e14, 1e14)), STATIC, LATE, np.zeros((1, 2))), degree=5
+    ).displacement_m
     np.testing.assert_allclose(stiff, still, rtol=1e-5, atol=1e-5 * np.abs(still).max())
     s = spread(FWHM)
     force = 2 * math.pi * s**2 * (1 - math.exp(-0.5 * (0.06 / s) ** 2))
     oil = disc(base=Springs(0.0, 0.0, 5e4, 0.0))
-    motion = solve_axisymmetric(oil, STATIC, np.array([4.0]), np.zeros((1, 2)), degree=5)
+    motion = solve_axisymmetric(SkinProblem(oil, STATIC, np.array([4.0]), np.zeros((1, 2))), degree=5)
     assert -motion.velocity_m_s[0, 0, 2] == pytest.approx(force / (5e4 * math.pi * 0.06**2), rel=1e-5)
 
 
 def test_sheets():
     """Two halves of a sheet are the sheet; under even pressure rollers make columns, one on another."""
     soft = dataclasses.replace(ECOFLEX, name="soft", shear_relaxed_Pa=3e3, bulk_Pa=8e4, density_kg_m3=900.0)
-    whole = solve_axisymmetric(disc(), STATIC, LATE, np.zeros((1, 2)), degree=6).displacement_m
+    whole = solve_axisymmetric(SkinProblem(disc(), STATIC, LATE, np.zeros((1, 2))), degree=6).displacement_m
     halves = dataclasses.replace(disc(), sheets=(Sheet(ECOFLEX, 0.008), Sheet(ECOFLEX, 0.012)))
     np.testing.assert_allclose(
-        solve_axisymmetric(halves, STATIC, LATE, np.zeros((1, 2)), degree=6).displacement_m,
+        solve_axisymmetric(SkinProblem(halves, STATIC, LATE, np.zeros((1, 2))), degree=6).displacement_m,
         whole,
         rtol=2e-4,
         atol=1e-12,
     )
     body = dataclasses.replace(disc(), sheets=(Sheet(ECOFLEX, 0.004), Sheet(soft, 0.006)))
     even = dataclasses.replace(STATIC, fwhm_m=100.0)
-    motion = solve_axisymmetric(body, even, np.array([5.0]), np.array([[0.0, 0.0], [0.05, 0.0]]), degree=5)
+    motion = solve_axisymmetric(SkinProblem(body, even, np.array([5.0]), np.array([[0.0, 0.0], [0.05, 0.0]])), degree=5)
     column = sum(x.thickness_m / (x.material.bulk_Pa + 4 / 3 * x.material.shear_relaxed_Pa) for x in body.sheets)
     np.testing.assert_allclose(-motion.displacement_m[0, :, 2], column, rtol=1e-5)
 
@@ -206,10 +213,10 @@ def test_repeats_bit_by_bit_and_scales():
     t = np.linspace(0.0, 5e-3, 26)
     path = 0.005 * np.stack([np.cos(500 * t), np.sin(500 * t)], axis=1)
     spot = Spot(FWHM, t, np.ones(26), path)
-    runs = [solve_axisymmetric(disc(radius=0.03), s, t, path[:2], degree=4) for s in (spot, spot)]
+    runs = [solve_axisymmetric(SkinProblem(disc(radius=0.03), s, t, path[:2]), degree=4) for s in (spot, spot)]
     np.testing.assert_array_equal(runs[0].displacement_m, runs[1].displacement_m)
     large = solve_axisymmetric(
-        disc(radius=0.03), dataclasses.replace(spot, peak_Pa=np.full(26, 1e3)), t, path[:2], degree=4
+        SkinProblem(disc(radius=0.03), dataclasses.replace(spot, peak_Pa=np.full(26, 1e3)), t, path[:2]), degree=4
     )
     np.testing.assert_allclose(large.displacement_m, 1e3 * runs[0].displacement_m, rtol=1e-9, atol=1e-16)
 
@@ -221,8 +228,8 @@ def test_load_starts_late_and_is_held():
     asked = np.linspace(0.0, 6e-3, 13)
     early = Spot(FWHM, t, np.array([1.0, -0.5, 2.0]), law="held")
     late = dataclasses.replace(early, times_s=t + 0.01)
-    first = solve_axisymmetric(disc(), early, asked, at, degree=4)
-    second = solve_axisymmetric(disc(), late, np.concatenate([[0.004], asked + 0.01]), at, degree=4)
+    first = solve_axisymmetric(SkinProblem(disc(), early, asked, at), degree=4)
+    second = solve_axisymmetric(SkinProblem(disc(), late, np.concatenate([[0.004], asked + 0.01]), at), degree=4)
     assert not second.displacement_m[0].any()
     np.testing.assert_allclose(
         second.displacement_m[1:], first.displacement_m, atol=1e-6 * np.abs(first.displacement_m).max()
@@ -254,16 +261,17 @@ def test_bad_input():
     ):
         assert reason in (refusal_axisymmetric(body, given) or "")
         with pytest.raises(SceneError, match=reason):
-            solve_axisymmetric(body, given, LATE, points)
+            solve_axisymmetric(SkinProblem(body, given, LATE, points))
         with pytest.raises(SceneError, match=reason):
-            cost_axisymmetric(body, given, LATE, points, 0.05)
+            cost_axisymmetric(SkinProblem(body, given, LATE, points, 0.05))
     assert refusal_axisymmetric(disc(), STATIC) is None
     for times, at, keys, reason in (
         (np.array([1.0, 0.5]), points, {}, "rising"),
         (LATE, np.array([[0.07, 0.0]]), {}, "off the disc"),
         (LATE, np.zeros((1, 4)), {}, "finite positions"),
-        (LATE, points, {"accuracy": 0.0}, "accuracy"),
         (LATE, points, {"degree": 2}, "lock"),
     ):
         with pytest.raises(SceneError, match=reason):
-            solve_axisymmetric(disc(), STATIC, times, at, **keys)
+            solve_axisymmetric(SkinProblem(disc(), STATIC, times, at), **keys)
+    with pytest.raises(SceneError, match="accuracy"):
+        solve_axisymmetric(SkinProblem(disc(), STATIC, LATE, points, 0.0))

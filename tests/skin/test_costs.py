@@ -10,7 +10,7 @@ from palmfield.skin.fem.assembly import assemble
 from palmfield.skin.materials.catalogue import preset
 from palmfield.skin.mesh.disc import disc_patch
 from palmfield.skin.mesh.wedges import extrude
-from palmfield.skin.problem import Sheet, Slab, Spot
+from palmfield.skin.problem import Sheet, SkinProblem, Slab, Spot
 from palmfield.skin.solvers.lateral_waves import cost_lateral_waves, solve_lateral_waves
 from palmfield.skin.solvers.wedges import cost_wedges, run_cost
 
@@ -55,17 +55,18 @@ def test_law_of_wedges_has_the_ratio_of_two_sizes(nodal_stepper, steps):
 
 def test_law_of_lateral_waves_has_the_ratio_of_two_accuracies():
     body = Slab((Sheet(ECOFLEX, 0.02),))
-    solve_lateral_waves(body, SPOT, TIMES[:20], AT, tolerance=0.1, threads=1)
+    solve_lateral_waves(SkinProblem(body, SPOT, TIMES[:20], AT), tolerance=0.1, threads=1)
     measured = [
-        busy(lambda a=a: solve_lateral_waves(body, SPOT, TIMES, AT, accuracy=a, threads=1)) for a in (0.05, 0.005)
+        busy(lambda a=a: solve_lateral_waves(SkinProblem(body, SPOT, TIMES, AT, accuracy=a), threads=1))
+        for a in (0.05, 0.005)
     ]
-    predicted = [cost_lateral_waves(body, SPOT, TIMES, AT, a) for a in (0.05, 0.005)]
+    predicted = [cost_lateral_waves(SkinProblem(body, SPOT, TIMES, AT, a)) for a in (0.05, 0.005)]
     print(measured, predicted)
     assert 0.5 < measured[1] / measured[0] / (predicted[1] / predicted[0]) < 2.0
 
 
 def test_cost_of_wedges_rises_with_what_is_asked():
     body = Slab((Sheet(ECOFLEX, 0.02),), shape="disc", side="roller", radius_m=0.06)
-    rough = cost_wedges(body, SPOT, TIMES, AT, 0.05)
-    assert cost_wedges(body, SPOT, TIMES, AT, 0.02) > 2.0 * rough
-    assert cost_wedges(body, SPOT, TIMES[:201], AT, 0.05) < 0.7 * rough
+    rough = cost_wedges(SkinProblem(body, SPOT, TIMES, AT, 0.05))
+    assert cost_wedges(SkinProblem(body, SPOT, TIMES, AT, 0.02)) > 2.0 * rough
+    assert cost_wedges(SkinProblem(body, SPOT, TIMES[:201], AT, 0.05)) < 0.7 * rough

@@ -7,7 +7,7 @@ from scipy.optimize import brentq
 from palmfield.errors import SceneError
 from palmfield.skin.analytic.mach import mach_half_angle
 from palmfield.skin.materials.material import Material, bulk_from_poisson
-from palmfield.skin.problem import Sheet, Slab, Spot
+from palmfield.skin.problem import Sheet, SkinProblem, Slab, Spot
 from palmfield.skin.solvers.lateral_waves import solve_lateral_waves
 
 X, Y = np.arange(-0.1, 0.1001, 1e-3), np.arange(-0.06, 0.0601, 1e-3)
@@ -50,7 +50,7 @@ def test_deep_slab_follows_the_rayleigh_wave():
     spot = Spot(0.01, np.array([0.0, time]), np.ones(2), np.array([[start, 0.0], [end, 0.0]]))
     x, y = np.arange(-0.02, 0.1001, 2e-3), np.arange(-0.06, 0.0601, 2e-3)
     at = np.stack([part.ravel() for part in np.meshgrid(x, y, indexing="ij")], axis=1)
-    found = solve_lateral_waves(Slab((Sheet(both, 0.1),)), spot, np.array([time]), at, tolerance=0.1)
+    found = solve_lateral_waves(SkinProblem(Slab((Sheet(both, 0.1),)), spot, np.array([time]), at), tolerance=0.1)
     angle = mach_half_angle(found.velocity_m_s[0, :, 2].reshape(len(x), len(y)), x, y, 0.01)
     expected = np.degrees(np.arcsin(rayleigh_ratio() * np.sqrt(SHEAR / DENSITY) / speed))
     print("half-angle", angle, "asin(c_R / v)", expected)

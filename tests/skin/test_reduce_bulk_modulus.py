@@ -10,7 +10,7 @@ from palmfield.skin.approximation.reduce_bulk_modulus import RATIOS, SHARE, redu
 from palmfield.skin.approximation.richardson import relative_difference
 from palmfield.skin.materials.catalogue import preset
 from palmfield.skin.materials.material import bulk_from_poisson
-from palmfield.skin.problem import Sheet, Slab, Spot, Springs
+from palmfield.skin.problem import Sheet, SkinProblem, Slab, Spot, Springs
 from palmfield.skin.solvers.lateral_waves import solve_lateral_waves
 
 TIMES = np.linspace(0.0, 0.04, 321)
@@ -29,7 +29,10 @@ def test_the_change_is_that_of_lateral_waves(depth_m: float, nu: float, points: 
     """That layer compares normal motion: beside the spot of a thin layer, which moves along, it says too much."""
     hard, soft, at = endless(0.4999, depth_m), endless(nu, depth_m), AT[:points]
     said = relative_change(hard, PUSH, TIMES[-1], at)(soft.sheets[0].material)
-    moved = [solve_lateral_waves(body, PUSH, TIMES[1:], at, accuracy=2e-4).displacement_m for body in (soft, hard)]
+    moved = [
+        solve_lateral_waves(SkinProblem(body, PUSH, TIMES[1:], at, accuracy=2e-4)).displacement_m
+        for body in (soft, hard)
+    ]
     seen = relative_difference(*moved)
     print(depth_m, nu, "said", said, "seen", seen)
     assert 0.6 * said < seen < 1.5 * said

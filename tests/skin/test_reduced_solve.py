@@ -8,7 +8,7 @@ import pytest
 from palmfield.errors import SceneError
 from palmfield.skin.materials.catalogue import preset
 from palmfield.skin.mesh.disc import disc_patch
-from palmfield.skin.problem import Layer, Sheet, Slab, Spot, Traction
+from palmfield.skin.problem import Layer, Sheet, SkinProblem, Slab, Spot, Traction
 from palmfield.skin.solvers.axisymmetric.solve import solve_axisymmetric
 from palmfield.skin.solvers.reduced import course, patterns, refusal_reduced, solve_reduced
 
@@ -29,11 +29,11 @@ def gap(found: np.ndarray, wanted: np.ndarray) -> float:
 
 @pytest.fixture(scope="module")
 def found():
-    return solve_reduced(DISC, AM, TIMES, AT, accuracy=0.1)
+    return solve_reduced(SkinProblem(DISC, AM, TIMES, AT, accuracy=0.1))
 
 
 def test_the_error_is_within_what_is_said(found):
-    wanted = solve_axisymmetric(DISC, AM, TIMES, AT, accuracy=0.01)
+    wanted = solve_axisymmetric(SkinProblem(DISC, AM, TIMES, AT, accuracy=0.01))
     assert found.error < 0.1
     assert gap(found.displacement_m, wanted.displacement_m) < found.error
     assert gap(found.velocity_m_s, wanted.velocity_m_s) < 0.1
@@ -43,10 +43,10 @@ def test_too_few_vectors_are_an_answer_with_its_error(monkeypatch):
     """They were refused once all had been computed."""
     from palmfield.skin.solvers import reduced as module
 
-    wanted = solve_axisymmetric(DISC, AM, TIMES, AT, accuracy=0.01)
+    wanted = solve_axisymmetric(SkinProblem(DISC, AM, TIMES, AT, accuracy=0.01))
     monkeypatch.setattr(module, "MOST_VECTORS", 4)
     monkeypatch.setattr(module, "SHARE", 1e-5)
-    motion = solve_reduced(DISC, AM, TIMES, AT, accuracy=0.1)
+    motion = solve_reduced(SkinProblem(DISC, AM, TIMES, AT, accuracy=0.1))
     reduction = float(motion.error_source.split(" vectors ")[1].split(",")[0])
     assert reduction > 1e-6
     assert gap(motion.displacement_m, wanted.displacement_m) < motion.error
@@ -55,7 +55,7 @@ def test_too_few_vectors_are_an_answer_with_its_error(monkeypatch):
 def test_a_fine_patch_gets_coarser_triangles_and_moves_like_the_disc(found):
     patch = disc_patch(RADIUS, THICK, 0.0012, 0.0012, RADIUS)
     layer = Layer(patch, DISC.sheets)
-    motion = solve_reduced(layer, AM, TIMES, np.column_stack([AT, np.zeros(2)]), accuracy=0.1)
+    motion = solve_reduced(SkinProblem(layer, AM, TIMES, np.column_stack([AT, np.zeros(2)]), accuracy=0.1))
     unknowns = int(motion.solver.split(", ")[1].split()[0])
     # As the patch has it, quadratic wedges in two rows or more would have at least this many
     assert unknowns < 3 * 4 * len(patch.faces)
@@ -69,14 +69,14 @@ def test_pressures_of_one_pattern_are_the_spot_they_sample(found):
     points = np.column_stack([x, y, np.zeros_like(x)])
     load = Traction(points, np.full(len(x), (grid[1] - grid[0]) ** 2), KNOTS, np.outer(AM.peak_Pa, bell))
     assert len(patterns(load)[0]) == 1
-    motion = solve_reduced(DISC, load, TIMES, AT, accuracy=0.1)
+    motion = solve_reduced(SkinProblem(DISC, load, TIMES, AT, accuracy=0.1))
     assert gap(motion.displacement_m, found.displacement_m) < motion.error + found.error
 
 
 def test_repeats_are_identical_and_a_stronger_load_moves_in_proportion(found):
-    again = solve_reduced(DISC, AM, TIMES, AT, accuracy=0.1)
+    again = solve_reduced(SkinProblem(DISC, AM, TIMES, AT, accuracy=0.1))
     assert np.array_equal(again.displacement_m, found.displacement_m)
-    strong = solve_reduced(DISC, replace(AM, peak_Pa=1000.0 * AM.peak_Pa), TIMES, AT, accuracy=0.1)
+    strong = solve_reduced(SkinProblem(DISC, replace(AM, peak_Pa=1000.0 * AM.peak_Pa), TIMES, AT, accuracy=0.1))
     assert gap(strong.displacement_m, 1000.0 * found.displacement_m) < 1e-9
 
 
@@ -94,7 +94,7 @@ def test_what_it_cannot_take():
     moving = Spot(WIDTH, [0.0, 0.01], [1.0, 1.0], [[0.0, 0.0], [0.005, 0.0]])
     assert "this spot moves" in str(refusal_reduced(DISC, moving))
     with pytest.raises(SceneError, match="solver 'reduced': a reduced model is made for loads that keep their shape"):
-        solve_reduced(DISC, moving, TIMES, AT)
+        solve_reduced(SkinProblem(DISC, moving, TIMES, AT))
     assert "a body with an end" in str(refusal_reduced(Slab(DISC.sheets), AM))
     noise = np.random.default_rng(1).standard_normal((20, 30))
     scattered = Traction(np.zeros((30, 3)), np.ones(30), np.arange(20.0), noise)

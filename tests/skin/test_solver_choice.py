@@ -11,7 +11,7 @@ from palmfield.skin import Motion, Sheet, Slab, Spot, choices, preset, solve, st
 from palmfield.skin import solver_choice as module
 from palmfield.skin.analytic.layer_oracle import centre_response, centre_responses
 from palmfield.skin.materials.material import bulk_from_poisson, kelvin_voigt
-from palmfield.skin.problem import QUANTITIES
+from palmfield.skin.problem import QUANTITIES, SkinProblem
 from palmfield.skin.solvers.particles.resolution import choose_spacing, law_error
 
 ECOFLEX = preset("ecoflex_00-10")
@@ -59,8 +59,8 @@ def test_a_missed_accuracy_is_solved_finer_and_a_lasting_miss_is_said(monkeypatc
         return Motion(np.zeros(1), np.zeros((1, 3)), still, still, error, "made up for the test", "fake", 1.0)
 
     def fake(name: str, what: str):
-        def run(*_: object, accuracy: float, step_s: float = 0.0, **__: object) -> Motion:
-            asked.append(accuracy)
+        def run(problem: SkinProblem, *, step_s: float = 0.0) -> Motion:
+            asked.append(problem.accuracy)
             return found(errors[len(asked) - 1])
 
         return {"solve": run, "refusal": lambda *_: None, "cost": lambda *_: 1.0}[what]

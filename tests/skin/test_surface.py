@@ -12,8 +12,7 @@ from palmfield.skin.fem.load import SurfaceQuadrature
 from palmfield.skin.fem.probe import SurfaceProbe, surface_motion
 from palmfield.skin.materials.catalogue import PRESETS
 from palmfield.skin.mesh.disc import disc_patch
-from palmfield.skin.mesh.surface import output_triangles
-from palmfield.skin.mesh.wedges import extrude
+from palmfield.skin.mesh.wedges import extrude, output_triangles
 
 pytestmark = pytest.mark.numerics
 

@@ -12,7 +12,7 @@ from palmfield.skin import solve, static
 from palmfield.skin.analytic.layer_oracle import centre_response
 from palmfield.skin.approximation.trim_absorbing_rim import refusal_of_spot, trim_absorbing_rim
 from palmfield.skin.materials.catalogue import preset
-from palmfield.skin.problem import Layer, Sheet, Slab, Spot, points_on_face
+from palmfield.skin.problem import Layer, Sheet, SkinProblem, Slab, Spot, points_on_face
 from palmfield.skin.solver_choice import choices
 from palmfield.skin.solvers.lateral_waves import solve_lateral_waves
 from palmfield.skin.solvers.wedges import static_wedges
@@ -82,7 +82,9 @@ def test_absorbing_sides_near_the_load_are_in_the_error():
     times, asked = np.linspace(0.0, 0.02, 81), np.linspace(0.001, 0.02, 20)
     load = Spot(0.0103, times, np.sin(2.0 * np.pi * 100.0 * times) ** 2)
     at = np.array([[0.0, 0.0], [0.01, 0.0]])
-    exact = solve_lateral_waves(Slab((Sheet(ECOFLEX, 0.008),)), load, asked, at, accuracy=0.01).displacement_m
+    exact = solve_lateral_waves(
+        SkinProblem(Slab((Sheet(ECOFLEX, 0.008),)), load, asked, at, accuracy=0.01)
+    ).displacement_m
     flat = curved_patch(np.array([0.036, 0.036]), 0.008, FLAT, 0.006)
     body = Layer(flat, (Sheet(ECOFLEX, 0.008),), side="absorbing")
     found = solve(body, load, asked, at, solver="reduced", accuracy=0.2, device="cpu")

@@ -8,7 +8,7 @@ from palmfield.skin.approximation.truncate_domain import SHARE, part_of, reach, 
 from palmfield.skin.materials.catalogue import preset
 from palmfield.skin.materials.material import elastic
 from palmfield.skin.mesh.disc import disc_patch
-from palmfield.skin.problem import Layer, Sheet, Slab, Spot, Springs, Traction, spread
+from palmfield.skin.problem import Layer, Sheet, SkinProblem, Slab, Spot, Springs, Traction, spread
 from palmfield.skin.solvers.axisymmetric.solve import solve_axisymmetric
 
 GRID = np.arange(0.0, 0.03, 5e-5)
@@ -36,11 +36,13 @@ def test_a_fixed_edge_at_the_reach_changes_no_more_than_is_said(name: str, thick
     at = np.array([[0.0, 0.0], [0.5 * width, 0.0]])
     near, far = (
         solve_axisymmetric(
-            Slab((Sheet(preset(name), thickness),), "disc", "bonded", "fixed", radius_m=r),
-            load,
-            GRID[1:],
-            at,
-            accuracy=0.02,
+            SkinProblem(
+                Slab((Sheet(preset(name), thickness),), "disc", "bonded", "fixed", radius_m=r),
+                load,
+                GRID[1:],
+                at,
+                accuracy=0.02,
+            )
         ).displacement_m
         for r in (radius, 2.5 * radius)
     )

@@ -19,9 +19,9 @@ from palmfield.skin.fem.solver import harmonic, static
 from palmfield.skin.materials.catalogue import preset
 from palmfield.skin.mesh.body_mesh import Sizes, box_patch, graded_fractions, quartered
 from palmfield.skin.mesh.disc import disc_patch
-from palmfield.skin.mesh.rows import rows_of
+from palmfield.skin.mesh.rows import element_rows
 from palmfield.skin.mesh.wedges import extrude
-from palmfield.skin.problem import Layer, Sheet, Slab, Spot, Springs, Traction
+from palmfield.skin.problem import Layer, Sheet, SkinProblem, Slab, Spot, Springs, Traction
 from palmfield.skin.solvers.wedges import refusal_wedges, solve_wedges, static_wedges
 from palmfield.types import Patch
 
@@ -59,7 +59,7 @@ def test_ring_of_a_stopped_load_reaches_the_harmonic_answer():
     load = Spot(FWHM, times, np.sin(2.0 * np.pi * 200.0 * times))
     asked = np.arange(0.05, 0.06, 2.5e-4)
     body = Slab((Sheet(PALM, 0.01),), shape="disc", side="roller", radius_m=0.03)
-    found = solve_wedges(body, load, asked, AT, accuracy=0.05)
+    found = solve_wedges(SkinProblem(body, load, asked, AT, accuracy=0.05))
     phasor = centre_response(200.0, PALM, 0.01, FWHM, 0.03, at=AT[:, 0])
     exact = -(1j * phasor * np.exp(-2j * np.pi * 200.0 * asked)[:, None]).real
     apart = found.displacement_m[:, :, 2] - exact
@@ -151,7 +151,7 @@ def test_box_patch_covers_the_box():
 
 def test_rows_follow_the_sheets():
     sheets = (Sheet(PALM, 0.001), Sheet(ECOFLEX, 0.019))
-    fractions, materials = rows_of(sheets, graded_fractions(0.02, 0.004, 0.01))
+    fractions, materials = element_rows(sheets, graded_fractions(0.02, 0.004, 0.01))
     assert fractions[0] == 0.0 and fractions[-1] == 1.0
     assert np.isclose(fractions, 0.05).sum() == 1
     assert [m.name for m in materials].count("palm") == np.flatnonzero(np.isclose(fractions, 0.05))[0]
@@ -260,11 +260,11 @@ def test_bad_input():
     with pytest.raises(SceneError, match="static answer needs a support"):
         static_wedges(half, HELD, AT, sizes=SMALL)
     with pytest.raises(SceneError, match="lies off the slab"):
-        solve_wedges(slab(0.01, shape="disc", side="fixed", radius_m=0.004), HELD, np.array([0.01]), AT)
+        solve_wedges(SkinProblem(slab(0.01, shape="disc", side="fixed", radius_m=0.004), HELD, np.array([0.01]), AT))
     with pytest.raises(SceneError, match="rising"):
-        solve_wedges(slab(0.01), HELD, np.array([0.01, 0.0]), AT)
+        solve_wedges(SkinProblem(slab(0.01), HELD, np.array([0.01, 0.0]), AT))
     with pytest.raises(SceneError, match="accuracy is 0"):
-        solve_wedges(slab(0.01), HELD, np.array([0.01]), AT, accuracy=0.0)
+        solve_wedges(SkinProblem(slab(0.01), HELD, np.array([0.01]), AT, accuracy=0.0))
     patch = disc_patch(0.02, 0.01, 0.01, 0.01, 0.01)
     inverted = Layer(type(patch)(**{**vars(patch), "inward": -patch.inward}), (Sheet(ECOFLEX, 0.01),))
     with pytest.raises(SceneError, match=r"near \(.*flat or inside out"):

@@ -7,6 +7,7 @@ from palmfield.errors import SceneError
 from palmfield.skin import Motion, Sheet, Slab, Spot, preset, solve
 from palmfield.skin.approximation.load_scales import motion_width, pressure_at_sides
 from palmfield.skin.approximation.refine import UNKNOWN, MeshSolution, error_by_meshes
+from palmfield.skin.problem import SkinProblem
 from palmfield.skin.solvers.axisymmetric.solve import solve_axisymmetric
 
 TIMES = 1e-3 * np.arange(1, 41)
@@ -23,7 +24,7 @@ def ramp(width: float) -> Spot:
 
 def true_error(motion: Motion, body: Slab, load: Spot) -> float:
     """Against elements of a higher degree, six times as small as those of a first answer."""
-    known = solve_axisymmetric(body, load, TIMES, AT, accuracy=1e-3, degree=7, fine=0.6)
+    known = solve_axisymmetric(SkinProblem(body, load, TIMES, AT, accuracy=1e-3), degree=7, fine=0.6)
     assert known.error < 0.1 * motion.error
     size = np.linalg.norm(known.displacement_m, axis=(0, 2))
     return float((np.linalg.norm(motion.displacement_m - known.displacement_m, axis=(0, 2)) / size).max())

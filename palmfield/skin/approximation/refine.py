@@ -15,7 +15,7 @@ from palmfield.skin.approximation.richardson import (
     error_of_finer,
 )
 from palmfield.skin.mesh.body_mesh import Sizes, graded_fractions
-from palmfield.skin.mesh.rows import rows_of
+from palmfield.skin.mesh.rows import element_rows
 from palmfield.skin.problem import Body, Layer, Slab, depth_of
 from palmfield.types import Float
 
@@ -219,4 +219,4 @@ def resized(sizes: Sizes, factor: float, reach: float) -> Sizes:
 
 
 def rows_below(body: Body, sizes: Sizes) -> int:
-    return len(rows_of(body.sheets, graded_fractions(depth_of(body), sizes.row_m, sizes.deepest_row_m))[1])
+    return len(element_rows(body.sheets, graded_fractions(depth_of(body), sizes.row_m, sizes.deepest_row_m))[1])

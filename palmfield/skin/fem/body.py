@@ -6,7 +6,7 @@ from palmfield.hand.remesh import remeshed
 from palmfield.skin.fem.absorbing import match_speed, sponge
 from palmfield.skin.fem.assembly import SkinSystem, assemble
 from palmfield.skin.mesh.body_mesh import Sizes, graded_fractions, quartered, slab_patch
-from palmfield.skin.mesh.rows import rows_of
+from palmfield.skin.mesh.rows import element_rows
 from palmfield.skin.mesh.wedges import extrude
 from palmfield.skin.problem import Body, Layer
 
@@ -26,7 +26,7 @@ def build(body: Body, sizes: Sizes) -> SkinSystem:
     else:
         patch, in_ring = slab_patch(body, sizes)
         depth = body.thickness_m
-    fractions, materials = rows_of(body.sheets, graded_fractions(depth, sizes.row_m, sizes.deepest_row_m))
+    fractions, materials = element_rows(body.sheets, graded_fractions(depth, sizes.row_m, sizes.deepest_row_m))
     mesh = extrude(patch, fractions)
     damping = None
     if side == "absorbing" and in_ring is not None:

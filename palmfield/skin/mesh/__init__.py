@@ -9,18 +9,16 @@ if TYPE_CHECKING:
     from palmfield.skin.mesh.cylinder import cylinder_patch, cylinder_surface
     from palmfield.skin.mesh.disc import disc_patch
     from palmfield.skin.mesh.ordering import dissection_order
-    from palmfield.skin.mesh.rows import rows_of
-    from palmfield.skin.mesh.surface import closed_boundary, output_triangles
-    from palmfield.skin.mesh.wedges import WedgeMesh, extrude
+    from palmfield.skin.mesh.rows import element_rows
+    from palmfield.skin.mesh.wedges import WedgeMesh, closed_boundary, extrude, output_triangles
 
 _WHERE = {
     **dict.fromkeys(("Sizes", "box_patch", "graded_fractions", "quartered"), "body_mesh"),
     **dict.fromkeys(("cylinder_patch", "cylinder_surface"), "cylinder"),
     "disc_patch": "disc",
     "dissection_order": "ordering",
-    "rows_of": "rows",
-    **dict.fromkeys(("closed_boundary", "output_triangles"), "surface"),
-    **dict.fromkeys(("WedgeMesh", "extrude"), "wedges"),
+    "element_rows": "rows",
+    **dict.fromkeys(("WedgeMesh", "closed_boundary", "extrude", "output_triangles"), "wedges"),
 }
 __all__ = [
     "Sizes",
@@ -31,10 +29,10 @@ __all__ = [
     "cylinder_surface",
     "disc_patch",
     "dissection_order",
+    "element_rows",
     "extrude",
     "graded_fractions",
     "output_triangles",
     "quartered",
-    "rows_of",
 ]
 __getattr__, __dir__ = lazy_names(__name__, _WHERE)

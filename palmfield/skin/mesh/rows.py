@@ -9,7 +9,7 @@ from palmfield.skin.materials.sheet import Sheet
 from palmfield.types import Float
 
 
-def rows_of(sheets: Sequence[Sheet], fractions: Float) -> tuple[Float, list[Material]]:
+def element_rows(sheets: Sequence[Sheet], fractions: Float) -> tuple[Float, list[Material]]:
     """Depth fractions of rows of elements such that none crosses two sheets, (L+1,), and the material of each row.
 
     sheets: the first at the surface; their thicknesses count as shares of their sum

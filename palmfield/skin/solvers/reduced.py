@@ -14,7 +14,6 @@ from typing import cast
 import numpy as np
 
 from palmfield.blas import one_blas_thread
-from palmfield.errors import SceneError
 from palmfield.skin.approximation.load_scales import load_frequency, motion_width
 from palmfield.skin.approximation.refine import Discretisation, MeshSolution, ratio_of, refine_until_converged, resized
 from palmfield.skin.approximation.richardson import differences
@@ -27,15 +26,11 @@ from palmfield.skin.problem import (
     Body,
     Load,
     Motion,
-    Quantity,
+    SkinProblem,
     Slab,
     Spot,
     Traction,
-    check_quantity,
     normals_on_face,
-    points_on_face,
-    rising,
-    stated,
 )
 from palmfield.skin.reduction.dynamic_stiffness import DynamicStiffness
 from palmfield.skin.reduction.krylov import Krylov
@@ -86,35 +81,21 @@ def patterns(load: Traction) -> tuple[Float, Float]:
     return right[kept], left[:, kept] * sizes[kept]
 
 
-def cost_reduced(body: Body, load: Load, times: Float, at: Float, accuracy: float) -> float:
+def cost_reduced(problem: SkinProblem) -> float:
     """Predicted time [s] on one core, to a factor of a few."""
-    dofs = last_dofs(body, load, at, accuracy)
-    return 0.2 + 1.15 * (assembly_s(dofs) + reduced_s(dofs, len(times) + len(load.times_s), VECTORS))
+    dofs = last_dofs(problem)
+    return 0.2 + 1.15 * (assembly_s(dofs) + reduced_s(dofs, len(problem.times) + len(problem.load.times_s), VECTORS))
 
 
-def solve_reduced(
-    body: Body,
-    load: Load,
-    times: Float,
-    at: Float,
-    *,
-    accuracy: float = 0.05,
-    accuracy_of: Quantity = "displacement",
-    device: str = "cpu",
-) -> Motion:
-    """Displacement and velocity of the skin under a load that keeps its shape, from rest.
+def solve_reduced(problem: SkinProblem) -> Motion:
+    """Displacement and velocity of the skin under a load that keeps its shape, from rest; on the CPU.
 
-    times: [s], rising, shape (t,); at: points of the face [m], shape (n, 3) or (n, 2)
-    accuracy: target relative error of accuracy_of, L2 over the times, largest over the points
-    device: taken and not used, as reduced models are made and run on the CPU
     Raises SceneError for what refusal_reduced names, an inverted element, points off the face, and bad numbers.
     """
     begin = time.perf_counter()
-    judged = check_quantity(accuracy_of)
-    reason = refusal_reduced(body, load)
-    if reason is not None:
-        raise SceneError(f"solver 'reduced': {reason}")
-    requested, points = rising("times", times), points_on_face(body, at)
+    body, load, accuracy, judged = problem.body, problem.load, problem.accuracy, problem.judged
+    problem.refuse("reduced", refusal_reduced(body, load))
+    points = problem.points
     now = Discretisation(first_sizes(body, load, points, accuracy), math.inf, 1.0)
     models: list[tuple[int, Float]] = []
 
@@ -123,7 +104,7 @@ def solve_reduced(
         part = trim_absorbing_rim(body, load, points, reach)
         with one_blas_thread:
             solution, order, error = _run(
-                part, load, requested, points, replace(discretisation, sizes=sizes), SHARE * accuracy, judged
+                part, load, problem.times, points, replace(discretisation, sizes=sizes), SHARE * accuracy, judged
             )
         models.append((order, error))
         return solution
@@ -131,16 +112,13 @@ def solve_reduced(
     coarse = run(now, ratio_of(body, now.sizes))
     result = refine_until_converged(body, now, run, coarse, accuracy, False, judged, SHARE * accuracy)
     order, reduction = models[-1]
-    return Motion(
-        times_s=requested,
-        points=points,
-        displacement_m=result.fine.displacement,
-        velocity_m_s=result.fine.velocity,
-        error_source=f"{order} vectors {reduction[judged]:.2g}, {result.source}",
-        solver=f"reduced: wedges, {result.fine.dofs} unknowns, edges {1e3 * result.sizes.fine_m:.2f} mm, "
-        f"{order} vectors",
-        seconds=time.perf_counter() - begin,
-        **stated(result.errors + reduction, accuracy_of),
+    return problem.solved(
+        result.fine.displacement,
+        result.fine.velocity,
+        result.errors + reduction,
+        f"{order} vectors {reduction[judged]:.2g}, {result.source}",
+        f"reduced: wedges, {result.fine.dofs} unknowns, edges {1e3 * result.sizes.fine_m:.2f} mm, {order} vectors",
+        begin,
     )
 
 

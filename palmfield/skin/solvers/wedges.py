@@ -46,14 +46,10 @@ from palmfield.skin.problem import (
     Layer,
     Load,
     Motion,
-    Quantity,
+    SkinProblem,
     Slab,
-    check_quantity,
     depth_of,
     normals_on_face,
-    points_on_face,
-    rising,
-    stated,
 )
 from palmfield.types import Float
 
@@ -71,21 +67,22 @@ def refusal_wedges(body: Body, load: Load) -> str | None:
     return None
 
 
-def cost_wedges(body: Body, load: Load, times: Float, at: Float, accuracy: float) -> float:
+def cost_wedges(problem: SkinProblem) -> float:
     """Predicted time [s] on one core.
 
     The time of a run is known to a factor of 1.5; how fine mesh and steps will have to be only to one of 4.
     """
-    span = max(float(np.max(times)) - float(load.times_s[0]), 0.0)
+    body, load, accuracy = problem.body, problem.load, problem.accuracy
+    span = max(float(problem.times[-1]) - float(load.times_s[0]), 0.0)
     # The first step is halved twice or so; the runs before the last together cost as much as that, and some problems
     # are solved again, finer.
     steps = 4.0 * span / first_step(body, load, accuracy)
-    return 0.05 + 3.0 * run_cost(last_dofs(body, load, at, accuracy), steps)
+    return 0.05 + 3.0 * run_cost(last_dofs(problem), steps)
 
 
-def last_dofs(body: Body, load: Load, at: Float, accuracy: float) -> float:
+def last_dofs(problem: SkinProblem) -> float:
     """About how many unknowns the finest mesh of a solution will have."""
-    points = np.asarray(at, dtype=float)
+    body, load, points, accuracy = problem.body, problem.load, problem.at, problem.accuracy
     first = expected_dofs(body, first_sizes(body, load, points, accuracy))
     if not isinstance(body, Slab):
         return first
@@ -130,29 +127,17 @@ where a held edge is felt; 7 to 20 on three endless slabs, widened. A layer's tr
 
 
 def solve_wedges(
-    body: Body,
-    load: Load,
-    times: Float,
-    at: Float,
-    *,
-    accuracy: float = 0.05,
-    accuracy_of: Quantity = "displacement",
-    device: str = "cpu",
-    sizes: Sizes | None = None,
-    step_s: float | None = None,
-    rho_inf: float = RHO_INF,
+    problem: SkinProblem, *, sizes: Sizes | None = None, step_s: float | None = None, rho_inf: float = RHO_INF
 ) -> Motion:
-    """Displacement and velocity of the skin under a load, from rest.
+    """Displacement and velocity of the skin under a load, from rest; on the CPU.
 
-    times: [s], rising, shape (t,); at: points of the face [m], shape (n, 3) or (n, 2)
-    accuracy: target relative error of accuracy_of, L2 over the times, largest over the points
-    device: taken and not used, as wedges run on the CPU
     sizes, step_s: to pin mesh and step [s] instead of choosing them; rho_inf: see WedgeStepper
     Raises SceneError for what refusal_wedges names, an inverted element, points off the face, and bad numbers.
     """
     begin = time.perf_counter()
-    judged = check_quantity(accuracy_of)
-    requested, points = _check(body, load, times, at, accuracy)
+    body, load, accuracy, judged = problem.body, problem.load, problem.accuracy, problem.judged
+    problem.refuse("wedges", refusal_wedges(body, load))
+    points = problem.points
     _check_pinned(body, load, sizes)
     if step_s is not None and not 0.0 < step_s < math.inf:
         raise SceneError(f"solver 'wedges': step_s is {step_s}; give a time above 0 s, or leave it out")
@@ -165,7 +150,7 @@ def solve_wedges(
     def run(discretisation: Discretisation, factor: float = 1.0, reach: float = 1.0) -> MeshSolution:
         part = trim_absorbing_rim(body, load, points, reach)
         sizes = resized(discretisation.sizes, factor, reach)
-        return _run(part, load, requested, points, replace(discretisation, sizes=sizes))
+        return _run(part, load, problem.times, points, replace(discretisation, sizes=sizes))
 
     coarse = run(now, ratio_of(body, now.sizes))
     longer = run(replace(now, step_s=2.0 * now.step_s), ratio_of(body, now.sizes))
@@ -177,16 +162,14 @@ def solve_wedges(
         finer = run(now, ratio_of(body, now.sizes))
         step_error, coarse = error_of_finer(difference(finer, coarse), 2.0, STEP_ORDER), finer
     result = refine_until_converged(body, now, run, coarse, accuracy, sizes is not None, judged, step_error[judged])
-    return Motion(
-        times_s=requested,
-        points=points,
-        displacement_m=result.fine.displacement,
-        velocity_m_s=result.fine.velocity,
-        error_source=f"two steps {step_error[judged]:.2g}, {result.source}",
-        solver=f"wedges: {result.fine.dofs} unknowns, edges {1e3 * result.sizes.fine_m:.2f} mm, "
+    return problem.solved(
+        result.fine.displacement,
+        result.fine.velocity,
+        result.errors + step_error,
+        f"two steps {step_error[judged]:.2g}, {result.source}",
+        f"wedges: {result.fine.dofs} unknowns, edges {1e3 * result.sizes.fine_m:.2f} mm, "
         f"steps of {1e3 * now.step_s:.3f} ms",
-        seconds=time.perf_counter() - begin,
-        **stated(result.errors + step_error, accuracy_of),
+        begin,
     )
 
 
@@ -196,8 +179,9 @@ def static_wedges(body: Body, load: Load, at: Float, *, accuracy: float = 0.05, 
     Arguments as for solve_wedges. Raises SceneError also for a body without a support.
     """
     begin = time.perf_counter()
-    end = np.array([float(load.times_s[-1])])
-    _, points = _check(body, load, end, at, accuracy)
+    problem = SkinProblem(body, load, load.times_s[-1:], at, accuracy)
+    problem.refuse("wedges", refusal_wedges(body, load))
+    points = problem.points
     _check_pinned(body, load, sizes)
     now = Discretisation(sizes or first_sizes(body, load, points, accuracy), math.inf, 1.0)
 
@@ -210,15 +194,13 @@ def static_wedges(body: Body, load: Load, at: Float, *, accuracy: float = 0.05, 
     result = refine_until_converged(
         body, now, run, run(now, ratio_of(body, now.sizes)), accuracy, pinned=sizes is not None
     )
-    return Motion(
-        times_s=end,
-        points=points,
-        displacement_m=result.fine.displacement,
-        velocity_m_s=result.fine.velocity,
-        error_source=result.source,
-        solver=f"wedges, static: {result.fine.dofs} unknowns",
-        seconds=time.perf_counter() - begin,
-        **stated(result.errors, "displacement"),
+    return problem.solved(
+        result.fine.displacement,
+        result.fine.velocity,
+        result.errors,
+        result.source,
+        f"wedges, static: {result.fine.dofs} unknowns",
+        begin,
     )
 
 
@@ -304,13 +286,6 @@ def slowest_wave(body: Body, f_Hz: float) -> float:
         min(shear_wave(m, f_Hz)[0], OVERDAMPED * math.sqrt(m.shear_instant_Pa / m.density_kg_m3))
         for m in (sheet.material for sheet in body.sheets)
     )
-
-
-def _check(body: Body, load: Load, times: Float, at: Float, accuracy: float) -> tuple[Float, Float]:
-    reason = refusal_wedges(body, load)
-    if reason is not None:
-        raise SceneError(f"solver 'wedges': {reason}")
-    return rising("times", times), points_on_face(body, at)
 
 
 def _check_pinned(body: Body, load: Load, sizes: Sizes | None) -> None:

@@ -5,6 +5,7 @@ from scipy.special import jvp
 from palmfield.errors import SceneError
 from palmfield.skin import Sheet, Slab, Spot
 from palmfield.skin.materials.material import kelvin_voigt
+from palmfield.skin.problem import SkinProblem
 from palmfield.skin.solvers.lateral_waves import solve_lateral_waves
 from palmfield.skin.solvers.lateral_waves.fields import PeriodicSlab, WalledDisc, wall_wavenumbers
 
@@ -31,7 +32,7 @@ def test_a_field_is_what_the_solver_sums_at_points(base):
     places = plate.places(0.05, 160)
     chosen = [(25, 25), (33, 27), (10, 20), (40, 12)]
     points = np.array([[places[i], places[j]] for i, j in chosen])
-    known = solve_lateral_waves(slab, running(), TIMES[1:], points, accuracy=0.01, accuracy_of="velocity")
+    known = solve_lateral_waves(SkinProblem(slab, running(), TIMES[1:], points, accuracy=0.01, accuracy_of="velocity"))
     ours = np.stack([field[:, i, j] for i, j in chosen], axis=1)
     assert apart(ours, known.velocity_m_s[:, :, 2]) < 0.01
 
@@ -43,7 +44,7 @@ def test_the_field_of_a_spot_at_rest_on_a_walled_disc_is_the_solver_s():
     places = 5e-3 * np.arange(-10, 11)
     field = disc.normal_velocity(spot, TIMES[1:], places_m=places)
     points = np.array([[0.0, 0.0], [0.02, 0.0], [0.03, -0.03]])
-    known = solve_lateral_waves(slab, spot, TIMES[1:], points, accuracy=0.005, accuracy_of="velocity")
+    known = solve_lateral_waves(SkinProblem(slab, spot, TIMES[1:], points, accuracy=0.005, accuracy_of="velocity"))
     ours = np.stack([field[:, 10, 10], field[:, 14, 10], field[:, 16, 4]], axis=1)
     assert apart(ours, known.velocity_m_s[:, :, 2]) < 0.01
 

@@ -10,7 +10,7 @@ from palmfield.errors import SceneError
 from palmfield.skin.analytic.layer_oracle import centre_response, layer_compliance
 from palmfield.skin.materials.catalogue import PRESETS
 from palmfield.skin.materials.material import Material, bulk_from_poisson
-from palmfield.skin.problem import Sheet, Slab, Spot, Springs, Traction
+from palmfield.skin.problem import Sheet, SkinProblem, Slab, Spot, Springs, Traction
 from palmfield.skin.solvers.lateral_waves import (
     cost_lateral_waves,
     refusal_lateral_waves,
@@ -39,7 +39,7 @@ def test_static_is_the_series(body, radius):
     exact = centre_response(0.0, ECOFLEX, DEPTH, WIDTH, radius, np.array([0.0, 0.01])).real
     found = static_lateral_waves(body, STILL, AT, accuracy=1e-3)
     np.testing.assert_allclose(-found.displacement_m[0, :, 2], exact, rtol=1e-3)
-    settled = solve_lateral_waves(body, STILL, np.array([1.0]), AT, accuracy=1e-2)
+    settled = solve_lateral_waves(SkinProblem(body, STILL, np.array([1.0]), AT, accuracy=1e-2))
     np.testing.assert_allclose(-settled.displacement_m[0, :, 2], exact, rtol=1e-2)
 
 
@@ -58,7 +58,7 @@ def test_pulse_is_the_integral_over_frequency(body, radius):
     weight = np.where(comb == 0.0, 1.0, 2.0) / period
     exact = (turned @ (weight[:, None] * moved)).real
     load_times = np.arange(0.0, 0.0045, 1e-5)
-    found = solve_lateral_waves(body, Spot(WIDTH, load_times, pulse(load_times)), times, AT, accuracy=2e-3)
+    found = solve_lateral_waves(SkinProblem(body, Spot(WIDTH, load_times, pulse(load_times)), times, AT, accuracy=2e-3))
     error = relative_error(-found.displacement_m[:, :, 2:], exact[:, :, None])
     print("error", error, "estimate", found.error)
     assert error < 2e-3
@@ -73,7 +73,7 @@ def test_circling_spot_is_its_harmonics():
     turn = 2.0 * np.pi * rate * path
     spot = Spot(WIDTH, path, np.ones(len(path)), radius * np.stack([np.cos(turn), np.sin(turn)], axis=1))
     asked = path[1200::10]
-    found = solve_lateral_waves(C0, spot, asked, np.array([[r, 0.0]]), accuracy=0.01)
+    found = solve_lateral_waves(SkinProblem(C0, spot, asked, np.array([[r, 0.0]]), accuracy=0.01))
     nodes, weights = np.polynomial.legendre.leggauss(400)
     k = 0.5 * 1500.0 * (1.0 + nodes)
     s = WIDTH / np.sqrt(8.0 * np.log(2.0))
@@ -99,7 +99,7 @@ def test_column_echoes():
     points = np.stack([x.ravel(), y.ravel(), np.zeros(64)], axis=1)
     load = Traction(points, np.full(64, 0.02**2 / 64), np.zeros(1), np.ones((1, 64)), "held")
     times = np.linspace(0.0, 9.0 * DEPTH / speed, 40)[1:]
-    found = solve_lateral_waves(box, load, times, np.zeros((1, 2)), tolerance=1e-4)
+    found = solve_lateral_waves(SkinProblem(box, load, times, np.zeros((1, 2))), tolerance=1e-4)
     phase = np.mod(times * speed / DEPTH, 4.0)
     exact = np.where(phase < 2.0, phase, 4.0 - phase) * DEPTH / modulus
     error = np.linalg.norm(-found.displacement_m[:, 0, 2] - exact) / np.linalg.norm(exact)
@@ -115,8 +115,8 @@ def test_box_is_like_the_endless_slab_before_anything_comes_back():
     times = np.linspace(0.0, 4e-3, 9)[1:]
     spot = Spot(WIDTH, np.array([0.0, 2e-3]), np.array([0.0, 1.0]), np.array([[0.0, 0.0], [0.004, 0.002]]))
     at = np.array([[0.0, 0.0], [0.006, -0.003]])
-    boxed = solve_lateral_waves(box, spot, times, at, tolerance=1e-3)
-    endless = solve_lateral_waves(Slab(sheets), spot, times, at, tolerance=1e-3)
+    boxed = solve_lateral_waves(SkinProblem(box, spot, times, at), tolerance=1e-3)
+    endless = solve_lateral_waves(SkinProblem(Slab(sheets), spot, times, at), tolerance=1e-3)
     error = relative_error(boxed.displacement_m, endless.displacement_m)
     print("error", error)
     assert error < 2e-3
@@ -130,12 +130,16 @@ def test_moving_waves_and_axial_waves_agree():
     centres = np.array([[0.0, 0.0], [0.008, 0.003], [-0.004, 0.006]])
     asked = np.linspace(1e-3, 12e-3, 12)
     at = np.array([[0.002, 0.001], [0.015, -0.01]])
-    whole = solve_lateral_waves(C0, Spot(WIDTH, times, np.ones(3), centres, "held"), asked, at, tolerance=5e-3)
+    whole = solve_lateral_waves(
+        SkinProblem(C0, Spot(WIDTH, times, np.ones(3), centres, "held"), asked, at), tolerance=5e-3
+    )
     parts = []
     for number, centre in enumerate(centres):
         on = np.zeros(3)
         on[number] = 1.0
-        parts.append(solve_lateral_waves(C0, Spot(WIDTH, times, on, centre, "held"), asked, at, tolerance=5e-3))
+        parts.append(
+            solve_lateral_waves(SkinProblem(C0, Spot(WIDTH, times, on, centre, "held"), asked, at), tolerance=5e-3)
+        )
     total = sum(part.displacement_m for part in parts)
     error = relative_error(whole.displacement_m, total)
     print("error", error)
@@ -150,8 +154,8 @@ def test_traction_of_a_spot_is_the_spot():
     shape = np.exp(-4.0 * np.log(2.0) * (points**2).sum(axis=1) / WIDTH**2)
     given = Traction(points, np.full(x.size, 1e-6), times, pulse(times)[:, None] * shape)
     asked = np.linspace(5e-4, 8e-3, 16)
-    found = solve_lateral_waves(C0, given, asked, AT, accuracy=0.01)
-    spot = solve_lateral_waves(C0, Spot(WIDTH, times, pulse(times)), asked, AT, accuracy=0.001)
+    found = solve_lateral_waves(SkinProblem(C0, given, asked, AT, accuracy=0.01))
+    spot = solve_lateral_waves(SkinProblem(C0, Spot(WIDTH, times, pulse(times)), asked, AT, accuracy=0.001))
     error = relative_error(found.displacement_m, spot.displacement_m)
     print("error", error, "estimate", found.error)
     assert error < 0.01
@@ -162,8 +166,12 @@ def test_reciprocity():
     times = np.linspace(0.0, 4e-3, 41)
     asked = np.linspace(1e-3, 9e-3, 9)
     here, there = np.array([0.004, -0.002]), np.array([-0.009, 0.007])
-    one = solve_lateral_waves(C0, Spot(WIDTH, times, pulse(times), here), asked, there[None], tolerance=1e-3)
-    other = solve_lateral_waves(C0, Spot(WIDTH, times, pulse(times), there), asked, here[None], tolerance=1e-3)
+    one = solve_lateral_waves(
+        SkinProblem(C0, Spot(WIDTH, times, pulse(times), here), asked, there[None]), tolerance=1e-3
+    )
+    other = solve_lateral_waves(
+        SkinProblem(C0, Spot(WIDTH, times, pulse(times), there), asked, here[None]), tolerance=1e-3
+    )
     np.testing.assert_allclose(one.displacement_m[..., 2], other.displacement_m[..., 2], rtol=1e-9)
 
 
@@ -172,7 +180,7 @@ def test_velocity_is_the_slope_of_the_displacement():
     middle = np.linspace(1e-3, 9e-3, 9)
     step = 1e-6
     asked = np.sort(np.concatenate([middle - step, middle, middle + step]))
-    found = solve_lateral_waves(C0, Spot(WIDTH, times, pulse(times)), asked, AT, tolerance=1e-3)
+    found = solve_lateral_waves(SkinProblem(C0, Spot(WIDTH, times, pulse(times)), asked, AT), tolerance=1e-3)
     slope = (found.displacement_m[2::3] - found.displacement_m[0::3]) / (2.0 * step)
     assert relative_error(found.velocity_m_s[1::3], slope) < 1e-4
 
@@ -185,7 +193,7 @@ def test_thrust_sets_a_free_slab_in_motion():
     nodes, weights = np.polynomial.legendre.leggauss(30)
     r = 0.5 * radius * (1.0 + nodes)
     asked = np.linspace(0.05, 0.2, 4)
-    found = solve_lateral_waves(slab, STILL, asked, np.stack([r, 0.0 * r], axis=1), tolerance=1e-4)
+    found = solve_lateral_waves(SkinProblem(slab, STILL, asked, np.stack([r, 0.0 * r], axis=1)), tolerance=1e-4)
     mean = -found.velocity_m_s[:, :, 2] @ (weights * r) / radius
     force = 2.0 * np.pi * WIDTH**2 / (8.0 * np.log(2.0))
     expected = force * asked / (damped.density_kg_m3 * thickness * np.pi * radius**2)
@@ -209,8 +217,8 @@ def test_estimate_covers_the_true_error():
         times = np.linspace(0.0, 5e-3, 51)
         spot = Spot(rng.uniform(5e-3, 1.2e-2), times, pulse(times, rng.uniform(1e-3, 5e-3)))
         asked, at = np.linspace(5e-4, 1e-2, 20), rng.uniform(-0.015, 0.015, (2, 2))
-        found = solve_lateral_waves(slab, spot, asked, at, accuracy=0.05)
-        exact = solve_lateral_waves(slab, spot, asked, at, tolerance=5e-4)
+        found = solve_lateral_waves(SkinProblem(slab, spot, asked, at, accuracy=0.05))
+        exact = solve_lateral_waves(SkinProblem(slab, spot, asked, at), tolerance=5e-4)
         ratios.append(found.error / relative_error(found.displacement_m, exact.displacement_m))
         assert found.error <= 0.05
     print(np.round(ratios, 2))
@@ -221,17 +229,17 @@ def test_estimate_covers_the_true_error():
 def test_runs_are_alike_to_the_last_bit():
     times = np.linspace(0.0, 4e-3, 9)
     spot = Spot(WIDTH, times, np.ones(9), np.linspace([0.0, 0.0], [0.01, 0.0], 9))
-    one, other = (solve_lateral_waves(C0, spot, times, AT, tolerance=0.01) for _ in range(2))
+    one, other = (solve_lateral_waves(SkinProblem(C0, spot, times, AT), tolerance=0.01) for _ in range(2))
     assert np.array_equal(one.displacement_m, other.displacement_m)
     assert np.array_equal(one.velocity_m_s, other.velocity_m_s)
 
 
 def test_scaling_and_silence():
     times = np.linspace(0.0, 4e-3, 9)
-    one = solve_lateral_waves(C0, Spot(WIDTH, times, pulse(times)), times, AT, tolerance=0.01)
-    many = solve_lateral_waves(C0, Spot(WIDTH, times, 1000.0 * pulse(times)), times, AT, tolerance=0.01)
+    one = solve_lateral_waves(SkinProblem(C0, Spot(WIDTH, times, pulse(times)), times, AT), tolerance=0.01)
+    many = solve_lateral_waves(SkinProblem(C0, Spot(WIDTH, times, 1000.0 * pulse(times)), times, AT), tolerance=0.01)
     np.testing.assert_allclose(many.displacement_m, 1000.0 * one.displacement_m, rtol=1e-12, atol=0.0)
-    silent = solve_lateral_waves(C0, Spot(WIDTH, times + 1.0, pulse(times)), times, AT)
+    silent = solve_lateral_waves(SkinProblem(C0, Spot(WIDTH, times + 1.0, pulse(times)), times, AT))
     assert not silent.displacement_m.any()
     assert silent.error == 0.0
 
@@ -244,15 +252,15 @@ def test_refusals():
     box = Slab((Sheet(ECOFLEX, DEPTH),), shape="box", side="roller", size_m=(0.03, 0.03))
     assert "0.015 m of a side" in str(refusal_lateral_waves(box, STILL))
     with pytest.raises(SceneError, match="roller"):
-        solve_lateral_waves(fixed, STILL, np.ones(1), AT)
+        solve_lateral_waves(SkinProblem(fixed, STILL, np.ones(1), AT))
     with pytest.raises(SceneError, match="off the disc"):
-        solve_lateral_waves(DISC, STILL, np.ones(1), np.array([[0.1, 0.0]]))
+        solve_lateral_waves(SkinProblem(DISC, STILL, np.ones(1), np.array([[0.1, 0.0]])))
     with pytest.raises(SceneError, match="accuracy is 2"):
-        solve_lateral_waves(C0, STILL, np.ones(1), AT, accuracy=2.0)
+        solve_lateral_waves(SkinProblem(C0, STILL, np.ones(1), AT, accuracy=2.0))
     with pytest.raises(SceneError, match="tolerance is 0"):
-        solve_lateral_waves(C0, STILL, np.ones(1), AT, tolerance=0.0)
+        solve_lateral_waves(SkinProblem(C0, STILL, np.ones(1), AT), tolerance=0.0)
     with pytest.raises(SceneError, match="rising"):
-        solve_lateral_waves(C0, STILL, np.array([1.0, 0.5]), AT)
+        solve_lateral_waves(SkinProblem(C0, STILL, np.array([1.0, 0.5]), AT))
     for base in ("free", Springs(0.0, 1e5)):
         with pytest.raises(SceneError, match="no state of rest"):
             static_lateral_waves(dataclasses.replace(C0, base=base), STILL, AT)
@@ -262,6 +270,6 @@ def test_cost_rises_with_what_is_asked():
     times = np.linspace(0.0, 0.1, 1001)
     still = Spot(WIDTH, times, pulse(times))
     moving = dataclasses.replace(still, centre_m=np.linspace([0.0, 0.0], [0.05, 0.0], 1001))
-    rough = cost_lateral_waves(C0, still, times, AT, 0.05)
-    assert cost_lateral_waves(C0, still, times, AT, 0.001) > rough
-    assert cost_lateral_waves(C0, moving, times, AT, 0.05) > rough
+    rough = cost_lateral_waves(SkinProblem(C0, still, times, AT, 0.05))
+    assert cost_lateral_waves(SkinProblem(C0, still, times, AT, 0.001)) > rough
+    assert cost_lateral_waves(SkinProblem(C0, moving, times, AT, 0.05)) > rough

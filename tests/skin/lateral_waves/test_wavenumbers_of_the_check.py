@@ -5,6 +5,7 @@ import pytest
 
 from palmfield.skin import Sheet, Slab, Spot
 from palmfield.skin.materials.material import Branch, Material
+from palmfield.skin.problem import SkinProblem
 from palmfield.skin.solvers.lateral_waves.accuracy import relative_error
 from palmfield.skin.solvers.lateral_waves.solve import run, settings_of, solve_lateral_waves
 
@@ -25,7 +26,7 @@ def test_a_slab_of_few_wavenumbers_states_what_the_next_one_changes(shape: str) 
     load = Spot(width, knots, 0.5 - 0.5 * np.cos(2.0 * np.pi * knots / period))
     at = np.array([[0.0, 0.0], [0.5 * width, 0.0]])
     for accuracy in (0.0783, 0.04):
-        motion = solve_lateral_waves(body, load, times, at, accuracy=accuracy)
-        fine = run(body, load, times, at, 1e-6, settings_of(accuracy, None, "cpu", 1))
+        motion = solve_lateral_waves(SkinProblem(body, load, times, at, accuracy=accuracy))
+        fine = run(body, load, times, at, 1e-6, settings_of(None, "cpu", 1))
         true = relative_error(motion.displacement_m, fine.displacement)
         assert true < motion.displacement_error < max(10.0 * true, 0.02)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson
-from palmfield.skin.problem import Sheet, Slab, Spot
+from palmfield.skin.problem import Sheet, SkinProblem, Slab, Spot
 from palmfield.skin.solvers.lateral_waves import solve_lateral_waves
 from palmfield.skin.solvers.particles import solve_particles
 
@@ -30,8 +30,8 @@ def ratio(seed):
     """Stated over true error, L2 over times, the worst point."""
     rng = np.random.default_rng(seed)
     body, load, times, at = case(rng)
-    motion = solve_particles(body, load, times, at, accuracy=rng.uniform(0.15, 0.4))
-    exact = solve_lateral_waves(body, load, times, at, accuracy=1e-3).displacement_m
+    motion = solve_particles(SkinProblem(body, load, times, at, accuracy=rng.uniform(0.15, 0.4)))
+    exact = solve_lateral_waves(SkinProblem(body, load, times, at, accuracy=1e-3)).displacement_m
     miss = np.linalg.norm(motion.displacement_m - exact, axis=(0, 2)) / np.linalg.norm(exact, axis=(0, 2))
     return motion.error / miss.max()
 

@@ -13,7 +13,7 @@ from palmfield.skin.analytic.layer_oracle import centre_response
 from palmfield.skin.materials.catalogue import PRESETS
 from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson
 from palmfield.skin.mesh.disc import disc_patch
-from palmfield.skin.problem import Layer, Sheet, Slab, Spot, Springs, Traction
+from palmfield.skin.problem import Layer, Sheet, SkinProblem, Slab, Spot, Springs, Traction
 from palmfield.skin.solvers.particles import cost_particles, refusal_particles, solve_particles
 from palmfield.skin.solvers.particles.cloud import build_cloud
 from palmfield.skin.solvers.particles.resolution import choose_spacing, law_error
@@ -54,7 +54,7 @@ def test_burst_on_a_disc_against_the_exact_layer():
     body = Slab((Sheet(ECOFLEX, depth),), "disc", "bonded", "roller", radius_m=radius)
     load = Spot(WIDTH, times[::5][:120], pulse[::5][:120])
     asked = times[: round(0.015 / period * samples) : 10]
-    motion = solve_particles(body, load, asked, np.zeros((1, 2)), spacing_m=2.5e-3)
+    motion = solve_particles(SkinProblem(body, load, asked, np.zeros((1, 2))), spacing_m=2.5e-3)
     found = -motion.displacement_m[:, 0, 2]
     error = np.linalg.norm(found - exact[: len(found) * 10 : 10]) / np.linalg.norm(exact[: len(found) * 10 : 10])
     assert error < 0.08
@@ -274,7 +274,7 @@ def test_resolution_law():
         assert spacings[0] > spacings[1]
         assert law_error(body, load, spacings[1]) == pytest.approx(0.05, rel=0.01)
         times = np.array([0.1])
-        costs = [cost_particles(body, load, times, np.zeros((1, 2)), a) for a in (0.2, 0.05)]
+        costs = [cost_particles(SkinProblem(body, load, times, np.zeros((1, 2)), a)) for a in (0.2, 0.05)]
         assert costs[1] > 2 * costs[0] > 0.0
     assert choose_spacing(body, fast, 0.05) < choose_spacing(body, slow, 0.05)
 
@@ -300,8 +300,8 @@ def test_refusals_and_errors():
     for words, body in refused.items():
         assert words in refusal_particles(body, load)
         with pytest.raises(SceneError, match=words):
-            solve_particles(body, load, times, at)
+            solve_particles(SkinProblem(body, load, times, at))
     with pytest.raises(SceneError, match="accuracy is 0"):
-        solve_particles(box, load, times, at, accuracy=0.0)
+        solve_particles(SkinProblem(box, load, times, at, accuracy=0.0))
     with pytest.raises(SceneError, match="at most the stable"):
-        solve_particles(box, load, times, at, spacing_m=2e-3, step_s=1e-3)
+        solve_particles(SkinProblem(box, load, times, at), spacing_m=2e-3, step_s=1e-3)

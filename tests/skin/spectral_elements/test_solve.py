@@ -9,7 +9,7 @@ from palmfield.errors import SceneError
 from palmfield.skin.analytic.layer_oracle import centre_response
 from palmfield.skin.materials.catalogue import preset
 from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson
-from palmfield.skin.problem import ONLY_WEDGES, Foundation, Layer, Sheet, Slab, Spot
+from palmfield.skin.problem import ONLY_WEDGES, Foundation, Layer, Sheet, SkinProblem, Slab, Spot
 from palmfield.skin.solvers.spectral_elements.mesh import build, plan
 from palmfield.skin.solvers.spectral_elements.model import SAFETY
 from palmfield.skin.solvers.spectral_elements.solve import (
@@ -69,7 +69,7 @@ def test_disc_with_rollers_follows_the_exact_series(name):
     material = MATERIALS[name]
     body = Slab((Sheet(material, DEPTH),), "disc", "bonded", "roller", radius_m=RADIUS)
     times = np.linspace(0.0005, 0.015, 60)
-    motion = solve_spectral_elements(body, pressed(), times, PLACES, accuracy=0.03)
+    motion = solve_spectral_elements(SkinProblem(body, pressed(), times, PLACES, accuracy=0.03))
     wanted = exact(material, times, RADIUS)
     assert relative(-motion.displacement_m[:, :, 2], wanted).max() < 0.03
     total = np.linalg.norm(-motion.displacement_m[:, :, 2] - wanted) / np.linalg.norm(wanted)
@@ -81,7 +81,9 @@ def test_disc_with_rollers_follows_the_exact_series(name):
 def test_endless_slab_follows_the_exact_integral():
     """What the sponge sends back stays below 1 % at 10 mm."""
     times = np.linspace(0.0005, 0.03, 90)
-    motion = solve_spectral_elements(Slab((Sheet(ECOFLEX, DEPTH),)), pressed(), times, PLACES, accuracy=0.03)
+    motion = solve_spectral_elements(
+        SkinProblem(Slab((Sheet(ECOFLEX, DEPTH),)), pressed(), times, PLACES, accuracy=0.03)
+    )
     wanted = exact(ECOFLEX, times, None)
     assert relative(-motion.displacement_m[:, :, 2], wanted).max() < 0.015
     assert motion.error > np.linalg.norm(-motion.displacement_m[:, :, 2] - wanted) / np.linalg.norm(wanted)
@@ -90,7 +92,7 @@ def test_endless_slab_follows_the_exact_integral():
 def test_sides_that_absorb_do_as_no_sides():
     times = np.linspace(0.0005, 0.02, 60)
     body = Slab((Sheet(ECOFLEX, DEPTH),), "box", "bonded", "absorbing", size_m=(0.1, 0.08))
-    motion = solve_spectral_elements(body, pressed(), times, PLACES, accuracy=0.05, estimate=False)
+    motion = solve_spectral_elements(SkinProblem(body, pressed(), times, PLACES, accuracy=0.05), estimate=False)
     assert np.isnan(motion.error)
     assert relative(-motion.displacement_m[:, :, 2], exact(ECOFLEX, times, None)).max() < 0.02
 
@@ -120,8 +122,8 @@ def test_a_patch_of_triangles_moves_like_the_disc():
     patch = Layer(disc_of_triangles(), (Sheet(ECOFLEX, DEPTH),), "bonded", "roller")
     disc = Slab((Sheet(ECOFLEX, DEPTH),), "disc", "bonded", "roller", radius_m=0.03)
     at = np.column_stack([PLACES, np.zeros(2)])
-    found = solve_spectral_elements(patch, pressed(), times, at, order=3, estimate=False)
-    wanted = solve_spectral_elements(disc, pressed(), times, at, accuracy=0.01, estimate=False)
+    found = solve_spectral_elements(SkinProblem(patch, pressed(), times, at), order=3, estimate=False)
+    wanted = solve_spectral_elements(SkinProblem(disc, pressed(), times, at, accuracy=0.01), estimate=False)
     # 16 straight sides hold 2.6 % less than the circle
     assert relative(found.displacement_m[:, :, 2], wanted.displacement_m[:, :, 2]).max() < 0.02
 
@@ -134,7 +136,9 @@ def test_far_from_the_origin_single_precision_keeps_its_digits():
         grid = np.arange(0.0, 0.007, 5e-5)
         load = Spot(SPOT, grid, burst(grid), np.array(place[:2]))
         at = np.column_stack([PLACES, np.zeros(2)]) + np.array(place)
-        motions.append(solve_spectral_elements(body, load, times, at, order=2, estimate=False).displacement_m)
+        motions.append(
+            solve_spectral_elements(SkinProblem(body, load, times, at), order=2, estimate=False).displacement_m
+        )
     assert np.linalg.norm(motions[0] - motions[1]) < 2e-5 * np.linalg.norm(motions[0])
 
 
@@ -142,10 +146,12 @@ def test_repeats_are_identical_and_a_thousandfold_load_moves_a_thousand_times_as
     times = np.linspace(0.0005, 0.006, 20)
     body = Slab((Sheet(ECOFLEX, DEPTH),), "disc", "bonded", "free", radius_m=RADIUS)
     load = pressed()
-    first, again = (solve_spectral_elements(body, load, times, PLACES, estimate=False) for _ in range(2))
+    first, again = (solve_spectral_elements(SkinProblem(body, load, times, PLACES), estimate=False) for _ in range(2))
     assert np.array_equal(first.displacement_m, again.displacement_m)
     assert np.array_equal(first.velocity_m_s, again.velocity_m_s)
-    strong = solve_spectral_elements(body, replace(load, peak_Pa=1000.0 * load.peak_Pa), times, PLACES, estimate=False)
+    strong = solve_spectral_elements(
+        SkinProblem(body, replace(load, peak_Pa=1000.0 * load.peak_Pa), times, PLACES), estimate=False
+    )
     gap = np.linalg.norm(strong.displacement_m - 1000.0 * first.displacement_m)
     assert gap < 1e-5 * np.linalg.norm(strong.displacement_m)
 
@@ -153,7 +159,9 @@ def test_repeats_are_identical_and_a_thousandfold_load_moves_a_thousand_times_as
 def test_before_the_load_everything_rests():
     grid = np.array([0.002, 0.003])
     body = Slab((Sheet(ECOFLEX, DEPTH),), "disc", "bonded", "fixed", radius_m=RADIUS)
-    motion = solve_spectral_elements(body, Spot(SPOT, grid, np.ones(2)), np.array([0.0, 0.001, 0.0025]), PLACES)
+    motion = solve_spectral_elements(
+        SkinProblem(body, Spot(SPOT, grid, np.ones(2)), np.array([0.0, 0.001, 0.0025]), PLACES)
+    )
     assert not motion.displacement_m[:2].any() and not motion.velocity_m_s[:2].any()
     assert motion.displacement_m[2, 0, 2] < 0.0
 
@@ -165,7 +173,7 @@ def test_what_it_cannot_take():
     reason = refusal_spectral_elements(body, load)
     assert reason is not None and "bulk modulus of 2e+05 times its shear modulus" in reason
     with pytest.raises(SceneError, match="bulk modulus of 2e"):
-        solve_spectral_elements(body, load, times, PLACES)
+        solve_spectral_elements(SkinProblem(body, load, times, PLACES))
     assert refusal_spectral_elements(Slab((Sheet(ECOFLEX, 0.01),)), load) is None
     disc = Slab((Sheet(ECOFLEX, DEPTH),), "disc", "bonded", "fixed", radius_m=RADIUS)
     for arguments, message in (
@@ -179,7 +187,9 @@ def test_what_it_cannot_take():
     ):
         given = {"times": times, "at": PLACES} | arguments
         with pytest.raises(SceneError, match=message):
-            solve_spectral_elements(disc, load, given.pop("times"), given.pop("at"), estimate=False, **given)
+            solve_spectral_elements(
+                SkinProblem(disc, load, given.pop("times"), given.pop("at")), estimate=False, **given
+            )
 
 
 def test_a_softer_bulk_is_used_only_where_it_changes_little():
@@ -187,9 +197,9 @@ def test_a_softer_bulk_is_used_only_where_it_changes_little():
     tissue = Material("tissue", 1100.0, 2e4, (Branch(1e4, 1e-3),), bulk_from_poisson(0.4999, 3e4), "test")
     times = np.linspace(0.0005, 0.004, 8)
     with pytest.raises(SceneError, match=r"nu_at_most 0\.495 would change"):
-        solve_spectral_elements(Slab((Sheet(tissue, 0.002),)), pressed(), times, PLACES, nu_at_most=0.495)
+        solve_spectral_elements(SkinProblem(Slab((Sheet(tissue, 0.002),)), pressed(), times, PLACES), nu_at_most=0.495)
     disc = Slab((Sheet(tissue, DEPTH),), "disc", "bonded", "fixed", radius_m=0.03)
-    motion = solve_spectral_elements(disc, pressed(0.005), times, PLACES, nu_at_most=0.495)
+    motion = solve_spectral_elements(SkinProblem(disc, pressed(0.005), times, PLACES), nu_at_most=0.495)
     assert "for a bulk modulus of 2.99e+06 Pa" in motion.error_source
 
 
@@ -206,7 +216,7 @@ def test_the_step_of_a_cost_is_the_one_that_is_taken(viscosity):
 def test_cost_grows_with_what_is_asked():
     body = Slab((Sheet(ECOFLEX, DEPTH),), "disc", "bonded", "fixed", radius_m=RADIUS)
     asked = ((0.2, 0.05), (0.4, 0.05), (0.2, 0.005))
-    costs = [cost_spectral_elements(body, pressed(), np.array([t]), PLACES, a) for t, a in asked]
+    costs = [cost_spectral_elements(SkinProblem(body, pressed(), np.array([t]), PLACES, a)) for t, a in asked]
     assert costs[1] == pytest.approx(2.0 * costs[0], rel=0.1)
     assert costs[2] > 3.0 * costs[0]
 
@@ -221,18 +231,19 @@ def test_elements_that_missed_give_way_to_as_many_more_as_the_miss_needs(layer):
     def nodes(**given):
         return len(build(body, plan(body, pressed(), PLACES, 0.1, **given))[0].nodes)
 
+    problem = SkinProblem(body, pressed(), np.array([0.2]), PLACES, 0.1)
     first = nodes()
-    second = finer_spectral_elements(body, pressed(), PLACES, 0.1, 1.05)
+    second = finer_spectral_elements(problem, 1.05)
     assert 1.19 * first < nodes(**second) < 3.0 * first
-    third = finer_spectral_elements(body, pressed(), PLACES, 0.1, 1.05, **second)
+    third = finer_spectral_elements(problem, 1.05, **second)
     assert nodes(**third) > 1.19 * nodes(**second)
     # With the error by nodes^-1.5, 0.8 of the target
-    assert nodes(**finer_spectral_elements(body, pressed(), PLACES, 0.1, 4.0)) > (4.0 / 0.8) ** (2.0 / 3.0) * first
+    assert nodes(**finer_spectral_elements(problem, 4.0)) > (4.0 / 0.8) ** (2.0 / 3.0) * first
 
 
 def test_a_run_of_hours_is_refused_with_the_element_to_blame():
     body = Slab((Sheet(ECOFLEX, 1e-4),), "disc", "bonded", "fixed", radius_m=RADIUS)
     with pytest.raises(SceneError, match=r"would take about .* s, above 3600: the smallest element is near \("):
-        solve_spectral_elements(body, pressed(), np.array([1000.0]), PLACES, size_m=0.01, estimate=False)
+        solve_spectral_elements(SkinProblem(body, pressed(), np.array([1000.0]), PLACES), size_m=0.01, estimate=False)
     mixed = Layer(disc_of_triangles(), (Sheet(ECOFLEX, DEPTH),), Foundation((Sheet(ECOFLEX, DEPTH),)), "fixed")
     assert refusal_spectral_elements(mixed, pressed()) == ONLY_WEDGES

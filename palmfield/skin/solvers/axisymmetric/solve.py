@@ -33,15 +33,11 @@ from palmfield.skin.problem import (
     Foundation,
     Load,
     Motion,
-    Quantity,
+    SkinProblem,
     Slab,
     Spot,
     Springs,
-    check_quantity,
-    points_on_face,
-    rising,
     spread,
-    stated,
 )
 from palmfield.skin.reduction.reduced import Reduced
 from palmfield.skin.reduction.reducer import reduce
@@ -86,59 +82,43 @@ def refusal_axisymmetric(body: Body, load: Load) -> str | None:
 
 
 def solve_axisymmetric(
-    body: Body,
-    load: Load,
-    times: Float,
-    at: Float,
-    *,
-    accuracy: float = 0.05,
-    accuracy_of: Quantity = "displacement",
-    device: str = "cpu",
-    degree: int | None = None,
-    fine: float | None = None,
-    harmonics: int | None = None,
+    problem: SkinProblem, *, degree: int | None = None, fine: float | None = None, harmonics: int | None = None
 ) -> Motion:
-    """Motion of a disc's face under a spot.
+    """Motion of a disc's face under a spot; on the CPU. The body is a Slab of shape "disc", the load a Spot.
 
-    body: Slab of shape "disc"; load: Spot; times: [s], rising, shape (t,); at: on the face [m], shape (n, 2) or (n, 3)
-    accuracy: target relative error of accuracy_of, 1e-4 to 0.5; device: taken and not used, all work is the host's
     degree: polynomial degree p of the elements; fine: their edge under the spot in its standard deviations; harmonics:
         highest harmonic. None chooses.
     Raises SceneError for what `refusal_axisymmetric` names, points off the face, and values outside these ranges.
     """
     begin = time.perf_counter()
-    judged = check_quantity(accuracy_of)
-    reason = refusal_axisymmetric(body, load)
-    if reason is not None or not isinstance(body, Slab) or not isinstance(load, Spot):
-        raise SceneError(f"{reason}: use another solver")
-    times, points = _checked(body, times, at, accuracy)
+    accuracy, judged, points = problem.accuracy, problem.judged, problem.points
+    body, load = _accepted(problem)
     if degree is not None and degree < 4:
         raise SceneError(f"degree is {degree}; give 4 or more: lower ones lock")
-    problem = _problem(body, load, times, points, accuracy, harmonics)
+    disc = _problem(body, load, problem.times, points, accuracy, harmonics)
     first = degree or first_degree(accuracy)
-    band = problem.band_Hz
+    band = disc.band_Hz
     # Both tolerances may be met by one size of the reduced models, whose error no difference would show then
-    tighter = replace(_problem(body, load, times, points, max(TIGHTER * accuracy, TIGHTEST), harmonics), beyond=True)
+    tight = max(TIGHTER * accuracy, TIGHTEST)
+    tighter = replace(_problem(body, load, problem.times, points, tight, harmonics), beyond=True)
     while True:
         wider = BAND_STEP * max(band, tighter.band_Hz)
-        finer, result = _motions([(tighter, first + 1, wider), (problem, first, band)], fine)
+        finer, result = _motions([(tighter, first + 1, wider), (disc, first, band)], fine)
         difference = SAFETY * gap(result, finer, points)
         errors = difference + finer.dropped + tighter.path
         if degree is not None or errors[judged] <= accuracy or first >= MOST_DEGREE:
             break
         first, band = first + 2, BAND_STEP**2 * band
-    return Motion(
-        times_s=times,
-        points=points,
-        displacement_m=result.moved[0],
-        velocity_m_s=result.moved[1],
-        error_source=f"{SAFETY[judged]:g} times the difference from a run finer in everything, of degree {first + 1}: "
+    return problem.solved(
+        result.moved[0],
+        result.moved[1],
+        errors,
+        f"{SAFETY[judged]:g} times the difference from a run finer in everything, of degree {first + 1}: "
         f"{difference[judged]:.2g}; harmonics that it leaves out: {finer.dropped[judged]:.2g}; its path: "
         f"{tighter.path:.2g}",
-        solver=f"axisymmetric, {result.elements} elements of degree {first} (r x z), {len(problem.numbers)} harmonics, "
-        f"{len(problem.samples.times_s)} times",
-        seconds=time.perf_counter() - begin,
-        **stated(errors, accuracy_of),
+        f"axisymmetric, {result.elements} elements of degree {first} (r x z), {len(disc.numbers)} harmonics, "
+        f"{len(disc.samples.times_s)} times",
+        begin,
     )
 
 
@@ -148,35 +128,30 @@ def static_axisymmetric(body: Body, load: Load, at: Float, *, accuracy: float = 
     Arguments as for `solve_axisymmetric`. Raises SceneError as it does, and for a disc that nothing holds.
     """
     begin = time.perf_counter()
-    reason = refusal_axisymmetric(body, load)
-    if reason is not None or not isinstance(body, Slab) or not isinstance(load, Spot):
-        raise SceneError(f"{reason}: use another solver")
-    check_held(body)
-    now = load.times_s[-1:]
-    _, points = _checked(body, now, at, accuracy)
-    last = Spot(load.fwhm_m, now, load.peak_Pa[-1:], load.centres()[-1:], "held")
-    problem = _problem(body, last, now, points, accuracy, None)
-    tighter = _problem(body, last, now, points, max(TIGHTER * accuracy, TIGHTEST), None)
+    problem = SkinProblem(body, load, load.times_s[-1:], at, accuracy)
+    slab, spot = _accepted(problem)
+    check_held(slab)
+    now, points = problem.times, problem.points
+    last = Spot(spot.fwhm_m, now, spot.peak_Pa[-1:], spot.centres()[-1:], "held")
+    disc = _problem(slab, last, now, points, accuracy, None)
+    tighter = _problem(slab, last, now, points, max(TIGHTER * accuracy, TIGHTEST), None)
     first = first_degree(accuracy)
     while True:
-        finer, result = _motions([(tighter, first + 1, 0.0), (problem, first, 0.0)], None, _harmonic_at_rest)
+        finer, result = _motions([(tighter, first + 1, 0.0), (disc, first, 0.0)], None, _harmonic_at_rest)
         difference = STATIC_SAFETY * gap(result, finer, points)
         errors = difference + finer.dropped
         # A higher degree does nothing for the harmonics that are left out
         if errors[0] <= accuracy or difference[0] <= 0.5 * accuracy or first >= MOST_DEGREE:
             break
         first += 2
-    return Motion(
-        times_s=now,
-        points=points,
-        displacement_m=result.moved[0],
-        velocity_m_s=result.moved[1],
-        error_source=f"{STATIC_SAFETY} times the difference from a run finer in everything, of degree {first + 1}: "
+    return problem.solved(
+        result.moved[0],
+        result.moved[1],
+        errors,
+        f"{STATIC_SAFETY} times the difference from a run finer in everything, of degree {first + 1}: "
         f"{difference[0]:.2g}; harmonics that it leaves out: {finer.dropped[0]:.2g}",
-        solver=f"axisymmetric, static, {result.elements} elements of degree {first} (r x z), "
-        f"{len(problem.numbers)} harmonics",
-        seconds=time.perf_counter() - begin,
-        **stated(errors, "displacement"),
+        f"axisymmetric, static, {result.elements} elements of degree {first} (r x z), {len(disc.numbers)} harmonics",
+        begin,
     )
 
 
@@ -198,22 +173,20 @@ def first_degree(accuracy: float) -> int:
     return 5 if accuracy >= 0.005 else 7
 
 
-def cost_axisymmetric(body: Body, load: Load, times: Float, at: Float, accuracy: float) -> float:
+def cost_axisymmetric(problem: SkinProblem) -> float:
     """Predicted seconds of `solve_axisymmetric` on one core of a 2 GHz server; raises SceneError as it does."""
-    reason = refusal_axisymmetric(body, load)
-    if reason is not None or not isinstance(body, Slab) or not isinstance(load, Spot):
-        raise SceneError(f"{reason}: use another solver")
-    times, points = _checked(body, times, at, accuracy)
-    problem = _problem(body, load, times, points, accuracy, None)
+    accuracy = problem.accuracy
+    body, load = _accepted(problem)
+    disc = _problem(body, load, problem.times, problem.points, accuracy, None)
     total = 0.0
     for more in (0, 1):
         degree = first_degree(accuracy) + more
-        radial, depth, _ = _grid(body, load, problem.samples, degree, FINE)
+        radial, depth, _ = _grid(body, load, disc.samples, degree, FINE)
         unknowns = 3.0 * radial.count * depth.count
         shifts = 4.0 + 2.0 * math.log10(1.0 / accuracy)
-        each = shifts * 0.03 * (unknowns / 1500.0) ** 1.6 + 0.05 + 1e-5 * len(problem.samples.times_s)
-        each += RINGING_S * ringing(body, BAND_STEP**more * problem.band_Hz) ** 1.5
-        total += each * len(problem.numbers)
+        each = shifts * 0.03 * (unknowns / 1500.0) ** 1.6 + 0.05 + 1e-5 * len(disc.samples.times_s)
+        each += RINGING_S * ringing(body, BAND_STEP**more * disc.band_Hz) ** 1.5
+        total += each * len(disc.numbers)
     return 0.1 + total
 
 
@@ -230,7 +203,7 @@ def ringing(body: Slab, band_Hz: float) -> float:
 
 
 @dataclass(frozen=True)
-class _Problem:
+class _DiscProblem:
     """What all resolutions share.
 
     share: pressure of each harmonic per peak; dropped: of those left out; path: mean error of its samples
@@ -260,7 +233,9 @@ class _Found:
     elements: str
 
 
-def _problem(body: Slab, load: Spot, times: Float, points: Float, accuracy: float, harmonics: int | None) -> _Problem:
+def _problem(
+    body: Slab, load: Spot, times: Float, points: Float, accuracy: float, harmonics: int | None
+) -> _DiscProblem:
     samples = sample(load, times, 0.1 * accuracy)
     s = spread(load.fwhm_m)
     share = _shares(float(samples.distance_m.max()) / s, 1e-3 * accuracy)
@@ -273,7 +248,7 @@ def _problem(body: Slab, load: Spot, times: Float, points: Float, accuracy: floa
     band = band_of(body, load, samples, 0.3 * accuracy)
     # Between two samples a parabola is off its chord by two thirds of its height on average.
     path = 0.1 * accuracy * 2.0 / 3.0 if load.law == "linear" and np.ptp(load.centres(), axis=0).any() else 0.0
-    return _Problem(body, load, times, points, samples, numbers, share, dropped, path, 0.1 * accuracy, band)
+    return _DiscProblem(body, load, times, points, samples, numbers, share, dropped, path, 0.1 * accuracy, band)
 
 
 def _shares(ratio: float, least: float) -> Float:
@@ -290,9 +265,9 @@ def _shares(ratio: float, least: float) -> Float:
 
 
 def _motions(
-    runs: list[tuple[_Problem, int, float]],
+    runs: list[tuple[_DiscProblem, int, float]],
     fine: float | None,
-    harmonic: Callable[[DiscGrid, _Problem, int, float], tuple[Complex, Complex]] | None = None,
+    harmonic: Callable[[DiscGrid, _DiscProblem, int, float], tuple[Complex, Complex]] | None = None,
 ) -> list[_Found]:
     """Whole motions side by side, each of a problem, elements of one degree and reduced models of one band [Hz]."""
     tasks, grids = [], []
@@ -314,7 +289,7 @@ def _motions(
     return [_summed(run[0], grid, each) for run, grid, each in zip(runs, grids, result, strict=True)]
 
 
-def _summed(problem: _Problem, grid: DiscGrid, result: list[tuple[Complex, Complex]]) -> _Found:
+def _summed(problem: _DiscProblem, grid: DiscGrid, result: list[tuple[Complex, Complex]]) -> _Found:
     """The motion that the harmonics make together."""
     load, samples, points = problem.load, problem.samples, problem.points
     target = np.searchsorted(samples.times_s, problem.times - 1e-12 * samples.times_s[-1])
@@ -347,11 +322,14 @@ def _worst(values: Float, all_values: Float) -> float:
     return float(np.max(np.divide(part, whole, out=np.zeros_like(whole), where=whole > 0.0)))
 
 
-def _checked(body: Slab, times: Float, at: Float, accuracy: float) -> tuple[Float, Float]:
-    times, points = rising("times", times), points_on_face(body, at)
-    if not 1e-4 <= accuracy <= 0.5:
-        raise SceneError(f"accuracy is {accuracy}; give 1e-4 to 0.5")
-    return times, points
+def _accepted(problem: SkinProblem) -> tuple[Slab, Spot]:
+    """The body and load. Raises SceneError for those that `refusal_axisymmetric` names, and for a wrong accuracy."""
+    body, load = problem.body, problem.load
+    problem.refuse("axisymmetric", refusal_axisymmetric(body, load))
+    assert isinstance(body, Slab) and isinstance(load, Spot)
+    if not 1e-4 <= problem.accuracy <= 0.5:
+        raise SceneError(f"accuracy is {problem.accuracy}; give 1e-4 to 0.5")
+    return body, load
 
 
 def _grid(body: Slab, load: Spot, samples: Samples, degree: int, fine: float) -> tuple[Line, Line, np.ndarray]:
@@ -389,7 +367,7 @@ def _grid(body: Slab, load: Spot, samples: Samples, degree: int, fine: float) ->
     return radial, Line(-np.array(ends[::-1]), degree), np.array(sheets[::-1])
 
 
-def _harmonic(grid: DiscGrid, problem: _Problem, m: int, band_Hz: float) -> tuple[Complex, Complex]:
+def _harmonic(grid: DiscGrid, problem: _DiscProblem, m: int, band_Hz: float) -> tuple[Complex, Complex]:
     """U, V, W of one harmonic at all samples and requested points: displacement and velocity, (t, n, 3)."""
     samples = problem.samples
     near, far = float(samples.distance_m.min()), float(samples.distance_m.max())
@@ -466,7 +444,7 @@ def _breaks(line: Line) -> tuple[float, ...]:
     return tuple(line.breaks.tolist())
 
 
-def _harmonic_at_rest(grid: DiscGrid, problem: _Problem, m: int, _: float) -> tuple[Complex, Complex]:
+def _harmonic_at_rest(grid: DiscGrid, problem: _DiscProblem, m: int, _: float) -> tuple[Complex, Complex]:
     """As `_harmonic`, at rest under the one sample: displacement and velocity 0, (1, n, 3)."""
     system, samples = grid.system(m), problem.samples
     s, away = spread(problem.load.fwhm_m), float(samples.distance_m[-1])

@@ -1,10 +1,7 @@
-"""What is requested, and how far two solutions differ."""
+"""How far two solutions differ."""
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from palmfield.errors import SceneError
-from palmfield.skin.problem import Slab, points_on_face, rising
 from palmfield.types import Float, Int
 
 SERIES_FROM = 8
@@ -39,11 +36,3 @@ def pick(displacement: Float) -> Int:
         return np.unique(np.linspace(0, points - 1, min(points, 200)).astype(np.int32))
     order = np.argsort((displacement**2).sum(axis=(0, 2)), kind="stable")
     return np.unique(order[np.linspace(0, points - 1, min(points, 4)).astype(np.int32)]).astype(np.int32)
-
-
-def check_points(body: Slab, times: ArrayLike, at: ArrayLike, accuracy: float) -> tuple[Float, Float]:
-    """Times (t,) and points (n, 3) on the face. Raises SceneError for others, and for an accuracy out of range."""
-    requested, points = rising("times", times), points_on_face(body, at)
-    if not 1e-7 <= accuracy <= 0.5:
-        raise SceneError(f"accuracy is {accuracy}; give a relative error from 1e-7 to 0.5")
-    return requested, points

@@ -6,11 +6,10 @@ Constants are from docs/bench/skin_lateral_waves.md.
 import numpy as np
 
 from palmfield.skin.materials.material import shear_wave
-from palmfield.skin.problem import Body, Load, Slab, Spot
+from palmfield.skin.problem import SkinProblem, Slab, Spot
 from palmfield.skin.solvers.lateral_waves.accuracy import SERIES_FROM
 from palmfield.skin.solvers.lateral_waves.build import check_sides, is_still, nyquist, reach
 from palmfield.skin.solvers.lateral_waves.resolution import choose
-from palmfield.types import Float
 
 TRIED, SUMMED = 7.0, 4.3
 """Wavenumbers tried, and waves summed, in the run and the finer one that it is compared with, over those expected of an
@@ -28,19 +27,18 @@ BEGIN_S, SHARE = 0.02, 0.4
 """Seconds that any solution takes, and share of the above that 12 cases took (docs/bench/skin_costs.md)."""
 
 
-def cost_lateral_waves(body: Body, load: Load, times: Float, at: Float, accuracy: float) -> float:
+def cost_lateral_waves(problem: SkinProblem) -> float:
     """Predicted seconds on one core, within a factor of about two; infinite for bodies that the solver refuses.
 
     Raises SceneError as `check_sides`.
 
     Fitted to seconds of the process, on Ecoflex 20 mm at 0.1 to 5 % and on a plate of 10 mm under a fast spot.
     """
+    body, load, requested, points = problem.body, problem.load, problem.times, problem.at[:, :2]
     if not isinstance(body, Slab):
         return float("inf")
-    check_sides(body, load, accuracy)
-    requested = np.asarray(times, dtype=float)
-    points = np.asarray(at, dtype=float)[:, :2]
-    resolution = choose(load, 0.5 * accuracy)
+    check_sides(body, load, problem.accuracy)
+    resolution = choose(load, 0.5 * problem.accuracy)
     k_end = resolution.cut(load.fwhm_m) if isinstance(load, Spot) else nyquist(load.weights_m2)
     sources = load.centres() if isinstance(load, Spot) else load.points[:, :2]
     farthest = reach(points, sources)

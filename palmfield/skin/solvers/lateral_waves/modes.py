@@ -34,7 +34,7 @@ class FaceModes:
 
 
 @dataclass(frozen=True)
-class Reduced:
+class ModalProblem:
     """A depth problem in coordinates with unit mass. branches: (L, g, tau [s]) with Q = L L^T."""
 
     stiffness: Float
@@ -44,7 +44,7 @@ class Reduced:
     lateral: Float
 
 
-def reduce(problem: DepthProblem, horizon_s: float, tolerance: float) -> Reduced:
+def reduce(problem: DepthProblem, horizon_s: float, tolerance: float) -> ModalProblem:
     """The undamped modes that matter for the face, and the static shapes of all the others.
 
     A mode adds b^2/w^2 (1 - cos wt) to the step response, b its part in the face. The smallest are left out while the
@@ -87,7 +87,7 @@ def reduce(problem: DepthProblem, horizon_s: float, tolerance: float) -> Reduced
         for factor in [_factor(rows @ basis)]
         for ratio, time in r.branches
     )
-    return Reduced((basis.T * squares) @ basis, viscous.T @ viscous, branches, normal @ basis, lateral @ basis)
+    return ModalProblem((basis.T * squares) @ basis, viscous.T @ viscous, branches, normal @ basis, lateral @ basis)
 
 
 def _solved(rows: Float, right: Float) -> Float:

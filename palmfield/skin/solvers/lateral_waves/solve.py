@@ -7,8 +7,8 @@ import numpy as np
 
 from palmfield.device import resolve
 from palmfield.errors import SceneError
-from palmfield.skin.problem import Body, Load, Motion, Quantity, Slab, Spot, Springs, Traction, check_quantity, stated
-from palmfield.skin.solvers.lateral_waves.accuracy import SERIES_FROM, check_points, is_picture, pick, relative_error
+from palmfield.skin.problem import Body, Load, Motion, SkinProblem, Slab, Spot, Springs, Traction
+from palmfield.skin.solvers.lateral_waves.accuracy import SERIES_FROM, is_picture, pick, relative_error
 from palmfield.skin.solvers.lateral_waves.build import box_images, build_waves, check_sides, refusal_lateral_waves
 from palmfield.skin.solvers.lateral_waves.drive import timeline
 from palmfield.skin.solvers.lateral_waves.march import march
@@ -33,12 +33,10 @@ PART = 0.5
 class Settings:
     """How to solve: as the arguments of solve_lateral_waves; still: at rest."""
 
-    accuracy: float
     tolerance: float | None
     device: str
     threads: int | None
     still: bool = False
-    accuracy_of: Quantity = "displacement"
 
 
 @dataclass(frozen=True)
@@ -53,34 +51,18 @@ class Run:
     panels: Float | None
 
 
-def solve_lateral_waves(
-    body: Body,
-    load: Load,
-    times: Float,
-    at: Float,
-    *,
-    accuracy: float = 0.05,
-    accuracy_of: Quantity = "displacement",
-    device: str = "cpu",
-    tolerance: float | None = None,
-    threads: int | None = None,
-) -> Motion:
-    """Displacement and velocity of the face of a slab at points and times.
+def solve_lateral_waves(problem: SkinProblem, *, tolerance: float | None = None, threads: int | None = None) -> Motion:
+    """Displacement and velocity of the face of a slab at points and times; see `refusal_lateral_waves`.
 
-    body: a Slab, see `refusal_lateral_waves`; times: requested times [s], rising, shape (t,)
-    at: points on the face [m], shape (n, 3) or (n, 2)
-    accuracy: target relative error of accuracy_of, 1e-7 to 0.5; device: "auto", "cpu" or "cuda:0"
     tolerance: pins that of the wavenumbers, angles, depth modes and cut, each; then nothing is refined
     threads: on the CPU; None takes all cores
     The error is told by a run with a fifth of the tolerance, and one wavenumber more on a disc or box, at up to four
     of the points; for a picture (fewer than eight times, more than 32 points) by one with a third, over 200 of them
     together.
-    Raises SceneError where `refusal_lateral_waves` has a reason, and for times, points or an accuracy out of range.
+    Raises SceneError where `refusal_lateral_waves` has a reason, and for points or an accuracy out of range.
     """
-    slab = accepted(body, load)
-    requested, points = check_points(slab, times, at, accuracy)
-    settings = replace(settings_of(accuracy, tolerance, device, threads), accuracy_of=accuracy_of)
-    return _solve(slab, load, requested, points, settings)
+    slab = accepted(problem)
+    return _solve(slab, problem, settings_of(tolerance, problem.device, threads))
 
 
 def static_lateral_waves(
@@ -99,15 +81,14 @@ def static_lateral_waves(
 
     Raises SceneError as solve_lateral_waves, and for a base that holds nothing.
     """
-    slab = accepted(body, load)
+    problem = SkinProblem(body, last_of(load), np.ones(1), at, accuracy, device=device)
+    slab = accepted(problem)
     if is_unheld(slab.base):
         raise SceneError(
             "solver 'lateral_waves': a slab on nothing has no state of rest under a load; give a base that holds"
         )
-    requested, points = check_points(slab, load.times_s[-1:], at, accuracy)
-    settings = settings_of(accuracy, tolerance, device, threads, still=True)
-    motion = _solve(slab, last_of(load), np.ones(1), points, settings)
-    return replace(motion, times_s=requested)
+    motion = _solve(slab, problem, settings_of(tolerance, device, threads, still=True))
+    return replace(motion, times_s=load.times_s[-1:])
 
 
 def is_unheld(base: object) -> bool:
@@ -122,44 +103,30 @@ def last_of(load: Load) -> Load:
     return Traction(load.points, load.weights_m2, begin, load.pressure_Pa[-1:], "held")
 
 
-def accepted(body: Body, load: Load) -> Slab:
-    """The body, which is a slab. Raises SceneError with the reason where the solver refuses it."""
-    reason = refusal_lateral_waves(body, load)
-    if reason is not None or not isinstance(body, Slab):
-        raise SceneError(f"solver 'lateral_waves': {reason}")
-    return body
+def accepted(problem: SkinProblem) -> Slab:
+    """The body, which is a slab. Raises SceneError with the reason where the solver refuses, or a wrong accuracy."""
+    problem.refuse("lateral_waves", refusal_lateral_waves(problem.body, problem.load))
+    assert isinstance(problem.body, Slab)
+    if not 1e-7 <= problem.accuracy <= 0.5:
+        raise SceneError(f"accuracy is {problem.accuracy}; give a relative error from 1e-7 to 0.5")
+    return problem.body
 
 
-def settings_of(
-    accuracy: float, tolerance: float | None, device: str, threads: int | None, still: bool = False
-) -> Settings:
+def settings_of(tolerance: float | None, device: str, threads: int | None, still: bool = False) -> Settings:
     """Raises SceneError for a tolerance out of range."""
     if tolerance is not None and not FINEST <= tolerance <= 0.25:
         raise SceneError(f"tolerance is {tolerance}; give {FINEST} to 0.25, or leave it out")
-    return Settings(accuracy, tolerance, resolve(device), threads, still)
+    return Settings(tolerance, resolve(device), threads, still)
 
 
-def _solve(body: Slab, load: Load, requested: Float, points: Float, settings: Settings) -> Motion:
+def _solve(body: Slab, problem: SkinProblem, settings: Settings) -> Motion:
     begun = time.perf_counter()
-    judged = check_quantity(settings.accuracy_of)
-    at_sides = check_sides(body, load, settings.accuracy)
+    load, requested, points = problem.load, problem.times, problem.points
+    at_sides = check_sides(body, load, problem.accuracy)
     if timeline(load, requested) is None or not np.any(load.peak_Pa if isinstance(load, Spot) else load.pressure_Pa):
         still = np.zeros((len(requested), len(points), 3))
-        return Motion(
-            requested,
-            points,
-            still,
-            still.copy(),
-            0.0,
-            "no load yet: all is at rest",
-            "lateral_waves",
-            0.0,
-            settings.accuracy_of,
-            0.0,
-            0.0,
-            0.0,
-        )
-    part = PART * settings.accuracy if settings.tolerance is None else settings.tolerance
+        return problem.solved(still, still.copy(), np.zeros(3), "no load yet: all is at rest", "lateral_waves", begun)
+    part = PART * problem.accuracy if settings.tolerance is None else settings.tolerance
     result = run(body, load, requested, points, part, settings)
     picture = is_picture(len(requested), len(points)) and not settings.still
     share, safety = (PICTURE_FINER, PICTURE_SAFETY) if picture else (FINER, SAFETY)
@@ -172,20 +139,18 @@ def _solve(body: Slab, load: Load, requested: Float, points: Float, settings: Se
         some, known = (result.displacement[:, chosen], result.velocity[:, chosen]), (check.displacement, check.velocity)
         pairs = (*zip(some, known, strict=True), (some[0][..., 2:], known[0][..., 2:]))
         errors = at_sides + safety * np.array([relative_error(one, other, picture) for one, other in pairs])
-        if errors[judged] <= settings.accuracy or settings.tolerance is not None or part <= FINEST or left == 0:
+        if errors[problem.judged] <= problem.accuracy or settings.tolerance is not None or part <= FINEST or left == 0:
             break
         part = finer
         result = run(body, load, requested, points, part, settings, check.panels)
-    return Motion(
-        times_s=requested,
-        points=points,
-        displacement_m=result.displacement,
-        velocity_m_s=result.velocity,
-        error_source=f"{safety} times the difference from a run with {share} of the tolerance, at {len(chosen)} points",
-        solver=f"lateral_waves: {result.wavenumbers} wavenumbers, {result.waves} waves, {result.poles:.0f} poles each, "
+    return problem.solved(
+        result.displacement,
+        result.velocity,
+        errors,
+        f"{safety} times the difference from a run with {share} of the tolerance, at {len(chosen)} points",
+        f"lateral_waves: {result.wavenumbers} wavenumbers, {result.waves} waves, {result.poles:.0f} poles each, "
         f"tolerance {part:.2g}",
-        seconds=time.perf_counter() - begun,
-        **stated(errors, settings.accuracy_of),
+        begun,
     )
 
 

@@ -8,9 +8,8 @@ import numpy as np
 from palmfield.errors import SceneError
 from palmfield.skin.approximation.load_scales import mean_frequency, motion_width, passing_frequency
 from palmfield.skin.materials.material import shear_wave
-from palmfield.skin.problem import ONLY_WEDGES, Body, Foundation, Layer, Load, Slab, Springs, depth_of
+from palmfield.skin.problem import ONLY_WEDGES, Body, Foundation, Layer, Load, SkinProblem, Slab, Springs, depth_of
 from palmfield.skin.solvers.particles.columns import FEWEST_CELLS
-from palmfield.types import Float
 
 SECONDS_A_STEP = {"cpu": 0.9e-6, "cuda": 2.0e-9}
 """Seconds that a particle's step takes: on one core measured, on a GPU the time its 1.5 kB take at 0.75 TB/s."""
@@ -99,13 +98,14 @@ def choose_spacing(body: Body, load: Load, accuracy: float) -> float:
     return min(high, few if few >= depth / FEWEST_CELLS else math.sqrt(accuracy / (along + BELOW / depth**2)))
 
 
-def cost_particles(body: Body, load: Load, times: Float, at: Float, accuracy: float, device: str = "cpu") -> float:
+def cost_particles(problem: SkinProblem) -> float:
     """Predicted seconds: particles x steps x what one takes."""
-    spacing = choose_spacing(body, load, accuracy)
-    return sum(_run_seconds(body, load, times, h, device) for h in (spacing, COARSER * spacing))
+    spacing = choose_spacing(problem.body, problem.load, problem.accuracy)
+    return sum(_run_seconds(problem, h) for h in (spacing, COARSER * spacing))
 
 
-def _run_seconds(body: Body, load: Load, times: Float, spacing: float, device: str) -> float:
+def _run_seconds(problem: SkinProblem, spacing: float) -> float:
+    body, load = problem.body, problem.load
     depth = depth_of(body)
     below = min(spacing, depth / FEWEST_CELLS)
     total = sum(sheet.thickness_m for sheet in body.sheets)
@@ -121,8 +121,8 @@ def _run_seconds(body: Body, load: Load, times: Float, spacing: float, device: s
     )
     # 1.24 spacings at the speed of sound were measured on cubes.
     step = 1.24 * math.sqrt(3.0 / (2.0 / along**2 + 1.0 / lowest**2)) / fastest
-    steps = max(0.0, float(np.max(times)) - float(load.times_s[0])) / step
-    return 0.1 + count * steps * SECONDS_A_STEP["cuda" if device.startswith("cuda") else "cpu"]
+    steps = max(0.0, float(problem.times[-1]) - float(load.times_s[0])) / step
+    return 0.1 + count * steps * SECONDS_A_STEP["cuda" if problem.device.startswith("cuda") else "cpu"]
 
 
 def length_of(body: Body) -> float:

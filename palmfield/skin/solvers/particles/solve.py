@@ -9,15 +9,11 @@ from palmfield.errors import SceneError
 from palmfield.skin.approximation.load_scales import load_width, motion_width
 from palmfield.skin.approximation.richardson import differences, error_of_finer
 from palmfield.skin.problem import (
-    Body,
     Load,
     Motion,
-    Quantity,
+    SkinProblem,
     Slab,
-    check_quantity,
     normals_on_face,
-    rising,
-    stated,
 )
 from palmfield.skin.solvers.particles.cloud import Cloud, build_cloud
 from palmfield.skin.solvers.particles.pressure import Pressure
@@ -54,23 +50,12 @@ blow up, within one block of steps. What still comes apart then is crushed."""
 
 
 def solve_particles(
-    body: Body,
-    load: Load,
-    times: Float,
-    at: Float,
-    *,
-    accuracy: float = 0.05,
-    accuracy_of: Quantity = "displacement",
-    device: str = "cpu",
-    spacing_m: float | None = None,
-    step_s: float | None = None,
-    follower: bool = False,
+    problem: SkinProblem, *, spacing_m: float | None = None, step_s: float | None = None, follower: bool = False
 ) -> Motion:
     """Motion at points of the face under a pressure, by total-Lagrangian particles at finite strain (neo-Hookean).
 
-    times: [s], rising, (t,); at: points on the face [m], (n, 3) or, on a slab, (n, 2)
-    accuracy, accuracy_of: target relative error, and of what; it sets the spacing of a slab's particles where spacing_m
-        [m] is None. A layer's particles stand on its patch's own vertices, and spacing_m sets its levels only.
+    The accuracy sets the spacing of a slab's particles where spacing_m [m] is None. A layer's particles stand on its
+    patch's own vertices, and spacing_m sets its levels only.
     step_s, follower: as run_particles
     A layer's spot is measured in the x and y of the patch's frame.
     The error: of a slab from a second run with particles COARSER times as far apart, at ORDER, but at least half of
@@ -79,12 +64,9 @@ def solve_particles(
     Raises SceneError for what refusal_particles names, a wrong spacing, accuracy or step, and a body that is crushed.
     """
     begun = time.perf_counter()
-    check_quantity(accuracy_of)
-    refused = refusal_particles(body, load)
-    if refused is not None:
-        raise SceneError(refused)
-    requested = rising("times", times)
-    spacing = choose_spacing(body, load, accuracy) if spacing_m is None else spacing_m
+    body, load, requested, at, device = problem.body, problem.load, problem.times, problem.at, problem.device
+    problem.refuse("particles", refusal_particles(body, load))
+    spacing = choose_spacing(body, load, problem.accuracy) if spacing_m is None else spacing_m
     longest = length_of(body) / (2.0 * COARSER)
     if isinstance(body, Slab) and spacing > longest:
         raise SceneError(f"particles: spacing_m is {spacing}; the body's size allows at most {longest:.4g}")
@@ -103,16 +85,8 @@ def solve_particles(
         errors = np.maximum(error_of_finer(gap, ratio, ORDER), least * known)
         source = f"particles {ratio:.2f} times as far apart, order {ORDER:g}, and at least {least:g} of the {source}"
     count = len(cloud.points)
-    return Motion(
-        times_s=requested,
-        points=points,
-        displacement_m=u,
-        velocity_m_s=v,
-        error_source=source,
-        solver=f"particles: {count}, {1e3 * cloud.columns.spacing_m:.3g} mm apart, step {1e6 * step:.3g} us",
-        seconds=time.perf_counter() - begun,
-        **stated(errors, accuracy_of),
-    )
+    words = f"particles: {count}, {1e3 * cloud.columns.spacing_m:.3g} mm apart, step {1e6 * step:.3g} us"
+    return problem.solved(u, v, errors, source, words, begun, points)
 
 
 def run_particles(

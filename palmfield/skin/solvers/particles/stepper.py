@@ -9,7 +9,7 @@ from palmfield.errors import SceneError
 from palmfield.locked import locked_cached_property
 from palmfield.skin.explicit_layer import OwnMesh, OwnMeshStepper
 from palmfield.skin.fem.face_transfer import FaceTransfer
-from palmfield.skin.problem import Body, Layer, Slab
+from palmfield.skin.problem import Body, Layer, SkinProblem, Slab
 from palmfield.skin.solvers.particles import resolution as spacing
 from palmfield.skin.solvers.particles import run
 from palmfield.skin.solvers.particles.cloud import Cloud, build_cloud
@@ -90,7 +90,7 @@ class ParticleLayer(OwnMesh):
         if isinstance(body, Layer):
             return self.expected_error
         load, times, at = self.trial(body, face, np.linalg.norm(self.cloud.face_area, axis=1))
-        motion = solve_particles(body, load, times, at, device=device, spacing_m=self.spacing_m)
+        motion = solve_particles(SkinProblem(body, load, times, at, device=device), spacing_m=self.spacing_m)
         return max(motion.error, self.expected_error)
 
 

@@ -21,14 +21,11 @@ from palmfield.skin.problem import (
     Layer,
     Load,
     Motion,
-    Quantity,
     Sheet,
+    SkinProblem,
     Spot,
-    check_quantity,
     normals_on_face,
     points_on_face,
-    rising,
-    stated,
 )
 from palmfield.skin.solvers.spectral_elements.loads import table_of
 from palmfield.skin.solvers.spectral_elements.mesh import Plan, build, fast_speed, plan
@@ -113,19 +110,16 @@ def refusal_spectral_elements(body: Body, load: Load) -> str | None:
     return None
 
 
-def cost_spectral_elements(
-    body: Body, load: Load, times: Float, at: Float, accuracy: float, device: str = "cpu"
-) -> float:
+def cost_spectral_elements(problem: SkinProblem) -> float:
     """Predicted seconds of `solve_spectral_elements`, from the size of its mesh and its step.
 
-    body: with the bulk modulus that it takes (reduce_bulk_modulus)
-    Raises SceneError above LONGEST_S.
+    The body has the bulk modulus that the solver takes (reduce_bulk_modulus). Raises SceneError above LONGEST_S.
     """
-    points = np.atleast_2d(np.asarray(at, dtype=float))
-    chosen, singular = plan(body, load, points, accuracy), edge_is_felt(body, load, points)
+    body, load, points, device = problem.body, problem.load, problem.at, problem.device
+    chosen, singular = plan(body, load, points, problem.accuracy), edge_is_felt(body, load, points)
     total = 0.0
-    requested, start = np.asarray(times, dtype=float), float(load.times_s[0])
-    ends = float(np.max(requested)), window(body, chosen, singular, load, requested)
+    requested, start = problem.times, float(load.times_s[0])
+    ends = float(requested[-1]), window(body, chosen, singular, load, requested)
     second = comparison_plan(body, chosen, singular)
     # The second plan is run with a whole and with half a step
     runs = [(chosen, ends[0], 1.0), (second, ends[1], 3.0)]
@@ -147,16 +141,17 @@ def cost_spectral_elements(
     return total * REPEATED[few or body.thickness_m < THIN * motion_width(body, load)]
 
 
-def prepared_spectral_elements(
-    body: Body, load: Load, times: Float, at: Float, accuracy: float
-) -> tuple[Body, dict[str, Any]]:
+def prepared_spectral_elements(problem: SkinProblem) -> tuple[Body, dict[str, Any]]:
     """The body with the bulk modulus that it takes, and what `solve_spectral_elements` takes up of that."""
-    softened = reduce_bulk_modulus(body, load, float(times[-1]), at, accuracy, None)
+    softened = reduce_bulk_modulus(
+        problem.body, problem.load, float(problem.times[-1]), problem.at, problem.accuracy, None
+    )
     return softened[0], {"softened": softened}
 
 
-def finer_spectral_elements(body: Body, load: Load, at: Float, accuracy: float, miss: float, **last: Any) -> Any:
+def finer_spectral_elements(problem: SkinProblem, miss: float, **last: Any) -> Any:
     """Order, width and depth of likely elements where the `last` ones, if not the first, missed by a factor `miss`."""
+    body, load, at, accuracy = problem.body, problem.load, problem.at, problem.accuracy
     finer = plan(body, load, at, accuracy, **last)
     wanted = (min(miss, MOST_MISS) / ROOM) ** (1.0 / BY_NODES) * len(build(body, finer)[0].nodes)
     while len(build(body, finer)[0].nodes) < wanted:
@@ -213,14 +208,8 @@ def window(body: Body, chosen: Plan, singular: bool, load: Load, times: Float) -
 
 
 def solve_spectral_elements(
-    body: Body,
-    load: Load,
-    times: Float,
-    at: Float,
+    problem: SkinProblem,
     *,
-    accuracy: float = 0.05,
-    accuracy_of: Quantity = "displacement",
-    device: str = "cpu",
     order: int | None = None,
     size_m: float | None = None,
     deep: tuple[int, ...] | None = None,
@@ -232,22 +221,19 @@ def solve_spectral_elements(
 ) -> Motion:
     """Motion of the face by explicit spectral elements, matrix-free (Patera 1984; Komatitsch & Vilotte 1998).
 
-    times: [s], rising, shape (t,); at: points of the face [m], shape (n, 3) or (n, 2); device: "cpu" or "cuda:0"
     order: N of the elements, 1 to 7 (1 integrates too coarsely unless they are prisms); size_m: their width [m] (slabs)
     deep: elements through each sheet; step_s: [s], at most the stable one; precision: "float32" or "float64"
     nu_at_most: takes a smaller bulk modulus where Poisson's ratio at once is above this, which makes larger steps; by
     default one that the accuracy allows, see palmfield.skin.approximation.reduce_bulk_modulus; 0.5 leaves the material
     as it is. What it changes is in the error
-    accuracy, accuracy_of: target relative error, and of what
     estimate: False leaves the second run out; the error is then NaN
     softened: what reduce_bulk_modulus returns for the body, where it is known
     Raises SceneError for a problem that `refusal_spectral_elements` names, an element inside out, a step above the
-    stable one, times that do not rise, and points off the face.
+    stable one, and points off the face.
     """
     began = time.perf_counter()
-    judged = check_quantity(accuracy_of)
-    device = resolve(device)
-    requested = rising("times", times)
+    body, load, requested, points = problem.body, problem.load, problem.times, problem.at
+    accuracy, judged, device = problem.accuracy, problem.judged, resolve(problem.device)
     if precision not in ("float32", "float64"):
         raise SceneError(f"solver 'spectral_elements': precision is '{precision}'; use float32 or float64")
     if size_m is not None and not size_m > 0.0:
@@ -260,11 +246,8 @@ def solve_spectral_elements(
         raise SceneError(
             f"solver 'spectral_elements': deep is {deep}; give 1 or more for each of {len(body.sheets)} sheets"
         )
-    points = np.atleast_2d(np.asarray(at, dtype=float))
     body, bulk_error = softened or reduce_bulk_modulus(body, load, requested[-1], points, accuracy, nu_at_most)
-    reason = refusal_spectral_elements(body, load)
-    if reason is not None:
-        raise SceneError(reason)
+    problem.refuse("spectral_elements", refusal_spectral_elements(body, load))
     chosen = plan(body, load, points, accuracy, order, size_m, deep)
     fine = march(prepared(body, chosen, device, precision), load, requested, points, step_s)
     errors, source = np.full(3, math.nan), "not estimated"
@@ -306,16 +289,7 @@ def solve_spectral_elements(
         source += f"; {bulk_error:.2g} for a bulk modulus of {body.sheets[0].material.bulk_Pa:.3g} Pa"
     where = f"spectral_elements, order {chosen.order}, {fine[2]} elements of {1e3 * chosen.size_m:.3g} mm, "
     where += f"step {fine[3]:.3g} s"
-    return Motion(
-        times_s=requested,
-        points=lifted_points(body, points),
-        displacement_m=fine[0],
-        velocity_m_s=fine[1],
-        error_source=source,
-        solver=where,
-        seconds=time.perf_counter() - began,
-        **stated(errors, accuracy_of),
-    )
+    return problem.solved(*fine[:2], errors, source, where, began, lifted_points(body, points))
 
 
 def lifted_points(body: Body, points: Float) -> Float:

@@ -8,7 +8,7 @@ from palmfield.locked import locked_cached_property
 from palmfield.skin.approximation.reduce_bulk_modulus import reduce_bulk_modulus
 from palmfield.skin.explicit_layer import OwnMesh, OwnMeshStepper
 from palmfield.skin.fem.face_transfer import FaceTransfer
-from palmfield.skin.problem import Body, Foundation
+from palmfield.skin.problem import Body, Foundation, SkinProblem
 from palmfield.skin.solvers.spectral_elements import solve
 from palmfield.skin.solvers.spectral_elements.loads import Table
 from palmfield.skin.solvers.spectral_elements.mesh import Plan, build, plan
@@ -101,9 +101,12 @@ class ElementLayer(OwnMesh):
         areas = np.linalg.norm(face_areas(solid), axis=1)
         load, times, at = self.trial(self.body, self.face, areas)
         motion = solve.solve_spectral_elements(
-            self.body, load, times, at, accuracy=self.layer.config.accuracy, device=device, order=chosen.order,
-            size_m=chosen.size_m, deep=chosen.deep, nu_at_most=0.5,
-        )  # fmt: skip
+            SkinProblem(self.body, load, times, at, self.layer.config.accuracy, device=device),
+            order=chosen.order,
+            size_m=chosen.size_m,
+            deep=chosen.deep,
+            nu_at_most=0.5,
+        )
         return motion.error + self._reduced[1]
 
 
