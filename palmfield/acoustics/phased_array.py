@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from palmfield.acoustics.air import density, sound_speed
@@ -336,8 +337,8 @@ def same_place(one: Placement, other: Placement) -> bool:
     return one == other or all(np.allclose(a, b, rtol=0.0, atol=SAME_PLACE) for a, b in pairs)
 
 
-def only(array: Array, chosen: Float | Int) -> Array:
-    """The chosen transducers of an array. chosen: their numbers, or a mask"""
+def only(array: Array, chosen: NDArray[np.bool_] | Int) -> Array:
+    """The chosen transducers of an array; chosen: their numbers, or which of all, shape (n,)."""
     return replace(
         array,
         positions=array.positions[chosen],

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import cached_property
 from typing import Protocol
 
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 
 from palmfield.acoustics.air import absorption_Np_m, sound_speed
 from palmfield.acoustics.focus import focus
+from palmfield.acoustics.phased_array import only
 from palmfield.acoustics.reference import directivity
 from palmfield.drive.board import Board, play
 from palmfield.drive.foci import leading_vector, solve_foci, together
@@ -401,17 +401,6 @@ class ArrayDrive:
                     unit = known[key] = self.unit_drive(focal_points.at(points[i, j]), loudness).amplitudes
                 drives[i, taken] = unit[taken]
         return drives
-
-
-def only(array: Array, chosen: Bool | Int) -> Array:
-    """The chosen transducers of an array; chosen: their numbers, or which of all, shape (n,)."""
-    return replace(
-        array,
-        positions=array.positions[chosen],
-        normals=array.normals[chosen],
-        address=None if array.address is None else array.address[chosen],
-        gain=None if array.gain is None else array.gain[chosen],
-    )
 
 
 def in_mm(point: Sequence[float] | Float) -> str:

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from palmfield.acoustics.phased_array import only
 from palmfield.config import StimulusConfig
-from palmfield.drive.array_drive import only
 from palmfield.drive.board import Board, rate_in_words
 from palmfield.drive.boards import BOARDS
 from palmfield.drive.focal_peak import loudest_point

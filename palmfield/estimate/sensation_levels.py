@@ -15,7 +15,7 @@ from palmfield.hand.articulated import articulate
 from palmfield.hand.labels import PALM_AREAS, region_labels
 from palmfield.hand.preset import load_preset
 from palmfield.hand.surface import hand_surface
-from palmfield.hand.triangles import face_normals
+from palmfield.hand.triangles import vertex_areas
 from palmfield.perception.force_threshold import FORCE_OBSERVER, force_level_dB_SL, force_near_peak_N, why_refused
 from palmfield.perception.maps import felt_lines, lines_in, lines_of, wanted_s
 from palmfield.perception.observers import OBSERVERS, Observer, level_dB_SL, line_amplitudes, threshold_m
@@ -167,13 +167,6 @@ def moved_area_m2(observer: Observer, frequencies: list[float], lines: Float, ar
     thresholds = threshold_m(observer, np.array(frequencies)[summed])
     weighted = np.sqrt(((lines[summed] / thresholds[:, None]) ** 2).sum(axis=0))
     return float(areas[weighted > MOVED_SHARE * weighted.max()].sum())
-
-
-def vertex_areas(vertices: Float, faces: Int) -> Float:
-    """A third of the triangles at each vertex [m^2], shape (S,). vertices: [m], shape (S, 3); faces: shape (m, 3)."""
-    thirds = np.repeat(face_normals(vertices, faces)[1] / 3.0, 3)
-    areas: Float = np.bincount(faces.ravel(), thirds, minlength=len(vertices)).astype(np.float64)
-    return areas
 
 
 def _why(observer: Observer, frequencies: list[float], amplitudes: Float) -> str:

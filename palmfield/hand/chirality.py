@@ -6,7 +6,7 @@ import numpy as np
 from scipy import sparse
 
 from palmfield.hand.holes import plane_axes
-from palmfield.hand.triangles import face_normals, unique_edges
+from palmfield.hand.triangles import unique_edges, vertex_areas
 from palmfield.types import Float, Int
 
 # A tip is farther from the wrist than all skin within this share of the longest way; two tips are as far apart.
@@ -65,7 +65,7 @@ def chirality(vertices: Float, faces: Int, named: str = "unknown") -> Chirality:
     digits = [_beyond(links, way, tip, reach) for tip, reach in zip(tips, web, strict=True)]
     on_palm = (way > low - length) & (way < low)
     on_palm[digits[thumb]] = False
-    weight = _vertex_areas(vertices, faces)
+    weight = vertex_areas(vertices, faces)  # so that finer meshed sides count no more
     middle = np.average(vertices[on_palm], axis=0, weights=weight[on_palm])
     across, normal = _frame(
         vertices, on_palm, weight, vertices[passes[np.ix_(fingers, fingers)]].mean(axis=(0, 1)) - middle
@@ -134,13 +134,6 @@ def _frame(vertices: Float, chosen: np.ndarray, weight: Float, up: Float) -> tup
     points = points - np.outer(points @ up, up)
     across = np.linalg.svd(points * np.sqrt(weight[chosen])[:, None], full_matrices=False)[2][0]
     return across, np.cross(across, up)
-
-
-def _vertex_areas(vertices: Float, faces: Int) -> Float:
-    """A third of the area of the faces at each vertex, shape (n,): with it, finer meshed sides count no more."""
-    area = face_normals(vertices, faces)[1] / 3.0
-    shares: Float = np.bincount(faces.ravel(), weights=np.repeat(area, 3), minlength=len(vertices)).astype(np.float64)
-    return shares
 
 
 def _webs(links: sparse.csr_array, way: Float, tips: Int) -> tuple[Float, Int]:

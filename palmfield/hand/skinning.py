@@ -21,7 +21,7 @@ from palmfield.hand.meshfile import load_rigged
 from palmfield.hand.preset import DIGITS, HandPreset
 from palmfield.hand.rigged import RiggedMesh, strongest
 from palmfield.hand.subdivide import EDGE_m
-from palmfield.hand.surface import hand_surface
+from palmfield.hand.surface import capsule_distance, hand_surface
 from palmfield.hand.triangles import adjacency, unique_edges
 from palmfield.types import Float, Int, Surface
 
@@ -63,15 +63,12 @@ def skin_weights(hand: ArticulatedHand, surface: Surface) -> Float:
 
 def _gap(hand: ArticulatedHand, digit: str, points: Float) -> Float:
     """Distance from points to the capsules of a digit and its metacarpal [m], shape (n,)."""
-    best = np.full(len(points), np.inf)
-    for part in hand.skeleton.skin:
-        if not part.name.startswith(f"{digit}_") or part.name.endswith(("_pad", "_web")):
-            continue
-        axis = part.end - part.start
-        t = np.clip((points - part.start) @ axis / (axis @ axis), 0.0, 1.0)
-        radius = part.semi_start[0] + t * (part.semi_end[0] - part.semi_start[0])
-        best = np.minimum(best, np.linalg.norm(points - part.start - t[:, None] * axis, axis=1) - radius)
-    return best
+    parts = [
+        part
+        for part in hand.skeleton.skin
+        if part.name.startswith(f"{digit}_") and not part.name.endswith(("_pad", "_web"))
+    ]
+    return capsule_distance(points, [(one.start, one.end, one.semi_start[0], one.semi_end[0]) for one in parts])
 
 
 def _along_digit(

@@ -4,6 +4,7 @@ import hashlib
 import io
 import os
 import tempfile
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
@@ -117,12 +118,20 @@ def skin_distance(skeleton: Skeleton, points: Float) -> Float:
 
 def bone_distance(points: Float, bones: list[Bone]) -> Float:
     """Distance to the nearest bone surface [m], shape (n,); negative inside a bone."""
+    return capsule_distance(points, [(b.start, b.end, b.radius_start_m, b.radius_end_m) for b in bones])
+
+
+def capsule_distance(points: Float, capsules: Iterable[tuple[Float, Float, float, float]]) -> Float:
+    """Distance to the nearest of some tapered capsules [m], shape (n,); negative inside.
+
+    capsules: start and end of the axis [m], shape (3,), and the radius at each [m]
+    """
     best = np.full(len(points), np.inf)
-    for bone in bones:
-        axis = bone.end - bone.start
-        t = np.clip((points - bone.start) @ axis / (axis @ axis), 0.0, 1.0)
-        radius = bone.radius_start_m + t * (bone.radius_end_m - bone.radius_start_m)
-        best = np.minimum(best, np.linalg.norm(points - bone.start - t[:, None] * axis, axis=1) - radius)
+    for start, end, radius_start, radius_end in capsules:
+        axis = end - start
+        t = np.clip((points - start) @ axis / (axis @ axis), 0.0, 1.0)
+        radius = radius_start + t * (radius_end - radius_start)
+        best = np.minimum(best, np.linalg.norm(points - start - t[:, None] * axis, axis=1) - radius)
     return best
 
 

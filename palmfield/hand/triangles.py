@@ -32,6 +32,12 @@ def face_normals(vertices: Float, faces: Int) -> tuple[Float, Float]:
     return cross / np.where(twice > 0.0, twice, 1.0)[:, None], 0.5 * twice
 
 
+def vertex_areas(vertices: Float, faces: Int) -> Float:
+    """A third of the areas of the faces around each vertex [m2], shape (n,)."""
+    thirds = np.repeat(face_normals(vertices, faces)[1] / 3.0, 3)
+    return np.bincount(faces.ravel(), thirds, minlength=len(vertices)).astype(np.float64)
+
+
 def vertex_normals(vertices: Float, faces: Int) -> Float:
     """Unit normals by vertex, faces weighted by their angle there, shape (n, 3)."""
     unit, _ = face_normals(vertices, faces)

@@ -17,7 +17,7 @@ from palmfield.hand.layer import (
     wedge_quality,
 )
 from palmfield.hand.meshquery import exit_distances
-from palmfield.hand.triangles import corner_angles, face_components, face_normals, unique_edges
+from palmfield.hand.triangles import corner_angles, face_components, face_normals, unique_edges, vertex_areas
 from palmfield.types import Float, Int, Patch, Surface
 
 THINNED = 0.999
@@ -147,12 +147,6 @@ def _shares(sheets: ArrayLike | None) -> Float:
     if parts.ndim != 1 or len(parts) == 0 or not (np.isfinite(parts) & (parts > 0.0)).all():
         raise SceneError(f"skin layer: sheets are {parts.tolist()}; give shares of the depth above 0, the skin's first")
     return np.concatenate([[0.0], np.cumsum(parts) / parts.sum()])
-
-
-def vertex_areas(vertices: Float, faces: Int) -> Float:
-    """A third of the faces around each vertex [m2], shape (n,)."""
-    area = face_normals(vertices, faces)[1]
-    return np.asarray(np.bincount(faces.ravel(), np.repeat(area / 3.0, 3), len(vertices)), dtype=np.float64)
 
 
 def upright_cosine(vertices: Float, faces: Int, inward: Float) -> Float:

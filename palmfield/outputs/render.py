@@ -20,7 +20,7 @@ from palmfield.errors import OutputError
 from palmfield.outputs.camera import AZIMUTH_DEG, Camera, look_along_emission
 from palmfield.outputs.frames import arrays_of, bodies, foci_at, in_world, loudest, nearest, pose_at, to_local, to_world
 from palmfield.outputs.schema import has_records, instances
-from palmfield.outputs.style import save, style
+from palmfield.outputs.style import linear_rgb, save, style
 from palmfield.threads import cores, share
 from palmfield.types import Float
 from warp_kernels import raycast
@@ -255,7 +255,9 @@ def cast(
     faces = np.concatenate([m.faces + start for m, start in zip(meshes, offsets[:-1], strict=True)])
     normals = np.concatenate([painted.vertex_normals, *(p.mesh.vertex_normals for p in parts)])
     counts = [len(part.mesh.vertices) for part in parts]
-    own = np.repeat([_linear(np.array(part.colour)) for part in parts], counts, axis=0) if parts else np.zeros((0, 3))
+    own = (
+        np.repeat([linear_rgb(np.array(part.colour)) for part in parts], counts, axis=0) if parts else np.zeros((0, 3))
+    )
     albedo = np.concatenate([np.zeros((len(level), 3)), own])
     gloss = np.repeat([0.06, *(part.gloss for part in parts)], [len(level), *counts])
     opacity = np.repeat([1.0, *(part.opacity for part in parts)], [len(m.faces) for m in meshes])
@@ -279,7 +281,7 @@ def cast(
         corners,
         *vectors[1:],
         *(wp.array(a, dtype=float, device=device) for a in (levels, gloss, opacity)),
-        wp.array(_linear(np.asarray(colours.colors)[:, :3]), dtype=wp.vec3, device=device),
+        wp.array(linear_rgb(np.asarray(colours.colors)[:, :3]), dtype=wp.vec3, device=device),
         *(wp.vec3(*v) for v in (camera.eye, corner, right, down, key, fill, camera.up)),
         AMBIENT_REACH_M,
         *size,
@@ -298,11 +300,6 @@ def cast(
 
 def _unit(vector: Float) -> Float:
     return vector / np.linalg.norm(vector)
-
-
-def _linear(srgb: Float) -> Float:
-    """Linear RGB of sRGB (IEC 61966-2-1)."""
-    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
 
 
 def _srgb(linear: Float) -> Float:

@@ -96,3 +96,8 @@ def save(figure: Figure, path: Path, dpi: int = 150) -> None:
         os.replace(temporary, path)
     except OSError as error:
         raise unwritable(path, error) from error
+
+
+def linear_rgb(srgb: Float) -> Float:
+    """Linear RGB of sRGB (IEC 61966-2-1)."""
+    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)

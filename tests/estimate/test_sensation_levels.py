@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 import palmfield
-from palmfield.estimate.sensation_levels import contact_levels, felt_levels, moved_area_m2, region_at, vertex_areas
+from palmfield.estimate.sensation_levels import contact_levels, felt_levels, moved_area_m2, region_at
+from palmfield.hand.triangles import vertex_areas
 from palmfield.perception.observers import OBSERVERS
 from palmfield.planning.facts import first_drive
 from palmfield.session.loudest_moment import LoudestMoment

@@ -6,6 +6,7 @@ import numpy as np
 import xarray as xr
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
+from palmfield.hand.triangles import face_normals
 from palmfield.outputs.covered import smooth_normals, sunk
 from palmfield.outputs.frames import IDENTITY, nearest
 from palmfield.outputs.schema import has_records
@@ -14,7 +15,7 @@ from palmfield.outputs.usd.prims import Moves, about, add_mesh, add_primvar, flo
 from palmfield.outputs.usd.quantise import rounding
 from palmfield.outputs.usd.samples import Samples
 from palmfield.outputs.usd.skeleton import BoneMoves, add_skeleton, bind, identifiers
-from palmfield.outputs.usd.skins import SkinWriter, face_areas
+from palmfield.outputs.usd.skins import SkinWriter
 from palmfield.types import Float, Float32, Int
 
 SKIN_COLOUR = (0.70, 0.47, 0.36)
@@ -97,7 +98,7 @@ class BodyWriter:
                 add_primvar(mesh.GetPrim(), name, "Pa", sign, {}).Set(floats(np.maximum.reduce(values)))
         if has_records(first, "face_arp"):
             low, high = float(first["face_arp"].min()), float(first["face_arp"].max())
-            rounded = rounding(low, high, face_areas(points, faces), FORCE_PART)
+            rounded = rounding(low, high, face_normals(points, faces)[1], FORCE_PART)
             told = rounding_told(rounded) | {"quantisation": FORCE_ROUNDING}
             primvar = add_primvar(
                 mesh.GetPrim(), "arp", "Pa", "mean over the step; positive pushes into the surface", told, "uniform"

@@ -7,7 +7,7 @@ from matplotlib import colormaps
 from numpy.typing import NDArray
 from pxr import UsdGeom
 
-from palmfield.outputs.style import signed_colours
+from palmfield.outputs.style import linear_rgb, signed_colours
 from palmfield.outputs.usd.prims import about, vectors
 from palmfield.types import Float, Int
 
@@ -25,7 +25,7 @@ class Palette(NamedTuple):
     @property
     def at_rest(self) -> tuple[float, ...]:
         """The colour of zero, or of the range's end nearest to it, in USD's linear RGB."""
-        return tuple(linear(self.colours[int(self.numbers(np.zeros(1))[0])]).tolist())
+        return tuple(linear_rgb(self.colours[int(self.numbers(np.zeros(1))[0])]).tolist())
 
     def numbers(self, values: NDArray[np.floating]) -> Int:
         """The colour of each value; those outside the range have that of its nearer end."""
@@ -52,15 +52,10 @@ def cyclic_palette(period: float) -> Palette:
     return Palette(0.0, period, np.asarray(colormaps["twilight"](np.linspace(0.0, 1.0, COLOURS)))[:, :3], "twilight")
 
 
-def linear(colours: Float) -> Float:
-    """USD's colours are linear; those of a map are sRGB (IEC 61966-2-1)."""
-    return np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
-
-
 def paint(prim: UsdGeom.Gprim, palette: Palette, interpolation: str, **said: Any) -> UsdGeom.Primvar:
     """Give a prim a palette, which says what it shows; its numbers are the primvar's indices."""
     colour = prim.CreateDisplayColorPrimvar(interpolation)
-    colour.Set(vectors(linear(palette.colours)))
+    colour.Set(vectors(linear_rgb(palette.colours)))
     about(colour.GetAttr(), low=palette.low, high=palette.high, map=palette.map, **said)
     return colour
 

@@ -12,8 +12,8 @@ from trimesh.creation import icosphere
 
 from palmfield.outputs.frames import nearest
 from palmfield.outputs.schema import has_records
+from palmfield.outputs.style import linear_rgb
 from palmfield.outputs.usd.clock import Clock
-from palmfield.outputs.usd.palette import linear
 from palmfield.outputs.usd.prims import Moves, about, add_mesh, vectors
 from palmfield.outputs.usd.skeleton import identifiers
 from palmfield.types import Float
@@ -124,7 +124,7 @@ class PhysicsWriter:
         if extra is not None:
             prim.AddScaleOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Vec3d(*extra.tolist()))
         colour = scene["geom_rgba"][number]
-        prim.CreateDisplayColorAttr(vectors(linear(colour[None, :3])))
+        prim.CreateDisplayColorAttr(vectors(linear_rgb(colour[None, :3])))
         if colour[3] < 1.0:
             prim.CreateDisplayOpacityAttr(Vt.FloatArray([float(colour[3])]))
         if shown_better or colour[3] == 0.0:

@@ -7,11 +7,11 @@ import numpy as np
 import xarray as xr
 from pxr import Sdf, Usd, UsdGeom
 
+from palmfield.hand.triangles import vertex_areas
 from palmfield.outputs.levels import LevelCourse
 from palmfield.outputs.motion import PIECE_BYTES
 from palmfield.outputs.schema import has_records
 from palmfield.outputs.usd.clock import Clock
-from palmfield.outputs.usd.order import strip_order
 from palmfield.outputs.usd.palette import Palette, indices_of, paint
 from palmfield.outputs.usd.prims import about, add_mesh, add_primvar, floats, integers, rounding_told, vectors
 from palmfield.outputs.usd.quantise import Rounding, rounding
@@ -22,6 +22,19 @@ from palmfield.types import Float, Float32, Int
 MOTION = "motion"
 REST, MAGNIFIED = "rest", "magnified"
 """The variant set of each skin and its variants: points where they rest, and points moved by a factor."""
+
+
+def strip_order(points: Float) -> Int:
+    """Numbers of points [m], shape (n, 3), strip by strip, to and fro, shape (n,).
+
+    Strips run along the longest axis of the points, as wide as points are apart. Of a wave on 71 x 71 points it takes
+    6 % less than a Hilbert curve, and 30 % less than any order.
+    """
+    local = points - points.mean(axis=0)
+    along, across = (local @ np.linalg.svd(local, full_matrices=False)[2][:2].T).T
+    width = np.sqrt(np.ptp(along) * np.ptp(across) / len(points))
+    strip = np.rint((across - across.min()) / width if width > 0.0 else np.zeros(len(points))).astype(int)
+    return np.lexsort((np.where(strip % 2, -along, along), strip)).astype(np.int32)
 
 
 def frame_blocks(skin: xr.Dataset | None, clock: Clock, most: int) -> Iterator[slice]:
@@ -36,18 +49,6 @@ def result_times(clock: Clock, frames: slice) -> slice:
     """Which of the result's times some frames are."""
     step = clock.places.step
     return slice(clock.places.start + frames.start * step, clock.places.start + (frames.stop - 1) * step + 1, step)
-
-
-def vertex_areas(vertices: Float, faces: Int) -> Float:
-    """A third of the areas of the triangles round each vertex [m2], shape (n,)."""
-    third = face_areas(vertices, faces) / 3.0
-    return np.bincount(faces.ravel(), np.repeat(third, 3), minlength=len(vertices)).astype(np.float64)
-
-
-def face_areas(vertices: Float, faces: Int) -> Float:
-    """Areas of triangles [m2], shape (m,)."""
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    return np.asarray(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))
 
 
 def recorded_quantities(skin: xr.Dataset) -> dict[str, Quantity]:

@@ -17,8 +17,8 @@ import palmfield
 from palmfield.errors import OutputError
 from palmfield.outputs.schema import tree
 from palmfield.outputs.usd import Shown, validate_usd, write_usd
-from palmfield.outputs.usd.order import strip_order
 from palmfield.outputs.usd.quantise import rounding
+from palmfield.outputs.usd.skins import strip_order
 
 PALM = "/Scene/Bodies/palm/Skins/palm"
 LONG = """

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import palmfield
-from palmfield.estimate.sensation_levels import contact_levels, vertex_areas
+from palmfield.estimate.sensation_levels import contact_levels
+from palmfield.hand.triangles import vertex_areas
 from palmfield.outputs.pictures.draw import draw_pictures
 from palmfield.outputs.store import MemoryStore, open_result
 from palmfield.perception import ALL_OBSERVERS

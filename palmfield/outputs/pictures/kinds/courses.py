@@ -11,41 +11,46 @@ from palmfield.metrics.spectra import amplitude_spectrum
 from palmfield.outputs.motion import at_vertices
 from palmfield.outputs.pictures.asked import IN_MICRO, UNITS, Asked, Kind, chosen_skin, chosen_vertices, limits_of
 from palmfield.outputs.style import COLOURS, LINES, beyond
+from palmfield.types import Float
 
 WINDOW_S = 0.02
 SHOWN_DB = 60.0
 LEAST_Hz = 1000.0
 
 
-def course(result: xr.DataTree, asked: Asked) -> Figure:
-    """Normal displacement or velocity over time."""
+def _motion(result: xr.DataTree, asked: Asked) -> tuple[Float, list[tuple[str, Float]]]:
+    """Times [s], and the name and normal motion [um or um/s] of each chosen place."""
     name, skin = chosen_skin(result, asked, asked.quantity)
     chosen = chosen_vertices(result, name, skin, asked)
     motion = IN_MICRO * at_vertices(skin, [vertex for vertex, _ in chosen], asked.quantity).astype(float)
+    return skin["time"].values, [(what, values) for (_, what), values in zip(chosen, motion.T, strict=True)]
+
+
+def course(result: xr.DataTree, asked: Asked) -> Figure:
+    """Normal displacement or velocity over time."""
+    times, motion = _motion(result, asked)
     figure = Figure(figsize=(7.0, 3.4), layout="constrained")
     axes = figure.subplots()
-    for n, ((_, what), values) in enumerate(zip(chosen, motion.T, strict=True)):
-        axes.plot(1e3 * skin["time"].values, values, LINES[n % len(LINES)], color=COLOURS[n % len(COLOURS)], label=what)
+    for n, (what, values) in enumerate(motion):
+        axes.plot(1e3 * times, values, LINES[n % len(LINES)], color=COLOURS[n % len(COLOURS)], label=what)
     axes.set(xlabel="time [ms]", ylabel=f"normal {asked.quantity} [{UNITS[asked.quantity]}]")
     axes.set_title("Motion of the skin (negative: inward)")
     if asked.limits is not None:
         axes.set_ylim(*asked.limits)
     axes.margins(x=0)
     axes.margins(y=0.15)
-    axes.legend(ncols=min(3, len(chosen)), loc="upper right")
+    axes.legend(ncols=min(3, len(motion)), loc="upper right")
     return figure
 
 
 def spectrum(result: xr.DataTree, asked: Asked) -> Figure:
     """Single-sided amplitude spectra of the normal motion, Hann window, without its mean."""
-    name, skin = chosen_skin(result, asked, asked.quantity)
-    chosen = chosen_vertices(result, name, skin, asked)
-    motion = IN_MICRO * at_vertices(skin, [vertex for vertex, _ in chosen], asked.quantity).astype(float)
+    times, motion = _motion(result, asked)
     figure = Figure(figsize=(7.0, 3.4), layout="constrained")
     axes = figure.subplots()
     top = 0.0
-    for n, ((_, what), values) in enumerate(zip(chosen, motion.T, strict=True)):
-        at, size = amplitude_spectrum(skin["time"].values, values)
+    for n, (what, values) in enumerate(motion):
+        at, size = amplitude_spectrum(times, values)
         top = max(top, float(size.max()))
         style = LINES[n % len(LINES)]
         axes.semilogy(at, np.maximum(size, 1e-12), style, color=COLOURS[n % len(COLOURS)], label=what)

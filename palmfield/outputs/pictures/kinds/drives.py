@@ -4,18 +4,13 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from palmfield.errors import OutputError
 from palmfield.outputs.pictures.asked import Asked, Kind, chosen_frame
-from palmfield.outputs.schema import has_records, instances
+from palmfield.outputs.sound import driven_arrays
 
 
 def drives(result: xr.DataTree, asked: Asked) -> Figure:
     """Phase of each transducer by colour, which comes back on itself, and its amplitude by size, at a time."""
-    arrays = {
-        name: array for name, array in instances(result, "array").items() if has_records(array, "drive_amplitude")
-    }
-    if not arrays:
-        raise OutputError("the result holds no drives of an array; run at least one step")
+    arrays = driven_arrays(result)
     figure = Figure(figsize=(5.4 * len(arrays), 4.8), layout="constrained")
     for axes, (name, array) in zip(figure.subplots(1, len(arrays), squeeze=False)[0], arrays.items(), strict=True):
         amplitude = array["drive_amplitude"].values
