@@ -27,9 +27,9 @@ from palmfield.acoustics.focus import focus
 from palmfield.acoustics.langevin import radiation_force
 from palmfield.acoustics.scattering import Scattering, scatter, wall_arp
 from palmfield.acoustics.shadow import shadow_mesh
-from palmfield.acoustics.sphere import surface_pressure
 from palmfield.device import resolve
 from palmfield.hand.triangles import face_normals, vertex_normals
+from palmfield.instruments.microphone import surface_pressure
 from palmfield.studies.bench.field import device_name, git_commit
 from palmfield.studies.bench.table import processor
 from palmfield.types import Air, Field, Float, Surface

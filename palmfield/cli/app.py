@@ -9,10 +9,10 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from palmfield.cli import brought, completion
+from palmfield.cli import brought
 from palmfield.cli.calibrate import calibrate
 from palmfield.cli.experiment import experiment
-from palmfield.cli.given import given_keys
+from palmfield.cli.given import given_keys, offered_plugins, offered_settings
 from palmfield.cli.messages import LEVELS, complain, show_log
 from palmfield.cli.stimulus import stimulus
 from palmfield.cli.track import track
@@ -84,7 +84,7 @@ Keys = Annotated[
         "stimulus.path_speed_m_s=11 (see `palmfield keys`); give it several times for several keys. A file that is "
         "in the current folder is taken from there, others are relative to the scene. The value unset takes a key out",
         metavar="INSTANCE.KEY=VALUE",
-        autocompletion=completion.settings,
+        autocompletion=offered_settings,
     ),
 ]
 BoardName = Annotated[
@@ -309,10 +309,15 @@ def drive(
     sound = FocusSound(level, am_frequency, p0, Air(temperature, humidity, air_pressure), layout, calibration)
     own = {name.removeprefix("driver."): value for name, value in given_keys(keys).items()}
     if live is not None:
-        from palmfield.cli.live import live_input
-        from palmfield.hardware.live_focus import play_live
+        from palmfield.hardware.live_focus import LiveInput, play_live
+        from palmfield.motion.replaying import address_by
 
-        given = live_input(live, focus)
+        host, number, by = address_by(live)
+
+        def listening(host: str, number: int) -> None:
+            print(f"listening for foci at {host}:{number} by {by}; Ctrl-C ends it", file=sys.stderr, flush=True)
+
+        given = LiveInput(host, number, by, focus or (0.0, 0.0, 0.0), on_listening=listening)
         done = play_live(given, board or "sonicsurface", target, duration, sound=sound, keys=own)
     elif focus is not None:
         lasts = 10.0 if duration is None else duration
@@ -433,9 +438,8 @@ def decode(
     """
     import numpy as np
 
-    from palmfield.hardware.decode import as_table, write_csv
+    from palmfield.hardware.decode import as_table, draw_foci, write_csv
     from palmfield.hardware.decode import decode as decoded_file
-    from palmfield.outputs.foci_picture import draw_foci
 
     decoded = decoded_file(file, board, layout, calibration)
     print(as_table(decoded, most=40))
@@ -547,7 +551,7 @@ def keys(
     plugin: Annotated[
         str | None,
         typer.Argument(
-            help="one module, e.g. skin for palmfield.skin", metavar="[PLUGIN]", autocompletion=completion.plugins
+            help="one module, e.g. skin for palmfield.skin", metavar="[PLUGIN]", autocompletion=offered_plugins
         ),
     ] = None,
     markdown: Annotated[bool, typer.Option(help="as the page docs/keys.md")] = False,
@@ -987,36 +991,58 @@ def recover(out: Annotated[Path, typer.Argument(help="folder of a run that was c
         print(f"wrote {path}")
 
 
-cache = typer.Typer(
+NOTHING_KEPT = "nothing is kept: PALMFIELD_CACHE is off"
+cache_app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode=None,
     help="What earlier runs have left for later ones: small models of the skin and error estimates, in the user's "
     "cache folder or where PALMFIELD_CACHE says (off: nothing is kept), up to PALMFIELD_CACHE_MB [2048].\n\n"
     "Example: palmfield cache list",
 )
-app.add_typer(cache, name="cache")
+app.add_typer(cache_app, name="cache")
 
 
-@cache.command("list")
+@cache_app.command("list")
 def cache_list() -> None:
     """Say what is kept, how large it is and when it was last used.
 
     Example: palmfield cache list
     """
-    from palmfield.cli.cache import show_cache
+    import time
 
-    show_cache()
+    from palmfield import cache
+
+    where, kept = cache.folder(), cache.entries()
+    if where is None:
+        print(NOTHING_KEPT)
+        return
+    for entry in kept:
+        print(f"{entry.size_bytes / 1e6:8.1f} MB  used {_ago(time.time() - entry.used):>9} ago  {entry.path.name}")
+    total = sum(entry.size_bytes for entry in kept)
+    print(f"{len(kept)} kept in {where}: {total / 1e6:.1f} MB of {cache.limit_bytes() / 1e6:.0f} MB")
 
 
-@cache.command("clear")
+def _ago(seconds: float) -> str:
+    for unit, length in (("days", 86400.0), ("hours", 3600.0), ("min", 60.0)):
+        if seconds >= 2.0 * length:
+            return f"{seconds / length:.0f} {unit}"
+    return f"{max(seconds, 0.0):.0f} s"
+
+
+@cache_app.command("clear")
 def cache_clear() -> None:
     """Remove all that is kept: the next runs compute it again.
 
     Example: palmfield cache clear
     """
-    from palmfield.cli.cache import clear_cache
+    from palmfield import cache
 
-    clear_cache()
+    where, kept = cache.folder(), cache.entries()
+    if where is None:
+        print(NOTHING_KEPT)
+        return
+    total = sum(entry.size_bytes for entry in kept)
+    print(f"removed {cache.clear()} from {where}: {total / 1e6:.1f} MB")
 
 
 app.add_typer(calibrate, name="calibrate")

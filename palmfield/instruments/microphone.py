@@ -12,16 +12,33 @@ import xarray as xr
 from numpy.typing import ArrayLike
 from pydantic import Field
 from scipy.signal import butter, freqs_zpk
+from scipy.special import eval_legendre, spherical_jn, spherical_yn
 
-from palmfield.acoustics.sphere import surface_pressure
 from palmfield.errors import MeasurementError
 from palmfield.instruments.microphone_body import face_rise
 from palmfield.instruments.settings import NonNegative, Positive, Settings, Vector3
 from palmfield.metrics.checks import even_step, trace
-from palmfield.types import Complex, Float
+from palmfield.types import Complex, Float, Int
 
 PressureAt = Callable[[Float], Complex]
 """Pressure [Pa] at places [m] of shape (n, 3), shape (n,)."""
+
+
+def series_terms(ka: float) -> tuple[Int, Complex]:
+    """Orders n and (2n + 1) i^n i/((ka)^2 h_n'(ka))."""
+    n = np.arange(int(ka + 4.0 * ka ** (1.0 / 3.0) + 12.0), dtype=np.int32)
+    slope = spherical_jn(n, ka, derivative=True) + 1j * spherical_yn(n, ka, derivative=True)
+    return n, (2 * n + 1) * 1j**n * 1j / (ka**2 * slope)
+
+
+def surface_pressure(ka: float, cosine: ArrayLike) -> Complex:
+    """Total pressure on a rigid fixed sphere in the wave exp(ikz), e^{-iwt}; cosine: of the angle from +z.
+
+    p = sum (2n+1) i^n P_n [j_n - j_n'/h_n' h_n](ka), by the Wronskian (2n+1) i^n P_n i/((ka)^2 h_n') (Morse & Ingard,
+    Theoretical Acoustics, section 8.2).
+    """
+    n, terms = series_terms(ka)
+    return np.stack([eval_legendre(i, np.asarray(cosine, dtype=float)) for i in n], axis=-1) @ terms
 
 
 class Microphone(Settings):
@@ -96,7 +113,7 @@ def angle_response(cosine: ArrayLike, diameter_m: float, wavenumber: float) -> C
     """What a microphone's body makes of sound from the side, relative to sound from straight ahead; shape of cosine.
 
     The pressure on a rigid sphere of the microphone's diameter where it faces the head-on sound (exact,
-    `palmfield.acoustics.sphere`), as a stand-in for the cylinder: at k a = 1.2, an eighth of an inch at 40 kHz, sound
+    `surface_pressure`), as a stand-in for the cylinder: at k a = 1.2, an eighth of an inch at 40 kHz, sound
     from ahead is raised by 3.4 dB and from 50 degrees by 2.5. It goes with the mean over the diaphragm of
     `microphone_scan`; sources are so weighted one by one, each by its own angle, so that the body counts as alone in
     each one's sound.

@@ -17,7 +17,6 @@ from palmfield.planning.array_advice import array_advice
 from palmfield.planning.costs import scatterings
 from palmfield.planning.facts import first_drive, where_it_arrives
 from palmfield.planning.in_the_way import in_the_way
-from palmfield.planning.material_advice import material_advice
 from palmfield.planning.pins import coarse_pins
 from palmfield.planning.sight import out_of_sight
 from palmfield.session.duration import step_count
@@ -25,6 +24,7 @@ from palmfield.session.preview import Preview
 from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.skin.from_config import cutoff_Hz
+from palmfield.skin.materials.material import Material
 from palmfield.stimulus.schedule import frames_at, main_frequencies, turn_rate_Hz
 from palmfield.types import Float
 
@@ -36,6 +36,42 @@ HARDLY = 0.05
 """Of the |p|^2 of a focus on it: skin that gets less hardly moves."""
 ROUNDED = 0.01
 """Of its duration, by which MuJoCo's steps may change a run without a word."""
+
+
+DENSITIES_kg_m3 = 500.0, 3000.0
+SHEAR_Pa = 50.0, 1e9
+"""Of what skin and phantoms are made of, from the softest gels to dry stratum corneum."""
+LEAST_POISSON = 0.3
+"""Soft tissue, gels and rubbers keep their volume: 0.45 to 0.5."""
+
+
+def material_advice(model: HapticModel) -> list[str]:
+    """Warnings of the sheets of all skins."""
+    return [
+        f"material '{sheet.material.name}' of skin '{skin.spec.name}' {said}"
+        for skin in model.skins
+        for sheet in skin.layer.sheets
+        for said in _doubts(sheet.material)
+    ]
+
+
+def _doubts(material: Material) -> list[str]:
+    result = []
+    for what, value, unit, (low, high) in (
+        ("density", material.density_kg_m3, "kg/m^3", DENSITIES_kg_m3),
+        ("relaxed shear modulus", material.shear_relaxed_Pa, "Pa", SHEAR_Pa),
+    ):
+        if not low <= value <= high:
+            result.append(
+                f"has a {what} of {value:.3g} {unit}, that of skins and phantoms {low:g} to {high:g}: look at the unit"
+            )
+    bulk, shear = material.bulk_Pa, material.shear_relaxed_Pa
+    poisson = (3.0 * bulk - 2.0 * shear) / (2.0 * (3.0 * bulk + shear))
+    if poisson < LEAST_POISSON:
+        result.append(
+            f"has a Poisson's ratio of {poisson:.2g}, where skin, gels and rubbers have 0.45 to 0.5: look at bulk_Pa"
+        )
+    return result
 
 
 def advice(view: Preview) -> list[str]:

@@ -1,9 +1,14 @@
 """What a scene needs to be modelled, what is left out and why, and what it costs; decided before anything runs."""
 
-from collections.abc import Mapping
+import io
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
+from rich.console import Console
+from rich.table import Table
+
+from palmfield import terminal
 from palmfield.estimate.error_budget import QUANTITY
 from palmfield.planning.advice import advice
 from palmfield.planning.costs import run_s
@@ -12,13 +17,37 @@ from palmfield.planning.left_out import besides, left_out
 from palmfield.planning.modelled import modelled
 from palmfield.planning.numbers import plan_numbers
 from palmfield.planning.rows import Row, merged
-from palmfield.planning.text import as_text
 from palmfield.session.duration import check_duration
 from palmfield.session.open_scene import Source
 from palmfield.session.preview import preview
 from palmfield.session.simulation import Simulation
 
 __all__ = ["Plan", "Row", "plan", "warnings"]
+
+
+WIDTH = 130
+"""Columns of the tables where the terminal is no narrower."""
+
+
+def as_text(scene: str, parts: Mapping[str, Sequence[Row]], warnings: Sequence[str], seconds: float) -> str:
+    """The expected wall time [s], a table for each part, by its title, and the warnings."""
+    stream = io.StringIO()
+    console = Console(file=stream, width=terminal.columns(WIDTH))
+    console.print(f"Plan for {scene}. Expected time on two CPU cores: {seconds:.0f} s", highlight=False)
+    every = [row for rows in parts.values() for row in rows]
+    # One of each kind needs no names.
+    named = any("," in row.instance for row in every) or (
+        len({(row.what, row.instance) for row in every}) > len({row.what for row in every})
+    )
+    for title, rows in parts.items():
+        columns = ("what", "of", "size", "why") if named else ("what", "size", "why")
+        grid = Table(*terminal.folded(columns), title=title, title_justify="left")
+        for row in rows:
+            grid.add_row(*((row.what, row.instance) if named else (row.what,)), row.size, row.why)
+        console.print(grid)
+    for warning in warnings:
+        console.print(f"Warning: {warning}", highlight=False)
+    return stream.getvalue()
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,9 @@ from palmfield.acoustics.bem import DoubleLayer
 from palmfield.acoustics.bem_mesh import checked, closed, elements_per_wavelength, inner_points, mean_edge_m
 from palmfield.acoustics.langevin import radiation_force
 from palmfield.acoustics.scattering import Incident, Scattering, scatter
-from palmfield.acoustics.sphere import surface_pressure
 from palmfield.errors import PalmfieldError
 from palmfield.hand.triangles import face_normals
+from palmfield.instruments.microphone import surface_pressure
 from palmfield.types import Air, Complex, Field, Float, Int
 from warp_kernels import bem as kernels
 

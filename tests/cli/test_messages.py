@@ -10,7 +10,7 @@ import pytest
 
 import palmfield
 from palmfield.cli.app import main
-from palmfield.cli.completion import plugins, settings
+from palmfield.cli.given import offered_plugins, offered_settings
 from palmfield.config import SkinConfig
 from palmfield.session import recorded_run
 
@@ -104,11 +104,12 @@ def test_shells_can_complete(monkeypatch, capsys):
 
 
 def test_keys_and_values_are_offered():
-    assert plugins("st") == ["stimulus"] and "skin" in plugins("")
-    assert settings("skin.radi") == ["skin.radius_m="]
-    assert settings("skin.base=f") == ["skin.base=free_slip", "skin.base=free"]
+    assert offered_plugins("st") == ["stimulus"] and "skin" in offered_plugins("")
+    assert offered_settings("skin.radi") == ["skin.radius_m="]
+    assert offered_settings("skin.base=f") == ["skin.base=free_slip", "skin.base=free"]
     assert (
-        len(settings("skin.")) == len(SkinConfig.model_fields) and settings("nose.") == settings("skin.radius_m=") == []
+        len(offered_settings("skin.")) == len(SkinConfig.model_fields)
+        and offered_settings("nose.") == offered_settings("skin.radius_m=") == []
     )
 
 

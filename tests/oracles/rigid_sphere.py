@@ -4,7 +4,7 @@ import numpy as np
 import trimesh
 from scipy.special import eval_legendre
 
-from palmfield.acoustics.sphere import series_terms
+from palmfield.instruments.microphone import series_terms
 from palmfield.types import Float, Int
 
 

@@ -6,8 +6,8 @@ from hypothesis import strategies as st
 from matplotlib.image import imread
 
 from palmfield.errors import OutputError
+from palmfield.hardware.decode import draw_foci
 from palmfield.outputs.camera import look_along_emission
-from palmfield.outputs.foci_picture import draw_foci
 from palmfield.outputs.frames import arrays_of, bodies, loudest, pose_at, posed, to_local, to_world
 from palmfield.outputs.plots import plot_displacement, plot_pressure, pressure_picture
 from palmfield.outputs.render import COLOURS, render_scene

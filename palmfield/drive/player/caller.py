@@ -8,15 +8,16 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
+from types import FrameType
 from typing import Any, Self
 
 from palmfield.drive.board import Board
+from palmfield.drive.exit_signals import handling, in_main_thread, leave
 from palmfield.drive.playback import TimedFrame
 from palmfield.drive.player.messages import END, FRAME, JOB, MUTE, SCHEDULE, Inbox, Job, LiveFrame, Schedule, packed
 from palmfield.drive.player.report import PlayReport
-from palmfield.drive.player.signals import signals_to
 from palmfield.drive.ports import open_port
 from palmfield.errors import DeviceError
 
@@ -24,6 +25,38 @@ STARTS_WITHIN_S = 30.0
 POSIX = os.name == "posix"
 PACKAGES = str(Path(__file__).parents[3])
 """Where Python finds palmfield."""
+
+
+ENDS = ("SIGTERM", "SIGHUP", "SIGQUIT")
+"""They end a process without running `finally`; as SystemExit they do. SIGINT is KeyboardInterrupt already."""
+
+
+@contextlib.contextmanager
+def signals_to(alarm: socket.socket, silent_within_s: float) -> Iterator[None]:
+    """In the block numbers of signals go to a socket as they come, also while Python is busy elsewhere.
+
+    alarm: never blocks; silent_within_s: time that the board takes to be silent before Ctrl-Z stops this process
+    Nothing is caught elsewhere than in the main thread, nor what the process ignores (as SIGHUP under nohup).
+    """
+    if not in_main_thread():
+        yield
+        return
+
+    def stop(number: int, _frame: FrameType | None) -> None:
+        time.sleep(silent_within_s)
+        signal.signal(number, signal.SIG_DFL)
+        os.kill(os.getpid(), number)
+        # Here it goes on, after SIGCONT
+        signal.signal(number, stop)
+        with contextlib.suppress(OSError):
+            alarm.send(bytes([signal.SIGCONT]))
+
+    with handling({**dict.fromkeys(ENDS, leave), "SIGTSTP": stop}):
+        wakeup = signal.set_wakeup_fd(alarm.fileno(), warn_on_full_buffer=False)
+        try:
+            yield
+        finally:
+            signal.set_wakeup_fd(wakeup)
 
 
 class Player:

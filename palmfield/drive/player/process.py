@@ -6,6 +6,8 @@ the caller says so, is gone or is stopped, and when a signal ends this process.
 """
 
 import contextlib
+import ctypes
+import gc
 import json
 import os
 import select
@@ -18,7 +20,6 @@ from typing import Any
 from palmfield.drive.player.board_end import BoardEnd, PortStuck
 from palmfield.drive.player.budget import SoundBudget
 from palmfield.drive.player.messages import END, FRAME, JOB, MUTE, SCHEDULE, Inbox, Job, LiveFrame, Schedule
-from palmfield.drive.player.realtime import collect_no_garbage, take_priority
 from palmfield.drive.player.report import quantile
 from palmfield.drive.player.sources import LiveSource, ScheduleSource, Source
 from palmfield.drive.transport import PortLost
@@ -35,6 +36,37 @@ IDLE_S = 200e-6
 """Time that a line of the log may take."""
 ENDS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
 STOPS, GOES_ON = int(getattr(signal, "SIGTSTP", 0)), int(getattr(signal, "SIGCONT", 0))
+
+
+PRIORITY = 60
+PR_SET_TIMERSLACK = 29
+MCL_CURRENT, MCL_FUTURE = 1, 2
+
+
+def collect_no_garbage() -> None:
+    """No pause for reference cycles, of which a player makes none; wake up when a wait is over, not 50 us later."""
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PR_SET_TIMERSLACK, 1, 0, 0, 0)
+
+
+def take_priority() -> str:
+    """Ask for SCHED_FIFO and for memory that stays in RAM; returns what was got, in words, and why not all."""
+    if not hasattr(os, "sched_setscheduler"):
+        return "normal priority (this system has no SCHED_FIFO)"
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+    except OSError as error:
+        return (
+            f"normal priority ({(error.strerror or 'refused').lower()}: a line '@realtime - rtprio {PRIORITY}' in "
+            "/etc/security/limits.conf permits SCHED_FIFO)"
+        )
+    said = f"SCHED_FIFO {PRIORITY}"
+    if sys.platform == "linux" and ctypes.CDLL(None).mlockall(MCL_CURRENT | MCL_FUTURE) != 0:
+        said += ", memory not locked"
+    return said
 
 
 class Caller:
