@@ -13,7 +13,7 @@ import numpy as np
 
 from palmfield.estimate.array_inputs import p0_band_at, p0_known, quality_known, stimulus_of
 from palmfield.estimate.biases import biases
-from palmfield.estimate.numerical_error import Course, error_estimate
+from palmfield.estimate.numerical_error import SteppedRun, error_estimate
 from palmfield.estimate.numerics.depth_band import depth_band
 from palmfield.session.loudest_moment import LoudestMoment, loudest_place, nearest_focus, place_under_focus
 from palmfield.simulation.model import HapticModel
@@ -37,7 +37,7 @@ def error_budget(
     skin: int,
     loudest: LoudestMoment,
     radiation: Radiation,
-    course: Course,
+    course: SteppedRun,
 ) -> dict[str, Any]:
     """The budget of a skin's motion, as plain JSON; arguments as `palmfield.estimate.numerical_error.error_estimate`.
 

@@ -41,7 +41,7 @@ MOMENTS_A_STEP = 2
 
 
 @dataclass(frozen=True)
-class Course:
+class SteppedRun:
     """How a skin was stepped in a run.
 
     left_small_model: whether the run went on from a small model or modes to the whole layer
@@ -59,7 +59,7 @@ def error_estimate(
     skin: int,
     loudest: LoudestMoment,
     radiation: Radiation,
-    course: Course,
+    course: SteppedRun,
     *,
     materials: bool = True,
 ) -> dict[str, float]:

@@ -12,7 +12,7 @@ from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.errors import PalmfieldError
 from palmfield.estimate.array_inputs import p0_band_at
 from palmfield.estimate.error_budget import error_budget
-from palmfield.estimate.numerical_error import Course, error_estimate
+from palmfield.estimate.numerical_error import SteppedRun, error_estimate
 from palmfield.estimate.sensation_levels import felt_levels
 from palmfield.outputs.budget_text import combined, input_parts
 from palmfield.outputs.felt import verdict
@@ -107,9 +107,9 @@ def estimated_errors(runtime: SceneRuntime, skin: int, loudest: LoudestMoment) -
     )
 
 
-def _course(runtime: SceneRuntime, skin: int) -> Course:
+def _course(runtime: SceneRuntime, skin: int) -> SteppedRun:
     outside = runtime.work.outside[skin].energy_share
-    return Course(_left_small_model(runtime, skin), outside, runtime.view.raw.time)
+    return SteppedRun(_left_small_model(runtime, skin), outside, runtime.view.raw.time)
 
 
 def _or_reason(estimate: Callable[[], T]) -> T | str:

@@ -20,7 +20,7 @@ from palmfield.drive.player import Player
 from palmfield.errors import DeviceError, PalmfieldError, SceneError
 from palmfield.hardware.focus_board import FocusBoard, FocusSound, am_share, focus_board
 from palmfield.hardware.play import Performance, Target, check_log, played_in_words
-from palmfield.hardware.safety.exposure import Heard, Moment, at_head, check_head, with_band
+from palmfield.hardware.safety.exposure import Heard, SoundMoment, at_head, check_head, with_band
 from palmfield.motion.line_listener import STALE_S, By
 from palmfield.types import Complex, Float
 
@@ -188,4 +188,4 @@ def _most_at_head(made: FocusBoard) -> Heard:
             result[number] = pressure64(point[None], loud, np.exp(-1j * wavenumber * distances), air)[0][0]
         return made.sound.level * result
 
-    return with_band(at_head([Moment(in_phase, 1.0)], made.driver, array.positions), made.band)
+    return with_band(at_head([SoundMoment(in_phase, 1.0)], made.driver, array.positions), made.band)

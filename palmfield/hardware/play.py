@@ -25,7 +25,7 @@ from palmfield.errors import DeviceError, OutputError, SceneError
 from palmfield.estimate.sending import offset_words, peak_offset, sending
 from palmfield.hardware.focus_board import FocusSound, am_share, focus_board
 from palmfield.hardware.log_head import log_head
-from palmfield.hardware.safety.exposure import Moment, at_head, check_head, with_band
+from palmfield.hardware.safety.exposure import SoundMoment, at_head, check_head, with_band
 from palmfield.hardware.safety.scene_sound import scene_at_head
 from palmfield.session.open_scene import Source
 from palmfield.session.preview import Preview, preview
@@ -119,7 +119,7 @@ def play_focus(
 
     if driver.head_m is not None:
         share = 0.375 if am_Hz > 0.0 else 1.0  # mean square of (1 + sin)/2
-        moments = [Moment(at_loudest, share)] if played.any() else []
+        moments = [SoundMoment(at_loudest, share)] if played.any() else []
         _warn(check_head(with_band(at_head(moments, driver, array.positions), made.band), driver))
     done = send(frames, chosen, duration_s, target, made.head, limits, progress).saying(*made.said)
     if not played.any():

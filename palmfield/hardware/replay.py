@@ -18,7 +18,7 @@ from palmfield.drive.limits import SoundLimits
 from palmfield.errors import DeviceError, SceneError
 from palmfield.hardware.decode import pieces_of
 from palmfield.hardware.play import Performance, play_on_port
-from palmfield.hardware.safety.exposure import Moment, at_head, check_head, with_band
+from palmfield.hardware.safety.exposure import SoundMoment, at_head, check_head, with_band
 from palmfield.hardware.safety.scene_sound import MOMENTS, moments_of
 from palmfield.types import Complex
 
@@ -93,8 +93,8 @@ def check_limits(head: LogHead, board: Board, frames: list[tuple[float, bytes]],
         now = emitted[int(np.searchsorted(times, time_s, "right")) - 1].amplitudes
         shares[now.tobytes()] = now, shares.get(now.tobytes(), (now, 0.0))[1] + 1.0 / MOMENTS
 
-    def heard(amplitudes: Complex, share: float) -> Moment:
-        return Moment(lambda points: pressure64(points, array, amplitudes, head.air)[0], share)
+    def heard(amplitudes: Complex, share: float) -> SoundMoment:
+        return SoundMoment(lambda points: pressure64(points, array, amplitudes, head.air)[0], share)
 
     moments = [heard(amplitudes, share) for amplitudes, share in shares.values() if amplitudes.any()]
     loudest = with_band(at_head(moments, driver, array.positions), (1.0, (most_Pa_m / array.p0_Pa_m) ** 2))

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from palmfield.motion.pose import HandPose
     from palmfield.motion.prediction import Noise, Predictor, Resampled, resample
     from palmfield.motion.retarget import Retargeted, RetargetReport
-    from palmfield.motion.source import Motion, motion_of
+    from palmfield.motion.source import HandMotion, motion_of
     from palmfield.motion.tracking import Stream, StreamReport, read_stream, stream_of, stream_report, write_stream
     from palmfield.motion.trajectory import from_callable, read_trajectory, write_trajectory
 
@@ -26,7 +26,7 @@ _WHERE = {
     "HandPose": "pose",
     **dict.fromkeys(("Noise", "Predictor", "Resampled", "resample"), "prediction"),
     **dict.fromkeys(("RetargetReport", "Retargeted"), "retarget"),
-    **dict.fromkeys(("Motion", "motion_of"), "source"),
+    **dict.fromkeys(("HandMotion", "motion_of"), "source"),
     **dict.fromkeys(
         ("Stream", "StreamReport", "read_stream", "stream_of", "stream_report", "write_stream"), "tracking"
     ),
@@ -35,8 +35,8 @@ _WHERE = {
 __all__ = [
     "Curve",
     "HandJoints",
+    "HandMotion",
     "HandPose",
-    "Motion",
     "Noise",
     "Predictor",
     "Resampled",

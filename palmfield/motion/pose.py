@@ -26,7 +26,7 @@ class HandPose:
     angles_deg: dict[str, float]
 
 
-Motion = Callable[[float], HandPose]
+PoseCourse = Callable[[float], HandPose]
 """Time [s] to pose. Those that palmfield makes have `span_s`, first and last time, outside which they stand still."""
 
 

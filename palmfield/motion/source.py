@@ -32,14 +32,14 @@ DEFAULT_HAND = "open_men_p50"
 
 
 @dataclass(frozen=True)
-class Motion:
+class HandMotion:
     """Where a hand is to be. hand: its joints, None for a hand in one piece; at: pose at a time of the scene [s]"""
 
     hand: ArticulatedHand | None
     at: Callable[[float], HandPose]
 
 
-def motion_of(config: MotionConfig, array: Transform = IDENTITY) -> Motion:
+def motion_of(config: MotionConfig, array: Transform = IDENTITY) -> HandMotion:
     """The motion of a scene's keys; array: frame of the scene's first array in the world.
 
     Raises SceneError for files and functions that can't be read or found.
@@ -57,7 +57,7 @@ def motion_of(config: MotionConfig, array: Transform = IDENTITY) -> Motion:
         source = from_callable(config.function, joints)
     start = config.start_s
     at = source if start == 0.0 else lambda t: source(t - start)
-    return Motion(hand, at)
+    return HandMotion(hand, at)
 
 
 def tracker_frame(config: MotionConfig, array: Transform) -> Transform:

@@ -21,7 +21,7 @@ from palmfield.motion.joints import (
     hand_joints,
     joints_at,
 )
-from palmfield.motion.pose import Motion
+from palmfield.motion.pose import PoseCourse
 from palmfield.tables import read_table, write_table
 from palmfield.types import Float, Int
 
@@ -206,7 +206,7 @@ def column_names() -> list[str]:
     return ["time_s", *(f"{joint}_{part}" for joint in JOINTS for part in PARTS)]
 
 
-def stream_of(hand: ArticulatedHand, motion: Motion, times_s: ArrayLike) -> Stream:
+def stream_of(hand: ArticulatedHand, motion: PoseCourse, times_s: ArrayLike) -> Stream:
     """What a tracker without any error would see of a hand in motion, at times [s], shape (n,)."""
     times = np.asarray(times_s, dtype=np.float64)
     joints = hand_joints(hand)

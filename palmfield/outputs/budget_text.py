@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-Row = tuple[str, str]
+TextRow = tuple[str, str]
 """Of a table: what, and its size."""
 Part = tuple[str, float, float]
 """Of a band: an input, and the factors at the low and high ends of its range."""
@@ -16,7 +16,7 @@ SHOWN = 5e-4
 """Relative bias below which nothing is told of what is left out."""
 
 
-def budget_rows(skin: Mapping[str, Any]) -> list[Row]:
+def budget_rows(skin: Mapping[str, Any]) -> list[TextRow]:
     """What a skin's motion is worth: of its response under the focus, in three kinds that are not added up."""
     velocity = skin.get("reduction_velocity_error_relative")
     of_velocity = "" if velocity is None else f" ({100 * velocity:.2g} % of the velocity)"

@@ -10,7 +10,7 @@ from rich.table import Table
 
 from palmfield.outputs.budget_text import (
     COARSE,
-    Row,
+    TextRow,
     budget_rows,
     combined,
     figures,
@@ -64,7 +64,7 @@ def format_summary(summary: Mapping[str, Any], details: bool = False) -> str:
     return f"{first_line(summary)}\n{stream.getvalue()}"
 
 
-def _drives(summary: Mapping[str, Any]) -> list[Row]:
+def _drives(summary: Mapping[str, Any]) -> list[TextRow]:
     """How loud each stimulus is, and what is known of p0."""
     stimuli = summary["stimuli"]
     return [
@@ -74,9 +74,9 @@ def _drives(summary: Mapping[str, Any]) -> list[Row]:
     ] + array_rows(summary["arrays"])
 
 
-def _short(skin: Mapping[str, Any]) -> list[Row]:
+def _short(skin: Mapping[str, Any]) -> list[TextRow]:
     """A skin's motion in the main table: displacement with its band, one level, and the error."""
-    rows: list[Row] = []
+    rows: list[TextRow] = []
     if "peak_displacement_m" in skin:
         rows.append(("peak skin displacement", _peak(skin)))
     if (name := chosen_observer(skin)) is not None:
@@ -94,7 +94,7 @@ def _short(skin: Mapping[str, Any]) -> list[Row]:
     return rows + _no_estimate(skin)
 
 
-def _no_estimate(skin: Mapping[str, Any]) -> list[Row]:
+def _no_estimate(skin: Mapping[str, Any]) -> list[TextRow]:
     missing = skin.get("displacement_error_missing")
     return [] if missing is None else [("error estimate", f"none: {missing}")]
 
@@ -111,9 +111,9 @@ def _peak(skin: Mapping[str, Any]) -> str:
     return text + ("; of sound that only grazes it: no estimate stands behind it" if grazed else "")
 
 
-def _sound(skin: Mapping[str, Any], drive_level: float) -> list[Row]:
+def _sound(skin: Mapping[str, Any], drive_level: float) -> list[TextRow]:
     """drive_level: highest of all stimuli, relative to full"""
-    rows: list[Row] = []
+    rows: list[TextRow] = []
     band = sound_band(skin)
     if "peak_pressure_Pa" in skin and skin["peak_pressure_dB_SPL"] is not None:
         spl = f"{skin['peak_pressure_dB_SPL']:.{0 if band > COARSE else 1}f} dB SPL"
@@ -157,7 +157,7 @@ def level_band(skin: Mapping[str, Any]) -> float:
     return float(skin["p0_band_high"] - skin["p0_band_low"]) / 2.0
 
 
-def array_rows(arrays: Sequence[Mapping[str, Any]]) -> list[Row]:
+def array_rows(arrays: Sequence[Mapping[str, Any]]) -> list[TextRow]:
     """What is known of how loud the arrays' transducers are: one row for each number that they have."""
     rows: dict[str, list[str]] = {}
     for array in arrays:
@@ -169,13 +169,13 @@ def array_rows(arrays: Sequence[Mapping[str, Any]]) -> list[Row]:
     return [("p0" if len(rows) == 1 else f"p0, {', '.join(names)}", text) for text, names in rows.items()]
 
 
-def _motion(skin: Mapping[str, Any]) -> list[Row]:
+def _motion(skin: Mapping[str, Any]) -> list[TextRow]:
     """A skin's motion with all details."""
     error = skin.get("displacement_error_relative")
     numerical = "" if error is None else f" (numerical {figures(100 * error, 1.0)} %)"
     response = response_band(skin)
     band = max(level_band(skin), response)
-    rows: list[Row] = []
+    rows: list[TextRow] = []
     if "solver" in skin:
         unknowns = f"{skin['dofs']} unknowns, " if "dofs" in skin else ""
         rows.append(("skin", f"{unknowns}solver {skin['solver']}"))
@@ -198,7 +198,7 @@ def _motion(skin: Mapping[str, Any]) -> list[Row]:
     return rows + _no_estimate(skin) + _levels(skin)
 
 
-def _levels(skin: Mapping[str, Any]) -> list[Row]:
+def _levels(skin: Mapping[str, Any]) -> list[TextRow]:
     """A row for each observer: its level with its band, which lines it is of, and why it applies or is refused."""
     rows = []
     for number, name in enumerate(ALL_OBSERVERS, start=1):

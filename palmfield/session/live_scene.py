@@ -11,7 +11,7 @@ from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.errors import SceneError
 from palmfield.hand.articulated import ArticulatedHand
 from palmfield.motion.pose import HandPose
-from palmfield.motion.source import Motion
+from palmfield.motion.source import HandMotion
 from palmfield.session.preview import Preview
 from palmfield.simulation.posed_scene import PosedScene
 
@@ -42,7 +42,7 @@ class LiveScene:
 
     def posed(self, pose: HandPose) -> PosedScene:
         """The scene with the hand in a pose. Raises SceneError where it reaches into an array."""
-        self._module.motion = Motion(self.hand, lambda _: pose)
+        self._module.motion = HandMotion(self.hand, lambda _: pose)
         self._module.place()
         mujoco.mj_kinematics(self._data.model, self._data)
         return self.runtime.posed

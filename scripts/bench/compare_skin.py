@@ -19,7 +19,7 @@ import peers_python
 
 from palmfield.studies.bench import skin
 from palmfield.studies.bench.processes import ONE_THREAD, ROOT
-from palmfield.studies.bench.skin import PeerSolutions, Row
+from palmfield.studies.bench.skin import PeerSolutions, SkinRow
 from palmfield.studies.bench.skin_case import CASE, Case, F_Hz
 
 PEERS = {
@@ -36,7 +36,7 @@ COMMAND = "python scripts/bench/compare_skin.py"
 PROGRAM = Path(__file__).resolve().parent / "skin_peers.py"
 
 
-def peer(case: Case, function: str, cells: int, layers: int, python: Path) -> Row:
+def peer(case: Case, function: str, cells: int, layers: int, python: Path) -> SkinRow:
     """Another program, in a process of its own under `python`; its second run counts, with all compiled."""
     name, module, _ = PEERS[function]
     size = f"{cells} cells, {layers} layers"
@@ -45,12 +45,12 @@ def peer(case: Case, function: str, cells: int, layers: int, python: Path) -> Ro
     done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False, cwd=ROOT)
     if done.returncode != 0:
         words = (done.stderr.strip().splitlines() or ["no message"])[-1]
-        return Row(name, size, missing=f"{words} (needs {module})")
+        return SkinRow(name, size, missing=f"{words} (needs {module})")
     answer = json.loads(done.stdout.strip().splitlines()[-1])
     still, exact = case.exact()
     moving = None if answer["moving"] is None else abs(complex(*answer["moving"]) / exact - 1.0)
     static = None if answer["static"] is None else abs(answer["static"] / still - 1.0)
-    return Row(name, f"{size}, {answer['unknowns']} unknowns", answer["seconds"], static, moving)
+    return SkinRow(name, f"{size}, {answer['unknowns']} unknowns", answer["seconds"], static, moving)
 
 
 def report(python: Path | None = None, **options: Any) -> str:

@@ -12,10 +12,10 @@ from palmfield.studies.bench.read_table import speed_picture
 
 HEAD = table.Head("command", "abc", "processor", "CPU", 0.04, 2.0, 5, 996, (100,), "")
 SKIN_ROWS = [
-    skin.Row("one", "asked for 0.1", 0.359, 0.0043, 0.0068, 0.0081),
-    skin.Row("one", "asked for 0.01", 1.35, 0.0038, 0.0073, None),
-    skin.Row("still", "4 cells", 0.428, 0.77, None, None),
-    skin.Row("absent", "4 cells", missing="it is not installed"),
+    skin.SkinRow("one", "asked for 0.1", 0.359, 0.0043, 0.0068, 0.0081),
+    skin.SkinRow("one", "asked for 0.01", 1.35, 0.0038, 0.0073, None),
+    skin.SkinRow("still", "4 cells", 0.428, 0.77, None, None),
+    skin.SkinRow("absent", "4 cells", missing="it is not installed"),
 ]
 
 
@@ -30,10 +30,10 @@ def test_the_points_of_the_skin_are_those_that_were_measured(tmp_path):
 
 def test_the_points_of_the_field_are_those_that_were_measured(tmp_path):
     rows = [
-        table.Row("fast", "piston", "near", clock_s=0.01, pairs_per_s=2e9, pairs_per_core_s=1e9, error=1.5e-5),
-        table.Row("card", "sphere", "near", clock_s=0.01, pairs_per_s=5e9, error=2e-5, magnitude=True),
-        table.Row("fast", "piston", "far", version="x 1", pairs_per_s=2e9, pairs_per_core_s=3e9, error=1e-6),
-        table.Row("none", "piston", "far", missing="x"),
+        table.FieldRow("fast", "piston", "near", clock_s=0.01, pairs_per_s=2e9, pairs_per_core_s=1e9, error=1.5e-5),
+        table.FieldRow("card", "sphere", "near", clock_s=0.01, pairs_per_s=5e9, error=2e-5, magnitude=True),
+        table.FieldRow("fast", "piston", "far", version="x 1", pairs_per_s=2e9, pairs_per_core_s=3e9, error=1e-6),
+        table.FieldRow("none", "piston", "far", missing="x"),
     ]
     path = tmp_path / "field.md"
     path.write_text(table.as_markdown(rows, HEAD, field.MODELS))

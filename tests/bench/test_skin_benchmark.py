@@ -18,9 +18,9 @@ def test_our_row_holds_the_true_error_and_the_stated_one() -> None:
 
 def test_report_and_picture(tmp_path: Path) -> None:
     rows = [
-        skin.Row("palmfield lateral_waves", "asked for 0.1", 0.3, 0.004, 0.007, 0.005),
-        skin.Row("scikit-fem, quadratic", "4 cells", missing="not here"),
-        skin.Row("MuJoCo flex, trilinear", "8 cells", 3.8, 0.53, None),
+        skin.SkinRow("palmfield lateral_waves", "asked for 0.1", 0.3, 0.004, 0.007, 0.005),
+        skin.SkinRow("scikit-fem, quadratic", "4 cells", missing="not here"),
+        skin.SkinRow("MuJoCo flex, trilinear", "8 cells", 3.8, 0.53, None),
     ]
     picture = tmp_path / "skin.png"
     skin.draw([row for row in rows if not row.missing], picture)

@@ -16,7 +16,7 @@ from palmfield.drive.response_error import changes_of_motion
 from palmfield.estimate.array_inputs import p0_band_at
 from palmfield.estimate.biases import ECHO, Bias, biases
 from palmfield.estimate.error_budget import SOURCES, error_budget, field_error
-from palmfield.estimate.numerical_error import Course
+from palmfield.estimate.numerical_error import SteppedRun
 from palmfield.outputs.budget_text import bias_text, budget_rows, in_a_line
 from palmfield.outputs.store import open_result
 from palmfield.outputs.summary import summary
@@ -34,7 +34,7 @@ STEADY = {"modulation": "none", "am_quantity": None, "am_frequency_Hz": None, "a
 
 def budget(scene, loudest):
     model = scene.runtime.model
-    return error_budget(model, 0, loudest, Radiation(model), Course(left_small_model=False))
+    return error_budget(model, 0, loudest, Radiation(model), SteppedRun(left_small_model=False))
 
 
 def band(found, what):

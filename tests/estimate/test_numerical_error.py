@@ -11,7 +11,7 @@ from scipy import sparse
 
 import palmfield
 from palmfield.estimate.array_inputs import p0_band, p0_known
-from palmfield.estimate.numerical_error import Course, error_estimate
+from palmfield.estimate.numerical_error import SteppedRun, error_estimate
 from palmfield.estimate.numerics.mesh_error import RATIO
 from palmfield.simulation.emission import array_drives
 from palmfield.simulation.forces import BodyForces
@@ -29,7 +29,7 @@ SOURCES = ("mesh", "step", "reduction", "edge")
 
 def estimate(scene, loudest, skin=0, left_small_model=False, end_s=math.inf):
     model = scene.runtime.model
-    return error_estimate(model, skin, loudest, Radiation(model), Course(left_small_model, end_s=end_s))
+    return error_estimate(model, skin, loudest, Radiation(model), SteppedRun(left_small_model, end_s=end_s))
 
 
 def unit(scene, **changes):

@@ -15,7 +15,7 @@ from palmfield.config import DriverConfig
 from palmfield.drive.boards import BOARDS
 from palmfield.hardware.focus_board import FocusSound
 from palmfield.hardware.play import Target, play_focus, play_scene
-from palmfield.hardware.safety.exposure import Heard, Moment, at_head, check_head, with_band
+from palmfield.hardware.safety.exposure import Heard, SoundMoment, at_head, check_head, with_band
 from palmfield.hardware.safety.scene_sound import moments_of, scene_at_head
 from palmfield.session.preview import preview
 from palmfield.types import Air
@@ -31,7 +31,7 @@ def test_a_head_hears_one_transducer_by_its_own_law():
     drive[40] = 1.0
     x, y, _ = array.positions[40]
     head = DriverConfig(head_m=(x, y, 0.5), head_radius_m=0.1)
-    moments = [Moment(lambda points: pressure64(points, array, drive, Air())[0], 0.25)]
+    moments = [SoundMoment(lambda points: pressure64(points, array, drive, Air())[0], 0.25)]
     heard = at_head(moments, head, array.positions)
     away = 0.5 - array.positions[40, 2] - 0.1
     peak = 2.0 / away * math.exp(-absorption_Np_m(Air(), 40e3) * away)
@@ -148,7 +148,7 @@ def test_the_loudest_place_is_found_among_many_that_are_nearly_as_loud():
     array = layout("sonicsurface", 2.0)
     drive = np.exp(-2j * np.pi * 40e3 / 343.0 * np.linalg.norm(array.positions - [0.03, 0.02, 0.12], axis=1))
     head = DriverConfig(head_m=(0.0, -0.1, 0.2), head_radius_m=0.06)
-    moments = [Moment(lambda points: pressure64(points, array, drive, Air())[0], 1.0)]
+    moments = [SoundMoment(lambda points: pressure64(points, array, drive, Air())[0], 1.0)]
     heard = at_head(moments, head, array.positions)
     steps = np.arange(-0.06, 0.0601, 2e-3)
     ball = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3)
@@ -167,7 +167,7 @@ def test_what_is_loud_at_one_moment_only_is_what_counts():
     head = DriverConfig(head_m=(0.0, 0.0, 0.5), head_radius_m=0.05)
 
     def moment(drive):
-        return Moment(lambda points: pressure64(points, array, drive, Air())[0], 0.01)
+        return SoundMoment(lambda points: pressure64(points, array, drive, Air())[0], 0.01)
 
     short = at_head([*[moment(soft)] * 20, moment(loud)], head, array.positions)
     assert short.peak_Pa == at_head([moment(loud)], head, array.positions).peak_Pa

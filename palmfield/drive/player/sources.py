@@ -14,7 +14,7 @@ LIVE_AHEAD_S = 1e-3
 """How long before the line is free a live frame is handed over, so that the line has no pause [s]."""
 
 
-class Choice(NamedTuple):
+class NextFrame(NamedTuple):
     """at_s: when to hand it over; due_s: when its last byte is wanted on the line; data: empty to look again then
 
     number: of the frame among all, from 0 on; -1 for what is sent again or by the way
@@ -31,7 +31,7 @@ class Source(Protocol):
 
     skipped: int
 
-    def choose(self, now_s: float, free_s: float) -> Choice | None:
+    def choose(self, now_s: float, free_s: float) -> NextFrame | None:
         """The frame to send next, with the line free at a time; None where all is sent and its time is over."""
 
     def sent(self, now_s: float) -> None:
@@ -54,11 +54,11 @@ class ScheduleSource:
     def _line_s(self, number: int) -> float:
         return len(self.schedule.frames[number]) * self.byte_s
 
-    def choose(self, now_s: float, free_s: float) -> Choice | None:
+    def choose(self, now_s: float, free_s: float) -> NextFrame | None:
         times, frames, number = self.schedule.times_s, self.schedule.frames, self._next
         if number == len(frames):
             ends = max(self.start_s + self.schedule.duration_s, free_s)
-            return None if now_s >= ends else Choice(ends, ends, b"")
+            return None if now_s >= ends else NextFrame(ends, ends, b"")
         takes = self._line_s(number)
         begins = self.start_s + times[number] - takes
         while number + 1 < len(frames):
@@ -71,7 +71,7 @@ class ScheduleSource:
         self._next = number
         # While the line is busy anyway a frame waits in the system's buffer, so that the line has no pause
         at = begins if free_s < begins - CLOSE_S else free_s - takes
-        return Choice(at, begins + takes, frames[number], number)
+        return NextFrame(at, begins + takes, frames[number], number)
 
     def sent(self, now_s: float) -> None:
         self._next += 1
@@ -82,7 +82,7 @@ class ScheduleSource:
         self._next = max(0, self._next - 1)
 
 
-def on_the_line(schedule: Schedule, byte_s: float, free_s: float) -> Iterator[Choice]:
+def on_the_line(schedule: Schedule, byte_s: float, free_s: float) -> Iterator[NextFrame]:
     """The frames of a schedule that a line takes, each with `at_s`, when its first byte is on the line.
 
     byte_s: time of a byte on the line [s]; free_s: when the line is free [s], at which the schedule begins
@@ -127,7 +127,7 @@ class LiveSource:
         self._unsent = False
         self._gain, self._gain_s = 0.0, -math.inf
         self._sent: tuple[bytes, float] = (b"", -math.inf)
-        self._choice: Choice | None = None
+        self._choice: NextFrame | None = None
         self.silent = True
 
     def take(self, frame: LiveFrame) -> None:
@@ -172,19 +172,19 @@ class LiveSource:
     def _begins_s(self, waiting: int) -> float:
         return self._waiting[waiting][1].due_s - self._line_s(waiting)
 
-    def choose(self, now_s: float, free_s: float) -> Choice | None:
+    def choose(self, now_s: float, free_s: float) -> NextFrame | None:
         next_s = self._show_due(now_s, free_s)
         choice = self._of_newest(now_s, free_s)
-        return choice if choice.at_s <= max(next_s, now_s) else Choice(next_s, now_s, b"")
+        return choice if choice.at_s <= max(next_s, now_s) else NextFrame(next_s, now_s, b"")
 
-    def _of_newest(self, now_s: float, free_s: float) -> Choice:
+    def _of_newest(self, now_s: float, free_s: float) -> NextFrame:
         frame = self._newest
         if frame is None:
-            return Choice(now_s + self.refresh_s, now_s, b"")
+            return NextFrame(now_s + self.refresh_s, now_s, b"")
         gain = self._ramped(frame, now_s)
         if gain <= 0.0:
             if self.silent:
-                return Choice(now_s + self.refresh_s, now_s, b"")
+                return NextFrame(now_s + self.refresh_s, now_s, b"")
             data = self.stop
         else:
             data = frame.steps[max(0, math.ceil(gain * len(frame.steps) - 1e-9) - 1)]
@@ -196,8 +196,8 @@ class LiveSource:
             soon = now_s + min(0.01, max(1e-4, self.ramp_s / max(1, len(frame.steps))))
             at = max(at, self._sent[1] + self.refresh_s)
             if at > soon:
-                return Choice(soon, now_s, b"")
-        self._choice = Choice(at, due, data, self._number if self._unsent else -1)
+                return NextFrame(soon, now_s, b"")
+        self._choice = NextFrame(at, due, data, self._number if self._unsent else -1)
         return self._choice
 
     def _ramped(self, frame: LiveFrame, now_s: float) -> float:

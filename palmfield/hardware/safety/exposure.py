@@ -22,7 +22,7 @@ CANDIDATES = 8
 CLOSER_M, CLOSER_SPACING_M, FINEST_SPACING_M = 12e-3, 2e-3, 0.5e-3
 
 
-class Moment(NamedTuple):
+class SoundMoment(NamedTuple):
     """Sound at one moment. pressure: complex peak [Pa] at points [m], (n, 3) -> (n,); share: of the play's time"""
 
     pressure: Callable[[Float], Sound]
@@ -62,7 +62,7 @@ class Heard:
         return self.level_dB + self.band_dB[1]
 
 
-def peaks_at(moments: Sequence[Moment], points: Float) -> tuple[Float, NDArray[np.intp]]:
+def peaks_at(moments: Sequence[SoundMoment], points: Float) -> tuple[Float, NDArray[np.intp]]:
     """The largest peak pressure at each of some points [Pa], and the number of the moment of that, shapes (n,)."""
     peaks, which = np.zeros(len(points)), np.zeros(len(points), np.intp)
     for number, moment in enumerate(moments):
@@ -72,7 +72,7 @@ def peaks_at(moments: Sequence[Moment], points: Float) -> tuple[Float, NDArray[n
     return peaks, which
 
 
-def loudest_in(moments: Sequence[Moment], points: Float) -> Heard:
+def loudest_in(moments: Sequence[SoundMoment], points: Float) -> Heard:
     """What is heard at the loudest of some points, shape (n, 3)."""
     peaks, which = peaks_at(moments, points)
     best = int(peaks.argmax())
@@ -92,14 +92,14 @@ def _apart(points: Float, peaks: Float) -> Float:
     return np.array(result)
 
 
-def _at(moments: Sequence[Moment], place: Float, peak_Pa: float, which: int) -> Heard:
+def _at(moments: Sequence[SoundMoment], place: Float, peak_Pa: float, which: int) -> Heard:
     squares = [
         0.5 * moment.share * float(np.abs(moment.pressure(place[None]))[0]) ** 2 for moment in moments
     ]  # fmt: skip
     return Heard(place, max(peak_Pa, float(np.abs(moments[which].pressure(place[None]))[0])), sum(squares))
 
 
-def at_head(moments: Sequence[Moment], driver: DriverConfig, transducers: Float) -> Heard:
+def at_head(moments: Sequence[SoundMoment], driver: DriverConfig, transducers: Float) -> Heard:
     """What is heard at the loudest place of the ball that keys head_m and head_radius_m declare.
 
     transducers: their places [m], shape (n, 3)

@@ -6,7 +6,7 @@ import numpy as np
 
 from palmfield.acoustics.exposure import OCCUPATIONAL_DB, PUBLIC_DB, REFERENCE_PA, ball_points
 from palmfield.config import DriverConfig
-from palmfield.hardware.safety.exposure import Heard, Moment, peaks_at
+from palmfield.hardware.safety.exposure import Heard, SoundMoment, peaks_at
 from palmfield.outputs.safety_picture import LevelCourse, LevelMap
 from palmfield.types import Float
 
@@ -28,7 +28,7 @@ def head_limits(driver: DriverConfig) -> dict[str, float]:
     return {"public": PUBLIC_DB, "at work": OCCUPATIONAL_DB, **own}
 
 
-def head_map(moments: Sequence[Moment], driver: DriverConfig, heard: Heard, transducers: Float) -> LevelMap:
+def head_map(moments: Sequence[SoundMoment], driver: DriverConfig, heard: Heard, transducers: Float) -> LevelMap:
     """The ball in the plane of its middle, the array's middle and its loudest place. transducers: [m], shape (n, 3)"""
     assert driver.head_m is not None
     middle, radius = np.array(driver.head_m), driver.head_radius_m
@@ -59,7 +59,7 @@ def skin_map(name: str, points: Float, peaks_Pa: Float, heard: Heard) -> LevelMa
 
 
 def course(
-    times_s: Float, moments: Sequence[Moment | None], driver: DriverConfig, heard: Heard, skins: dict[str, Float]
+    times_s: Float, moments: Sequence[SoundMoment | None], driver: DriverConfig, heard: Heard, skins: dict[str, Float]
 ) -> LevelCourse:
     """Levels over a play. moments: at each time, None for silence; skins: peaks at each of these times [Pa]"""
     assert driver.head_m is not None

@@ -5,7 +5,7 @@ import numpy as np
 from palmfield.acoustics.exposure import radiated_power_W
 from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.estimate.array_inputs import p0_band_at
-from palmfield.hardware.safety.exposure import Heard, Moment, at_head, with_band
+from palmfield.hardware.safety.exposure import Heard, SoundMoment, at_head, with_band
 from palmfield.session.preview import Preview
 from palmfield.types import Complex, Float
 
@@ -34,11 +34,11 @@ def scene_drives(view: Preview, duration_s: float) -> list[tuple[PhasedArray, Co
     return drives
 
 
-def sound_of(drives: list[tuple[PhasedArray, Complex]]) -> list[Moment]:
+def sound_of(drives: list[tuple[PhasedArray, Complex]]) -> list[SoundMoment]:
     """The moments that are not silent."""
 
-    def heard(arrays: PhasedArray, drive: Complex) -> Moment:
-        return Moment(lambda points: arrays.field.pressure(points, drive).pressure, 1.0 / len(drives))
+    def heard(arrays: PhasedArray, drive: Complex) -> SoundMoment:
+        return SoundMoment(lambda points: arrays.field.pressure(points, drive).pressure, 1.0 / len(drives))
 
     return [heard(arrays, drive) for arrays, drive in drives if drive.any()]
 

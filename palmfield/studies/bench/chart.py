@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from palmfield.outputs.style import COLOURS, save, style
-from palmfield.studies.bench.table import Row
+from palmfield.studies.bench.table import FieldRow
 
 MARKERS = "os^"
 PANEL_POINTS = 300.0
@@ -16,13 +16,13 @@ PANEL_POINTS = 300.0
 LABEL_POINTS = 10.0
 
 
-def draw(rows: list[Row], models: dict[str, str], path: Path) -> None:
+def draw(rows: list[FieldRow], models: dict[str, str], path: Path) -> None:
     """Write `speed_figure`."""
     with style():
         save(speed_figure(rows, models), path)
 
 
-def speed_figure(rows: list[Row], models: dict[str, str]) -> Figure:
+def speed_figure(rows: list[FieldRow], models: dict[str, str]) -> Figure:
     """One panel a range, both axes logarithmic, up to three models; every point carries its method's name."""
     measured = [row for row in rows if not row.missing]
     looks = dict(zip(models, zip(COLOURS, MARKERS, strict=True), strict=False))
@@ -51,12 +51,12 @@ def speed_figure(rows: list[Row], models: dict[str, str]) -> Figure:
     return figure
 
 
-def speed(row: Row) -> float:
+def speed(row: FieldRow) -> float:
     """Pairs per core-second, which other work on the machine doesn't change; on a GPU per second on the clock."""
     return row.pairs_per_s if row.pairs_per_core_s is None else row.pairs_per_core_s
 
 
-def label(axis: Any, rows: list[Row]) -> None:
+def label(axis: Any, rows: list[FieldRow]) -> None:
     """Names beside the points, towards the panel's middle, moved up or down so that none covers another."""
     low, high = np.log(axis.get_ylim())
     middle = np.sqrt(np.prod(axis.get_xlim()))

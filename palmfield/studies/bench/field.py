@@ -28,7 +28,7 @@ from palmfield.studies.bench import own
 from palmfield.studies.bench.chart import draw
 from palmfield.studies.bench.problem import MOST_RUNS, Problem
 from palmfield.studies.bench.processes import ROOT, Measured, PeerMethods, measure
-from palmfield.studies.bench.table import Head, Row, as_markdown, processor
+from palmfield.studies.bench.table import FieldRow, Head, as_markdown, processor
 from palmfield.types import Air, Complex
 
 AIR = Air(temperature_C=273.15 * ((340.0 / 331.3) ** 2 - 1.0))
@@ -97,7 +97,7 @@ def main(
             check_writable(option, path)
     if device != "cpu":
         chosen = [(module, method) for module, method in chosen if method.name != own.ALL_CORES]
-    rows: list[Row] = []
+    rows: list[FieldRow] = []
     yard: list[tuple[float, float]] = []
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as progress, threadpool_limits(1):
@@ -228,9 +228,9 @@ def grid(low_m: float, high_m: float, points: int) -> tuple[Any, Any, float]:
     return np.array([-half[0], -half[1], low_m]), steps, resolution_m
 
 
-def row(one: Measured, text: str, problem: Problem) -> Row:
+def row(one: Measured, text: str, problem: Problem) -> FieldRow:
     """Speed and error of a method that has run, or that it is missing."""
-    result = Row(one.method.name, one.method.model, text, missing=one.missing)
+    result = FieldRow(one.method.name, one.method.model, text, missing=one.missing)
     if one.missing:
         return result
     every = stride(problem)

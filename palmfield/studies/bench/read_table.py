@@ -22,8 +22,8 @@ def speed_picture(path: Path) -> Figure:
     except (OSError, ValueError) as error:
         raise OutputError(f"{path} cannot be read: {error}; name a report that palmfield bench wrote") from None
     models = {name[0].upper() + name[1:]: key for key, name in field.MODELS.items()}
-    of_skin: list[skin.Row] = []
-    of_field: list[table.Row] = []
+    of_skin: list[skin.SkinRow] = []
+    of_field: list[table.FieldRow] = []
     for heading, columns, cells in _rows(lines):
         try:
             if columns == SKIN:
@@ -54,19 +54,19 @@ def _rows(lines: list[str]) -> Iterator[tuple[str, list[str], list[str]]]:
             yield heading, columns, cells
 
 
-def _skin_row(cells: list[str]) -> skin.Row:
+def _skin_row(cells: list[str]) -> skin.SkinRow:
     name, size, seconds, *errors = cells
     if seconds.startswith("not run"):
-        return skin.Row(name, size, missing=seconds)
+        return skin.SkinRow(name, size, missing=seconds)
     static, moving, stated = (0.01 * float(cell.removesuffix("%")) if cell else None for cell in errors)
-    return skin.Row(name, size, float(seconds), static, moving, stated)
+    return skin.SkinRow(name, size, float(seconds), static, moving, stated)
 
 
-def _field_row(model: str, cells: list[str]) -> table.Row:
+def _field_row(model: str, cells: list[str]) -> table.FieldRow:
     name, distance, clock_ms, _, pairs, per_core, error, _ = cells
     if not pairs:
-        return table.Row(name, model, distance, missing=clock_ms)
-    return table.Row(
+        return table.FieldRow(name, model, distance, missing=clock_ms)
+    return table.FieldRow(
         name.partition(" (")[0],
         model,
         distance,

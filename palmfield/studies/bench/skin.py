@@ -42,7 +42,7 @@ RADIUS_M = 0.06
 
 
 @dataclass(frozen=True)
-class Row:
+class SkinRow:
     """One solution. missing: why there is none
 
     static, moving: relative errors of the centre's push, at rest and its complex amplitude at F_Hz
@@ -70,12 +70,12 @@ class PeerSolutions:
     command: what makes this comparison, for the head too
     """
 
-    jobs: Sequence[tuple[str, Callable[[], Row]]]
+    jobs: Sequence[tuple[str, Callable[[], SkinRow]]]
     about: str
     command: str
 
 
-def own(case: Case, name: str, accuracy: float, device: str, runs: int) -> Row:
+def own(case: Case, name: str, accuracy: float, device: str, runs: int) -> SkinRow:
     """A solver of ours on AM from rest: mean and amplitude over the last LAST_s are half of both answers."""
     sheets = (Sheet(case.material, case.depth_m),)
     endless = name in ("lateral_waves", "wedges", "spectral_elements")
@@ -97,7 +97,7 @@ def own(case: Case, name: str, accuracy: float, device: str, runs: int) -> Row:
     # sin is the real part of i e^{-i w t}
     moving = 2.0 * 2.0 * np.mean(push * np.exp(2j * np.pi * F_Hz * times)) / 1j
     still, exact = case.exact()
-    return Row(
+    return SkinRow(
         f"palmfield {name}", f"asked for {accuracy:g}", statistics.median(seconds[1:] or seconds),
         abs(2.0 * push.mean() / still - 1.0), abs(moving / exact - 1.0), motions[-1].error,
     )  # fmt: skip
@@ -124,7 +124,7 @@ def main(
         if path is not None:
             check_writable(option, path)
     device = resolve(device)
-    jobs: list[tuple[str, Callable[[], Row]]] = []
+    jobs: list[tuple[str, Callable[[], SkinRow]]] = []
     for name, accuracies in ACCURACIES.items():
         jobs += [(f"palmfield {name}", partial(own, CASE, name, accuracy, device, runs)) for accuracy in accuracies]
     jobs += peers.jobs if peers is not None else []
@@ -154,7 +154,7 @@ def main(
 
 
 def as_markdown(
-    rows: list[Row],
+    rows: list[SkinRow],
     device: str,
     yard_s: float,
     commit: str,
@@ -195,13 +195,13 @@ def as_markdown(
     return "\n".join([*lines, ""])
 
 
-def draw(rows: list[Row], path: Path) -> None:
+def draw(rows: list[SkinRow], path: Path) -> None:
     """Write `speed_figure`."""
     with style():
         save(speed_figure(rows), path)
 
 
-def speed_figure(rows: list[Row]) -> Figure:
+def speed_figure(rows: list[SkinRow]) -> Figure:
     """Seconds against the larger of both errors, a line for each method."""
     with style():
         figure = Figure(figsize=(7.5, 5.0), layout="constrained")

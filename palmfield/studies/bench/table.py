@@ -7,7 +7,7 @@ from pathlib import Path
 
 
 @dataclass(frozen=True)
-class Row:
+class FieldRow:
     """One method in one range; with `missing` set nothing was measured. Seconds are medians.
 
     model: a key of MODELS; range: for the reader
@@ -55,7 +55,7 @@ def processor() -> str:
     return platform.processor()
 
 
-def as_markdown(rows: list[Row], head: Head, models: dict[str, str]) -> str:
+def as_markdown(rows: list[FieldRow], head: Head, models: dict[str, str]) -> str:
     lines = [
         "# Speed and error of the field",
         "",
@@ -91,7 +91,7 @@ def as_markdown(rows: list[Row], head: Head, models: dict[str, str]) -> str:
     return "\n".join(lines)
 
 
-def line(row: Row) -> str:
+def line(row: FieldRow) -> str:
     if row.missing:
         return f"| {row.name} | {row.range} | not installed ({row.missing}) | | | | | |"
     name = row.name + (f" ({row.version})" if row.version else "")

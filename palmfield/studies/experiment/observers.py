@@ -34,7 +34,7 @@ class Shown(NamedTuple):
     adjusting: bool
 
 
-class Observer(Protocol):
+class Respondent(Protocol):
     """Answers trials: `yes` or `no`, the number of an interval, or `stronger`, `weaker`, `done`; and how late [s]."""
 
     def answer(self, shown: Shown) -> tuple[str, float]: ...
@@ -188,7 +188,7 @@ class FeelingObserver(SimulatedObserver):
         return level
 
 
-def observer_of(name: str, design: Design, scene: Path, board: str | None) -> Observer:
+def observer_of(name: str, design: Design, scene: Path, board: str | None) -> Respondent:
     """The observer of a name (NAMES). Raises OutputError for another one, and for parts of the design it lacks."""
     match name:
         case "keyboard":

@@ -18,7 +18,7 @@ from palmfield.session.preview import Preview, preview
 from palmfield.studies.experiment.design import Design, read_design
 from palmfield.studies.experiment.log import LogWriter, Trial, next_trial
 from palmfield.studies.experiment.markers import Markers
-from palmfield.studies.experiment.observers import Keyboard, Observer, Shown, Stopped, observer_of
+from palmfield.studies.experiment.observers import Keyboard, Respondent, Shown, Stopped, observer_of
 from palmfield.studies.experiment.presentation import Sender, presentation
 from palmfield.studies.experiment.procedures import Answered
 
@@ -45,7 +45,7 @@ def run_experiment(
     port: str | None = None,
     virtual: bool = False,
     board: str | None = None,
-    answers: Observer | None = None,
+    answers: Respondent | None = None,
     on_trial: OnTrial | None = None,
 ) -> Done:
     """Run an experiment, or go on with one: every trial is in the log before the next begins.
@@ -135,7 +135,7 @@ def _allowed(design: Design, experiment: Path, scene: Path, board: str | None) -
 class _Session:
     """Trials one after another."""
 
-    def __init__(self, design: Design, writer: LogWriter, sender: Sender, who: Observer, markers: Markers) -> None:
+    def __init__(self, design: Design, writer: LogWriter, sender: Sender, who: Respondent, markers: Markers) -> None:
         self.design, self.writer, self.sender, self.who, self.markers = design, writer, sender, who, markers
 
     def trial(self) -> bool:

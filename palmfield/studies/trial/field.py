@@ -41,7 +41,7 @@ class Pressures(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Moment:
+class TrialMoment:
     """What happens at a time of a trial [s].
 
     true: where the focus should be on the hand [m], believed: where the system thought so, sounding: where that of the
@@ -129,7 +129,7 @@ class TrueSound:
         except SceneError:
             return np.zeros(len(self.model.arrays), np.complex128)
 
-    def moment(self, time_s: float, due_times: Sequence[float], heard: Heard, loudest: float) -> Moment | None:
+    def moment(self, time_s: float, due_times: Sequence[float], heard: Heard, loudest: float) -> TrialMoment | None:
         """What a hand gets at a time [s]; None before the first frame.
 
         due_times: of all frames; loudest: level of the loudest of them, 0..1
@@ -154,7 +154,7 @@ class TrueSound:
             pressures = [float(np.abs(arrays.pressure64(point, drive)[0])) for arrays, drive in drives]
         sounding = self._sounding(posed.arrays, emitted.amplitudes, believed)
         age_s = time_s - sent.frame.seen_s
-        return Moment(time_s, true, believed, sounding, age_s, sent.number, level, Pressures(*pressures))
+        return TrialMoment(time_s, true, believed, sounding, age_s, sent.number, level, Pressures(*pressures))
 
     def _sounding(self, arrays: PhasedArray, amplitudes: Complex, near: Float) -> Float:
         """The focus to which the sound fits, if near the one that is meant; of several arrays that of the first."""

@@ -17,7 +17,7 @@ from palmfield.errors import SceneError, did_you_mean
 from palmfield.estimate.array_inputs import p0_band
 from palmfield.given_files import read_text
 from palmfield.studies.trial.felt import Felt
-from palmfield.studies.trial.field import Moment, TrueSound
+from palmfield.studies.trial.field import TrialMoment, TrueSound
 from palmfield.studies.trial.sending import Heard
 from palmfield.types import Float
 
@@ -147,7 +147,7 @@ def _place(file: Path, text: str) -> tuple[float, float, float]:
 
 
 def compare(
-    recording: Recording, moments: Sequence[Moment], sound: TrueSound, heard: Heard, skin: Felt | None
+    recording: Recording, moments: Sequence[TrialMoment], sound: TrueSound, heard: Heard, skin: Felt | None
 ) -> Compared:
     """A recording against the same quantity of a trial. Raises SceneError for motion of a skin that was not stepped."""
     if recording.quantity == "pressure":

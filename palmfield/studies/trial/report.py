@@ -10,7 +10,7 @@ from palmfield.acoustics.calibration_file import Calibration
 from palmfield.drive.board import Board
 from palmfield.studies.trial.belief import Tracker
 from palmfield.studies.trial.felt import Felt
-from palmfield.studies.trial.field import Moment, TrueSound
+from palmfield.studies.trial.field import TrialMoment, TrueSound
 from palmfield.studies.trial.recording import Compared
 from palmfield.studies.trial.sending import VIRTUAL, Sent
 from palmfield.types import Float
@@ -102,7 +102,7 @@ def numbers_of(
     board: Board,
     sound: TrueSound,
     sent: Sent,
-    moments: Sequence[Moment],
+    moments: Sequence[TrialMoment],
     tracker: Tracker,
     duration_s: float,
     skin: Felt | None,
@@ -170,7 +170,7 @@ def _share(after: Float, before: Float) -> Share:
     return Share(float(ratio.mean()), float(ratio.min()))
 
 
-def table_of(moments: Sequence[Moment], skin: Felt | None) -> tuple[tuple[str, ...], Float]:
+def table_of(moments: Sequence[TrialMoment], skin: Felt | None) -> tuple[tuple[str, ...], Float]:
     """Names of columns and the course in rows, shape (k, columns); the skin's are NaN where it was not stepped."""
     rows = []
     for one in moments:

@@ -31,7 +31,7 @@ from palmfield.simulation.model import HapticModel
 from palmfield.studies.trial.belief import Belief, Tracker
 from palmfield.studies.trial.course import SceneCourse
 from palmfield.studies.trial.felt import Felt, felt
-from palmfield.studies.trial.field import Moment, TrueSound, focus_in, last_due, level_of, same_level
+from palmfield.studies.trial.field import TrialMoment, TrueSound, focus_in, last_due, level_of, same_level
 from palmfield.studies.trial.live import Live, play_live
 from palmfield.studies.trial.recording import Compared, Recording, compare
 from palmfield.studies.trial.report import Numbers, as_text, numbers_of, table_of
@@ -56,7 +56,7 @@ class Trial:
     """
 
     numbers: Numbers
-    moments: list[Moment]
+    moments: list[TrialMoment]
     sent: Sent
     skin: Felt | None
     skin_ideal: Felt | None
@@ -262,7 +262,7 @@ def _due(course: SceneCourse, board: Board, duration_s: float) -> list[float]:
 
 def _course(
     sent: Sent, moments_s: list[float], times: list[float], heard: Heard, sound: TrueSound, told: "Told"
-) -> list[Moment]:
+) -> list[TrialMoment]:
     """The sound at the hand over the trial, as far as it went; Ctrl-C keeps what is computed by then."""
     loudest = max((level_of(one.frame.wanted) for one in sent.frames), default=0.0)
     moments = []
@@ -287,7 +287,7 @@ def _skins(
     board: str | None,
     keys: dict[str, object],
     done: _Done,
-    moments: list[Moment],
+    moments: list[TrialMoment],
     truth: Calibration | None,
     recording: Recording | None,
 ) -> tuple[Felt, Felt]:

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from palmfield.motion.pose import HandPose
-from palmfield.motion.source import Motion
+from palmfield.motion.source import HandMotion
 from palmfield.session.live_scene import scripts
 from palmfield.session.simulation import Simulation
 from palmfield.studies.view.messages import Place, Slider
@@ -51,7 +51,7 @@ class Hands:
             for kind, most, unit in (("shift", ASIDE_mm, ("mm", 1e3)), ("turn", TURN_deg, ("deg", 1.0)))
             for axis in range(3)
         )
-        self._scripts: dict[str, Motion] = {}
+        self._scripts: dict[str, HandMotion] = {}
         self.attach(sim)
 
     def attach(self, sim: Simulation) -> None:
@@ -86,4 +86,4 @@ class Hands:
 
     def _lead(self, name: str) -> None:
         script, offset = self._scripts[name], self.offsets[name]
-        self._modules[name].motion = Motion(script.hand, lambda time_s: offset.put(script.at(time_s)))
+        self._modules[name].motion = HandMotion(script.hand, lambda time_s: offset.put(script.at(time_s)))

@@ -36,7 +36,7 @@ from palmfield.studies.view.messages import (
 from palmfield.studies.view.page_process import need_viser
 from palmfield.studies.view.periods import Periods, steps_watched
 from palmfield.studies.view.recording import Recording, next_folder
-from palmfield.studies.view.sight import Sight, scene_shown
+from palmfield.studies.view.sight import MomentReader, scene_shown
 from palmfield.studies.view.sliders import stimulus_sliders, turned, value_of
 
 LOG = logging.getLogger("palmfield.studies")
@@ -97,7 +97,7 @@ class ShownScene:
         self._attach()
 
     def _attach(self) -> None:
-        self._sight = Sight(self.sim)
+        self._sight = MomentReader(self.sim)
         listed = (*stimulus_sliders(self.sim.runtime.spec.stimuli), *self._hands.sliders)
         # One that was there keeps its ends: they follow from where it stood at first
         self.sliders = {one.place: self.sliders.get(one.place, one) for one in listed}

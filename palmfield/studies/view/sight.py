@@ -43,7 +43,7 @@ def _in_world(array: np.ndarray) -> Float32:
     return np.array(array, np.float32)
 
 
-class Sight:
+class MomentReader:
     """Makes moments and poses of a simulation, and keeps which pose was shown last."""
 
     def __init__(self, sim: Simulation) -> None:
