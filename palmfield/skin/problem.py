@@ -7,9 +7,10 @@ spot moves by negative z.
 
 import math
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -308,8 +309,9 @@ class SkinProblem:
         """The points on the body's face [m], shape (n, 3). Raises SceneError as `points_on_face`."""
         return points_on_face(self.body, self.at)
 
-    def refuse(self, solver: str, reason: str | None) -> None:
-        """Raise SceneError where a solver has a reason not to solve it."""
+    def refuse(self, solver: str, refusal: Callable[[Body, Load], str | None]) -> None:
+        """Raise SceneError where a solver has a reason not to solve it, by its refusal_NAME."""
+        reason = refusal(self.body, self.load)
         if reason is not None:
             raise SceneError(f"solver '{solver}': {reason}")
 
@@ -333,17 +335,13 @@ class SkinProblem:
             points=self.points if points is None else points,
             displacement_m=displacement_m,
             velocity_m_s=velocity_m_s,
+            error=float(errors[self.judged]),
             error_source=source,
             solver=solver,
             seconds=time.perf_counter() - begun,
-            **stated(errors, self.accuracy_of),
+            accuracy_of=self.accuracy_of,
+            **{f"{name}_error": float(error) for name, error in zip(QUANTITIES, errors, strict=True)},
         )
-
-
-def stated(errors: Float, accuracy_of: Quantity) -> dict[str, Any]:
-    """A Motion's fields for errors of the QUANTITIES, (3,)."""
-    named = {f"{name}_error": float(error) for name, error in zip(QUANTITIES, errors, strict=True)}
-    return {"error": named[f"{accuracy_of}_error"], "accuracy_of": accuracy_of, **named}
 
 
 def check_quantity(accuracy_of: str) -> int:

@@ -290,7 +290,7 @@ def _first_that_can(able: list[Choice], problem: SkinProblem) -> tuple[Choice, M
 def _by_name(name: str, problem: SkinProblem, resolution: dict[str, Any]) -> Motion:
     """What one solver finds, with a resolution of the caller's. Raises SceneError where it can't."""
     if not resolution:
-        problem.refuse(name, function(name, "refusal")(problem.body, problem.load))
+        problem.refuse(name, function(name, "refusal"))
     run: Callable[..., Motion] = function(name, "solve")
     own = list(inspect.signature(run).parameters)[1:]
     for key in resolution:

@@ -94,7 +94,7 @@ def solve_reduced(problem: SkinProblem) -> Motion:
     """
     begin = time.perf_counter()
     body, load, accuracy, judged = problem.body, problem.load, problem.accuracy, problem.judged
-    problem.refuse("reduced", refusal_reduced(body, load))
+    problem.refuse("reduced", refusal_reduced)
     points = problem.points
     now = Discretisation(first_sizes(body, load, points, accuracy), math.inf, 1.0)
     models: list[tuple[int, Float]] = []

@@ -136,7 +136,7 @@ def solve_wedges(
     """
     begin = time.perf_counter()
     body, load, accuracy, judged = problem.body, problem.load, problem.accuracy, problem.judged
-    problem.refuse("wedges", refusal_wedges(body, load))
+    problem.refuse("wedges", refusal_wedges)
     points = problem.points
     _check_pinned(body, load, sizes)
     if step_s is not None and not 0.0 < step_s < math.inf:
@@ -180,7 +180,7 @@ def static_wedges(body: Body, load: Load, at: Float, *, accuracy: float = 0.05, 
     """
     begin = time.perf_counter()
     problem = SkinProblem(body, load, load.times_s[-1:], at, accuracy)
-    problem.refuse("wedges", refusal_wedges(body, load))
+    problem.refuse("wedges", refusal_wedges)
     points = problem.points
     _check_pinned(body, load, sizes)
     now = Discretisation(sizes or first_sizes(body, load, points, accuracy), math.inf, 1.0)

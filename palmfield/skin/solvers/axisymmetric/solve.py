@@ -325,7 +325,7 @@ def _worst(values: Float, all_values: Float) -> float:
 def _accepted(problem: SkinProblem) -> tuple[Slab, Spot]:
     """The body and load. Raises SceneError for those that `refusal_axisymmetric` names, and for a wrong accuracy."""
     body, load = problem.body, problem.load
-    problem.refuse("axisymmetric", refusal_axisymmetric(body, load))
+    problem.refuse("axisymmetric", refusal_axisymmetric)
     assert isinstance(body, Slab) and isinstance(load, Spot)
     if not 1e-4 <= problem.accuracy <= 0.5:
         raise SceneError(f"accuracy is {problem.accuracy}; give 1e-4 to 0.5")

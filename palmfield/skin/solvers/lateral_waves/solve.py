@@ -105,7 +105,7 @@ def last_of(load: Load) -> Load:
 
 def accepted(problem: SkinProblem) -> Slab:
     """The body, which is a slab. Raises SceneError with the reason where the solver refuses, or a wrong accuracy."""
-    problem.refuse("lateral_waves", refusal_lateral_waves(problem.body, problem.load))
+    problem.refuse("lateral_waves", refusal_lateral_waves)
     assert isinstance(problem.body, Slab)
     if not 1e-7 <= problem.accuracy <= 0.5:
         raise SceneError(f"accuracy is {problem.accuracy}; give a relative error from 1e-7 to 0.5")

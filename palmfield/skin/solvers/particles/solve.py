@@ -65,7 +65,7 @@ def solve_particles(
     """
     begun = time.perf_counter()
     body, load, requested, at, device = problem.body, problem.load, problem.times, problem.at, problem.device
-    problem.refuse("particles", refusal_particles(body, load))
+    problem.refuse("particles", refusal_particles)
     spacing = choose_spacing(body, load, problem.accuracy) if spacing_m is None else spacing_m
     longest = length_of(body) / (2.0 * COARSER)
     if isinstance(body, Slab) and spacing > longest:

@@ -247,7 +247,7 @@ def solve_spectral_elements(
             f"solver 'spectral_elements': deep is {deep}; give 1 or more for each of {len(body.sheets)} sheets"
         )
     body, bulk_error = softened or reduce_bulk_modulus(body, load, requested[-1], points, accuracy, nu_at_most)
-    problem.refuse("spectral_elements", refusal_spectral_elements(body, load))
+    replace(problem, body=body).refuse("spectral_elements", refusal_spectral_elements)
     chosen = plan(body, load, points, accuracy, order, size_m, deep)
     fine = march(prepared(body, chosen, device, precision), load, requested, points, step_s)
     errors, source = np.full(3, math.nan), "not estimated"
