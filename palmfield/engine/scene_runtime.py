@@ -130,7 +130,7 @@ class SceneRuntime:
     def steps(self) -> Steps:
         """The steps of this one mjData."""
         steps = Steps([self.model], [self.work], self.state)
-        if steps.moving.some or steps.graph is not None:
+        if steps.moving.some or steps.backend.whole:
             for skin, bound in enumerate(self.binding.skins):
                 for sensor in self.view.sensors(bound.instance):
                     steps.watch(skin, self.place(skin, sensor))
@@ -248,7 +248,7 @@ class SceneRuntime:
         """Whether steps may be gathered now: nothing feels them, reads in them or watches them."""
         steps, watched = self.steps, any(one is not None for one in self.work.observe)
         called = mujoco.get_mjcb_control() or mujoco.get_mjcb_passive() or mujoco.get_mjcb_sensor()
-        graphs = steps.moving.some or steps.graph is not None  # which are quicker step by step
+        graphs = steps.moving.some or steps.backend.whole  # which are quicker step by step
         return not (self.felt or watched or called or steps.observer is not None or graphs)
 
     def advance(self) -> None:

@@ -139,7 +139,7 @@ class Recorder:
 
     def _add_pressed(self, block: Block, skin: SkinModel, posed: PosedScene) -> None:
         """ARP on the faces of a skin's body; a GPU adds up forces without it."""
-        if self.runtime.steps.graph is not None:
+        if self.runtime.steps.backend.whole:
             return
         faces = len(skin.closed_surface[1])
         pressure = self.runtime.steps.pressed(0, skin.body)

@@ -19,6 +19,7 @@ from palmfield.device import resolve
 from palmfield.drive.path_drives import PathDrives, PathStep, foci_made, push_rows
 from palmfield.drive.transducer_response import EmittedCourse, of_drives, present_drive
 from palmfield.errors import PalmfieldError
+from palmfield.simulation.backend import Backend
 from palmfield.simulation.emission import MeanDrives
 from palmfield.simulation.graph_work import PURPOSES, GraphOf, GraphSizes, GraphWork
 from palmfield.simulation.model import HapticModel
@@ -47,16 +48,16 @@ class Sounding(NamedTuple):
         return len(self.units if self.levels is None else self.levels)
 
 
-class SceneGraph:
-    """One world's graph, and what it has found in the step that began last. Belongs to one state.
+class SceneGraph(Backend):
+    """One world's graph, and what it has found in the step that began last.
 
-    course: what is emitted over that step and at which moments, of a path without its drives; None where it was left
-        to the stages
-    stepped: the skins that it has computed, each with how many numbers its state has
-    launches: how many graphs have been launched
+    course: of a path without its drives; launches: how many graphs have been launched
     """
 
+    whole = True
+
     def __init__(self, model: HapticModel, work: Workspace, state: HapticState):
+        super().__init__()
         self.model, self._work, self._state, self._reference = model, work, state, work.reference
         device = resolve(model.spec.device)
         self._transducers, self._arrays = Transducers(model.arrays, device), model.arrays.serial
@@ -70,8 +71,6 @@ class SceneGraph:
         self._drives: PathDrives | None = None
         self._driven = model.arrays.serial
         self._models: dict[tuple[int, SkinStepper], DeviceModel | None] = {}
-        self.course: tuple[Moments, EmittedCourse] | None = None
-        self.stepped: list[tuple[int, int]] = []
         self.launches = 0
         self._now: GraphWork | None = None
         self._posed = 0  # serial number of the pose that the last launch computed
@@ -82,22 +81,13 @@ class SceneGraph:
         self._stepped: dict[int, SkinStepper] = {}
 
     def watch(self, skin: int, place: SensorPlace) -> None:
-        """Compute the ARP at a sensor's place as well, from the next step on."""
         if (skin, place) not in self._probes:
             self._probes += ((skin, place),)
             self._graphs.clear()
 
-    def forget(self) -> None:
-        """Begin again, after a reset."""
-        self.course, self.stepped = None, []
-
     # -- the beginning of a step ---------------------------------------------------------------------------------------
 
     def begin(self, posed: PosedScene, t0: float, watched: bool) -> bool:
-        """Compute the step that begins at t0 [s]; whether that was possible.
-
-        watched: whether somebody wants to know the drives
-        """
         emission = self._work.emission
         emitted = gather(self._state, self._work)
         if posed.arrays.serial != self._arrays:
@@ -281,7 +271,6 @@ class SceneGraph:
     # -- what came out -------------------------------------------------------------------------------------------------
 
     def forces(self, body: int) -> Float:
-        """Mean force [N] on a body's parts and torques about their origins [N m], array frame, shape (2, b, 3)."""
         own = self._motions.bodies[body]
         if self._now is None or self._force_scale == 0.0:
             return np.zeros((2, own.stop - own.start, 3))
@@ -289,29 +278,22 @@ class SceneGraph:
         return np.asarray(of_parts.reshape(-1, 2, 3).swapaxes(0, 1))
 
     def arp(self, skin: int, place: SensorPlace) -> float:
-        """ARP [Pa] as the step begins at a sensor's place that is watched."""
         if self._now is None or self._present == 0.0:
             return 0.0
         of_place = self._now.results.hosts["probes"][0, self._probes.index((skin, place))]
         return self._present * float(of_place)
 
     def outside(self, skin: int, stepper: SkinStepper) -> Outside | None:
-        """What of a skin's load was outside the class that this stepper serves; None as of `after`, or where it has no
-        class."""
         if self.after(skin, stepper) is None or self._now is None:
             return None
         return self._now.of.skins[skin].outside(self._now.results.hosts[f"sums_{skin}"][0].tolist())
 
     def after(self, skin: int, stepper: SkinStepper) -> Float | None:
-        """Numbers of a skin as the step ends, shape (1, state_size), a view that the next step overwrites; None where
-        this stepper has not stepped it here."""
         if self._now is None or self.course is None or self._stepped.get(skin) is not stepper:
             return None
         return np.asarray(self._now.results.hosts[f"after_{skin}"])
 
     def patterns(self, skin: int, points: Int | None = None) -> Float32:
-        """ARP [Pa] of the step's course at a skin's quadrature points, shape (m, q); points: those that are wanted, all
-        without. A view that the next step overwrites."""
         assert self._now is not None and self.course is not None
         load = self._now.load
         if not self._fetched:

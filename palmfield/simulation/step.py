@@ -17,6 +17,7 @@ from palmfield.blas import one_blas_thread
 from palmfield.device import resolve
 from palmfield.drive.transducer_response import EmittedCourse, present_drive
 from palmfield.errors import naming_world
+from palmfield.simulation.backend import Backend
 from palmfield.simulation.emission import Emission
 from palmfield.simulation.graph_work import serves
 from palmfield.simulation.kept import Bool, Kept, Rows, Serials
@@ -116,7 +117,7 @@ class Steps:
         self.forces: list[Float] = [np.zeros((worlds, 2, body.parts, 3)) for body in first.bodies]
         self.observer: Callable[[StepTrace], None] | None = None
         self.moving = MovingWorlds(models, works, state, alone, graphs)
-        self.graph = SceneGraph(first, works[0], state) if graphs and worlds == 1 else None
+        self.backend = SceneGraph(first, works[0], state) if graphs and worlds == 1 else Backend()
         self._several, self._device = worlds > 1, resolve(first.spec.device)
         self._states = [state.world(world) for world in range(worlds)] if worlds > 1 else [state]
         self._in: Callable[..., Any] = self._named if worlds > 1 else call
@@ -144,8 +145,7 @@ class Steps:
         self._served[:] = 0
         self.smooth.forget()
         self.moving.forget()
-        if self.graph is not None:
-            self.graph.forget()
+        self.backend.forget()
 
     def adopt(self, other: "Steps") -> None:
         """Go on from another's, in a copy of its state in the same PosedScenes."""
@@ -170,8 +170,7 @@ class Steps:
         """Let a graph compute what a sensor reads there; before the first step."""
         if self.moving.some:
             self.moving.watch(skin, place)
-        if self.graph is not None:
-            self.graph.watch(skin, place)
+        self.backend.watch(skin, place)
 
     def begin_at(
         self, places: Float, axes: Float, t0: float, posed: Callable[[Bool], Mapping[int, PosedScene]]
@@ -189,8 +188,7 @@ class Steps:
             self.begin(posed(here), t0)
         else:
             self._apart, self.smooth.joined = [], moving[:0]
-            if self.graph is not None:
-                self.graph.forget()
+            self.backend.forget()
         for forces, own in zip(self.forces, self.moving.mean_forces(), strict=False):
             forces[moving] = own
 
@@ -198,8 +196,8 @@ class Steps:
         """The same for worlds that no graph steps, in their PosedScenes."""
         for world, now in posed.items():
             self._posed[world], self._poses[world] = now, now.serial
-        if self.graph is not None:
-            self.graph.forget()
+        if self.backend.course is not None:
+            self.backend.forget()
         with one_blas_thread:
             self._apart = self.smooth.begin(posed, t0)
             joined = self.smooth.joined
@@ -228,10 +226,7 @@ class Steps:
     def state_now(self) -> bytes:
         """What the step that has begun was computed from, of a state that others may write: equal while it holds."""
         parts: tuple[Complex | Float, ...] = self.state.emitted
-        stepped = self.moving.stepped
-        if self.graph is not None:
-            stepped = [*stepped, *self.graph.stepped]
-        for skin, size in stepped:
+        for skin, size in [*self.moving.stepped, *self.backend.stepped]:
             parts = *parts, self.state.skins[skin][:, : HEADER + size]
         return b"".join(map(methodcaller("tobytes"), parts))
 
@@ -248,10 +243,10 @@ class Steps:
             work.emission.forget()
         if work.emission.holds:
             work.emission.begin(posed, t0)
-        turn, graph = posed.array_frame.rotation.T, self.graph
-        if graph is not None and graph.begin(posed, t0, self._watched(work)):
+        turn, backend = posed.array_frame.rotation.T, self.backend
+        if backend.begin(posed, t0, self._watched(work)):
             for body, forces in enumerate(self.forces):
-                forces[world] = graph.forces(body) @ turn
+                forces[world] = backend.forces(body) @ turn
             return
         work.look_ahead(posed)
         mean = work.emission.mean_drives(posed, gather(state, work), t0)
@@ -320,8 +315,8 @@ class Steps:
     def _arp_in_one(self, world: int, skin: int, place: SensorPlace, kept: Kept, t0: float) -> float:
         """ARP at a sensor's place [Pa] in a world that nothing else carries."""
         work, posed = self.works[world], self._posed[world]
-        if self.graph is not None and self.graph.course is not None:
-            return self.graph.arp(skin, place)
+        if self.backend.course is not None:
+            return self.backend.arp(skin, place)
         course = work.emission.now(posed, gather(self._states[world], work), t0)
         drive, factor = present_drive(course)
         if drive is None:
@@ -406,7 +401,7 @@ class Steps:
     def _advance_one(self, world: int, t0: float, t1: float, skins: bool) -> None:
         """`advance` in a world that nothing else carries."""
         model, work, posed, state = self.models[world], self.works[world], self._posed[world], self._states[world]
-        begun, known = gather(state, work), None if self.graph is None else self.graph.course
+        begun, known = gather(state, work), self.backend.course
         count = round((t1 - t0) / model.step_s)
         moments, course = known or work.emission.over(posed, begun, t0, count)
         if skins:
@@ -503,7 +498,7 @@ class Steps:
     def _outside(self, group: _Group, skin: int, stepper: SkinStepper, at: Rows) -> list[Outside]:
         """What of the loads on a skin lies outside the class of its modes, in the worlds at some places of a group."""
         worlds = group.worlds[at]
-        known = None if self.graph is None else self.graph.outside(skin, stepper)
+        known = self.backend.outside(skin, stepper)
         if known is not None:
             return [known]
         first, last = group.first[at], group.last[at]
@@ -524,8 +519,8 @@ class Steps:
         """Patterns of ARP in the i-th world of a group [Pa], shape (p, n)."""
         world = int(group.worlds[i])
         posed, course = self._posed[world], group.course(i)
-        if self.graph is not None and self.graph.course is not None and len(course.units):
-            return self.graph.patterns(skin, stepper.points)
+        if self.backend.course is not None and len(course.units):
+            return self.backend.patterns(skin, stepper.points)
         return self.works[world].patterns(posed, skin, stepper, course)
 
     def _step(
@@ -542,7 +537,7 @@ class Steps:
             # Refuses a state that is not at rest though nobody has written it
             stepper_of(self.models[world], self._states[world], skin)
             claim(self.models[world], self._states[world], skin, stepper)
-        end = None if self.graph is None else self.graph.after(skin, stepper)
+        end = self.backend.after(skin, stepper)
         if end is not None:
             part[:, numbers] = end
             return None

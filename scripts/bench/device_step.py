@@ -205,8 +205,8 @@ def measure(scene: Path, watch: Stopwatch, options: argparse.Namespace) -> None:
         f"  mj_step of {step_ms:g} ms: p50 {np.median(walls):.3f} ms, p99 {np.quantile(walls, 0.99):.3f}, max "
         f"{max(walls):.3f}; {shown}, Python and MuJoCo {rest:.3f}"
     )
-    graph, moving = sim.steps.graph, sim.steps.moving
-    assert graph is not None
+    graph, moving = sim.steps.backend, sim.steps.moving
+    assert isinstance(graph, SceneGraph)
     print(f"  graphs of the scene {graph.launches}, in the worlds' graph {len(moving.joined)}")
     work = moving._work or graph._now
     if work is not None:

@@ -63,7 +63,7 @@ def stages(sim: palmfield.Simulation) -> dict[str, Any]:
 
 def graphs(sim: palmfield.Simulation) -> dict[str, Any]:
     """The same by the graph, in the step that has begun."""
-    runtime, graph = sim.runtime, sim.runtime.steps.graph
+    runtime, graph = sim.runtime, sim.runtime.steps.backend
     sim.runtime.body_forces()
     loads = [graph.patterns(skin).copy() for skin in range(len(runtime.model.skins))]
     forces = [graph.forces(body) for body in range(len(runtime.model.bodies))]
@@ -131,14 +131,14 @@ def test_a_moving_focus_is_driven_on_the_device(small_scene: Any, by_graph: Any,
     runtime, work = sim.runtime, sim.runtime.work
     posed, begun, now = runtime.posed, gather(runtime.state, work).copy(), sim.data.time
     runtime.body_forces()
-    known = runtime.steps.graph.course
+    known = runtime.steps.backend.course
     assert known is not None
     assert runtime.model.stimuli[0].response.delayed == apart
     _, course = work.emission.over(posed, begun, now, runtime.model.substeps)
     assert np.abs(course.end).max() > 0.1
     np.testing.assert_allclose(known[1].end, course.end, rtol=0.0, atol=1e-12)
     points = np.arange(0, 40, 7)
-    load = runtime.steps.graph.patterns(0, points).copy()
+    load = runtime.steps.backend.patterns(0, points).copy()
     other = Radiation(runtime.model).many(posed, 0, course.units)[:, points]
     np.testing.assert_allclose(load, other, rtol=0.0, atol=3e-5 * np.abs(other).max())
 
@@ -251,11 +251,11 @@ def test_one_launch_a_step_and_none_where_only_the_level_changes(small_scene: An
         sims.append(by_graph(scene))
     for sim, expected in zip(sims, (10, 0), strict=True):
         sim.step(3)
-        before = sim.runtime.steps.graph.launches
+        before = sim.runtime.steps.backend.launches
         for _ in range(10):
             mujoco.mj_step(sim.model, sim.data)
         palmfield.raise_errors(sim.data)
-        assert sim.runtime.steps.graph.launches - before == expected
+        assert sim.runtime.steps.backend.launches - before == expected
 
 
 def test_a_step_runs_few_python_functions(by_graph: Any, python_calls: Any) -> None:
@@ -281,7 +281,7 @@ def test_a_copy_goes_on_by_itself(small_scene: Any, by_graph: Any, monkeypatch: 
     twin = sim.copy()
     sim.step(4)
     twin.step(4)
-    assert None is not twin.runtime.steps.graph is not sim.runtime.steps.graph
+    assert twin.runtime.steps.backend is not sim.runtime.steps.backend and twin.runtime.steps.backend.whole
     np.testing.assert_array_equal(twin.data.sensordata, sim.data.sensordata)
 
 
@@ -290,7 +290,7 @@ def test_more_drives_than_before_take_more_room(
 ) -> None:
     sim = by_graph(small_scene())
     sim.step(2)
-    runtime, graph = sim.runtime, sim.runtime.steps.graph
+    runtime, graph = sim.runtime, sim.runtime.steps.backend
     posed = runtime.posed
     rng = np.random.default_rng(0)
     drives = np.exp(2j * np.pi * rng.uniform(size=(11, 256)))
@@ -330,7 +330,7 @@ def test_what_sounded_last_does_not_push_in_silence(small_scene: Any, by_graph: 
 def test_silence_pushes_nothing(small_scene: Any, by_graph: Any) -> None:
     sim = by_graph(small_scene(stimulus={"start_s": 0.004}))
     sim.step(3)
-    assert sim.runtime.steps.graph.launches == 0
+    assert sim.runtime.steps.backend.launches == 0
     assert not sim.forces.any() and not sim.data.sensordata.any()
     sim.step(3)
     assert sim.forces.any()
@@ -345,7 +345,7 @@ def test_what_is_not_finite_is_named(small_scene: Any, by_graph: Any, monkeypatc
     with monkeypatch.context() as patch:
         patch.setattr(Emission, "mean_drives", lambda *_: of_one(drive[None], 1.0, 1))
         with pytest.raises(PalmfieldError, match=r"drive of transducer 7 = .*nan.* is not finite"):
-            sim.runtime.steps.graph.begin(posed, now, True)
+            sim.runtime.steps.backend.begin(posed, now, True)
     posed.bodies[0].frame.position[1] = np.inf
     graph = SceneGraph(sim.runtime.model, sim.runtime.work, sim.runtime.state)
     with pytest.raises(PalmfieldError, match=r"pose of 'pad' at .*inf.* is not finite"):
@@ -407,7 +407,7 @@ def test_a_gpu_gives_what_the_cpu_gives(small_scene: Any, path: dict[str, object
     for _ in range(8):
         for sim in (here, *there):
             sim.step()
-        assert there[0].runtime.steps.graph is not None
+        assert there[0].runtime.steps.backend.whole
         np.testing.assert_array_equal(there[0].data.sensordata, there[1].data.sensordata)
         mine, its = (sim.data.sensordata for sim in (here, there[0]))
         np.testing.assert_allclose(its[2:5], mine[2:5], rtol=1e-4, atol=1e-12)
