@@ -45,8 +45,14 @@ def test_a_package_exports_names_that_no_module_hides(name):
         assert getattr(package, public) is not None
     if name != "config":
         assert dir(package) == sorted(package.__all__)
-        with pytest.raises(AttributeError, match=f"module 'palmfield.{name}' has no attribute 'nose'"):
+        with pytest.raises(AttributeError, match=f"No palmfield.{name} attribute nose"):
             _ = package.nose
+
+
+@pytest.mark.parametrize("stub", sorted(FOLDER.rglob("__init__.pyi")), ids=lambda stub: stub.parent.name)
+def test_every_name_of_a_stub_is_there(stub):
+    package = import_module(".".join(stub.parent.relative_to(FOLDER.parent).parts))
+    assert package.__all__ and all(getattr(package, name) is not None for name in package.__all__)
 
 
 def test_every_package_with_names_is_in_the_list():

@@ -6,15 +6,6 @@ with open_result("out/palm") as result:
     write_usd(result, "palm.usdz", Shown(colour="arp"))
 """
 
-from typing import TYPE_CHECKING
+import lazy_loader
 
-from palmfield.lazy_names import lazy_names
-
-if TYPE_CHECKING:
-    from palmfield.outputs.usd.shown import Shown
-    from palmfield.outputs.usd.validation import validate_usd
-    from palmfield.outputs.usd.write import write_usd
-
-_WHERE = {"Shown": "shown", "validate_usd": "validation", "write_usd": "write"}
-__all__ = ["Shown", "validate_usd", "write_usd"]
-__getattr__, __dir__ = lazy_names(__name__, _WHERE)
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,12 +1,5 @@
 """A scene that runs while one looks at it in the browser, and turns its keys."""
 
-from typing import TYPE_CHECKING
+import lazy_loader
 
-from palmfield.lazy_names import lazy_names
-
-if TYPE_CHECKING:
-    from palmfield.studies.view.run import view
-
-_WHERE = {"view": "run"}
-__all__ = ["view"]
-__getattr__, __dir__ = lazy_names(__name__, _WHERE)
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,2 @@
+from .caller import Player as Player
+from .report import PlayReport as PlayReport

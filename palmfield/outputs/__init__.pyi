@@ -1,0 +1,10 @@
+from .motion import normal_component as normal_component
+from .schema import SCHEMA_VERSION as SCHEMA_VERSION
+from .schema import group as group
+from .schema import has_records as has_records
+from .schema import instances as instances
+from .schema import tree as tree
+from .store import MemoryStore as MemoryStore
+from .store import Store as Store
+from .store import open_result as open_result
+from .store import recover as recover

@@ -1,0 +1,16 @@
+from .assembly import SkinSystem as SkinSystem
+from .assembly import assemble as assemble
+from .body import build as build
+from .factor import Factor as Factor
+from .factor import factorise as factorise
+from .foundation import fit_foundation as fit_foundation
+from .load import PressureHistory as PressureHistory
+from .load import SurfaceQuadrature as SurfaceQuadrature
+from .load import face_points as face_points
+from .probe import SurfaceProbe as SurfaceProbe
+from .probe import surface_motion as surface_motion
+from .probe import surface_vectors as surface_vectors
+from .solver import harmonic as harmonic
+from .solver import harmonic_discrete as harmonic_discrete
+from .solver import static as static
+from .wedge_stepper import WedgeStepper as WedgeStepper

@@ -1,0 +1,11 @@
+from .dynamic_stiffness import DynamicStiffness as DynamicStiffness
+from .krylov import Course as Course
+from .krylov import Krylov as Krylov
+from .krylov import periodic as periodic
+from .reduced import Projection as Projection
+from .reduced import Reduced as Reduced
+from .reduced_stepper import KnownLoad as KnownLoad
+from .reduced_stepper import ReducedStepper as ReducedStepper
+from .reducer import TooManyVectorsError as TooManyVectorsError
+from .reducer import grow_until as grow_until
+from .reducer import reduce as reduce

@@ -1,0 +1,3 @@
+from .solve import cost_spectral_elements as cost_spectral_elements
+from .solve import refusal_spectral_elements as refusal_spectral_elements
+from .solve import solve_spectral_elements as solve_spectral_elements
