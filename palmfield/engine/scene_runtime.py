@@ -162,7 +162,7 @@ class SceneRuntime:
             return last
         rotations = self._matrices.reshape(-1, 3, 3)
         posed = posed_scene(self.model, self.layout, self._positions, rotations, last, self.work.reference)
-        if posed.bodies != last.bodies or posed.arrays is not last.arrays:
+        if posed.bodies != last.bodies or posed.arrays.serial != last.arrays.serial:
             check_clear(posed)
         self._posed, self._numbers = posed, numbers
         return posed
@@ -219,11 +219,16 @@ class SceneRuntime:
 
     def _note(self) -> None:
         """Note that a step begins, after those before it in another pose."""
-        posed = self._posed_at(self._frames())
-        if self._gathered is not None and (self._gathered[0] is not posed or self._gathered[2] >= self.steps.together):
-            self.settle()
+        posed, now, step_s = self._posed_at(self._frames()), self.view.raw.time, self.spec.timestep_s
+        if self._gathered is not None:
+            before, begin, count = self._gathered
+            if abs(now - begin - count * step_s) > 0.5 * step_s:
+                # MuJoCo has reset a model that became unstable, the state with it
+                self._gathered = None
+            elif before.serial != posed.serial or count >= self.steps.together:
+                self.settle()
         if self._gathered is None:
-            self._gathered = posed, self.view.raw.time, 0
+            self._gathered = posed, now, 0
 
     def settle(self) -> None:
         """Compute the steps that were noted."""
@@ -247,7 +252,10 @@ class SceneRuntime:
     def may_gather(self) -> bool:
         """Whether steps may be gathered now: nothing feels them, reads in them or watches them."""
         steps, watched = self.steps, any(one is not None for one in self.work.observe)
-        called = mujoco.get_mjcb_control() or mujoco.get_mjcb_passive() or mujoco.get_mjcb_sensor()
+        called = any(
+            getattr(mujoco, f"get_mjcb_{name}")()
+            for name in ("control", "passive", "sensor", "act_bias", "act_gain", "act_dyn")
+        )
         graphs = steps.moving.some or steps.backend.whole  # which are quicker step by step
         return not (self.felt or watched or called or steps.observer is not None or graphs)
 

@@ -70,6 +70,6 @@ class WorldPoses:
             self._resting[world] = (
                 posed.bodies == reference.bodies
                 and posed.skins == reference.skins
-                and posed.arrays is self._model.arrays
+                and posed.arrays.serial == self._model.arrays.serial
             )
         return {world: self._posed[world] for world in some.nonzero()[0].tolist()}

@@ -7,7 +7,7 @@ first needed. It and its parts have serial numbers, by which fields are kept.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from operator import is_
+from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from palmfield.stimulus.focal_points import FocalPoints, SurfaceCourse
 from palmfield.transforms import IDENTITY, Placement, Transform
 from palmfield.types import Float, Int
 
+SERIAL = attrgetter("serial")
 STILL = 0.05
 """A body or focus that moves by less than this part of accuracy times spot width counts as still: the load then is off
 by less than a tenth of the accuracy (displacement over standard deviation, over sqrt 2)."""
@@ -227,9 +228,9 @@ class PosedScene:
             self.numbers += position.tobytes() + rotation.tobytes()
 
     def same(self, other: "PosedScene") -> bool:
-        """Whether all that sound and skins depend on is the same: parts that keep still are the same objects."""
+        """Whether all that sound and skins depend on is the same: parts that keep still keep their serial numbers."""
         mine, its = (self.arrays, *self.bodies, *self.skins), (other.arrays, *other.bodies, *other.skins)
-        return self.numbers == other.numbers and all(map(is_, mine, its))
+        return self.numbers == other.numbers and list(map(SERIAL, mine)) == list(map(SERIAL, its))
 
     def focal_points(self, stimulus: StimulusModel, number: int) -> FocalPoints:
         """Where the points of a stimulus, by its number, are in this pose."""
@@ -299,7 +300,7 @@ def posed_scene(
             bodies.append(previous.bodies[number])
         elif (
             model.still_m[number] > 0.0
-            and arrays is model.arrays
+            and arrays.serial == model.arrays.serial
             and _settled(body, first, model.corners[number], model.still_m[number])
         ):
             bodies.append(first)
@@ -315,8 +316,8 @@ def posed_scene(
             posed_skin = last
         elif (
             skin.settles
-            and arrays is model.arrays
-            and body is first_pose.body
+            and arrays.serial == model.arrays.serial
+            and body.serial == first_pose.body.serial
             and _obstacles_settled(PosedSkin(skin, placed[skin.body], obstacles), first_pose)
         ):
             posed_skin = first_pose

@@ -47,8 +47,6 @@ from palmfield.skin.stepper import DeviceStep, Outside, SkinStepper, SurfaceLoad
 from palmfield.stimulus.schedule import Moments, substep_moments
 from palmfield.types import Complex, Float, Float32
 
-CLOCK_S = 1e-12
-"""Times nearer to each other than this are one and the same."""
 T = TypeVar("T")
 ONE: Float = np.ones((1, 1, 1))
 TOGETHER = 16

@@ -121,6 +121,21 @@ def test_what_feels_the_sound_is_stepped_one_by_one(
     assert "body 'arm' has degrees of freedom" in palmfield.Simulation(free).runtime.felt
 
 
+def test_a_reset_in_the_midst_is_that_of_mujoco(still: Callable[..., Path], tmp_path: Path) -> None:
+    """A loose body that is pushed apart by its own damper becomes unstable, and MuJoCo resets the whole state."""
+    scene = still(**KEYS["wedges"])
+    plain = scene.with_name("plain.xml")
+    loose = '<body pos="1 0 0"><joint type="slide" damping="-60"/><geom size="0.03" contype="0"/></body></worldbody>'
+    plain.write_text(plain.read_text().replace("</worldbody>", loose))
+    sim, other = palmfield.Simulation(scene), palmfield.Simulation(scene)
+    assert sim.runtime.may_gather
+    sim.step(60)
+    for _ in range(60):
+        mujoco.mj_step(other.model, other.data)
+    assert sim.time < 0.5 * 60 * sim.model.opt.timestep  # it has happened
+    agree(sim, other)
+
+
 def test_an_error_in_the_midst_leaves_whole_steps(still: Callable[..., Path], monkeypatch: pytest.MonkeyPatch) -> None:
     sim, other = (palmfield.Simulation(still(**KEYS["path"])) for _ in range(2))
     with monkeypatch.context() as patch:
