@@ -404,7 +404,8 @@ def page(traded: dict[int, tuple[list[float], list[float]]], fits: list[tuple[in
         "of `Material` with `stiffening`, G(s)/G_r, which is 1 at rest, and `series`, branches that stand for "
         "it in time. Its parameters are ratios to G_r and times, so that a factor on the shear modulus is one on all "
         "of it. Scenes find its `PRESETS` by name. Harmonic solutions take G(s) as it is; steppers and small models "
-        "take the series, and `solve` adds to its error how far that is from G(s), rms over 5 to 1000 Hz.",
+        "take the series, and `solve` and the error budget of a run add to "
+        "their error how far that is from G(s), rms over 5 to 1000 Hz.",
         LAW,
         "## Finite strain",
         "Solver `particles` takes a compressible neo-Hookean law with the material's branches. At small strain it is "

@@ -28,8 +28,8 @@ QUANTITY = (
 LOUDEST_POINTS = 64
 """Points of the skin at which the field is computed once more in double precision."""
 DEPTH = "depth to the bone"
-SOURCES = ("mesh", "step", "reduction", "edge", "field")
-"""Of the numerical error: each has its number under `SOURCE_error_relative`."""
+SOURCES = ("mesh", "step", "reduction", "edge", "field", "law")
+"""Of the numerical error: each has its number under `SOURCE_error_relative`, law only where a series replaces one."""
 
 
 def error_budget(
@@ -51,7 +51,11 @@ def error_budget(
     estimate = error_estimate(model, skin, loudest, radiation, course)
     band = estimate.pop("material_band_low", None), estimate.pop("material_band_high", None)
     estimate["field_error_relative"] = field_error(model, skin, loudest, radiation)
-    estimate["displacement_error_relative"] = math.hypot(*(estimate[f"{name}_error_relative"] for name in SOURCES))
+    law = max(sheet.material.series_error for sheet in model.skins[skin].layer.sheets)
+    if law > 0.0:
+        estimate["law_error_relative"] = law
+    parts = [estimate.get(f"{name}_error_relative", 0.0) for name in SOURCES]
+    estimate["displacement_error_relative"] = math.hypot(*parts)
     stimulus = stimulus_of(model, skin)
     places = loudest.posed.focal_points(model.stimuli[stimulus], stimulus)
     foci = places.at(frame_at(model.stimuli[stimulus].config, loudest.time_s).focus)

@@ -254,7 +254,7 @@ MUTATIONS = (
     ),
     Mutation(
         "pressure pulls",
-        "forces",
+        "push",
         "palmfield/acoustics/surface_load.py",
         "np.multiply(normals.T, -areas, out=force)",
         "np.multiply(normals.T, areas, out=force)",
@@ -262,7 +262,7 @@ MUTATIONS = (
     ),
     Mutation(
         "torque about the wrong point",
-        "torques",
+        "push",
         "palmfield/acoustics/surface_load.py",
         "np.subtract(torques, turned, order",
         "np.add(torques, turned, order",
@@ -270,7 +270,7 @@ MUTATIONS = (
     ),
     Mutation(
         "velocity's part of the momentum lost",
-        "forces",
+        "push",
         "palmfield/acoustics/langevin.py",
         "flux = 0.5 * rho * np.real",
         "flux = 0.25 * rho * np.real",
@@ -518,7 +518,7 @@ MUTATIONS = (
     ),
     Mutation(
         "channels in another order",
-        "sensors",
+        "sense",
         "palmfield/simulation/sensors.py",
         "map(call, CHANNELS.values(),",
         "map(call, reversed(CHANNELS.values()),",

@@ -8,8 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import palmfield
 from palmfield.config.skin import SkinConfig
 from palmfield.errors import SceneError
+from palmfield.estimate.error_budget import SOURCES
 from palmfield.skin import materials, solve
 from palmfield.skin.fem.assembly import assemble
 from palmfield.skin.fem.load import SurfaceQuadrature
@@ -126,3 +128,13 @@ def test_scenes_find_it_and_refuse_branches_for_it(gel):
         material_of(SkinConfig(material=NAME, shear_branch_Pa=1e3, **keys))
     with pytest.raises(SceneError, match=r"did you mean.*fractional gel"):
         catalogue.preset("fractional gell")
+
+
+def test_a_run_counts_how_far_the_series_is_from_the_law(gel, small_scene):
+    skin = {"material": NAME, "accuracy": 0.4, "solver": "wedges"}
+    result = palmfield.run(palmfield.Simulation(small_scene(duration_s=0.005, skin=skin)), progress=False)
+    (numbers,) = result.summary["skins"]
+    parts = numbers["error_budget"]["numerical"]
+    assert parts["law_error_relative"] == pytest.approx(gel.series_error)
+    squares = sum(parts[f"{name}_error_relative"] ** 2 for name in SOURCES)
+    assert numbers["displacement_error_relative"] == pytest.approx(squares**0.5)
