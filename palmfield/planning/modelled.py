@@ -72,7 +72,7 @@ def modelled(model: HapticModel, duration_s: float, felt: str) -> list[Row]:
             "time",
             f"{substeps} steps of {1e3 * model.step_s:.3g} ms in MuJoCo steps of {1e3 * model.spec.timestep_s:.3g} ms",
             "the sound or the pose changes, so a static answer will not do; Simulation.step takes "
-            + (f"them one by one: {felt}" if felt else "several in one go in Simulation.step, as nothing feels the sound"),
+            + (f"them one by one: {felt}" if felt else "several in one go, as nothing feels the sound"),
         )
     )
     return rows + [_solver(skin, model.still_m[skin.body]) for skin in model.skins]
