@@ -375,6 +375,25 @@ def test_scripted_motions_lead_bodies_in_all_worlds(small_scene, tmp_path):
     assert differ(together.sensors[2], singles[2].data.sensordata) < SAME
 
 
+def test_bodies_that_touch_do_so_in_each_world_alone(small_scene):
+    """A ball rolls down the pad while the sound pushes the pad away, by another level in each world."""
+    path = yielding(small_scene(skin=COARSE))
+    plain = path.with_name("plain.xml")
+    ball = '<body pos="0.003 0 0.135"><freejoint/><geom size="0.004" mass="0.002" contype="1" conaffinity="1"/></body>'
+    text = plain.read_text().replace("</worldbody>", ball + "</worldbody>")
+    assert 'contype="0"' in text
+    plain.write_text(text.replace('contype="0"', 'contype="1"').replace('conaffinity="0"', 'conaffinity="1"'))
+    keys = {"stimulus.drive_amplitude": [1.0, 0.3]}
+    together, singles = palmfield.Simulation(path, keys=keys, worlds=2), singles_of(path, keys, 2)
+    touched = np.zeros(2, bool)
+    for _ in range(40):
+        for sim in (together, *singles):
+            sim.step()
+        touched |= [data.ncon > 0 for data in together.data]
+    assert touched.all()
+    assert_alike(together, singles)
+
+
 @pytest.mark.nightly
 @pytest.mark.parametrize("body_sound", ["shadows", "scattering"])
 def test_shadows_and_scattering_belong_to_their_world(body_sound, small_scene):
