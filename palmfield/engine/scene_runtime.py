@@ -12,8 +12,8 @@ from rich.progress import Progress
 from palmfield.drive.transducer_response import EmittedCourse
 from palmfield.errors import SceneError
 from palmfield.mujoco_host.mujoco_view import DataView, ForceOutlet, PluginSensor
+from palmfield.simulation.backend import serves
 from palmfield.simulation.build import model_of
-from palmfield.simulation.graph_work import serves
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene, PoseLayout, posed_scene
 from palmfield.simulation.scene_reader import read_scene

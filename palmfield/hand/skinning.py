@@ -17,7 +17,6 @@ from palmfield.device import SharedArray, recorded, resolve
 from palmfield.errors import SceneError
 from palmfield.hand.articulated import ArticulatedHand, HandBone, articulate
 from palmfield.hand.blend import bone_shifts
-from palmfield.hand.meshfile import load_rigged
 from palmfield.hand.preset import DIGITS, HandPreset
 from palmfield.hand.rigged import RiggedMesh, strongest
 from palmfield.hand.subdivide import EDGE_m
@@ -220,6 +219,8 @@ class SkinnedHand(SkinnedSurface):
 @lru_cache(maxsize=2)
 def rigged_file(path: str, unit: str) -> RiggedMesh:
     """A user's rigged mesh with edges up to EDGE_m, kept for the next call; raises SceneError as `load_rigged`."""
+    from palmfield.hand.meshfile import load_rigged
+
     return load_rigged(path, unit, EDGE_m)
 
 

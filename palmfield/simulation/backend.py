@@ -1,6 +1,11 @@
-"""What may take the place of the stages in a step of one world in a pose. Here: nothing, the stages do it all."""
+"""What may take the place of the stages in a step. The classes here compute nothing: the stages do it all."""
 
+import numpy as np
+
+from palmfield.device import resolve
 from palmfield.drive.transducer_response import EmittedCourse
+from palmfield.simulation.kept import Rows
+from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.sensors import SensorPlace
 from palmfield.skin.stepper import Outside, SkinStepper
@@ -9,7 +14,7 @@ from palmfield.types import Float, Float32, Int
 
 
 class Backend:
-    """The host's stages. What computes steps elsewhere overrides this. Belongs to one state.
+    """The stages for one world in a pose. What computes its steps elsewhere overrides this. Belongs to one state.
 
     whole: whether a step by itself costs least, so that several are not gathered, and bodies' ARP stays there
     course: what is emitted over the step that has begun and at which moments, if it is computed here; else None
@@ -61,3 +66,54 @@ class Backend:
         None where this stepper's step is not computed here.
         """
         return None
+
+
+class WorldsBackend:
+    """The host's stages for all worlds. What computes steps of many from MuJoCo's frames overrides this.
+
+    some: whether any world can ever take its step here; joined: numbers of those that take the present one, shape (g,)
+    stepped: as of Backend
+    """
+
+    some = False
+
+    def __init__(self) -> None:
+        self.joined: Rows = np.zeros(0, dtype=np.intp)
+        self.stepped: list[tuple[int, int]] = []
+
+    def watch(self, skin: int, place: SensorPlace) -> None:
+        """Compute what a sensor reads there as well."""
+
+    def forget(self) -> None:
+        """What is in the state now has not come from here: after a reset, or in a copy."""
+
+    def fetch(self) -> None:
+        """Bring the state up to what the device has."""
+
+    def begin(self, places: Float, axes: Float, t0: float, watched: bool) -> None:
+        """Take the frames of all worlds where a step begins at t0 [s], and compute it in those that can join.
+
+        places [m], axes: of the layout's rows, shapes (worlds, rows, 3) and (worlds, rows, 9); watched: whether every
+        substep is recorded, which is not done here
+        """
+
+    def mean_forces(self) -> list[Float]:
+        """Forces [N] on the parts of each body and torques about their origins [N m], world axes, shape (g, 2, b, 3).
+
+        In the worlds that have joined: the mean over the step that begins.
+        """
+        return []
+
+    def sensed(self, skin: int, place: SensorPlace) -> tuple[Float, Float]:
+        """ARP [Pa], shape (g,), displacement [m] and velocity [m/s], (g, 2), at a sensor's place that is watched."""
+        raise NotImplementedError
+
+    def advance(self, skins: bool = True) -> None:
+        """Carry joined worlds, their skins included, to the step's end; skins: False leaves these as they are."""
+
+
+def serves(model: HapticModel) -> bool:
+    """Whether a model's sound is computed here: on a GPU, but for echoes, boundary elements and 'accurate'."""
+    fast = model.arrays.precision == "fast" and model.arrays.wall_m is None
+    solved = any(skin.spec.config.body_sound == "scattering" for skin in model.skins)
+    return resolve(model.spec.device) != "cpu" and fast and not solved

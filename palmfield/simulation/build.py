@@ -17,7 +17,6 @@ from palmfield.drive.boards import BOARDS, board_of
 from palmfield.drive.response import Pole
 from palmfield.drive.transducer_response import TransducerResponse, transducer_response
 from palmfield.errors import SceneError, naming
-from palmfield.hand.meshfile import load_mesh
 from palmfield.hand.meshquery import barycentric, build_mesh, closest_faces
 from palmfield.hand.preset import load_preset
 from palmfield.hand.rigged import joint_of_body
@@ -173,6 +172,8 @@ def _new_body(skin: SkinConfig) -> BodyModel:
         return BodyModel(skin.body, None, None, skin.depth_m)
     if skin.shape == "mesh":
         assert skin.mesh
+        from palmfield.hand.meshfile import load_mesh  # which brings all that mends a mesh
+
         return BodyModel(skin.body, load_mesh(Path(skin.mesh), skin.unit), None, skin.depth_m)
     if skin.shape == "cylinder":
         assert skin.cylinder_radius_m and skin.cylinder_length_m

@@ -25,7 +25,6 @@ from palmfield.device import (
     launching,
     nbytes,
     replayed,
-    resolve,
     vectors,
     whole_numbers,
 )
@@ -348,13 +347,6 @@ class GraphWork:
         self._active.host[rows] = 1
         with launching:
             self._taken()
-
-
-def serves(model: HapticModel) -> bool:
-    """Whether a model's sound is computed here: on a GPU, but for echoes, boundary elements and 'accurate'."""
-    fast = model.arrays.precision == "fast" and model.arrays.wall_m is None
-    solved = any(skin.spec.config.body_sound == "scattering" for skin in model.skins)
-    return resolve(model.spec.device) != "cpu" and fast and not solved
 
 
 def _boxes(model: HapticModel) -> tuple[Float, Float]:

@@ -16,9 +16,10 @@ from palmfield.acoustics.surface_load import CLEARANCE_M
 from palmfield.device import resolve
 from palmfield.drive.path_drives import PathDrives, aim_of, foci_made, push_rows
 from palmfield.drive.transducer_response import SILENT
+from palmfield.simulation.backend import WorldsBackend
 from palmfield.simulation.emission import LEAST_MEANS, array_drives, mean_weights
 from palmfield.simulation.graph_work import FORCE, LOAD, NOW, GraphOf, GraphSizes, GraphWork
-from palmfield.simulation.kept import Bool, Rows
+from palmfield.simulation.kept import Bool
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PoseLayout
 from palmfield.simulation.sensors import SensorPlace
@@ -50,24 +51,16 @@ class _Ahead(NamedTuple):
     means: Float
 
 
-class MovingWorlds:
-    """The steps of several worlds, with what they keep from one to the next. Belongs to one state.
+class MovingWorlds(WorldsBackend):
+    """The steps of several worlds, with what they keep from one to the next. Belongs to one state."""
 
-    some: whether any world can ever take its step here; joined: numbers of those that take the present one, shape (g,)
-    stepped: the skins that the present step has computed, each with how many numbers its state has
-    """
-
-    def __init__(
-        self, models: Sequence[HapticModel], works: Sequence[Workspace], state: HapticState, alone: bool, served: bool
-    ):
-        """alone: whether nobody else writes the state, which then stays on the device from step to step
-        served: whether graphs compute sound"""
+    def __init__(self, models: Sequence[HapticModel], works: Sequence[Workspace], state: HapticState, alone: bool):
+        """alone: whether nobody else writes the state, which then stays on the device from step to step"""
+        super().__init__()
         self.models, self.works, self.state, self._alone = models, works, state, alone
         self._layout = PoseLayout.of(models[0])
-        able = [served and may_join(model, self._layout) for model in models]
+        able = [may_join(model, self._layout) for model in models]
         self.some = any(able)
-        self.joined: Rows = np.zeros(0, dtype=np.intp)
-        self.stepped: list[tuple[int, int]] = []
         self._probes: list[tuple[int, SensorPlace]] = []
         self._columns: list[int] = []  # of each among those of its skin
         self._work: GraphWork | None = None
@@ -91,7 +84,6 @@ class MovingWorlds:
         self._sums: Float = np.zeros((len(models[0].skins), SECTIONS, len(models)))
 
     def watch(self, skin: int, place: SensorPlace) -> None:
-        """Compute what a sensor reads there as well."""
         if (skin, place) not in self._probes:
             self.fetch()
             self._columns.append(sum(other == skin for other, _ in self._probes))
@@ -99,13 +91,11 @@ class MovingWorlds:
             self._work = None
 
     def forget(self) -> None:
-        """What is in the state now has not come from here: after a reset, or in a copy."""
         if self.some:
             self._here[:] = False
             self._fetched = True
 
     def fetch(self) -> None:
-        """Bring the state up to what the device has."""
         work = self._work
         if not self.some or self._fetched or work is None:
             return
@@ -128,11 +118,6 @@ class MovingWorlds:
     # -- the beginning of a step ---------------------------------------------------------------------------------------
 
     def begin(self, places: Float, axes: Float, t0: float, watched: bool) -> None:
-        """Take the frames of all worlds where a step begins at t0 [s], and compute it in those that can join.
-
-        places [m], axes: of the layout's rows, shapes (worlds, rows, 3) and (worlds, rows, 9); watched: whether
-        somebody looks at every substep, which is not done here
-        """
         if not self.some:
             return
         joins = self._may & (not watched)
@@ -309,10 +294,6 @@ class MovingWorlds:
         return np.asarray(good)
 
     def mean_forces(self) -> list[Float]:
-        """Forces [N] on the parts of each body and torques about their origins [N m], world axes, shape (g, 2, b, 3).
-
-        In the worlds that have joined: the mean over the step that begins.
-        """
         work, rows = self._work, self.joined
         if work is None or len(rows) == 0:
             return []
@@ -326,7 +307,6 @@ class MovingWorlds:
         return result
 
     def sensed(self, skin: int, place: SensorPlace) -> tuple[Float, Float]:
-        """ARP [Pa], shape (g,), displacement [m] and velocity [m/s], (g, 2), at a sensor's place that is watched."""
         work, rows = self._work, self.joined
         assert work is not None
         number = self._probes.index((skin, place))
@@ -339,10 +319,6 @@ class MovingWorlds:
     # -- its end -------------------------------------------------------------------------------------------------------
 
     def advance(self, skins: bool = True) -> None:
-        """Let what the worlds that have joined emit, and their skins, be as the step ends.
-
-        skins: False leaves them as they are
-        """
         work, rows = self._work, self.joined
         if work is None or len(rows) == 0:
             return

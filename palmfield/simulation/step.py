@@ -17,14 +17,11 @@ from palmfield.blas import one_blas_thread
 from palmfield.device import resolve
 from palmfield.drive.transducer_response import EmittedCourse, present_drive
 from palmfield.errors import naming_world
-from palmfield.simulation.backend import Backend
+from palmfield.simulation.backend import Backend, WorldsBackend, serves
 from palmfield.simulation.emission import Emission
-from palmfield.simulation.graph_work import serves
 from palmfield.simulation.kept import Bool, Kept, Rows, Serials
 from palmfield.simulation.model import HapticModel
-from palmfield.simulation.moving_worlds import MovingWorlds
 from palmfield.simulation.posed_scene import PosedScene
-from palmfield.simulation.scene_graph import SceneGraph
 from palmfield.simulation.sensors import SensorPlace
 from palmfield.simulation.small_models.leaving import (
     continue_on_whole_layer,
@@ -114,8 +111,15 @@ class Steps:
         self.smooth = SmoothSound(models, [work.emission for work in works], state, able, alone)
         self.forces: list[Float] = [np.zeros((worlds, 2, body.parts, 3)) for body in first.bodies]
         self.observer: Callable[[StepTrace], None] | None = None
-        self.moving = MovingWorlds(models, works, state, alone, graphs)
-        self.backend = SceneGraph(first, works[0], state) if graphs and worlds == 1 else Backend()
+        self.moving, self.backend = WorldsBackend(), Backend()
+        if graphs:
+            # The kernels of graphs are not loaded for scenes that have none
+            from palmfield.simulation.moving_worlds import MovingWorlds
+            from palmfield.simulation.scene_graph import SceneGraph
+
+            self.moving = MovingWorlds(models, works, state, alone)
+            if worlds == 1:
+                self.backend = SceneGraph(first, works[0], state)
         self._several, self._device = worlds > 1, resolve(first.spec.device)
         self._states = [state.world(world) for world in range(worlds)] if worlds > 1 else [state]
         self._in: Callable[..., Any] = self._named if worlds > 1 else call

@@ -15,9 +15,9 @@ from palmfield.data import folder
 from palmfield.device import Branches
 from palmfield.drive.transducer_response import of_drives, rows
 from palmfield.errors import DeviceError, PalmfieldError
-from palmfield.simulation import graph_work, moving_worlds, scene_graph, step, validate
+from palmfield.simulation import backend, graph_work, moving_worlds, scene_graph, step, validate
+from palmfield.simulation.backend import serves
 from palmfield.simulation.emission import Emission, of_one
-from palmfield.simulation.graph_work import serves
 from palmfield.simulation.radiation import Radiation
 from palmfield.simulation.scene_graph import SceneGraph
 from palmfield.simulation.step import Steps
@@ -91,7 +91,7 @@ def test_only_scenes_on_a_gpu_take_it(small_scene: Any) -> None:
 def test_boundary_elements_and_float64_are_left_to_the_stages(
     small_scene: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(graph_work, "resolve", lambda device: "cuda:0")
+    monkeypatch.setattr(backend, "resolve", lambda device: "cuda:0")
     for keys, served in (
         ({}, True),
         ({"skin": {"body_sound": "shadows"}}, True),

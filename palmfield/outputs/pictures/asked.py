@@ -51,17 +51,19 @@ class Kind(NamedTuple):
     """draw: raises OutputError or MeasurementError where the result doesn't hold what it needs; about: a sentence
 
     heeds: what of `Asked` changes the picture, all where it isn't said; unit: of its limits
+    place: in lists, from sound (1 to 9) over maps of the skin (10 to 19) to courses in time (20 to 29)
     """
 
     draw: Draw
     about: str
     heeds: frozenset[str] = ALL
     unit: str = ""
+    place: int = 99
 
     @classmethod
-    def of_motion(cls, draw: Draw, about: str, *more: str, unit: str = "µm or µm/s") -> "Kind":
+    def of_motion(cls, draw: Draw, about: str, *more: str, place: int, unit: str = "µm or µm/s") -> "Kind":
         """A picture of a skin's motion; more: what it heeds besides what they all do."""
-        return cls(draw, about, frozenset({"places", "limits", "skin", "quantity", *more}), unit)
+        return cls(draw, about, frozenset({"places", "limits", "skin", "quantity", *more}), unit, place)
 
 
 def asked_for(

@@ -7,12 +7,13 @@ from pkgutil import iter_modules
 from palmfield.errors import OutputError
 from palmfield.outputs.pictures.asked import Asked, Kind
 
-KINDS: dict[str, Kind] = {
-    name: kind
+_FOUND: list[tuple[str, Kind]] = [
+    entry
     for module in sorted(iter_modules(__path__), key=lambda module: module.name)
-    for name, kind in import_module(f"{__name__}.{module.name}").KINDS.items()
-}
-"""All kinds by name."""
+    for entry in import_module(f"{__name__}.{module.name}").KINDS.items()
+]
+KINDS = dict(sorted(_FOUND, key=lambda entry: entry[1].place))
+"""All kinds by name, from sound to skin."""
 OPTIONS = {
     "time_s": "--time",
     "places": "--place",

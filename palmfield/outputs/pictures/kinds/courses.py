@@ -94,7 +94,7 @@ def spectrogram(result: xr.DataTree, asked: Asked) -> Figure:
 
 
 KINDS = {
-    "course": Kind.of_motion(course, "the skin's motion over time at a few places"),
-    "spectrum": Kind.of_motion(spectrum, "its amplitude spectrum"),
-    "spectrogram": Kind.of_motion(spectrogram, "its power over time and frequency", unit="dB"),
+    "course": Kind.of_motion(course, "the skin's motion over time at a few places", place=20),
+    "spectrum": Kind.of_motion(spectrum, "its amplitude spectrum", place=21),
+    "spectrogram": Kind.of_motion(spectrogram, "its power over time and frequency", place=22, unit="dB"),
 }

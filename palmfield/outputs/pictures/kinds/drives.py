@@ -31,4 +31,4 @@ def drives(result: xr.DataTree, asked: Asked) -> Figure:
     return figure
 
 
-KINDS = {"drives": Kind(drives, "phase and amplitude of each transducer", frozenset({"time_s"}))}
+KINDS = {"drives": Kind(drives, "phase and amplitude of each transducer", frozenset({"time_s"}), place=3)}

@@ -56,4 +56,4 @@ def field_slice(result: xr.DataTree, asked: Asked) -> Figure:
 
 
 ABOUT = "incident pressure in a plane through array and focus, in free air"
-KINDS = {"field": Kind(field_slice, ABOUT, frozenset({"time_s", "limits"}), "Pa")}
+KINDS = {"field": Kind(field_slice, ABOUT, frozenset({"time_s", "limits"}), "Pa", 2)}

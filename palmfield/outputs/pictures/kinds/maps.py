@@ -160,9 +160,9 @@ def _one(
 LEVELS_HEED = frozenset({"places", "limits", "skin", "observer"})
 KINDS = {
     "pressure": Kind(
-        pressure, "peak pressure and ARP on each skin when they are largest", frozenset({"time_s", "skin"})
+        pressure, "peak pressure and ARP on each skin when they are largest", frozenset({"time_s", "skin"}), place=1
     ),
-    "motion": Kind.of_motion(motion_map, "normal displacement or velocity of the skin at a time", "time_s"),
-    "rms": Kind.of_motion(rms_map, "root mean square of the skin's motion over the run"),
-    "levels": Kind(level_map_of, "level above threshold on the skin, by observer", LEVELS_HEED, "dB SL"),
+    "motion": Kind.of_motion(motion_map, "normal displacement or velocity of the skin at a time", "time_s", place=10),
+    "rms": Kind.of_motion(rms_map, "root mean square of the skin's motion over the run", place=11),
+    "levels": Kind(level_map_of, "level above threshold on the skin, by observer", LEVELS_HEED, "dB SL", 12),
 }

@@ -58,4 +58,4 @@ def wavefronts(result: xr.DataTree, asked: Asked) -> Figure:
     return figure
 
 
-KINDS = {"wavefronts": Kind.of_motion(wavefronts, "motion along a line over the skin, over time")}
+KINDS = {"wavefronts": Kind.of_motion(wavefronts, "motion along a line over the skin, over time", place=23)}
