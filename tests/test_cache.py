@@ -211,9 +211,9 @@ def test_a_folder_that_can_not_be_is_done_without(tmp_path, monkeypatch):
 def test_a_home_that_can_not_be_written_is_done_without_and_said_once(tmp_path):
     (tmp_path / "home").write_text("no folder")
     own = {name: value for name, value in os.environ.items() if name not in ("XDG_CACHE_HOME", "WARP_CACHE_PATH")}
-    command = [sys.executable, "-m", "palmfield", "keys", "skin"]
+    command = [sys.executable, "-m", "palmfield", "calibrate", "kinds"]
     ended = subprocess.run(command, capture_output=True, text=True, env=own | {"HOME": str(tmp_path / "home")})
-    assert ended.returncode == 0 and "patch_radius_m" in ended.stdout
+    assert ended.returncode == 0 and "columns" in ended.stdout
     (line,) = ended.stderr.splitlines()
     assert "compiled kernels can't be written (Not a directory)" in line and "set WARP_CACHE_PATH" in line
 

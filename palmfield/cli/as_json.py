@@ -3,9 +3,9 @@
 import json
 from typing import Any
 
-from palmfield.types import json_value
-
 
 def print_json(facts: dict[str, Any]) -> None:
     """One JSON object on standard output."""
+    from palmfield.types import json_value
+
     print(json.dumps(facts, indent=2, default=json_value, allow_nan=False))

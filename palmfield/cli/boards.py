@@ -1,23 +1,34 @@
-"""What the command line says of boards, and the virtual ones that it starts."""
+"""`palmfield boards`: the boards that play a drive, and what is known of each."""
 
-import time
-from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from palmfield.cli.messages import complain
-from palmfield.drive.board import Board, frames_in_words
-from palmfield.drive.boards import BOARDS, playable_board
-from palmfield.drive.virtual import Faults, VirtualBoard
-from palmfield.errors import DeviceError, unwritable
-from palmfield.hardware.play import Performance
+from palmfield.cli.as_json import print_json
+from palmfield.cli.options import AsJson
 
-UNSENT_CODE = 4
-"""Exit code where more frames were due than could be sent."""
+if TYPE_CHECKING:
+    from palmfield.drive.board import Board
 
 
-def facts(board: Board) -> dict[str, Any]:
+def boards(
+    name: Annotated[str | None, typer.Argument(help="one board", metavar="[BOARD]")] = None,
+    markdown: Annotated[bool, typer.Option(help="as the page docs/boards.md has it")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """List the boards that play a drive, with their limits; all of one, with what it can't guarantee.
+
+    Example: palmfield boards sonicsurface
+    """
+    from palmfield.drive.boards import BOARDS, board_named
+
+    if as_json:
+        print_json({one.name: facts(one) for one in (BOARDS.values() if name is None else [board_named(name)])})
+    else:
+        describe(name, markdown)
+
+
+def facts(board: "Board") -> dict[str, Any]:
     """What is known of a board, with units in the names."""
     steps = 1 if board.amplitude == "on_off" else board.amplitude_steps
     return {
@@ -42,7 +53,7 @@ def facts(board: Board) -> dict[str, Any]:
     }
 
 
-def amplitudes_in_words(board: Board) -> str:
+def amplitudes_in_words(board: "Board") -> str:
     """Which amplitudes each transducer takes."""
     if board.exact:
         return "any"
@@ -51,12 +62,16 @@ def amplitudes_in_words(board: Board) -> str:
 
 def as_text() -> str:
     """All boards, each with its description."""
+    from palmfield.drive.boards import BOARDS
+
     width = max(len(name) for name in BOARDS)
     return "".join(f"{board.name:<{width}}  {board.description}\n" for board in BOARDS.values())
 
 
 def as_markdown() -> str:
     """The page docs/boards.md's table and its sections."""
+    from palmfield.drive.boards import BOARDS
+
     lines = [
         "| board | layouts | transducers | frame | line | frames/s | phases | amplitudes |",
         "|---|---|---|---|---|---|---|---|",
@@ -103,60 +118,10 @@ def _bytes(data: bytes) -> str:
     return f"`{words}{more}`" + (", twice" if twice else "")
 
 
-def run_virtual(
-    name: str,
-    by: str,
-    tcp_port: int,
-    duration_s: float | None,
-    *,
-    drop: float,
-    flip: float,
-    stall: tuple[float, float] | None,
-    unplug_s: float | None,
-    received: Path | None,
-) -> None:
-    """Start a virtual board, print its port, and say at the end what it noticed; Ctrl-C ends it.
-
-    stall: from when on and for how long it takes no bytes [s]; unplug_s: when its port is taken away [s]
-    Raises DeviceError for a board without bytes, and shares out of range.
-    """
-    board = playable_board(name)
-    if by not in ("pty", "tcp"):
-        raise DeviceError(f"--by has value '{by}'; allowed: pty or tcp")
-    kind: Literal["pty", "tcp"] = "pty" if by == "pty" else "tcp"
-    with VirtualBoard(board, by=kind, tcp_port=tcp_port, faults=Faults(drop, flip)) as virtual:
-        print(virtual.port)
-        # A focus is played by boards of one array
-        what = "--focus 0 0 0.15" if board.arrays[0] == 1 else "SCENE.xml"
-        print(
-            f"next, in another terminal: palmfield drive {what} --board {board.name} --port {virtual.port}", flush=True
-        )
-        try:
-            while duration_s is None or virtual.clock < duration_s:
-                time.sleep(0.005)
-                now = virtual.clock
-                if stall is not None:
-                    virtual.stall(stall[0] <= now < stall[0] + stall[1])
-                if unplug_s is not None and now >= unplug_s:
-                    virtual.unplug()
-        except KeyboardInterrupt:
-            pass
-        if received is not None:
-            try:
-                received.write_bytes(bytes(virtual.received))
-            except OSError as error:
-                raise unwritable(received, error) from None
-        on = int((abs(virtual.twin.emitted) > 0.0).sum())
-        print(
-            f"{board.name}: {len(virtual.received)} bytes; {frames_in_words(virtual.emitted)}; {on} of "
-            f"{virtual.twin.count} transducers sound at the end"
-        )
-        for flag in virtual.flags[:10]:
-            print(f"at {flag.time_s:.3f} s {flag.kind}: {flag.text}")
-
-
 def describe(board: str | None, markdown: bool) -> None:
     """Print one board's facts, all boards, or the page's part."""
+    from palmfield.drive.boards import playable_board
+
     if markdown:
         print(as_markdown(), end="")
     elif board is None:
@@ -172,11 +137,3 @@ def describe(board: str | None, markdown: bool) -> None:
                 key, data = sequences[key]
                 value = f"{_bytes(data)} ({len(data)} bytes, in decimals)"
             print(f"{key:<20}{value if not isinstance(value, list) else ', '.join(map(str, value)) or '-'}")
-
-
-def show_performance(done: Performance) -> None:
-    """Print how playing went. Raises typer.Exit where frames were left out."""
-    print(done)
-    if done.warning:
-        complain(f"warning: {done.warning}")
-        raise typer.Exit(UNSENT_CODE)

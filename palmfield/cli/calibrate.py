@@ -5,7 +5,10 @@ from typing import Annotated
 
 import typer
 
+from palmfield.cli.drive import show_performance
+
 calibrate = typer.Typer(
+    name="calibrate",
     no_args_is_help=True,
     rich_markup_mode=None,
     help="Measure what a real array does, and write it into a file that scenes and boards take.\n\n"
@@ -112,7 +115,6 @@ def sound(
 
     palmfield calibrate sound sonicsurface --port /dev/ttyUSB0 --element 17 --dwell 5
     """
-    from palmfield.cli.boards import show_performance
     from palmfield.hardware.one_by_one import sound_one_by_one
     from palmfield.hardware.play import Target
 

@@ -1,34 +1,59 @@
-"""What `palmfield compare` does with its options."""
+"""`palmfield compare`: a scan held against a run."""
 
 from pathlib import Path
+from typing import Annotated
+
+import typer
 
 from palmfield.cli.as_json import print_json
-from palmfield.outputs.scan_files import write_scan
-from palmfield.studies.compare.run import FILES, compare
+from palmfield.cli.options import AsJson, RunFolder
 
 
-def compare_scan(
-    run: Path,
-    measured: Path,
-    *,
-    instrument: Path | None,
-    skin: str | None,
-    fiducials: Path | None,
-    as_placed: bool,
-    most_delay_s: float,
-    mode_Hz: float | None,
-    source_m: tuple[float, float, float] | None,
-    source_radius_m: float,
-    out: Path,
-    as_uff: bool,
-    overwrite: bool,
-    quiet: bool,
-    as_json: bool,
+def compare(
+    context: typer.Context,
+    run: RunFolder,
+    measured: Annotated[Path, typer.Argument(help="file of a scan (docs/compare.md)", metavar="MEASURED")],
+    instrument: Annotated[
+        Path | None, typer.Option(help="how it was measured: TOML file with a table [vibrometer]", metavar="FILE.toml")
+    ] = None,
+    skin: Annotated[str | None, typer.Option(help="which skin, where the run has several", metavar="NAME")] = None,
+    fiducials: Annotated[
+        Path | None,
+        typer.Option(help="points of the scan and where they are on the skin: x_m ... skin_z_m", metavar="FILE.csv"),
+    ] = None,
+    as_placed: Annotated[
+        bool, typer.Option("--as-placed", help="leave the scan where the file or fiducials put it")
+    ] = False,
+    most_delay: Annotated[float, typer.Option(help="delays are sought within plus and minus this [s]")] = 5e-3,
+    out: Annotated[Path | None, typer.Option(help="folder for the report [default: DIR/compare]")] = None,
+    mode: Annotated[
+        float | None, typer.Option(help="fit the guided mode of both scans at this frequency", metavar="HZ")
+    ] = None,
+    source: Annotated[
+        tuple[float, float, float] | None,
+        typer.Option(help="of the mode, on the skin [m] [default: where ours moves most]", metavar="X Y Z"),
+    ] = None,
+    source_radius: Annotated[
+        float, typer.Option(help="left out about the source [m]: 1.5 times the spot's width")
+    ] = 0.016,
+    as_uff: Annotated[bool, typer.Option("--as-uff", help="write ours as computed.uff too")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="replace another comparison in the folder")] = False,
+    as_json: AsJson = False,
 ) -> None:
-    """Compare, print what it says, and where its files are."""
-    done = compare(
+    """Hold a vibrometer's scan against a run: gain, delay, difference and coherence at each point, and wavenumbers.
+
+    The scan is moved onto the skin, and ours passes the same instrument.
+
+    Example: palmfield compare out/palm scan.csv --instrument head.toml
+    """
+    from palmfield.outputs.scan_files import write_scan
+    from palmfield.studies.compare.run import FILES
+    from palmfield.studies.compare.run import compare as compare_run
+
+    out = out or (run if run.is_dir() else run.parent) / "compare"
+    done = compare_run(
         run, measured, instrument=instrument, skin=skin, fiducials=fiducials, onto_surface=not as_placed,
-        most_delay_s=most_delay_s, mode_Hz=mode_Hz, source_m=source_m, source_radius_m=source_radius_m,
+        most_delay_s=most_delay, mode_Hz=mode, source_m=source, source_radius_m=source_radius,
         out=out, overwrite=overwrite,
     )  # fmt: skip
     if as_uff:
@@ -37,5 +62,5 @@ def compare_scan(
         print_json(done.as_dict())
         return
     print(done)
-    for name in () if quiet else (*FILES, *(["computed.uff"] if as_uff else [])):
+    for name in () if context.obj else (*FILES, *(["computed.uff"] if as_uff else [])):
         print(f"wrote {out / name}")

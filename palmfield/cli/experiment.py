@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 experiment = typer.Typer(
+    name="experiment",
     no_args_is_help=True,
     rich_markup_mode=None,
     help="Ask what is felt: play stimuli by a procedure, log every answer, and fit thresholds.\n\n"

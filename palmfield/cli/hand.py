@@ -1,35 +1,46 @@
-"""The command `palmfield hand`: a mesh's report card, printed and written, and its MJCF."""
+"""`palmfield hand`: a mesh's report card, printed and written, and its MJCF."""
 
 from pathlib import Path
+from typing import Annotated
 
-from rich.console import Console
+import typer
 
 from palmfield.errors import OutputError, SceneError
-from palmfield.hand.reportcard import as_text, refused_facts, report_card, write_card
 
 
-def show_hand(mesh: Path, unit: str, json_file: Path | None, png: Path | None, mjcf: Path | None = None) -> bool:
-    """Print the report card of a mesh and write it as JSON and PNG; write the bodies of a rigged mesh as MJCF.
+def hand(
+    mesh: Annotated[Path, typer.Argument(help="GLB, glTF, OBJ, PLY, STL or MANO .pkl file", metavar="MESH")],
+    units: Annotated[str, typer.Option(help="what one unit in the file is: auto, m, dm, cm, mm or in")] = "auto",
+    json: Annotated[Path | None, typer.Option(help="write the card to this file", metavar="FILE")] = None,
+    png: Annotated[Path | None, typer.Option(help="draw the mesh with its faults in colour", metavar="FILE")] = None,
+    mjcf: Annotated[Path | None, typer.Option(help="write bodies for the mesh's joints", metavar="FILE")] = None,
+) -> None:
+    """Report card of a hand's mesh: unit, size, side, faults mended or refused, and the skin layers that it bears.
 
-    Returns whether the mesh was accepted without doubts.
+    Exit code 0: accepted; 3: accepted with doubts, for example whether it is a hand; 2: refused.
 
-    Raises SceneError, after the card is written, where the mesh is refused or unreadable, and for MJCF without joints;
-    OutputError where a file cannot be written.
+    Examples: palmfield hand my_hand.glb --json card.json --png card.png
+
+    palmfield hand my_hand.glb --mjcf my_hand.xml
     """
+    from rich.console import Console
+
+    from palmfield.hand.reportcard import as_text, refused_facts, report_card, write_card
+
     try:
         with Console(stderr=True).status(f"examining {mesh}"):
-            card = report_card(mesh, unit)
+            card = report_card(mesh, units)
     except SceneError as error:
-        facts = refused_facts(mesh, unit, error)
+        facts = refused_facts(mesh, units, error)
         print(as_text(facts), end="")
-        if json_file is not None:
-            write_card(json_file, facts)
-            print(f"wrote {json_file}")
+        if json is not None:
+            write_card(json, facts)
+            print(f"wrote {json}")
         raise
     print(as_text(card.facts), end="")
-    if json_file is not None:
-        write_card(json_file, card.facts)
-        print(f"wrote {json_file}")
+    if json is not None:
+        write_card(json, card.facts)
+        print(f"wrote {json}")
     if png is not None:
         from palmfield.outputs.report_card_picture import draw_card
 
@@ -40,10 +51,11 @@ def show_hand(mesh: Path, unit: str, json_file: Path | None, png: Path | None, m
         from palmfield.hand.rigged_mjcf import rigged_mjcf
         from palmfield.hand.skinning import rigged_file
 
-        text = rigged_mjcf(rigged_file(str(mesh), unit), mesh.stem)
+        text = rigged_mjcf(rigged_file(str(mesh), units), mesh.stem)
         try:
             mjcf.write_text(text, encoding="utf-8")
         except OSError as error:
             raise OutputError(f"{mjcf} cannot be written: {error}; give another file") from error
         print(f"wrote {mjcf}")
-    return not card.doubts
+    if card.doubts:
+        raise typer.Exit(3)

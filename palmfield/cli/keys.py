@@ -1,16 +1,17 @@
-"""The scene's keys as text and as the page docs/keys.md, from the configuration models."""
+"""`palmfield keys`: the scene's keys as text and as the page docs/keys.md, from the configuration models."""
 
 import io
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from rich.console import Console
-from rich.table import Table
+import typer
 
-from palmfield.cli.given import UNSET
-from palmfield.config import CONFIGS, Config, renamed_table, table
+from palmfield.cli.as_json import print_json
+from palmfield.cli.options import UNSET, AsJson, offered_plugins
 from palmfield.errors import SceneError, did_you_mean
-from palmfield.terminal import columns, folded
+
+if TYPE_CHECKING:
+    from palmfield.config import Config
 
 HEADINGS = ("key", "unit", "allowed", "default", "meaning")
 RENAMED = "Since the last version; a scene that has these is told what to use."
@@ -22,11 +23,39 @@ SCENE_KEYS = (
 """What a scene says outside its plugins; read by palmfield.simulation.scene_reader."""
 
 
+def keys(
+    plugin: Annotated[
+        str | None,
+        typer.Argument(
+            help="one module, e.g. skin for palmfield.skin", metavar="[PLUGIN]", autocompletion=offered_plugins
+        ),
+    ] = None,
+    markdown: Annotated[bool, typer.Option(help="as the page docs/keys.md")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """List every key that a scene can set, with unit, allowed values, default and meaning.
+
+    Example: palmfield keys stimulus
+    """
+    if as_json and markdown:
+        raise SceneError("--json and --markdown ask for two forms; give one of them")
+    if as_json:
+        print_json(as_dict(plugin))
+    else:
+        print(as_markdown() if markdown else as_text(plugin), end="")
+
+
 def as_text(plugin: str | None = None) -> str:
     """Tables for the terminal, of one module or of all.
 
     plugin: its name, with or without `palmfield.`. Raises SceneError for an unknown one.
     """
+    from rich.console import Console
+    from rich.table import Table
+
+    from palmfield.config import table
+    from palmfield.terminal import columns, folded
+
     chosen = chosen_configs(plugin)
     stream = io.StringIO()
     console = Console(file=stream, width=columns(130))
@@ -51,6 +80,8 @@ def as_text(plugin: str | None = None) -> str:
 
 def as_dict(plugin: str | None = None) -> dict[str, Any]:
     """The keys of one plugin or of all, as JSON has them; units are texts. Errors as `as_text`."""
+    from palmfield.config import renamed_table, table
+
     chosen = chosen_configs(plugin)
     plugins = [
         {
@@ -66,11 +97,13 @@ def as_dict(plugin: str | None = None) -> dict[str, Any]:
     return {"plugins": plugins, "scene_keys": [dict(zip(HEADINGS, row, strict=True)) for row in SCENE_KEYS]}
 
 
-def chosen_configs(plugin: str | None) -> list[type[Config]]:
+def chosen_configs(plugin: str | None) -> list[type["Config"]]:
     """The keys' models of one plugin, by its name with or without `palmfield.`, or of all.
 
     Raises SceneError for an unknown one.
     """
+    from palmfield.config import CONFIGS
+
     names = {config.plugin.removeprefix("palmfield."): config for config in CONFIGS}
     if plugin is None:
         return list(CONFIGS)
@@ -82,6 +115,8 @@ def chosen_configs(plugin: str | None) -> list[type[Config]]:
 
 def as_markdown() -> str:
     """The page docs/keys.md."""
+    from palmfield.config import CONFIGS, table
+
     lines = ["# Keys of a scene", "", "Made by `palmfield keys --markdown`; do not edit.", ""]
     about = "A key is named INSTANCE.key, or PLUGIN.key for all instances of a plugin, in `--set` and `keys=`. "
     lines += [f"{about}`--set INSTANCE.key={UNSET}` takes one out, as None does in `keys=`.", ""]
@@ -95,7 +130,9 @@ def as_markdown() -> str:
     return "\n".join(lines)
 
 
-def _renamed(configs: Sequence[type[Config]]) -> list[tuple[str, str]]:
+def _renamed(configs: Sequence[type["Config"]]) -> list[tuple[str, str]]:
+    from palmfield.config import renamed_table
+
     return [(f"{config.plugin} {old}", use) for config in configs for old, use in renamed_table(config)]
 
 

@@ -1,16 +1,17 @@
-"""What `palmfield plot` does with its options."""
+"""`palmfield plot`: pictures of a run."""
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
 
 from palmfield.cli.as_json import print_json
-from palmfield.errors import OutputError, unwritable
-from palmfield.outputs.pictures.asked import Asked
-from palmfield.outputs.pictures.draw import DPI, checked_kinds, draw_pictures
-from palmfield.outputs.pictures.kinds import KINDS
-from palmfield.outputs.pictures.sheet import draw_sheet
-from palmfield.outputs.store import RESULT, open_result
-from palmfield.outputs.style import FORMATS, save, style
+from palmfield.cli.options import AsJson
+from palmfield.errors import OutputError, SceneError, unwritable
+
+if TYPE_CHECKING:
+    from palmfield.outputs.pictures.asked import Asked
 
 SHEET = "kinds.png"
 SPEED = "speed"
@@ -18,8 +19,80 @@ SPEED = "speed"
 ABOUT_SPEED = "speed against error, of a table that palmfield bench skin or field wrote (TABLE.md)"
 
 
+def plot(
+    context: typer.Context,
+    run: Annotated[
+        Path | None,
+        typer.Argument(help="folder of a run, or its result.nc; or a table of palmfield bench", metavar="[DIR]"),
+    ] = None,
+    kinds: Annotated[
+        list[str] | None,
+        typer.Argument(help="which, also A,B (see --list) [default: all that the run holds]", metavar="[KIND]..."),
+    ] = None,
+    time_ms: Annotated[
+        float | None,
+        typer.Option("--time", help="of maps, field and drives [ms] [default: when most happens]", metavar="MS"),
+    ] = None,
+    place: Annotated[
+        list[str] | None,
+        typer.Option(help="point of the skin in the world as the run begins [mm]; may be repeated", metavar="X,Y,Z"),
+    ] = None,
+    limits: Annotated[
+        str | None, typer.Option(help="ends of the colours or of the axis, in its unit", metavar="LOW,HIGH")
+    ] = None,
+    skin: Annotated[str | None, typer.Option(help="which skin, where the run has several", metavar="NAME")] = None,
+    quantity: Annotated[str, typer.Option(help="of the skin's motion: displacement or velocity")] = "displacement",
+    observer: Annotated[str | None, typer.Option(help="of levels [default: each]", metavar="NAME")] = None,
+    suffix: Annotated[str, typer.Option("--format", help="png, svg or pdf")] = "png",
+    out: Annotated[Path | None, typer.Option(help="folder for the pictures [default: DIR/plots]")] = None,
+    listed: Annotated[
+        bool, typer.Option("--list", help="say which kinds there are; of a run, draw small ones into one")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Draw pictures of a run for a paper: field, drives, maps of motion and of levels, courses, spectra, wavefronts.
+
+    PNG at 300 dpi, SVG or PDF. What a run doesn't hold is left out and said, or refused where it was named.
+
+    Examples: palmfield plot out/palm
+
+    palmfield plot out/palm motion wavefronts --time 12.5 --format svg
+
+    palmfield plot skin.md --format pdf  (speed against error, after palmfield bench skin --out skin.md)
+    """
+    from palmfield.outputs.pictures.asked import asked_for
+    from palmfield.outputs.pictures.draw import checked_kinds, draw_pictures
+    from palmfield.outputs.store import RESULT, open_result
+
+    if listed:
+        list_kinds(run, out, as_json)
+        return
+    if run is None:
+        raise SceneError("plot needs DIR, the folder of a run; `palmfield plot --list` says what it can draw")
+    asked = asked_for(time_ms, place or (), limits, skin, quantity, observer)
+    named = [name for word in kinds or () for name in word.split(",") if name]
+    if run.suffix.lower() == ".md" or SPEED in named:
+        _plot_speed(run, named, asked, out, suffix, as_json)
+        return
+    checked_kinds(named)
+    file = run / RESULT if run.is_dir() else run
+    with open_result(file) as result:
+        files, missing = draw_pictures(result, out or file.parent / "plots", named, asked, suffix)
+    if as_json:
+        print_json({"files": {kind: str(path) for kind, path in files.items()}, "missing": missing})
+        return
+    for path in files.values():
+        print(f"wrote {path}")
+    for kind, reason in () if context.obj else missing.items():
+        print(f"no {kind}: {reason}")
+
+
 def list_kinds(run: Path | None, out: Path | None, as_json: bool) -> None:
     """Print the kinds with a line about each; of a run, draw small pictures of all into one, kinds.png."""
+    from palmfield.outputs.pictures.kinds import KINDS
+    from palmfield.outputs.pictures.sheet import draw_sheet
+    from palmfield.outputs.store import RESULT, open_result
+
     about = {name: kind.about for name, kind in KINDS.items()} | {SPEED: ABOUT_SPEED}
     sheet, missing = None, {}
     if run is not None:
@@ -35,28 +108,11 @@ def list_kinds(run: Path | None, out: Path | None, as_json: bool) -> None:
     print("small pictures of all: " + ("give a run, palmfield plot DIR --list" if sheet is None else f"wrote {sheet}"))
 
 
-def plot(
-    run: Path, kinds: Sequence[str], asked: Asked, *, out: Path | None, suffix: str, quiet: bool, as_json: bool
-) -> None:
-    """Draw, and print what was written and what could not be drawn."""
-    if run.suffix.lower() == ".md" or SPEED in kinds:
-        _plot_speed(run, kinds, asked, out, suffix, as_json)
-        return
-    checked_kinds(kinds)
-    file = run / RESULT if run.is_dir() else run
-    with open_result(file) as result:
-        files, missing = draw_pictures(result, out or file.parent / "plots", kinds, asked, suffix)
-    if as_json:
-        print_json({"files": {kind: str(path) for kind, path in files.items()}, "missing": missing})
-        return
-    for path in files.values():
-        print(f"wrote {path}")
-    for kind, reason in () if quiet else missing.items():
-        print(f"no {kind}: {reason}")
-
-
-def _plot_speed(run: Path, kinds: Sequence[str], asked: Asked, out: Path | None, suffix: str, as_json: bool) -> None:
+def _plot_speed(run: Path, kinds: Sequence[str], asked: "Asked", out: Path | None, suffix: str, as_json: bool) -> None:
     """Draw speed against error of a benchmark's report, beside it or into a folder."""
+    from palmfield.outputs.pictures.asked import Asked
+    from palmfield.outputs.pictures.draw import DPI
+    from palmfield.outputs.style import FORMATS, save, style
     from palmfield.studies.bench.read_table import speed_picture
 
     if run.suffix.lower() != ".md":

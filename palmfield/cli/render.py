@@ -1,26 +1,49 @@
-"""What `palmfield render` does with its options."""
+"""`palmfield render`: a film of a run."""
 
 from pathlib import Path
+from typing import Annotated
+
+import typer
 
 from palmfield.cli.as_json import print_json
+from palmfield.cli.options import AsJson, From, RunFolder, To
 from palmfield.errors import OutputError
-from palmfield.outputs.film import FPS, Cut, film
-from palmfield.outputs.store import RESULT, open_result
-from palmfield.terminal import bars
 
 
-def size_of(text: str) -> tuple[int, int]:
-    """ "960x720" as numbers. Raises OutputError for another text."""
-    width, _, height = text.partition("x")
-    if not (width.isdigit() and height.isdigit()):
-        raise OutputError(f"--size has value '{text}'; allowed: WIDTHxHEIGHT, for example 960x720")
-    return int(width), int(height)
+def render(
+    context: typer.Context,
+    run: RunFolder,
+    video: Annotated[Path, typer.Option(help="the film to write, an MP4", metavar="FILE.mp4")],
+    start_ms: From = None,
+    end_ms: To = None,
+    slow: Annotated[float, typer.Option(help="times slower than it was: at 200 a second of film is 5 ms")] = 200.0,
+    magnify: Annotated[
+        float | None, typer.Option(help="of the motion [default: the largest is seen as about 2 mm]")
+    ] = None,
+    show: Annotated[str, typer.Option(help="the colours: displacement, velocity or arp")] = "displacement",
+    limits: Annotated[
+        str | None, typer.Option(help="ends of the colours, in um, um/s or Pa", metavar="LOW,HIGH")
+    ] = None,
+    size: Annotated[str, typer.Option(help="[pixels]", metavar="WIDTHxHEIGHT")] = "960x720",
+    as_json: AsJson = False,
+) -> None:
+    """Make a film of a run: the hand with the motion or the ARP on its skin, slowed down and magnified.
 
+    Takes half a second of one core a frame, shared out among all; Ctrl-C keeps what is drawn by then. Needs the extra
+    `video`.
 
-def render(run: Path, video: Path, cut: Cut, *, quiet: bool, as_json: bool) -> None:
-    """Make the film and say what was written. Raises KeyboardInterrupt after a film that Ctrl-C has ended early."""
+    Example: palmfield render out/palm --video palm.mp4 --from 20 --to 40
+    """
+    from palmfield.outputs.film import FPS, Cut, film
+    from palmfield.outputs.pictures.asked import asked_for
+    from palmfield.outputs.store import RESULT, open_result
+    from palmfield.terminal import bars
+
+    ends = asked_for(None, (), limits, None, "displacement", None).limits
+    start, end = (None if at is None else 1e-3 * at for at in (start_ms, end_ms))
+    cut = Cut(start, end, slow, magnify, show, ends, _size_of(size))
     file = run / RESULT if run.is_dir() else run
-    with open_result(file) as result, bars(not quiet) as bar:
+    with open_result(file) as result, bars(not context.obj) as bar:
         task = bar.add_task("drawing frames", total=None)
         frames = film(result, video, cut, lambda done, of: bar.update(task, completed=done, total=of))
     if as_json:
@@ -29,3 +52,11 @@ def render(run: Path, video: Path, cut: Cut, *, quiet: bool, as_json: bool) -> N
         print(f"wrote {video}: {frames} frames, {frames / FPS:.1f} s")
     if not bar.finished:
         raise KeyboardInterrupt
+
+
+def _size_of(text: str) -> tuple[int, int]:
+    """ "960x720" as numbers. Raises OutputError for another text."""
+    width, _, height = text.partition("x")
+    if not (width.isdigit() and height.isdigit()):
+        raise OutputError(f"--size has value '{text}'; allowed: WIDTHxHEIGHT, for example 960x720")
+    return int(width), int(height)

@@ -2,48 +2,79 @@
 
 import logging
 from pathlib import Path
+from typing import Annotated
 
 import typer
-from rich.console import Console
 
-import palmfield
 from palmfield.cli.as_json import print_json
 from palmfield.cli.messages import complain
-from palmfield.outputs.summary_table import format_summary
-from palmfield.planning.scene_plan import warnings
+from palmfield.cli.options import (
+    Accuracy,
+    AsJson,
+    BoardName,
+    Device,
+    Duration,
+    Keys,
+    SceneFile,
+    check_duration,
+    given_keys,
+)
+from palmfield.errors import SceneError
 
 LOG = logging.getLogger("palmfield.cli")
 
 
-def run_scene(
-    scene: Path,
-    out: Path,
-    *,
-    device: str | None,
-    accuracy: float | None,
-    board: str | None,
-    keys: dict[str, str],
-    duration_s: float | None,
-    overwrite: bool,
-    plots: list[str] | None,
-    quiet: bool,
-    details: bool,
-    strict: bool,
-    as_json: bool,
+def run(
+    context: typer.Context,
+    scene: SceneFile,
+    out: Annotated[Path | None, typer.Option(help="folder for the results [default: out/SCENE]")] = None,
+    device: Device = None,
+    duration: Duration = None,
+    accuracy: Accuracy = None,
+    board: BoardName = None,
+    keys: Keys = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="replace another run's results in the folder")] = False,
+    plots: Annotated[
+        str | None,
+        typer.Option(help="pictures instead of the usual three (see `palmfield plot --list`)", metavar="KIND,..."),
+    ] = None,
+    no_plots: Annotated[bool, typer.Option("--no-plots", help="draw none")] = False,
+    details: Annotated[
+        bool, typer.Option("--details", help="print every number, observer and part of the error")
+    ] = False,
+    strict: Annotated[bool, typer.Option("--strict", help="exit code 3 where the accuracy is not reached")] = False,
+    as_json: AsJson = False,
 ) -> None:
-    """Run a scene and print its numbers and files, as a table or as JSON; exit code 130 on Ctrl-C.
+    """Simulate a scene and write result.nc, summary.json, pictures and scene.usdc.
 
-    quiet: neither bars nor the table; details: the table with all numbers
-    strict: exit code 3 where the accuracy of a skin is not reached, or has no estimate
+    Interrupting with Ctrl-C keeps what was computed (marked incomplete). After a crash of the machine,
+    `palmfield recover DIR` assembles what had reached the disk. A folder that holds results is refused, unless you ask
+    for --overwrite.
+
+    Example: palmfield run mjcf/scenes/palm_am200.xml --out out/palm --set stimulus.am_frequency_Hz=100
     """
+    from rich.console import Console
+
+    quiet = context.obj
+    # The imports take seconds of their own
+    with Console(stderr=True, quiet=quiet).status("loading palmfield"):
+        import palmfield
+        from palmfield.outputs.summary_table import format_summary
+        from palmfield.planning.scene_plan import warnings
+
+    check_duration(duration)
+    if plots is not None and no_plots:
+        raise SceneError("--plots and --no-plots say the contrary; give one of them")
+    kinds = [] if no_plots else None if plots is None else [kind for kind in plots.split(",") if kind]
+    given, out = given_keys(keys), out or Path("out") / scene.stem
     with Console(stderr=True, quiet=quiet).status(f"loading {scene}"):
-        simulation = palmfield.Simulation(scene, device=device, accuracy=accuracy, board=board, keys=keys)
-        told = warnings(simulation, duration_s)
+        simulation = palmfield.Simulation(scene, device=device, accuracy=accuracy, board=board, keys=given)
+        told = warnings(simulation, duration)
     for warning in told:
         LOG.warning(warning)
     try:
         result = palmfield.run(
-            simulation, out, duration_s=duration_s, overwrite=overwrite, progress=not quiet, plots=plots
+            simulation, out, duration_s=duration, overwrite=overwrite, progress=not quiet, plots=kinds
         )
     except KeyboardInterrupt as error:
         if hasattr(error, "result"):

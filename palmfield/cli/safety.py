@@ -1,37 +1,44 @@
-"""What `palmfield safety` does with its options."""
+"""`palmfield safety`: the page for an ethics board."""
 
-from collections.abc import Mapping
 from pathlib import Path
+from typing import Annotated
+
+import typer
 
 from palmfield.cli.as_json import print_json
+from palmfield.cli.options import AsJson, BoardName, Keys, SceneFile, check_duration, given_keys
 from palmfield.errors import OutputError
-from palmfield.hardware.safety.sheet import safety_sheet
-from palmfield.hardware.safety.sheet_text import as_dict, as_markdown
-from palmfield.outputs.safety_picture import draw_levels
-from palmfield.session.preview import preview
 from palmfield.whole_files import whole
 
 
-def show_sheet(
-    scene: Path,
-    out: Path | None,
-    *,
-    board: str | None,
-    keys: Mapping[str, object],
-    duration_s: float | None,
-    overwrite: bool,
-    as_json: bool,
+def safety(
+    scene: SceneFile,
+    out: Annotated[Path | None, typer.Option(help="write the page to this file", metavar="FILE.md")] = None,
+    duration: Annotated[float | None, typer.Option(help="of one play [s] [default: the scene's]")] = None,
+    board: BoardName = None,
+    keys: Keys = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="replace a file that is there")] = False,
+    as_json: AsJson = False,
 ) -> None:
-    """Print a scene's sheet, or write it with its picture beside it.
+    """One page for an ethics board: levels at head and hand, what is audible, limits, what the board can't promise.
 
-    Raises OutputError for a file that is there or can't be written.
+    Levels have the band that p0's range makes of them. Say where a head may be by driver keys head_m and head_radius_m.
+
+    Example: palmfield safety mjcf/scenes/palm_circle_sonicsurface.xml --set driver.head_m="0 -0.3 0.5" --out sheet.md
     """
+    from palmfield.hardware.safety.sheet import safety_sheet
+    from palmfield.hardware.safety.sheet_text import as_dict, as_markdown
+    from palmfield.outputs.safety_picture import draw_levels
+    from palmfield.session.preview import preview
+
+    check_duration(duration)
+    given = given_keys(keys)
     picture = None if out is None else out.with_suffix(".png")
     for file in (out, picture):
         if file is not None and file.exists() and not overwrite:
             raise OutputError(f"--out: {file} is there already; give another file, or --overwrite")
-    view = preview(scene, board=board, keys=keys)
-    sheet = safety_sheet(view, view.duration_s if duration_s is None else duration_s)
+    view = preview(scene, board=board, keys=given)
+    sheet = safety_sheet(view, view.duration_s if duration is None else duration)
     if out is not None and picture is not None:
         try:
             out.parent.mkdir(parents=True, exist_ok=True)

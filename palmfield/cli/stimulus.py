@@ -5,9 +5,11 @@ from typing import Annotated, cast
 
 import typer
 
-from palmfield.cli.given import given_keys
+from palmfield.cli.as_json import print_json
+from palmfield.cli.options import SceneFile, given_keys
 
 stimulus = typer.Typer(
+    name="stimulus",
     no_args_is_help=True,
     rich_markup_mode=None,
     help="Take a stimulus into a scene, or out of one, as a plain table: when the foci are where and how loud.\n\n"
@@ -63,7 +65,7 @@ def import_command(
 
 @stimulus.command("export")
 def export_command(
-    scene: Annotated[Path, typer.Argument(help="MJCF scene with palmfield plugins", metavar="SCENE.xml")],
+    scene: SceneFile,
     file: Annotated[Path, typer.Argument(help="table (.csv), or STM of AUTD3 units (.json)", metavar="FILE")],
     which: Which = None,
     rate: Annotated[
@@ -121,7 +123,6 @@ def standard_command(
 
     Example: palmfield stimulus standard lm_small_steps
     """
-    from palmfield.cli.as_json import print_json
     from palmfield.stimulus.standard import names, standard
 
     shown = [standard(one) for one in ([name] if name is not None else names())]

@@ -1,45 +1,93 @@
-"""`palmfield sweep`: from options to a sweep, and what came of it in words."""
+"""`palmfield sweep`: a scene over values of its keys, and what came of it in words."""
 
 import shlex
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from palmfield.cli.messages import complain
-from palmfield.studies.sweeps.texts import read_design
-from palmfield.studies.sweeps.whole_sweep import Sweep, sweep
+from palmfield.cli.options import Accuracy, Device, SceneFile, check_duration
+
+if TYPE_CHECKING:
+    from palmfield.studies.sweeps.whole_sweep import Sweep
 
 MOST_REASONS = 3
 
 
-def run_sweep(
-    scene: Path,
-    out: Path,
-    settings: list[str],
-    *,
-    random_points: int | None,
-    sobol_points: int | None,
-    table: Path | None,
-    seed: int,
-    workers: int | None,
-    scheduler: str | None,
-    device: str | None,
-    accuracy: float | None,
-    duration_s: float | None,
-    errors: bool,
-    picture: bool,
-    yes: bool,
-    quiet: bool,
+def sweep(
+    context: typer.Context,
+    scene: SceneFile,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            help="values of a key: a:b:n for n numbers from a to b, a:b:n:log for each a fixed factor above the last, "
+            "v1,v2,... for these, one value that all points share, or nothing to take the key out. A vector's numbers "
+            "have spaces between, or are swept one by one as KEY[0], KEY[1], ... Give it several times for several "
+            "keys",
+            metavar="INSTANCE.KEY=VALUES",
+        ),
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="folder for the dataset [default: out/SCENE_sweep]")] = None,
+    random: Annotated[
+        int | None, typer.Option(help="N points drawn at random from ranges a:b, a:b:log or v1,v2,...", metavar="N")
+    ] = None,
+    sobol: Annotated[
+        int | None, typer.Option(help="as --random, but N Sobol points, which fill ranges evenly", metavar="N")
+    ] = None,
+    table: Annotated[
+        Path | None, typer.Option("--list", help="points from a table: keys in its first line", metavar="FILE.csv")
+    ] = None,
+    seed: Annotated[int, typer.Option(help="of --random and --sobol: the same points for the same seed")] = 0,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            help="processes on this machine; 0: in this one [default: one a core, up to 8 a GPU]", metavar="N"
+        ),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(help="use the workers of a Dask scheduler that runs already", metavar="tcp://HOST:PORT"),
+    ] = None,
+    device: Device = None,
+    accuracy: Accuracy = None,
+    duration: Annotated[
+        float | None, typer.Option(help="simulated time of each point [s] [default: the scene's]")
+    ] = None,
+    errors: Annotated[
+        bool, typer.Option("--errors", help="estimate each point's error: often longer than its run")
+    ] = False,
+    picture: Annotated[bool, typer.Option(help="draw DIR/sweep.png")] = True,
+    yes: Annotated[bool, typer.Option("--yes", help="don't ask before more than 2 GB or an hour")] = False,
 ) -> None:
-    """Sweep and say what was written; exit code 130 on Ctrl-C, 1 where no point is done."""
-    design, fixed = read_design(
-        settings, random_points=random_points, sobol_points=sobol_points, table=table, seed=seed
-    )
+    """Simulate a scene over values of its keys; write one labelled dataset, DIR/sweep.zarr, and a picture.
+
+    Of each point: peak and rms displacement and velocity of each skin, the course at its loudest place and at each
+    sensor, peak ARP, force and level above threshold by observer; `xarray.open_zarr` opens it, keys are dimensions.
+
+    Ctrl-C, a killed worker or a full disk lose only the points under way: the same command goes on. A point that fails
+    is recorded with its error. It needs the extra [sweep]: pip install 'palmfield[sweep]'.
+
+    Examples: palmfield sweep mjcf/scenes/palm_am200.xml --set stimulus.am_frequency_Hz=50:300:6 --out out/frequency
+
+    palmfield sweep mjcf/scenes/palm_circle.xml --set stimulus.path_rate_Hz= --set stimulus.path_speed_m_s=1:11:6
+    --set stimulus.path_diameter_m=0.02,0.04 --accuracy 0.2
+
+    palmfield sweep mjcf/scenes/palm_am200.xml --sobol 64 --set "stimulus.focus_m[0]=-0.02:0.02" --set
+    "stimulus.focus_m[1]=-0.02:0.02" --scheduler tcp://192.168.1.10:8786
+    """
+    from palmfield.studies.sweeps.texts import read_design
+    from palmfield.studies.sweeps.whole_sweep import sweep as whole_sweep
+
+    check_duration(duration)
+    design, fixed = read_design(settings or [], random_points=random, sobol_points=sobol, table=table, seed=seed)
+    out = out or Path("out") / f"{scene.stem}_sweep"
     try:
-        result = sweep(
+        result = whole_sweep(
             scene, design, out, keys=fixed, workers=workers, scheduler=scheduler, device=device, accuracy=accuracy,
-            duration_s=duration_s, errors=errors, picture=picture, yes=yes, progress=not quiet,
+            duration_s=duration, errors=errors, picture=picture, yes=yes, progress=not context.obj,
             ask=typer.confirm if sys.stdin.isatty() else None,
         )  # fmt: skip
     except KeyboardInterrupt:
@@ -48,13 +96,13 @@ def run_sweep(
             f"{shlex.join(['palmfield', *sys.argv[1:]])}"
         )
         raise typer.Exit(130) from None
-    if not quiet:
+    if not context.obj:
         print(in_words(result), end="")
     if not result.done:
         raise typer.Exit(1)
 
 
-def in_words(result: Sweep) -> str:
+def in_words(result: "Sweep") -> str:
     """How many points are done, why others have failed, and the files."""
     lines = [f"{result.done} of {result.points} points are done"]
     reasons: dict[str, list[int]] = {}

@@ -5,9 +5,11 @@ from typing import Annotated, Literal
 
 import typer
 
+from palmfield.cli.as_json import print_json
 from palmfield.errors import SceneError
 
 track = typer.Typer(
+    name="track",
     no_args_is_help=True,
     rich_markup_mode=None,
     help="Hands that a tracker tells of over a socket, one JSON line a sample, by OpenXR's names or by LeapC's "
@@ -124,7 +126,6 @@ def latency(
 
     Example: palmfield track latency --board sonicsurface --seconds 10
     """
-    from palmfield.cli.as_json import print_json
     from palmfield.data import folder
     from palmfield.studies.trial.latency import measure_latency
 

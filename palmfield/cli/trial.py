@@ -1,52 +1,99 @@
-"""What `palmfield trial` does with its options."""
+"""`palmfield trial`: the loop from a tracker to the sound at the hand."""
 
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
 
 from palmfield.cli.as_json import print_json
+from palmfield.cli.options import AsJson, BoardName, Keys, SceneFile, check_duration, given_keys
 from palmfield.errors import SceneError
 from palmfield.given_files import regular
-from palmfield.motion.replaying import address_by
-from palmfield.motion.tracking import column_names
-from palmfield.studies.trial import Live, Tracker, read_recording, trial
+
+if TYPE_CHECKING:
+    from palmfield.studies.trial import Live
 
 
-def run_trial(
-    scene: Path,
-    out: Path,
-    *,
-    board: str | None,
-    port: str | None,
-    duration_s: float | None,
-    motion: Path | None,
-    live: str | None,
-    align: Path | None,
-    rate_Hz: float,
-    latency_ms: float,
-    noise_mm: float,
-    ahead: str,
-    truth: Path | None,
-    recording: Path | None,
-    skin: bool,
-    keys: dict[str, str],
-    overwrite: bool,
-    quiet: bool,
-    as_json: bool,
+def trial(
+    context: typer.Context,
+    scene: SceneFile,
+    out: Annotated[Path | None, typer.Option(help="folder for the results [default: out/SCENE_trial]")] = None,
+    board: BoardName = None,
+    port: Annotated[
+        str | None,
+        typer.Option(
+            help="of a real board, or `virtual` for one that is paced in real time [default: the board's twin, without "
+            "waiting: quick, and the same each time]"
+        ),
+    ] = None,
+    duration: Annotated[float | None, typer.Option(help="how long [s] [default: the scene's]")] = None,
+    motion: Annotated[
+        Path | None,
+        typer.Option(help="a recorded motion instead of the scene's: a table of poses, or a tracker's stream"),
+    ] = None,
+    live: Annotated[
+        str | None,
+        typer.Option(
+            help="follow a hand whose samples come in here, in place of the scene's motion (see `palmfield track`), by "
+            "udp or with tcp:[HOST:]PORT; always in real time",
+            metavar="[HOST:]PORT",
+        ),
+    ] = None,
+    align: Annotated[
+        Path | None, typer.Option(help="with --live: file of `palmfield track align`, where the tracker stands")
+    ] = None,
+    tracker_rate: Annotated[float, typer.Option(help="samples a second; 0 for one whenever a frame is made")] = 90.0,
+    tracker_latency: Annotated[float, typer.Option(help="from a sample's moment until it is there [ms]")] = 10.0,
+    tracker_noise: Annotated[float, typer.Option(help="of each coordinate, standard deviation [mm]")] = 0.0,
+    ahead: Annotated[
+        str,
+        typer.Option(
+            help="how far beyond its last sample the hand is predicted [ms]; 0: not at all; auto: to the middle of the "
+            "time in which a frame will sound"
+        ),
+    ] = "auto",
+    truth: Annotated[
+        Path | None,
+        typer.Option(help="calibration file of what the transducers really do, where the scene says otherwise"),
+    ] = None,
+    recording: Annotated[
+        Path | None,
+        typer.Option(help="a microphone's or vibrometer's CSV file to hold the trial against (docs/trials.md)"),
+    ] = None,
+    skin: Annotated[bool, typer.Option(help="step the skin, with and without what is lost")] = True,
+    keys: Keys = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="replace another trial in the folder")] = False,
+    as_json: AsJson = False,
 ) -> None:
-    """Run a trial, print what it says, and where its files are. Raises KeyboardInterrupt after one that was cut off."""
-    given: dict[str, object] = dict(keys)
+    """Close the loop: tracker, focus, bytes, board, and the sound where the hand really is by then.
+
+    Says how far the focus is from the hand, what of the pressure is lost to latency, to what the board rounds, and to
+    transducers that are not as the scene says (--truth), and which frames were dropped; writes sent.jsonl (for decode
+    and replay), course.csv, trial.json and trial.png. Ctrl-C keeps what there is by then. A scene that its board can't
+    play is refused with exit code 2.
+
+    Examples: palmfield trial mjcf/scenes/follow_fingertip.xml --board autd2018
+
+    palmfield trial mjcf/scenes/follow_fingertip.xml --board sonicsurface --set stimulus.modulation=none --port virtual
+    """
+    from palmfield.studies.trial import Tracker, read_recording
+    from palmfield.studies.trial import trial as play_trial
+
+    check_duration(duration)
+    given: dict[str, object] = dict(given_keys(keys))
     if motion is not None:
         given |= motion_keys(motion)
-    tracker = Tracker(rate_Hz, 1e-3 * latency_ms, 1e-3 * noise_mm, ahead_s=_ahead_s(ahead))
+    tracker = Tracker(tracker_rate, 1e-3 * tracker_latency, 1e-3 * tracker_noise, ahead_s=_ahead_s(ahead))
     heard = None if recording is None else read_recording(recording)
     if align is not None and live is None:
         raise SceneError("--align belongs to --live: a scene has key tracking_alignment of palmfield.motion")
     if motion is not None and live is not None:
         raise SceneError("--motion and --live both move the hand; give one")
-    result = trial(
-        scene, board=board, port=port, tracker=tracker, keys=given, duration_s=duration_s, truth=truth,
-        recording=heard, skin=skin, out=out, overwrite=overwrite,
-        live=None if live is None else listening_at(live, align), progress=not quiet,
+    result = play_trial(
+        scene, board=board, port=port, tracker=tracker, keys=given, duration_s=duration, truth=truth,
+        recording=heard, skin=skin, out=out or Path("out") / f"{scene.stem}_trial", overwrite=overwrite,
+        live=None if live is None else listening_at(live, align), progress=not context.obj,
     )  # fmt: skip
     if as_json:
         print_json(
@@ -54,14 +101,17 @@ def run_trial(
         )
     else:
         print(result)
-        for path in () if quiet else result.files.values():
+        for path in () if context.obj else result.files.values():
             print(f"wrote {path}")
     if result.interrupted:
         raise KeyboardInterrupt
 
 
-def listening_at(text: str, align: Path | None) -> Live:
+def listening_at(text: str, align: Path | None) -> "Live":
     """Where `--live` says that samples come in."""
+    from palmfield.motion.replaying import address_by
+    from palmfield.studies.trial import Live
+
     host, port, by = address_by(text)
 
     def told(host: str, port: int) -> None:
@@ -72,6 +122,8 @@ def listening_at(text: str, align: Path | None) -> Live:
 
 def motion_keys(path: Path) -> dict[str, object]:
     """Keys that give a scene's only palmfield.motion a recorded motion. Raises SceneError for a file that is none."""
+    from palmfield.motion.tracking import column_names
+
     try:
         with regular(path).open("rb") as file:
             begin = file.read(4096)

@@ -1,33 +1,58 @@
-"""What `palmfield view` does with its options."""
+"""`palmfield view`: a scene in the browser."""
 
 import math
-import webbrowser
 from pathlib import Path
+from typing import Annotated
 
-from rich.console import Console
+import typer
 
+from palmfield.cli.options import Accuracy, BoardName, Device, Keys, SceneFile, given_keys
 from palmfield.errors import SceneError
-from palmfield.studies.view import view
 
 
-def show(
-    scene: Path,
-    out: Path | None,
-    *,
-    device: str | None,
-    accuracy: float | None,
-    board: str | None,
-    keys: dict[str, str],
-    modes: bool,
-    host: str,
-    port: int | None,
-    rate_Hz: float | None,
-    pace: str,
-    browser: bool,
-    quiet: bool,
+def view(
+    context: typer.Context,
+    scene: SceneFile,
+    out: Annotated[
+        Path | None, typer.Option(help="folder in which recordings are made [default: out/view_SCENE]")
+    ] = None,
+    device: Device = None,
+    accuracy: Accuracy = None,
+    board: BoardName = None,
+    keys: Keys = None,
+    modes: Annotated[
+        bool,
+        typer.Option(
+            "--modes", help="skins move by modes for any sound, so that sliders act at once; made once, in minutes"
+        ),
+    ] = False,
+    host: Annotated[
+        str, typer.Option(help="address to listen at; another than this machine's own gets a token")
+    ] = "127.0.0.1",
+    port: Annotated[
+        int | None, typer.Option(min=1, max=65535, help="[default: the first free one from 8080 on]")
+    ] = None,
+    rate: Annotated[
+        float | None, typer.Option(help="pictures a second [default: 15, on a GPU 30]", metavar="HZ")
+    ] = None,
+    pace: Annotated[str, typer.Option(help="at most so many simulated seconds in a second, or max", metavar="X")] = "1",
+    browser: Annotated[bool, typer.Option("--browser", help="open the page in the default browser")] = False,
 ) -> None:
-    """Show a scene until Ctrl-C, which is no failure once the page is there."""
-    status = Console(stderr=True, quiet=quiet).status(f"preparing {scene} (the skin's model may take a minute)")
+    """Run a scene and watch it in the browser: hand, array, sound and motion on the skin, level above threshold.
+
+    Sliders turn focus, modulation, path, level and the hand's pose; a recording is a result folder, as of
+    `palmfield run`. Ctrl-C ends it. Needs the extra `view`.
+
+    Example: palmfield view mjcf/scenes/palm_am200.xml
+    """
+    import webbrowser
+
+    from rich.console import Console
+
+    from palmfield.studies.view import view as show
+
+    given = given_keys(keys)
+    status = Console(stderr=True, quiet=context.obj).status(f"preparing {scene} (the skin's model may take a minute)")
     status.start()
 
     def ready(address: str) -> None:
@@ -37,15 +62,15 @@ def show(
             webbrowser.open(address)
 
     try:
-        view(
-            scene, out, device=device, accuracy=accuracy, board=board, keys=keys, modes=modes, host=host, port=port,
-            rate_Hz=rate_Hz, pace=pace_of(pace), on_ready=ready,
+        show(
+            scene, out, device=device, accuracy=accuracy, board=board, keys=given, modes=modes, host=host,
+            port=port, rate_Hz=rate, pace=_pace_of(pace), on_ready=ready,
         )  # fmt: skip
     finally:
         status.stop()
 
 
-def pace_of(text: str) -> float:
+def _pace_of(text: str) -> float:
     """`--pace`, a number or max. Raises SceneError for another text."""
     if text == "max":
         return math.inf

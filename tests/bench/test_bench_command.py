@@ -7,14 +7,15 @@ from pathlib import Path
 
 import pytest
 
-from palmfield.cli import app as cli
+from palmfield.cli import bench
+from palmfield.cli.app import main
 from palmfield.studies.bench import field, scene, skin
 
 
 def call(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple:
     monkeypatch.setattr(sys, "argv", ["palmfield", *arguments])
     with pytest.raises(SystemExit) as stop:
-        cli.main()
+        main()
     return stop.value.code, capsys.readouterr()
 
 
@@ -27,7 +28,7 @@ def test_help_lists_what_there_is_and_teaches(monkeypatch, capsys) -> None:
 
 def test_options_and_defaults_are_those_of_the_benchmark() -> None:
     for command, measured in (
-        (cli.bench_field, field.main), (cli.bench_skin, skin.main), (cli.bench_scene, scene.main)
+        (bench.field, field.main), (bench.skin, skin.main), (bench.scene, scene.main)
     ):  # fmt: skip
         options = inspect.signature(command).parameters
         parameters = dict(inspect.signature(measured).parameters)

@@ -16,7 +16,7 @@ import typer.main
 from palmfield.acoustics.arrays import layout
 from palmfield.acoustics.focus import focus
 from palmfield.acoustics.layouts import LAYOUTS
-from palmfield.cli.app import app, main
+from palmfield.cli.app import GROUPS, OF_OTHERS, app, main
 from palmfield.drive.boards.sonicsurface import BOARD, FRAME_BYTES, OFF_SEQUENCE
 from palmfield.outputs import instances, open_result
 from palmfield.session.preview import preview
@@ -58,6 +58,21 @@ def test_every_command_has_help(line, monkeypatch, capsys):
     code, out = call(monkeypatch, capsys, *line, "--help")
     assert code == 0 and not out.err
     assert " ".join(["palmfield", *line, "[OPTIONS]"]) in " ".join(out.out.split())
+
+
+@pytest.mark.smoke
+def test_help_lists_each_command_in_one_group_by_one_line(monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", "80")
+    code, out = call(monkeypatch, capsys, "--help")
+    assert code == 0
+    sections = re.findall(r"^(\w[\w ]*):\n((?:  .*\n)+)", out.out, flags=re.MULTILINE)
+    assert [name for name, _ in sections] == ["Options", *GROUPS, OF_OTHERS]
+    rows = [row for _, text in sections[1:] for row in text.splitlines()]
+    assert len({re.match(r"  [a-z]+ +", row).end() for row in rows}) == 1 and max(map(len, rows)) <= 80
+    commands = [row.split()[0] for row in rows]
+    assert commands == typer.main.get_command(app).list_commands(None) and len(set(commands)) == len(commands)
+    # A new user writes a scene before it is run, and looks at it when it is
+    assert commands.index("new") < commands.index("run") < commands.index("plot")
 
 
 def test_help_is_quick_to_import():

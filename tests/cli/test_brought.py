@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from palmfield.cli import brought
-from palmfield.cli.app import app, main
+from palmfield.cli.app import OF_OTHERS, app, main
 
 MODULE = "a_distribution_of_someone"
 OWN = """
@@ -46,10 +46,11 @@ def said(monkeypatch, capsys, *arguments):
     return stopped.value.code, out.out, out.err
 
 
-def listed(monkeypatch, capsys):
+def listed(monkeypatch, capsys, begin="Begin"):
+    """What help says of each command, from a group on."""
     code, out, _ = said(monkeypatch, capsys, "--help")
     assert code == 0
-    return dict(re.findall(r"^  ([a-z]+)  +(.*)$", out.split("Commands:")[1], flags=re.MULTILINE))
+    return dict(re.findall(r"^  ([a-z]+)  +(.*)$", out.split(f"\n{begin}:\n")[1], flags=re.MULTILINE))
 
 
 @pytest.mark.smoke
@@ -78,7 +79,7 @@ def test_where_it_is_not_installed_one_sentence_says_how(arguments, clone, entri
 
 def test_any_distribution_brings_a_command(entries, monkeypatch, capsys):
     entries(count="count")
-    assert listed(monkeypatch, capsys)["count"] == "Count to a number."
+    assert listed(monkeypatch, capsys, OF_OTHERS)["count"] == "Count to a number."
     assert CliRunner().invoke(app, ["count", "3", "--twice"]).output == "6 False\n"
     assert CliRunner().invoke(app, ["--quiet", "count", "3"]).output == "3 True\n"
     code, _, err = said(monkeypatch, capsys, "cuont")
@@ -87,6 +88,7 @@ def test_any_distribution_brings_a_command(entries, monkeypatch, capsys):
 
 def test_palmfields_own_commands_are_not_replaced(entries, monkeypatch, capsys):
     entries(run="run")
+    assert "run" not in listed(monkeypatch, capsys, OF_OTHERS)
     code, out, _ = said(monkeypatch, capsys, "run", "--help")
     assert code == 0 and "Simulate a scene" in out
 

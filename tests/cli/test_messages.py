@@ -10,7 +10,7 @@ import pytest
 
 import palmfield
 from palmfield.cli.app import main
-from palmfield.cli.given import offered_plugins, offered_settings
+from palmfield.cli.options import offered_plugins, offered_settings
 from palmfield.config import SkinConfig
 from palmfield.session import recorded_run
 

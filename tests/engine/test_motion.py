@@ -101,8 +101,8 @@ def test_a_recorded_hand_of_another_size_in_a_space_with_y_up(wave, tmp_path):
 
 
 def test_a_function_moves_the_hand_and_is_asked_ahead_of_each_step(monkeypatch):
-    monkeypatch.setattr("palmfield.cli.template.wave_of_the_tests", wave_of_the_tests, raising=False)
-    keys = {"motion.function": "palmfield.cli.template:wave_of_the_tests", "motion.follow": "exact"}
+    monkeypatch.setattr("palmfield.cli.new.wave_of_the_tests", wave_of_the_tests, raising=False)
+    keys = {"motion.function": "palmfield.cli.new:wave_of_the_tests", "motion.follow": "exact"}
     scene = opened(**keys)
     run(scene, 0.06)
     assert scene.data.mocap_pos[0] == pytest.approx(wave_of_the_tests(scene.data.time)[0], abs=1e-12)

@@ -2,11 +2,12 @@
 
 import contextlib
 import math
+import sys
 
 import numpy as np
 import pytest
 
-from palmfield.cli import render
+from palmfield.cli.app import main
 from palmfield.errors import OutputError
 from palmfield.outputs.film import FPS, Cut, film
 from palmfield.outputs.render import cast
@@ -72,11 +73,13 @@ def test_the_command_says_that_ctrl_c_ended_the_film(tmp_path, monkeypatch, caps
         on_frame(2, 5)
         return 2
 
-    monkeypatch.setattr(render, "film", cut_short)
-    monkeypatch.setattr(render, "open_result", contextlib.nullcontext)
-    with pytest.raises(KeyboardInterrupt):
-        render.render(tmp_path, tmp_path / "a.mp4", Cut(), quiet=True, as_json=False)
-    assert "2 frames" in capsys.readouterr().out
+    monkeypatch.setattr("palmfield.outputs.film.film", cut_short)
+    monkeypatch.setattr("palmfield.outputs.store.open_result", contextlib.nullcontext)
+    monkeypatch.setattr(sys, "argv", ["palmfield", "--quiet", "render", str(tmp_path), "--video", "a.mp4"])
+    with pytest.raises(SystemExit) as stopped:
+        main()
+    said = capsys.readouterr()
+    assert stopped.value.code == 130 and "2 frames" in said.out and "interrupted" in said.err
 
 
 @pytest.mark.parametrize(

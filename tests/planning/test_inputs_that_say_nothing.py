@@ -13,7 +13,6 @@ import palmfield
 from palmfield.acoustics.air import sound_speed
 from palmfield.acoustics.calibration_file import Calibration, Elements, Pose, write_calibration
 from palmfield.acoustics.reference import pressure64
-from palmfield.cli import run as cli_run
 from palmfield.cli.app import main
 from palmfield.config.stimulus import too_far
 from palmfield.planning.scene_plan import warnings
@@ -400,7 +399,7 @@ def test_ctrl_c_that_a_library_turns_into_its_own_error(small_scene, monkeypatch
         except KeyboardInterrupt:
             raise ImportError("numpy.core.multiarray failed to import")  # noqa: B904
 
-    monkeypatch.setattr(cli_run, "run_scene", loads)
+    monkeypatch.setattr("palmfield.Simulation", loads)
     assert typed(["run", str(small_scene())], monkeypatch) == 130
     assert capsys.readouterr().err.strip().splitlines()[-1] == "palmfield: interrupted"
 
@@ -409,7 +408,7 @@ def test_other_errors_keep_their_traceback(small_scene, monkeypatch):
     def fails(*_, **__):
         raise ImportError("of its own")
 
-    monkeypatch.setattr(cli_run, "run_scene", fails)
+    monkeypatch.setattr("palmfield.Simulation", fails)
     monkeypatch.setattr(sys, "argv", ["palmfield", "run", str(small_scene())])
     with pytest.raises(ImportError, match="of its own"):
         main()

@@ -1,15 +1,15 @@
-"""The scene that `palmfield new` writes."""
+"""`palmfield new`: a scene that runs."""
 
 import textwrap
 from pathlib import Path
+from typing import Annotated
 
-from palmfield.acoustics.layouts import LAYOUTS
+import typer
+
 from palmfield.data import folder
 from palmfield.errors import OutputError, SceneError
-from palmfield.stimulus.standard import standard
 
-ARRAY = folder("mjcf") / "arrays" / "uhev1.xml"
-HAND = folder("mjcf") / "hands" / "open_men_p50.xml"
+ARRAY, HAND = "arrays/uhev1.xml", "hands/open_men_p50.xml"
 
 PLAIN = """<!-- {name}: an open hand, palm down, 200 mm over a 16x16 array. No plugins: opens in any MuJoCo. -->
 <mujoco model="{name}_plain">
@@ -79,9 +79,31 @@ HAPTIC = """<!-- {name}: run with `palmfield run {name}.xml`, or watch with `pyt
 </mujoco>
 """
 
-
 USUAL_S = 0.1
 ABOUT_AM = "Amplitude modulation of the sound pressure by a sine; with am_quantity arp, of the radiation pressure."
+
+
+def new(
+    name: Annotated[str, typer.Argument(help="name of the scene; writes the folder NAME here")],
+    stimulus: Annotated[
+        str | None,
+        typer.Option(
+            help="a standard stimulus, see `palmfield stimulus standard` [default: AM at 200 Hz]", metavar="NAME"
+        ),
+    ] = None,
+) -> None:
+    """Write a commented scene that runs: a hand over an array and a 200 Hz focus on the palm, or another stimulus.
+
+    NAME/NAME_plain.xml opens in any MuJoCo; NAME/NAME.xml adds the haptics and opens where palmfield is installed. The
+    folder has all that they refer to, so that it can be moved and sent.
+
+    Examples: palmfield new first && palmfield run first/first.xml
+
+    palmfield new pressed --stimulus lm_small_steps
+    """
+    for path in write_scene(name, stimulus=stimulus):
+        print(f"wrote {path}")
+    print(f"next: palmfield run {Path(name) / name}.xml")
 
 
 def write_scene(name: str, where: Path = Path(), stimulus: str | None = None) -> list[Path]:
@@ -92,14 +114,18 @@ def write_scene(name: str, where: Path = Path(), stimulus: str | None = None) ->
     Raises SceneError for a name that is no file name and an unknown stimulus, OutputError where the folder exists or
     can't be written.
     """
+    from palmfield.acoustics.layouts import LAYOUTS
+    from palmfield.stimulus.standard import standard
+
     if not name.replace("_", "").replace("-", "").isalnum():
         raise SceneError(f"scene name '{name}' is not usable; allowed: letters, digits, - and _")
     target = where / name
     if target.exists():
         raise OutputError(f"{target} exists already; choose another name or move it away")
-    parts = {path.name: path.read_text(encoding="utf-8") for path in (ARRAY, HAND)}
-    names = {"name": name, "array": ARRAY.name, "hand": HAND.name}
-    p0 = LAYOUTS[ARRAY.stem].p0
+    array, hand = (folder("mjcf") / file for file in (ARRAY, HAND))
+    parts = {path.name: path.read_text(encoding="utf-8") for path in (array, hand)}
+    names = {"name": name, "array": array.name, "hand": hand.name}
+    p0 = LAYOUTS[array.stem].p0
     level = {"p0": f"{p0.value:g}", "low": f"{p0.low:g}", "high": f"{p0.high:g}", "kind": p0.kind}
     chosen = standard(stimulus or "am_200")
     comment = ABOUT_AM
@@ -110,7 +136,7 @@ def write_scene(name: str, where: Path = Path(), stimulus: str | None = None) ->
     told = textwrap.fill(f"<!-- {comment} -->", 112, subsequent_indent="     ", break_on_hyphens=False)
     block = "\n".join([*told.splitlines(), *keys]).replace("\n", "\n" + 8 * " ")
     duration = f"{USUAL_S if stimulus is None else chosen.duration_s:g}"
-    haptic = HAPTIC.format(**names, **level, layout=ARRAY.stem, stimulus=block, duration=duration)
+    haptic = HAPTIC.format(**names, **level, layout=array.stem, stimulus=block, duration=duration)
     texts = {f"{name}.xml": haptic, f"{name}_plain.xml": PLAIN.format(**names), **parts}
     try:
         target.mkdir(parents=True)

@@ -4,7 +4,7 @@ import logging
 
 import pytest
 
-from palmfield.cli.given import given_keys
+from palmfield.cli.options import given_keys
 from palmfield.errors import SceneError
 
 

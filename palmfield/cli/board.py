@@ -1,0 +1,68 @@
+"""`palmfield board`: one board, or a virtual one in its place."""
+
+import time
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from palmfield.cli.boards import describe
+from palmfield.errors import DeviceError, unwritable
+
+
+def board(
+    name: Annotated[str, typer.Argument(help="which board (see `palmfield boards`)", metavar="BOARD")],
+    virtual: Annotated[bool, typer.Option("--virtual", help="start one that is not there and print its port")] = False,
+    by: Annotated[str, typer.Option(help="pty (a pseudo-terminal) or tcp")] = "pty",
+    tcp_port: Annotated[int, typer.Option(help="with --by tcp; 0 for any that is free")] = 0,
+    duration: Annotated[float | None, typer.Option(help="end after so long [s] [default: at Ctrl-C]")] = None,
+    drop: Annotated[float, typer.Option(help="share of bytes that are lost")] = 0.0,
+    flip: Annotated[float, typer.Option(help="share of bytes of which a bit is turned")] = 0.0,
+    stall: Annotated[
+        tuple[float, float] | None, typer.Option(help="take no bytes from T on for L [s]", metavar="T L")
+    ] = None,
+    unplug: Annotated[float | None, typer.Option(help="take the port away after so long [s]")] = None,
+    received: Annotated[Path | None, typer.Option(help="write the bytes that came to this file")] = None,
+) -> None:
+    """A virtual board: takes bytes at the pace of the real one's line, and says what sounded and what it noticed.
+
+    Example: palmfield board sonicsurface --virtual
+    """
+    from palmfield.drive.board import frames_in_words
+    from palmfield.drive.boards import playable_board
+    from palmfield.drive.virtual import Faults, VirtualBoard
+
+    if not virtual:
+        describe(name, False)
+        return
+    played = playable_board(name)
+    if by not in ("pty", "tcp"):
+        raise DeviceError(f"--by has value '{by}'; allowed: pty or tcp")
+    kind: Literal["pty", "tcp"] = "pty" if by == "pty" else "tcp"
+    with VirtualBoard(played, by=kind, tcp_port=tcp_port, faults=Faults(drop, flip)) as made:
+        print(made.port)
+        # A focus is played by boards of one array
+        what = "--focus 0 0 0.15" if played.arrays[0] == 1 else "SCENE.xml"
+        print(f"next, in another terminal: palmfield drive {what} --board {played.name} --port {made.port}", flush=True)
+        try:
+            while duration is None or made.clock < duration:
+                time.sleep(0.005)
+                now = made.clock
+                if stall is not None:
+                    made.stall(stall[0] <= now < stall[0] + stall[1])
+                if unplug is not None and now >= unplug:
+                    made.unplug()
+        except KeyboardInterrupt:
+            pass
+        if received is not None:
+            try:
+                received.write_bytes(bytes(made.received))
+            except OSError as error:
+                raise unwritable(received, error) from None
+        on = int((abs(made.twin.emitted) > 0.0).sum())
+        print(
+            f"{played.name}: {len(made.received)} bytes; {frames_in_words(made.emitted)}; {on} of "
+            f"{made.twin.count} transducers sound at the end"
+        )
+        for flag in made.flags[:10]:
+            print(f"at {flag.time_s:.3f} s {flag.kind}: {flag.text}")

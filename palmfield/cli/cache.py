@@ -1,0 +1,56 @@
+"""`palmfield cache`: what is kept on disk between runs."""
+
+import time
+
+import typer
+
+cache = typer.Typer(
+    name="cache",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    help="What earlier runs have left for later ones: small models of the skin and error estimates, in the user's "
+    "cache folder or where PALMFIELD_CACHE says (off: nothing is kept), up to PALMFIELD_CACHE_MB [2048].\n\n"
+    "Example: palmfield cache list",
+)
+
+
+@cache.command("list")
+def show() -> None:
+    """Say what is kept, how large it is and when it was last used.
+
+    Example: palmfield cache list
+    """
+    from palmfield import cache as disk
+
+    where, kept = disk.folder(), disk.entries()
+    if where is None:
+        print("nothing is kept: PALMFIELD_CACHE is off")
+        return
+    for entry in kept:
+        print(f"{entry.size_bytes / 1e6:8.1f} MB  used {_ago(time.time() - entry.used):>9} ago  {entry.path.name}")
+    total = sum(entry.size_bytes for entry in kept)
+    limit = disk.limit_bytes()
+    print(f"{len(kept)} kept in {where}: {total / 1e6:.1f} MB of {limit / 1e6:.0f} MB")
+
+
+@cache.command("clear")
+def clear() -> None:
+    """Remove all that is kept: the next runs compute it again.
+
+    Example: palmfield cache clear
+    """
+    from palmfield import cache as disk
+
+    where, kept = disk.folder(), disk.entries()
+    if where is None:
+        print("nothing is kept: PALMFIELD_CACHE is off")
+        return
+    total = sum(entry.size_bytes for entry in kept)
+    print(f"removed {disk.clear()} from {where}: {total / 1e6:.1f} MB")
+
+
+def _ago(seconds: float) -> str:
+    for unit, length in (("days", 86400.0), ("hours", 3600.0), ("min", 60.0)):
+        if seconds >= 2.0 * length:
+            return f"{seconds / length:.0f} {unit}"
+    return f"{max(seconds, 0.0):.0f} s"

@@ -1,0 +1,145 @@
+"""`palmfield drive`: a scene, one focus, or foci that come in, played on a board."""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from palmfield.cli.messages import complain
+from palmfield.cli.options import BoardName, Keys, check_duration, given_keys
+from palmfield.errors import SceneError
+
+if TYPE_CHECKING:
+    from palmfield.hardware.play import Performance
+
+UNSENT_CODE = 4
+"""Exit code where more frames were due than could be sent."""
+OF_A_FOCUS = {
+    "level": "stimulus.drive_amplitude", "am_frequency": "stimulus.am_frequency_Hz", "layout": "array.layout",
+    "p0": "array.p0_Pa_m", "calibration": "array.calibration", "temperature": "array.temperature_C",
+    "humidity": "array.humidity_percent", "air_pressure": "array.pressure_Pa",
+}  # fmt: skip
+"""Options of `drive` that say what a scene's keys say."""
+
+
+def drive(
+    context: typer.Context,
+    scene: Annotated[Path | None, typer.Argument(help="scene to play", metavar="[SCENE.xml]")] = None,
+    focus: Annotated[
+        tuple[float, float, float] | None, typer.Option(help="a still focus in the array frame [m]", metavar="X Y Z")
+    ] = None,
+    board: BoardName = None,
+    live: Annotated[
+        str | None,
+        typer.Option(
+            metavar="[HOST:]PORT",
+            help="play foci that come in here, a line of JSON each (docs/boards.md), by udp or with tcp:[HOST:]PORT, "
+            "until Ctrl-C or for --duration; --focus is then in the frame of the poses that come",
+        ),
+    ] = None,
+    port: Annotated[
+        str | None, typer.Option(help="serial port or URL: /dev/ttyUSB0, COM3, socket://host:port, loop://")
+    ] = None,
+    record: Annotated[Path | None, typer.Option(help="write the bytes to this file instead")] = None,
+    log: Annotated[
+        Path | None, typer.Option(help="write what was sent when to this file, for decode and replay")
+    ] = None,
+    duration: Annotated[float | None, typer.Option(help="how long to play [s] [default: the scene's, or 10]")] = None,
+    keys: Keys = None,
+    level: Annotated[float, typer.Option(help="with --focus: amplitude of all transducers, 0 to 1")] = 1.0,
+    am_frequency: Annotated[
+        float, typer.Option(help="with --focus: sine between silence and the level [Hz]; 0 for none")
+    ] = 0.0,
+    layout: Annotated[
+        str | None,
+        typer.Option(
+            help="with --focus: of the array, of those that the board drives [default: its first], or FILE.csv"
+        ),
+    ] = None,
+    p0: Annotated[
+        float | None,
+        typer.Option(help="with --focus: peak pressure of a transducer at 1 m [Pa m] [default: the layout's]"),
+    ] = None,
+    calibration: Annotated[
+        Path | None,
+        typer.Option(help="with --focus: file of what was measured of the transducers (docs/calibration.md)"),
+    ] = None,
+    temperature: Annotated[float, typer.Option(help="with --focus: of the air [C]")] = 20.0,
+    humidity: Annotated[float, typer.Option(help="with --focus: of the air, relative [%]")] = 50.0,
+    air_pressure: Annotated[float, typer.Option(help="with --focus: of the air [Pa]")] = 101325.0,
+) -> None:
+    """Play a scene, or one focus, on a real board; or record the bytes that it would get.
+
+    What is sent is what `palmfield run` simulates, with hands and arrays where they are when each frame is emitted. A
+    board that can't play the scene is refused with exit code 2; where more than 1 % of the frames that were due could
+    not be sent, the exit code is 4. A process of its own sends them. The board is switched off at the end, on Ctrl-C,
+    on Ctrl-Z until `fg`, on errors, and when this program is killed. An uncalibrated board does not focus: about half
+    of its transducers are wired with inverted polarity.
+
+    Examples: palmfield drive --focus 0 0 0.15 --port /dev/ttyUSB0 --duration 5
+
+    palmfield drive mjcf/scenes/palm_circle_sonicsurface.xml --record circle.bin
+
+    palmfield drive mjcf/scenes/follow_fingertip.xml --board autd2018 --port socket://127.0.0.1:5000 --log sent.jsonl
+
+    palmfield drive --live 9200 --board sonicsurface --port /dev/ttyUSB0
+    """
+    from palmfield.terminal import bars
+
+    with bars() as bar:
+        bar.add_task("loading palmfield", total=None)
+        from palmfield.hardware.focus_board import FocusSound
+        from palmfield.hardware.play import Target, play_focus, play_scene
+        from palmfield.types import Air
+
+    if live is not None and scene is not None:
+        raise SceneError(
+            "--live plays foci that come in; a scene follows a live hand by `palmfield trial SCENE --live`"
+        )
+    if live is None and (scene is None) == (focus is None):
+        raise SceneError("`palmfield drive` plays a SCENE.xml, --focus X Y Z, or --live PORT; give one of them")
+    if scene is not None:
+        _refuse_focus_options(context)
+    if (port is None) == (record is None):
+        raise SceneError("`palmfield drive` needs either --port (a board) or --record (a file); give one of them")
+    check_duration(duration)
+    target = Target(port, record, log)
+    sound = FocusSound(level, am_frequency, p0, Air(temperature, humidity, air_pressure), layout, calibration)
+    own = {name.removeprefix("driver."): value for name, value in given_keys(keys).items()}
+    if live is not None:
+        from palmfield.hardware.live_focus import LiveInput, play_live
+        from palmfield.motion.replaying import address_by
+
+        host, number, by = address_by(live)
+
+        def listening(host: str, number: int) -> None:
+            print(f"listening for foci at {host}:{number} by {by}; Ctrl-C ends it", file=sys.stderr, flush=True)
+
+        given = LiveInput(host, number, by, focus or (0.0, 0.0, 0.0), on_listening=listening)
+        done = play_live(given, board or "sonicsurface", target, duration, sound=sound, keys=own)
+    elif focus is not None:
+        lasts = 10.0 if duration is None else duration
+        done = play_focus(focus, board or "sonicsurface", target, lasts, sound=sound, keys=own, progress=True)
+    else:
+        assert scene is not None
+        done = play_scene(scene, board, target, duration, keys=given_keys(keys), progress=True)
+    show_performance(done)
+
+
+def _refuse_focus_options(context: typer.Context) -> None:
+    """Raises SceneError for an option that belongs to --focus, beside a scene."""
+    for name, key in OF_A_FOCUS.items():
+        source = context.get_parameter_source(name)
+        if source is not None and source.name == "COMMANDLINE":
+            raise SceneError(
+                f"--{name.replace('_', '-')} belongs to --focus; a scene says it itself: use --set {key}=VALUE"
+            )
+
+
+def show_performance(done: "Performance") -> None:
+    """Print how playing went. Raises typer.Exit where frames were left out."""
+    print(done)
+    if done.warning:
+        complain(f"warning: {done.warning}")
+        raise typer.Exit(UNSENT_CODE)

@@ -1,0 +1,31 @@
+"""`palmfield migrate`: a scene of the last version with today's names."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from palmfield.cli.options import SceneFile
+
+
+def migrate(
+    scene: SceneFile,
+    out: Annotated[Path | None, typer.Option(help="file to write [default: the scene's own]")] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="replace a file that is there")] = False,
+) -> None:
+    """Rewrite a scene of the last version: keys and values that are renamed get their new names.
+
+    Comments and layout stay; what was changed is printed. A file that is there is kept, unless you ask for --overwrite.
+
+    Examples: palmfield migrate old.xml --out new.xml
+
+    palmfield migrate scene.xml --overwrite
+    """
+    from palmfield.session.migrate import migrate as rewrite
+
+    result = rewrite(scene, out, overwrite=overwrite)
+    for change in result.changes:
+        print(change)
+    print(f"wrote {scene if out is None else out}" if result.changes else f"{scene} has nothing that is renamed")
+    for other in result.others:
+        print(f"it includes {other}, which has renamed keys too: palmfield migrate {other}")

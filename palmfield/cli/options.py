@@ -1,0 +1,115 @@
+"""Options that several commands share, and what is made of them."""
+
+import logging
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from palmfield.errors import SceneError
+
+LOG = logging.getLogger("palmfield.cli")
+UNSET = "unset"
+"""A value that takes the scene's own out, so that the key's default counts."""
+
+
+def offered_plugins(incomplete: str) -> list[str]:
+    """Short names of the plugins that begin so."""
+    from palmfield.config import CONFIGS
+
+    short = (config.plugin.removeprefix("palmfield.") for config in CONFIGS)
+    return [name for name in short if name.startswith(incomplete.removeprefix("palmfield."))]
+
+
+def offered_settings(incomplete: str) -> list[str]:
+    """Keys, as `--set` takes them, that begin so; after a whole key its values, where they are words."""
+    from palmfield.config import CONFIGS, allowed
+
+    name, equals, _ = incomplete.partition("=")
+    offered = []
+    for config in CONFIGS:
+        for key in config.model_fields:
+            full = f"{config.plugin.removeprefix('palmfield.')}.{key}"
+            words = allowed(config, key).split(" | ") if equals and full == name else []
+            offered += [f"{full}={word}" for word in words if len(words) > 1] if equals else [f"{full}="]
+    return [text for text in offered if text.startswith(incomplete)]
+
+
+SceneFile = Annotated[Path, typer.Argument(help="MJCF scene with palmfield plugins", metavar="SCENE.xml")]
+Device = Annotated[
+    str | None,
+    typer.Option(
+        help="where fields are computed: auto, cpu or cuda:N [default: the scene's palmfield_device, or auto]",
+        metavar="DEVICE",
+    ),
+]
+Accuracy = Annotated[
+    float | None, typer.Option(help="wanted relative error of the skin displacement, e.g. 0.05", metavar="REL")
+]
+Keys = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        help="another value for a key of one instance, or of all instances of a plugin, e.g. "
+        "stimulus.path_speed_m_s=11 (see `palmfield keys`); give it several times for several keys. A file that is "
+        "in the current folder is taken from there, others are relative to the scene. The value unset takes a key out",
+        metavar="INSTANCE.KEY=VALUE",
+        autocompletion=offered_settings,
+    ),
+]
+BoardName = Annotated[
+    str | None,
+    typer.Option(
+        help="another board than the scene's, with its layout and rate (see `palmfield boards`)", metavar="BOARD"
+    ),
+]
+AsJson = Annotated[bool, typer.Option("--json", help="print JSON only, with units in the names, for other programs")]
+Duration = Annotated[float | None, typer.Option(help="simulated time [s] [default: the scene's]")]
+RunFolder = Annotated[Path, typer.Argument(help="folder of a run, or its result.nc", metavar="DIR")]
+From = Annotated[float | None, typer.Option("--from", help="[ms] [default: the run's begin]")]
+To = Annotated[float | None, typer.Option("--to", help="[ms] [default: the run's end]")]
+SentFile = Annotated[Path, typer.Argument(help="of --log, or raw bytes of --record", metavar="FILE")]
+BoardOfBytes = Annotated[
+    str | None, typer.Option("--board", help="of raw bytes: for which board they are", metavar="BOARD")
+]
+
+
+def check_duration(duration: float | None) -> None:
+    """Raises SceneError for a --duration that is none."""
+    if duration is not None and not 0 < duration < 3600:
+        raise SceneError(f"--duration has value {duration:g}; allowed: seconds > 0 and < 3600")
+
+
+def given_keys(keys: list[str] | None) -> dict[str, str]:
+    """Keys as `palmfield.load` takes them; a file that is in the current folder is taken from there, and told.
+
+    Other files are relative to the scene. Empty for a key that is taken out, by the word `unset`.
+    Raises SceneError for a key without a value, and for one given twice.
+    """
+    result: dict[str, str] = {}
+    for text in keys or ():
+        name, equals, value = text.partition("=")
+        if not equals:
+            raise SceneError(f"--set {text} has no value; write INSTANCE.KEY=VALUE, e.g. stimulus.path_speed_m_s=11")
+        if not value.strip():
+            raise SceneError(
+                f"--set {text} has no value behind the =; write INSTANCE.KEY=VALUE, INSTANCE.KEY={UNSET} to take the "
+                "key out, or leave it out for what the scene has"
+            )
+        if name in result:
+            raise SceneError(f"--set gives {name} twice, '{result[name]}' and '{value}'; allowed: each key once")
+        result[name] = "" if value.strip() == UNSET else _file(name, value)
+    return result
+
+
+def _file(name: str, value: str) -> str:
+    """The value of a key, a file's whole path where it names one in the current folder."""
+    from palmfield.session.open_scene import FILES
+
+    if name.rpartition(".")[2] not in {key for keys in FILES.values() for key in keys}:
+        return value
+    here = Path(value).expanduser()
+    if here.is_absolute() or not here.is_file():
+        return value
+    LOG.info(f"--set {name}: {here.resolve()}, of the current folder")
+    return str(here.resolve())

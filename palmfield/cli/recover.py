@@ -1,0 +1,17 @@
+"""`palmfield recover`: the results of a run that was cut off."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def recover(out: Annotated[Path, typer.Argument(help="folder of a run that was cut off", metavar="DIR")]) -> None:
+    """Assemble the results of a run that was cut off into DIR/result.nc, marked incomplete, and draw its pictures.
+
+    Example: palmfield recover out/palm
+    """
+    from palmfield.session.recorded_run import recover as finish
+
+    for path in finish(out, progress=True).values():
+        print(f"wrote {path}")
