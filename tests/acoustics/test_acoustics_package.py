@@ -27,5 +27,5 @@ def test_modules_are_still_found() -> None:
     from palmfield.acoustics.focus import compensate
 
     assert callable(check.points) and callable(compensate)
-    with pytest.raises(AttributeError, match="'nothing'"):
+    with pytest.raises(AttributeError, match="attribute nothing"):
         palmfield.acoustics.__getattr__("nothing")

@@ -11,7 +11,7 @@ from palmfield.skin.fem.body import build
 from palmfield.skin.fem.load import PressureHistory
 from palmfield.skin.fem.probe import SurfaceProbe
 from palmfield.skin.mesh.body_mesh import Sizes
-from palmfield.skin.problem import Motion, Spot, points_on_face
+from palmfield.skin.problem import Motion, SkinProblem, Spot, points_on_face
 from palmfield.skin.reduction.reducer import reduce
 from palmfield.skin.solvers.axisymmetric.samples import principal_shapes
 
@@ -73,7 +73,9 @@ def solve_by():
         at = np.asarray(at, dtype=float)
         if name == "reduced":
             return reduced(body, load, np.asarray(times, dtype=float), at, **how)
-        return getattr(importlib.import_module(WHERE[name]), f"solve_{name}")(body, load, times, at, **how)
+        asked = {key: how.pop(key) for key in ("accuracy", "accuracy_of", "device") if key in how}
+        problem = SkinProblem(body, load, times, at, **asked)
+        return getattr(importlib.import_module(WHERE[name]), f"solve_{name}")(problem, **how)
 
     return run
 
