@@ -24,7 +24,7 @@ def sound_speed(air: Air) -> float:
 
 
 def sound_speed_sd(air: Air, temperature_sd_K: float) -> float:
-    """By how much the speed of sound is unsure [m/s] where the temperature is by its standard deviation [K]: dc/dT."""
+    """Uncertainty of the speed of sound [m/s] for the standard deviation of the temperature [K]: dc/dT."""
     return 0.5 * sound_speed(air) / (ZERO_CELSIUS_K + air.temperature_C) * temperature_sd_K
 
 

@@ -1,4 +1,4 @@
-"""Acoustic radiation pressure (ARP) of sound on skin, which is rigid for sound in air: its laws, all of them.
+"""Acoustic radiation pressure (ARP) of sound on skin, which is rigid for sound in air: all its laws.
 
 `warp_kernels.arp` has the formula for kernels, with the weights that a law gives it.
 """
@@ -24,7 +24,7 @@ class SurfaceSound(NamedTuple):
 
     arp: radiation pressure [Pa], positive when it pushes inwards, shape (n,)
     amplitude: peak of the pressure, |p| [Pa], shape (n,)
-    flux: Im(p* grad p) [Pa2/m], along which the sound's energy flows, shape (n, 3), or None
+    flux: Im(p* grad p) [Pa2/m], the direction of the energy flow, shape (n, 3), or None
     """
 
     arp: Float32
@@ -34,7 +34,7 @@ class SurfaceSound(NamedTuple):
 
 @dataclass(frozen=True)
 class ArpLaw:
-    """ARP = pressure |p|^2/(rho c^2) - along rho |u_t|^2 + across rho |u_n|^2, with the field's peak amplitudes.
+    """ARP = pressure |p|^2/(rho c^2) - along rho |u_t|^2 + across rho |u_n|^2, with peak amplitudes of the field.
 
     about: in words; u_t, u_n: the velocity along the surface and along its normal
     """
@@ -55,10 +55,10 @@ LAWS = {
         "2 p_rms^2/(rho c^2) on lit points: right for a plane wave at normal incidence, overstates focused beams"
     ),
 }
-"""Laws that take the incident field, by the value of the scene's key `arp_law`. A new one is a line here."""
+"""Laws for the incident field, by the value of the scene's key `arp_law`. Add a new one as a line here."""
 
 ALPHA_RANGE = 1.0, 2.0
-"""Of the factor alpha: from a wall that takes all sound in to one that sends all back."""
+"""Range of the factor alpha: from a wall that absorbs all sound to one that reflects all."""
 
 TOTAL_FIELD = ArpLaw(
     "|p|^2/(4 rho c^2) - rho |u_t|^2/4 of the total field's peak amplitudes on a rigid wall, lit or not: the mean "
@@ -66,7 +66,7 @@ TOTAL_FIELD = ArpLaw(
     pressure=0.25,
     along=0.25,
 )
-"""For a field that has the body's own echo in it, as boundary elements give it."""
+"""Law for a field that includes the echo of the body, as from boundary elements."""
 
 
 def arp(
@@ -81,13 +81,13 @@ def arp(
     """Normal traction of the sound on a surface [Pa], shape (n,), positive when it pushes inwards.
 
     Lit points are those into which the incident sound flows, Re(p u*)/2 . n < 0 with u = grad p/(i w rho); elsewhere it
-    is 0. The default law may be negative: grazing sound sucks.
+    is 0. The default law may be negative: grazing sound pulls.
 
-    field: incident pressure and gradient, n points
-    normals: unit outward normals of the surface, in the field's frame, shape (n, 3)
-    law: a key of LAWS or a law itself, such as `alpha_law`; device: where it is computed
-    Raises SceneError for an unknown law or bad air, PalmfieldError for a field without gradient, for normals of another
-    shape or length, and for a field that is not finite.
+    field: incident pressure and gradient, n points.
+    normals: unit outward normals of the surface, in the frame of the field, shape (n, 3).
+    law: a key of LAWS or a law itself, such as `alpha_law`. device: where it is computed.
+    Raises SceneError for an unknown law or bad air. Raises PalmfieldError for a field without gradient, for normals of
+    another shape or length, and for a field that is not finite.
     """
     law = law_named(law)
     check.frequency(frequency_Hz)
@@ -155,7 +155,7 @@ def law_named(law: str | ArpLaw) -> ArpLaw:
 def alpha_law(alpha: float) -> ArpLaw:
     """ARP = alpha p_rms^2/(rho c^2) on lit points, eq 1 of Hasegawa & Shinoda 2018.
 
-    alpha: 1 + R of skin that reflects a share R of the sound's energy: 1 to 2, which is LAWS["alpha"]
+    alpha: 1 + R of skin that reflects the share R of the sound energy: 1 to 2, which is LAWS["alpha"]
     Raises SceneError for an alpha outside 1..2.
     """
     least, most = ALPHA_RANGE

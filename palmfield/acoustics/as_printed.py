@@ -1,6 +1,6 @@
-"""Formulas of sound as papers print them where they are wrong, each beside its corrected form.
+"""Formulas of sound that papers print wrongly, each with its corrected form.
 
-They are here so that a paper's own numbers can be had; nothing else in palmfield uses them.
+They reproduce the numbers of the papers; no other code in palmfield uses them.
 """
 
 import numpy as np
@@ -14,14 +14,14 @@ from palmfield.types import Air, Field, Float
 def incident_lagrangian_as_printed(field: Field, air: Air, frequency_Hz: float) -> Float:
     """Chilles et al. 2019 (doi 10.1109/WHC.2019.8816097): <p^2>/(2 rho c^2) - rho <u.u>/2 [Pa], shape (n,).
 
-    They print u^2.u for u.u and take it of the sound that the array sends, without the echo, as a load on the skin. In
-    sound that only travels the two terms are equal, so that a plane wave pushes nothing; what is left at a focus comes
-    from its convergence: 2.3 % of the right pressure, with their array at 200 mm. On a rigid wall the formula holds for
+    They print u^2.u for u.u and apply it to the incident sound, without the echo, as a load on the skin. In a
+    travelling wave the two terms are equal, so that a plane wave exerts no pressure. At a focus a remainder comes from
+    its convergence: 2.3 % of the right pressure, with their array at 200 mm. On a rigid wall the formula holds for
     the total field, and a plane wave pushes with 2 <p^2>/(rho c^2) of its own pressure. Corrected:
     `palmfield.acoustics.arp.arp`, law default.
 
-    field: incident pressure [Pa], shape (n,), and gradient [Pa/m], shape (n, 3), peak amplitudes
-    air: theirs is rho 1.225 kg/m3 and c 343 m/s
+    field: incident pressure [Pa], shape (n,), and gradient [Pa/m], shape (n, 3), peak amplitudes.
+    air: theirs is rho 1.225 kg/m3 and c 343 m/s.
     Raises PalmfieldError for a field without gradient or that is not finite, SceneError for bad air or frequency.
     """
     check.frequency(frequency_Hz)

@@ -39,9 +39,9 @@ class DoubleLayer:
     On the wall itself it jumps: a point of triangle `own` gets the principal value there, half-way between the limits
     from both sides; any other point must be off the wall. Float32 sums: 1e-6 of the largest result.
 
-    points: [m], shape (n, 3); vertices: [m], shape (v, 3); faces: shape (m, 3), outward counter-clockwise
-    wavenumber: [rad/m]; device: a name that `palmfield.device.resolve` gave
-    own: the triangle whose centroid a point is, -1 for points off the wall, shape (n,); None is -1 for all
+    points: [m], shape (n, 3). vertices: [m], shape (v, 3). faces: shape (m, 3), outward counter-clockwise.
+    wavenumber: [rad/m]. device: a name from `palmfield.device.resolve`.
+    own: the triangle whose centroid a point is, -1 for points off the wall, shape (n,); None is -1 for all.
     """
 
     def __init__(
@@ -111,11 +111,11 @@ class DoubleLayer:
         return wp.array(pairs, dtype=wp.vec2, device=self.device)
 
     def summands(self, points: wp.array, density: wp.array, parts: int) -> list:
-        """Arguments of the kernel `far` but for the result."""
+        """Arguments of the kernel `far` except the result."""
         return [points, self.centroids, self.moments, density, self.sine, self.cosine, self.softening, parts]
 
     def _far_on_cpu(self, density: wp.array, result: wp.array) -> None:
-        """One slice of the points per thread; Warp lets go of the interpreter's lock while a kernel runs."""
+        """One slice of the points per thread; Warp releases the GIL while a kernel runs."""
         kernel = kernels.far(CPU_WIDTH)
         load_kernels(kernel.module, "cpu")
         threads = cores()

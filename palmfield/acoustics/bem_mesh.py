@@ -1,4 +1,4 @@
-"""What boundary elements ask of a mesh: closed, turned outwards, fine enough; and how an open patch is closed."""
+"""Requirements of boundary elements on a mesh: closed, turned outwards, fine enough; and closing an open patch."""
 
 import warnings
 from itertools import pairwise
@@ -80,9 +80,9 @@ def inner_points(vertices: Float, faces: Int, wavenumber: float) -> Float:
 def closed(vertices: Float, faces: Int, thickness_m: float) -> tuple[Float, Int, NDArray[np.bool_]]:
     """Open patch made a plate: its copy `thickness_m` behind it along the inward normals, and walls at the rim.
 
-    vertices: [m], shape (v, 3); faces: shape (m, 3), counter-clockwise seen from outside
-    Returns vertices, faces (the patch's own first), and True on the faces of the patch.
-    Raises PalmfieldError for a thickness that is not positive, and for a patch that has no rim.
+    vertices: [m], shape (v, 3). faces: shape (m, 3), counter-clockwise seen from outside.
+    Returns vertices, faces (those of the patch first), and True on the faces of the patch.
+    Raises PalmfieldError for a thickness that is not positive, and for a patch without a rim.
     """
     if not thickness_m > 0.0:
         raise PalmfieldError(f"thickness_m = {thickness_m} must be positive: give the depth of the plate [m]")

@@ -1,4 +1,4 @@
-"""What bodies do to the sound on a surface: shadows by rays, or the whole scattered field. All in the array frame."""
+"""Effect of bodies on the sound on a surface: shadows by rays, or the whole scattered field. All in the array frame."""
 
 import math
 from collections.abc import Sequence
@@ -26,7 +26,7 @@ MOST_FACES = 1_000_000
 EDGES_PER_WAVELENGTH = 6.0
 """Longest edge of the boundary elements; they come out with about 8 edges a wavelength in the mean."""
 RAYS_PER_THREAD = 300
-"""Fewest rays worth a thread of its own: 0.2 ms of work against 0.02 ms to hand it over."""
+"""Fewest rays per thread: 0.2 ms of work against 0.02 ms to hand it over."""
 SIZES_KEPT = 8
 """Numbers of points for which an `Occlusion` keeps buffers."""
 
@@ -91,15 +91,15 @@ class RigidScatteredField:
 
 
 class Occlusion:
-    """What casts shadows, as a bounding volume hierarchy that follows its vertices.
+    """All obstacles as a bounding volume hierarchy that follows its vertices.
 
-    To refit the hierarchy takes 0.4 ms for two hands of 11,448 faces each where to build it takes 9 ms, and rays are as
-    fast in it. It belongs to one simulation's state and is used by one thread at a time; on the CPU it takes helpers.
+    Refitting the hierarchy takes 0.4 ms for two hands of 11,448 faces each, building it 9 ms; rays are as fast in both.
+    Belongs to the state of one simulation and is used by one thread at a time; on the CPU it takes helper threads.
 
-    vertices: [m], shape (v, 3); faces: shape (m, 3): all that casts shadows in one mesh
-    device: "auto", "cpu" or "cuda:N"
-    counts: vertices of each body in the mesh, in their order, where there are several
-    threads: on the CPU, 1 or more; None is all cores that this process may use
+    vertices: [m], shape (v, 3). faces: shape (m, 3): all obstacles in one mesh.
+    device: "auto", "cpu" or "cuda:N".
+    counts: vertices of each body in the mesh, in their order, where there are several.
+    threads: on the CPU, 1 or more; None is all cores that this process may use.
     """
 
     def __init__(
@@ -128,7 +128,7 @@ class Occlusion:
 
     @property
     def outline(self) -> OutlineMesh:
-        """The same bodies as knife edges take them; from the first time that it is asked for it moves with them."""
+        """The same bodies as obstacles for knife edges; after its first use it moves with them."""
         if self._outline is None:
             made = OutlineMesh(self.mesh, *self._shape)
             self._outline = made, made.calls()
@@ -147,13 +147,13 @@ class Occlusion:
     def lit(
         self, points: Float, flux: Float | Float32, reach_m: Float | Float32 | float = REACH_m
     ) -> NDArray[np.bool_]:
-        """Whether nothing blocks the way back along the sound, shape (n,): one ray a point.
+        """Whether no body blocks the way back along the sound, shape (n,): one ray per point.
 
-        On a closed body a point where sound leaves the surface is dark, since the ray runs into the body; and so is one
-        without sound. The result is a view of a buffer that the next call with as many points overwrites.
+        On a closed body a point where sound leaves the surface is dark, because the ray runs into the body; so is a
+        point without sound. The result is a view of a buffer that the next call with as many points overwrites.
 
-        points: [m], shape (n, 3); flux: where the sound goes there, any length, shape (n, 3)
-        reach_m: how far the ray goes [m], a number or shape (n,)
+        points: [m], shape (n, 3). flux: direction of the sound there, any length, shape (n, 3).
+        reach_m: length of the ray [m], a number or shape (n,).
         Raises PalmfieldError for other shapes and numbers that are not finite.
         """
         count = len(points)

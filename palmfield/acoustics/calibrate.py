@@ -1,4 +1,4 @@
-"""Loudness of a real array's transducers from pressures measured with a microphone."""
+"""Estimate the source level of the transducers of a real array from pressures measured with a microphone."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,14 +17,14 @@ def calibrate_p0(
     The model is |p_i| = p0 m_i + e_i, with m_i the simulated magnitude for p0 = 1 and errors e_i of one variance, as
     from a microphone with a noise floor. Then p0 = sum(m_i |p_i|)/sum(m_i^2), and the variance is estimated from the
     residuals with n - 1 degrees of freedom. The standard error holds the scatter only, not errors that all readings
-    share, such as that of the microphone's own calibration.
+    share, such as that of the microphone calibration.
 
-    points: where the microphone was [m], array frame, shape (n, 3)
-    pressures_Pa: magnitudes of the peak pressure there (rms times sqrt 2), shape (n,)
-    array: its p0_Pa_m is not used; gain and directivity are
-    drive: complex amplitudes during the measurement, shape (len(array),)
-    Raises PalmfieldError for fewer than 2 points, pressures that are negative, not finite or of another number, and for
-    points at which the array makes no sound; further as `pressure64` does.
+    points: of the microphone [m], array frame, shape (n, 3).
+    pressures_Pa: magnitudes of the peak pressure there (rms times sqrt 2), shape (n,).
+    array: its p0_Pa_m is not used; gain and directivity are.
+    drive: complex amplitudes during the measurement, shape (len(array),).
+    Raises PalmfieldError for fewer than 2 points, for pressures that are negative, not finite or of another number, and
+    for points without sound of the array; further as `pressure64` does.
     """
     where = check.points(points, np.float64)
     measured = np.asarray(pressures_Pa, dtype=float)

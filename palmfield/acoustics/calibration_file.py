@@ -1,4 +1,4 @@
-"""A laboratory's calibration of one array as a JSON file: what its transducers were measured to do, and by whom."""
+"""A laboratory's calibration of one array as a JSON file: measured data of its transducers, and their source."""
 
 import math
 from dataclasses import replace
@@ -25,7 +25,7 @@ RANGES = {
     "resonance_Hz": (20e3, 80e3, ", in hertz"),
     "quality": (1.0, 1000.0, ""),
 }
-"""What a file's numbers may be, and their unit: of the last two as of the scene's keys."""
+"""Allowed range and unit of the numbers in a file: of the last two as of the scene's keys."""
 
 
 class _Part(BaseModel):
@@ -33,13 +33,13 @@ class _Part(BaseModel):
 
 
 class Elements(_Part):
-    """What was measured of each transducer, in the layout's order; all of one length n.
+    """Measured data of each transducer, in the order of the layout; all of one length n.
 
-    enabled: False for one that makes no sound; its other numbers count for nothing
-    polarity: -1 where it is wired the other way round; phase_rad: by how much it is late besides [rad]
-    gain: its amplitude relative to p0; phase_sd_rad, gain_sd: standard errors
-    position_m: where it is in the array's frame [m], where it was measured; address: in the board's byte order
-    resonance_Hz, quality: of its resonance, where they were measured one by one
+    enabled: False for one that makes no sound; its other numbers are ignored.
+    polarity: -1 where it is wired the other way round. phase_rad: its additional delay [rad].
+    gain: its amplitude relative to p0. phase_sd_rad, gain_sd: standard errors.
+    position_m: its place in the array's frame [m], where measured. address: in the byte order of the board.
+    resonance_Hz, quality: of its resonance, where they were measured one by one.
     """
 
     enabled: tuple[bool, ...]
@@ -80,9 +80,9 @@ class Pose(_Part):
 
 
 class Level(_Part):
-    """How loud the sound is over the drive's level a: p = p0 a^exponent up to linear_to, and less above it.
+    """Pressure as a function of the drive level a: p = p0 a^exponent up to linear_to, and less above it.
 
-    exponent, with its standard error; linear_to: level from which more than 5 % is missing, 1 where nothing is
+    exponent, with its standard error; linear_to: level above which more than 5 % is missing, 1 if there is none.
     """
 
     exponent: Positive
@@ -103,12 +103,12 @@ def _version(name: str) -> int:
 
 
 class Calibration(_Part):
-    """What was measured of an array. What wasn't is None.
+    """Measured data of an array; None for those that were not measured.
 
-    layout, layout_version: of which array, whose transducers are in that order
-    p0: peak pressure of one transducer at 1 m on its axis at full drive [Pa m]
-    quality, resonance_Hz: of the transducers' resonance, all together
-    phase_offset_rad: by how much all of the board is late [rad], beside another board or a trigger
+    layout, layout_version: the array whose transducers are in that order.
+    p0: peak pressure of one transducer at 1 m on its axis at full drive [Pa m].
+    quality, resonance_Hz: of the resonance of the transducers, all together.
+    phase_offset_rad: common delay of the board [rad], against another board or a trigger.
     """
 
     format: Literal["palmfield calibration"] = "palmfield calibration"
@@ -206,7 +206,7 @@ def write_calibration(path: str | Path, calibration: Calibration) -> None:
 
 
 def response(calibration: Calibration, count: int) -> Complex | None:
-    """What each transducer makes of a unit drive, relative to p0, shape (count,): 0 where it makes no sound.
+    """Complex emission of each transducer for a unit drive, relative to p0, shape (count,): 0 where it makes no sound.
 
     None where that wasn't measured. Raises SceneError for a calibration of another number of transducers.
     """

@@ -10,7 +10,7 @@ from palmfield.errors import PalmfieldError, SceneError
 from palmfield.types import Array
 
 FARTHEST_m = 1e4
-"""Largest coordinate of a point: beyond it float32 knows places to half a millimetre only, and sound is long gone."""
+"""Largest coordinate of a point: float32 resolves only half a millimetre beyond it, and there is no sound left."""
 
 
 def numbers(values: ArrayLike, name: str) -> NDArray[Any]:
@@ -61,7 +61,7 @@ def drive(values: ArrayLike, array: Array) -> NDArray[np.complex128]:
 
 
 def amplitudes(values: ArrayLike, count: int, name: str) -> NDArray[np.complex128]:
-    """As `drive`, for so many transducers of what `name` says."""
+    """As `drive`, for this number of transducers of `name`."""
     given = numbers(values, "drive").astype(np.complex128)
     if given.shape != (count,):
         raise PalmfieldError(f"drive has shape {given.shape} but {name} has {count} transducers: give shape ({count},)")
@@ -88,7 +88,7 @@ def frames(values: ArrayLike, array: Array) -> NDArray[np.complex128]:
 
 
 def array(value: Array) -> None:
-    """Raise SceneError when the array's geometry or constants cannot radiate."""
+    """Raise SceneError for an array whose geometry or constants cannot radiate."""
     for name in ("positions", "normals", "gain", "directivity_table"):
         given = getattr(value, name)
         if not isinstance(given, np.ndarray) and not (given is None and name in ("gain", "directivity_table")):

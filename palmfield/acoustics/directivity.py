@@ -12,20 +12,20 @@ from palmfield.errors import SceneError
 from palmfield.types import Array, Float
 
 EXACT = 23
-"""Degree of the polynomial that stands for a form's level in float64: a piston's to the last digits up to kb 4.5."""
+"""Degree of the polynomial for the level of a form in float64: exact to the last digits for a piston up to kb 4.5."""
 
 
 class Directivity:
     """A form: amplitude relative to the axis, of s = sin^2(angle off the axis) and kb = wavenumber times radius.
 
-    A form defines `level`. Kernels read `polynomial`, which a form of another kind than a smooth curve may replace.
+    A form defines `level`. Kernels read `polynomial`, which a form other than a smooth curve may replace.
 
-    name: its file in `palmfield.acoustics.directivities`, in key `directivity` and in `palmfield.types.Array`
-    misfit: largest distance of the kernels' quintic from `level` that is accepted, relative to the axis
-    sized: whether `level` depends on kb, so that key `piston_radius_m` says something
+    name: its file in `palmfield.acoustics.directivities`, in key `directivity` and in `palmfield.types.Array`.
+    misfit: largest accepted distance of the quintic of the kernels from `level`, relative to the axis.
+    sized: whether `level` depends on kb, so that key `piston_radius_m` has an effect.
     near: largest error of the far field times (distance/radius)^2; of a piston over angles to 85 degrees and for k b up
         to 3.3, the usual transducer (`scripts/bench/rayleigh.py`, docs/bench/peers.md). Larger pistons have a
-        null, where the sound is weak
+        null, where the sound is weak.
     """
 
     name: str
@@ -53,7 +53,7 @@ class Directivity:
         return replace(array, directivity=self.name, directivity_table=None)
 
     def words(self, array: Array) -> str:
-        """What the plan says of such transducers."""
+        """Description of such transducers in the plan."""
         return f"directivity {self.name}"
 
 

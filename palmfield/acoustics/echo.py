@@ -1,7 +1,7 @@
-"""Sound that goes back and forth between an array's rigid face and a flat rigid wall that faces it.
+"""Sound that goes back and forth between the rigid face of an array and a flat rigid wall in front of it.
 
-Both are taken as endless planes with reflection 1. What arrives at the wall after m round trips is then what the array
-would send there from 2 m distances further back: its image, all of whose sound comes from the array's side.
+Both are taken as endless planes with reflection 1. The sound at the wall after m round trips is then the sound of the
+array moved back by 2 m distances: its image, all of whose sound comes from the side of the array.
 """
 
 import math
@@ -28,7 +28,7 @@ def rest_beyond(images: int, absorption_Np_m: float, distance_m: float) -> float
 
 
 def image_count(air: Air, frequency_Hz: float, distance_m: float) -> int:
-    """How many images leave out less than REST.
+    """Number of images that leave out less than REST.
 
     Raises SceneError for more than MOST_IMAGES: where air takes too little on so short a way.
     """
@@ -43,7 +43,7 @@ def image_count(air: Air, frequency_Hz: float, distance_m: float) -> int:
 
 
 def image_shifts(air: Air, frequency_Hz: float, distance_m: float, outward: Float) -> Float:
-    """Where the images of an array are, from the array itself [m], shape (images, 3).
+    """Places of the images of an array, from the array itself [m], shape (images, 3).
 
     distance_m: from the plane of the transducers to the wall; outward: unit normal of that plane, shape (3,)
     Raises SceneError as `image_count`.

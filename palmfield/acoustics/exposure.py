@@ -1,7 +1,7 @@
-"""How loud sound is at a listener: levels, A-weighting, and the audible by-product of modulated ultrasound.
+"""Sound level at a listener: levels, A-weighting, and the audible by-product of modulated ultrasound.
 
-Levels are of a free field: nothing stands where the listener would. Sources: IEC 61672-1 (A-weighting); Westervelt 1963
-and Berktay 1965 (sound of modulated ultrasound in air); Morse and Ingard 1968 (sound of a force on a small body).
+Levels are those of a free field, without the listener. Sources: IEC 61672-1 (A-weighting); Westervelt 1963 and
+Berktay 1965 (sound of modulated ultrasound in air); Morse and Ingard 1968 (sound of a force on a small body).
 """
 
 import math
@@ -28,7 +28,7 @@ def level_dB(rms_Pa: float) -> float:
 
 
 def a_weighting_dB(frequency_Hz: Float) -> Float:
-    """What A-weighting adds to a level at a frequency, -inf at 0 Hz."""
+    """Level that A-weighting adds at a frequency, -inf at 0 Hz."""
     low, second, third, high = (pole**2 for pole in A_POLES_HZ)
     square = np.asarray(frequency_Hz, float) ** 2
     gain = high * square**2 / ((square + low) * (square + high) * np.sqrt((square + second) * (square + third)))
@@ -64,9 +64,9 @@ def radiated_power_W(array: Array, drive: Complex, air: Air, frequency_Hz: float
 
 
 def demodulated_Pa(power_W: float, length_m: float, distance_m: float, frequency_Hz: Float, air: Air) -> Float:
-    """Peak pressure of the sound that ultrasound makes in air whose intensity goes up and down by all of itself.
+    """Peak pressure of the audible sound of ultrasound in air with fully modulated intensity.
 
-    power_W: of the ultrasound; length_m: of its beam; frequency_Hz: of the going up and down, shape (k,)
+    power_W: of the ultrasound; length_m: of its beam; frequency_Hz: of the modulation, shape (k,)
     Westervelt's source is a point here: right for wavelengths longer than the beam; `beam_share` for shorter ones.
     """
     w = 2.0 * math.pi * np.asarray(frequency_Hz, float)
@@ -74,11 +74,11 @@ def demodulated_Pa(power_W: float, length_m: float, distance_m: float, frequency
 
 
 def beam_share(frequency_Hz: Float, along_m: float, aside_m: float, air: Air, carrier_Hz: float) -> Float:
-    """What a beam's length leaves of `demodulated_Pa`, whose source is a point, shape (k,).
+    """Factor on `demodulated_Pa`, whose source is a point, for the length of a beam, shape (k,).
 
-    Westervelt's sources lie along the beam from its beginning on, fall as exp(-2 alpha x) and come with the sound's own
-    phase, k x: their sum at a listener, over that of 1/(2 alpha) of them at the listener's distance from the beam.
-    along_m, aside_m: of the listener, along the beam from its beginning and from its axis
+    Westervelt's sources lie along the beam, fall as exp(-2 alpha x) and have the phase of the sound, k x. The factor is
+    their sum at a listener over that of 1/(2 alpha) of them at the same distance from the beam.
+    along_m, aside_m: of the listener, along the beam from its beginning and from its axis.
     """
     alpha = absorption_Np_m(air, carrier_Hz)
     k = 2.0 * math.pi * np.asarray(frequency_Hz, float) / sound_speed(air)

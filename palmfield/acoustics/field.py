@@ -28,7 +28,7 @@ from warp_kernels import pressure as kernels
 
 BLOCKS_PER_THREAD = 4
 PAIRS_PER_THREAD = 100_000
-"""Fewest pairs of point and transducer worth a thread of its own: 0.13 ms of work against 0.02 ms to hand it over."""
+"""Fewest pairs of point and transducer per thread: 0.13 ms of work against 0.02 ms to hand it over."""
 SMALL_BLOCK_PAIRS = 250_000
 """Blocks are not made smaller than this to balance threads [pairs of point and transducer]."""
 
@@ -38,14 +38,14 @@ SIZES_KEPT = 8
 THREADS_ENOUGH = 2**17
 """Threads that fill a GPU: for fewer points the transducers are shared out as well."""
 SHORTEST_RUN = 32
-"""Transducers that a thread takes at least."""
+"""Fewest transducers per thread."""
 
 WIDE = 1024
 """Points that NumPy compares at once with as many others: along rows of three it takes 70 times as long."""
 
 RANGE_STEP_M = 1.0 / 64.0
-"""The fall of sound is fitted over ranges of distance whose ends are multiples of this [m]. So a fit serves many poses,
-and depends on where the points are now, not on where they were before: a run repeats to the bit."""
+"""Step of the range ends between which the decay of sound is fitted [m]. So a fit serves many poses, and depends only
+on the present positions of the points: a run repeats to the bit."""
 
 CUBIC_REACH_Np = 0.4
 """Absorption times range of distances up to which a cubic follows the exponential, with an error of 1e-5."""
@@ -62,7 +62,7 @@ MODES: tuple[Mode, ...] = ("fast", "accurate")
 
 @dataclass(frozen=True)
 class Points:
-    """Points on a field's device; array: Warp's, shape (n,); low, high: corners of a box that holds them [m]."""
+    """Points on the device of a field; array: of Warp, shape (n,); low, high: corners of a box around them [m]."""
 
     array: Any
     low: Sequence[float] = (-check.FARTHEST_m,) * 3
@@ -82,7 +82,7 @@ class FieldSum(ABC):
     name: str
 
     def __init__(self) -> None:
-        # Those that no call is using just now, by number of points, gradient and normals
+        # Free buffers, by number of points, gradient and normals
         self._calls: dict[tuple[int, bool, bool], list[_Call]] = {}
 
     @property
@@ -93,11 +93,11 @@ class FieldSum(ABC):
     def pressure(self, points: Any, drive: ArrayLike, gradient: bool = False, normals: Any = None) -> Field:
         """Field at points; see `pressure` below for shapes, units and errors.
 
-        points: or a Warp array on the field's device, of wp.vec3, in mode accurate of wp.vec3d, shape (n,), or what
-            `upload` returns. The result then is Warp arrays of (real, imaginary), wp.vec2: pressure, shape (n,), and
-            gradient, shape (n, 3). On a GPU they are not waited for, and a Warp array's coordinates are not checked.
-        drive: complex amplitudes of all transducers, shape (count,)
-        normals: unit outward, shape (n, 3), of opaque surfaces at the points: what transducers send from behind them is
+        points: or a Warp array on the device, of wp.vec3, in mode accurate of wp.vec3d, shape (n,), or from `upload`.
+            The result then is Warp arrays of (real, imaginary), wp.vec2: pressure, shape (n,), and gradient, shape
+            (n, 3). On a GPU the call returns before they are ready, and Warp coordinates are not checked.
+        drive: complex amplitudes of all transducers, shape (count,).
+        normals: unit outward, shape (n, 3), of opaque surfaces at the points: sound of transducers from behind them is
             left out (`warp_kernels.pressure.from_front`); a Warp array of wp.vec3 where points are one. The gradient
             comes with it.
         """
@@ -133,7 +133,7 @@ class FieldSum(ABC):
         return Field(*results)
 
     def upload(self, points: ArrayLike) -> Points:
-        """Points, [m], shape (n, 3), on the field's device, for several calls of `pressure`. Errors as `pressure`."""
+        """Points [m], shape (n, 3), on the device of the field, for several calls of `pressure`; errors as there."""
         one = self.parts[0][0]
         where = check.points(points, one.real)
         array: Any = wp.array(where, dtype=one.vectors[0], device=self.device)
@@ -166,9 +166,9 @@ class FieldEvaluator(FieldSum):
     On the CPU points are shared among `threads` threads.
 
     mode: "fast" computes in float32, whose phase error grows with distance: 1.2e-5 of the field at 0.05 to 0.4 m and
-        4e-5 at 0.4 to 1.2 m (on a GPU 2e-5 and 6e-5); "accurate" takes distance and phase in float64
-    threads: 1 or more; None is all cores that this process may use
-    absorption_Np_m: instead of that of the air, for example 0 for lossless air
+        4e-5 at 0.4 to 1.2 m (on a GPU 2e-5 and 6e-5); "accurate" takes distance and phase in float64.
+    threads: 1 or more; None is all cores that this process may use.
+    absorption_Np_m: instead of that of the air, for example 0 for lossless air.
     """
 
     def __init__(
@@ -243,12 +243,12 @@ class FieldEvaluator(FieldSum):
 
     @property
     def vectors(self) -> tuple[Any, Any, Any]:
-        """Warp's types of a position, of four numbers and of a rotation."""
+        """Warp types of a position, of four numbers and of a rotation."""
         return self._form("cubic").vectors
 
     @property
     def points_per_thread(self) -> int:
-        """How many points each thread of a kernel takes."""
+        """Number of points per thread of a kernel."""
         return kernels.WIDTH["gpu" if self._gpu else "cpu"]
 
     @property
@@ -261,7 +261,7 @@ class FieldEvaluator(FieldSum):
         return np.insert(self.ranges, 2, [[0], [drives]], axis=1)
 
     def inputs(self, elements: Any, strengths: Any, gradient: bool, ranges: Any) -> list[Any]:
-        """What a kernel takes between points and results, on the device.
+        """Work arrays of a kernel between points and results, on the device.
 
         elements, strengths: see `elements`, with the gradient drives; ranges: of `ranges_of`, without the gradient
         first transducer of each group, and one past the last, wp.vec2i, shape (parts, g)
@@ -273,11 +273,11 @@ class FieldEvaluator(FieldSum):
         return [self._origins, turns, ranges, elements, strengths, sound, *shapes]
 
     def fall(self, low: Sequence[float], high: Sequence[float], gradient: bool) -> tuple[str, Float]:
-        """How sound falls off on its way to a box with these corners [m], see `falling`, and p0 times its coefficients.
+        """Decay of the sound on its way to a box with these corners [m], see `falling`, and p0 times its coefficients.
 
         The coefficients are for lengths in m, with the gradient in units of 1/k, shape (4,).
         """
-        # `distances` of two boxes, without a call: each evaluation of a step's points asks for it
+        # `distances` of two boxes, without a call: each evaluation of the points of a step needs it
         gap, reach = 0.0, 0.0
         for first, last, least, most in zip(low, high, *self._box, strict=True):
             gap += max(least - last, first - most, 0.0) ** 2
@@ -297,7 +297,7 @@ class FieldEvaluator(FieldSum):
 
     @property
     def order(self) -> Int:
-        """The array's transducers in the order in which kernels take them, shape (n,)."""
+        """The transducers of the array in the order of the kernels, shape (n,)."""
         return self._groups.order
 
     @property
@@ -391,7 +391,7 @@ class _Call:
         return True
 
     def run_there(self, parts: Parts, points: Points, drive: Complex, normals: Any, results: list[Any]) -> None:
-        """As `run`, from Warp arrays into Warp arrays, and not waited for."""
+        """As `run`, from Warp arrays into Warp arrays, without waiting for the result."""
         launch = self._prepared(parts, points.low, points.high, drive, False)
         arrays = self._inputs.arrays
         with self._guard:
@@ -452,12 +452,12 @@ class _Call:
 
 
 def scratch(device: str) -> Any:
-    """What the kernels with the gradient take for themselves, each while it runs."""
+    """Work arrays of the kernels with the gradient, each while it runs."""
     return wp.empty(with_gradient.SCRATCH if device == "cpu" else 0, dtype=wp.float32, device=device)
 
 
 def shared_out(one: FieldEvaluator, count: int, transducers: int, threads: int) -> tuple[int, list[slice]]:
-    """How many of these threads are worth their while for so many points, and the blocks of points that they share."""
+    """Number of useful threads for these points, and the blocks of points that they share."""
     pairs = count * transducers
     if one.device != "cpu" or pairs == 0:
         return 1, [slice(0, count)]
@@ -469,7 +469,7 @@ def shared_out(one: FieldEvaluator, count: int, transducers: int, threads: int) 
 
 
 def splits(one: FieldEvaluator, count: int) -> int:
-    """Parts into which the transducers are split, so that with so many points there are threads enough."""
+    """Number of parts of the transducers, so that there are enough threads for these points."""
     threads = -(-count // one.points_per_thread)
     return 1 if one.device == "cpu" else max(1, min(len(one.array) // SHORTEST_RUN, THREADS_ENOUGH // threads))
 
@@ -514,7 +514,7 @@ def _fall(absorption_Np_m: float, p0_Pa_m: float, unit_m: float, near: int, far:
 
 
 def falling(absorption_Np_m: float, low: float, high: float) -> tuple[str, Float]:
-    """How kernels compute exp(-absorption d) for d from low to high [m], and its coefficients, shape (4,)."""
+    """Method of the kernels for exp(-absorption d) for d from low to high [m], and its coefficients, shape (4,)."""
     reach = absorption_Np_m * (high - low)
     if reach > CUBIC_REACH_Np:
         return "exponential", np.array([1.0, 0.0, 0.0, 0.0])
@@ -525,7 +525,7 @@ def falling(absorption_Np_m: float, low: float, high: float) -> tuple[str, Float
 
 @functools.cache
 def _chebyshev(power: int) -> tuple[Float, Float]:
-    """Points of -1 to 1, shape (power + 1,), and the matrix that takes values there to a polynomial's coefficients."""
+    """Points of -1 to 1, shape (power + 1,), and the matrix from values there to the coefficients of a polynomial."""
     points = np.cos(np.pi * (np.arange(power + 1.0) + 0.5) / (power + 1))
     return points, np.linalg.inv(np.vander(points, increasing=True))
 
@@ -533,8 +533,8 @@ def _chebyshev(power: int) -> tuple[Float, Float]:
 def polynomial_fall(absorption_Np_m: float, low: float, high: float, power: int = 3) -> Float:
     """Coefficients, lowest power first, shape (4,), of exp(-absorption d) for d from low to high [m].
 
-    It meets the exponential at Chebyshev's points. NumPy's own interpolation takes 190 Python calls, and a simulation
-    asks for this in between.
+    It interpolates the exponential at Chebyshev's points. NumPy's own interpolation takes 190 Python calls, too many
+    between the steps of a simulation.
     """
     fall = np.zeros(4)
     if absorption_Np_m == 0.0 or high <= low:
@@ -595,16 +595,16 @@ def pressure(
 ) -> Field:
     """Incident field of an array: p = p0/d A g D(angle) exp(ikd - beta d) summed over its transducers.
 
-    D is 1 for a point, 2 J1(kb sin)/(kb sin) for a baffled piston, or a measured table; g is the transducer's gain;
-    beta is ISO 9613-1 absorption; a transducer gives nothing in or behind its own plane. This is each transducer's far
-    field: within a few k b^2/2 (7 mm for b = 4.5 mm at 40 kHz) of one it does not hold.
+    D is 1 for a point, 2 J1(kb sin)/(kb sin) for a baffled piston, or a measured table; g is the gain of the
+    transducer; beta is ISO 9613-1 absorption. A transducer emits no sound in or behind its own plane. These are far
+    fields: they do not hold within a few k b^2/2 (7 mm for b = 4.5 mm at 40 kHz) of a transducer.
     For many calls with one array use FieldEvaluator, which keeps the array on the device and can change the absorption.
 
-    points: [m], array frame, shape (n, 3)
-    drive: complex amplitudes, 1 is full drive, shape (len(array),)
-    gradient: also the gradient of the whole expression; mode: see FieldEvaluator
-    warn: say so (PalmfieldWarning, once a call) where sound is too loud for a linear field or a point too near for the
-        transducers' far field; see `palmfield.acoustics.validity.warnings`. FieldEvaluator is silent.
+    points: [m], array frame, shape (n, 3).
+    drive: complex amplitudes, 1 is full drive, shape (len(array),).
+    gradient: also the gradient of the whole expression. mode: see FieldEvaluator.
+    warn: give a PalmfieldWarning, once a call, where sound is too loud for a linear field or a point too near for the
+        far field of the transducers; see `palmfield.acoustics.validity.warnings`. FieldEvaluator gives none.
     Returns Field: complex peak pressure [Pa], shape (n,), and gradient [Pa/m], shape (n, 3), or None.
     Raises PalmfieldError for NaN, infinity or a wrong shape in points or drive, SceneError for a bad array or air.
     """

@@ -27,11 +27,11 @@ def focus(array: Array, air: Air, point: ArrayLike) -> Complex:
 
 
 def compensate(array: Array, drive: ArrayLike) -> Complex:
-    """Drive that undoes the phase errors of the array's `gain`: every sound leaves with the phase that was asked for.
+    """Drive that compensates the phase errors in `gain` of the array: every transducer emits its commanded phase.
 
-    Magnitudes stay as they are, since a transducer at full drive cannot be made louder; a dead one (gain 0) gets 0.
+    Magnitudes do not change, because a transducer at full drive cannot be made louder; a dead one (gain 0) gets 0.
 
-    drive: complex amplitudes that a faultless array should emit, shape (len(array),)
+    drive: complex amplitudes that a faultless array should emit, shape (len(array),).
     Returns complex amplitudes, shape (len(array),), complex128.
     Raises PalmfieldError for a drive of another shape or not finite, SceneError for a bad array.
     """

@@ -11,19 +11,19 @@ from palmfield.types import Array, Float, Int
 SAME_PLANE_M = 1e-9
 SAME_AXIS = 1e-9
 FLAT_FROM = 32
-"""Transducers for each plane saved, up to which it is cheaper to give every transducer a height than to keep planes
-apart: to begin a group costs as much as two to four pairs, a height a twentieth to a tenth of a pair."""
+"""Transducers per saved plane up to which a height for every transducer costs less than separate planes: beginning a
+group costs as much as two to four pairs, a height a twentieth to a tenth of a pair."""
 
 
 @dataclass(frozen=True)
 class Groups:
     """Transducers of each group radiate along one axis, and lie in one plane across it if `flat`.
 
-    order: the array's transducers, group after group, shape (n,)
-    origins: of each group's frame [m], array frame, shape (g, 3); turns: rotations from the array frame into it,
-        rows are its axes, shape (g, 3, 3)
-    ranges: first transducer and one past the last, counted in `order`, shape (g, 2)
-    places: x, y, z of the ordered transducers in their group's frame [m], shape (n, 3); z is 0 if `flat`
+    order: the transducers of the array, group after group, shape (n,).
+    origins: of the frame of each group [m], array frame, shape (g, 3); turns: rotations from the array frame into it,
+        rows are its axes, shape (g, 3, 3).
+    ranges: first transducer and one past the last, counted in `order`, shape (g, 2).
+    places: x, y, z of the ordered transducers in the frame of their group [m], shape (n, 3); z is 0 if `flat`.
     """
 
     order: Int
@@ -35,7 +35,7 @@ class Groups:
 
 
 def groups(array: Array) -> Groups:
-    """Sort the array's transducers into groups; a flat board is one, and so is one whose positions are rounded."""
+    """Sort the transducers into groups; a flat board is one group, also if its positions are rounded."""
     offset = np.einsum("ij,ij->i", array.positions, array.normals)
     axis = numbered(np.round(array.normals / SAME_AXIS).astype(np.int64))
     plane = numbered(np.column_stack([axis, np.round(offset / SAME_PLANE_M).astype(np.int64)]))
@@ -61,7 +61,7 @@ def groups(array: Array) -> Groups:
 
 
 def numbered(rows: NDArray[np.int64]) -> NDArray[np.int64]:
-    """For each row the number of its kind, from 0 without gaps, shape (n,)."""
+    """The number of the kind of each row, from 0 without gaps, shape (n,)."""
     return np.unique(rows, axis=0, return_inverse=True)[1].reshape(-1)
 
 

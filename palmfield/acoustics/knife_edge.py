@@ -1,7 +1,7 @@
-"""Shadows with edges as sound has them: each transducer's sound at a point, weighted by what bodies leave of it.
+"""Shadows with diffracting edges: the sound of each transducer at a point, weighted by the share that passes bodies.
 
-The weight is Kirchhoff's integral over a screen in the bodies' outline, along that outline as the points see it: at one
-straight edge Fresnel's integral of the clearance, behind a finger what comes round both its sides and its tip.
+The weight is Kirchhoff's integral over a screen in the outline of the bodies, as seen from the points. At one straight
+edge it is Fresnel's integral of the clearance; behind a finger it adds the sound round both its sides and its tip.
 """
 
 import itertools
@@ -28,23 +28,23 @@ from warp_kernels.pressure import vec6
 
 PARTS_PER_THREAD = 4
 LONGEST_m = 4e-3
-"""Of a piece of an outline: half a wavelength, over which the sound's way round it hardly changes."""
+"""Length of a piece of an outline: half a wavelength, over which the path length round it hardly changes."""
 STRETCH = 1.5
-"""How much longer an edge may become as bodies bend; a longer one loses pieces."""
+"""Largest growth of an edge as bodies bend; a longer one loses pieces."""
 CLEARANCE_m, LIFT_m = 5e-3, 6e-3
-"""How far above its highest point a skin is cut off from what casts shadows on it, and where it looks from."""
+"""Height above its highest point at which a skin is cut off from its obstacles, and of the viewpoint of a point."""
 BESIDE_m = 1e-5
-"""How far beside a piece of an outline nothing may be in the way."""
+"""Distance from a piece of an outline within which no body may be in the way."""
 MARGIN_m = 0.04
-"""How far beside the way of the sound bodies are looked at: 2.7 of Fresnel's v half way over 200 mm."""
+"""Distance from the path of the sound within which bodies are included: Fresnel's v of 2.7 half way over 200 mm."""
 SAME_m = 1e-8
 """Vertices nearer to each other are one: bodies may have one for each face."""
 WIDEST = 2.8
-"""Clearance, in Fresnel's v, beyond which an edge leaves sound as it is. From 2 on what it bends fades away."""
+"""Clearance, in Fresnel's v, beyond which an edge has no effect. From 2 on the diffracted sound fades out."""
 
 
 class OutlineMesh:
-    """The edges of what casts shadows, with the faces on both sides. One mesh serves many sets of points.
+    """The edges of the obstacles, with the faces on both sides. One mesh serves many sets of points.
 
     tree: of the bodies, which moves with them; vertices: in a reference pose [m], shape (v, 3); faces: shape (f, 3)
     """
@@ -53,7 +53,7 @@ class OutlineMesh:
         self.device = str(tree.device)
         self._tree = tree
         edges, lengths, longest = _edges(vertices, faces)
-        # What is in a run lies together
+        # Consecutive entries are near one another
         by_place = _along_a_curve(vertices[edges[:, :2]].mean(axis=1), *_span(vertices))
         edges, lengths = edges[by_place], lengths[by_place]
         listed = _along_a_curve(vertices[faces].mean(axis=1), *_span(vertices))
@@ -84,9 +84,9 @@ class OutlineMesh:
 
 
 class Emitters:
-    """The transducers of a scene's arrays as the kernels of weights take them.
+    """The transducers of the arrays of a scene as input of the kernels of weights.
 
-    arrays: as they stand now; rows: where each transducer's weights go, shape (N,); device: of `device.resolve`
+    arrays: in their present pose. rows: the row of each transducer's weights, shape (N,). device: of `device.resolve`
     """
 
     def __init__(self, arrays: PhasedArray, rows: Int, device: str):
@@ -146,9 +146,9 @@ class Emitters:
 
 
 class KnifeEdges:
-    """What bodies leave of each transducer's sound at the points of one surface, for one pose after another.
+    """Weights of the sound of each transducer at the points of one surface behind bodies, for one pose after another.
 
-    It belongs to one simulation's state and is used by one thread at a time; on the CPU it takes helper threads.
+    It belongs to the state of one simulation and is used by one thread at a time; on the CPU it takes helper threads.
 
     shades: on the device; `evaluate`, or the launches of `stages`, fill them
     """
@@ -193,7 +193,7 @@ class KnifeEdges:
         self._stages: list[list[Calls]] = []
 
     def choose(self, points: Int) -> None:
-        """At which of the points among which the nodes lie the next weights are, as many as at first."""
+        """Set the points of the next weights, by number among those of the nodes; as many as at first."""
         if points is not self._chosen:
             for shared, values in ((self._neighbours, self.nodes.neighbours), (self._shares, self.nodes.shares)):
                 shared.host[:, : self._count] = values[:, points]
@@ -201,9 +201,9 @@ class KnifeEdges:
             self._chosen = points
 
     def evaluate(self, places: Float | Float32, normals: Float | Float32) -> bool:
-        """Fill `shades`; False where nothing is in the way of any transducer, and they are as they were.
+        """Fill `shades`; return False if no body is in the way of any transducer, and `shades` is unchanged.
 
-        places: of the nodes [m], and unit outward normals there, array frame, shapes (m, 3); the mesh is where it is
+        places: of the nodes [m], and unit outward normals there, array frame, shapes (m, 3); the mesh is in place
         """
         for shared, values in zip(self._places, (places, normals), strict=True):
             shared.host[...] = values
@@ -226,11 +226,11 @@ class KnifeEdges:
         return True
 
     def stages(self, points: Any, normals: Any, numbers: Int) -> list[list[Calls]]:
-        """Launches by stage, each of lists of which none needs what another does.
+        """Launches by stage, each of lists of which none needs the result of another.
 
-        The stages: looking at the bodies; what of them is in the way; weights at nodes; weights at points.
+        The stages: find bodies near the paths; find their edges in the way; weights at nodes; weights at points.
 
-        points, normals: on the device, vec3; numbers: which of them are the nodes, shape (m,)
+        points, normals: on the device, vec3; numbers: of the nodes among them, shape (m,)
         """
         device, gpu, mesh, emitters = self.device, self.device != "cpu", self._mesh, self._emitters
         make, width = _launcher(device), kernels.WIDTH["gpu" if gpu else "cpu"]
@@ -271,7 +271,7 @@ class KnifeEdges:
 
 
 def _launcher(device: str) -> Callable[..., Callable[[], object]]:
-    """On a GPU launches must be seen when a graph is captured."""
+    """On a GPU launches must be known when a graph is captured."""
     return recorded if device == "cpu" else launch
 
 
@@ -288,7 +288,7 @@ def _span(vertices: Float) -> tuple[Float, float]:
 
 
 def _along_a_curve(points: Float, low: Float, size_m: float) -> Int:
-    """Order in which neighbours mostly follow one another: along Morton's curve through a box, shape (n,)."""
+    """Order in which neighbours mostly follow one another: along a Morton curve through a box, shape (n,)."""
     steps = np.clip((points - low) / max(size_m, SAME_m) * 1023.0, 0, 1023).astype(np.int64)
     keys = np.zeros(len(points), np.int64)
     for bit in range(10):

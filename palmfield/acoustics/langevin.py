@@ -14,7 +14,7 @@ def radiation_stress(field: Field, air: Air, frequency_Hz: float) -> Float:
 
     (<p^2>/(2 rho c^2) - rho <u^2>/2) I + rho <u u>, to second order (Brillouin's tensor), which with peak amplitudes is
     (|p|^2/(4 rho c^2) - rho |u|^2/4) I + (rho/2) Re(u u*^T), u = grad p/(i w rho). A travelling plane
-    wave carries E = |p|^2/(2 rho c^2) along its direction and nothing across it.
+    wave carries E = |p|^2/(2 rho c^2) along its direction and 0 across it.
 
     field: total pressure and gradient, n points
     Raises PalmfieldError for a field without gradient, SceneError for a frequency that is not positive and bad air.

@@ -1,4 +1,4 @@
-"""Known boards, in palmfield's array frame (origin at the transducers' centroid, x right, y up, z out)."""
+"""Known boards, in the array frame of palmfield (origin at the centroid of transducers, x right, y up, z out)."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -17,7 +17,7 @@ AUTD_MISSING = ((1, 1), (2, 1), (16, 1))
 """Sites of an AUTD unit without a transducer, as (column, row), both from 0 at the corner of transducer 0."""
 
 AUTD_BOARD_M = (192.0e-3, 151.4e-3)
-"""Outer width and height of an AUTD unit's board."""
+"""Outer width and height of the board of an AUTD unit."""
 
 TRANSDUCER_DIAMETER_M = 10e-3
 """Outer diameter of the common 40 kHz transducers."""
@@ -33,7 +33,7 @@ OPENMPD_BLOCK = ((1, 5), (0, 4), (3, 6), (2, 7))
 """Bytes within one block of 4 columns and 2 rows, by column to the right and by row downwards.
 
 Blocks follow one another up the board, 8 bytes each; 8 blocks make a strip of 64 bytes, and strips follow one another
-to the left. The vendor's pin map in this form (`pin_ROM`, PinMapping.vhd of RMResearch/OpenMPD_Hardware, FPGA 3.4.2).
+to the left. Pin map of the vendor in this form (`pin_ROM`, PinMapping.vhd of RMResearch/OpenMPD_Hardware, FPGA 3.4.2).
 """
 
 BOW_TILT_DEG = 30.0
@@ -44,11 +44,11 @@ BOW_SPACING_M = 10e-3
 class Layout:
     """One known board.
 
-    about: what it is; source: where its figures come from, and what they leave open
-    focus_m: the point at which it is commonly used [m], array frame
-    build: makes the array, with a p0 that `palmfield.acoustics.arrays.layout` replaces
-    p0: peak pressure of one transducer at 1 m on its axis at full drive [Pa m]; quality: of its resonance
-    earlier: layouts that this name meant before, first version first
+    about: a description. source: of its values, and the values that it leaves open.
+    focus_m: the point at which it is commonly used [m], array frame.
+    build: makes the array, with a p0 that `palmfield.acoustics.arrays.layout` replaces.
+    p0: peak pressure of one transducer at 1 m on its axis at full drive [Pa m]. quality: of its resonance.
+    earlier: layouts that this name meant before, first version first.
     """
 
     about: str
@@ -61,7 +61,7 @@ class Layout:
 
     @property
     def version(self) -> int:
-        """Counts from 1; files about an array's transducers record it."""
+        """Counts from 1; files about the transducers of an array record it."""
         return len(self.earlier) + 1
 
 
@@ -103,15 +103,15 @@ def sonicsurface() -> Array:
 
 
 def openmpd_order() -> Int:
-    """Byte of each transducer of an OpenMPD board, shape (256,), in the vendor's order: column by column from the left,
-    each from above."""
+    """Byte of each transducer of an OpenMPD board, shape (256,), in the order of the vendor: column by column from the
+    left, each from above."""
     column, row = np.divmod(np.arange(256), 16)
     block = np.array(OPENMPD_BLOCK)
     return (192 - 64 * (column // 4) + 8 * (7 - row // 2) + block[column % 4, row % 2]).astype(np.int32)
 
 
 def openmpd() -> Array:
-    """In columns from low x, y falls fastest: the vendor's order of transducers, with their bytes as addresses."""
+    """In columns from low x, y falls fastest: the transducer order of the vendor, with their bytes as addresses."""
     x, y, z = grid(10.5e-3).reshape(16, 16, 3)[::-1].transpose(2, 1, 0).reshape(3, 256)
     normals = np.tile([0.0, 0.0, 1.0], (256, 1))
     return from_poses("openmpd", np.column_stack([x, y, z]), normals, address=openmpd_order())
@@ -124,7 +124,7 @@ def openmpd_rows() -> Array:
 
 
 def ultraino() -> Array:
-    """64 transducers in the order of an Ultraino board's signals, in rows from low y, x runs fastest."""
+    """64 transducers in the order of the signals of an Ultraino board, in rows from low y, x runs fastest."""
     normals = np.tile([0.0, 0.0, 1.0], (64, 1))
     return from_poses("ultraino", lattice(8, 8, 10.5e-3), normals, address=np.arange(64, dtype=np.int32))
 
@@ -146,7 +146,7 @@ def autd2018_2x2() -> Array:
     """Four units, left column then right, from below: the margins are left and below in the left column, and right and
     above in the right column, whose units are turned by half a turn."""
     board = autd_board()
-    # from the board's centre to that of its sites, which reach the board's right and upper edges
+    # from the centre of the board to that of its sites, which reach the right and upper edges of the board
     aside = [
         (outer - ((count - 1) * AUTD_PITCH_M + TRANSDUCER_DIAMETER_M)) / 2
         for outer, count in zip(AUTD_BOARD_M, (AUTD_COLUMNS, AUTD_ROWS), strict=True)
@@ -174,7 +174,7 @@ def autd3_units(columns: int, rows: int) -> Array:
 def bow(focal_length_m: float) -> tuple[Float, Float]:
     """Six speakers in the plane x = 0 on the parabola z = y^2/(4 f), its vertex midway between the third and fourth.
 
-    Neighbours are BOW_SPACING_M apart, centre to centre; every speaker looks at the parabola's focus.
+    Neighbours are BOW_SPACING_M apart, centre to centre; every speaker faces the focus of the parabola.
     Returns positions relative to the focus [m] and unit normals, shapes (6, 3).
     """
 
@@ -212,7 +212,7 @@ def two_bow_corrected() -> Array:
 
 
 def bow_focus(array: Array) -> tuple[float, float, float]:
-    """Where the axes of the first and the last speaker of a two-bow array meet [m], by symmetry on the z axis."""
+    """Point on the z axis where the axes of the first and the last speaker of a two-bow array meet [m], by symmetry."""
     (_, y, z), (_, slope_y, slope_z) = array.positions[0], array.normals[0]
     return 0.0, 0.0, float(z - y * slope_z / slope_y)
 

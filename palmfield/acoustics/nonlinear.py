@@ -1,6 +1,6 @@
-"""What nonlinear propagation does to a focused beam: how far it steepens, and what of it is left.
+"""Effect of nonlinear propagation on a focused beam: its steepening, and the fundamental line that remains.
 
-sigma is the propagation distance over the shock distance; here it is added up along the beam, since a focused beam is
+sigma is the propagation distance over the shock distance; here it is summed along the beam, because a focused beam is
 loud near its focus only. Formulas are those of plane waves (Blackstock, Fundamentals of Physical Acoustics, 2000), so
 that in a focus they give the order of magnitude.
 """
@@ -43,14 +43,14 @@ def steepening(pressures_Pa: ArrayLike, step_m: float, air: Air, frequency_Hz: f
 def beams(
     array: Array, drive: Complex, focus: ArrayLike, air: Air, until: ArrayLike | None = None
 ) -> list[tuple[float, Complex]]:
-    """Step [m] and pressures [Pa] along the beam of each side of an array (`sides_of`), of that side's sound alone.
+    """Step [m] and pressures [Pa] along the beam of each side of an array (`sides_of`), each side separately.
 
-    A beam is the straight line from the middle of what is driven of a side to a focus. None in silence, and of a side
-    whose end is no further than FIRST_M from its middle.
+    A beam is the straight line from the middle of the driven transducers of a side to a focus. None in silence, and for
+    a side whose end is no further than FIRST_M from its middle.
 
-    drive: complex amplitudes, shape (len(array),); focus: the point [m], array frame, shape (3,)
-    until: a point that is as far from that middle as what ends the beam, before or behind the focus; the focus itself
-        by default, shape (3,)
+    drive: complex amplitudes, shape (len(array),). focus: the point [m], array frame, shape (3,).
+    until: a point whose distance from that middle is the end of the beam, before or behind the focus; the focus itself
+        by default, shape (3,).
     """
     loud = np.abs(drive) if array.gain is None else np.abs(drive * array.gain)
     driven, found = np.flatnonzero(loud), []
@@ -75,7 +75,7 @@ def beam_steepening(array: Array, drive: Complex, focus: ArrayLike, air: Air, un
 
 
 def fundamental_left(sigma: float) -> float:
-    """Pressure amplitude of the line at the drive's own frequency, relative to a linear beam: what a microphone reads.
+    """Pressure amplitude of the line at the drive frequency, relative to a linear beam, as a microphone reads it.
 
     Fubini's 2 J1(sigma)/sigma below the shock, Blackstock's bridging integral beyond.
     Raises PalmfieldError for sigma that is negative or not finite.
@@ -92,7 +92,7 @@ def fundamental_left(sigma: float) -> float:
 
 
 def arp_left(sigma: float) -> float:
-    """ARP relative to a linear beam's: harmonics press too, so that nothing is lost before there is a shock.
+    """ARP relative to that of a linear beam: harmonics contribute, so that there is no loss below the shock distance.
 
     The mean square of the steepened sine with its weak shock: (2/pi) ((pi - s)/2 + sin(2s)/4 + sigma sin(s)^3/3) with s
     = sigma sin(s) the phase that has run into the shock.

@@ -1,7 +1,7 @@
-"""The arrays of a scene as one source of sound: their transducers in one frame, and the field of all of them.
+"""The arrays of a scene as one source of sound: their transducers in one frame, and their common field.
 
-The frame is that of the scene's first array ("array frame"). Nothing here changes once it is made, so that several
-threads and simulations share it; where arrays move against one another, a new `PhasedArray` is made.
+The frame is that of the scene's first array ("array frame"). All objects are immutable, so that several threads and
+simulations share them; where arrays move against one another, a new `PhasedArray` is made.
 """
 
 import threading
@@ -30,9 +30,9 @@ from palmfield.transforms import Numbers, Placement, corners_of
 from palmfield.types import Air, Array, Complex, Estimate, Float, Int
 
 HOUSING_M = 5e-3
-"""How far a board reaches beyond its transducers, and how high a transducer is [m]."""
+"""Distance by which a board extends beyond its transducers, and height of a transducer [m]."""
 FLAT_M = 1e-6
-"""Transducers lie in one plane if their heights differ by less [m]."""
+"""Largest difference of the heights of transducers in one plane [m]."""
 SAME_PLACE = 1e-9
 """Positions [m] and directions that differ by less are the same."""
 
@@ -41,8 +41,8 @@ SAME_PLACE = 1e-9
 class ArrayInstance:
     """One array of the scene.
 
-    config: its keys; placement: where it is in the scene's reference pose
-    calibration: in the file of key `calibration`; table: in that of key `transducers`
+    config: its keys. placement: its place in the reference pose of the scene.
+    calibration: in the file of key `calibration`. table: in that of key `transducers`.
     """
 
     config: ArrayConfig
@@ -54,8 +54,8 @@ class ArrayInstance:
     def p0(self) -> Estimate:
         """Peak pressure of one transducer at 1 m on its axis at full drive [Pa m].
 
-        As calibrated; else of key `p0_Pa_m`, with the layout's range, widened to hold it, where the scene gives none;
-        else the layout's.
+        As calibrated; else of key `p0_Pa_m`, with the range of the layout, widened to include it if the scene gives no
+        range; else that of the layout.
         """
         config, known = self.config, _known(self.config.layout)[0]
         if self.calibration is not None and self.calibration.p0 is not None:
@@ -67,7 +67,7 @@ class ArrayInstance:
 
     @property
     def quality(self) -> Estimate:
-        """Of the transducers' resonance: as calibrated, of key `quality`, or the layout's."""
+        """Quality factor of the resonance: as calibrated, of key `quality`, or that of the layout."""
         config, known = self.config, _known(self.config.layout)[1]
         if self.calibration is not None and self.calibration.quality is not None:
             return self.calibration.quality
@@ -88,11 +88,11 @@ class ArrayInstance:
         return f0, quality
 
     def array(self, sites: tuple[tuple[Numbers, Numbers], ...] = ()) -> Array:
-        """The transducers in the array's own frame.
+        """The transducers in the frame of the array.
 
-        sites: position [m] and emitting direction of each transducer, for layout `sites`
-        Raises SceneError for faults that the array cannot have, for a piston's radius where there is no piston, and for
-        the calibration of another array.
+        sites: position [m] and emitting direction of each transducer, for layout `sites`.
+        Raises SceneError for faults that the array cannot have, for the radius of a piston where there is no piston,
+        and for the calibration of another array.
         """
         config = self.config
         if config.layout == "sites":
@@ -124,7 +124,7 @@ def _given(value: float, low: float, high: float, key: str) -> Estimate:
 
 
 def _known(name: str) -> tuple[Estimate, Estimate]:
-    """What is known of p0 and quality of a layout's transducers; of others than a known board's what all have."""
+    """Known data on p0 and quality of a layout; for unknown boards the values for all transducers."""
     board = LAYOUTS.get(name)
     return (ANY_P0, ANY_QUALITY) if board is None else (board.p0, board.quality)
 
@@ -157,11 +157,11 @@ def directivity_groups(parts: Sequence[Array]) -> tuple[DirectivityGroup, ...]:
 
 @dataclass(frozen=True)
 class BoardOutline:
-    """What of an array a body must not reach into, in the array's own frame.
+    """The part of an array that a body must not reach into, in the frame of the array.
 
     low, high: corners of the rectangle around transducers that lie in one plane and face along z, with its housing, x
-        and y [m]; height: of that plane [m]
-    nearest: tree of the transducers of any other array, which has no such rectangle; else None
+        and y [m]; height: of that plane [m].
+    nearest: tree of the transducers of any other array, which has no such rectangle; else None.
     """
 
     low: tuple[float, float]
@@ -222,22 +222,21 @@ class MultiArrayField(FieldSum):
 class PhasedArray:
     """All arrays of a scene in one relative pose. Immutable, and safe to share among threads.
 
-    instances: the scene's arrays; the air, the kernels' precision and the frame are those of the first one
-    placements: of each array, in the frame of the first one
-    device: where the field is computed, "auto", "cpu" or "cuda:N"
-    wall_m: distance from the plane of the transducers to a flat wall that faces them, between which sound goes back and
-        forth (`palmfield.acoustics.echo`); None where what comes back is gone
-    parts: transducers of each array in its own frame; slices: of each part, into the numbering of all transducers
-    groups: transducers by directivity, in the array frame; images: of them, by what goes back and forth
-    array: all transducers in one, for positions, directions and gains. Where directivities differ it has the widest
-        piston of them and no table: take `pressure64` or `field` for the sound
-    impedance: rho c^2 of the air [Pa]
-    frames: of each part, seen from the first; boards: of each part, in its own frame
-    sides: of each part, and of one that wraps a body of those that face alike: their numbers among all transducers
-    corners: of a box round each side's transducers, array frame [m], shape (8 sides, 3)
-    facing: mean direction of each side's transducers, array frame, by column, shape (3, sides)
-    heights: of the middle of each side along that direction [m], shape (sides,)
-    serial: no other has it
+    instances: the arrays of the scene; air, precision of the kernels and frame are those of the first one.
+    placements: of each array, in the frame of the first one.
+    device: where the field is computed, "auto", "cpu" or "cuda:N".
+    wall_m: distance from the plane of the transducers to a flat wall in front of them, between which sound goes back
+        and forth (`palmfield.acoustics.echo`); None where the echo is not computed.
+    parts: transducers of each array in its own frame. slices: of each part, into the numbering of all transducers.
+    groups: transducers by directivity, in the array frame. images: of them, for the sound that goes back and forth.
+    array: all transducers in one, for positions, directions and gains; for sound use `pressure64` or `field`, because
+        where directivities differ it has the widest piston of them and no table; impedance: rho c^2 of the air [Pa].
+    frames: of each part, seen from the first. boards: of each part, in its own frame.
+    sides: of each part; if it wraps a body, of those that face alike: their numbers among all transducers.
+    corners: of a box round the transducers of each side, array frame [m], shape (8 sides, 3).
+    facing: mean direction of the transducers of each side, array frame, by column, shape (3, sides).
+    heights: of the middle of each side along that direction [m], shape (sides,).
+    serial: unique number.
     """
 
     def __init__(
@@ -258,7 +257,7 @@ class PhasedArray:
         self._field: MultiArrayField | None = None
         self.parts = tuple(one.array(place.sites) for one, place in zip(instances, placements, strict=True))
         self.impedance = density(self.air) * sound_speed(self.air) ** 2
-        # The first array's frame is the common one: its transducers stay as they are to the last digit
+        # The frame of the first array is the common one: its transducers stay unchanged to the last digit
         moved = [
             part if i == 0 else placed(part, *place.transform)
             for i, (part, place) in enumerate(zip(self.parts, placements, strict=True))
@@ -286,11 +285,11 @@ class PhasedArray:
 
     @property
     def field(self) -> MultiArrayField:
-        """Field kernels for these arrays; made when first asked for.
+        """Field kernels for these arrays; made at first use.
 
         Raises PalmfieldError for a device that is not on this machine.
         """
-        # Made once, whoever asks first: a second one would only cost time, but callers compare fields by identity
+        # Made once, by the first caller: a second one would only cost time, but callers compare fields by identity
         with self._lock:
             if self._field is None:
                 groups = self.groups + self.images
@@ -305,7 +304,7 @@ class PhasedArray:
         return _sum64(self.groups, points, drive, self.air)
 
     def with_echoes64(self, points: Float, drive: Complex) -> Complex:
-        """As `pressure64`, with what goes back and forth, as `field` has it."""
+        """As `pressure64`, with the sound that goes back and forth, as in `field`."""
         return _sum64(self.groups + self.images, points, drive, self.air)
 
     def _images(self, wall_m: float, outward: Float) -> tuple[DirectivityGroup, ...]:
@@ -317,7 +316,7 @@ class PhasedArray:
         )
 
     def same(self, placements: Sequence[Placement]) -> bool:
-        """Whether the arrays stand to one another as they do here, to a nanometre and a nanoradian."""
+        """Whether the relative pose of the arrays is the same as here, to a nanometre and a nanoradian."""
         placements = tuple(placements)
         return placements == self.placements or all(
             same_place(a, b) for a, b in zip(self.placements, placements, strict=True)

@@ -1,8 +1,8 @@
-"""A piston's sound on its own axis, as near as its face, where the far-field directivity no longer holds.
+"""The sound of a piston on its own axis, down to its face, where the far-field directivity no longer holds.
 
-The field of arrays (`palmfield.acoustics.field`) takes each transducer from far away, p0/d exp(ikd) on its axis. What
-that leaves out near the face is the difference from `on_axis`, for a piston that moves as one in a rigid baffle without
-end: of 4.5 mm radius at 40 kHz the field has 7 % too much pressure at 10 mm, 0.8 % at 30 mm and 0.02 % at 200 mm.
+The field of arrays (`palmfield.acoustics.field`) uses the far field of each transducer, p0/d exp(ikd) on its axis. The
+error near the face is the difference from `on_axis`, for a piston that moves as one in an endless rigid baffle. For
+4.5 mm radius at 40 kHz the far field is 7 % too high at 10 mm, 0.8 % at 30 mm and 0.02 % at 200 mm.
 """
 
 import numpy as np
@@ -18,13 +18,13 @@ def on_axis(distance_m: ArrayLike, radius_m: float, wavenumber: float, *, p0_Pa_
 
     p = i (2 p0/(k a^2)) [exp(ikr) - exp(ik sqrt(r^2 + a^2))] for sound that goes as exp(-i w t): exact at every
     distance, with zeros and equal maxima near a face wider than a wavelength, and p0/r exp(ikr) far away. It is
-    Rayleigh's integral over the disc (Kinsler et al., Fundamentals of Acoustics, 4th ed., section 7.4), and eq 7 of
-    Mizushima & Sato 2024 (doi 10.18494/SAM5054), rho c V [exp(-jkr) - exp(-jk sqrt(a^2 + r^2))], whose `a` is the
-    disc's radius, although the paper calls it the diameter, and whose V is the velocity's, 2 p0/(rho c k a^2).
+    Rayleigh's integral over the disc (Kinsler et al., Fundamentals of Acoustics, 4th ed., section 7.4). It is also eq 7
+    of Mizushima & Sato 2024 (doi 10.18494/SAM5054), rho c V [exp(-jkr) - exp(-jk sqrt(a^2 + r^2))]. There `a` is the
+    radius of the disc, although the paper calls it the diameter, and V is the velocity 2 p0/(rho c k a^2).
 
-    distance_m: r from the face [m], 0 or more; radius_m: a [m], 0 for a point source; wavenumber: k = 2 pi f/c [rad/m]
-    p0_Pa_m: pressure in the far field times the distance [Pa m], as `Array.p0_Pa_m`
-    Raises PalmfieldError for distances below 0, for 0 itself where the radius is 0, for a radius below 0 or a
+    distance_m: r from the face [m], 0 or more. radius_m: a [m], 0 for a point source. wavenumber: k = 2 pi f/c [rad/m].
+    p0_Pa_m: pressure in the far field times the distance [Pa m], as `Array.p0_Pa_m`.
+    Raises PalmfieldError for distances below 0, for 0 itself where the radius is 0, for a radius below 0, for a
     wavenumber that is not above 0, and for any that are not finite.
     """
     r = check.numbers(distance_m, "distance_m").astype(np.float64)
@@ -44,10 +44,10 @@ def on_axis(distance_m: ArrayLike, radius_m: float, wavenumber: float, *, p0_Pa_
 
 
 def rayleigh_length_m(radius_m: float, wavenumber: float) -> float:
-    """k a^2/2 [m], about where a piston's near field ends.
+    """k a^2/2 [m], the approximate end of the near field of a piston.
 
     There p0/r is 21, 12 and 9 % above the pressure for radii of 3, 4.5 and 6 mm at 40 kHz. Mizushima & Sato 2024 print
-    a^2/(2k), which is no length, in their eq 8; their "approximately 10 mm" is that of a radius of 5 mm.
+    a^2/(2k), which is not a length, in their eq 8; their "approximately 10 mm" is the value for a radius of 5 mm.
 
     radius_m: a [m]; wavenumber: k [rad/m]
     Raises PalmfieldError as `on_axis`.

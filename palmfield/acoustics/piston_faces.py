@@ -1,8 +1,8 @@
 """Pistons as points all over their faces: Rayleigh's integral, which holds as near as the baffle.
 
-The field of arrays (`palmfield.acoustics.field`) takes a piston from far away. Points on its face, each a point source
-in the same baffle, add up to the exact sound of a piston that moves as one; `palmfield.acoustics.piston_axis` has its
-closed form on the axis.
+The field of arrays (`palmfield.acoustics.field`) uses the far field of a piston. Points on its face, each a point
+source in the same baffle, add up to the exact sound of a piston that moves as one. Its closed form on the axis is in
+`palmfield.acoustics.piston_axis`.
 """
 
 from dataclasses import replace
@@ -16,7 +16,7 @@ from palmfield.errors import SceneError
 from palmfield.types import Array, Complex
 
 RINGS, SPOKES = 4, 12
-"""On a face: to 2e-4 on its axis beyond a Rayleigh length, for radii up to 6 mm at 40 kHz."""
+"""Number of points on a face: error 2e-4 on its axis beyond a Rayleigh length, for radii up to 6 mm at 40 kHz."""
 
 
 def as_faces(array: Array, drive: ArrayLike, *, rings: int = RINGS, spokes: int = SPOKES) -> tuple[Array, Complex]:

@@ -14,7 +14,7 @@ from palmfield.errors import SceneError
 from palmfield.types import Array, Complex, Float, Int
 
 ROUNDED = 1e-6
-"""By how much a rotation rounded to float32 misses being orthonormal, at most."""
+"""Largest deviation from orthonormality of a rotation rounded to float32."""
 
 
 def from_poses(
@@ -34,9 +34,9 @@ def from_poses(
     For sites `ids` of a MuJoCo model: positions `data.site_xpos[ids]`, normals their z axes,
     `data.site_xmat[ids].reshape(-1, 3, 3)[:, :, 2]`.
 
-    positions: [m], shape (n, 3), n at least 1
-    normals: emitting directions of any length but 0, shape (n, 3)
-    p0_Pa_m, frequency_Hz, piston_radius_m, address, gain, directivity_table: see `palmfield.types.Array`
+    positions: [m], shape (n, 3), n at least 1.
+    normals: emitting directions of any length but 0, shape (n, 3).
+    p0_Pa_m, frequency_Hz, piston_radius_m, address, gain, directivity_table: see `palmfield.types.Array`.
     Raises SceneError for wrong shapes, values that are not finite, and constants that cannot radiate.
     """
     where, facing = np.array(positions, dtype=float), np.array(normals, dtype=float)
@@ -55,9 +55,9 @@ def from_poses(
 def placed(array: Array, position: ArrayLike, rotation: ArrayLike) -> Array:
     """The array moved rigidly into another frame: x -> rotation x + position.
 
-    position: of the array's origin in the other frame [m], shape (3,)
-    rotation: matrix whose columns are the array's axes in the other frame, shape (3, 3); it may be rounded to float32,
-        the nearest rotation is taken
+    position: of the origin of the array in the other frame [m], shape (3,).
+    rotation: matrix whose columns are the axes of the array in the other frame, shape (3, 3); it may be rounded to
+        float32, the nearest rotation is used.
     Raises SceneError for a position that is not three finite numbers and for a matrix that is not a rotation.
     """
     shift, turn = np.asarray(position, dtype=float), np.asarray(rotation, dtype=float)
@@ -72,7 +72,7 @@ def placed(array: Array, position: ArrayLike, rotation: ArrayLike) -> Array:
 def combined(arrays: Sequence[Array], name: str | None = None) -> Array:
     """Several arrays, already placed in one frame, as one; their transducers follow one another in the given order.
 
-    p0 becomes the largest of them; quieter arrays keep theirs through `gain`. Addresses go on from array to array where
+    p0 becomes the largest of them; quieter arrays keep theirs through `gain`. Addresses continue from array to array if
     every array has them.
 
     name: the names joined by " + " where it is None
@@ -115,10 +115,10 @@ def combined(arrays: Sequence[Array], name: str | None = None) -> Array:
 def with_faults(
     array: Array, dead: Iterable[int] | Iterable[bool] = (), inverted: Iterable[int] | Iterable[bool] = ()
 ) -> Array:
-    """The array with silent transducers and with ones wired the other way round, on top of the gain that it has.
+    """The array with silent transducers and with inversely wired ones, in addition to its present gain.
 
-    dead, inverted: indices of transducers in the array's order, 0 to len(array) - 1, or masks, shape (len(array),)
-    Raises SceneError for an index that the array does not have or that is named twice, and a mask of another length.
+    dead, inverted: indices of transducers in the order of the array, 0 to len(array) - 1, or masks, shape
+    (len(array),). Raises SceneError for an index outside the array or given twice, and a mask of another length.
     """
     silent, turned = indices(array, dead, "dead"), indices(array, inverted, "inverted")
     seen: set[int] = set()

@@ -34,10 +34,10 @@ ROWS = 5
 
 
 class Transducers:
-    """The transducers of a scene's arrays on a device, sorted by directivity.
+    """The transducers of the arrays of a scene on a device, sorted by directivity.
 
-    arrays: as they stand now; device: of `palmfield.device.resolve`
-    order: their numbers in the order in which kernels take them; scale: strength at full drive in that order [Pa m]
+    arrays: in their present pose. device: of `palmfield.device.resolve`.
+    order: their numbers in the order of the kernels. scale: strength at full drive in that order [Pa m].
     """
 
     def __init__(self, arrays: PhasedArray, device: str):
@@ -71,14 +71,14 @@ class Transducers:
 
     @property
     def emitters(self) -> Emitters:
-        """The same transducers as the weights of shadows take them; they move along. Made when first asked for."""
+        """The same transducers as input of the weights of shadows; they move along. Made at first use."""
         if self._emitters is None:
             self._emitters = Emitters(self._arrays, self._rows, self.device)
         return self._emitters
 
     @property
     def _rows(self) -> Int:
-        """Where each transducer is in `order`."""
+        """Place of each transducer in `order`."""
         return np.argsort(self.order).astype(np.int32)
 
     def move(self, arrays: PhasedArray) -> None:
@@ -105,7 +105,7 @@ class Transducers:
 
     @property
     def corners(self) -> Any:
-        """Corners of a box round each side's transducers [m], on the device, shape (8 sides,)."""
+        """Corners of a box round the transducers of each side [m], on the device, shape (8 sides,)."""
         return self._corners.array
 
     @property
@@ -115,10 +115,10 @@ class Transducers:
 
 
 class DriveTable(NamedTuple):
-    """What sounds in each of w worlds, on the device: drives, and sums of them.
+    """The active drives in each of w worlds, on the device: drives, and sums of them.
 
-    counts: drives and sums that there are, int32, shape (w, 2); drives: [Pa m], vec2, shape (w k, transducers)
-    levels: how much of each drive is in each sum, vec2, shape (w m, k)
+    counts: numbers of drives and sums in use, int32, shape (w, 2). drives: [Pa m], vec2, shape (w k, transducers).
+    levels: weight of each drive in each sum, vec2, shape (w m, k).
     """
 
     counts: Any
@@ -147,7 +147,7 @@ def fill_table(
     k = len(strengths)
     counts[:] = k, k if levels is None else len(levels)
     drives.view(np.complex64)[:k, :, 0] = strengths
-    # A thread takes several drives: those beside the last must not sound
+    # A thread takes several drives: those after the last must not sound
     drives[k : -(-k // ROWS) * ROWS] = 0.0
     own = weights.view(np.complex64)[..., 0]
     if levels is None:
@@ -162,8 +162,8 @@ def _unit(count: int) -> NDArray[np.float64]:
 
 
 class Surface(NamedTuple):
-    """Points of one body. points: which of all; law: one of `palmfield.acoustics.arp`, or its key; mesh: what casts
-    shadows on them and cuts them off, None for nothing; shades: what it leaves where sound bends, else None"""
+    """Points of one body. points: which of all; law: one of `palmfield.acoustics.arp`, or its key; mesh: obstacles
+    that shade them and cut them off, None without; shades: shares that pass where sound is diffracted, else None"""
 
     points: slice
     law: str | ArpLaw
@@ -180,7 +180,7 @@ def sound_calls(
     arrays: PhasedArray,
     result: Any,
 ) -> Calls:
-    """Launches that compute the ARP [Pa] of a table's sums at points, into `result`, shape (w m, n).
+    """Launches that compute the ARP [Pa] of the sums of a table at points, into `result`, shape (w m, n).
 
     points [m], normals: unit, outward, on the device, vec3, shape (w, n); arrays: for the air
     """

@@ -28,12 +28,12 @@ LARGEST_ITERATIONS = 300
 class Scattering:
     """Total sound on a rigid body, one value a face, with e^{-i w t}.
 
-    vertices: [m], shape (v, 3); faces: shape (m, 3); wavenumber: [rad/m]
-    centroids: [m], shape (m, 3); normals: unit, outward, shape (m, 3); areas: [m2], shape (m,)
-    pressure: complex peak pressure at the centroids [Pa], shape (m,)
-    gradient: its gradient along the surface [Pa/m], shape (m, 3); across the surface it is 0
-    iterations: of GMRES; residual: of the linear system, relative
-    elements_per_wavelength: wavelength over mean edge
+    vertices: [m], shape (v, 3). faces: shape (m, 3). wavenumber: [rad/m].
+    centroids: [m], shape (m, 3). normals: unit, outward, shape (m, 3). areas: [m2], shape (m,).
+    pressure: complex peak pressure at the centroids [Pa], shape (m,).
+    gradient: its gradient along the surface [Pa/m], shape (m, 3); across the surface it is 0.
+    iterations: of GMRES. residual: of the linear system, relative.
+    elements_per_wavelength: wavelength over mean edge.
     """
 
     vertices: Float
@@ -68,12 +68,12 @@ def scatter(
     such proof; momentum and reciprocity are what to check them by. The equation is of the second kind and needs no
     preconditioner.
 
-    mesh_vertices: [m], shape (v, 3); faces: shape (m, 3), counter-clockwise seen from outside
-    incident: pressure without the body, a solution of the wave equation inside it too
-    wavenumber: [rad/m]
-    device: "auto", "cpu" or "cuda:N"; tolerance: relative residual at which GMRES stops, 1e-6 at least (float32 sums)
+    mesh_vertices: [m], shape (v, 3). faces: shape (m, 3), counter-clockwise seen from outside.
+    incident: pressure without the body, a solution of the wave equation inside it too.
+    wavenumber: [rad/m].
+    device: "auto", "cpu" or "cuda:N". tolerance: relative residual at which GMRES stops, 1e-6 at least (float32 sums).
     Raises PalmfieldError for an open or inverted mesh, for a bad wavenumber or tolerance, for incident sound that is
-    not finite, and where GMRES does not converge. Warns (UserWarning) below 6 elements a wavelength.
+    not finite, and where GMRES does not converge. Warns (UserWarning) below 6 elements per wavelength.
     """
     vertices, triangles = checked(mesh_vertices, faces)
     if not 0.0 < wavenumber < np.inf:

@@ -1,4 +1,4 @@
-"""Shadow of a body in an array's sound: geometric acoustics with rays, the cheap stand-in for scattering."""
+"""Shadow of a body in the sound of an array: geometric acoustics with rays, the cheap substitute for scattering."""
 
 import numpy as np
 import warp as wp
@@ -11,7 +11,7 @@ from palmfield.types import Float32, Surface
 from warp_kernels import shadow as kernels
 
 CLEARANCE_m = 2e-4
-"""How far above the surface a ray starts: coarse meshes of a hand lie that far off its fine ones."""
+"""Height above the surface at which a ray starts: the distance of coarse meshes of a hand from its fine ones."""
 
 REACH_m = 10.0
 
@@ -33,10 +33,10 @@ def visibility(
     weights: ArrayLike | None = None,
     clearance_m: float = CLEARANCE_m,
 ) -> Float32:
-    """Share of the sources that each point sees in front of its surface with nothing in between, shape (n,), 0 to 1.
+    """Share of the sources that each point sees in front of its surface without obstacles, shape (n,), 0 to 1.
 
-    points: on or near the surface [m], shape (n, 3); normals: unit outward normals there, shape (n, 3)
-    surface_mesh: what casts shadows, of `shadow_mesh`, in the same frame
+    points: on or near the surface [m], shape (n, 3); normals: unit outward normals there, shape (n, 3).
+    surface_mesh: the obstacles, of `shadow_mesh`, in the same frame.
     source_positions: [m], shape (s, 3); weights: 0 or more, for example |drive|^2, shape (s,); equal by default
     Raises PalmfieldError for other shapes, numbers that are not finite, and weights that are negative or sum to 0.
     """

@@ -13,15 +13,15 @@ GROUP = 3.75
 TURN_m = 0.03
 """Distance for which normals count that are at right angles: two sides of a finger are no neighbours."""
 STIFFNESS = 0.03
-"""How strongly slopes between nodes are held back where nodes lie nearly in a line."""
+"""Regularisation of the slopes between nodes where nodes are nearly in a line."""
 
 
 class ShadowNodes(NamedTuple):
     """Nodes among n points, all sorted by group.
 
-    numbers: of the points that are nodes, shape (m,); groups: of each, shape (m,); starts: first node of each group,
-    and one past the last; neighbours, shares: nodes from which each point takes its weights and how much of each,
-    shapes (NEIGHBOURS, n)
+    numbers: of the points that are nodes, shape (m,). groups: of each, shape (m,). starts: first node of each group,
+    and one past the last. neighbours, shares: nodes from which each point takes its weights and the share of each,
+    shapes (NEIGHBOURS, n).
     """
 
     numbers: Int
@@ -34,7 +34,7 @@ class ShadowNodes(NamedTuple):
 def shadow_nodes(points: Float, normals: Float, spacing_m: float) -> ShadowNodes:
     """Nodes about `spacing_m` apart among points [m] with unit outward normals, both of shape (n, 3), n >= 1.
 
-    Shares are those of a plane fitted to near nodes along the surface, so that what varies evenly is met exactly.
+    Shares are those of a plane fitted to near nodes along the surface, so that linear variation is exact.
     """
     chosen = _middle_ones(points, _cells(points, normals, spacing_m))
     of_cell = _cells(points[chosen], normals[chosen], GROUP * spacing_m)
@@ -60,7 +60,7 @@ def _cells(points: Float, normals: Float, edge_m: float) -> Int:
 
 
 def _middle_ones(points: Float, cells: Int) -> Int:
-    """Of each cell the point that is nearest to the middle of its points."""
+    """For each cell the point that is nearest to the middle of its points."""
     count = np.bincount(cells)
     middles = np.column_stack([np.bincount(cells, column) / count for column in points.T])
     away = ((points - middles[cells]) ** 2).sum(axis=1)

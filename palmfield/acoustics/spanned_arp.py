@@ -1,4 +1,4 @@
-"""ARP at points that keep still, for drives of which a few span all: a focus that runs along a known path."""
+"""ARP at points at rest, for drives that a few of them span: a focus that moves along a predicted path."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,13 +17,13 @@ from palmfield.types import Complex, Float, Float32
 from warp_kernels import transfer as kernels
 
 OUT_OF_SPAN = 1e-6
-"""Of the largest drive's norm, what may lie outside the span: less than the field's own error in float32."""
+"""Share of the norm of the largest drive that may lie outside the span: less than the float32 error of the field."""
 LEFT_OUT = 1e-7
-"""Of the largest singular value of a path's drives: smaller ones are not in the span."""
+"""Share of the largest singular value of the drives of a path: smaller ones are not in the span."""
 MOST_SHARE = 0.75
-"""Of the number of transducers: a span of more dimensions saves little work for its memory."""
+"""Share of the number of transducers: a span of more dimensions saves little work for its memory."""
 NUMBERS_PER_THREAD = 1_000_000
-"""Fewest numbers of the fields worth a thread of its own."""
+"""Fewest numbers of the fields per thread."""
 
 
 def drives_span(drives: Complex) -> Complex | None:
@@ -76,8 +76,8 @@ def spanned_fields(
 
 
 class SpannedArp:
-    """ARP of drives in the span of some fields. Belongs to one simulation's state, and is used by one thread at a time;
-    it takes helpers."""
+    """ARP of drives in the span of some fields. Belongs to the state of one simulation, and is used by one thread at a
+    time; on the CPU it takes helper threads."""
 
     def __init__(self, fields: SpannedFields):
         self.fields = fields

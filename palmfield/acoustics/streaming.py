@@ -1,9 +1,9 @@
-"""The wind that sound drags along: at most how hard it presses where the sound ends, and how long it takes to build up.
+"""The wind that sound drives: an upper bound on its pressure at the end of the sound, and the time of its build-up.
 
-Air that takes up sound of intensity I takes up its momentum: a force of 2 alpha I/c per volume (Nyborg 1965; Lighthill
-1978), which is alpha times the ARP that the sound would have on a wall. Without viscosity and turbulence, what such a
-force adds up to along a beam's axis is the pressure of the wind where it is stopped, and rho w^2/2 before. Both take
-some of it away, so that this is a bound.
+Air that absorbs sound of intensity I absorbs its momentum: a force of 2 alpha I/c per volume (Nyborg 1965; Lighthill
+1978), which is alpha times the ARP that the sound would have on a wall. Without viscosity and turbulence, the integral
+of this force along the axis of a beam is the pressure of the wind where it is stopped, and rho w^2/2 before. Viscosity
+and turbulence reduce it, so that this is a bound.
 """
 
 import math
@@ -20,12 +20,12 @@ LAST_SIGMA = 0.95
 
 
 class Wind(NamedTuple):
-    """What a beam's wind is at most, where the beam ends.
+    """Upper bound of the wind of a beam, at the end of the beam.
 
-    pressure_Pa: where it is stopped; speed_m_s: before
-    force: of it, over that of the beam's sound, on a wall that stops both
-    harmonics: share of the sound's momentum that is gone at the end because it steepens, by harmonics and by a shock
-    time_s: after which it has built up, about: what the air needs through the loud part of the beam, at half that speed
+    pressure_Pa: where it is stopped. speed_m_s: before.
+    force: of it, over that of the sound of the beam, on a wall that stops both.
+    harmonics: share of the momentum of the sound that is lost at the end by steepening, by harmonics and by a shock.
+    time_s: of the build-up, about: the transit time of the air through the loud part of the beam, at half that speed.
     """
 
     pressure_Pa: float
@@ -38,8 +38,8 @@ class Wind(NamedTuple):
 def wind(step_m: float, pressures_Pa: Complex, air: Air, frequency_Hz: float) -> Wind:
     """The wind of a beam, whose pressures are those of `nonlinear.beams`, at even steps, shape (n,).
 
-    Harmonics take up more than the line at the drive's frequency: sum n^2 B_n^2 = 2/s^2 (1/sqrt(1 - s^2) - 1) of
-    Fubini's B_n, sigma s, by Kapteyn's series; what a shock takes from the sound the wind gets as well.
+    Harmonics absorb more than the line at the drive frequency: sum n^2 B_n^2 = 2/s^2 (1/sqrt(1 - s^2) - 1) of
+    Fubini's B_n, sigma s, by Kapteyn's series. The momentum that a shock takes from the sound goes to the wind as well.
     """
     arp = np.abs(pressures_Pa) ** 2 / (density(air) * sound_speed(air) ** 2)
     if not arp.any():

@@ -1,4 +1,4 @@
-"""Radiation pressure at the same number of points again and again, as a simulation's steps ask for it."""
+"""Radiation pressure at a constant number of points, repeated for the steps of a simulation."""
 
 import cmath
 import math
@@ -23,16 +23,16 @@ from warp_kernels.gradient import MOST
 from warp_kernels.point_sound import BLOCK
 
 MATRIX_FROM = 128
-"""Drives from which a transfer matrix is cheaper: for 256 transducers and 762 points on one core 128 drives take 15 ms
-with a new one and without, 32 take 8.5 ms with a new one, 3.7 ms with one that is there and 3.6 ms without. The choice
-depends on their number alone, not on whether the matrix is there already: so a run repeats to the bit."""
+"""Drives from which a transfer matrix is cheaper. For 256 transducers and 762 points on one core 128 drives take 15 ms
+with a new one and without; 32 take 8.5 ms with a new one, 3.7 ms with a stored one and 3.6 ms without. The choice
+depends on their number alone, not on whether a matrix is stored: so a run repeats to the bit."""
 RANGES_KEPT = 64
 MATRIX_KEPT_BYTES = 2**26
 """A transfer matrix up to this size is kept for the next call with the same points."""
 
 
 class Shades(NamedTuple):
-    """What is left of each transducer's sound at each point: real and imaginary part on the field's device, float32.
+    """Share of the sound of each transducer at each point: real and imaginary part on the field's device, float32.
 
     Shape (blocks of points, transducers as `rows_of` numbers them, points of a block).
     """
@@ -50,12 +50,12 @@ def rows_of(field: MultiArrayField) -> Int:
 
 
 class SurfaceArp:
-    """ARP, and more, at `count` points for one drive after another, in fixed buffers with recorded launches.
+    """ARP and related quantities at `count` points for successive drives, in fixed buffers with recorded launches.
 
-    It belongs to one simulation's state and is used by one thread at a time; on the CPU it takes helper threads.
+    It belongs to the state of one simulation and is used by one thread at a time; on the CPU it takes helper threads.
 
-    field: of the arrays; count: of points; law: one of `palmfield.acoustics.arp` or its key
-    threads: on the CPU, 1 or more; None is all cores that this process may use
+    field: of the arrays. count: of points. law: one of `palmfield.acoustics.arp` or its key.
+    threads: on the CPU, 1 or more; None is all cores that this process may use.
     """
 
     def __init__(self, field: MultiArrayField, count: int, law: str | ArpLaw = "default", threads: int | None = None):
@@ -95,11 +95,11 @@ class SurfaceArp:
     ) -> SurfaceSound:
         """The sound of one drive at the points. Its arrays are views of buffers that the next call overwrites.
 
-        points: [m], normals: unit outward, array frame, both of shape (count, 3)
-        drive: complex amplitudes of all transducers, 1 is full drive, shape (field.count,)
-        flux: whether the result has the energy flux
-        shades: what bodies leave of each transducer's sound at each point, None where nothing is in the way
-        Raises PalmfieldError for other shapes and numbers that are not finite. Normals are taken to be unit vectors.
+        points: [m], normals: unit outward, array frame, both of shape (count, 3).
+        drive: complex amplitudes of all transducers, 1 is full drive, shape (field.count,).
+        flux: whether the result has the energy flux.
+        shades: share of the sound of each transducer at each point that passes bodies, None without obstacles.
+        Raises PalmfieldError for other shapes and numbers that are not finite. Normals are assumed to be unit vectors.
         """
         if drive.dtype != np.complex128:
             drive = drive.astype(np.complex128)
@@ -116,9 +116,9 @@ class SurfaceArp:
     def evaluate_sums(
         self, points: Float | Float32, normals: Float | Float32, units: Complex, levels: Complex
     ) -> Float32:
-        """ARP [Pa] of sums of a few drives, levels @ units, shape (m, count): each drive's field is computed once.
+        """ARP [Pa] of sums of a few drives, levels @ units, shape (m, count): the field of each drive is computed once.
 
-        units: drives, shape (k, field.count), of which zeros cost nothing; levels: how much of each, shape (m, k)
+        units: drives, shape (k, field.count), of which zeros have no cost; levels: weight of each, shape (m, k).
         Raises PalmfieldError as `evaluate`, and for levels of another number of units or that are not finite.
         """
         shape = self.count, 3
@@ -153,7 +153,7 @@ class SurfaceArp:
         """
         self._points.host[...] = points
         self._normals.host[...] = normals
-        # By column: NumPy's reduction along short rows takes ten times as long
+        # By column: reduction along short rows takes ten times as long in NumPy
         self._columns[...] = points.T
         low = np.minimum.reduce(self._columns, axis=1).tolist()
         high = np.maximum.reduce(self._columns, axis=1).tolist()
@@ -222,11 +222,11 @@ class SurfaceArp:
     ) -> Float32:
         """ARP [Pa] of many drives at the points, shape (m, count), by the cheaper way.
 
-        From MATRIX_FROM drives on that is a transfer matrix, which is kept for a next call with the same points. Fewer,
-        and drives where directivities differ, mode is "accurate" or points are too far apart, take the field's kernels.
+        From MATRIX_FROM drives on a transfer matrix, which is stored for the next call with the same points. For fewer,
+        or if directivities differ, mode is "accurate" or points are too far apart, the kernels of the field.
 
-        drives: shape (m, field.count); out: array to fill and return, float32; shades: as `evaluate`, without a matrix
-        amplitudes: array to fill with the pressures' peak amplitudes [Pa], shape (m, count), float32
+        drives: shape (m, field.count). out: array to fill and return, float32. shades: as `evaluate`, without a matrix.
+        amplitudes: array to fill with the peak amplitudes of the pressures [Pa], shape (m, count), float32.
         Raises PalmfieldError as `evaluate`, and for normals that are not unit vectors.
         """
         evaluator, frames = self.field.evaluators[0], len(drives)
@@ -305,7 +305,7 @@ class SurfaceArp:
         return result
 
     def _run_on_gpu(self, blocks: list[Calls], drives: int, sums: "_Sums | None") -> None:
-        """Launches, with copies of what they take there, and back of the ARP of sums or the sound of so many drives."""
+        """Launches, with copies to and from the device, of the ARP of sums or of the sound of a number of drives."""
         taken = [self._points, self._normals, self._sounding]
         for values in taken if sums is None else [*taken, sums.levels]:
             values.upload()
@@ -323,7 +323,7 @@ class SurfaceArp:
     def _record_fields(
         self, falls: tuple[str, ...], block: slice, into: tuple[Any, Any], shades: Shades | None = None
     ) -> Calls:
-        """Launches that put together the fields of all directivities at a block's points.
+        """Launches that assemble the fields of all directivities at the points of a block.
 
         into: pressures and gradients of up to MOST drives there
         """
@@ -350,7 +350,7 @@ def _fields(drives: int, points: int, device: str) -> tuple[Any, Any]:
 
 
 class _Sums(NamedTuple):
-    """What `evaluate_sums` works with: how much of each unit sounds, the ARP, and the launches by MOST units."""
+    """Work arrays of `evaluate_sums`: weight of each unit, the ARP, and the launches by MOST units."""
 
     levels: SharedArray
     arp: SharedArray

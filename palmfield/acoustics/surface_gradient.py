@@ -8,7 +8,7 @@ from palmfield.types import Complex, Float, Int
 
 CHUNK = 4096
 POWERS = [(a, total - a) for total in range(4) for a in range(total + 1)]
-"""Exponents of the cubic's ten terms; (0, 1) and (1, 0) stand at 1 and 2."""
+"""Exponents of the ten terms of the cubic; (0, 1) and (1, 0) have the numbers 1 and 2."""
 
 NEARNESS = 0.15
 LEAST_COSINE = 0.5
@@ -20,8 +20,8 @@ RIDGE = 1e-9
 def surface_gradient(vertices: Float, faces: Int, values: Complex) -> Complex:
     """Tangential gradient at the centroids [per m], shape (m, 3), of values at the centroids, shape (m,).
 
-    A cubic in the face's plane, fitted by least squares to two rings of neighbours: those that share a vertex, and
-    those that share one with these. Near faces weigh more, turned ones less. At eight triangles a wavelength a cubic
+    A cubic in the plane of the face, fitted by least squares to two rings of neighbours: those that share a vertex, and
+    those that share one with these. Near faces weigh more, turned ones less. At eight triangles per wavelength a cubic
     follows a wave along the surface to 1 %, a quadratic over one ring to 6 %.
     """
     count = len(faces)

@@ -1,4 +1,4 @@
-"""What the sound does to a surface as a whole, and where the surface is to the arrays."""
+"""Total effect of the sound on a surface, and the place of the surface relative to the arrays."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,15 +8,15 @@ from palmfield.acoustics.shadow import REACH_m
 from palmfield.types import Float, Float32, Int
 
 CLEARANCE_M = 2e-3
-"""Least distance of a body from an array's board [m]."""
+"""Least distance of a body from the board of an array [m]."""
 GRAZING = 1e-6
 """A ray that goes along a board, to this cosine, does not meet it."""
 
 
 def distance_to_arrays(points: Float, flux: Float | Float32, phased_array: PhasedArray) -> Float:
-    """How far back along the sound each point's ray can meet something before an array's board [m], shape (n,).
+    """Length of each point's ray back along the sound, up to the board of an array [m], shape (n,).
 
-    points: [m], array frame, shape (n, 3); flux: where the sound goes there, any length, shape (n, 3)
+    points: [m], array frame, shape (n, 3). flux: direction of the sound there, any length, shape (n, 3).
     A board is the plane through an array's middle across its mean direction; of several arrays the farthest counts.
     """
     along = flux.T.astype(np.float64, order="C")
@@ -34,15 +34,15 @@ def distance_to_arrays(points: Float, flux: Float | Float32, phased_array: Phase
 
 
 class Parts:
-    """The parts of a body that its faces belong to, for sums over the faces of each in a fixed order.
+    """The parts of a body to which its faces belong, for sums over the faces of each in a fixed order.
 
-    owners: the part that each face belongs to, shape (n,); count: of parts
-    starts: first face of each run, shape (k,); rows: for each run's six sums, part by part, where they go, shape (6 k,)
+    owners: the part of each face, shape (n,). count: of parts.
+    starts: first face of each run, shape (k,). rows: target of the six sums of each run, part by part, shape (6 k,).
     """
 
     def __init__(self, owners: Int, count: int):
         self.count = count
-        # Faces beside one another mostly belong to one part: first the sum over each run of them, then over the runs
+        # Consecutive faces mostly belong to one part: first the sum over each run of them, then over the runs
         changes: NDArray[np.bool_] = np.empty(len(owners), np.bool_)
         changes[:1] = True
         np.not_equal(owners[1:], owners[:-1], out=changes[1:])
@@ -67,9 +67,9 @@ def pushes(areas: Float, normals: Float, points: Float) -> Float:
 
 
 def resultants(arp: Float | Float32, of_unit: Float, origins: Float, parts: Parts) -> tuple[Float, Float]:
-    """Forces [N] on a body's parts and torques about their origins [N m], shapes (b, 3), from what presses its faces.
+    """Forces [N] on the parts of a body and torques about their origins [N m], shapes (b, 3), from the faces' ARP.
 
-    arp: [Pa], positive pushes in, shape (n,); of_unit: of `pushes`, shape (6, n)
+    arp: [Pa], positive pushes in, shape (n,); of_unit: of `pushes`, shape (6, n).
     origins: of the parts [m], in the frame of the faces, shape (b, 3)
     Faces are added up in a fixed order, so that equal input gives equal bits.
     """

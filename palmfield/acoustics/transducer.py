@@ -1,4 +1,4 @@
-"""What is known of any transducer, and a measured directivity as a polynomial."""
+"""Default data of transducers, and a measured directivity as a polynomial."""
 
 import numpy as np
 import scipy  # which loads its parts when they are used
@@ -15,7 +15,7 @@ ANY_P0 = Estimate(
     "published values for transducers of 10 mm at 40 kHz, which depend on the supply voltage: 2.53, 3.4, 4.386 and "
     "8.02 in other projects' software, 8.5 by a data sheet's 120 dB at 0.3 m, 1.27 inferred for the UHEV1",
 )
-"""Peak pressure of one transducer at 1 m on its axis at full drive [Pa m], where nothing is known of an array."""
+"""Peak pressure of one transducer at 1 m on its axis at full drive [Pa m], for an array without data."""
 
 ANY_QUALITY = Estimate(
     25.0,
@@ -24,19 +24,19 @@ ANY_QUALITY = Estimate(
     "assumed",
     "resonances of such transducers; the flatness that Hasegawa & Shinoda 2018 print allows 17",
 )
-"""Quality factor of a transducer's resonance, where nothing is known of an array."""
+"""Quality factor of the resonance of a transducer, for an array without data."""
 
 TABLE_MISFIT_LIMIT = 0.02
-"""Largest distance of the fitted polynomial from a table's entries that is accepted, relative to the axis."""
+"""Largest accepted distance of the fitted polynomial from the entries of a table, relative to the axis."""
 
 
 def table_coefficients(table: Float) -> Float:
     """Quintic in sin^2(angle) nearest to a table, shape (6,), lowest power first; it is exactly 1 on the axis.
 
-    Least squares over every half degree of the table's monotone cubic interpolant (PCHIP), which is continued evenly
-    across the axis so that it is smooth there.
+    Least squares over every half degree of the monotone cubic interpolant (PCHIP) of the table, which is continued
+    evenly across the axis so that it is smooth there.
 
-    table: angle [deg] from 0 to 90 and amplitude relative to the axis, shape (m, 2)
+    table: angle [deg] from 0 to 90 and amplitude relative to the axis, shape (m, 2).
     Raises SceneError when the quintic is more than TABLE_MISFIT_LIMIT away from an entry of the table.
     """
     quintic = nearest_quintic(table)
@@ -51,7 +51,7 @@ def table_coefficients(table: Float) -> Float:
 
 
 def table_misfit(table: Float) -> float:
-    """Largest distance between a table's entries and the quintic fitted to it, relative to the value on the axis."""
+    """Largest distance between the entries of a table and the quintic fitted to it, relative to the axis value."""
     return float(_misfit(nearest_quintic(table), table).max())
 
 

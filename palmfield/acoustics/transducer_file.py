@@ -16,15 +16,15 @@ NORMAL = ("nx", "ny", "nz")
 MOST_GAIN = 2.0
 """Transducers of one array differ by tenths; what is louder is a level, which p0 holds."""
 FARTHEST_m = 5.0
-"""Beyond this from the array's frame a position is taken for one in another unit."""
+"""Distance from the array's frame above which a position is assumed to be in another unit."""
 
 
 @dataclass(frozen=True)
 class TransducerTable:
-    """What a file says of an array's transducers, comparable: in the array's frame, one entry for each transducer.
+    """The data of a file on the transducers of an array, comparable: in the array's frame, one entry per transducer.
 
     positions: [m]; normals: emitting directions of any length; gains: amplitude relative to p0, and phase as in
-    `palmfield.types.Array`; addresses: in the board's byte order, None where the file gives none
+    `palmfield.types.Array`; addresses: in the byte order of the board, None if the file gives none.
     """
 
     positions: tuple[tuple[float, ...], ...]
@@ -43,10 +43,10 @@ def read_transducers(path: str | Path) -> TransducerTable:
     """The transducers in a CSV file with a line of column names.
 
     Columns: x_m, y_m, z_m or x_mm, y_mm, z_mm; if they don't all emit along z nx, ny, nz; gain (amplitude relative to
-    p0, -2 to 2; 0 is dead, -1 inverted) and phase_deg where they differ; address, its place in the board's byte order.
-    Raises SceneError for a file that cannot be read, a missing, unknown or doubled column, two transducers at one
-    place, and, with line and column, for text, NaN, a direction of length 0, gains beyond 2, and addresses that are not
-    0 to n - 1.
+    p0, -2 to 2; 0 is dead, -1 inverted) and phase_deg where they differ; address, the place in the board's byte order.
+    Raises SceneError for a file that cannot be read, for a missing, unknown or doubled column, and for two transducers
+    at one place. Raises SceneError with line and column for text, NaN, a direction of length 0, gains beyond 2, and
+    addresses that are not 0 to n - 1.
     """
     file = Path(path)
     columns, places = read_table(file)

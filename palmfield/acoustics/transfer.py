@@ -23,7 +23,7 @@ from warp_kernels import products
 from warp_kernels import transfer as kernels
 
 DROPPED = 1e-5
-"""Part of a frame's norm that a reduction to fewer dimensions may lose, for each frame."""
+"""Share of the norm of each frame that a reduction to fewer dimensions may lose."""
 SPAN_FROM = 0.7
 """Share of the transducers above which fewer dimensions save no work."""
 FIRST_SAMPLE = 64
@@ -35,7 +35,7 @@ GPU_SCRATCH_BYTES = 2**31
 BYTES_LIMIT = 2**32
 """Most that a matrix may take [bytes], however much memory there is."""
 GPU_SHARE = 8
-"""A GPU holds the matrix twice over, reduced once more, and blocks of products beside the result."""
+"""A GPU holds the matrix twice, its reduced form, and blocks of products as well as the result."""
 MATRIX_FROM = 16
 """Frames from which the matrix is cheaper: it takes as long as 10 to 15 frames, docs/bench/frames.md."""
 
@@ -45,12 +45,12 @@ Weights = tuple[float, float, float]
 
 
 class Transfer:
-    """What every transducer of an array does at fixed points: pressure, and gradient along the surface and its normal.
+    """Transfer matrix from all transducers to fixed points: pressure, and gradient along the surface and its normal.
 
-    evaluator: array, air, absorption and device, of mode "fast": the matrix is computed in float32
-    points: [m], array frame, shape (n, 3); normals: unit outward, shape (n, 3), of opaque surfaces, see `arp_frames`
-    It takes 32 bytes a transducer and point. Raises PalmfieldError for an evaluator of mode "accurate", for bad points
-    or normals, for points too far apart (see CUBIC_REACH_Np), and for more than `memory_limit`.
+    evaluator: array, air, absorption and device, of mode "fast": the matrix is computed in float32.
+    points: [m], array frame, shape (n, 3). normals: unit outward, shape (n, 3), of opaque surfaces, see `arp_frames`.
+    It takes 32 bytes per transducer and point. Raises PalmfieldError for an evaluator of mode "accurate", for bad
+    points or normals, for points too far apart (see CUBIC_REACH_Np), and for more than `memory_limit`.
     """
 
     def __init__(self, evaluator: FieldEvaluator, points: ArrayLike, normals: ArrayLike):
@@ -119,13 +119,13 @@ class Transfer:
     def arp(self, drives: ArrayLike, law: str | ArpLaw = "default", out: Float32 | None = None) -> Float32:
         """ARP [Pa], shape (frames, points), for drives of shape (frames, transducers); see `palmfield.acoustics.arp`.
 
-        out: array to fill and return, float32; memory used before has no new pages for the system to clear
+        out: array to fill and return, float32; memory used before has no new pages for the system to clear.
         Raises SceneError for an unknown law, PalmfieldError for drives that are not finite or of another shape, and for
         an `out` of another shape or type.
         """
         weights = law_weights(law, self.evaluator.air)
-        # One BLAS thread in each of ours: its own would share out products that fit one core's cache, and where other
-        # programs run its waiting threads took up to twenty times as long for the reduction
+        # One BLAS thread in each of ours: more would split products that fit one core's cache. With other programs
+        # running, waiting BLAS threads made the reduction up to twenty times slower
         with one_blas_thread:
             left, basis = self.reduced(drives)
             result = np.empty((len(left), self.points), np.float32) if out is None else out
@@ -166,7 +166,7 @@ class Transfer:
                 room = _Room()
             for chunk, rows in chunks:
                 for k in range(8):
-                    # BLAS takes rows that lie apart: nothing is copied
+                    # BLAS accepts separate rows: no copy is made
                     np.matmul(rows, matrix[:, k], out=room.products.host[k, : len(rows), :width])
                 count = len(rows) // 2
                 launch = room.launches.get((count, width, weights)) or room.record(count, width, weights)
@@ -189,7 +189,7 @@ class Transfer:
                         room.record(count, width, weights)
 
     def arp_on_gpu(self, drives: ArrayLike, law: str | ArpLaw = "default") -> Any:
-        """As `arp`, but computed and left on the evaluator's GPU: a Warp array of shape (frames, points)."""
+        """As `arp`, but computed and left on the GPU of the evaluator: a Warp array of shape (frames, points)."""
         weights = wp.vec3(*law_weights(law, self.evaluator.air))
         left, basis = self.reduced(drives)
         device = self.evaluator.device
@@ -248,7 +248,7 @@ class _Room:
         self.launches: dict[tuple[int, int, Weights], Callable[[], object]] = {}
 
     def record(self, count: int, width: int, weights: Weights) -> Callable[[], object]:
-        """The launch that takes a block's products to ARP."""
+        """The launch that computes ARP from the products of a block."""
         inputs = [self.products.array, count, width, wp.vec3(*weights), 0, 0, self.arp.array]
         launch = self.launches[count, width, weights] = recorded(kernels.arp_rows, count, inputs, "cpu")
         return launch
@@ -257,9 +257,9 @@ class _Room:
 def span(frames: Complex) -> tuple[Complex, Complex] | None:
     """Coordinates C and orthonormal basis V, shape (transducers, r), with frames = C V^H.
 
-    Every frame loses DROPPED of its own norm at most, however quiet it is beside the others. None where r isn't well
+    Every frame loses DROPPED of its own norm at most, even if it is quiet against the others. None where r isn't well
     below the number of transducers. The basis comes from few frames, each divided by its norm: some at random, then
-    those that the basis of the others serves worst.
+    those that the basis of the others represents worst.
     """
     elements = frames.shape[1]
     energy = squares(frames)
@@ -302,7 +302,7 @@ def in_basis(matrix: Float32, basis: NDArray[np.complex64]) -> Float32:
 
 
 def real_form(matrix: Float32) -> Float32:
-    """Matrix that takes a drive's (real, imaginary) parts to eight blocks of points, shape (2 transducers, 8 n).
+    """Matrix from (real, imaginary) parts of a drive to eight blocks of points, shape (2 transducers, 8 n).
 
     matrix: as Transfer keeps it, shape (transducers, 8, n)
     """
@@ -331,7 +331,7 @@ def available_bytes() -> int:
 
 
 def too_steep(evaluator: FieldEvaluator, points: NDArray[np.floating]) -> bool:
-    """Whether absorption over the range of distances is more than the matrix's cubic follows."""
+    """Whether absorption over the range of distances is too large for the cubic of the matrix."""
     low, high = distances(points, evaluator.array.positions)
     return evaluator.absorption_Np_m * (high - low) > CUBIC_REACH_Np
 
@@ -341,14 +341,13 @@ def arp_frames(
 ) -> Float32:
     """ARP [Pa] of many drive frames on the same points, shape (frames, points), by the cheaper way.
 
-    That is a transfer matrix from MATRIX_FROM frames on, in blocks of points where all of them would take more than
-    `memory_limit`. Fewer frames, mode "accurate" and points too far apart for the matrix go frame by frame.
+    From MATRIX_FROM frames on a transfer matrix, in blocks of points if all of them would take more than
+    `memory_limit`. Fewer frames, mode "accurate" and points too far apart for the matrix are computed frame by frame.
 
-    evaluator: array, air, absorption, mode and device; on a GPU the products are done there
-    points: [m], array frame, shape (n, 3); normals: unit outward, shape (n, 3), of opaque surfaces: what transducers
-        send from behind them is left out
-    drives: complex amplitudes, shape (frames, transducers)
-    Raises what `palmfield.acoustics.arp.arp` and FieldEvaluator raise.
+    evaluator: array, air, absorption, mode and device; on a GPU the products are computed there.
+    points: [m], array frame, shape (n, 3); normals: unit outward, shape (n, 3), of opaque surfaces: sound from
+        behind them is left out; drives: complex amplitudes, shape (frames, transducers).
+    Raises the errors of `palmfield.acoustics.arp.arp` and FieldEvaluator.
     """
     law = law_named(law)
     array = evaluator.array

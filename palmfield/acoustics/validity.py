@@ -1,4 +1,4 @@
-"""Where the linear far-field model of the sound stops being right, and warnings in words."""
+"""Limits of the linear far-field model of the sound, with warnings in words."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,7 +13,7 @@ from palmfield.errors import PalmfieldError
 from palmfield.types import Air, Array, Complex, Float
 
 FAR_FIELD_ERROR = 0.01
-"""Error of one transducer's amplitude from which `warnings` speaks."""
+"""Error of the amplitude of one transducer above which `warnings` gives a line."""
 
 ARP_LOSS = 0.01
 """Share of the ARP behind a shock from which `warnings` speaks."""
@@ -27,9 +27,9 @@ class PalmfieldWarning(UserWarning):
 
 
 def far_field_m(array: Array, error: float = FAR_FIELD_ERROR) -> float:
-    """Distance [m] from which the far-field directivity gives a transducer's amplitude within a relative error.
+    """Distance [m] beyond which the far-field directivity gives the amplitude of a transducer within a relative error.
 
-    It is b sqrt(near/error), with `near` of the array's form, 0.45. The phase is then off by k b^2/(4 distance) on the
+    It is b sqrt(near/error), with `near` of the array's form, 0.45. The phase error is then k b^2/(4 distance) on the
     axis and up to 1.4 times that off it, in radians; most of it is common to all transducers and moves no focus.
 
     Raises PalmfieldError for an error above 0.1, where the fall with the square of the distance ends.
@@ -47,12 +47,12 @@ def radiation_pressure_Pa(pressure_Pa: float, air: Air) -> float:
 def warnings(
     array: Array, points: ArrayLike, pressure: ArrayLike, air: Air, beam: tuple[Complex, Float] | None = None
 ) -> list[str]:
-    """What a linear far-field model gets wrong for this sound, one line each; empty where it holds.
+    """Errors of a linear far-field model for this sound, one line each; empty where it holds.
 
-    points: [m], array frame, shape (n, 3), or one, for example the focus, shape (3,)
-    pressure: peak pressure at the points, complex or magnitude [Pa], shape (n,), or one number
-    beam: what makes it, complex amplitudes, shape (len(array),), and its focus, shape (3,), which may be elsewhere; by
-        default one that is focused at the loudest point
+    points: [m], array frame, shape (n, 3), or one, for example the focus, shape (3,).
+    pressure: peak pressure at the points, complex or magnitude [Pa], shape (n,), or one number.
+    beam: its drive, complex amplitudes, shape (len(array),), and its focus, shape (3,), which may be elsewhere; by
+        default one that is focused at the loudest point.
     Raises PalmfieldError for points or pressures that are not finite or don't match, SceneError for bad air or array.
     """
     check.array(array)
@@ -128,8 +128,8 @@ def _too_loud(array: Array, point: np.ndarray, peak: float, air: Air, beam: tupl
 def least_radius_m(points: Float, at: Float, reach_m: float) -> float | None:
     """Least radius of curvature [m] of a surface near a point: of the paraboloid through its points; inf if it is flat.
 
-    points: of the surface [m], shape (n, 3); at: shape (3,); reach_m: how far round the surface's nearest point
-    None where that is further than twice as far away, and for fewer than six points there.
+    points: of the surface [m], shape (n, 3). at: shape (3,). reach_m: distance round the surface's nearest point.
+    None if that point is further away than twice this distance, and for fewer than six points within it.
     """
     distance = np.linalg.norm(points - at, axis=1)
     nearest = points[int(np.argmin(distance))]

@@ -1,6 +1,6 @@
-"""palmfield's physics as MuJoCo plugins.
+"""The physics of palmfield as MuJoCo plugins.
 
-`palmfield.engine.host.register` makes a plugin of a `Module`; `raise_errors` raises what went wrong inside one:
+`palmfield.engine.host.register` makes a plugin of a `Module`; `raise_errors` raises an error that occurred inside one:
 
 import mujoco
 from palmfield.engine import raise_errors

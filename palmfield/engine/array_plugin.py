@@ -10,7 +10,7 @@ from palmfield.mujoco_host.drawing import Drawing
 from palmfield.mujoco_host.mujoco_view import ModelView
 
 PHASES_GROUP = 1
-"""Of geoms: a viewer shows the transducers' phases while it is on."""
+"""Group of geoms: a viewer shows the phases of the transducers while it is on."""
 LEAST_RADIUS, DISC_m, ABOVE_m = 0.25, 2e-4, 2e-4
 
 

@@ -7,7 +7,7 @@ from palmfield.engine.host import Module
 
 
 class DriverModule(Module):
-    """Holds the board's keys."""
+    """Holds the keys of the board."""
 
     name: ClassVar[str] = DriverConfig.plugin
     config: ClassVar[type[Config]] = DriverConfig

@@ -24,9 +24,9 @@ from palmfield.mujoco_host.structs import Plugin, library
 class World(DataView):
     """One mjData with the modules of its plugin instances.
 
-    scene: the palmfield scene that it holds, made by its first skin; view: what is drawn of it, made when it first is
-    undrawn: whether drawing it once failed
-    error: what a module could not raise through C; quiet: whether somebody will raise it, so that MuJoCo need not warn
+    scene: the palmfield scene that it holds, made by its first skin. view: its picture, made at first drawing.
+    undrawn: whether drawing it once failed.
+    error: that a module could not raise through C. quiet: whether a caller will raise it, so MuJoCo need not warn.
     """
 
     def __init__(self, model: int, data: int):
@@ -69,16 +69,16 @@ class Module:
         """Passive forces at the present time; may be called several times for one step."""
 
     def sense(self) -> None:
-        """Fill the module's sensors (`self.world.sensors(self.instance)`)."""
+        """Fill the sensors of the module (`self.world.sensors(self.instance)`)."""
 
     def advance(self) -> None:
-        """Carry the module's own state over one step; MuJoCo's time already stands at its end."""
+        """Carry the state of the module over one step; MuJoCo's time is already that of the end of the step."""
 
     def draw(self, drawing: Drawing) -> None:
-        """Add to the picture that a viewer is about to draw; nothing of the simulation may change by it."""
+        """Add to the picture that a viewer is about to draw; the simulation must not change by it."""
 
     def copy_from(self, other: Any) -> None:
-        """mj_copyData has copied another mjData's state into this one; `other` is its module."""
+        """Called after mj_copyData has copied another mjData's state into this one; `other` is its module."""
 
 
 _worlds: dict[int, World] = {}
@@ -93,9 +93,9 @@ def world_of(data: mujoco.MjData) -> World | None:
 
 
 def raise_errors(data: mujoco.MjData) -> None:
-    """Raise, once, what a module could not raise through MuJoCo's C frames.
+    """Raise, once, an error that a module could not raise through MuJoCo's C frames.
 
-    KeyboardInterrupt where Ctrl-C cut a module off: a part of the step is missing from the state then.
+    KeyboardInterrupt where Ctrl-C interrupted a module: a part of the step is missing from the state then.
     """
     world = _worlds.get(data._address)
     if world is not None and world.error is not None:
@@ -114,14 +114,14 @@ def compiling() -> Iterator[None]:
 
 
 def take_compile_error() -> Exception | KeyboardInterrupt | None:
-    """What a module's construction raised since the last call, in this thread; MuJoCo's own error only quotes it."""
+    """The error of a module's construction since the last call, in this thread; MuJoCo's own error only quotes it."""
     error, _compiling.error = getattr(_compiling, "error", None), None
     _compiling.sizing = None
     return error
 
 
 def _fail(world: World | None, module: str, error: Exception | KeyboardInterrupt) -> None:
-    """Keep the first error for `raise_errors`, show it through MuJoCo, and put NaN where a result would stand."""
+    """Keep the first error for `raise_errors`, show it through MuJoCo, and put NaN in the place of results."""
     silent = getattr(_compiling, "active", False) if world is None else world.quiet or world.error is not None
     if not silent:
         known = isinstance(error, PalmfieldError | KeyboardInterrupt)
@@ -137,8 +137,8 @@ def _fail(world: World | None, module: str, error: Exception | KeyboardInterrupt
 def _cut_off(world: World, module: str) -> None:
     """Keep Ctrl-C, which cannot pass through MuJoCo's C frames, for `raise_errors`."""
     if world.error is not None:
-        # Nobody has raised the last error. Further ones must end a program that never asks: each is raised again, and
-        # ends it where that meets this thread in Python
+        # The last error has not been raised. Further ones must end a program that never calls `raise_errors`: each is
+        # raised again, and ends the program where that meets this thread in Python
         _thread.start_new_thread(_thread.interrupt_main, ())
     text = "Ctrl-C cut a step off; the state is incomplete: reset it, or go back to a copy"
     _fail(world, module, KeyboardInterrupt(text))
@@ -152,13 +152,13 @@ def settings_of(module: type[Module], model: ModelView, instance: int) -> Config
 
 
 def register(module: type[Module]) -> None:
-    """Make a module known to MuJoCo under its name. Registering the same name again changes nothing."""
+    """Register a module with MuJoCo under its name. Registering the same name again has no effect."""
     lib = library()
     if lib.mjp_getPlugin(module.name.encode(), None):
         return
 
     def nstate(model: int, instance: int) -> int:
-        # MuJoCo asks for one instance after the other: an earlier one, or another model, is another compilation.
+        # MuJoCo requests one instance after the other: an earlier one, or another model, is another compilation.
         last_model, last_instance = getattr(_compiling, "sized", (0, -1))
         if model != last_model or instance <= last_instance:
             _compiling.sizing = None
@@ -204,7 +204,7 @@ def register(module: type[Module]) -> None:
         if world is not None and origin is not None and instance in world.modules and instance in origin.modules:
             world.modules[instance].copy_from(origin.modules[instance])
 
-    # At exit MuJoCo frees its data after this file's globals are gone; the closure keeps what `destroy` needs.
+    # At exit MuJoCo frees its data after the globals of this file are gone; the closure keeps what `destroy` needs.
     worlds, lock = _worlds, _lock
 
     def destroy(data: int, instance: int) -> None:

@@ -1,4 +1,4 @@
-"""Several mjData of one mjModel at once: loops over them run in C, without Python's lock where nothing calls back."""
+"""Several mjData of one mjModel at once: loops over them run in C, without the GIL unless a callback needs Python."""
 
 import ctypes
 from collections.abc import Callable, Sequence
@@ -18,15 +18,15 @@ from warp_kernels import mujoco_calls as kernels
 Field = Literal[
     "xpos", "xmat", "site_xpos", "site_xmat", "mocap_pos", "mocap_quat", "ctrl", "qpos", "qvel", "sensordata", "time"
 ]
-"""Numbers of float64 in mjData, which stay where they are as long as it lives."""
+"""Numbers of float64 in mjData, whose addresses are constant during its life."""
 WORLDS_PER_THREAD = 8
-"""Fewest that are worth a thread of their own."""
+"""Fewest data per thread."""
 
 
 class ManyData:
     """mjData with the same mjModel.
 
-    views: of them; calls_back: whether MuJoCo calls Python inside a step, so that threads would wait for each other
+    views: of them. calls_back: whether MuJoCo calls Python inside a step, so that threads would wait for each other.
     """
 
     def __init__(self, views: Sequence[DataView], calls_back: bool):
@@ -42,7 +42,7 @@ class ManyData:
         self._pushing: dict[bytes, tuple[Float, Sequence[Callable[[], object]]]] = {}
 
     def call(self, name: str) -> None:
-        """Call a function of MuJoCo's that takes a model and its data for each of them."""
+        """Call a MuJoCo function that takes a model and its data for each of them."""
         calls = self._calls.get(name)
         if calls is None:
             parts = [self._data[own] for own in self._blocks()]
@@ -60,7 +60,7 @@ class ManyData:
         self._taking[field]()
 
     def times(self) -> Float:
-        """MuJoCo's time in each of them [s], shape (w,); overwritten by the next call."""
+        """MuJoCo time of each of them [s], shape (w,); overwritten by the next call."""
         self.take("time", [0], self._times)
         return self._times[:, 0]
 
@@ -101,7 +101,7 @@ class ManyData:
         self._share(shared)
 
     def _blocks(self) -> list[slice]:
-        """Which of them each thread takes."""
+        """Numbers of the data for each thread."""
         count = len(self.views)
         size = -(-count // self._threads)
         return [slice(start, min(start + size, count)) for start in range(0, count, size)]
@@ -124,5 +124,5 @@ class ManyData:
 
 
 def _function(name: str) -> Any:
-    """Address of one of MuJoCo's functions."""
+    """Address of a MuJoCo function."""
     return wp.uint64(ctypes.cast(getattr(library(), name), ctypes.c_void_p).value or 0)

@@ -17,10 +17,10 @@ if TYPE_CHECKING:
 
 
 class MotionModule(Module):
-    """Leads a hand along its motion: after each step the mocap body and the joints' servos get what is due then.
+    """Lead a hand along its motion: after each step set the targets of the mocap body and of the servos of the joints.
 
-    At the scene's first step, and at every one with follow `exact`, the hand itself is put where the motion has it,
-    with its speed. The script goes by MuJoCo's time alone, so copies and saved states stay complete.
+    At the first step of the scene, and at every step with follow `exact`, the hand itself is put at the place of the
+    motion, with its speed. The script depends only on MuJoCo's time, so copies and saved states stay complete.
     """
 
     name: ClassVar[str] = MotionConfig.plugin
@@ -72,13 +72,13 @@ class MotionModule(Module):
         self.world.put(self.due(self.world.time, at_once=True))
 
     def advance(self) -> None:
-        """Give what is due at the step's end."""
+        """Set the targets due at the end of the step."""
         self.world.put(self.due(self.world.raw.time))
 
     def due(self, time_s: float, at_once: bool = False) -> list[Write]:
-        """What mocap body and servos get at a time [s], and the hand itself where it is put there.
+        """Set the targets of mocap body and servos at a time [s], and the pose of the hand itself in some cases.
 
-        That is `at_once`, in the scene's first step, and always with key follow = exact.
+        The hand is put there for `at_once`, in the first step of the scene, and always with key follow = exact.
         """
         pose = self.motion.at(time_s)
         place, turn = self._offsets
@@ -91,7 +91,7 @@ class MotionModule(Module):
         return writes
 
     def _put(self, now: "HandPose", time_s: float) -> list[Write]:
-        """What puts the hand itself into its pose at a time [s], with the speed that it has there."""
+        """The function that puts the hand itself into its pose at a time [s], with the speed that it has there."""
         if self.root is None:
             return []
         model = self.world.model
@@ -111,15 +111,15 @@ class MotionModule(Module):
         ]
 
     def _angles(self, angles_deg: dict[str, float]) -> Float:
-        """Of all joints [rad]; those that are not named are at rest."""
+        """Angles of all joints [rad]; those that are not named are at rest."""
         return np.deg2rad(list(map(angles_deg.get, self._names, self._rest_deg)))
 
 
 def place(data: mujoco.MjData) -> None:
-    """Put every scripted hand of some data where its motion has it at the data's time, and update all positions.
+    """Put every scripted hand of some data at its place in the motion at the time of the data; update all positions.
 
-    `palmfield.load` does so; call it after `mujoco.mj_resetData` or after setting the time. Otherwise the first step
-    is computed where MuJoCo's reference configuration has the hands. Raises SceneError from what a motion answers.
+    `palmfield.load` calls it; call it after `mujoco.mj_resetData` or after setting the time. Otherwise the first step
+    is computed with the hands in MuJoCo's reference configuration. Raises SceneError from the result of a motion.
     """
     world = world_of(data)
     if world is None:

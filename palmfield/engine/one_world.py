@@ -16,7 +16,7 @@ from palmfield.types import Float
 class OneWorld:
     """One world of a scene, with the calls of `palmfield.engine.worlds.SceneWorlds`.
 
-    data: MuJoCo's, the only one; runtimes: what carries it
+    data: the only mjData. runtimes: those that step it.
     """
 
     def __init__(self, data: mujoco.MjData, name: str):
@@ -30,7 +30,7 @@ class OneWorld:
 
     @property
     def steps(self) -> Steps:
-        """What steps sound and skins."""
+        """The runtime that steps sound and skins."""
         return self.runtimes[0].steps
 
     @property
@@ -39,13 +39,13 @@ class OneWorld:
         return np.array([self.runtimes[0].applied])
 
     def step(self) -> None:
-        """One of MuJoCo's steps. Raises what a plugin raised in it."""
+        """Run one MuJoCo step. Raises an error that a plugin raised in it."""
         mujoco.mj_step(self.mujoco_model, self.data[0])
         raise_errors(self.data[0])
 
     def several(self, most: int) -> int:
-        """So many of MuJoCo's steps in one go, without the forces and sensors of those before the last, where nothing
-        feels or reads them; otherwise one. Returns how many. Raises as `step`."""
+        """Run this number of MuJoCo steps together, without forces and sensors before the last, where these have no
+        effect and are not read; otherwise one step. Returns the number of steps. Raises as `step`."""
         runtime = self.runtimes[0]
         count = most if most > 1 and runtime.may_gather else 1
         if count > 1:
@@ -60,7 +60,7 @@ class OneWorld:
         return count
 
     def restart(self, time_s: float | None = None) -> None:
-        """At rest at a time [s], at 0 without, with hands where their motions have them then."""
+        """Reset to rest at a time [s], 0 by default, with hands at their places in their motions then."""
         mujoco.mj_resetData(self.mujoco_model, self.data[0])
         if time_s is not None:
             self.data[0].time = time_s
@@ -73,7 +73,7 @@ class OneWorld:
         raise_errors(self.data[0])
 
     def settle(self) -> None:
-        """Nothing is put off here."""
+        """No work is deferred here."""
 
     def copy(self) -> "OneWorld":
         """Another in the same state."""

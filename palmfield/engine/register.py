@@ -2,7 +2,7 @@
 
 
 def register() -> None:
-    """Make palmfield's modules known to MuJoCo."""
+    """Register the palmfield modules with MuJoCo."""
     from palmfield.engine import host
     from palmfield.engine.modules import MODULES
 

@@ -33,10 +33,10 @@ PASSIVE = int(mujoco.mjtDisableBit.mjDSBL_SPRING) | int(mujoco.mjtDisableBit.mjD
 class SceneRuntime:
     """Model, state and workspace of one mjData.
 
-    outlets: what takes the force on each body's parts
-    taken: which frames of MuJoCo's sites and bodies are taken, by number, and to which rows they go
-    skins_rest: whether steps leave skins out: what moves gets the push of the sound all the same
-    gathers: whether steps are only noted, to be computed several at once, without forces and sensors: see `settle`
+    outlets: take the force on the parts of each body.
+    taken: the frames of MuJoCo's sites and bodies that are taken, by number, and the rows to which they go.
+    skins_rest: whether steps leave skins out: bodies get the force of the sound all the same.
+    gathers: whether steps are only noted, to be computed several at once, without forces and sensors: see `settle`.
     """
 
     def __init__(self, view: DataView, like: "SceneRuntime | None" = None):
@@ -80,7 +80,7 @@ class SceneRuntime:
 
     @property
     def frames(self) -> int:
-        """How many world frames sound and skins depend on."""
+        """Number of world frames on which sound and skins depend."""
         return len(self._positions)
 
     def join(
@@ -91,11 +91,11 @@ class SceneRuntime:
         frames: tuple[Float, Float],
         beside: "SceneRuntime | None" = None,
     ) -> None:
-        """Be one of several worlds, whose state lies outside of mjData; what was kept so far is forgotten.
+        """Become one of several worlds, whose state lies outside mjData; all stored results are dropped.
 
-        model: of the same bodies and arrays, with the world's own stimuli; state: the world's part, as views
-        frames: where world frames are put, positions [m] and matrices by row, shapes (frames, 3) and (frames, 9)
-        beside: of another world, whose sensors read at the same places; None for the first
+        model: of the same bodies and arrays, with the world's own stimuli. state: the part of the world, as views.
+        frames: where world frames are put, positions [m] and matrices by row, shapes (frames, 3) and (frames, 9).
+        beside: of another world, whose sensors read at the same places; None for the first.
         """
         self._places = {} if beside is None else beside._places
         self.model, self.work = model, work
@@ -104,7 +104,7 @@ class SceneRuntime:
         self.forget()
 
     def forget(self) -> None:
-        """Know nothing of the last pose."""
+        """Forget the last pose."""
         self._posed, self._numbers, self._begun = self.work.reference, b"", None
 
     def prepare(self, bar: Progress) -> None:
@@ -119,7 +119,7 @@ class SceneRuntime:
 
     @cached_property
     def state(self) -> HapticState:
-        """Views of MuJoCo's plugin state."""
+        """Views of the plugin state of MuJoCo."""
         view, binding = self.view, self.binding
         return HapticState(
             tuple(view.state(instance).reshape(1, -1) for instance in binding.array_instances),
@@ -149,14 +149,14 @@ class SceneRuntime:
 
     @property
     def posed(self) -> PosedScene:
-        """What MuJoCo's present poses mean; the same object while nothing moves.
+        """The PosedScene of MuJoCo's present poses; the same object while nothing moves.
 
         Raises SceneError where a body reaches into an array.
         """
         return self._posed_at(self._frames())
 
     def _posed_at(self, numbers: bytes) -> PosedScene:
-        """What the frames that were taken last mean."""
+        """The PosedScene of the frames that were taken last."""
         last = self._posed
         if numbers == self._numbers:
             return last
@@ -168,7 +168,7 @@ class SceneRuntime:
         return posed
 
     def _frames(self) -> bytes:
-        """Take MuJoCo's present frames; their numbers."""
+        """Take the present frames of MuJoCo; returns their numbers."""
         for kind, chosen, part in self.taken:
             positions, matrices = self.view.frames[kind]
             # Mode "clip", as the others go through a buffer
@@ -177,7 +177,7 @@ class SceneRuntime:
         return self._positions.tobytes() + self._matrices.tobytes()
 
     def _begin(self, t0: float, anew: bool) -> None:
-        """Let the step begin that does so at t0 [s] in the present pose and state; not again unless `anew`."""
+        """Begin the step at t0 [s] in the present pose and state; not again unless `anew`."""
         frames, begun, steps = self._frames(), self._begun, self.steps
         if not anew and begun is not None and begun == (round(t0, 12), frames, steps.state_now()):
             return
@@ -190,15 +190,15 @@ class SceneRuntime:
 
     @property
     def amplitudes(self) -> Complex:
-        """What all transducers emit now, shape (N,); overwritten by the next call."""
+        """The present emission of all transducers, shape (N,); overwritten by the next call."""
         return gather(self.state, self.work)
 
     def skin_states(self) -> list[tuple[SkinStepper, Float]]:
-        """What steps each skin, and its numbers, shape (1, state_size), views."""
+        """The stepper of each skin, and its numbers, shape (1, state_size), views."""
         return [stepper_of(self.model, self.state, number) for number in range(len(self.model.skins))]
 
     def now(self) -> tuple[PosedScene, EmittedCourse]:
-        """Pose and emission at MuJoCo's present time."""
+        """Pose and emission at the present time of MuJoCo."""
         posed = self.posed
         return posed, self.work.emission.now(posed, gather(self.state, self.work), self.view.raw.time)
 
@@ -208,7 +208,7 @@ class SceneRuntime:
         return self.applied_parts
 
     def push(self) -> None:
-        """Add the sound's forces to MuJoCo's passive ones."""
+        """Add the forces of the sound to the passive forces of MuJoCo."""
         if self.gathers:
             self._note()
             return
@@ -238,7 +238,7 @@ class SceneRuntime:
 
     @cached_property
     def felt(self) -> str:
-        """Why steps are not gathered: what feels the sound's force, or may read sensors; empty where they may be."""
+        """Why steps are not gathered: a body feels the force of the sound, or sensors may be read; empty otherwise."""
         model = self.view.model
         if serves(self.model):
             return "a graph on a GPU takes each by itself"
@@ -250,7 +250,7 @@ class SceneRuntime:
 
     @property
     def may_gather(self) -> bool:
-        """Whether steps may be gathered now: nothing feels them, reads in them or watches them."""
+        """Whether steps may be gathered now: no body feels them, no sensor is read in them, no code watches them."""
         steps, watched = self.steps, any(one is not None for one in self.work.observe)
         called = any(
             getattr(mujoco, f"get_mjcb_{name}")()
@@ -260,7 +260,7 @@ class SceneRuntime:
         return not (self.felt or watched or called or steps.observer is not None or graphs)
 
     def advance(self) -> None:
-        """Carry transducers and skins over MuJoCo's last step, with the pose at its beginning."""
+        """Carry transducers and skins over the last MuJoCo step, with the pose at its beginning."""
         end = self.view.raw.time
         self.check_options()
         if self.gathers and self._gathered is not None:
@@ -272,10 +272,10 @@ class SceneRuntime:
         self.steps.advance(begin, end, not self.skins_rest)
 
     def check_options(self) -> None:
-        """Raises SceneError for options of MuJoCo's under which the sound's forces would be wrong or left out.
+        """Raise SceneError for MuJoCo options with which the forces of the sound would be wrong or left out.
 
-        These are another time step than that for which the skins are made, an integrator that takes forces within a
-        step (RK4), and springs and dampers that are both disabled, with which MuJoCo leaves out all passive forces.
+        These are a time step other than the one for which the skins are made, an integrator that takes forces within a
+        step (RK4), and springs and dampers both disabled, in which case MuJoCo leaves out all passive forces.
         """
         option = self.view.model.raw.opt
         now_s = option.timestep
@@ -296,9 +296,9 @@ class SceneRuntime:
             )
 
     def adopt(self, other: "SceneRuntime") -> None:
-        """Take over, in a copy of another mjData, what its coming steps depend on and MuJoCo's state doesn't hold.
+        """Take over, in a copy of another mjData, the data for its coming steps that the state of MuJoCo doesn't hold.
 
-        That is where the stimuli's points were at the last control tick, and which loads were computed ahead.
+        These are the points of the stimuli at the last control tick, and the loads that were computed ahead.
         """
         if other.model is self.model:
             self.adopt_pose(other)
@@ -308,20 +308,20 @@ class SceneRuntime:
             self.steps.forces = [force.copy() for force in other.steps.forces]
 
     def adopt_pose(self, other: "SceneRuntime") -> None:
-        """Be in the PosedScene in which another of the same model is: nothing in it changes."""
+        """Take the PosedScene of another runtime of the same model: the pose in it does not change."""
         self._posed, self._numbers = other._posed, other._numbers
 
     def exchange(self, model: HapticModel) -> None:
-        """Go on with another model of the same arrays, bodies and skins; the state must be reset.
+        """Continue with another model of the same arrays, bodies and skins; the state must be reset.
 
-        What stepped the skins goes on as well, so that it must serve the loads of the other model's stimuli.
+        The steppers of the skins stay as well, so they must serve the loads of the other model's stimuli.
         """
         self.model, self.spec, self.work = model, model.spec, Workspace(model)
         self.__dict__.pop("steps", None)
         self.forget()
 
     def sense(self, skin: int, sensors: Sequence[PluginSensor]) -> None:
-        """Fill a skin's sensors from the state at the present time."""
+        """Fill the sensors of a skin from the state at the present time."""
         if self.gathers:
             return
         time_s = self.view.raw.time
@@ -333,7 +333,7 @@ class SceneRuntime:
             sensor.data[:] = channels(skin_reading(force, motion, arp))
 
     def place(self, skin: int, sensor: PluginSensor) -> SensorPlace:
-        """Where a sensor reads, kept. Raises SceneError for one that is not on the skin's body or far from the skin."""
+        """The place of a sensor, stored. Raises SceneError for a site on another body or far from the skin."""
         known = self._places.get(sensor.name)
         if known is None:
             known = self._places[sensor.name] = sensor_place(self.model.skins[skin], *self._site(skin, sensor))
@@ -346,7 +346,7 @@ class SceneRuntime:
                 check_site(self.model.skins[skin], *self._site(skin, sensor))
 
     def _site(self, skin: int, sensor: PluginSensor) -> tuple[Float, str]:
-        """A sensor's site on the resting body (body frame [m], shape (3,)), and how messages name the sensor."""
+        """The site of a sensor on the resting body (body frame [m], shape (3,)), and its name in messages."""
         bound, part = self.binding.skins[skin], self.model.skins[skin]
         element = f"plugin 'palmfield.skin' instance '{part.spec.name}': sensor '{sensor.name}'"
         owners = (bound.body, *bound.bones)

@@ -1,7 +1,7 @@
-"""What is seen of a scene's sound while MuJoCo draws it: foci, transducers, and ARP on the skins.
+"""The picture of the sound of a scene in a MuJoCo viewer: foci, transducers, and ARP on the skins.
 
-It is computed apart from the simulation, from poses and stimuli alone, so that nothing of a run depends on whether it
-was looked at. What changes too fast to see is shown as a camera would, which opens for EXPOSURE_s.
+It is computed separately from the simulation, from poses and stimuli alone, so that a run does not depend on whether
+it is viewed. Fast changes are shown as by a camera with an exposure of EXPOSURE_s.
 """
 
 from typing import NamedTuple
@@ -22,19 +22,19 @@ from palmfield.types import Complex, Float, Int
 
 EXPOSURE_s = 0.02
 MOMENTS = 23
-"""In an exposure; with no common period with usual modulations."""
+"""Number of moments in an exposure; without a common period with usual modulations."""
 EDGE_m = 0.002
 """Longest edge of the coloured triangles, a quarter of the wavelength of 40 kHz."""
 FEW = 2
-"""Of more drives the mean is smooth: it is computed at the skin's nodes and drawn straight between them."""
+"""With more drives the mean is smooth: it is computed at the nodes of the skin and drawn linearly between them."""
 ALIKE = 1e-6
 """Drives that differ by less, over the louder one, are one drive at two levels."""
 
 
 class SeenTransducers(NamedTuple):
-    """What an array is told. places [m], axes: shape (n, 3), world; levels: rms amplitude, of full drive, shape (n,)
+    """The command of an array. places [m], axes: shape (n, 3), world; levels: rms amplitude, of full drive, shape (n,)
 
-    phases: [rad], when they next sound, positive: delay, shape (n,); radius_m: of a transducer
+    phases: [rad], at their next sound, positive: delay, shape (n,); radius_m: of a transducer
     """
 
     places: Float
@@ -58,7 +58,7 @@ class SeenSkin(NamedTuple):
 
 
 class _Moment(NamedTuple):
-    """What an exposure sees. posed: where everything is; times: [s], shape (k,); told: drives then, shape (k, N)
+    """The content of an exposure. posed: the pose; times: [s], shape (k,); told: commanded drives then, shape (k, N)
 
     units: different drives among them, shape (N,) each, and the mean squares of their levels
     """
@@ -70,14 +70,14 @@ class _Moment(NamedTuple):
 
 
 class _ColouredMesh(NamedTuple):
-    """A skin's surface of small triangles. carry: makes its vertices of the skin's nodes; faces: shape (f, 3)"""
+    """The surface of a skin of small triangles. carry: operator from its nodes to its vertices; faces: shape (f, 3)"""
 
     carry: sparse.csr_array
     faces: Int
 
 
 class SceneView:
-    """What is to be seen of one mjData."""
+    """The picture of one mjData."""
 
     def __init__(self, runtime: SceneRuntime):
         self.runtime, self.model = runtime, runtime.model
@@ -91,7 +91,7 @@ class SceneView:
         self._top = 0.0
 
     def transducers(self, array: int) -> SeenTransducers:
-        """What one array is told, by its number."""
+        """The command of one array, by its number."""
         posed, _, told, _ = self._now()
         part = posed.arrays.slices[array]
         mine, own = told[:, part], posed.arrays.array
@@ -101,7 +101,7 @@ class SceneView:
         return SeenTransducers(places, axes, levels, np.angle(sounding), posed.arrays.parts[array].piston_radius_m)
 
     def foci(self, stimulus: int) -> Float:
-        """Where a stimulus's foci are over the exposure, in order [m], world, shape (k, m, 3); k is 0 in silence."""
+        """The foci of a stimulus over the exposure, in order [m], world, shape (k, m, 3); k is 0 in silence."""
         posed, times, _, _ = self._now()
         foci = self._emission.foci(posed, times)[stimulus]
         sounding = foci[factors_at(self.model.configs[stimulus], times) > 0.0]
@@ -157,7 +157,7 @@ class SceneView:
         return np.asarray(units[0][1] * level * field.at(own).arp, dtype=np.float64)
 
     def _evaluator(self, posed: PosedScene, skin: int, count: int) -> SurfaceArp:
-        """Free field at so many points of a skin; kept while the arrays stand to one another as they do."""
+        """Free field at this number of points of a skin; stored while the relative pose of the arrays is the same."""
         known = self._evaluators.get((skin, count))
         if known is None or known[0] is not posed.arrays:
             law = self.model.skins[skin].spec.arp_law
@@ -172,7 +172,7 @@ class SceneView:
         return mesh
 
     def _now(self) -> _Moment:
-        """What the exposure that begins at MuJoCo's time sees."""
+        """The exposure that begins at the time of MuJoCo."""
         runtime = self.runtime
         for kind, chosen, part in runtime.taken:
             positions, matrices = runtime.view.frames[kind]
@@ -192,10 +192,10 @@ class SceneView:
 
 
 def view_of(world: World) -> SceneView | None:
-    """The view of a mjData's scene, made when it is first drawn.
+    """The view of the scene of a mjData, made at first drawing.
 
-    None where there is nothing to draw, and for data in which nothing has been placed yet: a viewer draws it before its
-    first step.
+    None where there is nothing to draw, and for data without computed positions: a viewer draws them before its first
+    step.
     """
     scene = world.scene
     if scene is None or not scene.view.frames["site"][1][scene.binding.array_sites[0]].any():

@@ -1,4 +1,4 @@
-"""The plugin of one skin: it carries the layer's motion in its state; the first one steps the whole scene."""
+"""The plugin of one skin: it carries the motion of the layer in its state; the first one steps the whole scene."""
 
 from typing import Any, ClassVar
 
@@ -11,21 +11,21 @@ from palmfield.mujoco_host.mujoco_view import ModelView
 from palmfield.types import Float
 
 ARP_GROUP = 2
-"""Of geoms: a viewer shows the ARP on the skins while it is on."""
+"""Group of geoms: a viewer shows the ARP on the skins while it is on."""
 LIFT_m, LABEL_m = 6e-4, 0.02
-"""Colours lie so far off the skin, which a viewer draws of larger triangles, and the label of the largest ARP."""
+"""Height of the colours above the skin, which a viewer draws with larger triangles, and of the label of the peak."""
 
 
 class SkinModule(Module):
-    """Pushes its body with the ARP's resultant and carries the skin layer's motion in the plugin state.
+    """Push the body with the resultant of the ARP and carry the motion of the skin layer in the plugin state.
 
     The sensor, on a site of the body, reads `palmfield.simulation.sensors.CHANNELS`: the mean force over the present
     step, and at the skin point nearest to the site the displacement and velocity along the outward normal and the ARP.
-    As all of MuJoCo's sensors it belongs to the step's beginning: after mj_step it is one timestep older than
+    Like all sensors of MuJoCo it belongs to the beginning of the step. After mj_step it is one timestep older than
     data.time, until mj_forward.
 
-    number: of this skin among the scene's; leads: whether it steps the scene, as the first one does
-    scene: `palmfield.engine.scene_runtime.SceneRuntime`, shared by all
+    number: of this skin in the scene. leads: whether it steps the scene, as the first one does.
+    scene: `palmfield.engine.scene_runtime.SceneRuntime`, shared by all.
     """
 
     name: ClassVar[str] = SkinConfig.plugin
@@ -48,7 +48,7 @@ class SkinModule(Module):
 
     @classmethod
     def state_size(cls, settings: Any, model: ModelView) -> int:
-        """Room for the whole layer's motion, of which a small model of it takes a part."""
+        """Room for the motion of the whole layer; a small model takes a part of it."""
         from palmfield.simulation.build import model_of
         from palmfield.simulation.scene_reader import read_scene, with_files_found
         from palmfield.simulation.state import skin_room
@@ -67,7 +67,7 @@ class SkinModule(Module):
 
     @property
     def applied(self) -> Float:
-        """Mean force of the sound on this skin's body over the present step [N], world axes, shape (3,)."""
+        """Mean force of the sound on the body of this skin over the present step [N], world axes, shape (3,)."""
         force: Float = self.scene.applied[self.scene.model.skins[self.number].body]
         return force
 
@@ -83,7 +83,7 @@ class SkinModule(Module):
             self.scene.sense(self.number, self._sensors)
 
     def advance(self) -> None:
-        """Carry the scene over MuJoCo's last step; a terminal shows how long the first one waits for the skins."""
+        """Carry the scene over the last MuJoCo step; a terminal shows how long the first one waits for the skins."""
         if not (self._began or self.world.quiet):
             from palmfield.terminal import bars
 

@@ -7,13 +7,13 @@ from palmfield.engine.host import Module
 from palmfield.mujoco_host.drawing import Drawing
 
 FOCI_GROUP = 1
-"""Of sites: a viewer shows the foci while it is on."""
+"""Group of sites: a viewer shows the foci while it is on."""
 FOCUS_m, TRAIL_m = 2e-3, 8e-4
 """Radius of a focus, and of the places that it comes to next."""
 
 
 class StimulusModule(Module):
-    """Holds the stimulus's keys."""
+    """Holds the keys of the stimulus."""
 
     name: ClassVar[str] = StimulusConfig.plugin
     config: ClassVar[type[Config]] = StimulusConfig

@@ -6,9 +6,9 @@ from matplotlib import colormaps
 from palmfield.types import Float
 
 FAINT = 0.02
-"""Of the largest ARP: what is less is left uncoloured."""
+"""Share of the largest ARP below which skin is left uncoloured."""
 FULL = 0.25
-"""Of the largest ARP: from here on the skin's own colour is not seen through it."""
+"""Share of the largest ARP above which the colour of the skin is hidden."""
 FOCUS: Float = np.array([0.0, 0.75, 0.65, 1.0])
 
 

@@ -13,7 +13,7 @@ from palmfield.types import Float
 
 
 class WorldPoses:
-    """What the poses of some worlds mean, with what was found last.
+    """Poses of some worlds, with the last results.
 
     In most steps bodies only tremble about the reference pose, which small models take for standing still. This is
     found out for all worlds in one go; only those where more has happened are looked at by themselves.
@@ -35,13 +35,13 @@ class WorldPoses:
                 offsets = (width * chosen[:, None] + np.arange(width)).ravel().tolist()
                 flat = np.lib.stride_tricks.as_strided(own, (len(own), len(offsets)), (own.strides[0], own.strides[2]))
                 self._taking.append((field, offsets, flat))
-        # Rows of arrays, stimuli's frames and transducers: a pose is another one as soon as any of them moves at all
+        # Rows of arrays, frames of stimuli and transducers: the pose is new if any of them moves at all
         self._fixed = max([self._layout.frames.stop, *(rows.stop for rows in self._layout.transducers)])
         self._posed: list[PosedScene] = [runtime.work.reference for runtime in runtimes]
         self.forget()
 
     def forget(self) -> None:
-        """Know nothing of the last poses."""
+        """Forget the last poses."""
         count = len(self.runtimes)
         self._resting: NDArray[np.bool_] = np.zeros(count, dtype=bool)
         self._where: Float = np.zeros((count, self._fixed, 12))

@@ -1,7 +1,7 @@
-"""Several mjData of one model that are stepped together: bodies each by itself, sound and skins in one go.
+"""Several mjData of one model that are stepped together: bodies separately, sound and skins in one operation.
 
-A step is mj_step in two halves. After mj_step1 all poses are known; the forces that follow from them are added to the
-passive ones before mj_step2 integrates, so that nothing lags behind what a plain mj_step does.
+A step is mj_step in two halves. After mj_step1 all poses are known. The forces that follow from them are added to the
+passive ones before mj_step2 integrates, so that they have no delay against a plain mj_step.
 """
 
 import copy
@@ -31,10 +31,10 @@ from palmfield.types import Float
 class SceneWorlds:
     """Several worlds of one scene.
 
-    data: MuJoCo's, one for each world; models: of the same bodies, with each world's own stimuli; state: of all worlds
-    poses: by number of a mocap body, where it is in each world in each step, position [m] and quaternion (w, x, y, z),
-        shape (worlds, steps, 7); it stays at the last
-    forces: mean force of the sound over the present step [N], world axes, shape (worlds, bodies, 3)
+    data: one mjData per world. models: of the same bodies, with each world's own stimuli. state: of all worlds.
+    poses: by number of a mocap body, its place in each world in each step, position [m] and quaternion (w, x, y, z),
+        shape (worlds, steps, 7); after the last step it stays there.
+    forces: mean force of the sound over the present step [N], world axes, shape (worlds, bodies, 3).
     """
 
     def __init__(
@@ -45,8 +45,8 @@ class SceneWorlds:
         poses: Mapping[int, Float],
         state: HapticState | None = None,
     ):
-        """template: data of the scene with its plugins; data: of each world, which have them or, if there are only
-        palmfield's own, come from `plain_model`: then nothing calls Python in a step"""
+        """template: data of the scene with its plugins; data: of each world, with plugins; if all of these are
+        palmfield's, from `plain_model` instead, without Python in a step"""
         self.template, self.data, self.models, self.poses = template, tuple(data), tuple(models), dict(poses)
         self.mujoco_model: mujoco.MjModel = data[0].model
         count = len(self.data)
@@ -82,7 +82,7 @@ class SceneWorlds:
     # -- stepping ------------------------------------------------------------------------------------------------------
 
     def step(self) -> None:
-        """One step of MuJoCo's in all worlds. Raises what a plugin or the step raised, with the world's number."""
+        """Run one MuJoCo step in all worlds. Raises an error of a plugin or the step, with the number of the world."""
         self.runtimes[0].check_options()
         t0 = self._common_time()
         with explaining():
@@ -146,7 +146,7 @@ class SceneWorlds:
         self.steps.adopt(other.steps)
 
     def copy(self) -> "SceneWorlds":
-        """As many worlds again in the same state."""
+        """The same number of worlds in the same state."""
         self.settle()
         data = [copy.copy(one) for one in self.data]
         twin = SceneWorlds(self.template, data, self.models, self.poses, self.state.copy())
@@ -169,7 +169,7 @@ class SceneWorlds:
             self.many.put(*write)
 
     def _common_time(self) -> float:
-        """MuJoCo's time [s]. Raises SceneError for worlds at different times."""
+        """The time of MuJoCo [s]. Raises SceneError for worlds at different times."""
         times = self.many.times()
         if (times != times[0]).any():
             number = int(np.argmax(times != times[0]))
@@ -192,7 +192,7 @@ class SceneWorlds:
         self.steps.moving.fetch()
 
     def _push(self, t0: float) -> None:
-        """Add the sound's forces to MuJoCo's passive ones."""
+        """Add the forces of the sound to the passive forces of MuJoCo."""
         if not self._watched and self.steps.moving.some:
             for skin, sensors in enumerate(self._sensors[0]):
                 for sensor in sensors:
@@ -214,13 +214,13 @@ class SceneWorlds:
                 self.many.put("sensordata", sensor.offsets, channels_of_worlds(force, motion, arp))
 
     def _advance(self, t1: float) -> None:
-        """Carry transducers and skins of all worlds over MuJoCo's last step, with the poses at its beginning."""
+        """Carry transducers and skins of all worlds over the last MuJoCo step, with the poses at its beginning."""
         self.steps.advance(t1 - self.models[0].spec.timestep_s, t1)
 
 
 def plain_model(model: mujoco.MjModel) -> mujoco.MjModel:
-    """A copy without plugins, whose data take a step without Python; the model itself where others than palmfield's
-    are among them. Sensors keep their places."""
+    """A copy without plugins, whose data take a step without Python; the model itself if it has plugins of others.
+    Sensors keep their places."""
     view = ModelView(model._address)
     if any(plugin not in {module.name for module in MODULES} for _, plugin, _ in view.instances()):
         return model

@@ -1,4 +1,4 @@
-"""How far a run's numbers can be trusted: numerical errors, what was left out, what inputs leave open, what is felt.
+"""Accuracy of the numbers of a run: numerical errors, omitted effects, uncertain inputs, and the felt level.
 
 `palmfield.run` is public there, a run with all that.
 """

@@ -1,4 +1,4 @@
-"""What arrays do that a run leaves out: they warm up, and don't follow their level. Where measured, by how much."""
+"""Effects of arrays that a run omits: they warm up, and don't follow their level. With the size where measured."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""What is known of the arrays that a stimulus drives: how loud their transducers are, and how sharply they resonate."""
+"""Uncertainty of the arrays that a stimulus drives: p0 and quality of their transducers."""
 
 import numpy as np
 
@@ -13,27 +13,27 @@ PLACES = 201
 
 
 def stimulus_of(model: HapticModel, skin: int) -> int:
-    """Number of the stimulus whose sound a skin's layer is made for."""
+    """Number of the stimulus for whose sound the layer of a skin is made."""
     nearest = nearest_stimulus(model.skins[skin].spec, model.stimuli)
     return next(number for number, stimulus in enumerate(model.stimuli) if stimulus is nearest)
 
 
 def p0_band(model: HapticModel, stimulus: int) -> tuple[float, float] | None:
-    """Factors on the ARP of a stimulus alone at its focus, at the low and high ends of every array's p0; None where
-    arp_peak_Pa sets the level, and in silence."""
+    """Factors on the ARP of one stimulus alone at its focus, at the low and high ends of the p0 range of every array.
+    None where arp_peak_Pa sets the level, and in silence."""
     part = model.stimuli[stimulus]
     drive = array_drives(model, model.arrays)[stimulus].unit_drive(part.first_focus).amplitudes
     return None if part.config.arp_peak_Pa is not None else p0_band_at(model, model.arrays, drive, part.first_focus)
 
 
 def p0_band_at(model: HapticModel, arrays: PhasedArray, drive: Complex, point: Float) -> tuple[float, float] | None:
-    """Factors on the ARP at a point while every array's p0 goes from the low to the high end of its range.
+    """Factors on the ARP at a point while p0 of every array goes from the low to the high end of its range.
 
-    Pressures of arrays add up there, each with its own p0, and the ARP goes with the square of their sum. What a
-    stimulus with arp_peak_Pa drives keeps its pressure, since its drive follows p0. All arrays are at the same place of
-    their ranges at once. None where arp_peak_Pa sets the level of all that sounds, and in silence.
+    Pressures of arrays add up at the point, each with its own p0; the ARP is proportional to the square of their sum. A
+    stimulus with arp_peak_Pa keeps its pressure, because its drive follows p0. All arrays are at the same fraction of
+    their ranges at once. None where arp_peak_Pa sets the level of all active stimuli, and in silence.
 
-    arrays: in one pose; drive: of all transducers, shape (N,); point: in the frame of the first array [m], shape (3,)
+    arrays: in one pose. drive: of all transducers, shape (N,). point: in the frame of the first array [m], shape (3,).
     """
     given = np.zeros(len(drive), bool)
     for stimulus in model.stimuli:
@@ -61,7 +61,7 @@ def p0_known(model: HapticModel, stimulus: int) -> list[Estimate]:
 
 
 def quality_known(model: HapticModel, stimulus: int) -> list[Estimate]:
-    """Quality of the transducers of a stimulus's arrays, each once where several have the same."""
+    """Quality factors of the transducers in the arrays of a stimulus, each once where several are equal."""
     instances = array_instances(model.spec)
     return list(dict.fromkeys(instances[number].quality for number in model.stimuli[stimulus].spec.arrays))
 

@@ -1,4 +1,4 @@
-"""One thing that a run leaves out, and what that does."""
+"""One effect that a run omits, and its size."""
 
 from dataclasses import dataclass
 
@@ -7,11 +7,11 @@ from palmfield.outputs.budget_text import bias_text
 
 @dataclass(frozen=True)
 class Bias:
-    """What leaving something out does to the displacement of the skin where the sound is loudest.
+    """The effect of one omission on the displacement of the skin where the sound is loudest.
 
-    low, high: the true displacement's least and largest difference from the computed one, over the computed one; None
-        where it is not estimated
-    why: how the figure was found, or which way it goes
+    low, high: least and largest difference of the true displacement from the computed one, over the computed one; None
+        where it is not estimated.
+    why: how the value was found, or its sign.
     """
 
     what: str

@@ -1,4 +1,4 @@
-"""What a scene leaves out, as estimated bias of its skins' motion: which way, and by how much where that is known."""
+"""Effects that a scene omits, as estimated bias of the motion of its skins: sign, and size where known."""
 
 import math
 from collections.abc import Sequence
@@ -22,17 +22,17 @@ from palmfield.stimulus.schedule import main_frequencies
 from palmfield.types import Complex, Float
 
 HANDS = (*OF_SHAPES["hand"], "rigged")
-"""Shapes that are hands: what was measured on these is told of no other."""
+"""Shapes that are hands: measurements on these are reported for no other body."""
 FEW_WAVELENGTHS = 2.0
 """Radius of curvature in wavelengths below which a wall is not locally flat for the sound."""
 TURNED, CURVED, OPEN_HAND = 0.60, 0.16, 0.04
-"""Error of the local law on skin that is turned away, on less than that radius or in a cup, and on an open hand, of the
-ARP face by face (docs/bench/scattering.md)."""
+"""Error of the local law by face, relative to ARP (docs/bench/scattering.md): on skin that is turned away, on less than
+that radius or in a cup, and on an open hand."""
 AROUND = 0.7
-"""Of the largest ARP on a body of that radius between boards, round which sound of the one behind it bends (0.62 on a
-finger of 12 mm with the focus at its side)."""
+"""Share of the largest ARP on a body of that radius between boards, round which sound of the board behind it bends
+(0.62 on a finger of 12 mm with the focus at its side)."""
 TURNED_FROM_DEG = 45.0
-"""Angle from which the first is told; it was found at 60 degrees, the others near 0."""
+"""Angle above which the first measured value applies; it was measured at 60 degrees, the others near 0."""
 BENDING = ("articulated", "rigged")
 """Shapes of hands that may bend into a cup."""
 FACE_BY_FACE = (
@@ -40,16 +40,16 @@ FACE_BY_FACE = (
     "(docs/bench/scattering.md)"
 )
 ROUND_BODY = 0.2
-"""Worst error of |p|^2 behind a rod, of the free focus's, against boundary elements (docs/bench/shadows.md)."""
+"""Worst error of |p|^2 behind a rod, over that of the free focus, against boundary elements (docs/bench/shadows.md)."""
 TILTED_DEG = 5.0
-"""Tilt of a disc from which its echo returns beside the place: it is told of no band then."""
+"""Tilt of a disc above which its echo returns outside the place: no band is reported then."""
 SHARPENS = 0.9
-"""sigma from which a focus's ARP grows by more than its line loses, as the KZK equation has it."""
+"""sigma above which the ARP of a focus gains more than its fundamental line loses, by the KZK equation."""
 ECHO = "echo between body and array"
 ROUND_TRIPS = 8
-"""Of sound between a plate and the array that a band is made of: what comes later is a tenth of it or less."""
+"""Round trips of sound between a plate and the array in a band: later ones are a tenth of it or less."""
 NEAR_M = 6e-3
-"""Half of a focus: the skin's curvature is looked at so far round it [m]."""
+"""Half width of a focus: the curvature of the skin is measured up to this distance around it [m]."""
 
 
 def biases(
@@ -61,11 +61,11 @@ def biases(
     focus: Float,
     highest: tuple[Float, Float],
 ) -> list[Bias]:
-    """What is left out of a skin's motion.
+    """The effects that the model of the motion of a skin omits.
 
-    stimulus: number of the one that the skin is made for; drive: of all transducers, shape (N,)
-    focus: that stimulus's point, of several the nearest to the skin; array frame [m], shape (3,)
-    highest: where the ARP on the skin is highest, and the outward normal there; array frame, shapes (3,)
+    stimulus: number of the one that the skin is made for. drive: of all transducers, shape (N,).
+    focus: point of that stimulus, of several the nearest to the skin; array frame [m], shape (3,).
+    highest: where the ARP on the skin is highest, and the outward normal there; array frame, shapes (3,).
     """
     part = model.stimuli[stimulus]
     return [
@@ -87,12 +87,12 @@ def _linear(skin: SkinModel) -> list[Bias]:
 
 
 def response_biases(stimulus: StimulusModel, skin: SkinModel) -> list[Bias]:
-    """What ring-up and flight times that are left out do to a skin's displacement.
+    """Effect of ignoring ring-up and flight times on the displacement of a skin.
 
-    Of a focus at rest, what they do to an oscillator: one of the main frequency, or of the highest that the layer is
-    made for, whichever changes more, as the skin answers at several at once. Of a moving one, the whole of the
-    pressure's error, twice, and no more than all of it: ARP goes with its square, and sound that comes late or spread
-    is never more than sound at once.
+    For a stationary focus: the error of a damped oscillator at the main frequency, or at the highest frequency that the
+    layer is made for, whichever is larger, because the skin answers at several at once. For a moving focus: twice the
+    error of the pressure (ARP is proportional to its square), and at most 1, because sound that comes late or spread is
+    never more than sound at once.
     """
     response, result, own = stimulus.response, [], qualities(stimulus)
     demand = skin.layer.demand
@@ -117,7 +117,7 @@ def response_biases(stimulus: StimulusModel, skin: SkinModel) -> list[Bias]:
 def _along_beams(
     posed: PosedScene, stimulus: StimulusModel, drive: Complex, focus: Float, highest: tuple[Float, Float]
 ) -> list[Bias]:
-    """Of beams in front of the skin as far as it, be the focus before or behind it: nonlinear sound and wind."""
+    """Biases of beams in front of the skin, up to the skin, with any place of the focus: nonlinear sound and wind."""
     arrays, frequency = posed.arrays, posed.arrays.array.frequency_Hz
     own, point = np.zeros_like(drive), highest[0]
     own[stimulus.transducers] = drive[stimulus.transducers]
@@ -132,10 +132,10 @@ def _along_beams(
 
 
 def _nonlinear(sigma: float, winds: Sequence[Wind]) -> Bias:
-    """On its axis alone a beam is as loud as sigma says: of a Gaussian section half of a plane wave's line is lost.
+    """Bias of nonlinear sound. A Gaussian section loses half of the plane-wave loss: only its axis is as loud as sigma.
 
-    All of it arrives in harmonics, with the same force but for what they and a shock leave in the air, on a spot that
-    is the narrower the higher they are: the ARP in its middle grows by as much. The KZK equation says so, too, up to
+    The lost part of the fundamental line returns in harmonics, with the same force except for what they and a shock
+    lose in the air, on a narrower spot. The ARP in its middle grows by the same amount. The KZK equation agrees up to
     sigma 1.3 (tests/acoustics/test_focused_beam.py).
     """
     moved = (1.0 - fundamental_left(sigma) ** 2) / 2.0
@@ -153,7 +153,7 @@ def _nonlinear(sigma: float, winds: Sequence[Wind]) -> Bias:
 def _streaming(winds: Sequence[Wind], ends: Sequence[float], whole: float) -> Bias:
     """The wind at most: it presses less than the sound does in its spot, and on more of the skin.
 
-    What a spot of pressure p and force F does to deep skin goes with sqrt(p F), as its radius does with sqrt(F/p).
+    The effect on deep skin of a spot of pressure p and force F goes with sqrt(p F), as its radius does with sqrt(F/p).
 
     ends: ARP of each beam alone where it ends; whole: of all of them on the skin [Pa]
     """
@@ -200,8 +200,8 @@ def _scattered(
 
 
 def _turned_deg(posed: PosedScene, drive: Complex, point: Float, outward: Float) -> tuple[float, float]:
-    """Between a skin's outward normal and the way back to the middle of the transducers that sound [degrees], of those
-    in front of it where there are any; and what share of the drive is behind it then."""
+    """Angle between the outward normal of a skin and the middle of the active transducers, in front of it where any are
+    [degrees]; and the share of the drive that is behind the skin then."""
     loud, ways = np.abs(drive), posed.arrays.array.positions - point
     front = np.where(ways @ outward > 0.0, loud, 0.0)
     used = front if front.any() else loud
@@ -212,14 +212,14 @@ def _turned_deg(posed: PosedScene, drive: Complex, point: Float, outward: Float)
 
 
 def _measured(skin: SkinModel) -> str:
-    """How far off the law was on hands; of another body nothing is known but its curvature."""
+    """The error of the law that was measured on hands; for other bodies only the curvature is available."""
     if skin.spec.config.shape in HANDS:
         return FACE_BY_FACE
     return "the figure is that of hands as curved and as turned (docs/bench/scattering.md)"
 
 
 def _shadows(model: HapticModel, skin: int) -> list[Bias]:
-    """What stands in the way of the sound, and the edges of what does."""
+    """The obstacles in the path of the sound, and their edges."""
     part, bodies = model.skins[skin], len(model.bodies)
     config = part.spec.config
     if config.body_sound == "none":
@@ -287,7 +287,7 @@ def _echo(
 def _echo_computed(
     stimulus: StimulusModel, arrays: PhasedArray, drive: Complex, point: Float, shares: Float
 ) -> list[Bias]:
-    """What is not computed of the echo. shares: of its pressure after 1, 2 ... round trips, over the direct sound's"""
+    """The part of the echo not computed. shares: of its pressure after 1, 2 ... round trips, over the direct sound."""
     assert arrays.wall_m is not None
     alone, whole = (abs(of(point[None], drive)[0]) ** 2 for of in (arrays.pressure64, arrays.with_echoes64))
     change = float(alone / whole) - 1.0 if whole > 0.0 else 0.0

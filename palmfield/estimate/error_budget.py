@@ -1,8 +1,8 @@
-"""How far a run's motion of the skin can be trusted: numerical errors, what was left out, and what the inputs leave.
+"""Accuracy of the motion of a skin in a run: numerical errors, omitted effects, and uncertainty of the inputs.
 
-All parts are of one quantity, the skin's response under the focus to the sound of the loudest moment: how far it would
-move there at rest and at the main frequency. It stands for the displacement that a run shows, which has its peak at
-another moment and perhaps beside that point. They are of different kinds and are never added up into one number.
+All parts refer to one quantity: the response of the skin under the focus to the sound of the loudest moment, at rest
+and at the main frequency. It represents the displacement of a run, whose peak is at another moment and perhaps at
+another point. The parts are of different kinds and are never added up into one number.
 """
 
 import math
@@ -29,7 +29,7 @@ LOUDEST_POINTS = 64
 """Points of the skin at which the field is computed once more in double precision."""
 DEPTH = "depth to the bone"
 SOURCES = ("mesh", "step", "reduction", "edge", "field", "law")
-"""Of the numerical error: each has its number under `SOURCE_error_relative`, law only where a series replaces one."""
+"""Sources of the numerical error: each has its number under `SOURCE_error_relative`, law only with a series."""
 
 
 def error_budget(
@@ -39,14 +39,14 @@ def error_budget(
     radiation: Radiation,
     course: SteppedRun,
 ) -> dict[str, Any]:
-    """The budget of a skin's motion, as plain JSON; arguments as `palmfield.estimate.numerical_error.error_estimate`.
+    """Return the budget of the motion of a skin as plain JSON.
 
-    quantity: what all of it is relative to
-    numerical: SOURCE_error_relative for each of SOURCES, displacement_error_relative of all of them together, and what
-        the numerical estimate has besides
-    left_out: a list of what, low, high (true less computed, over computed; None where not estimated) and why
-    inputs: a list of what, low, high (factors on the displacement; None where not estimated), kind and why
-    Raises SceneError as `error_estimate`.
+    Arguments and errors raised (SceneError): as `palmfield.estimate.numerical_error.error_estimate`.
+    quantity: the quantity to which all parts are relative.
+    numerical: SOURCE_error_relative for each of SOURCES, displacement_error_relative of all of them together, and the
+        other entries of the numerical estimate.
+    left_out: a list of what, low, high (true less computed, over computed; None where not estimated) and why.
+    inputs: a list of what, low, high (factors on the displacement; None where not estimated), kind and why.
     """
     estimate = error_estimate(model, skin, loudest, radiation, course)
     band = estimate.pop("material_band_low", None), estimate.pop("material_band_high", None)
@@ -76,9 +76,9 @@ def error_budget(
 
 
 def field_error(model: HapticModel, skin: int, loudest: LoudestMoment, radiation: Radiation) -> float:
-    """Error that the field's precision leaves in the ARP where it is highest on a skin, relative.
+    """Relative error of the highest ARP on a skin that comes from the precision of the field.
 
-    Against a sum in double precision at LOUDEST_POINTS points; the ARP goes with the pressure's square.
+    Compared with a sum in double precision at LOUDEST_POINTS points; the ARP is proportional to the squared pressure.
     """
     posed = loudest.posed
     loads = radiation.on(posed, skin, "quadrature", loudest.drive).arp
@@ -117,7 +117,7 @@ def _material(model: HapticModel, skin: int, band: tuple[float | None, float | N
 
 
 def _depth(model: HapticModel, skin: int, point: Float) -> list[dict[str, Any]]:
-    """The depth to the bone under a point of the resting skin, body frame [m], shape (3,); nothing of a disc."""
+    """Return the depth to the bone under a point of the resting skin, body frame [m], shape (3,); None for a disc."""
     part = model.skins[skin]
     if part.carrier.surface is None:
         return []
@@ -132,7 +132,7 @@ def _depth(model: HapticModel, skin: int, point: Float) -> list[dict[str, Any]]:
 
 
 def _unknown_inputs(model: HapticModel, skin: int, stimulus: int) -> list[dict[str, Any]]:
-    """What else goes in and isn't carried through."""
+    """Other inputs, which are not carried through."""
     inputs = []
     part = model.skins[skin]
     if part.spec.config.arp_law == "alpha":

@@ -35,11 +35,11 @@ def run(
 ) -> Result:
     """Simulate a scene from its present state and write result.nc, summary.json, pictures and scene.usdc.
 
-    scene: a file, an MjSpec, or a Simulation; out: folder, made where missing; None keeps the result in memory
-    duration_s: simulated time [s], the scene's own by default; progress: whether bars are drawn on a terminal's
-        standard error; overwrite: whether the folder may hold another run's results
+    scene: a file, an MjSpec, or a Simulation. out: folder, made where missing; None keeps the result in memory.
+    duration_s: simulated time [s], by default that of the scene. progress: whether bars are drawn on standard error
+        of a terminal. overwrite: whether the folder may hold the results of another run.
     plots: kinds of pictures (`palmfield.outputs.pictures.kinds.KINDS`) that are drawn to OUT/plots instead of the usual
-        ones, none for an empty list
+        ones, none for an empty list.
     Ctrl-C, a full disk or an error in a module end the run early: what was computed by then is assembled and marked
     incomplete, and the error is raised afterwards (KeyboardInterrupt as such). It carries that Result as its attribute
     `result`, so that a run kept in memory is not lost either (in an interactive session: `sys.last_value.result`).
@@ -52,7 +52,7 @@ def run(
 
 
 def _budgets(sim: Simulation, recorder: Recorder, bar: Progress) -> dict[str, Any]:
-    """The error budget of each skin's motion, or why there is none."""
+    """The error budget of the motion of each skin, or why there is none."""
     expected_s = sum(estimate_s(skin) for skin in sim.runtime.model.skins)
     task = bar.add_task("estimating the error", total=None, expected_s=expected_s)
     before = time.perf_counter()
@@ -66,7 +66,7 @@ def _budgets(sim: Simulation, recorder: Recorder, bar: Progress) -> dict[str, An
 def _numbers(
     sim: Simulation, recorder: Recorder, budgets: dict[str, Any], tree: xr.DataTree
 ) -> tuple[dict[str, Any], dict[str, dict[str, Any]], dict[str, dict[str, Any]]]:
-    """What a run says beyond its arrays: of the scene, of each skin and of each stimulus."""
+    """Summary of a run beyond its arrays: of the scene, of each skin and of each stimulus."""
     skins = {}
     times: Float = np.asarray(tree["time"])
     for name, ds in instances(tree, "skin").items():

@@ -1,7 +1,7 @@
-"""What the numbers of a finished run are worth: relative error of a skin's displacement by source.
+"""Numerical accuracy of a finished run: relative error of the displacement of a skin by source.
 
 It is estimated at one moment, the loudest on the skin. Errors of the model itself (ARP law, material, linearity) are
-not in these; the plan names them.
+not included; the plan names them.
 """
 
 import math
@@ -42,11 +42,11 @@ MOMENTS_A_STEP = 2
 
 @dataclass(frozen=True)
 class SteppedRun:
-    """How a skin was stepped in a run.
+    """The steppers of a skin in a run.
 
-    left_small_model: whether the run went on from a small model or modes to the whole layer
-    outside_class: what of the loads lay outside the class that the modes serve, in the energy norm
-    end_s: when the run ended, by MuJoCo's clock [s]
+    left_small_model: whether the run changed from a small model or modes to the whole layer.
+    outside_class: the part of the loads outside the class that the modes serve, in the energy norm.
+    end_s: MuJoCo time at the end of the run [s].
     """
 
     left_small_model: bool
@@ -63,32 +63,29 @@ def error_estimate(
     *,
     materials: bool = True,
 ) -> dict[str, float]:
-    """Relative error of a skin's displacement at its point nearest to the focus, by source.
+    """Estimate the relative error of the displacement of a skin at its point nearest to the focus, by source.
 
-    radiation: of the model; its solution by boundary elements for that moment serves again
-    materials: whether other materials are solved for as well
+    radiation: of the model; its boundary-element solution for that moment is used again.
+    materials: whether other materials are solved for as well.
 
-    mesh: of a solver with an ExplicitLayer its own estimate, of its mesh and steps. Else the static and
-        harmonic response on the scene's mesh and on one RATIO or more finer (RATIO or more coarser, for more than
-        FINER_BELOW unknowns and at least LAYERS rows of elements), by Richardson's rule; and so the motion from the
-        sound's beginning on, as it rings, under the stimulus's level with the focus held where it is (L2 over time, to
-        the run's end, LONGEST_COURSE_S at most); the largest of these. The frequency is the stimulus's main one; half
-        of the highest that mesh and step are made for where there is none
-    step: the discrete scheme's exact steady state against the continuous one, on the coarser mesh, where it costs less,
-        or what the substeps make of the motion from the sound's beginning on, if that is larger.
-        A small model is exact in time, and the steps of an explicit solver are far shorter; what they are given is the
-        load's chords, of which a sine has sinc^2 of itself
-    reduction: of a small model: its own estimate, or, where it is made for any course of the load, the difference from
-        the whole layer's static and harmonic response on the scene's mesh, if that is larger; of modes the same, and
-        what of the run's loads lay outside their class; 0 without either
-    material_band_low, _high: factors on the displacement where all ranges of the layer's materials are at their stiff,
-        and at their soft ends; missing where no range is known
-    edge: half the difference that fixed or free cut faces make to the static or to the harmonic response, also there,
-        the larger: a layer on a hand ends where the body goes on. 1 where nothing else holds it at rest, 0 for a disc,
-        whose side is its own
+    mesh: for a solver with an ExplicitLayer its own estimate, of its mesh and steps. For all others, Richardson's rule
+        on the scene's mesh and one finer by RATIO or more (coarser for more than FINER_BELOW unknowns and at least
+        LAYERS rows of elements). The largest of three errors counts: of the static response, of the harmonic one, and
+        of the motion from the beginning of the sound on, under the level of the stimulus with the focus held. The last
+        is an L2 norm over time, to the end of the run, LONGEST_COURSE_S at most. The frequency is the main one of the
+        stimulus; where there is none, half of the highest that mesh and step are made for.
+    step: the exact steady state of the discrete scheme against the continuous one, on the coarser mesh, where it costs
+        less. If it is larger: the effect of the substeps on the motion from the beginning of the sound on.
+        For small models (exact in time) and explicit solvers (shorter steps): linear interpolation of the load, sinc^2.
+    reduction: of a small model its own estimate. If it is made for any course of the load: the difference from the
+        static and harmonic response of the whole layer on the mesh of the scene, if that is larger. Of modes the same,
+        and the part of the loads outside their class; 0 without either.
+    material_band_low, _high: factors on the displacement with all ranges of the materials at their stiff, and at their
+        soft ends; missing where no range is known.
+    edge: half the change of the static or harmonic response between fixed and free cut faces, the larger: a layer on a
+        hand ends where the body continues. 1 where only the cut faces hold it at rest, 0 for a disc.
 
-    Kept in the cache (`palmfield.cache`). Raises SceneError where neither a finer nor a coarser mesh of the layer can
-    be made.
+    Kept in the cache (`palmfield.cache`). Raises SceneError if no finer or coarser mesh of the layer can be made.
     """
     layer, stepper = model.skins[skin].layer, model.begin[skin].value
     small = None if stepper.adds_error is None else stepper
@@ -99,7 +96,7 @@ def error_estimate(
     lasted_s = float(np.clip(course.end_s - config.start_s, model.spec.timestep_s, LONGEST_COURSE_S))
 
     def level(step_s: float) -> tuple[Float, Float]:
-        """Times from the sound's beginning on, `step_s` apart [s], and its level then."""
+        """Times from the beginning of the sound on, with spacing `step_s` [s], and its level then."""
         times: Float = step_s * np.arange(1 + max(1, round(lasted_s / step_s)), dtype=np.float64)
         return times, frames_at(config, config.start_s + times)[1]
 
@@ -159,7 +156,7 @@ def _estimate(
     between = [Response(middle, sound.on(middle), point) for middle in middles]
     cut = other_sides(low, sound, point)
     ends = other_materials(coarse, materials)
-    # The dearest first, so that the cheaper ones fill the time beside it
+    # The most expensive first, so that the cheaper ones run at the same time
     side_by_side(
         fine.swing,
         coarse.swing,
@@ -183,9 +180,9 @@ def _estimate(
 
 
 def _reduction_error(small: SkinStepper, own: Response) -> float:
-    """Of a small model: its own estimate, or what it misses of the whole layer's response, if that is larger.
+    """Of a small model: its own estimate, or its difference from the response of the whole layer, if that is larger.
 
-    own: the response of the scene's layer, on its own mesh
+    own: the response of the scene's layer, on its own mesh.
     """
     if not small.any_course:
         return small.error
@@ -202,7 +199,7 @@ def _reduction_error(small: SkinStepper, own: Response) -> float:
 def _explicit_estimate(
     layer: SceneLayer, stepper: SkinStepper, sound: LoudestSound, point: Float, materials: Ends | None
 ) -> dict[str, float]:
-    """Of a solver with a mesh of its own: the cut edge is that of the scene's layer, by its wedges."""
+    """Of a solver with its own mesh: the cut edge is that of the scene's layer, computed by its wedges."""
     frequency = layer.demand.main_frequency_Hz
     step = 1.0 - float(np.sinc(frequency * layer.sizes.step_s)) ** 2
     own = Response(layer, sound.on(layer), point)
@@ -227,15 +224,15 @@ def _as_numbers(mesh: float, step: float, reduction: float, edge: float) -> dict
 
 
 def estimate_s(skin: SkinModel) -> float:
-    """Seconds of the run's error estimate."""
+    """Seconds that the error estimate of the run takes."""
     dofs, more = skin.layer.dofs, RATIO**3
     # A complex factorisation counts twice
     materials = 0 if softest_and_stiffest_sheets(skin.spec.config) is None else 6
     edge = 0 if skin.spec.config.shape == "disc" else 2
     if skin.explicit is not None:
-        # Its own estimate is among the solver's seconds.
+        # The estimate of the solver is included in its seconds.
         return (3 + edge + materials) * factor_s(dofs) if edge or materials else 0.0
     low, high = (dofs, more * dofs) if compares_with_finer(skin.layer, dofs) else (dofs / more, dofs)
-    # The time step's own is left out where a small model steps
+    # The error of the time step is left out where a small model steps
     step = 0 if skin.choice.name == "reduced" else 2
     return (3 + step + edge + materials) * factor_s(low) + 3 * factor_s(high)

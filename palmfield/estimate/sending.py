@@ -1,4 +1,4 @@
-"""What playing a scene on its board takes, before anything is sent: bytes, rates, latency, what rounding costs."""
+"""Demands of playing a scene on its board, before any frame is sent: bytes, rates, latency, rounding error."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -20,11 +20,11 @@ LEAST_SAID_M = 0.05e-3
 
 @dataclass(frozen=True)
 class Sending:
-    """Of a board and the frames that it is sent.
+    """The frames sent to a board.
 
-    frame_bytes; frames_s: that are due a second, 0 where only what rests is sent again; most_frames_s: that the line
-    takes; latency_s: from a frame's first byte to its sound, at best and at worst [s]; pressure_kept: share of the
-    focal pressure that the rounding of phases leaves, expected; amplitude_steps: above 0, None where any
+    frame_bytes. frames_s: frames due per second, 0 where only steady frames are sent again. most_frames_s: limit of the
+    line. latency_s: from the first byte of a frame to its sound, at best and at worst [s]. pressure_kept: expected
+    share of the focal pressure after rounding of phases. amplitude_steps: above 0, None where continuous.
     """
 
     board: str
@@ -46,7 +46,7 @@ class Sending:
 
 
 def sending(board: Board, stimuli: Sequence[StimulusConfig]) -> Sending:
-    """What a board with bytes is sent for some stimuli."""
+    """The frames that a board with bytes is sent for some stimuli."""
     rates = [rate for stimulus in stimuli for rate in frame_rates(stimulus)]
     takes_s = board.frame_time_s
     steps = 1 if not board.levels else board.transducers if board.dither else board.amplitude_steps
@@ -62,9 +62,9 @@ def sending(board: Board, stimuli: Sequence[StimulusConfig]) -> Sending:
 
 
 def peak_offset(model: HapticModel, number: int) -> tuple[Float, float] | None:
-    """From a stimulus's first focus to where |p| of its sound is largest, array frame [m], shape (3,).
+    """Return the vector from the first focus of a stimulus to the maximum of |p|, array frame [m], shape (3,).
 
-    Also how far the board's rounding moves that place [m]. None in silence, and for several foci.
+    Also the distance by which the rounding of the board moves that place [m]. None in silence, and for several foci.
     """
     stimulus = model.stimuli[number]
     focus = stimulus.first_focus

@@ -1,4 +1,4 @@
-"""Level above threshold of a run, by observer: of the sound's force on the palm, and of the skin's motion.
+"""Level above threshold of a run, by observer: of the force on the palm, and of the motion of the skin.
 
 Each observer has its level, a line that says why it applies or is refused, and its own spread.
 """
@@ -27,11 +27,11 @@ from palmfield.stimulus.schedule import main_frequencies, steady_stretch_s
 from palmfield.types import Float, Int
 
 MOVED_SHARE = 0.5
-"""Of the largest weighted amplitude on the skin: where it is exceeded the skin counts as moved, for area summation."""
+"""Share of the largest weighted amplitude on the skin, above which skin counts as moved, for area summation."""
 CLOCK_S = 1e-9
-"""By which a record may miss a moment of the schedule and yet count as there."""
+"""Largest distance in time of a record from a moment of the schedule that it represents."""
 STILL_m = 1e-3
-"""A skin of which a point is further than this from its reference pose is not at rest."""
+"""A skin is not at rest if a point is further than this from its reference pose."""
 
 
 def felt_levels(
@@ -46,14 +46,15 @@ def felt_levels(
     *,
     begun_s: float = 0.0,
 ) -> dict[str, Any]:
-    """Levels of one skin by all observers, units in the names: of contact ones as `contact_levels`, and of the force.
+    """Return the levels of one skin by all observers, units in the names: contact as `contact_levels`, and the force.
 
     loudest: of the run on the skin, None in silence; radiation: of the model; reference: everything in its reference
-    pose; times: from the run's start, evenly spaced [s], shape (t,)
-    normal: displacement along the outward normal [m], shape (t, S); arp_peaks: highest ARP on the skin [Pa], shape (t,)
-    begun_s: MuJoCo's clock at the run's start [s], by which stimuli start and stop
-    Lines are those of the stretch between ramp and silence (`steady_stretch_s`): what is silent has no level.
-    Of the force observer `level_NAME_why` alone where it is refused; else also force_line_N (peak amplitude at the
+    pose; times: from the start of the run, evenly spaced [s], shape (t,).
+    normal: displacement along the outward normal [m], shape (t, S); arp_peaks: highest ARP on the skin [Pa], shape
+        (t,).
+    begun_s: MuJoCo time at the start of the run [s], by which stimuli start and stop.
+    Lines are those of the stretch between ramp and silence (`steady_stretch_s`): silent parts have no level.
+    Of the force observer `level_NAME_why` alone where it is refused; otherwise also force_line_N (peak amplitude at the
     main frequency) and force_mean_N, both on force_area_m2 round the highest ARP. All observers are refused where no
     sound pushes the skin, where the stretch is shorter than two periods of the main frequency, and where the load does
     not repeat, which has no main frequency.
@@ -104,13 +105,12 @@ def felt_levels(
 def contact_levels(times: Float, normal: Float, frequencies: list[float], areas: Float) -> dict[str, Any]:
     """Level above threshold by contact observer: of all lines together, of the strongest, and at the main frequency.
 
-    times: [s], shape (t,), evenly spaced; normal: displacement [m], shape (t, S)
-    frequencies: lines that count, main one first [Hz]
-    areas: of the vertices [m^2], shape (S,)
+    times: [s], shape (t,), evenly spaced. normal: displacement [m], shape (t, S).
+    frequencies: lines that count, main one first [Hz]. areas: of the vertices [m^2], shape (S,).
     Levels are those of the vertex that moves most. Of an observer whose thresholds depend on area, also
     `level_area_NAME_dB_SL`, of all lines, with the area `level_area_NAME_m2` on which the weighted amplitude
     exceeds MOVED_SHARE of its largest.
-    None where an observer's table does not reach; nothing at all for less than two periods of the main frequency.
+    None where the table of an observer does not reach; empty for less than two periods of the main frequency.
     """
     frequencies = lines_in(times, frequencies)
     if not frequencies:
@@ -137,7 +137,7 @@ def contact_levels(times: Float, normal: Float, frequencies: list[float], areas:
 
 
 def _refusal(name: str, reason: str) -> dict[str, Any]:
-    """What is told of an observer who is refused."""
+    """Return the entries of a refused observer."""
     return {
         f"level_{name}_dB_SL": None,
         f"level_all_lines_{name}_dB_SL": None,
@@ -154,10 +154,10 @@ def _all_refused(frequency: float | None, reason: str) -> dict[str, Any]:
 
 
 def moved_area_m2(observer: Observer, frequencies: list[float], lines: Float, areas: Float) -> float:
-    """Area on which the skin's motion, weighted by an observer's thresholds, exceeds MOVED_SHARE of its largest [m^2].
+    """Area [m^2] on which the skin moves by more than MOVED_SHARE of the largest motion, weighted by thresholds.
 
     Only lines whose thresholds depend on area count; 0 where there is none.
-    frequencies: of the lines [Hz], (n,); lines: peak amplitudes at the vertices [m], (n, S); areas: theirs [m^2], (S,)
+    frequencies: of the lines [Hz], (n,). lines: peak amplitudes at the vertices [m], (n, S). areas: theirs [m^2], (S,).
     """
     assert observer.summation is not None
     low, high = observer.summation.low_Hz, observer.summation.high_Hz
@@ -185,7 +185,7 @@ def _finite(level: float) -> float | None:
 def _refused(
     model: HapticModel, skin: int, loudest: LoudestMoment, radiation: Radiation, reference: PosedScene
 ) -> str | None:
-    """Why the force observer was never asked about such a sound on such a skin; None where it was."""
+    """Why the force observer was not measured with such a sound on such a skin; None where it was."""
     sounding = [stimulus for stimulus in model.stimuli if not stimulus.silent]
     if len(sounding) > 1:
         return f"it was measured with one focus, {len(sounding)} stimuli sound"
@@ -203,7 +203,7 @@ def _refused(
 
 
 def _moved_m(posed: PosedScene, reference: PosedScene, skin: int) -> float:
-    """How far the point of a skin that has moved most is from where it is in the reference pose [m]."""
+    """Largest distance of a point of a skin from its place in the reference pose [m]."""
     places = [scene.skins[skin].nodes[0] for scene in (posed, reference)]
     return float(np.linalg.norm(places[0] - places[1], axis=1).max())
 

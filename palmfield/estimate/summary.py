@@ -1,6 +1,6 @@
-"""Numbers of a finished run that its result doesn't hold: drive level, error estimate, felt level.
+"""Numbers of a finished run that its result does not contain: drive level, error estimate, felt level.
 
-They go into summary.json beside those of `palmfield.outputs.summary`, by skin and by stimulus.
+They go into summary.json with those of `palmfield.outputs.summary`, by skin and by stimulus.
 """
 
 from collections.abc import Callable, Iterable
@@ -38,17 +38,17 @@ def skin_numbers(
     *,
     begun_s: float = 0.0,
 ) -> dict[str, Any]:
-    """Of one skin: solver, error estimate, p0 band and felt level, units in the names.
+    """Return for one skin: solver, error estimate, p0 band and felt level, units in the names.
 
-    loudest: the moment of the highest ARP on the skin, None for a run that was silent there
-    budget: of `estimated_budget`
-    times: of the run's records [s], shape (t,); normal: displacement along the outward normal [m], shape (t, S)
-    arp_peaks: highest ARP on the skin at these times [Pa], shape (t,); begun_s: MuJoCo's clock at the run's start [s]
-    `reduction_velocity_error_relative` is what modes state of the velocity; no other solver states it.
+    loudest: the moment of the highest ARP on the skin, None for a run that was silent there.
+    budget: of `estimated_budget`.
+    times: of the records [s], shape (t,). normal: displacement along the outward normal [m], shape (t, S).
+    arp_peaks: highest ARP on the skin at these times [Pa], shape (t,); begun_s: MuJoCo time at the start of the run
+    [s]. `reduction_velocity_error_relative` is the velocity error of modes; no other solver has it.
     input_band_low, _high: factors on the motion over all inputs with a known range (`combined`), input_band_parts the
-    single ones; peak_displacement_low_m, _high_m: with that band; verdict: of `palmfield.outputs.felt.verdict`
-    accuracy_reached: whether the error is within the accuracy asked for, None where there is no estimate
-    An error estimate that fails leaves its reason in `displacement_error_missing`; the results stand without it.
+    single ones; peak_displacement_low_m, _high_m: with that band; verdict: of `palmfield.outputs.felt.verdict`.
+    accuracy_reached: whether the error is within the target accuracy, None where there is no estimate.
+    If the error estimate fails, `displacement_error_missing` gives the reason; the results remain valid without it.
     """
     runtime = simulation.runtime
     model, number = runtime.model, simulation.skins.index(skin_name)
@@ -88,9 +88,9 @@ def skin_numbers(
 
 
 def estimated_budget(simulation: Simulation, skin: int, loudest: LoudestMoment | None) -> dict[str, Any] | str | None:
-    """The error budget of a skin's motion (`palmfield.estimate.error_budget.error_budget`), or why there is none.
+    """The error budget of the motion of a skin (`palmfield.estimate.error_budget.error_budget`), or why there is none.
 
-    None where the run was silent. loudest: see `skin_numbers`
+    None where the run was silent. loudest: see `skin_numbers`.
     """
     if loudest is None:
         return None
@@ -99,7 +99,7 @@ def estimated_budget(simulation: Simulation, skin: int, loudest: LoudestMoment |
 
 
 def estimated_errors(runtime: SceneRuntime, skin: int, loudest: LoudestMoment) -> dict[str, float] | str:
-    """The numerical errors of a skin's displacement by source, relative, or why there is no estimate."""
+    """The numerical errors of the displacement of a skin by source, relative, or why there is no estimate."""
     return _or_reason(
         lambda: error_estimate(
             runtime.model, skin, loudest, _radiation(runtime), _course(runtime, skin), materials=False
@@ -113,7 +113,7 @@ def _course(runtime: SceneRuntime, skin: int) -> SteppedRun:
 
 
 def _or_reason(estimate: Callable[[], T]) -> T | str:
-    """What an estimate gives, or why it gives nothing: the run's numbers stand without it."""
+    """The result of an estimate, or why there is none: the numbers of the run remain valid without it."""
     try:
         return estimate()
     except (PalmfieldError, MemoryError) as error:
@@ -126,14 +126,14 @@ def stimulus_numbers(
     peak_drive: Float | None = None,
     turns: Iterable[PhaseTurns] = (),
 ) -> dict[str, dict[str, Any]]:
-    """Of each stimulus, by name: `drive_level`, the largest amplitude of its transducers at the skins' loudest moments.
+    """Return for each stimulus, by name: `drive_level`, its largest transducer amplitude at the skins' loudest moments.
 
     Relative to full drive. It is the level at full modulation, without ramp and bursts, where all transducers follow
-    one course; where they don't (several stimuli, a moving focus with ring-up), what is emitted. Where no sound pushed
-    any skin it is what the transducers were told: the array may have run beside them.
+    one course. Where they don't (several stimuli, a moving focus with ring-up), it is the emitted amplitude. Where no
+    sound pushed any skin it is the commanded drive: the sound may have missed the skins.
 
-    peak_drive: largest amplitude that each transducer was told in the run, shape (N,); 0 by default
-    turns: of each stimulus; one of several foci has `phase_turns`, their number, and `phase_turn_times_s` [s]
+    peak_drive: largest amplitude commanded of each transducer in the run, shape (N,); 0 by default.
+    turns: of each stimulus; one of several foci has `phase_turns`, their number, and `phase_turn_times_s` [s].
     """
     model = simulation.runtime.model
     moments = list(loudest)
@@ -150,7 +150,7 @@ def stimulus_numbers(
 
 
 def array_numbers(model: HapticModel) -> dict[str, dict[str, Any]]:
-    """Of each array, by name: p0 [Pa m] and quality with range, kind and source, and whether they are calibrated."""
+    """For each array, by name: p0 [Pa m] and quality with range, kind and source, and whether they are calibrated."""
     result = {}
     for spec, array in zip(model.spec.arrays, array_instances(model.spec), strict=True):
         p0, quality = array.p0, array.quality
@@ -179,7 +179,7 @@ def drive_levels(model: HapticModel, loudest: Iterable[LoudestMoment | None]) ->
 def scene_numbers(
     simulation: Simulation, loudest: Iterable[LoudestMoment | None], peak_drive: Float | None = None
 ) -> dict[str, Any]:
-    """Of the whole scene: what computes its fields, the board that plays it, and the highest level of its drive.
+    """For the whole scene: the device of its fields, the board that plays it, and the highest level of its drive.
 
     loudest: of each skin; peak_drive: as of `stimulus_numbers`
     """
@@ -189,7 +189,7 @@ def scene_numbers(
 
 
 def _radiation(runtime: SceneRuntime) -> Radiation:
-    """Fields of a scene's model, with what its run has solved by boundary elements."""
+    """Fields of the model of a scene, with the boundary-element solutions of its run."""
     radiation = Radiation(runtime.model)
     radiation.adopt(runtime.work.radiation.scattered_fields())
     return radiation
@@ -202,7 +202,7 @@ def _left_small_model(runtime: SceneRuntime, skin: int) -> bool:
 
 
 def _solver_in_words(model: HapticModel, skin: int, left_small_model: bool) -> str:
-    """What stepped a skin."""
+    """Name of the stepper of a skin."""
     stepper = model.begin[skin].value
     return f"{stepper.describe()}; then wedges" if left_small_model else stepper.describe()
 

@@ -1,8 +1,8 @@
-"""The coupled scene: what it says, the model made of it, its state, and one step of the pipeline.
+"""The coupled scene: its spec, the model built from it, its state, and one step of the pipeline.
 
-SceneSpec -> build -> HapticModel -> step(model, state, posed, t0, t1) -> what observers see.
+SceneSpec -> build -> HapticModel -> step(model, state, posed, t0, t1) -> observers.
 
-`palmfield.simulation.build.build` and `palmfield.simulation.step.step` are the two verbs; here are their nouns.
+The functions are `palmfield.simulation.build.build` and `palmfield.simulation.step.step`; the types are defined here.
 """
 
 import lazy_loader

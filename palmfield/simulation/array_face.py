@@ -12,10 +12,10 @@ TILT_RAD = 5e-4
 
 
 def wall_distance(spec: SceneSpec, array: Array) -> float | None:
-    """From the plane of the transducers to the disc [m] where the array's face is rigid, None where it absorbs.
+    """From the plane of the transducers to the disc [m] where the face of the array is rigid, None where it absorbs.
 
-    array: the first one's transducers in its own frame
-    Raises SceneError, with the reason and the way out, for all that images of the array can't follow.
+    array: transducers of the first array in its own frame.
+    Raises SceneError, with the reason and the remedy, for all that image sources of the array cannot represent.
     """
     rigid = next((array for array in spec.arrays if array.config.array_face == "rigid"), None)
     if rigid is None:
@@ -45,7 +45,7 @@ def wall_distance(spec: SceneSpec, array: Array) -> float | None:
 
 
 def refused(array: ArraySpec, why: str, allowed: str) -> SceneError:
-    """What is said of a rigid face that can't be computed."""
+    """The message for a rigid face that can't be computed."""
     return SceneError(
         f"plugin 'palmfield.array' instance '{array.name}': key 'array_face' has value 'rigid', but {why}; allowed: "
         f"{allowed}; or set array_face to absorbing: the error budget then holds a band for the echo"

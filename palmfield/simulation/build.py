@@ -53,12 +53,12 @@ from palmfield.types import Float
 LEAST_FREQUENCY_Hz = 200.0
 """Mesh and step resolve at least this, unless key max_frequency_Hz says otherwise."""
 NEAR = 0.25
-"""Of the spot's width, by which a focus may lie beside the middle of a layer that is meshed as if it didn't."""
+"""Share of the spot width: a focus this near to the middle of a layer is meshed as if it were at the middle."""
 MOST_MODELS = 8
 _lock = threading.RLock()
 _models: list[HapticModel] = []
 _kept: list[tuple[SceneLayer, Lazy[WedgeStepper]]] = []
-# As long as a model has them, others that need the same take them over: a mesh and its matrices take seconds
+# While a model holds them, others that need the same ones reuse them: a mesh and its matrices take seconds
 _bodies: WeakValueDictionary[SkinConfig, BodyModel] = WeakValueDictionary()
 _known_layers: WeakValueDictionary[tuple[object, ...], SceneLayer] = WeakValueDictionary()
 
@@ -86,12 +86,12 @@ def keep_model(spec: SceneSpec, model: HapticModel) -> None:
 
 
 def _but_for_texts(spec: SceneSpec) -> SceneSpec:
-    """The spec without what MuJoCo fills in last: it asks for the states' sizes before."""
+    """The spec without the entries that MuJoCo fills in last: MuJoCo reads the sizes of the states earlier."""
     return replace(spec, duration_s=1.0, device="cpu")
 
 
 def build(spec: SceneSpec, alike: HapticModel | None = None) -> HapticModel:
-    """Make a scene's model.
+    """Make the model of a scene.
 
     alike: a model of the same scene for another duration or device, whose bodies and layers serve here as well
     Raises SceneError or DeviceError, with element, key, value and what is allowed, for what doesn't fit together.
@@ -115,7 +115,7 @@ def build(spec: SceneSpec, alike: HapticModel | None = None) -> HapticModel:
 
 
 def board_for(spec: SceneSpec, arrays: PhasedArray) -> Board:
-    """What plays the drive. Raises SceneError for arrays that it does not drive, DeviceError for keys it has not."""
+    """The board that plays the drive. SceneError for arrays that it does not drive, DeviceError for unknown keys."""
     check_arrays(BOARDS[spec.driver.board], spec.arrays)
     known = any(array.calibration is not None for array in spec.arrays)
     board = board_of(spec.driver, len(arrays), calibrated=known, address=arrays.array.address)
@@ -127,19 +127,19 @@ def board_for(spec: SceneSpec, arrays: PhasedArray) -> Board:
 
 
 def whole_of(layer: SceneLayer) -> Lazy[WedgeStepper]:
-    """What steps a whole layer, with its factorised matrix when it is first needed; the one that is kept, if any."""
+    """The stepper of a whole layer, with its matrix factorised at first use; the stored one, if any."""
     with _lock:
         known = next((whole for other, whole in _kept if other is layer), None)
         return known or Lazy(partial(whole_stepper, layer))
 
 
 def whole_stepper(layer: SceneLayer) -> WedgeStepper:
-    """What steps a whole layer, with its factorised matrix."""
+    """The stepper of a whole layer, with its factorised matrix."""
     return WedgeStepper(layer.system, layer.quadrature.operator, layer.sizes.step_s)
 
 
 def _arrays(spec: SceneSpec) -> PhasedArray:
-    """The scene's arrays in the reference pose. Raises SceneError, which names the instance, for one that can't be."""
+    """Arrays of the scene in the reference pose. Raises SceneError, which names the instance that can't be built."""
     instances = array_instances(spec)
     for array, instance in zip(spec.arrays, instances, strict=True):
         with naming(f"plugin 'palmfield.array' instance '{array.name}'"):
@@ -160,7 +160,7 @@ def _arrays(spec: SceneSpec) -> PhasedArray:
 
 
 def _body(skin: SkinConfig) -> BodyModel:
-    """The surface of a skin's body, and its bones; the same one for the same keys, while a model has it."""
+    """The surface of the body of a skin, and its bones; the same object for the same keys, while a model holds it."""
     with _lock:
         body = _bodies.get(skin) or _bodies.setdefault(skin, _new_body(skin))
         body.force_accuracy = skin.force_accuracy
@@ -191,7 +191,7 @@ def _new_body(skin: SkinConfig) -> BodyModel:
 
 
 Responses = dict[tuple[StimulusSpec, bool], TransducerResponse]
-"""Of stimuli at any level, and whether they are silent."""
+"""Responses of stimuli at any level, and whether they are silent."""
 
 
 def stimuli_of(
@@ -260,7 +260,7 @@ def _stimulus(
         drive = ArrayDrive(arrays, transducers.astype(np.int32), config.arp_peak_Pa, amplitude, board, about[:1], about)
         foci = focal_points.at(frame_at(config, config.start_s).focus)
         silent = not np.any(drive.unit_drive(foci).amplitudes)
-        # The same at any level that the board plays as it is, but for silence, in which nothing is left out
+        # Equal at any level that the board plays unchanged, except silence, in which no level is left out
         key = (replace(spec, config=at_any_level(spec.config)) if board.exact else spec), silent
         response = known.get(key)
         if response is None:
@@ -270,8 +270,8 @@ def _stimulus(
 
 
 def at_any_level(config: StimulusConfig) -> StimulusConfig:
-    """Equal for stimuli that differ in their level alone; where the duty is modulated, which changes the ARP's course,
-    the stimulus itself."""
+    """Equal for stimuli that differ only in their level. Where the duty is modulated, which changes the course of the
+    ARP, the stimulus itself."""
     if config.am_quantity == "duty":
         return config
     by_pressure = config.arp_peak_Pa is not None
@@ -316,7 +316,7 @@ def _skins(
     response_on: bool,
     layers: list[SceneLayer] | None,
 ) -> tuple[SkinModel, ...]:
-    """The skins with their layers, which are made here if they are not known."""
+    """The skins with their layers, which are made here if they are not stored."""
     if layers is None:
         carriers = [bodies[names.index(skin.config.body)] for skin in spec.skins]
         layers = layers_for(spec, stimuli, demands_of(spec, stimuli, arrays, board, carriers), carriers)
@@ -336,7 +336,7 @@ def demands_of(
     board: Board,
     carriers: Sequence[BodyModel],
 ) -> list[LayerDemand]:
-    """What the stimuli ask of each skin's layer; carriers: the body of each skin."""
+    """The demands of the stimuli on the layer of each skin; carriers: the body of each skin."""
     demands = []
     for skin, body in zip(spec.skins, carriers, strict=True):
         stimulus = nearest_stimulus(skin, stimuli)
@@ -369,7 +369,7 @@ def layers_for(
     layers = []
     for skin, body, demand in zip(spec.skins, carriers, demands, strict=True):
         layers.append(_layer(skin, body, demand))
-        # Before anything asks a layer for its mesh, which is slow itself where the elements are too small.
+        # Before any layer is meshed, which is slow itself where the elements are too small.
         check_cost(skin, layers[-1], spec.timestep_s, nearest_stimulus(skin, stimuli))
     if len(layers) == 1:
         return layers
@@ -381,7 +381,7 @@ def layers_for(
 
 
 def _layer(skin: SkinSpec, body: BodyModel, demand: LayerDemand) -> SceneLayer:
-    """A skin's layer; the same one for the same keys, place and demand on one body, while a model has it."""
+    """The layer of a skin; the same object for the same keys, place and demand on one body, while a model holds it."""
     key = skin.name, skin.config, skin.patch_centre, body, demand
     with _lock:
         return _known_layers.get(key) or _known_layers.setdefault(
@@ -413,10 +413,10 @@ def _common_step(steps_s: list[float], spec: SceneSpec) -> float:
 
 
 def spot_fwhm(arrays: PhasedArray, board: Board, stimulus: StimulusModel) -> float:
-    """Full width at half maximum of |p|^2 around a stimulus's first focus, along the array's x axis [m]."""
+    """Full width at half maximum of |p|^2 around the first focus of a stimulus, along the x axis of the array [m]."""
     focus = stimulus.first_focus
     config = stimulus.config
-    # Of a stimulus that makes no sound: what its spot would be
+    # Of a silent stimulus: the spot that it would have
     drive = ArrayDrive(arrays, stimulus.transducers, config.arp_peak_Pa, peak_amplitude(config) or 1.0, board)
     amplitudes = drive.unit_drive(focus).amplitudes
     offsets, peak = np.linspace(0.0, 0.06, 241), None
@@ -434,10 +434,10 @@ def spot_fwhm(arrays: PhasedArray, board: Board, stimulus: StimulusModel) -> flo
 def path_reach(
     stimulus: StimulusModel, skin: SkinSpec, body: BodyModel, spot_m: float
 ) -> tuple[tuple[float, float, float], tuple[float, float]]:
-    """Where a focus or path has its own middle, from that of a skin's layer, and how far it goes from both [m].
+    """Distance from the middle of a layer to the middle of a focus or path, and its greatest distance from both [m].
 
-    The first is 0 for a path on the skin, which is measured from the layer's middle, for a skin that moves, and for a
-    focus less than NEAR of its spot away, or one that misses the layer.
+    The first is 0 for three cases: a path on the skin, which is measured from the middle of the layer; a skin that
+    moves; and a focus that is less than NEAR of its spot away, or that misses the layer.
     """
     centre = np.array(skin.patch_centre)
     if stimulus.path is not None and body.surface is not None:
@@ -466,7 +466,7 @@ def path_reach(
 
 
 def _on_skin(body: BodyModel, point: Float) -> Float:
-    """The place of a body's resting surface that is nearest to a point, body frame [m]; of a disc that above it."""
+    """The nearest place of the resting surface of a body to a point, body frame [m]; of a disc the one above it."""
     surface = body.surface
     if surface is None:
         return np.array([*point[:2], 0.0])

@@ -26,15 +26,15 @@ from palmfield.skin.scene_layer import LayerDemand, SceneLayer
 from palmfield.skin.stepper import SkinStepper
 
 Stimuli = tuple[tuple[StimulusModel, ...], bool]
-"""Of a world, and whether its transducers' ring-up is modelled."""
+"""The stimuli of a world, and whether the ring-up of its transducers is modelled."""
 
 
 @dataclass(frozen=True)
 class Shared:
-    """What worlds share with others that are not stepped with them, so that it doesn't depend on who is beside whom.
+    """Data that a world shares with worlds outside its group, so that it does not depend on the other members.
 
-    demands: what each skin's layer is made for; None for what the scene by itself asks for
-    modal: whether modes for every load step skins whose loads are known ahead, where key `solver` is auto
+    demands: what the layer of each skin is made for; None for the demands of the scene by itself.
+    modal: whether modes for every load step skins whose loads are predicted, where key `solver` is auto.
     """
 
     demands: tuple[LayerDemand, ...] | None = None
@@ -44,15 +44,14 @@ class Shared:
 def build_worlds(
     specs: Sequence[SceneSpec], scene: SceneSpec | None = None, shared: Shared | None = None
 ) -> tuple[HapticModel, ...]:
-    """The model of each world, for specs that differ in the keys of their stimuli only.
+    """Build the model of each world, for specs that differ only in the keys of their stimuli.
 
-    scene: that of MuJoCo's model, which differs in such keys at most; the first of specs by default
-    shared: what is the same as in other worlds; without, by what these worlds ask for:
-    The layers are made for the strictest of the worlds that sound: where all ask for the same, each has the layer
-    that it would have by itself. A skin gets small models if every world that sounds would have one, and if there are
-    at most MOST_SMALL_MODELS different ones: loads that differ in their level alone share theirs. Else one stepper
-    serves all loads: modes, or the whole layer.
-    Raises SceneError or DeviceError as `palmfield.simulation.build.build`.
+    scene: of MuJoCo's model, which differs only in such keys; the first of specs by default.
+    shared: the data shared with other worlds; without it, the demands of these worlds.
+    The layers are made for the strictest of the worlds with sound. If all have the same demands, each has the layer
+    that it would have by itself. A skin gets small models if every world with sound would have one, at most
+    MOST_SMALL_MODELS different ones; loads that differ only in level share one. Otherwise one stepper serves all:
+    modes or whole layer. Raises SceneError or DeviceError as `palmfield.simulation.build.build`.
     """
     first = model_of(scene or specs[0])
     carriers = [first.bodies[skin.body] for skin in first.skins]
@@ -81,18 +80,18 @@ def build_worlds(
     begins: dict[tuple[int, object], Lazy[SkinStepper]] = {}
     for number, skin in enumerate(skins):
         if scene is not None and skin is first.skins[number]:
-            # What MuJoCo's model has been given serves worlds in which it sounds the same
+            # Data made for MuJoCo's model serve worlds in which it sounds the same
             own_load = load_key(first.stimuli, first.board.exact) if skin.choice.name == "reduced" else None
             begins[number, own_load] = first.begin[number]
     models: dict[SceneSpec, HapticModel] = {}
-    # Those that sound come first: for silence any of their steppers will do
+    # Worlds with sound come first: any of their steppers serves silence
     fallback = next((load for load in loads.values() if load is not None), None)
     for spec in sorted(stimuli, key=lambda spec: loads[spec] is None):
         made, response_on = stimuli[spec]
         model = replace(first, spec=spec, stimuli=made, response_on=response_on, skins=skins, whole=whole)
         begin = []
         for number, skin in enumerate(skins):
-            # A small model is made for its load, whatever else steps a skin serves all loads
+            # A small model is made for its load; any other stepper of a skin serves all loads
             key = number, (loads[spec] or fallback) if skin.choice.name == "reduced" else None
             if key not in begins:
                 begins[key] = Lazy(partial(first_stepper, model, number))
@@ -119,7 +118,7 @@ def _skins(
                 for spec, (made, response_on) in sounding.items()
             ]
             choice = common_choice(first.spec, known.spec, layer, choices, loads) if choices else known.choice
-            # As in each world by itself, where the load is known ahead: while nothing moves its field is kept
+            # As in each world by itself, where the load is predicted: in a still pose its field is stored
             settles = choice.name != "wedges" and all(own.name == "reduced" for own in choices)
         if layer is known.layer and choice == known.choice:
             skins.append(known)
@@ -130,9 +129,9 @@ def _skins(
 
 
 def strictest(demands: Sequence[LayerDemand]) -> LayerDemand:
-    """What serves all of some demands on a layer: absorbing sides are for the first one's main frequency.
+    """The demand that covers all of some demands on a layer: absorbing sides are for the first main frequency.
 
-    Elements are fine round the first one's focus, as far as to the others'.
+    Elements are fine round the focus of the first one, out to the foci of the others.
     """
     near, far = zip(*(demand.path_reach_m for demand in demands), strict=True)
     near = tuple(
@@ -150,7 +149,7 @@ def strictest(demands: Sequence[LayerDemand]) -> LayerDemand:
 def load_key(stimuli: Sequence[StimulusModel], exact: bool) -> tuple[object, ...] | None:
     """Equal for stimuli whose loads differ in their level alone; None for silence.
 
-    exact: whether the board plays any level as it is: what it makes of another level may be another field
+    exact: whether the board plays any level unchanged: otherwise another level may give another field
     """
     if all(stimulus.silent for stimulus in stimuli):
         return None

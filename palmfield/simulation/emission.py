@@ -1,7 +1,7 @@
-"""What is commanded of the transducers and what they emit over a step: the stages drive and emitted.
+"""Commanded drive and emission of the transducers over a step: the stages drive and emitted.
 
-An Emission belongs to one state and is used by one thread at a time: it keeps the drives of the arrays as they stand
-now, and where each stimulus's points were at the last control tick.
+An Emission belongs to one state and is used by one thread at a time. It stores the drives of the arrays in their
+present pose, and the points of each stimulus at the last control tick.
 """
 
 from typing import NamedTuple
@@ -34,19 +34,19 @@ from palmfield.types import Complex, Float
 TICK_S = 1e-9
 """A control tick that is nearer than this counts as reached."""
 LEAST_MEANS = 4
-"""Parts of a MuJoCo step over which the force on bodies is averaged, at least; of drives that move, which cost more, 2.
+"""Parts of a MuJoCo step over which the force on bodies is averaged, at least; 2 for moving drives, which cost more.
 
 By estimate two parts leave 5 % of error in the millisecond in which transducers ring up, and then 1 % for 7 m/s."""
 BOOLE, BOOLE_SHARES = 4, np.array([7.0, 32.0, 12.0, 32.0, 7.0]) / 90.0
-"""Parts of a step over which a course goes along a straight line, and the shares of their ends in its mean."""
+"""Parts of a step over which a course is linear, and the shares of their ends in its mean."""
 AHEAD, WORTHWHILE = 128, 32
-"""Substeps that are looked ahead where nothing moves, and different drives among them from which that pays."""
+"""Substeps of look-ahead where nothing moves, and the number of different drives among them from which that pays."""
 NEGLIGIBLE = 1e-5
 """Share of the emitted power that the mean force may leave out."""
 
 
 class MeanDrives(NamedTuple):
-    """What gives a mean ARP: weights @ ARP(levels @ units). weights: shape (m,), none in silence.
+    """Mean ARP: weights @ ARP(levels @ units). weights: shape (m,), none in silence.
 
     units: drives, shape (k, N); levels: complex, shape (m, k); serial: as of EmittedCourse
     """
@@ -74,7 +74,7 @@ Ticks = tuple[float | None, ...]
 
 
 class PlacedStimulus(NamedTuple):
-    """A stimulus, how it drives its transducers with the arrays as they stand, and where its points are."""
+    """A stimulus, its drive of the transducers with the arrays in their present pose, and its points."""
 
     stimulus: StimulusModel
     drive: ArrayDrive
@@ -82,18 +82,18 @@ class PlacedStimulus(NamedTuple):
 
 
 class HeldPoints(NamedTuple):
-    """Where a stimulus's points were at a control tick, and when they were taken [s]."""
+    """The points of a stimulus at a control tick, and the time at which they were taken [s]."""
 
     time_s: float
     points: FocalPoints
 
 
 class Emission:
-    """Drives and emission of a model's transducers.
+    """Drives and emission of the transducers of a model.
 
-    held: of each stimulus with a control rate, None before its first step; holds: whether there is such a stimulus
-    ahead: whether steps are looked at ahead while nothing moves, so that the fields of all are one product; coming:
-        those that have been
+    held: of each stimulus with a control rate, None before its first step. holds: whether there is such a stimulus.
+    ahead: whether steps are computed ahead while nothing moves, so that the fields of all are one product.
+    coming: the steps computed ahead.
     """
 
     ahead = False
@@ -111,22 +111,22 @@ class Emission:
         self._moves_alone = _moves_alone(model, self._drives[1])
 
     def forget(self) -> None:
-        """Begin again, as at the start of a run: nothing is held or looked at ahead."""
+        """Begin again, as at the start of a run: no held points and no steps computed ahead."""
         self.held = [None] * len(self.model.stimuli)
         self.coming, self._last_pose = [], 0
 
     def adopt(self, other: "Emission") -> None:
-        """Go on from another's, in a copy of its state in the same PosedScenes."""
+        """Continue from another Emission, in a copy of its state in the same PosedScenes."""
         self.held = list(other.held)
         self.coming, self._last_pose = list(other.coming), other._last_pose
 
     def begin(self, posed: PosedScene, time_s: float) -> None:
-        """Take the stimuli's points where a step begins, for those whose control tick is due."""
+        """Take the points of the stimuli at the beginning of a step, for those whose control tick is due."""
         for number, stimulus in enumerate(self.model.stimuli):
             if stimulus.config.control_rate_Hz > 0.0:
                 held = self.held[number]
                 if held is not None and time_s <= held.time_s:
-                    # The same moment again, or an earlier one after a reset: what was held may lie elsewhere now.
+                    # The same moment again, or an earlier one after a reset: held points may lie elsewhere now.
                     self.held[number] = None
                 points = self.placed(posed, time_s)[number].points
                 held = self.held[number]
@@ -155,7 +155,7 @@ class Emission:
         return one._replace(points=held.points) if ticks[0] == ticks[1] else one
 
     def over(self, posed: PosedScene, emitted: Complex, t0: float, count: int) -> tuple[Moments, EmittedCourse]:
-        """What is emitted at the moments of `count` substeps from t0 [s] on; emitted: at t0, shape (N,)."""
+        """The emission at the moments of `count` substeps from t0 [s] on; emitted: at t0, shape (N,)."""
         model, last = self.model, self._over
         key = posed.serial, round(t0, 12), count, emitted.tobytes(), self._ticks() if self.holds else ()
         # The mean force and the skins' loads take the same
@@ -236,8 +236,8 @@ class Emission:
         return PathStep(moments, place.along(points), group, levels[:-1], float(levels[-1]), mean, weights)
 
     def now(self, posed: PosedScene, emitted: Complex, time_s: float) -> EmittedCourse:
-        """What is emitted at the present time [s], as a course of one moment; emitted: shape (N,)."""
-        # The sensors of several skins ask for the same
+        """The emission at the present time [s], as a course of one moment; emitted: shape (N,)."""
+        # The sensors of several skins need the same
         last, key = self._now, (posed.serial, time_s, emitted.tobytes(), self._ticks() if self.holds else ())
         if last is not None and last[0] == key:
             return last[1]
@@ -253,7 +253,7 @@ class Emission:
         return result
 
     def _first(self, posed: PosedScene, emitted: Complex, t0: float) -> Complex | None:
-        """What sounds at t0 [s], shape (1, N), if `over` has computed the step from there on; None if not.
+        """The emission at t0 [s], shape (1, N), if `over` has computed the step from there on; None if not.
 
         Only along a straight line from there; for drives that sound at once.
         """
@@ -266,14 +266,14 @@ class Emission:
         return course.units[:1]
 
     def commanded(self, posed: PosedScene, times: Float) -> Complex:
-        """What is commanded at some times [s], shape (k, N); what the transducers make of it comes later."""
+        """The commanded drive at some times [s], shape (k, N), before the response of the transducers."""
         total = np.zeros((len(times), len(posed.arrays)), np.complex128)
         for part, drive, place in self.placed(posed, float(times[0])):
             total += commanded_drive(part.config, drive, None, times, place)
         return total
 
     def foci(self, posed: PosedScene, times: Float) -> list[Float]:
-        """Where each stimulus's foci are at some times [s], array frame [m], shapes (k, foci, 3)."""
+        """The foci of each stimulus at some times [s], array frame [m], shapes (k, foci, 3)."""
         result = []
         for part, _, place in self.placed(posed, float(times[0])):
             points, _ = frames_at(part.config, times)
@@ -284,10 +284,10 @@ class Emission:
         return result
 
     def mean_drives(self, posed: PosedScene, emitted: Complex, t0: float) -> MeanDrives:
-        """What gives the mean ARP over the MuJoCo step that begins at t0 [s].
+        """Return the function that gives the mean ARP over the MuJoCo step that begins at t0 [s].
 
-        It is that of all that is emitted at the moments of the step; of one stimulus whose drive sounds at once, that
-        of its focus at the step's beginning. None in silence.
+        The mean is over the emission at the moments of the step. For one stimulus whose drive sounds at once, it is
+        that of its focus at the beginning of the step. None in silence.
         """
         model = self.model
         timestep_s = model.spec.timestep_s
@@ -321,8 +321,8 @@ class Emission:
 def mean_weights(moments: Moments) -> Float:
     """Share of each moment in the mean over all steps, shape (m,); 0 for moments that are left out.
 
-    Along a straight course five moments give it as exactly as all, by Boole's rule (Abramowitz and Stegun 25.4.14):
-    the forces of `hover_explore` are 0.077 % off those of eight times as many moments, where all 13 are 0.084 %.
+    On a linear course five moments are as exact as all, by Boole's rule (Abramowitz and Stegun 25.4.14). The forces of
+    `hover_explore` differ by 0.077 % from those of eight times as many moments; with all 13 it is 0.084 %.
     """
     steps = len(moments.first)
     if steps > BOOLE and steps % BOOLE == 0 and True not in moments.linear[:1] and all(moments.linear[1:]):
@@ -340,7 +340,7 @@ def of_one(unit: Complex, weight: float, serial: int) -> MeanDrives:
 def of_moments(course: EmittedCourse, weights: Float) -> MeanDrives:
     """The mean ARP over a course, by as few drives as its moments are sums of; weights: of its moments, shape (m,).
 
-    The moments stay apart: which points are lit goes by each moment's own flow of energy.
+    Moments are computed separately: the lit points of each moment follow from its own flow of energy.
     """
     if len(course.units) < 2:
         level = float(np.add.reduce(weights @ np.abs(course.levels) ** 2))
@@ -384,7 +384,7 @@ def _moves_alone(model: HapticModel, drives: list[ArrayDrive]) -> bool:
 
 
 def array_drives(model: HapticModel, arrays: PhasedArray, board: Board | None = None) -> list[ArrayDrive]:
-    """How each stimulus drives its transducers, with the arrays in one relative pose; board: None for the model's."""
+    """The drive function of each stimulus, with the arrays in one relative pose; board: None for that of the model."""
     board = model.board if board is None else board
     drives = []
     for part in model.stimuli:

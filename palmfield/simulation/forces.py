@@ -10,9 +10,9 @@ from palmfield.types import Complex, Float, Float32, Int
 
 
 class BodyForces:
-    """Forces [N] on the parts of a model's bodies and torques about their origins [N m], array frame, shape (2, b, 3).
+    """Forces [N] on the parts of the bodies and torques about their origins [N m], array frame, shape (2, b, 3).
 
-    Belongs to one state, and keeps what a unit pressure does in the last pose.
+    Belongs to one state, and stores the effect of a unit pressure in the last pose.
     """
 
     def __init__(self, model: HapticModel, radiation: Radiation):
@@ -22,11 +22,11 @@ class BodyForces:
         self._pushes: dict[int, tuple[Key, Float, Parts]] = {}
 
     def under(self, posed: PosedScene, body: int, drive: Complex, serial: int = 0) -> Float:
-        """On one body, for what the transducers emit, shape (N,); serial: as of `Radiation.on`."""
+        """Force on one body, for an emission of the transducers, shape (N,); serial: as of `Radiation.on`."""
         return self.pressed(posed, body, self.radiation.on(posed, self.skins[body], "samples", drive, serial).arp)
 
     def pressed(self, posed: PosedScene, body: int, arp: Float | Float32) -> Float:
-        """On one body, for a pressure at its samples [Pa], shape (n,)."""
+        """Force on one body, for a pressure at its samples [Pa], shape (n,)."""
         points, normals, areas, numbers = self.radiation.samples(posed, self.skins[body])
         origins, key = posed.bodies[body].origins, (posed.arrays.serial, posed.bodies[body].serial)
         known = self._pushes.get(body)

@@ -1,4 +1,4 @@
-"""What a board is sent at a moment of a scene: the bytes of one frame."""
+"""The bytes of one frame for a board at a moment of a scene."""
 
 from dataclasses import replace
 
@@ -18,18 +18,18 @@ UNMODULATED = {"modulation": "none", "am_quantity": None, "am_frequency_Hz": Non
 
 
 class Frames:
-    """The frames of a model's board. It belongs to one state, as the Emission that it takes ticks and points from.
+    """The frames of the board of a model. Belongs to one state, as the Emission that it takes ticks and points from.
 
-    sounds: whether anything is on in the last one
+    sounds: whether any stimulus is on in the last frame
     """
 
     sounds = False
 
     def __init__(self, model: HapticModel, emission: Emission):
         self.model, self.emission = model, emission
-        # What is wanted of the transducers, before the board rounds it
+        # The commanded drive of the transducers, before the board rounds it
         self._exact: Board = replace(BOARDS["ideal"], compensate=model.board.compensate)
-        # What modulates by itself is told the loudest moment all the time
+        # A board that modulates by itself gets the drive of the loudest moment all the time
         self._configs = [
             config.model_copy(update=UNMODULATED) if model.board.modulates else None for config in model.configs
         ]
@@ -37,9 +37,9 @@ class Frames:
         self._arrays = 0
 
     def at(self, posed: PosedScene, time_s: float, share: float = 1.0) -> bytes:
-        """The bytes that make the board emit what the stimuli ask for at a time [s].
+        """The bytes that make the board emit the drive of the stimuli at a time [s].
 
-        posed: where all is then; share: of all amplitudes
+        posed: the poses then; share: of all amplitudes.
         Raises SceneError for a focus that can't be made, DeviceError for what the board can't play.
         """
         board = self.model.board
@@ -58,9 +58,9 @@ class Frames:
         return board.encode(wanted)
 
     def wanted(self, posed: PosedScene, time_s: float) -> Complex:
-        """What is wanted of the transducers at a time [s] before the board makes bytes of it, shape (N,).
+        """The commanded drive of the transducers at a time [s] before the board makes bytes of it, shape (N,).
 
-        Relative to full drive, e^{-iwt}, with all that the board is told to make up for. Errors as `at`.
+        Relative to full drive, e^{-iwt}, with all compensations for the board. Errors as `at`.
         """
         self.emission.begin(posed, time_s)
         return self._sum(self.emission.placed(posed, time_s), posed, time_s)
@@ -73,7 +73,7 @@ class Frames:
         return wanted
 
     def _wanted(self, number: int, drive: ArrayDrive, posed: PosedScene) -> ArrayDrive:
-        """The drive of a stimulus as it is asked for, with the arrays as they stand."""
+        """The commanded drive of a stimulus, with the arrays in their present pose."""
         if self._arrays != posed.arrays.serial:
             self._arrays = posed.arrays.serial
             self._drives.clear()

@@ -1,8 +1,8 @@
 """Memory and launches of a step on a device: one captured graph from frames to forces, sensors and skins.
 
-Frames, foci or drives, and what of the state the device does not keep, go in by one copy; forces, what sensors read and
-the skins' numbers as the step ends come out by another. What fills the one and reads the other is
-`palmfield.simulation.moving_worlds` for worlds whose bodies move, and `palmfield.simulation.scene_graph` for one world.
+One copy takes in the frames, the foci or drives, and the part of the state that the device does not keep. Another copy
+returns forces, sensor readings and the numbers of the skins at the end of the step. The inputs are filled and the
+results read by `palmfield.simulation.moving_worlds` (moving bodies) and `palmfield.simulation.scene_graph` (one world).
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -50,11 +50,11 @@ from warp_kernels import skin_steps
 from warp_kernels import world_steps as kernels
 
 LOAD, FORCE, NOW = "load", "force", "now"
-"""What drives are for: the skins' load over the step, the mean force over it, and the sensors at its beginning."""
+"""Purposes of drives: the load of the skins over the step, the mean force over it, and the sensors at its beginning."""
 Launches = list[Callable[[], object]]
 PURPOSES = LOAD, FORCE, NOW
 PATH = "counts", "group", "foci", "wanted", "aims", "ring", "pushes", "begun", "end", "totals"
-"""Parts of a PathMemory that a step's inputs and results hold."""
+"""Parts of a PathMemory that hold the inputs and results of a step."""
 
 
 class GraphSizes(NamedTuple):
@@ -80,12 +80,12 @@ class GraphSizes(NamedTuple):
 
 
 class GraphOf(NamedTuple):
-    """What a graph is for.
+    """The purpose of a graph.
 
-    worlds: how many with the same bodies; probes: sensors' places, each with its skin's number
-    skins: what steps them, by number; drives: what makes drives of a path, None where they are given
+    worlds: how many with the same bodies. probes: places of sensors, each with the number of its skin.
+    skins: their steppers, by number. drives: makes drives of a path, None where they are given.
     free: whether frames are MuJoCo's of worlds that step alike: skins take pressure only where their steppers do, and
-        what is the same in all steps is not copied; kept: whether the state stays on the device from step to step
+        what is the same in all steps is not copied; kept: whether the state stays on the device from step to step.
     """
 
     worlds: int
@@ -97,10 +97,10 @@ class GraphOf(NamedTuple):
 
 
 class GraphWork:
-    """Memory and launches for so many worlds and so much at most.
+    """Memory and launches for this number of worlds and these sizes at most.
 
-    inputs: what goes in; results: what comes out; arrays: all of it and what stays on the device, by name
-    load: ARP on the skins, (w m, q), of which `quadrature` says which columns are a skin's
+    inputs: copied in. results: copied out. arrays: all of these and what stays on the device, by name.
+    load: ARP on the skins, (w m, q); `quadrature` gives the columns of each skin.
     """
 
     def __init__(
@@ -190,7 +190,7 @@ class GraphWork:
         return parts, results
 
     def _inside(self) -> list[str]:
-        """What of it stays on the device."""
+        """The part that stays on the device."""
         of = self.of
         names = ["turns", "shifts", "origins", *(f"squares_{number}" for number in of.skins)]
         if of.drives is not None:
@@ -207,7 +207,7 @@ class GraphWork:
         return names
 
     def _steppers(self) -> dict[int, Any]:
-        """Of the skins whose points are only those at which their steppers take pressure."""
+        """Of the skins whose points are only those of their steppers."""
         return {number: one.stepper for number, one in self.of.skins.items()} if self.of.free else {}
 
     def _placing(self, layout: PoseLayout, motions: int) -> Launches:
@@ -226,7 +226,7 @@ class GraphWork:
     def _sounds(
         self, reference: PosedScene, transducers: Transducers, points: ScenePoints, arps: tuple[Any, Any, Any]
     ) -> dict[str, Launches]:
-        """Launches of each purpose's ARP; what brings points and shadows into place goes with the pose."""
+        """Launches of the ARP of each purpose; those that place points and shadows belong to the pose."""
         model, arrays, device = self.model, self.arrays, self.device
         meshes = self._kept = meshes_of(model, reference, device)
         surfaces: dict[str, list[Surface]] = {name: [] for name in PURPOSES}
@@ -234,7 +234,7 @@ class GraphWork:
         weighing: Launches = []
 
         def add(name: str, skin: int, own: slice, nodes: Callable[[], ShadowNodes]) -> None:
-            """One more surface; how its shadows are weighed goes with the pose."""
+            """Add a surface; the weights of its shadows belong to the pose."""
             spec = model.skins[skin].spec
             mesh = meshes[mesh_number(model, skin)] if spec.config.body_sound == "shadows" else None
             surface = Surface(own, spec.arp_law, mesh.mesh if mesh is not None else None)
@@ -280,12 +280,12 @@ class GraphWork:
         ]
 
     def _path_memory(self) -> PathMemory:
-        """Where a moving focus's numbers are."""
+        """Place of the numbers of a moving focus."""
         here = self.arrays
         return PathMemory(*(here[f"path_{name}"] for name in PATH), *(here[f"{name}_drives"] for name in PURPOSES))
 
     def _stepping(self, skin: int, model: DeviceModel) -> Launches:
-        """Launches of a skin's step; those that read its sensors and take its end over go with others."""
+        """Launches of the step of a skin; those that read its sensors and store its final state belong to others."""
         arrays, device, worlds = self.arrays, self.device, self.of.worlds
         counts, pressure = arrays[f"{LOAD}_counts"], self.load.array[:, self.quadrature[skin]]
         names = "weights", "before", "after", "squares"
@@ -303,7 +303,7 @@ class GraphWork:
         return [*model.calls(memory), launch(kernels.sums_of_squares, sums.shape, [squares, sums], device)]
 
     def calls(self, moved: bool, sounds: bool, skins: tuple[int, ...]) -> Launches:
-        """What is done for a step, in order.
+        """The launches of a step, in order.
 
         moved: whether poses are new; sounds: whether sound is computed; skins: numbers of those that are stepped
         """
@@ -318,7 +318,7 @@ class GraphWork:
         return [*calls, self.results.download]
 
     def replay(self, moved: bool, sounds: bool, skins: tuple[int, ...]) -> Callable[[], object]:
-        """All of these calls in one: on a GPU a captured graph, made when it is first asked for."""
+        """All of these calls in one: on a GPU a captured graph, made at first use."""
         key = moved, sounds, skins
         known = self._replays.get(key)
         if known is None:

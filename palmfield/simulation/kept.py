@@ -35,7 +35,7 @@ class Kept:
         return self._values[worlds]
 
     def copy(self) -> "Kept":
-        """A copy that goes on by itself."""
+        """An independent copy."""
         result = Kept(0)
         result._values, result._keys = self._values.copy(), self._keys.copy()
         return result

@@ -37,13 +37,13 @@ from palmfield.types import Float, Int, Surface
 
 @dataclass(frozen=True)
 class StimulusModel:
-    """One stimulus with what it drives.
+    """One stimulus with the transducers that it drives.
 
-    config: its keys, with the length of a path through sites; transducers: numbers of those that it drives, (k,)
-    path: on the skin, None for one in space; offsets: of several foci at once [m], shape (m, 3), or (0, 3)
-    response: ring-up and flight time of its transducers
-    reference_foci: where the sound goes first in the reference pose, array frame [m], shape (3,) or (m, 3)
-    silent: whether it never sounds
+    config: its keys, with the length of a path through sites. transducers: numbers of those that it drives, (k,).
+    path: on the skin, None for one in space. offsets: of several foci at once [m], shape (m, 3), or (0, 3).
+    response: ring-up and flight time of its transducers.
+    reference_foci: the first foci in the reference pose, array frame [m], shape (3,) or (m, 3).
+    silent: whether it never sounds.
     """
 
     spec: StimulusSpec
@@ -63,26 +63,26 @@ class StimulusModel:
 
 
 class BodyModel:
-    """A body that carries skin: its surface, and how its bones move it. All in the body's frame.
+    """A body that carries skin: its surface, and how its bones move it. All in the frame of the body.
 
-    name: of MuJoCo's body; surface: whole and closed, None for a disc, whose lit face is the skin itself
-    hand: the surface with its bones, None for a body in one piece
-    depth_to_bone_m: by vertex of the surface, shape (v,), or one depth for all
+    name: of the MuJoCo body. surface: whole and closed, None for a disc, whose lit face is the skin itself.
+    hand: the surface with its bones, None for a body in one piece.
+    depth_to_bone_m: by vertex of the surface, shape (v,), or one depth for all.
     """
 
     force_accuracy: float = A_FACE
-    """To which its samples give the force of the sound."""
+    """Relative accuracy with which its samples give the force of the sound."""
 
     def __init__(self, name: str, surface: Surface | None, hand: SkinnedSurface | None, depth_to_bone_m: Float | float):
         self.name, self.surface, self.hand, self.depth_to_bone_m = name, surface, hand, depth_to_bone_m
         self.lock = threading.RLock()
         origins = [] if hand is None else [bone.origin for bone in hand.bones]
         self.rest_origins: Float = np.array(origins).reshape(-1, 3)
-        """Of the bones at rest [m], shape (b, 3); none for a body in one piece."""
+        """Origins of the bones at rest [m], shape (b, 3); none for a body in one piece."""
 
     @property
     def parts(self) -> int:
-        """How many of MuJoCo's bodies the sound pushes: the bones, or one."""
+        """Number of MuJoCo bodies that the sound pushes: the bones, or one."""
         return max(1, len(self.rest_origins))
 
     @locked_cached_property
@@ -128,9 +128,9 @@ class BodyModel:
 
     @locked_cached_property
     def boxes(self) -> Float:
-        """Corners of a box round what each bone carries of the resting surface, from the bone's origin, (b, 8, 3) [m].
+        """Corners of a box round the part of the resting surface on each bone, from the bone's origin, (b, 8, 3) [m].
 
-        Of a body in one piece, round all of its surface, from its origin.
+        For a body in one piece, round its whole surface, from its origin.
         """
         assert self.surface is not None
         if self.hand is None:
@@ -149,7 +149,7 @@ class BodyModel:
 
 
 class StepperChoice(NamedTuple):
-    """Which stepper a skin begins with.
+    """The stepper with which a skin begins.
 
     name: "wedges", "reduced", "modal" or that of a solver with an ExplicitLayer; why: in words
     seconds, wedges_s: predicted of making and stepping it, and the whole layer
@@ -164,9 +164,9 @@ class StepperChoice(NamedTuple):
 class SkinModel:
     """One skin layer on its body.
 
-    body: number of the body that carries it, carrier: that body; layer: mesh and matrices
-    choice: of what steps it; still_m: what moves by less than this counts as still [m]
-    settles: whether the body is put at its reference pose while it is still; by default where a small model steps it
+    body: number of the body that carries it, carrier: that body. layer: mesh and matrices.
+    choice: of its stepper. still_m: smaller movements count as still [m].
+    settles: whether the body is put at its reference pose while it is still; by default where a small model steps it.
     """
 
     def __init__(
@@ -196,7 +196,7 @@ class SkinModel:
 
     @locked_cached_property
     def nodes(self) -> tuple[Float, Float]:
-        """Rest positions [m] and outward normals of the layer's surface nodes, body frame, shapes (S, 3)."""
+        """Rest positions [m] and outward normals of the surface nodes of the layer, body frame, shapes (S, 3)."""
         mesh = self.layer.mesh
         return mesh.nodes[: mesh.surface_nodes], mesh.surface_normals()
 
@@ -212,12 +212,12 @@ class SkinModel:
 
     @locked_cached_property
     def obstacles(self) -> list[tuple[Float, Int]]:
-        """Meshes [m] of what casts shadows besides bodies with skins, each in its own body's frame."""
+        """Meshes [m] of the obstacles besides bodies with skins, each in the frame of its own body."""
         return [obstacle.shape.mesh() for obstacle in self.spec.obstacles]
 
     @locked_cached_property
     def obstacles_in_one(self) -> tuple[list[Float], list[slice], Int]:
-        """Vertices of each obstacle, where they lie among those of all, and the faces of all, shape (f, 3)."""
+        """Vertices of each obstacle, their places among those of all, and the faces of all, shape (f, 3)."""
         shapes: list[Float] = []
         slices: list[slice] = []
         faces: list[Int] = []
@@ -236,7 +236,7 @@ class SkinModel:
 
     @locked_cached_property
     def corners(self) -> Float:
-        """Of a box round the layer's surface, body frame [m], shape (8, 3)."""
+        """Corners of a box round the surface of the layer, body frame [m], shape (8, 3)."""
         return corners_of(self.nodes[0])
 
     @locked_cached_property
@@ -269,7 +269,7 @@ class SkinModel:
         if self.carrier.surface is not None:
             mesh = self.carrier.sample_mesh
             return mesh.faces, mesh.samples, mesh.areas / np.maximum(face_areas[mesh.faces], 1e-30)
-        # The skin's own face comes first
+        # The face of the skin itself comes first
         quadrature = self.layer.quadrature
         lit = centroids[: len(output_triangles(self.layer.mesh))]
         owners = cKDTree(lit).query(quadrature.points)[1].astype(np.int32)
@@ -278,12 +278,12 @@ class SkinModel:
 
 @dataclass(frozen=True)
 class HapticModel:
-    """All of a scene that is constant in a run.
+    """All data of a scene that are constant in a run.
 
-    arrays: as they stand to one another in the reference pose; board: what plays the drive
-    pole: of all transducers; response_on: whether their ring-up is modelled
-    begin: the stepper with which each skin begins; whole: the one that steps its whole layer
-    marks: numbers by which states are known, see `palmfield.simulation.state`; filled as they are needed
+    arrays: in their relative pose of the reference configuration. board: the one that plays the drive.
+    pole: of all transducers. response_on: whether their ring-up is modelled.
+    begin: the stepper with which each skin begins. whole: the one that steps its whole layer.
+    marks: numbers that identify states, see `palmfield.simulation.state`; filled at first use.
     """
 
     spec: SceneSpec
@@ -310,7 +310,7 @@ class HapticModel:
 
     @cached_property
     def substeps(self) -> int:
-        """Steps of the skins in one of MuJoCo's; all skins share them, so that results have one time."""
+        """Substeps of the skins in one MuJoCo step; all skins share them, so that results have one time axis."""
         return round(self.spec.timestep_s / self.step_s)
 
     @cached_property
@@ -320,9 +320,9 @@ class HapticModel:
 
     @cached_property
     def still_m(self) -> tuple[float, ...]:
-        """By body: moves by less than this leave it where it was for all of its skins [m].
+        """By body: movements smaller than this leave it in place for all of its skins [m].
 
-        The least of the skins' own; 0 for a body without a small model, as nothing else gains by it.
+        The least of its skins; 0 for a body without a small model, because no other stepper gains by it.
         """
         carried = [[self.skins[number] for number in self.carried(body)] for body in range(len(self.bodies))]
         return tuple(
@@ -331,22 +331,22 @@ class HapticModel:
 
     @cached_property
     def corners(self) -> tuple[Float, ...]:
-        """By body: of boxes round its skins, body frame [m], shape (8 k, 3)."""
+        """By body: corners of boxes round its skins, body frame [m], shape (8 k, 3)."""
         return tuple(
             np.concatenate([self.skins[number].corners for number in self.carried(body)])
             for body in range(len(self.bodies))
         )
 
     def carried(self, body: int) -> list[int]:
-        """Numbers of the skins on a body; the first one's keys count for the force on the body."""
+        """Numbers of the skins on a body; the keys of the first one apply to the force on the body."""
         return [number for number, skin in enumerate(self.skins) if skin.body == body]
 
 
 def about_stimulus(name: str) -> tuple[str, str]:
-    """How errors name a stimulus of the scene, and where it says its foci."""
+    """Names of a stimulus of the scene and of its foci in errors."""
     return f"plugin 'palmfield.stimulus' instance '{name}'", "key 'focus_m'"
 
 
 def array_instances(spec: SceneSpec) -> tuple[ArrayInstance, ...]:
-    """A scene's arrays as `palmfield.acoustics.phased_array` takes them."""
+    """The arrays of a scene in the form of `palmfield.acoustics.phased_array`."""
     return tuple(ArrayInstance(one.config, one.placement, one.calibration, one.table) for one in spec.arrays)

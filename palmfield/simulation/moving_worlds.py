@@ -1,8 +1,8 @@
 """Worlds whose bodies move, on a device: sound, forces and modes of all of them in one captured graph.
 
-Poses and foci go in by one copy, and forces, sensors and what lies outside the modes' class come out by another. What
-transducers emit and the skins' numbers stay on the device from step to step, and are fetched when somebody reads them.
-Nothing here is done world by world but what is computed for many steps ahead. Any other world is stepped by
+One copy takes in poses and foci; another returns forces, sensor readings and the part of the loads outside the class
+of the modes. Emission and numbers of the skins stay on the device from step to step, and are fetched when they are
+read. Only data for many steps ahead are computed world by world. Any other world is stepped by
 `palmfield.simulation.step`.
 """
 
@@ -39,10 +39,10 @@ AHEAD = 32
 
 
 class _Ahead(NamedTuple):
-    """What stimuli do in coming steps, by kind. starts: times at which these begin [s], shape (s,)
+    """Motion and level of stimuli in coming steps, by kind. starts: times at which the steps begin [s], shape (s,).
 
-    foci: at the moments and at the beginning, in the stimulus's frame [m], shape (kinds, s, m + 1, 3)
-    levels: the pressure's there, shape (kinds, s, m + 1); means: of the ARP over each step, shape (kinds, s)
+    foci: at the moments and at the beginning, in the frame of the stimulus [m], shape (kinds, s, m + 1, 3).
+    levels: of the pressure then, shape (kinds, s, m + 1). means: of the ARP over each step, shape (kinds, s).
     """
 
     starts: list[float]
@@ -55,7 +55,7 @@ class MovingWorlds(WorldsBackend):
     """The steps of several worlds, with what they keep from one to the next. Belongs to one state."""
 
     def __init__(self, models: Sequence[HapticModel], works: Sequence[Workspace], state: HapticState, alone: bool):
-        """alone: whether nobody else writes the state, which then stays on the device from step to step"""
+        """alone: whether no other code writes the state, which then stays on the device from step to step"""
         super().__init__()
         self.models, self.works, self.state, self._alone = models, works, state, alone
         self._layout = PoseLayout.of(models[0])
@@ -180,7 +180,7 @@ class MovingWorlds(WorldsBackend):
         return work
 
     def _take(self, work: GraphWork) -> None:
-        """Give the device the state as it is in this step. Raises SceneError for another's."""
+        """Copy the state of this step to the device. Raises SceneError for the state of another model."""
         hosts = work.inputs.hosts
         emitted = np.concatenate(self.state.emitted, axis=1)
         hosts["path_begun"][:] = emitted.view(np.float64).reshape(hosts["path_begun"].shape)
@@ -280,7 +280,7 @@ class MovingWorlds(WorldsBackend):
         return _Ahead(starts, np.array(foci), np.array(levels), np.array(means))
 
     def _good(self, work: GraphWork, sounds: Bool) -> Bool:
-        """In which worlds what came out holds: nothing near a board, foci that can be made, loads of the class."""
+        """The worlds in which the results hold: no body near a board, foci that can be made, loads of the class."""
         hosts = work.results.hosts
         good = np.logical_and.reduce(hosts["heights"] >= CLEARANCE_M, axis=1)
         levels = self._levels[self._kinds]
@@ -336,7 +336,7 @@ class MovingWorlds(WorldsBackend):
         self._fetched = False
 
     def _give(self, work: GraphWork, skins: bool) -> None:
-        """Write the only world's state as the step ends."""
+        """Write the state of the only world at the end of the step."""
         model, hosts, keeper = self.models[0], work.results.hosts, self.works[0]
         if check_arrays(model, self.state):
             keeper.begin_run()
@@ -350,15 +350,15 @@ class MovingWorlds(WorldsBackend):
 
 
 def _outside(work: GraphWork, skin: int) -> Outside:
-    """What of a skin's load in the last step was outside the modes' class, shape (w,) each."""
+    """The part of a skin's load in the last step outside the class of the modes, shape (w,) each."""
     seen = work.of.skins[skin].outside([*work.results.hosts[f"sums_{skin}"].T])
     assert seen is not None
     return seen
 
 
 def may_join(model: HapticModel, layout: PoseLayout) -> bool:
-    """Whether a world's sound and skins can be computed here: one focus of transducers that keep still and are alike,
-    which moves and sounds without jumps, on surfaces without shadows whose skins move by modes."""
+    """Whether sound and skins of a world can be computed here: one focus of equal transducers at rest, which moves and
+    sounds without jumps, on surfaces without shadows whose skins move by modes."""
     if len(model.stimuli) != 1 or layout.movable or model.substeps < 2:
         return False
     part, drive = model.stimuli[0], array_drives(model, model.arrays)[0]

@@ -1,4 +1,4 @@
-"""ARP along a path that is known ahead, on bodies that keep still: a few fields, made once, give all of it."""
+"""ARP along a predicted path, on bodies at rest: computed from a few fields that are made once."""
 
 from palmfield.acoustics.spanned_arp import SpannedArp, SpannedFields, drives_span, spanned_fields
 from palmfield.simulation.model import HapticModel
@@ -11,14 +11,14 @@ from palmfield.types import Complex, Float32
 class PathSound:
     """ARP on the skins of a model, and on what carries them. Belongs to one state, and is used by one thread at a time.
 
-    serves: whether the model has such a path; off: courses one after another that lay off it
+    serves: whether the model has such a path; off: number of consecutive courses off it
     reference: as `reference_scene`: only there do the fields hold
     """
 
     def __init__(
         self, model: HapticModel, radiation: Radiation, reference: PosedScene, beside: "PathSound | None" = None
     ):
-        """beside: of another world, stepped by the same thread: what either makes for the same stimuli serves both"""
+        """beside: of another world, stepped by the same thread: both share results for the same stimuli"""
         self.model, self.radiation, self.reference = model, radiation, reference
         self.serves, self.off = serves(model), 0
         self._span: list[Complex | None] = []  # of what is emitted, once it is known
@@ -42,10 +42,10 @@ class PathSound:
         )
 
     def arp(self, posed: PosedScene, skin: int, role: Role, drives: Complex) -> Float32 | None:
-        """ARP [Pa] at a skin's points for a role, shape (m, n), of drives (m, N).
+        """ARP [Pa] at the points of a skin for a role, shape (m, n), of drives (m, N).
 
         None where the pose is another, one of the drives is not on the path, or its sound can't be spanned. A view of a
-        buffer that the next call for as many drives overwrites.
+        buffer that the next call for the same number of drives overwrites.
         """
         if not self.holds(posed):
             return None
@@ -71,7 +71,7 @@ class PathSound:
 
 
 def serves(model: HapticModel) -> bool:
-    """Whether one stimulus moves along a path that is known ahead, past bodies that are expected to keep still."""
+    """Whether one stimulus moves along a predicted path, past bodies that are expected to stay at rest."""
     known = any(skin.choice.name == "reduced" for skin in model.skins)
     if not known or one_shape(model.stimuli[model.sounding], model.pole, model.response_on):
         return False

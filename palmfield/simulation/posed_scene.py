@@ -1,7 +1,7 @@
-"""What one pose of MuJoCo's bodies means for sound and skin, in the frame of the first array.
+"""One pose of the MuJoCo bodies with the data for sound and skin that follow from it, in the frame of the first array.
 
-A PosedScene is made once per MuJoCo step. Everything that follows from the pose hangs on it and is computed when it is
-first needed. It and its parts have serial numbers, by which fields are kept.
+A PosedScene is made once per MuJoCo step. It holds all data that follow from the pose and computes them at first use.
+The scene and its parts have serial numbers, which are the keys of stored fields.
 """
 
 from collections.abc import Sequence
@@ -29,11 +29,11 @@ by less than a tenth of the accuracy (displacement over standard deviation, over
 
 @dataclass(frozen=True)
 class PoseLayout:
-    """Which rows are what in a list of the world frames of all that a scene's sound and skins depend on.
+    """The meaning of the rows in a list of all world frames on which the sound and the skins of a scene depend.
 
-    Rows are the arrays, the stimuli's frames, the transducers that are sites, each body with its bones, and each skin's
-    obstacles. transducers: one slice an array; bodies: row and bones; obstacles: by skin
-    movable: whether transducers may move against one another: those of several arrays, or sites
+    Rows are the arrays, the frames of the stimuli, the transducers that are sites, each body with its bones, and the
+    obstacles of each skin. transducers: one slice per array; bodies: row and bones; obstacles: by skin.
+    movable: whether transducers may move against one another: those of several arrays, or sites.
     """
 
     arrays: int
@@ -45,7 +45,7 @@ class PoseLayout:
 
     @staticmethod
     def of(model: HapticModel) -> "PoseLayout":
-        """For a model's arrays, stimuli, bodies and skins."""
+        """Layout for the arrays, stimuli, bodies and skins of a model."""
         spec = model.spec
         row = len(spec.arrays)
         frames = slice(row, row + len(spec.stimuli))
@@ -66,11 +66,11 @@ class PoseLayout:
 
 
 class PosedSurface:
-    """One body in one pose; what is not asked for is not computed.
+    """One body in one pose; data are computed at first use.
 
-    model: the body at rest; skin: the first skin on it; frame: seen from the first array
-    bone_positions, bone_rotations: in the body's frame, shapes (b, 3) and (b, 3, 3); none for a body in one piece
-    serial: no other has it
+    model: the body at rest. skin: the first skin on it. frame: seen from the first array.
+    bone_positions, bone_rotations: in the body's frame, shapes (b, 3) and (b, 3, 3); empty for a body in one piece.
+    serial: unique number.
     """
 
     def __init__(self, model: BodyModel, skin: SkinModel, frame: Transform, bones: tuple[Float, Float]):
@@ -86,7 +86,7 @@ class PosedSurface:
 
     @cached_property
     def vertices(self) -> Float:
-        """Of the closed surface, in the body's frame [m], shape (v, 3)."""
+        """Vertices of the closed surface, in the body's frame [m], shape (v, 3)."""
         if self.model.surface is None:
             return self.skin.closed_surface[0]
         if self.model.hand is None:
@@ -104,7 +104,7 @@ class PosedSurface:
         place, turn = self.frame
         boxes = self.model.boxes
         if self.model.hand is not None:
-            # Skin is a mean of what each of its bones makes of it, and each is in that bone's box
+            # A skin point is a mean of its positions by each of its bones, and each of these is in that bone's box
             boxes = boxes @ self.bone_rotations.transpose(0, 2, 1) + self.bone_positions[:, None]
         return boxes.reshape(-1, 3) @ turn.T + place
 
@@ -130,14 +130,14 @@ class PosedSurface:
 
     @cached_property
     def sample_parts(self) -> Int:
-        """Which of the bodies at `origins` each sample pushes, shape (n,)."""
+        """The number of the body at `origins` that each sample pushes, shape (n,)."""
         if self.model.hand is None:
             return np.zeros(len(self.samples[2]), np.int32)
         return self.model.sample_bones
 
     @cached_property
     def origins(self) -> Float:
-        """Of the bodies that the sound pushes, bones or the body itself, array frame [m], shape (b, 3)."""
+        """Origins of the bodies that the sound pushes, bones or the body itself, array frame [m], shape (b, 3)."""
         return self.frame.position[None] if self.model.hand is None else self.frame.points(self.bone_positions)
 
     def moved(self, points: Float, normals: Float, binding: SkinBinding | None) -> tuple[Float, Float]:
@@ -151,7 +151,7 @@ class PosedSurface:
 class PosedSkin:
     """One skin layer in one pose; positions are in the array frame.
 
-    obstacle_positions, obstacle_rotations: of what casts shadows besides bodies with skins, in the body's frame
+    obstacle_positions, obstacle_rotations: of the obstacles besides bodies with skins, in the body's frame
     """
 
     def __init__(self, skin: SkinModel, body: PosedSurface, obstacles: tuple[Float, Float]):
@@ -160,7 +160,7 @@ class PosedSkin:
         self.numbers = obstacles[0].tobytes() + obstacles[1].tobytes()
 
     def same_obstacles(self, other: "PosedSkin") -> bool:
-        """Whether the obstacles stand exactly alike to the body."""
+        """Whether the obstacles have exactly the same pose relative to the body."""
         return self.numbers == other.numbers
 
     @cached_property
@@ -197,12 +197,12 @@ class PosedSkin:
 
 
 class PosedScene:
-    """Arrays, stimuli's frames, bodies and skins in one pose.
+    """Arrays, frames of the stimuli, bodies and skins in one pose.
 
-    array_frame: frame of the first array in the world
-    arrays: all arrays as they stand to one another; frames: each stimulus's frame, seen from the first array
-    sources: the numbers of which `arrays` was made, where arrays or transducers may move; serial: no other has it
-    sound_keys: of each skin, equal in poses in which a drive's sound on it is the same
+    array_frame: frame of the first array in the world.
+    arrays: all arrays in their relative pose. frames: of each stimulus, seen from the first array.
+    sources: the numbers from which `arrays` was made, where arrays or transducers may move. serial: unique number.
+    sound_keys: of each skin, equal in poses in which the sound of a drive on it is the same.
     """
 
     def __init__(
@@ -233,7 +233,7 @@ class PosedScene:
         return self.numbers == other.numbers and list(map(SERIAL, mine)) == list(map(SERIAL, its))
 
     def focal_points(self, stimulus: StimulusModel, number: int) -> FocalPoints:
-        """Where the points of a stimulus, by its number, are in this pose."""
+        """The points of a stimulus, by its number, in this pose."""
         course = None
         if stimulus.path is not None:
             assert stimulus.spec.on_skin is not None
@@ -244,7 +244,7 @@ class PosedScene:
 
 
 def reference_scene(model: HapticModel) -> PosedScene:
-    """The scene in MuJoCo's reference configuration."""
+    """Return the scene in the reference configuration of MuJoCo."""
     bodies, skins = [], []
     for number, body in enumerate(model.bodies):
         first = model.skins[model.carried(number)[0]]
@@ -269,12 +269,12 @@ def posed_scene(
     previous: PosedScene,
     reference: PosedScene,
 ) -> PosedScene:
-    """The scene in a pose.
+    """Return the scene in a pose.
 
-    world_positions [m], shape (m, 3), world_rotations, shape (m, 3, 3): of the layout's rows
-    previous: the last one, or the reference: it lends the parts that have not moved, and is returned if none has
-    reference: as `reference_scene`; where small models were made for that pose, a body is taken to be there as long as
-        it is within STILL of it by the strictest of its skins, and the arrays stand as there; so are a skin's obstacles
+    world_positions [m], shape (m, 3), world_rotations, shape (m, 3, 3): of the rows of the layout.
+    previous: the last pose, or the reference. Parts that have not moved are reused; it is returned if none has moved.
+    reference: as `reference_scene`, the pose of small models: a body and its skins' obstacles are put there while they
+        are within STILL of it by the strictest of its skins, and the arrays are in it.
     """
     origin, turn = world_positions[0].copy(), world_rotations[0].copy()
     positions, rotations = (world_positions - origin) @ turn, turn.T @ world_rotations
@@ -288,7 +288,7 @@ def posed_scene(
     frames = []
     for row in range(layout.frames.start, layout.frames.stop):
         frames.append(Transform(positions[row], rotations[row]))
-    # Where each body is, and where it is taken to be: all skins of a body stand in one pose.
+    # Place of each body, and the place at which it is put: all skins of a body are in one pose.
     placed, bodies = [], []
     for number, (row, bones) in enumerate(layout.bodies):
         first = reference.bodies[number]
@@ -329,9 +329,9 @@ def posed_scene(
 def settled_worlds(
     model: HapticModel, layout: PoseLayout, world_positions: Float, world_rotations: Float, reference: PosedScene
 ) -> NDArray[np.bool_]:
-    """In which of several worlds `posed_scene` takes all bodies to be in the reference pose, shape (w,).
+    """The worlds in which `posed_scene` puts all bodies at the reference pose, shape (w,).
 
-    As its arguments, with a leading axis for worlds. False in all where it would have to look at bones or obstacles.
+    Arguments as there, with a leading axis for worlds. False in all if bones or obstacles would have to be checked.
     """
     worlds = len(world_positions)
     for number, skin in enumerate(model.skins):
@@ -377,7 +377,7 @@ def _seen_from(positions: Float, rotations: Float, body: int, others: slice) -> 
 def _arrays(
     model: HapticModel, layout: PoseLayout, positions: Float, rotations: Float, previous: PosedScene
 ) -> PhasedArray:
-    """The arrays in this relative pose; the reference one, or the last, while they stand to one another as there."""
+    """The arrays in this relative pose; the reference object, or the last one, while their relative pose is equal."""
     placements = []
     for number, sites in enumerate(layout.transducers):
         frame = Transform(positions[number], rotations[number])

@@ -26,21 +26,21 @@ from palmfield.simulation.seen_samples import SeenSamples, seen_samples
 from palmfield.types import Complex, Float, Float32, Int
 
 Role = Literal["quadrature", "load", "samples", "nodes", "vertices", "probe"]
-"""What points are for: each role of a skin has buffers of its own."""
+"""Purposes of points: each role of a skin has its own buffers."""
 
 
 SKIN_SPACING_m, BODY_SPACING_m = 0.008, 0.024
-"""Between the nodes at which shadows are weighed: on a skin's layer, and on the body for the force on it."""
+"""Distance between the nodes of the shadows: on the layer of a skin, and on the body for the force on it."""
 ALWAYS = np.ones(1, dtype=bool)
 Key = tuple[int, ...]
 """Serial numbers of what something was computed from."""
 
 
 class Radiation:
-    """ARP at the points of a model's skins."""
+    """ARP at the points of the skins of a model."""
 
     def __init__(self, model: HapticModel, beside: "Radiation | None" = None):
-        """beside: of another world, stepped by the same thread: it lends its buffers and trees, not its answers."""
+        """beside: of another world, stepped by the same thread: its buffers and trees are shared, not its results."""
         self.model = model
         self._evaluators: dict[tuple[int, str, int], tuple[int, SurfaceArp]] = {}
         self._occlusions: dict[int, tuple[PosedScene, Occlusion]] = {}
@@ -60,20 +60,20 @@ class Radiation:
             self._reference, self._emitters = beside._reference, beside._emitters
 
     def choose(self, skin: int, points: Int) -> None:
-        """Take these of a skin's quadrature points, numbers of shape (p,), for the role "load"."""
+        """Take these of the quadrature points of a skin, numbers of shape (p,), for the role "load"."""
         key = skin, id(points)
         if key not in self._choices:
             self._choices[key] = _ChosenPoints(self.model.skins[skin], points)
         self._chosen[skin] = self._choices[key]
 
     def chosen(self, skin: int) -> int:
-        """The serial number of a skin's points for the role "load"."""
+        """The serial number of the points of a skin for the role "load"."""
         return self._chosen[skin].serial
 
     def on(self, posed: PosedScene, skin: int, role: Role, drive: Complex, serial: int = 0) -> SurfaceSound:
-        """ARP at a skin's quadrature points, force samples or surface nodes, for what the transducers emit, (N,).
+        """ARP at quadrature points, force samples or surface nodes of a skin, for the emission (N,) of the transducers.
 
-        serial: of the drive, under which the answer is kept; 0 for one that has none
+        serial: of the drive, the key of the stored result; 0 for a drive without one.
         """
         key = *self._places(posed, skin, role), serial
         known = self._sounds.get((skin, role))
@@ -86,7 +86,7 @@ class Radiation:
         return sound
 
     def patterns(self, posed: PosedScene, skin: int, role: Role, course: EmittedCourse) -> Float32:
-        """The patterns of ARP [Pa] that a course's `weights` weigh, shape (p, n)."""
+        """The patterns of ARP [Pa] to which the `weights` of a course apply, shape (p, n)."""
         if len(course.units) == 0:
             return np.zeros((1, len(self.points(posed, skin, role)[0])), np.float32)
         if len(course.units) == 1:
@@ -99,7 +99,7 @@ class Radiation:
             if known is None or known[0] != key:
                 known = self._batches[skin, role] = key, self.many(posed, skin, course.batch.drives, role)
             return known[1][course.row : course.row + len(course.units)]
-        # What sounds on unchanged is computed once
+        # An unchanged emission is computed once
         changes = np.logical_or.reduce(course.units[1:] != course.units[:-1], axis=1)
         if np.logical_and.reduce(changes):
             return self.many(posed, skin, course.units, role)
@@ -108,7 +108,7 @@ class Radiation:
         return np.asarray(computed[np.add.accumulate(first, dtype=np.intp) - 1])
 
     def _places(self, posed: PosedScene, skin: int, role: Role) -> "Key":
-        """Equal where a skin's points for a role are where they were, as is all that sound meets on its way."""
+        """Key: equal while the points of a skin for a role and all bodies in the path of the sound are in place."""
         return posed.sound_keys[skin] if role != "load" else (*posed.sound_keys[skin], self._chosen[skin].serial)
 
     def many(self, posed: PosedScene, skin: int, drives: Complex, role: Role = "quadrature") -> Float32:
@@ -136,7 +136,7 @@ class Radiation:
         )
 
     def sums(self, posed: PosedScene, skin: int, units: Complex, levels: Complex, role: Role = "quadrature") -> Float32:
-        """ARP as `many` gives it for levels (m, k) @ units (k, N), of which there are few, shape (m, n)."""
+        """ARP as from `many` for levels (m, k) @ units (k, N), of which there are few, shape (m, n)."""
         if self.model.skins[skin].spec.config.body_sound != "none":
             return self.many(posed, skin, levels @ units, role)
         points, normals = self.points(posed, skin, role)
@@ -145,7 +145,7 @@ class Radiation:
     def at(
         self, posed: PosedScene, skin: int, role: Role, points: Float, normals: Float, drive: Complex
     ) -> SurfaceSound:
-        """ARP at any points of a skin's body with outward normals, array frame, shapes (n, 3)."""
+        """ARP at any points of the body of a skin with outward normals, array frame, shapes (n, 3)."""
         kind = self.model.skins[skin].spec.config.body_sound
         if kind == "scattering":
             own = posed.skins[skin].body.frame.inverse_points(points)
@@ -159,7 +159,7 @@ class Radiation:
         arp = sound.arp.copy()
         if kind == "shadows":
             assert sound.flux is not None
-            # Where nothing presses no ray is needed: it would be half of them, and the dearer half
+            # Points without pressure need no ray: these would be half of the rays, and the more expensive half
             sound.flux[arp == 0.0] = 0.0
             reach = distance_to_arrays(points, sound.flux, posed.arrays)
             last = self._occlusions.get(skin)
@@ -189,7 +189,7 @@ class Radiation:
         return part.nodes if role == "nodes" else part.quadrature
 
     def samples(self, posed: PosedScene, skin: int) -> SeenSamples:
-        """Points for the force on a skin's body: those that the arrays see, and all where sound goes round the body."""
+        """Points for the force on the body: those that the arrays see, and all where sound goes round the body."""
         body, arrays = posed.skins[skin].body, posed.arrays
         known, key = self._seen.get(skin), (arrays.serial, body.serial)
         if known is None or known[0] != key:
@@ -215,7 +215,7 @@ class Radiation:
         return known[1]
 
     def _shades(self, posed: PosedScene, skin: int, role: Role, points: Float, normals: Float) -> Shades | None:
-        """What bodies leave of each transducer's sound at a skin's points; None where nothing is in the way."""
+        """Shares of the sound of each transducer at the points of a skin behind bodies; None without obstacles."""
         key = skin, role, len(points)
         chosen = self._numbers(posed, skin, role)
         known = self._shadings.get(key)
@@ -241,7 +241,7 @@ class Radiation:
         normals: Float,
         edges_of: Callable[[ShadowNodes, int], KnifeEdges],
     ) -> "_Shading":
-        """Nodes among a role's points, and what is computed there."""
+        """Nodes among the points of a role, and the shadows computed there."""
         if not self._reference:
             self._reference.append(reference_scene(self.model))
         rest, stays, bound = self._reference[0].skins[skin], True, None
@@ -254,14 +254,14 @@ class Radiation:
         elif role == "samples":
             nodes = sample_nodes(rest.body)
         else:
-            # Wherever they are: as they lie now, so that it doesn't matter where they were before
+            # In their present places, so that the result does not depend on earlier ones
             nodes, stays = shadow_nodes(points, normals, BODY_SPACING_m), len(points) == 1
         return _Shading(posed, edges_of(nodes, len(points)), stays, bound)
 
     def _node_places(
         self, posed: PosedScene, skin: int, role: Role, points: Float, normals: Float, shading: "_Shading"
     ) -> tuple[Float, Float]:
-        """Where the nodes are [m] and the normals there, array frame, shapes (m, 3)."""
+        """Positions of the nodes [m] and the normals there, array frame, shapes (m, 3)."""
         if shading.bound is not None:
             return shading.bound.at(posed.skins[skin])
         numbers = shading.edges.nodes.numbers
@@ -280,7 +280,7 @@ class Radiation:
         return emitters
 
     def _numbers(self, posed: PosedScene, skin: int, role: Role) -> Int | None:
-        """Which of the points that keep their places on a body those of a role are; None for any points."""
+        """Numbers of a role's points among the points fixed on a body; None for any points."""
         if role == "load":
             return self._chosen[skin].numbers
         if role == "samples":
@@ -288,7 +288,7 @@ class Radiation:
         return None
 
     def _occlusion(self, posed: PosedScene, skin: int) -> Occlusion:
-        """What casts shadows on a skin: its own body, the bodies of the other skins, and its obstacles."""
+        """The obstacles of a skin: its own body, the bodies of the other skins, and its listed obstacles."""
         known = self._occlusions.get(skin)
         if known is not None and self._holds(known[0], posed, skin):
             return known[1]
@@ -304,7 +304,7 @@ class Radiation:
         return occlusion
 
     def _scattered_field(self, posed: PosedScene, skin: int, drive: Complex) -> RigidScatteredField:
-        """Total sound on a rigid body, in the body's frame; the last one is kept."""
+        """Total sound on a rigid body, in the body's frame; the last one is stored."""
         known = self._scattered.get(skin)
         if known is not None and self._holds(known[0], posed, skin) and _equal(known[1], drive):
             return known[2]
@@ -321,10 +321,10 @@ class Radiation:
 
 
 class _Shading(NamedTuple):
-    """What shades some points in a pose. edges: computes it; stays: whether the nodes are the same in every pose
+    """The shadow data of some points in a pose. edges: computes them. stays: whether the nodes are equal in all poses.
 
-    bound: the nodes, where they are not among the points themselves; chosen: numbers of the points, None where all are
-    given; points: where they are [m]; shades: the last answer
+    bound: the nodes, where they are not among the points themselves. chosen: numbers of the points, None where all are
+    given. points: their positions [m]. shades: the last result.
     """
 
     posed: PosedScene
@@ -336,12 +336,12 @@ class _Shading(NamedTuple):
     shades: Shades | None = None
 
     def of(self, chosen: Int | None, points: Float) -> bool:
-        """Whether the last answer was for these points."""
+        """Whether the last result was for these points."""
         return self.chosen is chosen if chosen is not None else self.points is points
 
 
 class _ChosenPoints:
-    """Some of a skin's quadrature points. numbers: which, shape (p,)"""
+    """Some of the quadrature points of a skin. numbers: shape (p,)"""
 
     def __init__(self, skin: SkinModel, numbers: Int):
         quadrature = skin.layer.quadrature
@@ -364,12 +364,12 @@ def bends(skin: SkinModel) -> bool:
 
 
 def load_nodes(skin: PosedSkin) -> ShadowNodes:
-    """Nodes among a skin's quadrature points, as they lie in the reference scene."""
+    """Nodes among the quadrature points of a skin, in the reference scene."""
     return shadow_nodes(*skin.quadrature, SKIN_SPACING_m)
 
 
 def sample_nodes(body: PosedSurface) -> ShadowNodes:
-    """Nodes among the samples for the force on a body, as they lie in the reference scene."""
+    """Nodes among the samples for the force on a body, in the reference scene."""
     return shadow_nodes(*body.samples[:2], BODY_SPACING_m)
 
 
@@ -385,7 +385,7 @@ def occluding_vertices(posed: PosedScene, skin: int) -> Float:
 
 
 def occluding_counts(posed: PosedScene, skin: int) -> list[int]:
-    """How many vertices each body that casts shadows on a skin has."""
+    """Number of vertices of each body that casts shadows on a skin."""
     obstacles = posed.skins[skin].obstacles
     counts = [len(body.vertices) for body in posed.bodies]
     return counts if obstacles is None else [*counts, len(obstacles[0])]

@@ -1,8 +1,8 @@
-"""The step of one world in its PosedScenes, in a captured graph on a device: what `MovingWorlds` does not step.
+"""The step of one world in its PosedScenes, in a captured graph on a device, for scenes that `MovingWorlds` refuses.
 
-Such are shadows, several stimuli or foci, flight times, paths that small models know, and boards that round. The state
-goes in and out in each step. Drives come from the emission, but for one focus that moves, whose drives kernels make.
-What the device does not step of the skins is stepped elsewhere under the load that it has computed.
+These have shadows, several stimuli or foci, flight times, predicted paths, or boards that round. The state goes in and
+out in each step. Drives come from the emission; for one moving focus kernels make them. Skins that the device does not
+step are stepped elsewhere under the load that it has computed.
 """
 
 import cmath
@@ -44,12 +44,12 @@ class Sounding(NamedTuple):
 
     @property
     def sums(self) -> int:
-        """How many sums there are."""
+        """Number of sums."""
         return len(self.units if self.levels is None else self.levels)
 
 
 class SceneGraph(Backend):
-    """One world's graph, and what it has found in the step that began last.
+    """The graph of one world, and its results in the step that began last.
 
     course: of a path without its drives; launches: how many graphs have been launched
     """
@@ -63,7 +63,7 @@ class SceneGraph(Backend):
         self._transducers, self._arrays = Transducers(model.arrays, device), model.arrays.serial
         layout = PoseLayout.of(model)
         self._motions: MotionRows = motions_of(model, layout)
-        # Arrays and stimuli stay in the first array's frame
+        # Arrays and stimuli stay in the frame of the first array
         count = layout.obstacles[-1].stop
         self._frames = np.zeros((count, 3)), np.tile(np.eye(3), (count, 1, 1))
         self._probes: tuple[tuple[int, SensorPlace], ...] = ()
@@ -140,7 +140,7 @@ class SceneGraph(Backend):
         return course
 
     def _path_drives(self, posed: PosedScene, t0: float) -> PathDrives:
-        """What makes drives of a focus, with the arrays as they stand."""
+        """The function that makes drives of a focus, with the arrays in their present pose."""
         if self._drives is None or self._driven != posed.arrays.serial:
             drive, response = self._work.emission.placed(posed, t0)[0].drive, self.model.stimuli[0].response
             if self._drives is None:
@@ -164,7 +164,7 @@ class SceneGraph(Backend):
         self._take(graph, models, moments, course)
         serials, changed = dict[str, int](), graph is not self._now or posed.serial != self._posed
         for name, one in sounding.items():
-            # What sounded last gives nothing more to hear in silence, but may be heard again
+            # In silence the last emission gives no new field, but it may sound again
             serials[name] = self._sounding.get(name, 0) if one is None else one.serial
             if one is not None and (changed or self._sounding.get(name) != one.serial):
                 self._tell(graph, name, one)
@@ -179,7 +179,7 @@ class SceneGraph(Backend):
         """A graph with room for so much, and which skins it steps now."""
         models: dict[int, DeviceModel] = {}
         for number, operator in enumerate(self._work.observe):
-            # One that nothing has stepped yet may have no stepper: to look at forces doesn't make it
+            # A skin that has not been stepped may have no stepper: reading forces doesn't make it
             if operator is None and (self.model.begin[number].made or not at_rest(self._state, number)):
                 model = self._model(number, stepper_of(self.model, self._state, number)[0])
                 if model is not None:
@@ -198,7 +198,7 @@ class SceneGraph(Backend):
         return known, models
 
     def _model(self, skin: int, stepper: SkinStepper) -> DeviceModel | None:
-        """What steps a skin on the device, None where that is left to the CPU; kept."""
+        """The stepper of a skin on the device, None if it is stepped on the CPU; stored."""
         if (skin, stepper) not in self._models:
             points = len(self.model.skins[skin].layer.quadrature.points)
             self._models[skin, stepper] = stepper.device_model(self.model.substeps, points, self._transducers.device)
@@ -207,12 +207,12 @@ class SceneGraph(Backend):
     def _take(
         self, graph: GraphWork, models: Mapping[int, DeviceModel], moments: Moments, course: EmittedCourse
     ) -> None:
-        """Take the skins' numbers at the step's beginning, and how much there is of each pattern of pressure."""
+        """Take the numbers of the skins at the beginning of the step, and the weight of each pressure pattern."""
         hosts = graph.inputs.hosts
         for number, model in models.items():
             weights = model.weights(*course.weights(moments))
             hosts[f"before_{number}"][:] = stepper_of(self.model, self._state, number)[1]
-            # Of other patterns nothing: in silence the device still has the last ones, and as many
+            # Other patterns get weight 0: in silence the device still holds the last patterns, in the same number
             hosts[f"weights_{number}"][0] = 0.0
             hosts[f"weights_{number}"][0, :, : weights.shape[1]] = weights
 
@@ -236,7 +236,7 @@ class SceneGraph(Backend):
         if moved:
             self._place(graph, posed)
         kept = (self._posed, self._sounding) if graph is self._now else (0, dict[str, int]())
-        # Should it fail, nothing is known
+        # If it fails, no result is valid
         self._now, self._posed, self._sounding, self._stepped = None, 0, {}, {}
         graph.run(moved, sounds, skins)
         self.launches += 1
@@ -308,7 +308,7 @@ class SceneGraph(Backend):
 
 
 def _of_course(course: EmittedCourse) -> Sounding | None:
-    """What presses on the skins over a step; None in silence."""
+    """The ARP on the skins over a step; None in silence."""
     if len(course.units) == 0:
         return None
     few = 1 < len(course.units) < len(course.levels)
@@ -316,7 +316,7 @@ def _of_course(course: EmittedCourse) -> Sounding | None:
 
 
 def _of_mean(mean: MeanDrives) -> tuple[Sounding | None, float]:
-    """What presses on bodies over a step, and a factor of it; None in silence."""
+    """The ARP on bodies over a step, and a factor on it; None in silence."""
     if len(mean.weights) == 0:
         return None, 0.0
     if len(mean.weights) == 1:

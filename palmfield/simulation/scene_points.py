@@ -26,17 +26,17 @@ from warp_kernels import carried_points as carrying
 from warp_kernels import resultants as summing
 
 SQUARE = 8
-"""Cells on a side, a power of two, in which directions are told apart."""
+"""Cells per side, a power of two, into which directions are sorted."""
 TINY = 1e-30
 RUN = 16
 """Force samples that one thread adds up."""
 
 
 class MotionRows(NamedTuple):
-    """Which motions are whose: those of bodies come first, and push.
+    """The owners of the motions: those of bodies come first, and push.
 
-    bodies: by body, its bones or itself; obstacles: by skin; total: how many there are
-    frames: the row of each one's frame in a PoseLayout; rest: its origin in the resting body [m], shape (total, 3)
+    bodies: by body, its bones or itself. obstacles: by skin. total: number of motions.
+    frames: the row of each one's frame in a PoseLayout. rest: its origin in the resting body [m], shape (total, 3).
     """
 
     bodies: list[slice]
@@ -47,13 +47,13 @@ class MotionRows(NamedTuple):
 
     @property
     def parts(self) -> int:
-        """How many of them push."""
+        """Number of motions that push."""
         last: int = self.bodies[-1].stop
         return last
 
 
 def motions_of(model: HapticModel, layout: PoseLayout) -> MotionRows:
-    """Motions of a model's bodies and obstacles."""
+    """Motions of the bodies and obstacles of a model."""
     bodies, obstacles, frames = list[slice](), list[slice](), list[int]()
     rest: list[Float] = []
     for body, (row, bones) in zip(model.bodies, layout.bodies, strict=True):
@@ -96,7 +96,7 @@ def _joined(parts: Sequence[_Bound]) -> _Bound:
 
 
 def _carriers(bound: _Bound, device: str) -> Any:
-    """As kernels take them."""
+    """The numbers in the form of the kernels."""
     return filled(
         carrying.Carriers(),
         motions=wp.array(bound.motions, dtype=wp.vec4i, device=device),
@@ -105,12 +105,12 @@ def _carriers(bound: _Bound, device: str) -> Any:
 
 
 class ScenePoints:
-    """All points of a scene on a device: of the skins' load, the sensors, and the force on bodies, in this order.
+    """All points of a scene on a device: of the load of the skins, the sensors, and the force on bodies, in this order.
 
-    points, normals: vec3; areas: of the force samples [m2], float64
-    quadrature: where each skin's points are; samples: of each body its number and where its force samples are among
-        those of all; orders: of bodies whose samples lie in another order, which of the body's each one is
-    loaded, probed, sampled: all points of one kind; count: of all
+    points, normals: vec3. areas: of the force samples [m2], float64.
+    quadrature: the range of each skin. samples: of each body its number and the range of its force samples among all.
+    orders: of bodies whose samples are sorted in another order, the number of each in the order of the body.
+    loaded, probed, sampled: all points of one kind. count: of all.
     """
 
     def __init__(
@@ -178,7 +178,7 @@ class ScenePoints:
         self._faces: Int | None = np.concatenate(faces) if faces else None
 
     def nbytes(self, loads: int, pushes: int) -> int:
-        """What points, and ARP there of so many drives, take in a world."""
+        """Memory per world of points, and of ARP there of a number of drives."""
         sampled, loaded = self.sampled.stop - self.sampled.start, self.loaded.stop
         return 24 * self.count + 16 * sampled + 4 * (pushes * sampled + loads * loaded)
 
@@ -206,9 +206,9 @@ class ScenePoints:
 
 
 def _by_direction(surface: Surface, owners: Int) -> Int:
-    """Order of faces in which those that look the same way, and of these one bone's, follow on one another, shape (n,).
+    """Sort faces by direction, and within one direction by bone; return the order, shape (n,).
 
-    Of 32 that follow on one another none is lit for 40 % of the hand's faces, where it was 1 to 2 %.
+    In 40 % of the groups of 32 consecutive faces of the hand none is lit; unsorted it was 1 to 2 %.
     """
     normals = face_normals(surface.vertices, surface.faces)[0]
     # On an octahedron unfolded to a square, which a curve fills
@@ -220,7 +220,7 @@ def _by_direction(surface: Surface, owners: Int) -> Int:
 
 
 def _loaded(skin: SkinModel, stepper: SkinStepper | None) -> tuple[Float, Float, SkinBinding | None]:
-    """Where a skin takes pressure [m], normals there and what carries them: all its points, or those of a stepper."""
+    """Places of the pressure on a skin [m], normals there and their motions: all its points, or those of a stepper."""
     quadrature = skin.layer.quadrature
     if stepper is None or stepper.points is None:
         return quadrature.points, quadrature.normals, skin.quadrature_binding
@@ -289,7 +289,7 @@ def mesh_number(model: HapticModel, skin: int) -> int:
 
 
 def meshes_of(model: HapticModel, reference: PosedScene, device: str) -> dict[int, Occlusion]:
-    """What casts shadows, by the number of a skin on which it does; skins without obstacles share one."""
+    """The obstacles, by the number of a skin that they shade; skins without obstacles share one."""
     meshes: dict[int, Occlusion] = {}
     for number, skin in enumerate(model.skins):
         key = mesh_number(model, number)

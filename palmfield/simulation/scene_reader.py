@@ -1,7 +1,7 @@
-"""What a scene says, read from MuJoCo's compiled model: the only reader of keys.
+"""Read the spec of a scene from the compiled MuJoCo model: the only reader of keys.
 
-Beside the spec, which physics is made from, it gives the numbers of the bodies and sites that a spec's parts are bound
-to, with which poses are read later.
+It also gives the numbers of the bodies and sites to which the parts of the spec are bound. Poses are read with these
+later.
 """
 
 import math
@@ -48,11 +48,11 @@ MOST_STEPS = 1e9
 DEVICE = "palmfield_device"
 """Custom text of a scene: where fields are computed, auto, cpu or cuda:N."""
 CUSTOM = {DURATION: "numeric", DEVICE: "text"}
-"""What palmfield reads of a scene's <custom>, and which kind it is."""
+"""The entries of <custom> in a scene that palmfield reads, with their kind."""
 NEAR_MISS = 0.85
 """Names that are so like one of these are taken for it, misspelt; what begins as they do is always."""
 REST_M, REST_RAD = 1e-4, 1e-3
-"""So far a body may stand from the joint whose skin it carries: a tenth of a layer's element, and rounding."""
+"""Largest distance of a body from the joint whose skin it carries: a tenth of an element of a layer, and rounding."""
 SAME_AIR = ("temperature_C", "humidity_percent", "pressure_Pa", "precision")
 """Keys that all arrays of a scene share."""
 STIMULUS_FILES = ("am_file", "path_file")
@@ -64,7 +64,7 @@ AnyConfig = TypeVar("AnyConfig", bound=Config)
 
 @dataclass(frozen=True)
 class SkinBodies:
-    """MuJoCo's numbers of a skin's body, of its bones (none for a body in one piece) and of its obstacles."""
+    """MuJoCo numbers of the body of a skin, of its bones (none for a body in one piece) and of its obstacles."""
 
     instance: int
     body: int
@@ -74,10 +74,10 @@ class SkinBodies:
 
 @dataclass(frozen=True)
 class SceneBinding:
-    """MuJoCo's numbers of what a SceneSpec names, in the same order.
+    """MuJoCo numbers of the objects that a SceneSpec names, in the same order.
 
-    array_instances: plugin instances; array_sites: each array's frame
-    transducer_sites: of each array, empty but for layout `sites`; frame_sites: each stimulus's frame
+    array_instances: plugin instances. array_sites: the frame of each array.
+    transducer_sites: of each array, empty except for layout `sites`. frame_sites: the frame of each stimulus.
     """
 
     array_instances: tuple[int, ...]
@@ -88,9 +88,9 @@ class SceneBinding:
 
 
 def read_scene(model: ModelView) -> tuple[SceneSpec, SceneBinding]:
-    """The scene's spec and what it is bound to.
+    """Read the spec of the scene and the numbers to which it is bound.
 
-    Raises SceneError with element, key, value and what is allowed for anything that doesn't fit together.
+    Raises SceneError with element, key, value and what is allowed for any inconsistent key.
     """
     _check_custom(model)
     named: dict[type[Config], list[tuple[int, str, Any]]] = {
@@ -154,12 +154,12 @@ def keys_of(config: type[Config], model: ModelView, instance: int) -> Any:
 
 
 def element_of(config: type[Config], name: str) -> str:
-    """How messages name a plugin instance."""
+    """Name of a plugin instance in messages."""
     return f"plugin '{config.plugin}' instance '{name}'"
 
 
 def with_files_found(config: AnyConfig, keys: Sequence[str], element: str) -> AnyConfig:
-    """A module's keys with absolute paths of the files that some of them name.
+    """The keys of a module, with absolute paths for the keys that name files.
 
     Raises SceneError as `palmfield.data.find_file`, with element and key.
     """
@@ -176,7 +176,7 @@ def with_files_found(config: AnyConfig, keys: Sequence[str], element: str) -> An
 
 
 def first_array_frame(model: ModelView) -> Transform:
-    """Frame of the scene's first array in the world, in the reference configuration; the world where there is none."""
+    """Frame of the first array in the world, in the reference configuration; the world frame where there is none."""
     for number, plugin, name in model.instances():
         if plugin == ArrayConfig.plugin:
             site = keys_of(ArrayConfig, model, number).site
@@ -224,7 +224,7 @@ def _arrays(
 
 
 def read_file(read: Callable[[str], T], config: Config, key: str, element: str) -> T | None:
-    """What the file of a key holds, None where the key is not set. Raises SceneError with element and key."""
+    """The content of the file of a key, None if the key is not set. Raises SceneError with element and key."""
     name = getattr(config, key)
     if name is None:
         return None
@@ -245,7 +245,7 @@ def check_calibrated_once(calibration: Calibration, config: ArrayConfig, element
 
 
 def transducer_sites(config: ArrayConfig, name: str, model: ModelView) -> tuple[int, ...]:
-    """Numbers of the sites that are an array's transducers; none for another layout than `sites`.
+    """Numbers of the sites that are the transducers of an array; empty for layouts other than `sites`.
 
     A site that a key names serves another purpose, however its name begins.
     """
@@ -338,7 +338,7 @@ def _stimuli(
             sites = tuple(_on_body(model, frame, site, f"{element}: key 'path_sites'") for site in config.path_sites)
         aimed = bindings[on_skin].body if on_skin is not None else model.site_body(frame_site)
         boards = [model.site_body(array_sites[number]) for number in own]
-        # What carries both moves neither against the other.
+        # A common carrier moves neither against the other.
         frame_moves = any(
             model.can_move(body) for board in boards for body in model.ancestors(aimed) ^ model.ancestors(board)
         )
@@ -447,7 +447,7 @@ def _on_body(model: ModelView, frame: Transform, site: str, element: str) -> Tri
 
 
 def _check_custom(model: ModelView) -> None:
-    """Raises SceneError for custom numbers and texts that look like palmfield's and would say nothing."""
+    """Raise SceneError for custom numbers and texts that look like palmfield's and would have no effect."""
     for kind, name, length in model.custom() if model.complete else ():
         near = did_you_mean(name, CUSTOM, NEAR_MISS)
         if name not in CUSTOM and (near or name.lower().startswith("palmfield")):
@@ -476,7 +476,7 @@ def _timestep(model: ModelView) -> float:
 
 
 def _duration(model: ModelView) -> float:
-    # Before MuJoCo has filled numerics it is not known yet
+    # The value is not available before MuJoCo has filled numerics
     value = model.numeric(DURATION, DEFAULT_DURATION_S) if model.complete else DEFAULT_DURATION_S
     if not 0.0 < value < math.inf:
         raise SceneError(f"numeric '{DURATION}' has value {value:g}; allowed: seconds > 0")
@@ -493,10 +493,10 @@ def _duration(model: ModelView) -> float:
 
 
 def bones_of(skin: SkinConfig, element: str, model: ModelView) -> list[int]:
-    """Numbers of the bodies that carry a hand's skin, in the order of its bones; none for shapes in one piece.
+    """Numbers of the bodies that carry the skin of a hand, in the order of its bones; empty for shapes in one piece.
 
-    Raises SceneError where one is missing, where key `body` is none of an articulated hand's palm and a rigged mesh's
-    joints, and where the bodies of a rigged mesh don't stand in the reference pose as its joints do.
+    Raises SceneError in three cases: a body is missing; key `body` is neither the palm of an articulated hand nor a
+    joint of a rigged mesh; the bodies of a rigged mesh are not at its joints in the reference pose.
     """
     if skin.shape not in ("articulated", "rigged"):
         return []
@@ -514,7 +514,7 @@ def bones_of(skin: SkinConfig, element: str, model: ModelView) -> list[int]:
 
 
 def _bones(skin: SkinConfig, element: str) -> tuple[str, list[Any]]:
-    """How the names of the bodies begin, and the bones in the frame of key `body`."""
+    """Prefix of the names of the bodies, and the bones in the frame of key `body`."""
     if skin.shape == "rigged":
         assert skin.mesh
         mesh = rigged_file(skin.mesh, skin.unit)
@@ -527,7 +527,7 @@ def _bones(skin: SkinConfig, element: str) -> tuple[str, list[Any]]:
 
 
 def check_rest(bone: Any, frame: Transform, pose: Transform, element: str, advice: str) -> None:
-    """Raises SceneError, with what mends it, where a body isn't at its joint's place, parallel to the hand's axes."""
+    """Raise SceneError, with the remedy, where a body isn't at its joint's place, parallel to the axes of the hand."""
     place = relative(frame, pose)
     distance = float(np.linalg.norm(place.position - bone.origin))
     angle = float(np.arccos(np.clip(0.5 * (np.trace(place.rotation) - 1.0), -1.0, 1.0)))
@@ -539,10 +539,10 @@ def check_rest(bone: Any, frame: Transform, pose: Transform, element: str, advic
 
 
 def obstacles_of(skin: SkinConfig, element: str, model: ModelView, bones: list[int]) -> list[tuple[Obstacle, int]]:
-    """Bodies named by key `obstacles` and those that hang on them, with their geoms, and their numbers.
+    """Bodies named by key `obstacles` and their child bodies, with their geoms, and their numbers.
 
-    bones: as `bones_of` gives them
-    Raises SceneError for unknown bodies, for the skin's own, and where none of them has a geom.
+    bones: as `bones_of` gives them.
+    Raises SceneError for unknown bodies, for the body of the skin itself, and where none of them has a geom.
     """
     element = f"{element}: key 'obstacles'"
     named = {model.find("body", name, element) for name in skin.obstacles}

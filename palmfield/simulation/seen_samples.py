@@ -1,6 +1,6 @@
-"""Points for the force on a body that the arrays can see: no sound arrives at the others, which lie behind the body.
+"""Points for the force on a body that the arrays can see: the others, behind the body, get no sound.
 
-Leaving them out saves work: the kernels of ARP give them nothing either (`warp_kernels.pressure.from_front`).
+Leaving them out saves work: the kernels of ARP give 0 there as well (`warp_kernels.pressure.from_front`).
 """
 
 import numpy as np
@@ -15,8 +15,8 @@ PADDED_TO = 512
 
 
 SeenSamples = tuple[Float, Float, Float, Int]
-"""Points [m] and outward normals, array frame, shapes (n, 3), areas [m2], shape (n,), 0 where a point fills up, and the
-numbers of these samples among all of the body's, shape (n,)."""
+"""Points [m] and outward normals, array frame, shapes (n, 3), areas [m2], shape (n,), 0 for padding points, and the
+numbers of these samples among all samples of the body, shape (n,)."""
 
 
 def seen(points: Float, normals: Float, arrays: PhasedArray) -> NDArray[np.bool_]:

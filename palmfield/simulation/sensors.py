@@ -1,4 +1,4 @@
-"""What a sensor on the skin reads. A new channel is one entry of CHANNELS."""
+"""Readings of a sensor on the skin. A new channel is one entry of CHANNELS."""
 
 from collections.abc import Callable
 from itertools import repeat
@@ -15,11 +15,11 @@ from palmfield.skin.stepper import Reader, SkinStepper
 from palmfield.types import Float
 
 REACH_M, OFF_SKIN_M = 0.01, 0.005
-"""A sensor's site may lie so far from the skin layer along the skin, and across it."""
+"""Largest distance of the site of a sensor from the skin layer, along the skin and across it."""
 
 
 class SkinReading(NamedTuple):
-    """What is known at a sensor's place at the beginning of a MuJoCo step.
+    """Readings at the place of a sensor at the beginning of a MuJoCo step.
 
     arp_force_x_N, _y_N, _z_N: of the sound on the whole body, mean over the step that begins, world axes
     normal_displacement_m, normal_velocity_m_s: of the skin along its outward normal; arp_Pa: positive inwards
@@ -43,14 +43,14 @@ UNITS = tuple(
 
 
 class SensorPlace:
-    """Where a sensor reads: the place of the layer that is nearest to its site, and the bones that carry it."""
+    """Place of a sensor: the point of the layer that is nearest to its site, and the bones that carry it."""
 
     def __init__(self, probe: SurfaceProbe, binding: SkinBinding | None):
         self.probe, self.binding = probe, binding
         self._readers: dict[SkinStepper, Reader] = {}
 
     def reader(self, stepper: SkinStepper) -> Reader:
-        """Reads displacement and velocity along the outward normal there, off one stepper's state."""
+        """Operator from the state of one stepper to displacement and velocity along the outward normal there."""
         known = self._readers.get(stepper)
         if known is None:
             known = self._readers[stepper] = stepper.reader(self.probe.operator)
@@ -86,7 +86,7 @@ def sensor_place(skin: SkinModel, site: Float, element: str) -> SensorPlace:
 
 
 def skin_reading(force: Float, motion: Float, arp: Any) -> SkinReading:
-    """Make the reading at a sensor's place, in one world or in each of several: the only place that fills its fields.
+    """Make the reading at the place of a sensor, in one world or in each of several; only here are its fields filled.
 
     force: on the body [N], shape (3,); motion: displacement [m] and velocity [m/s], shape (2,); arp: [Pa]
     """
@@ -111,5 +111,5 @@ def channels_of_worlds(forces: Float, motions: Float, arps: Float) -> Float:
 
 
 def channels(reading: SkinReading) -> list[float]:
-    """A sensor's data, shape (channels,)."""
+    """The data of a sensor, shape (channels,)."""
     return list(map(call, CHANNELS.values(), repeat(reading)))

@@ -1,7 +1,7 @@
-"""What many worlds emit, where one drive gets louder and softer in each, as a focus in one place makes it.
+"""Emission of many worlds with one drive each of variable level, for example a focus in one place.
 
 Such a world emits a number times its unit drive, so that pole, levels and means over a step are a few operations on
-arrays with an entry for each world. What any other world emits comes from `palmfield.simulation.emission`.
+arrays with an entry for each world. The emission of any other world comes from `palmfield.simulation.emission`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,10 +21,10 @@ from palmfield.stimulus.schedule import Moments, first_point, substep_moments
 from palmfield.types import Complex, Float
 
 AHEAD = 16
-"""Steps for which what is commanded is computed in one go."""
+"""Steps for which the commanded drive is computed at once."""
 SHARED_FROM = 32
-"""Worlds from which on those that differ in their level have one field, of which the rounding of float32 is another: it
-changes ARP by some 1e-6, where the field errs by 2e-5. Fewer worlds are each as by itself."""
+"""Number of worlds with different levels from which they share one field. Its float32 rounding differs, which changes
+ARP by some 1e-6, where the error of the field is 2e-5. Fewer worlds are each as by itself."""
 ALIKE, LEAST = 1e-14, 1e-300
 """Rounding of a drive, of its largest amplitude, and the least power that is no zero."""
 
@@ -44,7 +44,7 @@ class SmoothSound:
         able: Sequence[bool],
         alone: bool,
     ):
-        """able: which worlds may ever join; alone: whether nobody else writes the state, so that levels may be kept
+        """able: which worlds may ever join; alone: whether no other code writes the state, so that levels may be kept
         from step to step"""
         self.models, self.emissions, self.state, self._alone = models, emissions, state, alone
         self._may_join: Bool = np.array([can and _may_join(model) for can, model in zip(able, models, strict=True)])
@@ -63,26 +63,26 @@ class SmoothSound:
         self._poses: Serials = np.zeros(worlds, np.int64)
         self._of: list[UnitDrive | None] = [None] * worlds
         self._first: dict[tuple[float, ...], UnitDrive] = {}  # by pose and point
-        self._scales: Float = np.ones(worlds)  # a world's own drive over its unit drive
+        self._scales: Float = np.ones(worlds)  # drive of a world over its unit drive
         self._units: Complex = np.zeros((worlds, len(first.arrays)), np.complex128)
         self._powers, self._peaks = np.zeros(worlds), np.zeros(worlds)
         self.serials: Serials = np.zeros(worlds, np.int64)
-        # How much of them was emitted when this last wrote the state, and is now
+        # Factor on the unit drive when this last wrote the state, and now
         self._held: Complex = state.arrays[0][:, LEVEL].view(np.complex128)[:, 0]
         self.now: Complex = np.zeros(worlds, np.complex128)
         self._known: Bool = np.zeros(worlds, dtype=bool)
         self.joined: Rows = np.zeros(0, dtype=np.intp)
 
     def forget(self) -> None:
-        """Begin again: after a reset nothing is known of what is emitted."""
+        """Begin again: after a reset no emission is known."""
         self._known[:] = False
 
     def leave_out(self, world: int) -> None:
-        """Leave a world's sound to others from now on."""
+        """Leave the sound of a world to other code from now on."""
         self._may_join[world] = self._ringing[world] = False
 
     def adopt(self, other: "SmoothSound") -> None:
-        """Go on from another's, in a copy of its state in the same PosedScenes."""
+        """Continue from another one, in a copy of its state in the same PosedScenes."""
         self._poses, self.serials, self._of = other._poses.copy(), other.serials.copy(), list(other._of)
         self._units, self._powers, self._peaks = other._units.copy(), other._powers.copy(), other._peaks.copy()
         self._first, self._scales = dict(other._first), other._scales.copy()
@@ -122,9 +122,9 @@ class SmoothSound:
         return True
 
     def _shared(self, unit: UnitDrive, key: tuple[float, ...]) -> tuple[UnitDrive, float]:
-        """The first world's drive in this pose to this point and what number times it a world's own is, or its own.
+        """The first world's drive in this pose to this point and the factor from it to a world's own, or its own drive.
 
-        So worlds whose drives differ in their level alone have one field.
+        So worlds whose drives differ only in their level share one field.
         """
         if len(self._first) > len(self.models):
             self._first.clear()
@@ -134,7 +134,7 @@ class SmoothSound:
         return (first, scale) if alike else (unit, 1.0)
 
     def _levels_alike(self, joins: Bool) -> Bool:
-        """In which worlds a number times the unit drive is emitted, shape (worlds,); finds these numbers."""
+        """The worlds whose emission is a number times the unit drive, shape (worlds,); finds these numbers."""
         alike = joins.copy()
         unknown = (joins & self._ringing & ~self._known).nonzero()[0]
         if len(unknown) == 0:
@@ -165,7 +165,7 @@ class SmoothSound:
         return np.asarray(emitted[self.joined])
 
     def mean_factors(self) -> Float:
-        """The same, in the mean over the step that has begun."""
+        """The same, as a mean over the step that has begun."""
         moments = self._means
         factors = self._commanded[:, : len(moments.times)]
         if np.logical_or.reduce(self._ringing):
@@ -204,7 +204,7 @@ class SmoothSound:
         return np.where(self._ringing[:, None], rung.T, levels), np.where(silent, 0.0, end)
 
     def course(self, world: int, levels: Complex, end: complex) -> EmittedCourse:
-        """What `over` has found of a world that has joined: levels, shape (m,), and at the end."""
+        """Result of `over` for a world that has joined: levels, shape (m,), and at the end."""
         unit = self._of[world]
         assert unit is not None
         last = end * unit.amplitudes

@@ -1,7 +1,7 @@
-"""What a scene says, before anything is computed: frozen, comparable, without physics.
+"""The contents of a scene before any computation: frozen, comparable, without physics.
 
-Frames: the array frame is that of the scene's first array; a body's own points are in its body's frame. Placements are
-those of MuJoCo's reference configuration.
+Frames: the array frame is that of the first array of the scene; points of a body are in the body's frame. Placements
+are those of the reference configuration of MuJoCo.
 """
 
 from dataclasses import dataclass
@@ -37,11 +37,11 @@ class ArraySpec:
 class StimulusSpec:
     """One stimulus.
 
-    arrays: numbers of the arrays that it drives, rising; frame: of its focus and path, seen from the first array
-    on_skin: number of the skin that its path runs on, None for a path in space
-    path_sites: sites that the path runs through, in the frame of that skin's body [m]
-    frame_moves: whether that frame, or the skin that the path runs on, can move against the arrays
-    am_table: the waveform in the file of key am_file, None without; focus_table: foci over time, of key path_file
+    arrays: numbers of the arrays that it drives, rising. frame: of its focus and path, seen from the first array.
+    on_skin: number of the skin on which its path runs, None for a path in space.
+    path_sites: sites along the path, in the frame of that skin's body [m].
+    frame_moves: whether that frame, or the skin under the path, can move against the arrays.
+    am_table: the waveform in the file of key am_file, None without. focus_table: foci over time, of key path_file.
     """
 
     name: str
@@ -57,7 +57,7 @@ class StimulusSpec:
 
 @dataclass(frozen=True)
 class ObstacleSpec:
-    """What casts shadows on a skin besides its own body. placement: of the obstacle's body, seen from the skin's"""
+    """An obstacle of a skin besides its own body. placement: of the obstacle's body, seen from that of the skin."""
 
     shape: Obstacle
     placement: Placement
@@ -67,8 +67,8 @@ class ObstacleSpec:
 class SkinSpec:
     """One skin layer and the body that carries it.
 
-    body: placement of the body, seen from the first array; patch_centre: middle of the layer in the body's frame [m]
-    moves: whether a script moves something in the scene, so that the body may not stay where it is
+    body: placement of the body, seen from the first array. patch_centre: middle of the layer in the body's frame [m].
+    moves: whether a script moves a body in the scene, so that this body may not stay in place.
     """
 
     name: str
@@ -86,9 +86,9 @@ class SkinSpec:
 
 @dataclass(frozen=True)
 class SceneSpec:
-    """All of a scene. Equal specs share a model.
+    """The whole scene. Equal specs share a model.
 
-    device: where fields are computed, "cpu" or "cuda:N"; timestep_s: MuJoCo's step [s]; duration_s: of a run [s]
+    device: where fields are computed, "cpu" or "cuda:N"; timestep_s: of MuJoCo [s]; duration_s: of a run [s]
     """
 
     arrays: tuple[ArraySpec, ...]

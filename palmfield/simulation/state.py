@@ -1,9 +1,9 @@
-"""All of a scene that changes in a run, as plain arrays with a leading axis for worlds.
+"""All data of a scene that change in a run, as plain arrays with a leading axis for worlds.
 
 In a plain mj_step the arrays are views of MuJoCo's plugin state, so that mj_copyData, mj_getState and mj_resetData
-treat it as their own. A skin's array has room for its whole layer, of which a small model takes the front: a run may
-leave the small model. A solver with a mesh of its own has room for that instead. A header says whose numbers they are;
-all zeros is rest, and nobody's yet.
+treat them as their own. The array of a skin has room for its whole layer; a small model uses the front, because a run
+may leave the small model. A solver with its own mesh has room for that mesh instead. A header identifies the writer of
+the numbers; all zeros means rest without a writer.
 """
 
 import hashlib
@@ -20,13 +20,13 @@ from palmfield.skin.stepper import SkinStepper
 from palmfield.types import Complex, Float
 
 HEADER = 4
-"""Numbers before a state's own: what wrote it (0 nobody, BEGUN, WHOLE), its fingerprint, and two more, of which the
+"""Numbers before the state itself: its writer (0 none, BEGUN, WHOLE), its fingerprint, and two more, of which the
 first array uses LEVEL."""
 LEVEL = slice(2, 4)
 """A complex number: how much of a unit drive all transducers emitted when a step of `SmoothSound` wrote the state."""
 BEGUN, WHOLE = 1.0, 2.0
 VERSION = 1
-"""Of the layout of these numbers."""
+"""Version of the layout of these numbers."""
 
 
 class HapticState:
@@ -41,22 +41,22 @@ class HapticState:
         self.emitted: tuple[Complex, ...] = tuple(part[:, HEADER:].view(np.complex128) for part in arrays)
 
     def copy(self) -> "HapticState":
-        """The same, in memory of its own."""
+        """The same, in its own memory."""
         return HapticState(tuple(part.copy() for part in self.arrays), tuple(part.copy() for part in self.skins))
 
     def world(self, number: int) -> "HapticState":
-        """One world's part, as views."""
+        """The part of one world, as views."""
         one = slice(number, number + 1)
         return HapticState(tuple(part[one] for part in self.arrays), tuple(part[one] for part in self.skins))
 
 
 def array_room(transducers: int) -> int:
-    """Numbers of an array's state."""
+    """Count of numbers in the state of an array."""
     return HEADER + 2 * transducers
 
 
 def skin_room(model: HapticModel, skin: int) -> int:
-    """Numbers of a skin's state, known without its matrices."""
+    """Count of numbers in the state of a skin, available without its matrices."""
     return HEADER + model.skins[skin].state_room
 
 
@@ -67,7 +67,7 @@ def new_state(model: HapticModel, worlds: int = 1) -> HapticState:
 
 
 def at_rest(state: HapticState, skin: int) -> bool:
-    """Whether nothing has stepped a skin since the start or a reset."""
+    """Whether a skin has not been stepped since the start or a reset."""
     return bool(state.skins[skin][0, 0] == 0.0)
 
 
@@ -77,7 +77,7 @@ def untouched(state: HapticState) -> bool:
 
 
 def check_arrays(model: HapticModel, state: HapticState) -> bool:
-    """Mark the arrays' states as this model's; whether they were nobody's, so that a run begins here.
+    """Mark the states of the arrays as those of this model; return whether they had no writer, so that a run begins.
 
     Raises SceneError for one that another scene or version wrote.
     """
@@ -94,9 +94,9 @@ def check_arrays(model: HapticModel, state: HapticState) -> bool:
 
 
 def stepper_of(model: HapticModel, state: HapticState, skin: int) -> tuple[SkinStepper, Float]:
-    """The stepper to which a skin's state belongs, and its numbers, shape (1, state_size), a view.
+    """The stepper to which the state of a skin belongs, and its numbers, shape (1, state_size), a view.
 
-    Raises SceneError for a state of another solver, basis or version.
+    Raises SceneError for the state of another solver, basis or version.
     """
     part = state.skins[skin]
     kind = part[0, 0]
@@ -112,14 +112,14 @@ def stepper_of(model: HapticModel, state: HapticState, skin: int) -> tuple[SkinS
 
 
 def claim(model: HapticModel, state: HapticState, skin: int, stepper: SkinStepper) -> None:
-    """Write into a skin's header that its numbers are this stepper's."""
+    """Write this stepper into the header of a skin as the owner of its numbers."""
     header = state.skins[skin][0]
     header[0] = BEGUN if model.begin[skin].value is stepper else WHOLE
     header[1] = model.marks.get(("skin", skin, stepper.name)) or _mark(model, "skin", skin, stepper.name)
 
 
 def _mark(model: HapticModel, kind: str, number: int, name: str) -> float:
-    """A number, exact in float64, that tells states of this solver, on this scene, in this version, from others."""
+    """Number, exact in float64, that identifies states of this solver, on this scene, in this version."""
     if kind == "array":
         array = model.spec.arrays[number]
         parts = [array.config.model_dump_json(), len(model.arrays.parts[number])]

@@ -2,7 +2,7 @@
 
 `Steps.begin` takes the poses where a step begins and computes the forces over it, `sense` what sensors read there,
 and `advance` carries transducers and skins over it. Worlds whose sound one number determines are computed together.
-What is kept from one step to the next lies under serial numbers of poses and drives.
+Data that a step hands to the next are stored under serial numbers of poses and drives.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -54,14 +54,14 @@ KEPT = 64
 
 @dataclass(frozen=True)
 class StepTrace:
-    """What happened in a step, in one world or in several whose courses are alike. Valid until the next step.
+    """The results of a step, in one world or in several with equal courses. Valid until the next step.
 
-    times: ends of the substeps [s], shape (s,); worlds: their numbers, shape (g,); posed: where everything was, of each
-    moments: of the load; levels: of the drives there, complex, shape (g, m, k), as of EmittedCourse
-    course: gives all of what the i-th of the worlds has emitted
-    begun: gives what the i-th emitted at the beginning, shape (N,)
-    motion: of each skin by stepper, numbers of the worlds (w,) and what is watched there, displacement [m] and velocity
-        [m/s] after each substep, (w, s, 2, m); the worlds watch the same
+    times: ends of the substeps [s], shape (s,). worlds: their numbers, shape (g,). posed: the pose of each.
+    moments: of the load. levels: of the drives then, complex, shape (g, m, k), as of EmittedCourse.
+    course: gives the whole emission of the i-th of the worlds.
+    begun: gives the emission of the i-th at the beginning, shape (N,).
+    motion: of each skin by stepper, numbers of the worlds (w,) and the watched displacement [m] and velocity [m/s]
+        after each substep, (w, s, 2, m); all worlds watch the same points.
     """
 
     times: Float
@@ -92,17 +92,17 @@ class _Group(NamedTuple):
 
 
 class Steps:
-    """The steps of a state's worlds, one after the other. Belongs to one state and is used by one thread at a time.
+    """The steps of the worlds of a state, in sequence. Belongs to one state and is used by one thread at a time.
 
-    models, works: of each world; state: of all; observer: gets the trace of each step of each group of worlds
-    forces: mean force over the step that has begun on each body's parts [N], and torques about their origins [N m],
-        world axes, of each body, shape (worlds, 2, b, 3)
+    models, works: of each world. state: of all. observer: gets the trace of each step of each group of worlds.
+    forces: by body, mean force on its parts over the step that has begun [N], and torques about their origins [N m],
+        world axes, shape (worlds, 2, b, 3).
     """
 
     def __init__(
         self, models: Sequence[HapticModel], works: Sequence[Workspace], state: HapticState, alone: bool = False
     ):
-        """alone: whether nobody else writes the state"""
+        """alone: whether no other code writes the state"""
         self.models, self.works, self.state = models, works, state
         worlds, first = len(models), models[0]
         graphs = serves(first)
@@ -137,7 +137,7 @@ class Steps:
         self._stacks: dict[tuple[int, SkinStepper], tuple[bytes, Float32]] = {}
         # The pose in which a small model was last found to serve, by skin and world
         self._served: Serials = np.zeros((len(first.skins), worlds), np.int64)
-        # Whether what steps a skin at first serves any pose and course
+        # Whether the first stepper of a skin is valid in any pose and course
         self._anywhere = [False] * len(first.skins)
         self._shared_out: dict[tuple[int, bytes, bytes], list[tuple[SkinStepper, Rows]]] = {}
         self._on_devices: dict[tuple[int, SkinStepper], DeviceStep | None] = {}
@@ -150,7 +150,7 @@ class Steps:
         self.backend.forget()
 
     def adopt(self, other: "Steps") -> None:
-        """Go on from another's, in a copy of its state in the same PosedScenes."""
+        """Continue from another one, in a copy of its state in the same PosedScenes."""
         for work, origin in zip(self.works, other.works, strict=True):
             work.adopt(origin)
         self.smooth.adopt(other.smooth)
@@ -177,10 +177,10 @@ class Steps:
     def begin_at(
         self, places: Float, axes: Float, t0: float, posed: Callable[[Bool], Mapping[int, PosedScene]]
     ) -> None:
-        """Take the frames of all worlds where a step begins at t0 [s], and compute the forces over it.
+        """Take the frames of all worlds at the beginning of a step, t0 [s], and compute the forces over it.
 
-        places [m], axes: of the layout's rows, shapes (worlds, rows, 3) and (worlds, rows, 9)
-        posed: gives the PosedScenes of some worlds, shape (worlds,): a graph that steps others needs none
+        places [m], axes: of the rows of the layout, shapes (worlds, rows, 3) and (worlds, rows, 9).
+        posed: gives the PosedScenes of some worlds, shape (worlds,): a graph that steps others needs none.
         """
         self.moving.begin(places, axes, t0, self._watched(self.works[0]))
         moving = self.moving.joined
@@ -226,20 +226,20 @@ class Steps:
         return self.observer is not None or any(map(is_not, work.observe, repeat(None)))
 
     def state_now(self) -> bytes:
-        """What the step that has begun was computed from, of a state that others may write: equal while it holds."""
+        """The inputs of the step that has begun, for a state that other code may write: equal while it is valid."""
         parts: tuple[Complex | Float, ...] = self.state.emitted
         for skin, size in [*self.moving.stepped, *self.backend.stepped]:
             parts = *parts, self.state.skins[skin][:, : HEADER + size]
         return b"".join(map(methodcaller("tobytes"), parts))
 
     def _unit_force(self, world: int, body: int) -> Float:
-        """The force of a world's unit drive on a body, world axes, shape (2, b, 3)."""
+        """The force of the unit drive of a world on a body, world axes, shape (2, b, 3)."""
         posed, unit, serial = self._posed[world], self.smooth.unit(world), int(self.smooth.serials[world])
         force = self.works[world].unit_forces.under(posed, body, unit, serial)
         return np.asarray(force @ posed.array_frame.rotation.T)
 
     def _push_one(self, world: int, t0: float) -> None:
-        """The forces in a world that nothing else carries."""
+        """The forces in a world that is stepped here alone."""
         work, posed, state = self.works[world], self._posed[world], self._states[world]
         if (work.emission.holds or work.emission.coming) and untouched(state):
             work.emission.forget()
@@ -270,7 +270,7 @@ class Steps:
             forces[world] = mean.weights[0] * self._unit_forces[body].rows(np.array([world]), key, make)[0]
 
     def pressed(self, world: int, body: int) -> Float | None:
-        """The mean ARP [Pa] at a body's samples in the step that began last, shape (n,); None in silence."""
+        """The mean ARP [Pa] at the samples of a body in the step that began last, shape (n,); None in silence."""
         known = self._pressed.get((world, body))
         if known is not None or world not in self._means:
             return known
@@ -280,8 +280,8 @@ class Steps:
         return factor * work.radiation.on(posed, skin, "samples", unit, serial).arp.astype(np.float64)
 
     def sense(self, skin: int, place: SensorPlace, t0: float) -> tuple[Float, Float]:
-        """ARP [Pa], shape (worlds,), displacement [m] and velocity [m/s], (worlds, 2), at a sensor's place as a step
-        begins; 0 in worlds that have not begun one here."""
+        """ARP [Pa], shape (worlds,), displacement [m] and velocity [m/s], (worlds, 2), at the place of a sensor at the
+        beginning of a step; 0 in worlds that have not begun one here."""
         count = len(self.models)
         arp, motion = np.zeros(count), np.zeros((count, 2))
         joined = self.smooth.joined
@@ -297,7 +297,7 @@ class Steps:
         part = self.state.skins[skin]
         begun = here[part[here, 0] != 0.0]
         if not self._several and len(begun):
-            stepper_of(self.models[0], self.state, skin)  # refuses another's state
+            stepper_of(self.models[0], self.state, skin)  # refuses the state of another model
         moving = self.moving.joined
         if len(moving):
             arp[moving], motion[moving] = self.moving.sensed(skin, place)
@@ -307,7 +307,7 @@ class Steps:
         return arp, motion
 
     def _probe(self, world: int, skin: int, place: SensorPlace, drive: Complex | None = None) -> float:
-        """ARP at a sensor [Pa] of a drive, shape (N,), of a world's unit drive without."""
+        """ARP at a sensor [Pa] of a drive, shape (N,); without one, of the unit drive of a world."""
         posed = self._posed[world]
         body = posed.bodies[self.models[0].skins[skin].body]
         points, normals = body.moved(place.probe.closest, place.probe.normals, place.binding)
@@ -315,7 +315,7 @@ class Steps:
         return float(self.works[world].radiation.at(posed, skin, "probe", points, normals, sounding).arp[0])
 
     def _arp_in_one(self, world: int, skin: int, place: SensorPlace, kept: Kept, t0: float) -> float:
-        """ARP at a sensor's place [Pa] in a world that nothing else carries."""
+        """ARP at the place of a sensor [Pa] in a world that is stepped here alone."""
         work, posed = self.works[world], self._posed[world]
         if self.backend.course is not None:
             return self.backend.arp(skin, place)
@@ -347,9 +347,9 @@ class Steps:
                 self._in(self._advance_one, world, t0, t1, skins)
 
     def over(self, posed: PosedScene, t0: float, steps: int, skins: bool = True) -> None:
-        """Carry the only world over several steps from t0 [s] on, in one pose, of which nobody reads forces or sensors.
+        """Step the only world several times from t0 [s] on, in one pose, without forces or sensors in between.
 
-        skins: as of `advance`, and what is raised
+        skins: as of `advance`; so are the errors raised
         """
         work, state = self.works[0], self._states[0]
         self._posed[0], self._poses[0], self._apart = posed, posed.serial, [0]
@@ -372,7 +372,7 @@ class Steps:
         return TOGETHER if free else 1
 
     def _check(self, world: int) -> None:
-        """Begin a run in a state that is nobody's; SceneError for another's."""
+        """Begin a run in a state without a writer; SceneError for the state of another model."""
         if check_arrays(self.models[world], self._states[world]):
             self.works[world].begin_run()
             self._served[:, world] = 0
@@ -401,7 +401,7 @@ class Steps:
         smooth.advance(end)
 
     def _advance_one(self, world: int, t0: float, t1: float, skins: bool) -> None:
-        """`advance` in a world that nothing else carries."""
+        """`advance` in a world that is stepped here alone."""
         model, work, posed, state = self.models[world], self.works[world], self._posed[world], self._states[world]
         begun, known = gather(state, work), self.backend.course
         count = round((t1 - t0) / model.step_s)
@@ -459,14 +459,14 @@ class Steps:
                 served[world] = self._poses[world]
 
     def _leaves(self, world: int, skin: int, t0: float) -> bool:
-        """Whether a skin's small model no longer serves."""
+        """Whether the small model of a skin is no longer valid."""
         work, state = self.works[world], self._states[world]
         return leaves_small_model(
             self.models[world], state, skin, self._posed[world], work.reference, work.emission, t0
         )
 
     def _continue_whole(self, group: _Group, i: int, skin: int, t0: float) -> None:
-        """Let the whole layer go on with the motion of a skin in the i-th world."""
+        """Continue with the whole layer from the motion of a skin in the i-th world."""
         world = int(group.worlds[i])
         work, state = self.works[world], self._states[world]
         continue_on_whole_layer(
@@ -480,9 +480,9 @@ class Steps:
         steppers: Sequence[tuple[SkinStepper, Rows]],
         t0: float,
     ) -> bool:
-        """Measure what of the loads lies outside the class of a skin's modes; the whole layer goes on where it is much.
+        """Measure the part of the loads outside the class of a skin's modes; if large, the whole layer takes over.
 
-        Returns whether it does in any world.
+        Returns whether any world does so.
         """
         left = False
         for stepper, own in steppers:
@@ -498,7 +498,7 @@ class Steps:
         return left
 
     def _outside(self, group: _Group, skin: int, stepper: SkinStepper, at: Rows) -> list[Outside]:
-        """What of the loads on a skin lies outside the class of its modes, in the worlds at some places of a group."""
+        """The part of the loads on a skin outside the class of its modes, in the worlds at some places of a group."""
         worlds = group.worlds[at]
         known = self.backend.outside(skin, stepper)
         if known is not None:
@@ -533,10 +533,10 @@ class Steps:
         worlds: Rows,
         times: tuple[float, float],
     ) -> Float | Float32 | None:
-        """Step a skin in some worlds by one stepper; what is watched of it in the first one, in all of them."""
+        """Step a skin in some worlds by one stepper; all of them watch the points that the first one watches."""
         part, numbers = self.state.skins[skin], slice(HEADER, HEADER + stepper.state_size)
         for world in worlds.tolist() if not self._several else worlds[part[worlds, 0] == 0.0].tolist():
-            # Refuses a state that is not at rest though nobody has written it
+            # Refuses a state that is not at rest but has no writer
             stepper_of(self.models[world], self._states[world], skin)
             claim(self.models[world], self._states[world], skin, stepper)
         end = self.backend.after(skin, stepper)
@@ -597,7 +597,7 @@ class Steps:
         return found
 
     def _on_device(self, skin: int, stepper: SkinStepper) -> DeviceStep | None:
-        """What steps a skin in place of its stepper, where the device is a GPU and has it; kept."""
+        """The stepper of a skin on the device in place of its stepper, if the device is a GPU and has one; stored."""
         if not self._several:
             return None
         if (skin, stepper) not in self._on_devices:
@@ -605,7 +605,7 @@ class Steps:
         return self._on_devices[skin, stepper]
 
     def _named(self, function: Callable[..., T], world: int, *arguments: Any) -> T:
-        """What a function returns of one of several worlds, which its errors name."""
+        """The result of a function for one of several worlds, which its errors name."""
         with naming_world(world):
             return function(world, *arguments)
 

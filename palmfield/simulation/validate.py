@@ -1,4 +1,4 @@
-"""What board, boundary elements, bodies and machine cannot follow: refused before anything runs."""
+"""Refuse, before the run, scenes that board, boundary elements, bodies or machine cannot follow."""
 
 import math
 from collections.abc import Sequence
@@ -26,17 +26,17 @@ from palmfield.types import Float
 MOST_UNKNOWNS = 2_000_000
 """Factors of the matrix of so large a layer take more than 100 GB."""
 FACTOR_BYTES = 180.0
-"""Of the factors of a layer of n unknowns, over n^1.4: SuperLU's two and the blocks, as seen for 1.5 k to 13 k."""
+"""Size of the factors of a layer of n unknowns, over n^1.4: two by SuperLU and the blocks; for n of 1.5 k to 13 k."""
 MOST_SUBSTEPS = 10_000
-"""Steps of a skin in one of MuJoCo's."""
+"""Most substeps of a skin in one MuJoCo step."""
 LEAST_APART_M = 1e-3
-"""Between transducers: those of two arrays may be point sources, which have no width of their own."""
+"""Least distance between transducers: those of two arrays may be point sources, which have no width."""
 STILL_ECHO_M = 1e-5
-"""So far a disc may move before a rigid array face: a two hundredth of what turns an echo's sign."""
+"""Largest movement of a disc before a rigid array face: 1/200 of the distance that changes the sign of an echo."""
 FACING = np.diag([1.0, -1.0, -1.0])
-"""How an array stands that looks at another from above: its frame turned by half a turn about x."""
+"""Orientation of an array that faces another from above: its frame turned by half a turn about x."""
 LEAST_POINTS = 3
-"""On a turn of a path that is played in frames: fewer tell no path."""
+"""Least number of frames on one turn of a path: fewer do not define a path."""
 SURFACE_KEYS = ("shape", *(key for key, shapes in OF_SHAPES.items() if shapes != BODIES))
 """Keys that say what surface a body has; all skins on a body share them."""
 
@@ -64,9 +64,9 @@ def check_bodies(spec: SceneSpec) -> None:
 
 
 def check_apart(names: Sequence[str], arrays: PhasedArray) -> None:
-    """Refuse arrays that stand in one place: transducers of two are nearer than their faces allow.
+    """Refuse arrays at the same place: transducers of two are nearer than their faces allow.
 
-    Within one array, whose places come from one file or model, only what no transducer allows.
+    Within one array, whose places come from one file or model, only distances that no transducer allows are refused.
     """
     positions = [arrays.array.positions[part] for part in arrays.slices]
     for number, name in enumerate(names):
@@ -111,7 +111,7 @@ def check_overlaps(skins: Sequence[SkinModel]) -> None:
 
 
 def check_cost(skin: SkinSpec, layer: SceneLayer, timestep_s: float, stimulus: StimulusModel) -> None:
-    """Refuse elements and steps so small that the run can't end, by the layer's sizes alone: nothing is meshed.
+    """Refuse elements and steps so small that the run can't end, from the sizes of the layer alone, without a mesh.
 
     stimulus: for whose spot the sizes are chosen
     """
@@ -139,7 +139,7 @@ def check_cost(skin: SkinSpec, layer: SceneLayer, timestep_s: float, stimulus: S
 
 
 def _missed(skin: SkinSpec, layer: SceneLayer, stimulus: StimulusModel) -> str:
-    """That the focus is beside the skin, where the layer's sizes come from a spot that isn't on it; empty elsewhere."""
+    """Message that the focus misses the skin, where the layer's sizes come from such a spot; empty elsewhere."""
     centre = skin.body.transform.points(np.array(skin.patch_centre))
     off_m, spot_m = float(np.linalg.norm(stimulus.first_focus - centre)), layer.demand.spot_fwhm_m
     if off_m <= max(spot_m, sum(layer.demand.path_reach_m)):
@@ -195,7 +195,7 @@ def check_arrays(board: Board, arrays: Sequence[ArraySpec]) -> None:
 
 
 def check_envelope(stimulus: StimulusSpec, board: Board) -> None:
-    """Refuse (DeviceError) a stimulus that doesn't ask for the envelope which the board makes by itself."""
+    """Refuse (DeviceError) a stimulus whose envelope is not the one that the board makes by itself."""
     config = stimulus.config
     if config.modulation != "am":
         raise DeviceError(
@@ -220,7 +220,7 @@ def check_board(stimulus: StimulusSpec, board: Board) -> None:
         f"plugin 'palmfield.stimulus' instance '{stimulus.name}'",
     )
     table = stimulus.focus_table
-    # How long a path through sites is isn't known yet
+    # The length of a path through sites isn't available yet
     of_sites = config.path == "sites"
     rates = [config.control_rate_Hz] * (config.control_rate_Hz > 0.0) if of_sites else frame_rates(config)
     moving = config.path != "point" or stimulus.frame_moves
@@ -279,13 +279,13 @@ def check_board(stimulus: StimulusSpec, board: Board) -> None:
 
 
 def check_clear(posed: PosedScene) -> None:
-    """Raise SceneError where a body's surface, or an obstacle's, reaches into an array's board.
+    """Raise SceneError where the surface of a body, or of an obstacle, reaches into the board of an array.
 
-    The same for a body that has left the place for which echoes from a rigid array face are computed.
+    Also for a body that has left the place for which echoes from a rigid array face are computed.
     """
     if posed.arrays.wall_m is not None:
         _check_echo(posed, posed.arrays.wall_m)
-    # Boxes tell it of most poses, and take no vertex
+    # Boxes decide most poses, and take no vertex
     hulls = []
     for body in posed.bodies:
         if body.model.surface is not None:
@@ -323,7 +323,7 @@ def _check_echo(posed: PosedScene, wall_m: float) -> None:
 
 
 def _check_clear(posed: PosedScene, what: str, points: Float, *, behind: bool) -> None:
-    """behind: whether it may lie wholly behind the board."""
+    """behind: whether it may be wholly behind the board."""
     arrays = posed.arrays
     for board, frame in zip(arrays.boards, arrays.frames, strict=True):
         own = points if frame is arrays.frames[0] else frame.inverse_points(points)

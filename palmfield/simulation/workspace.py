@@ -1,4 +1,4 @@
-"""What one world's steps keep: emission, fields, forces, and what is watched."""
+"""Working data of the steps of one world: emission, fields, forces, and what is watched."""
 
 import numpy as np
 from scipy import sparse
@@ -20,11 +20,11 @@ MOST_OFF_PATH = 8
 
 
 class Workspace:
-    """What one world's steps keep: emission, radiation, forces, and what is watched.
+    """Working data of the steps of one world: emission, radiation, forces, and what is watched.
 
-    unit_forces: of one drive
-    outside: of each skin what of its load has been outside the class that its modes serve
-    observe: what is watched of each skin, an operator (m, unknowns) or None
+    unit_forces: of one drive.
+    outside: of each skin, the part of its load outside the class of its modes.
+    observe: the operator (m, unknowns) of each skin that gives the watched values, or None.
     """
 
     def __init__(self, model: HapticModel, beside: "Workspace | None" = None):
@@ -41,7 +41,7 @@ class Workspace:
         self.amplitudes: Complex = np.zeros(len(model.arrays), np.complex128)
         self.observe: tuple[sparse.csr_matrix | None, ...] = (None,) * len(model.skins)
         self._may_look_ahead = looks_ahead(model)
-        # Of the worlds beside as well: a reader of many vectors is as large as they are
+        # Shared with the other worlds as well: a reader of many vectors is as large as they are
         self._readers: dict[tuple[int, SkinStepper], tuple[sparse.csr_matrix, Reader]]
         self._readers = {} if beside is None else beside._readers
 
@@ -51,7 +51,7 @@ class Workspace:
         self.outside = [OutsideClass() for _ in self.outside]
 
     def adopt(self, other: "Workspace") -> None:
-        """Go on from another's, in a copy of its state; of the same model in the same PosedScenes."""
+        """Continue from another one, in a copy of its state; of the same model in the same PosedScenes."""
         self.reference = other.reference
         self.emission.adopt(other.emission)
         self.radiation.continue_from(other.radiation)
@@ -59,7 +59,7 @@ class Workspace:
         self.outside = [part.copy() for part in other.outside]
 
     def patterns(self, posed: PosedScene, skin: int, stepper: SkinStepper, course: EmittedCourse) -> Float32:
-        """The patterns of ARP [Pa] that a course's `weights` weigh, where a stepper takes them, shape (p, n)."""
+        """Patterns of ARP [Pa] to which the `weights` of a course apply, where a stepper takes them, shape (p, n)."""
         role: Role = "quadrature"
         if stepper.points is not None:
             self.radiation.choose(skin, stepper.points)
@@ -73,13 +73,13 @@ class Workspace:
         return self.radiation.patterns(posed, skin, role, course)
 
     def look_ahead(self, posed: PosedScene) -> None:
-        """Let the emission look ahead where that pays: not along a path whose sound is known."""
+        """Let the emission look ahead where that pays: not along a path whose sound is predicted."""
         path = self.path_sound
         known = path.serves and path.off < MOST_OFF_PATH and path.holds(posed)
         self.emission.ahead = self._may_look_ahead and not known
 
     def mean_pressure(self, posed: PosedScene, body: int, mean: MeanDrives) -> Float | Float32 | None:
-        """Mean ARP [Pa] at a body's samples; None for one drive, whose own is kept."""
+        """Mean ARP [Pa] at the samples of a body; None for one drive, whose own ARP is stored."""
         skin, arp = self.unit_forces.skins[body], None
         if self.path_sound.serves:
             arp = self.path_sound.arp(posed, skin, "samples", mean.levels @ mean.units)
@@ -88,14 +88,14 @@ class Workspace:
         return None if arp is None else mean.weights @ arp
 
     def outside_share(self, skin: int, stepper: SkinStepper, seen: Outside) -> float:
-        """What of a step's load on a skin lies outside the class of its modes, see OutsideClass.add."""
+        """The part of the load of a step on a skin outside the class of its modes, see OutsideClass.add."""
         outside = self.outside[skin]
         if outside.loudest is None:
             outside.loudest = loudest_load(self.model, skin, stepper, self.reference, self.radiation)
         return outside.add(seen)
 
     def reader(self, skin: int, stepper: SkinStepper) -> Reader | None:
-        """Reads what is watched of a skin off this stepper's states; a run may leave a small model in any step."""
+        """Operator from the states of this stepper to the watched values; a run may leave a small model in any step."""
         operator = self.observe[skin]
         if operator is None:
             return None
@@ -106,7 +106,7 @@ class Workspace:
 
 
 def gather(state: HapticState, work: Workspace) -> Complex:
-    """What all transducers emit, shape (N,), in the workspace's array."""
+    """The emission of all transducers, shape (N,), in the array of the workspace."""
     start = 0
     for part in state.emitted:
         work.amplitudes[start : start + part.shape[1]] = part[0]

@@ -1,16 +1,16 @@
-"""Predicted seconds of the skin's work on one core: what the choice between solvers rests on, in scenes and in `solve`.
+"""Predicted seconds of the work for a skin on one core, for the choice between solvers in scenes and in `solve`.
 
-And the memory of a process that steps a scene's skins.
+Also the memory of a process that steps the skins of a scene.
 
 Fitted to the layers of shipped scenes on one core of the 2-core machine: factorised in 0.05 to 2.8 s for 1.5 k to 28 k
-unknowns, stepped in 0.27 to 4.9 ms a substep for 1.5 k to 13 k (docs/bench/skin_c0.md has discs). Known to a factor of
-1.5 or so.
+unknowns, stepped in 0.27 to 4.9 ms a substep for 1.5 k to 13 k (docs/bench/skin_c0.md has discs). Accuracy: a factor
+of about 1.5.
 """
 
 from collections.abc import Sequence
 
 PROCESS_BYTES = 335e6
-"""Of a process that has loaded a scene without a skin."""
+"""Memory of a process that has loaded a scene without a skin."""
 
 
 def assembly_s(dofs: float) -> float:
@@ -48,7 +48,7 @@ def modes_s(dofs: float, modes: float, laws: int = 1) -> float:
 
 
 def modal_step_s(modes: float, laws: int = 1) -> float:
-    """One substep of modes, with their share of the load's products; several laws couple them, by a product each."""
+    """One substep of modes, with their share of the load products; several laws couple them, with one product each."""
     together = 1e-5 + 6e-11 * (laws - 1) * modes**2 if laws > 1 else 0.0
     return 1e-5 + 7e-8 * modes + together
 
@@ -65,9 +65,9 @@ def reduced_s(dofs: float, steps: float, vectors: float) -> float:
 
 
 def memory_bytes(layers: Sequence[tuple[float, bool]]) -> int:
-    """What a process takes that steps a scene on the CPU, without what a run keeps of its course.
+    """Memory of a process that steps a scene on the CPU, without the history that a run stores.
 
-    layers: unknowns of each skin, and whether its whole layer is stepped
+    layers: unknowns of each skin, and whether its whole layer is stepped.
     Fitted to the largest memory of the demo's palm at 5 k, 9 k and 31 k unknowns and of a disc at 13 k, within 5 %.
     """
     return round(PROCESS_BYTES + sum(17.3e3 * dofs + (64.0 * dofs**1.5 if whole else 0.0) for dofs, whole in layers))

@@ -1,7 +1,7 @@
-"""A scene's layer as a solver steps it that key `solver` names, and of which the scene itself knows nothing else: those
-with elements or particles of their own, which step explicitly, and those of other packages.
+"""A scene's layer for solvers that key `solver` names and that have their own mesh: explicit elements or particles,
+and those of other packages. The scene has no other reference to them.
 
-Body, loads and operators are those of the scene's wedges; what is here lies below the same face.
+Body, loads and operators are those of the scene's wedges; the solver's mesh lies below the same face.
 """
 
 import functools
@@ -40,15 +40,15 @@ TRIAL, LONGEST_TRIAL_s = 2, 0.02
 SAMPLES = 32
 """Times in each period."""
 MOST_STEPS = 20_000
-"""Of a scheme in one of MuJoCo's steps."""
+"""Limit of the steps of a scheme in one MuJoCo step."""
 
 
 class ExplicitLayer(Protocol):
-    """What a solver knows of a layer before it steps it; made of the SceneLayer alone, and costly parts when asked for.
+    """Properties of a solver's layer before stepping; made of the SceneLayer alone, costly parts at first use.
 
-    unknowns: of its mesh; state_size: numbers of its state; resolution: in words
-    expected_error: relative, of the displacement, before anything runs, or None
-    preview: whether it is one; steps, sizes_follow: how it steps, and what its sizes go by, in words
+    unknowns: of its mesh. state_size: numbers of its state. resolution: in words.
+    expected_error: relative, of the displacement, before any run, or None.
+    preview: whether it is one. steps, sizes_follow: its time steps, and the basis of its sizes, in words.
     """
 
     preview: bool = False
@@ -68,7 +68,7 @@ class ExplicitLayer(Protocol):
     def refuse(self) -> None:
         """Raise SceneError, with element, key, value and what is allowed, for what the solver can't step.
 
-        Looks at keys and materials alone: nothing is meshed.
+        Checks only keys and materials: no mesh is made.
         """
         ...
 
@@ -77,7 +77,7 @@ class ExplicitLayer(Protocol):
         ...
 
     def stepper(self, device: str) -> SkinStepper:
-        """What steps it on a device of `palmfield.device.resolve`. Raises SceneError for elements that can't be."""
+        """The stepper on a device of `palmfield.device.resolve`. Raises SceneError for impossible elements."""
         ...
 
 
@@ -102,7 +102,7 @@ def _made(layer: SceneLayer) -> ExplicitLayer:
 
 
 class OwnMesh(ExplicitLayer, Protocol):
-    """A layer on a mesh of its own, which a solver steps explicitly.
+    """A layer on its own mesh, which a solver steps explicitly.
 
     face: its nodes [m], shape (f, 3); stiffest: bulk over shear modulus, at most
     """
@@ -127,11 +127,11 @@ class OwnMesh(ExplicitLayer, Protocol):
         ...
 
     def made(self, transfer: FaceTransfer, device: str) -> "OwnMeshStepper":
-        """`stepper`; transfer: from and to the scene's wedges."""
+        """`stepper`; transfer: from and to the wedges of the scene."""
         ...
 
     def error(self, device: str) -> float:
-        """What `palmfield.skin.solve` states for this mesh under the trial load, with all that it leaves out."""
+        """Error that `palmfield.skin.solve` states for this mesh under the trial load, with all omissions."""
         ...
 
     def stepper(self, device: str) -> "OwnMeshStepper":
@@ -170,7 +170,7 @@ class OwnMesh(ExplicitLayer, Protocol):
                     f"allowed with it, as it steps with the pressure wave: at most {self.stiffest:g} (keys material, "
                     "materials, bulk_Pa); or solver wedges"
                 )
-        # A slab of the same sheets: what is asked of it here are base and materials
+        # A slab of the same sheets: only its base and materials are checked here
         sheets = tuple(Sheet(sheet.material, 0.01 * sheet.thickness_m) for sheet in self.layer.sheets)
         slab = Slab(sheets, "disc", base_of(config), "fixed", 0.1)
         load = Spot(self.layer.demand.spot_fwhm_m, np.zeros(1), np.ones(1))
@@ -179,9 +179,9 @@ class OwnMesh(ExplicitLayer, Protocol):
             raise SceneError(f"{element}, but {reason}")
 
     def body_of(self, refinement: float = 1.0) -> Body:
-        """The body below a layer's face, in its frame: a disc, or the sheets below its patch.
+        """The body below the face of a layer, in its frame: a disc, or the sheets below its patch.
 
-        refinement: factor of the patch's edges, at most 1
+        refinement: factor on the edges of the patch, at most 1.
         """
         config = self.layer.config
         if config.shape == "disc":
@@ -216,7 +216,7 @@ class OwnMesh(ExplicitLayer, Protocol):
         return load, spot.times_s[1:], np.stack([points[np.argmin(away)], beside])
 
     def _spot(self, periods: float, f_Hz: float) -> Spot:
-        """A spot in the layer's middle whose pressure goes up and down between 0 and 1 Pa."""
+        """A spot in the middle of the layer whose pressure oscillates between 0 and 1 Pa."""
         times = np.linspace(0.0, periods / f_Hz, math.ceil(SAMPLES * periods) + 1)
         return Spot(self.layer.demand.spot_fwhm_m, times, np.sin(math.pi * f_Hz * times) ** 2, self._middle()[:2])
 
@@ -228,7 +228,7 @@ class OwnMesh(ExplicitLayer, Protocol):
         return vertices[cKDTree(vertices).query(self.layer.centre_m)[1]]
 
     def _check_steps(self, steps: int) -> None:
-        """Raise SceneError where a substep of the scene takes so many steps of the scheme that a run would not end."""
+        """Raise SceneError if a substep of the scene takes so many steps of the scheme that a run would not end."""
         in_one = steps * round(self.layer.demand.timestep_s / self.layer.step_s)
         if in_one > MOST_STEPS:
             raise SceneError(
@@ -240,10 +240,10 @@ class OwnMesh(ExplicitLayer, Protocol):
 
 
 class OwnMeshStepper(SkinStepper, Protocol):
-    """Steps a layer on a mesh of its own, in steps of a scheme that divide a substep; see SkinStepper.
+    """Step a layer on its own mesh, in steps of a scheme that divide a substep; see SkinStepper.
 
-    own: the layer; transfer: from and to the scene's wedges; device: of `palmfield.device.resolve`
-    steps: of the scheme in each substep
+    own: the layer. transfer: from and to the wedges of the scene. device: of `palmfield.device.resolve`.
+    steps: of the scheme in each substep.
     """
 
     points: Int | None = None
@@ -257,12 +257,12 @@ class OwnMeshStepper(SkinStepper, Protocol):
         self.step_s, self.unknowns = own.layer.step_s, own.unknowns
 
     @functools.cached_property
-    def error(self) -> float:  # type: ignore[override]  # found when it is asked for
+    def error(self) -> float:  # type: ignore[override]  # computed at first use
         """See SkinStepper."""
         return self._own.error(self._device)
 
     def carried(self, state: Float, ends: Float, t0: float, t1: float, seen: bool) -> Float | None:
-        """Carry one world's state (state_size,) in place; motion of the face as seen after each substep, (s, 2, f, 3).
+        """Carry the state of one world (state_size,) in place; motion of the face after each substep, (s, 2, f, 3).
 
         ends: pressure on the face at both ends of each substep, (2 s, f)
         """

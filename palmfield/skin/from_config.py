@@ -1,4 +1,4 @@
-"""Materials, rows of elements and base of a scene's skin layer, from its keys."""
+"""Materials, rows of elements and base of a skin layer, from the keys of a scene."""
 
 from dataclasses import astuple, replace
 
@@ -13,16 +13,16 @@ from palmfield.skin.problem import BaseKind, Sheet, Springs
 
 
 def sheets_of(skin: SkinConfig) -> tuple[Sheet, ...]:
-    """Sheets from the surface down; thicknesses are shares of the layer's depth."""
+    """Sheets from the surface down; thicknesses are shares of the depth of the layer."""
     if not skin.materials:
         return (Sheet(material_of(skin), 1.0),)
     return tuple(Sheet(preset(name), share) for name, share in zip(skin.materials, skin.shares, strict=True))
 
 
 def softest_and_stiffest_sheets(skin: SkinConfig) -> tuple[tuple[Sheet, ...], tuple[Sheet, ...]] | None:
-    """A scene's sheets with the ranges of all their presets at the low ends, and at the high ends.
+    """Sheets of a scene with the ranges of all their presets at the low ends, and at the high ends.
 
-    None where no sheet has a range, and where keys of the scene set the material's numbers, which have none.
+    None where no sheet has a range, and where keys of the scene set the numbers of the material, which have none.
     """
     if not skin.materials and any(getattr(skin, key) is not None for key in OVERRIDES):
         return None
@@ -77,13 +77,13 @@ def sheets_in_words(sheets: tuple[Sheet, ...]) -> str:
 
 
 def base_of(skin: SkinConfig) -> BaseKind | Springs:
-    """The layer's base as `palmfield.skin.fem.assembly.assemble` takes it."""
+    """The base of the layer in the form of `palmfield.skin.fem.assembly.assemble`."""
     base = skin.base
     return Springs(*(skin.springs or ())) if base == "springs" else base
 
 
 def material_of(skin: SkinConfig) -> Material:
-    """The preset with the scene's overrides."""
+    """The preset, with the keys of the scene that override it."""
     changed = {key: getattr(skin, key) for key in OVERRIDES if getattr(skin, key) is not None}
     base = preset(skin.material)
     if not changed:

@@ -1,4 +1,4 @@
-"""What a skin solver is given and gives back: body, load, motion.
+"""Inputs and results of a skin solver: body, load, motion.
 
 Frame of a slab: its face is the plane z = 0, the body lies below it, x and y along the face, origin in the middle. A
 layer is in the frame of its patch. A pressure pushes into the body; displacements are vectors, so that a slab under a
@@ -26,8 +26,8 @@ Shape = Literal["infinite", "disc", "box"]
 BaseKind = Literal["bonded", "free_slip", "free"]
 SideKind = Literal["fixed", "free", "roller", "absorbing"]
 QUANTITIES: tuple[Quantity, ...] = ("displacement", "velocity", "normal")
-"""What an accuracy is of: the displacement, the velocity, or the displacement along the face's normal; the order in
-which solvers keep their three errors."""
+"""The quantity of an accuracy: the displacement, the velocity, or the displacement along the normal of the face; the
+order of the three errors in solvers."""
 BASES = ("bonded", "free_slip", "free")
 SIDES = ("fixed", "free", "roller", "absorbing")
 SHAPES = ("infinite", "disc", "box")
@@ -44,7 +44,7 @@ GAUSSIAN = 4.0 * math.log(2.0)
 class Springs:
     """A base of springs and dashpots by area, along the base's normal and along the base.
 
-    normal_Pa_m, tangential_Pa_m: stiffness [Pa/m]; normal_Pa_s_m, tangential_Pa_s_m: damping [Pa s/m]; all >= 0
+    normal_Pa_m, tangential_Pa_m: stiffness [Pa/m]. normal_Pa_s_m, tangential_Pa_s_m: damping [Pa s/m]; all >= 0.
     """
 
     normal_Pa_m: float
@@ -92,11 +92,11 @@ Base = BaseKind | Springs | Foundation
 class Slab:
     """Flat sheets on a base, the first at the surface.
 
-    shape: "infinite", "disc" (radius_m) or "box" (size_m along x and y)
+    shape: "infinite", "disc" (radius_m) or "box" (size_m along x and y).
     base: "bonded" (no motion), "free_slip" (no normal motion, no shear traction), "free" (no traction), Springs
-        or a Foundation
+        or a Foundation.
     side: "fixed" (no motion), "free" (no traction), "roller" (no normal motion, no shear traction) or "absorbing";
-        none where the shape is infinite
+        none where the shape is infinite.
     Raises SceneError for other values, missing sizes, and ones below LEAST_M or beyond THICKEST_M and WIDEST_M.
     """
 
@@ -135,10 +135,10 @@ class Slab:
 
 @dataclass(frozen=True)
 class Layer:
-    """Sheets below a patch of surface: their thicknesses are shares of the patch's own depth, the first at the skin.
+    """Sheets below a patch of surface: their thicknesses are shares of the depth of the patch, the first at the skin.
 
-    Raises SceneError for an unknown base or side, a depth that is not above 0, with its place, and a patch whose
-    positions are not finite, whose inward directions are not of length 1, or whose faces name vertices it has not.
+    Raises SceneError for an unknown base or side, and for a depth that is not above 0, with its place. Also for a patch
+    with positions that are not finite, inward directions that are not of length 1, or faces with unknown vertices.
     """
 
     patch: Patch
@@ -191,11 +191,11 @@ class Spot:
 
     On a layer the distance is that of the places below in x and y, so its face should look along z, up or down.
 
-    fwhm_m: full width at half maximum [m]
-    times_s: [s], rising, shape (f,); before the first the load is 0, after the last it stays
-    peak_Pa: a at these times, shape (f,); centre_m: c, shape (f, 2) or, at rest, (2,)
-    law: a and c between these times: "linear", or "held" at the value of the earlier one
-    A static load is one time, 0, with law "held", asked for by `static`.
+    fwhm_m: full width at half maximum [m].
+    times_s: [s], rising, shape (f,); before the first the load is 0, after the last it stays.
+    peak_Pa: a at these times, shape (f,). centre_m: c, shape (f, 2) or, at rest, (2,).
+    law: a and c between these times: "linear", or "held" at the value of the earlier one.
+    A static load is one time, 0, with law "held", for use with `static`.
     Raises SceneError for other shapes, times that do not rise, and numbers that are not finite.
     """
 
@@ -224,8 +224,8 @@ class Spot:
 class Traction:
     """Pressure given at points of the face.
 
-    points: [m], shape (n, 3); weights_m2: area that each point stands for [m^2], shape (n,)
-    times_s: [s], rising, shape (f,); pressure_Pa: shape (f, n); law: as for Spot
+    points: [m], shape (n, 3). weights_m2: area of each point [m^2], shape (n,).
+    times_s: [s], rising, shape (f,). pressure_Pa: shape (f, n). law: as for Spot.
     Raises SceneError as Spot, and for a weight below 0.
     """
 
@@ -251,15 +251,15 @@ Load = Spot | Traction
 
 @dataclass(frozen=True)
 class Motion:
-    """What the skin does at the requested times and points.
+    """Motion of the skin at the requested times and points.
 
-    times_s: shape (t,); points: [m], shape (n, 3)
-    displacement_m, velocity_m_s: shape (t, n, 3)
-    error: estimated relative error of what `accuracy_of` names (L2 over the times at a point, the largest of the
-        points); error_source: how it was found
-    solver: which one, with its resolution in words; seconds: what it took
+    times_s: shape (t,). points: [m], shape (n, 3).
+    displacement_m, velocity_m_s: shape (t, n, 3).
+    error: estimated relative error of the quantity of `accuracy_of` (L2 over the times at a point, the largest of the
+        points); error_source: how it was found.
+    solver: its name, with its resolution in words. seconds: its computing time.
     displacement_error, velocity_error, normal_error: the same of the displacement, the velocity and the displacement
-        along the face's normal; NaN where nothing was estimated
+        along the normal of the face; NaN where there is no estimate.
     """
 
     times_s: Float
@@ -278,11 +278,11 @@ class Motion:
 
 @dataclass(frozen=True)
 class SkinProblem:
-    """What a solver solves: the motion of a body from rest under a load, at some times and points, to an accuracy.
+    """Input of a solver: the motion of a body from rest under a load, at some times and points, to an accuracy.
 
-    times: requested times [s], rising, shape (t,); at: points of the face [m], shape (n, 2) or (n, 3)
-    accuracy: target relative error of accuracy_of, L2 over the times at a point, the largest of the points
-    accuracy_of: one of QUANTITIES; device: "auto", "cpu" or "cuda:N", for solvers that run on a GPU as well
+    times: requested times [s], rising, shape (t,). at: points of the face [m], shape (n, 2) or (n, 3).
+    accuracy: target relative error of accuracy_of, L2 over the times at a point, the largest of the points.
+    accuracy_of: one of QUANTITIES. device: "auto", "cpu" or "cuda:N", for solvers that run on a GPU as well.
     Raises SceneError for times that do not rise, other shapes, numbers that are not finite, and another quantity.
     """
 
@@ -306,7 +306,7 @@ class SkinProblem:
 
     @cached_property
     def points(self) -> Float:
-        """The points on the body's face [m], shape (n, 3). Raises SceneError as `points_on_face`."""
+        """The points on the face of the body [m], shape (n, 3). Raises SceneError as `points_on_face`."""
         return points_on_face(self.body, self.at)
 
     def refuse(self, solver: str, refusal: Callable[[Body, Load], str | None]) -> None:
@@ -409,7 +409,7 @@ def requested_points(at: ArrayLike) -> Float:
 
 
 def lifted(patch: Patch, places: Float) -> Float:
-    """The face's points over or under places of the plane [m], (n, 2): shape (n, 3)."""
+    """The points of the face over or under places of the plane [m], (n, 2): shape (n, 3)."""
     from palmfield.hand.meshquery import over_plane
 
     corners, weights = over_plane(patch.vertices[:, :2], patch.faces, places)
@@ -417,9 +417,9 @@ def lifted(patch: Patch, places: Float) -> Float:
 
 
 def points_on_face(body: Body, at: ArrayLike) -> Float:
-    """Asked points [m], (n, 3), with z = 0 on a slab. Raises SceneError as `asked_points`, and for one off the body.
+    """Requested points [m], (n, 3), with z = 0 on a slab. Raises SceneError as `asked_points`, also off the body.
 
-    A layer's are off it where no vertex of its patch is nearer than its longest edge.
+    A point is off a layer if no vertex of its patch is nearer than its longest edge.
     """
     points = requested_points(at)
     if isinstance(body, Layer):

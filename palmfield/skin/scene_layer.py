@@ -1,4 +1,4 @@
-"""A scene's skin layer: sizes for the target accuracy, patch, elements, matrices and quadrature, each made once."""
+"""Skin layer of a scene: sizes for the target accuracy, patch, elements, matrices and quadrature, each made once."""
 
 import math
 import threading
@@ -28,20 +28,20 @@ from palmfield.skin.problem import Sheet
 from palmfield.types import Float, Patch, Surface
 
 UNEVEN = 6.0
-"""By which a layer on a body is meshed more accurately than asked. The rules are calibrated on a disc of even depth; a
-hand's layer thins at rims and webs, differently on each mesh: its 200 Hz response still moves by 2.5 % where the disc's
-is within 0.5 %."""
+"""Factor by which a layer on a body is meshed more accurately than the target. The rules are calibrated on a disc of
+even depth. The layer of a hand thins at rims and webs, differently on each mesh: its 200 Hz response still moves by
+2.5 % when that of the disc is within 0.5 %."""
 
 T = TypeVar("T")
 
 
 @dataclass(frozen=True)
 class LayerSizes:
-    """What a layer's elements and steps measure.
+    """Sizes of the elements and steps of a layer.
 
-    edge_fine_m, edge_coarse_m: element edges within fine_radius_m of the focus's middle and at the rim [m]
-    depth_fractions: of the rows of elements, 0 at the surface, 1 at the base, shape (L+1,)
-    step_s: substep [s], an integer part of MuJoCo's step; radius_m: of the layer [m]
+    edge_fine_m, edge_coarse_m: element edges within fine_radius_m of the middle of the focus and at the rim [m].
+    depth_fractions: of the rows of elements, 0 at the surface, 1 at the base, shape (L+1,).
+    step_s: substep [s], an integer part of the MuJoCo step. radius_m: of the layer [m].
     """
 
     edge_fine_m: float
@@ -54,14 +54,14 @@ class LayerSizes:
 
 @dataclass(frozen=True)
 class LayerDemand:
-    """What the sound and the scene ask of a layer.
+    """Demands of the sound and the scene on a layer.
 
-    spot_fwhm_m: full width at half maximum of the pressure spot [m]
-    max_frequency_Hz: highest frequency that mesh and step must resolve; main_frequency_Hz: of most of the response
-    path_reach_m: how far the focus goes from its own middle, and from the middle of the layer [m]
-    timestep_s: MuJoCo's step [s]; longest_step_s: the substep is at most so long [s]
-    corner_Hz: above which the load's spectrum falls, about; without end where that isn't known
-    beside_m: from the middle of the layer to the focus's own middle, body frame [m]; 0 where the skin moves, too
+    spot_fwhm_m: full width at half maximum of the pressure spot [m].
+    max_frequency_Hz: highest frequency that mesh and step must resolve. main_frequency_Hz: of most of the response.
+    path_reach_m: largest distance of the focus from its own middle, and from the middle of the layer [m].
+    timestep_s: of MuJoCo [s]. longest_step_s: upper limit of the substep [s].
+    corner_Hz: frequency above which the spectrum of the load falls, about; infinite if unknown.
+    beside_m: from the middle of the layer to the middle of the focus, body frame [m]; 0 if the skin moves.
     """
 
     spot_fwhm_m: float
@@ -85,10 +85,10 @@ def layer_sizes(
     *,
     element: str = "skin layer",
 ) -> LayerSizes:
-    """Sizes of a scene's layer for its target accuracy; see LayerDemand.
+    """Sizes of the layer of a scene for its target accuracy; see LayerDemand.
 
-    sheets: of the layer, thicknesses as shares; resizing: factor of all element sizes; element: how messages name it
-    Raises SceneError for a step_s that doesn't divide the timestep, and for a timestep without end.
+    sheets: of the layer, thicknesses as shares. resizing: factor of all element sizes. element: its name in messages.
+    Raises SceneError for a step_s that doesn't divide the timestep, and for a timestep that is not finite.
     """
     needs = slowest(sheets, max_frequency_Hz), spot_fwhm_m, max_frequency_Hz
     *_, step, radius = choose_sizes(*needs, config.accuracy)
@@ -122,14 +122,14 @@ def layer_sizes(
 
 
 class SceneLayer:
-    """One skin layer of a scene; costly parts are made when first asked for, once, also from several threads.
+    """One skin layer of a scene; costly parts are made at first use, once, also from several threads.
 
-    config: the skin's keys
-    surface: the closed surface of the whole body in its frame, None for shape "disc"
-    depth_m: how deep the layer may reach below the surface's vertices [m], shape (n,), or one number
-    centre_m: middle of the layer, body frame [m], shape (3,); demand: see LayerDemand
-    resizing: factor of all element sizes; element: how messages name this skin
-    sheets: other materials than the keys' on the mesh that is made for those
+    config: the keys of the skin.
+    surface: the closed surface of the whole body in its frame, None for shape "disc".
+    depth_m: largest depth of the layer below the vertices of the surface [m], shape (n,), or one number.
+    centre_m: middle of the layer, body frame [m], shape (3,). demand: see LayerDemand.
+    resizing: factor of all element sizes. element: name of this skin in messages.
+    sheets: other materials than those of the keys, on the mesh that is made for those.
     """
 
     def __init__(
@@ -187,10 +187,10 @@ class SceneLayer:
             edges = sizes.edge_fine_m, sizes.edge_coarse_m, sizes.fine_radius_m
             return disc_patch(config.radius_m, config.thickness_m, *edges, (x, y))
         assert self.surface is not None
-        # A left hand's skin gets the mirror image of the right one's mesh, as its surface is
+        # The skin of a left hand gets the mirror image of the mesh of the right one, as its surface is
         left = config.shape in OF_SHAPES["hand"] and load_preset(config.hand).side == "left"
         surface, mirror = (mirrored_surface(self.surface), MIRROR) if left else (self.surface, np.ones(3))
-        # A hand knows where its bones are, so the layer may reach past the middle; any other body is all there is.
+        # In a hand the bones are known, so the layer may reach past the middle; any other body has no inner parts.
         fraction = 0.6 if config.shape in OF_SHAPES["hand"] else 0.45
         patch = self.with_keys(
             lambda: surface_patch(
@@ -219,12 +219,12 @@ class SceneLayer:
 
     @locked_cached_property
     def mesh(self) -> WedgeMesh:
-        """The layer's elements."""
+        """The elements of the layer."""
         patch = self.patch
         return self.with_keys(lambda: extrude(patch, self.sizes.depth_fractions))
 
     def with_keys(self, make: Callable[[], T]) -> T:
-        """What `make` gives; where it raises SceneError, the error names the skin and the keys that its mesh has."""
+        """The result of `make`; where it raises SceneError, the error names the skin and the keys of its mesh."""
         try:
             return make()
         except SceneError as error:
@@ -262,7 +262,7 @@ class SceneLayer:
 
     @property
     def expected_dofs(self) -> float:
-        """About how many unknowns the layer will have, from its sizes alone."""
+        """Expected number of unknowns of the layer, from its sizes alone."""
         sizes = self.sizes
         inner = min(sizes.fine_radius_m, sizes.radius_m)
         middle = 0.5 * (sizes.edge_fine_m + sizes.edge_coarse_m)

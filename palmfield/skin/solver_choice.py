@@ -1,7 +1,7 @@
-"""Which solver: one call for every skin solver, and the choice of what steps a scene's skin.
+"""Solver choice: one call for every skin solver, and the choice of the stepper of a skin in a scene.
 
-`solve` takes the cheapest that reaches the target accuracy, and solves finer where it did not. Scenes and `solve` share
-the predicted costs (palmfield.skin.costs).
+`solve` takes the cheapest one that reaches the target accuracy, and solves finer if it did not. Scenes and `solve`
+share the predicted costs (palmfield.skin.costs).
 """
 
 import inspect
@@ -60,11 +60,11 @@ WHERE = {
         "cost": "solvers.particles.resolution",
     },
 }
-"""Modules of palmfield.skin that hold each solver's solve_NAME, refusal_NAME and cost_NAME.
+"""Modules of palmfield.skin that hold solve_NAME, refusal_NAME and cost_NAME of each solver.
 
-solve_NAME takes a SkinProblem and its own resolution, and raises SceneError where it can't. Where there is one,
-finer_NAME returns the resolution with which to solve again, and prepared_NAME the body that the cost is of, with what
-solve_NAME takes up of finding it.
+solve_NAME takes a SkinProblem and its own resolution, and raises SceneError where it can't. Optional functions:
+finer_NAME returns the resolution for the next solution, and prepared_NAME the body to which the cost refers, with
+data that solve_NAME reuses.
 """
 
 FORMER = {
@@ -83,36 +83,36 @@ PREVIEW = ("particles",)
 """Solvers for large deformation and previews: never chosen by `auto`."""
 
 AT_REST = ("lateral_waves", "axisymmetric", "wedges")
-"""Solvers with an answer at rest, the quickest first."""
+"""Solvers for a load at rest, the quickest first."""
 
 LATE = 20.0
-"""Periods after a load's last change from which a body without losses can only have been taken for one at rest."""
+"""Periods after the last change of a load above which a body without losses is assumed to be meant at rest."""
 
 HARDER: dict[Quantity, float] = {"displacement": 1.0, "velocity": 0.5, "normal": 1.0}
 """Accuracy of the displacement over that of each quantity that takes about the same work."""
 
 COMMON = ("accuracy", "accuracy_of", "device")
-"""What every solver takes next to its own resolution."""
+"""Options of every solver besides its own resolution."""
 
 SLAB_S, LAYER_S = 0.02, 0.12
-"""Seconds of the choice itself; a layer's part that matters is looked for as well."""
+"""Seconds of the choice itself, including the search for the part of a layer that affects the load."""
 
 FINER = 3
-"""How often a solution is made finer when its estimate misses the target accuracy."""
+"""How often a solution is refined when its estimate misses the target accuracy."""
 
 
 @dataclass(frozen=True)
 class Choice:
-    """What a solver would do: predicted seconds, or the sentence with which it refuses (then seconds is infinite).
+    """Prediction of a solver: seconds, or the sentence with which it refuses (then seconds is infinite).
 
-    Infinite seconds without a refusal: the solver can, but its cost is not known.
+    Infinite seconds without a refusal: the solver can solve it, but its cost is unknown.
     """
 
     name: str
     seconds: float
     refusal: str | None = None
     found: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
-    """What its cost took long to find and its solution takes up."""
+    """Expensive results of the cost estimate that the solution reuses."""
 
 
 def ranked(options: Iterable[Choice]) -> list[Choice]:
@@ -130,12 +130,12 @@ def scene_choices(
     laws: int = 1,
     kept: bool | None = None,
 ) -> list[Choice]:
-    """The solvers that can step a scene's layer, the cheapest first.
+    """The solvers that can step the layer of a scene, the cheapest first.
 
-    dofs: unknowns of the layer; substeps: of the whole run; vectors: of a reduced model for its load, about
-    refusal: why there can't be one, in a sentence, or None; modes, modal_refusal: the same for modes for every load
-    laws: by which the layer relaxes
-    kept: whether modes serve RUNS runs; None: as there is a cache or none
+    dofs: unknowns of the layer. substeps: of the whole run. vectors: of a reduced model for its load, about.
+    refusal: why there can't be one, in a sentence, or None. modes, modal_refusal: the same for modes for every load.
+    laws: number of relaxation laws of the layer.
+    kept: whether modes serve RUNS runs. None: if there is a cache.
     """
     reduced, modal = Choice("reduced", math.inf, refusal), Choice("modal", math.inf, modal_refusal)
     if refusal is None:
@@ -157,7 +157,7 @@ def choices(
     accuracy_of: Quantity = "displacement",
     device: str = "auto",
 ) -> list[Choice]:
-    """Every solver's prediction for a problem, the cheapest first; arguments as for `solve`."""
+    """Predictions of all solvers for a problem, the cheapest first; arguments as for `solve`."""
     problem = checked(body, load, times, at, accuracy, accuracy_of, device)
     return ranking(truncated(problem)[0])
 
@@ -202,20 +202,20 @@ def solve(
 ) -> Motion:
     """Motion of skin under a load, with an estimate of its error.
 
-    body: Slab or Layer; load: Spot or Traction (palmfield.skin.problem); the body is at rest before the load begins
-    times: requested times [s], rising, shape (t,); at: points on the face [m], shape (n, 2) or (n, 3)
-    solver: "auto", the cheapest by prediction that doesn't refuse, before or while it solves; or one by name
-    accuracy: target relative error of accuracy_of, L2 over the times at a point, the largest of the points
-    accuracy_of: "displacement", "velocity", or "normal", the displacement along the face's normal, whose error is the
-        larger one where the skin moves mostly along itself: what the estimate and refinement go by
-    device: "auto", "cpu" or "cuda:N"
-    whole: keep all of a layer, also what lies beyond the reach of load and points
-    (palmfield.skin.approximation.truncate_domain)
-    resolution: passed on to a solver asked for by name, which is then not made finer
-    Where the estimate misses the accuracy the problem is solved again, finer, up to FINER times; a Motion whose `error`
+    body: Slab or Layer. load: Spot or Traction (palmfield.skin.problem); the body is at rest before the load begins.
+    times: requested times [s], rising, shape (t,). at: points on the face [m], shape (n, 2) or (n, 3).
+    solver: "auto", the cheapest by prediction that doesn't refuse, before or while it solves; or one by name.
+    accuracy: target relative error of accuracy_of, L2 over the times at a point, the largest of the points.
+    accuracy_of: basis of the estimate and the refinement: "displacement", "velocity", or "normal", the displacement
+        along the normal of the face, whose error is the larger one where the skin moves mostly along itself.
+    device: "auto", "cpu" or "cuda:N".
+    whole: keep all of a layer, also the part beyond the reach of load and points
+    (palmfield.skin.approximation.truncate_domain).
+    resolution: passed to a solver that is named, which is then not refined.
+    If the estimate misses the accuracy the problem is solved again, finer, up to FINER times; a Motion whose `error`
     is above `accuracy` says so in its `solver`.
-    Raises SceneError for bad arguments, where no solver, or not the one asked for, can do it, and where a body without
-    losses is asked for at late times alone (`check_rest`).
+    Raises SceneError for bad arguments, if no solver, or not the named one, can solve it, and for a body without
+    losses at late times alone (`check_rest`).
     """
     begin = time.perf_counter()
     problem = checked(body, load, times, at, accuracy, accuracy_of, device)
@@ -288,7 +288,7 @@ def _first_that_can(able: list[Choice], problem: SkinProblem) -> tuple[Choice, M
 
 
 def _by_name(name: str, problem: SkinProblem, resolution: dict[str, Any]) -> Motion:
-    """What one solver finds, with a resolution of the caller's. Raises SceneError where it can't."""
+    """Result of one solver, with a given resolution. Raises SceneError where it can't solve."""
     if not resolution:
         problem.refuse(name, function(name, "refusal"))
     run: Callable[..., Motion] = function(name, "solve")
@@ -300,10 +300,10 @@ def _by_name(name: str, problem: SkinProblem, resolution: dict[str, Any]) -> Mot
 
 
 def static(body: Body, load: Load, at: ArrayLike, *, accuracy: float = 0.05) -> Motion:
-    """Displacement under the load's last pressure, held for ever: the first of AT_REST that doesn't refuse.
+    """Displacement under the last pressure of the load, held for ever: the first of AT_REST that doesn't refuse.
 
-    Arguments as for `solve`; times_s is the load's last time, the velocity 0.
-    Raises SceneError for bad arguments and a body that nothing holds.
+    Arguments as for `solve`; times_s is the last time of the load, the velocity 0.
+    Raises SceneError for bad arguments and a body without support.
     """
     begin = time.perf_counter()
     check_load(load)
@@ -351,10 +351,10 @@ def at_rest(problem: SkinProblem) -> Motion:
 
 
 def check_rest(problem: SkinProblem) -> None:
-    """Raise SceneError where a late time stands for rest on a body that never comes to rest.
+    """Raise SceneError where a late time is meant as rest, for a body that never comes to rest.
 
-    That is one whose sheets, base and sides lose nothing, asked only LATE of its quarter waves after the load's last
-    change and later: it rings there for ever.
+    That is a body whose sheets, base and sides have no losses, with times only from LATE of its quarter waves after the
+    last change of the load on: it rings there for ever.
     """
     body, times = problem.body, problem.times
     base, last = body.base, float(problem.load.times_s[-1])
@@ -394,7 +394,7 @@ def checked(
     accuracy_of: Quantity,
     device: str,
 ) -> SkinProblem:
-    """The problem of a user's arguments. Raises SceneError."""
+    """Make the problem from the arguments of a user. Raises SceneError."""
     check_load(load)
     problem = SkinProblem(
         body, load, numbers("times", times), numbers("at", at), accuracy, accuracy_of, resolve(device)
@@ -405,7 +405,7 @@ def checked(
 
 
 def truncated(problem: SkinProblem) -> tuple[SkinProblem, float]:
-    """The problem without what lies beyond the reach of load and points, and the error of leaving that out."""
+    """The problem without the part beyond the reach of load and points, and the error of leaving it out."""
     body, load, cut = truncate_domain(
         problem.body, problem.load, float(problem.times[-1]), problem.at, problem.accuracy
     )
@@ -413,7 +413,7 @@ def truncated(problem: SkinProblem) -> tuple[SkinProblem, float]:
 
 
 def function(name: str, what: str) -> Callable[..., Any]:
-    """A solver's solve_NAME, refusal_NAME or cost_NAME; loaded when asked for, as some take Warp."""
+    """Function solve_NAME, refusal_NAME or cost_NAME of a solver; loaded at first use, because some need Warp."""
     return getattr(import_module(f"palmfield.skin.{WHERE[name][what]}"), f"{what}_{name}")
 
 

@@ -1,7 +1,7 @@
-"""What carries a skin through simulated time: one protocol for scenes and for `palmfield.skin.solve`.
+"""Protocol of a stepper that carries a skin through simulated time, for scenes and for `palmfield.skin.solve`.
 
-A stepper is made once for a layer and never changes, so that threads share it; the state is the caller's. All arrays
-have a leading axis for worlds: several bodies alike, each with its own state and loads, are stepped in one call.
+A stepper is made once for a layer and never changes, so that threads share it; the state belongs to the caller. All
+arrays have a leading axis for worlds: several equal bodies, each with its own state and loads, step in one call.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,16 +16,16 @@ from palmfield.threads import Calls
 from palmfield.types import Complex, Float, Float32, Int
 
 CLOCK = 1e-6
-"""Of a substep, by which t1 - t0 may differ from the substeps that the loads are for: MuJoCo adds up its time."""
+"""Share of a substep by which t1 - t0 may differ from the substeps of the loads: MuJoCo sums up its time."""
 
 
 @dataclass(frozen=True)
 class SurfaceLoads:
     """Inward pressure on a skin over s substeps, as sums of k patterns that change linearly within each substep.
 
-    pressure_Pa: the patterns at the layer's quadrature points [Pa], shape (w, k, q)
-    first, last: weight of each pattern at the start and at the end of each substep, shape (w, s, k)
-    fixed: whether `pressure_Pa` is never written again, so that a stepper may keep what it has made of it
+    pressure_Pa: the patterns at the quadrature points of the layer [Pa], shape (w, k, q).
+    first, last: weight of each pattern at the start and at the end of each substep, shape (w, s, k).
+    fixed: whether `pressure_Pa` is never written again, so that a stepper may keep results computed from it.
     """
 
     pressure_Pa: Float | Float32
@@ -36,7 +36,7 @@ class SurfaceLoads:
 
 @dataclass(frozen=True, eq=False)
 class Reader:
-    """What reads displacement and velocity off the states of the one stepper that made it (SkinStepper.reader).
+    """Operator from the states of the one stepper that made it to displacement and velocity (SkinStepper.reader).
 
     count: numbers read, m; matrix: the operator as that stepper uses it
     single: the same in single precision, if that stepper takes it for what is observed of all substeps
@@ -48,9 +48,9 @@ class Reader:
 
 
 class Outside(NamedTuple):
-    """Squares of what of a load lies outside its class, and of the whole load, summed over substeps.
+    """Squares of the part of a load outside its class, and of the whole load, summed over substeps.
 
-    energy, energy_of_all: in the energy norm of the skin; plain, plain_of_all: of the pressures at the points [Pa^2]
+    energy, energy_of_all: in the energy norm of the skin. plain, plain_of_all: of the pressures at the points [Pa^2].
     """
 
     energy: float
@@ -60,12 +60,12 @@ class Outside(NamedTuple):
 
 
 class StepMemory(NamedTuple):
-    """Where a step of a skin in w worlds finds its numbers on a device, and where it leaves them.
+    """Inputs and outputs on a device of a step of a skin in w worlds.
 
-    counts: drives and patterns, int32, shape (w, 2); pressure: patterns at all the layer's quadrature points [Pa],
-        float32, shape (w m, q), or, if `chosen`, at the stepper's own
-    weights: of each pattern, float64, shape (w, `DeviceModel.weight_rows`, m)
-    before, after: the state, float64, shape (w, n); squares: float64, shape (w, SECTIONS, s, `kernels.LANES`)
+    counts: drives and patterns, int32, shape (w, 2); pressure: patterns at all quadrature points of the layer [Pa],
+        float32, shape (w m, q), or, if `chosen`, at those of the stepper.
+    weights: of each pattern, float64, shape (w, `DeviceModel.weight_rows`, m).
+    before, after: the state, float64, shape (w, n). squares: float64, shape (w, SECTIONS, s, `kernels.LANES`).
     """
 
     counts: Any
@@ -78,7 +78,7 @@ class StepMemory(NamedTuple):
 
 
 class StepWork(NamedTuple):
-    """What all substeps take as dense products: operations and numbers read in either precision, and kernels."""
+    """Work of all substeps as dense products: operations and numbers read in either precision, and kernels."""
 
     single: float
     double: float
@@ -92,20 +92,20 @@ DeviceStep = Callable[[Float, SurfaceLoads, float, float, Reader | None], Float 
 
 
 class SkinStepper(Protocol):
-    """Steps one skin in time. Immutable, and safe to use from several threads. A class of it need not be known by name:
-    what others want to know is here, and what it doesn't say itself is as of a solver that takes any load anywhere.
+    """Steps one skin in time. Immutable, and safe to use from several threads. Other code needs only the attributes
+    here, not the names of subclasses; the defaults are those of a solver that takes any load anywhere.
 
-    name: the solver; step_s: length of a substep [s]; state_size: numbers of a state, all 0 at rest
-    unknowns: of the mesh that it moves
-    points: numbers of the layer's quadrature points at which it takes pressure, shape (p,), None for all of them
-    error: what the stepper itself adds to the displacement's relative error by its own estimate; 0 where it adds none.
-        One with a mesh of its own counts all that this mesh does, and may take as long as a short run to tell
-    any_pose, any_course: whether it serves where body, arrays or focus have moved, and from rest in the midst of sound
-    of_class: whether it serves a class of loads only
-    adds_error: relative errors of displacement and velocity that a small model adds to its layer's for what it serves,
-        the second None where it states none; None for what is no small model
-    exact_in_time: whether its substeps add no error
-    made_of: all that a small model's answers follow from
+    name: the solver. step_s: length of a substep [s]. state_size: numbers of a state, all 0 at rest.
+    unknowns: of the mesh that it moves.
+    points: numbers of the quadrature points of the layer at which it takes pressure, shape (p,), None for all of them.
+    error: relative error of the displacement that the stepper itself adds, by its own estimate; 0 where it adds none.
+        With its own mesh it includes that of the mesh, and the estimate may take as long as a short run.
+    any_pose, any_course: whether it is valid after body, arrays or focus have moved, and from rest during sound.
+    of_class: whether it serves only a class of loads.
+    adds_error: relative errors of displacement and velocity that a small model adds to its layer for its loads, the
+        second None without an estimate; None for other steppers.
+    exact_in_time: whether its substeps add no error.
+    made_of: all inputs of the results of a small model.
     """
 
     name: str
@@ -140,46 +140,46 @@ class SkinStepper(Protocol):
         ...
 
     def describe(self) -> str:
-        """What it is, in words, for a run's summary."""
+        """Description in words, for the summary of a run."""
         return self.name
 
     def device_model(self, substeps: int, points: int, device: str) -> "DeviceModel | None":
-        """It on a device; None where it stays on the CPU. substeps: of a step; points: of the layer's quadrature."""
+        """The stepper on a device; None if it stays on the CPU. substeps: of a step; points: quadrature points."""
         return None
 
     def device_worlds(self, most: int, device: str) -> "DeviceStep | None":
-        """What steps so many worlds on a device in place of `step`, None where that does."""
+        """The stepper of this number of worlds on a device in place of `step`, None without one."""
         return None
 
     def work(self, patterns: int, substeps: int) -> StepWork | None:
-        """What substeps under some patterns of pressure at its points take, None where they are no dense products."""
+        """Work of substeps under some patterns of pressure at its points, None where they are no dense products."""
         return None
 
     def outside(self, loads: SurfaceLoads) -> Outside:
-        """Of one for a class: what of loads lies outside it."""
+        """For a stepper of a class: the part of loads outside it."""
         raise TypeError(f"solver '{self.name}' serves any load")
 
     def mixed(self, loads: SurfaceLoads) -> Float32:
-        """Of one for a class: each pattern's weight where the scheme takes the force in a substep, shape (w, s, k)."""
+        """For a stepper of a class: weight of each pattern at the time of the force in a substep, shape (w, s, k)."""
         raise TypeError(f"solver '{self.name}' serves any load")
 
     def lifted(self, state: Float, pressure_Pa: Callable[[], Float]) -> Float:
-        """Of a small model: the same motion as a state of WedgeStepper, (w, its state_size).
+        """For a small model: the same motion as a state of WedgeStepper, (w, its state_size).
 
         pressure_Pa: gives the present inward pressure at its points, shape (p,)
         """
         raise TypeError(f"solver '{self.name}' is no small model")
 
     def harmonic(self, pressure_Pa: Float, f_Hz: float, operator: sparse.csr_matrix) -> Complex:
-        """Of a small model: operator @ displacement [m], shape (m,), under a pressure at its points, (p,), times
+        """For a small model: operator @ displacement [m], shape (m,), under a pressure at its points, (p,), times
         e^{-i w t}."""
         raise TypeError(f"solver '{self.name}' is no small model")
 
 
 class DeviceModel(Protocol):
-    """A stepper's numbers on a device, for steps of so many substeps.
+    """The numbers of a stepper on a device, for steps with this number of substeps.
 
-    stepper: whose state it carries; weight_rows: of `weights`
+    stepper: owner of the state; weight_rows: of `weights`
     """
 
     @property
@@ -190,7 +190,7 @@ class DeviceModel(Protocol):
     def weight_rows(self) -> int: ...
 
     def weights(self, first: Float, last: Float) -> Float:
-        """Weights of the patterns as the launches take them, from those of SurfaceLoads, shape (s, m)."""
+        """Weights of the patterns in the form of the launches, from those of SurfaceLoads, shape (s, m)."""
         ...
 
     def calls(self, memory: StepMemory) -> Calls:
@@ -198,8 +198,8 @@ class DeviceModel(Protocol):
         ...
 
     def outside(self, sums: Sequence[Any]) -> Outside | None:
-        """What of the load lies outside the class that the stepper serves, from the launches' sums of squares, if it
-        has one; sums: SECTIONS numbers, or arrays of one for each world."""
+        """The part of the load outside the class of the stepper, from the sums of squares of the launches, if it has
+        one; sums: SECTIONS numbers, or arrays of one for each world."""
         ...
 
 
@@ -212,11 +212,11 @@ def check_step(
     t1: float,
     any_length: bool = False,
 ) -> bool:
-    """Raise SceneError for other shapes, and for substeps of another length unless that may be any.
+    """Raise SceneError for other shapes, and for substeps of another length unless any length is allowed.
 
-    points: at which a layer takes pressure, q
+    points: number of points at which a layer takes pressure, q
 
-    Returns whether the substeps have the stepper's own length.
+    Returns whether the substeps have the length of the stepper.
     """
     worlds, substeps, patterns = loads.first.shape
     if state.shape != (worlds, stepper.state_size) or worlds == 0 or state.strides[1] != state.itemsize:

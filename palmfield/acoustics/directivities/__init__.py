@@ -1,4 +1,4 @@
-"""How loud transducers are off their axes. Each file here is a form, its `FORM`; its name is the file's."""
+"""Amplitude of transducers off their axes. Each file here is a form, its `FORM`; its name is that of the file."""
 
 from functools import lru_cache
 from importlib import import_module
@@ -18,7 +18,7 @@ FORMS: dict[str, Directivity] = {
 
 
 def form_of(array: Array) -> Directivity:
-    """The array's form: its table, where it has one, else the one that it names. SceneError for an unknown name."""
+    """The form of the array: its table, if it has one, else the one that it names. SceneError for an unknown name."""
     if array.directivity_table is not None:
         return _measured(np.asarray(array.directivity_table, float).tobytes())
     if array.directivity not in FORMS:
@@ -30,10 +30,10 @@ def form_of(array: Array) -> Directivity:
 
 
 def directivity_coefficients(array: Array, wavenumber: float) -> tuple[Float, Float]:
-    """Directivity of the array's transducers as a quintic in s = sin^2(angle off the axis), and its derivative in s.
+    """Directivity of the transducers as a quintic in s = sin^2(angle off the axis), and its derivative in s.
 
-    wavenumber: 2 pi f/c [rad/m]
-    Returns coefficients, lowest power first, of shapes (6,) and (5,): what all kernels of the field read.
+    wavenumber: 2 pi f/c [rad/m].
+    Returns coefficients, lowest power first, of shapes (6,) and (5,), the input of all field kernels.
     Raises SceneError for a form that a quintic does not follow.
     """
     quintic = form_of(array).polynomial(wavenumber * array.piston_radius_m)

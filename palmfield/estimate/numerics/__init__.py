@@ -1,1 +1,1 @@
-"""What the error estimate of a finished run compares: meshes, cut faces, materials, courses of time."""
+"""Comparisons for the error estimate of a finished run: meshes, cut faces, materials, courses of time."""

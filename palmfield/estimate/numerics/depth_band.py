@@ -1,6 +1,6 @@
-"""What the depth to the bone, which is measured on no hand, leaves open of a skin's displacement.
+"""The uncertainty of the displacement of a skin from the depth to the bone, which is not measured on any hand.
 
-By the exact response of an endless flat layer to the same spot, at rest and at the main frequency: no mesh is solved.
+Uses the exact response of an endless flat layer to the same spot, at rest and at the main frequency, without a mesh.
 """
 
 from typing import NamedTuple
@@ -16,9 +16,9 @@ from palmfield.types import Float
 DEPTHS_M = ((8e-3, 20e-3), (4e-3, 6e-3))
 """From skin to bone on palms, and on the palmar side of fingers [m], over people and places: docs/hands.md."""
 DEPTHS = 5
-"""Of a range that are looked at: waves that bones return make the response rise and fall with depth."""
+"""Number of depths of a range: waves reflected by bones make the response rise and fall with depth."""
 GIVEN = 0.9
-"""Share of key depth_m from which a layer has the scene's own depth; near rims it may be somewhat thinner."""
+"""Share of key depth_m above which a layer has the depth of the scene; near rims it may be somewhat thinner."""
 SETTLED = 1e-3
 """Relative error of the exact response."""
 
@@ -34,10 +34,10 @@ class DepthBand(NamedTuple):
 
 
 def depth_band(layer: SceneLayer, point: Float) -> DepthBand | None:
-    """The band of a layer at a point of the body's frame [m], shape (3,), of that of DEPTHS_M which is nearer to it.
+    """Return the band of a layer at a point, body frame [m], shape (3,), for the nearer of DEPTHS_M.
 
-    None of a disc or cylinder, where key depth_m sets the depth, and on other bases than bone. Of several sheets the
-    response is that of the thickest one's material.
+    None of a disc or cylinder, where key depth_m sets the depth, and on other bases than bone. With several sheets the
+    response is that of the material of the thickest one.
     """
     config, patch = layer.config, layer.patch
     shapes = (*OF_SHAPES["hand"], *OF_SHAPES["mesh"])

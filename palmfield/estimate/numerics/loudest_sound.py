@@ -1,4 +1,4 @@
-"""The sound of a run's loudest moment, on whatever mesh a skin's layer is given."""
+"""The sound of the loudest moment of a run, on any mesh of the layer of a skin."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -17,14 +17,14 @@ T = TypeVar("T")
 
 
 class LoudestSound:
-    """ARP of the loudest moment on other meshes of a skin's layer."""
+    """ARP of the loudest moment on other meshes of a layer."""
 
     def __init__(self, model: HapticModel, skin: int, loudest: LoudestMoment, radiation: Radiation):
         self.model, self.skin, self.loudest, self.radiation = model, skin, loudest, radiation
         self.on_own: Float = self._arp(radiation, loudest.posed)
 
     def on(self, layer: SceneLayer) -> Float:
-        """ARP [Pa] at a layer's quadrature points, shape (q,)."""
+        """ARP [Pa] at the quadrature points of a layer, shape (q,)."""
         model, skin, posed = self.model, self.skin, self.loudest.posed
         part = model.skins[skin]
         if layer is part.layer:
@@ -33,7 +33,7 @@ class LoudestSound:
         place, body = posed.skins[skin], posed.bodies[part.body]
         disc = part.carrier.surface is None
         if disc:
-            # The boundary of a disc is that of its skin's mesh; any other body's is its own.
+            # The boundary of a disc is the mesh of its skin; any other body has its own.
             body = PosedSurface(part.carrier, other, body.frame, (body.bone_positions, body.bone_rotations))
         obstacles = place.obstacle_positions, place.obstacle_rotations
         varied_model = replace(model, skins=_exchanged(model.skins, skin, other))
@@ -54,5 +54,5 @@ class LoudestSound:
 
 
 def _exchanged(parts: Sequence[T], number: int, other: T) -> tuple[T, ...]:
-    """The parts, with another one in one's place."""
+    """The parts, with one of them replaced."""
     return (*parts[:number], other, *parts[number + 1 :])

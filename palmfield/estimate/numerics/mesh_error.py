@@ -1,4 +1,4 @@
-"""A second mesh of a skin's layer, and the error of the first that their difference shows, by Richardson's rule."""
+"""A second mesh of a layer, and the error of the first mesh from their difference, by Richardson's rule."""
 
 import math
 from collections.abc import Sequence
@@ -17,16 +17,16 @@ RATIO = 1.25
 ALIKE = 1.3
 """Triangles of one mesh over those of another, below which their difference is no measure of the error."""
 LEAST_RATIO = 1.1
-"""Least ratio of edges with which Richardson's rule is asked."""
+"""Least ratio of edges for Richardson's rule."""
 FEW, FEW_CHANGES, FEW_ORDER = 2000, 4, 1.0
-"""Unknowns below which a mesh has a handful of triangles under the spot, whose error falls unevenly: then the other one
-is finer by this power of RATIO, and the order is this, the least that was seen on discs of 13 and 15 mm. A third mesh
-between the two tells where the first is right by chance: on discs of 25 and 30 mm the next two were farther off."""
+"""Unknowns below which a mesh has a handful of triangles under the spot, whose error falls unevenly. Then the other
+mesh is finer by this power of RATIO, and the order is this, the least observed on discs of 13 and 15 mm. A third mesh
+between shows where the first is right by chance: on discs of 25 and 30 mm the next two were farther off."""
 COURSE_ORDER = 1.5
 """Order of the error over a course of time: two meshes ring out of step, the more the longer it rings. Lower than
 ORDER, as a small ratio of edges makes much of a little: on discs of palm and gelatin 1.8 to 3.3 was seen."""
 MOST_CHANGES = 6
-"""How often the other mesh's elements are made finer or coarser at most, by RATIO, until the two differ."""
+"""How often the elements of the other mesh are refined or coarsened by RATIO at most, until the two differ."""
 FINER_BELOW = 15_000
 """Unknowns above which a finer mesh costs minutes and gigabytes."""
 LAYERS = 3
@@ -74,17 +74,17 @@ def mesh_error(
     *,
     of_coarse: bool,
 ) -> float:
-    """Relative error of one of two meshes' answers, at rest, at the main frequency and over time, the largest.
+    """Return the relative error of one of two meshes, at rest, at the main frequency and over time, the largest.
 
-    between: answers of meshes between the two; moved: each answer's course of time; ratio: of edges, above 1
-    of_coarse: whether the coarser mesh's error is wanted, or the finer one's
+    between: responses of meshes between the two. moved: the motion of each over time. ratio: of edges, above 1.
+    of_coarse: whether to return the error of the coarser mesh or of the finer one.
     """
     mesh, ringing = changes(coarse, fine, moved)
     order = FEW_ORDER if between else ORDER
     course_order = min(order, COURSE_ORDER)
     of_one = error_of_coarser if of_coarse else error_of_finer
     error = max(of_one(mesh, ratio, order), of_one(ringing, ratio, course_order))
-    # Where sound from afar is too rough for a small model, its own error is the least that is stated
+    # Where distant sound is too rough for a small model, the stated error is at least that of the model
     error = max(error, *(each.small.error for each in (coarse, fine) if each.small.error > TOLERANCE), 0.0)
     for response in between:
         more = len(fine.layer.system.mesh.surface_triangles6) / len(response.layer.system.mesh.surface_triangles6)

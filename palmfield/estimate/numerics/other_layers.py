@@ -1,4 +1,4 @@
-"""What other cut faces and other materials change of a skin's response, on the same mesh."""
+"""Change of the response of a skin with other cut faces and other materials, on the same mesh."""
 
 from collections.abc import Sequence
 from typing import TypeAlias
@@ -10,11 +10,11 @@ from palmfield.skin.scene_layer import SceneLayer
 from palmfield.types import Float
 
 Ends: TypeAlias = tuple[tuple[Sheet, ...], tuple[Sheet, ...]]
-"""A layer's sheets with the ranges of their materials at the low ends, and at the high ends."""
+"""The sheets of a layer with the ranges of their materials at the low ends, and at the high ends."""
 
 
 def other_sides(layer: SceneLayer, sound: LoudestSound, point: Float) -> list[Response]:
-    """The layer with other cut faces; nothing for a disc, whose side is its own."""
+    """The layer with other cut faces; None for a disc, which has no cut face."""
     if layer.config.shape == "disc":
         return []
     other = layer.resized(layer.resizing, side="free" if layer.config.side == "fixed" else "fixed")
@@ -22,14 +22,14 @@ def other_sides(layer: SceneLayer, sound: LoudestSound, point: Float) -> list[Re
 
 
 def held_anywhere(cut: Sequence[Response]) -> list[Response]:
-    """Those that rest anywhere: a layer that nothing holds, neither base nor side, flies away under a steady load."""
+    """The layers with a rest position: without base or side a layer flies away under a steady load."""
     return [other for other in cut if other.layer.config.base != "free" or other.layer.config.side == "fixed"]
 
 
 def edge_error(own: Response, cut: Sequence[Response]) -> float:
-    """Half of what other cut faces change of a layer's displacement at rest or of its harmonic one, the larger.
+    """Return half the change of the displacement at rest or of the harmonic one with other cut faces, the larger.
 
-    All of it where at rest nothing else holds the layer.
+    All of it where only the cut faces hold the layer at rest.
     """
     held = held_anywhere(cut)
     if len(held) < len(cut):
@@ -40,12 +40,12 @@ def edge_error(own: Response, cut: Sequence[Response]) -> float:
 
 
 def other_materials(own: Response, ends: Ends | None) -> list[Response]:
-    """A response with the ranges of the layer's materials at the soft and at the stiff ends; nothing without any."""
+    """Return a response with the material ranges at the soft and at the stiff ends; empty without any."""
     return [own.of(own.layer.resized(own.layer.resizing, sheets=sheets)) for sheets in ends or ()]
 
 
 def material_band(own: Response, ends: Sequence[Response]) -> dict[str, float]:
-    """By how much softer and stiffer materials change the displacement, static and harmonic together, as factors."""
+    """Factors by which softer and stiffer materials change the displacement, static and harmonic together."""
     if not ends:
         return {}
     factors = [(abs(other.static) + abs(other.harmonic)) / (abs(own.static) + abs(own.harmonic)) for other in ends]

@@ -1,4 +1,4 @@
-"""How one point of a skin answers one sound: at rest, at the main frequency, and over any course of time."""
+"""Response of one point of a skin to one sound: at rest, at the main frequency, and over any course of time."""
 
 from collections.abc import Callable
 
@@ -16,13 +16,13 @@ MOST_AT_ONCE = 2
 
 
 class Response:
-    """Displacement at a point of one mesh of a skin under one sound, by how pressure moves that point.
+    """Displacement at a point of one mesh of a skin under one sound, from the response of that point to pressure.
 
-    pressure: ARP at the mesh's quadrature points at the factor 1 [Pa], shape (q,)
-    static, harmonic, scheme: of the point [m], the first 0 for a body that nothing holds at rest; `rest` finds the
-        first, `swing` the others, exact in time and by the scheme of the whole layer
-    scheme_too: whether the last is wanted
-    small: of any course of time; `begin` finds it, and the first of the others with it
+    pressure: ARP at the quadrature points at the factor 1 [Pa], shape (q,).
+    static, harmonic, scheme: of the point [m]; the first is 0 for a body without support at rest; `rest` finds the
+        first, `swing` the others, exact in time and by the scheme of the whole layer.
+    scheme_too: whether the last is needed.
+    small: for any course of time; `begin` finds it, together with the first of the others.
     """
 
     small: PointModel
@@ -57,12 +57,12 @@ class Response:
 
 
 def side_by_side(*solutions: Callable[[], None]) -> None:
-    """Factorisations hold no lock of Python's."""
+    """Run solutions in threads (factorisation releases the GIL)."""
     share([(solution,) for solution in solutions], min(cores(), MOST_AT_ONCE))
 
 
 def changes(one: Response, other: Response, moved: dict[Response, Float]) -> tuple[float, float]:
-    """Relative difference of two meshes' answers at rest and at the main frequency, the larger, and over time.
+    """Relative difference of the responses of two meshes at rest and at the main frequency, the larger, and over time.
 
     Raises SceneError where the second doesn't move.
     """
@@ -74,6 +74,6 @@ def changes(one: Response, other: Response, moved: dict[Response, Float]) -> tup
 
 
 def course_change(course: Float, reference: Float) -> float:
-    """Difference of two courses over the second's size, L2 over time; 0 where that doesn't move."""
+    """Difference of two courses over the size of the second, L2 over time; 0 where the second doesn't move."""
     size = float(np.linalg.norm(reference))
     return float(np.linalg.norm(course - reference)) / size if size > 0.0 else 0.0

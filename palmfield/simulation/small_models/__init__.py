@@ -1,1 +1,1 @@
-"""Which small model serves a skin: whether there is one, how it is made, and where it ends."""
+"""The small model of a skin: whether there is one, its construction, and its end."""

@@ -1,4 +1,4 @@
-"""What steps a skin: its whole layer, a small model for a known load, modes for any, or what key `solver` names."""
+"""The stepper of a skin: its whole layer, a small model for a predicted load, modes, or the one of key `solver`."""
 
 from collections.abc import Sequence
 
@@ -14,7 +14,7 @@ from palmfield.skin.solver_choice import RUNS, scene_choices
 from palmfield.skin.stepper import SkinStepper
 
 MOST_SMALL_MODELS = 8
-"""Loads known ahead for which a skin gets a small model each: each of a palm takes some 5 s to make and holds 14 MB."""
+"""Most predicted loads for which a skin gets a small model each: each of a palm takes some 5 s and holds 14 MB."""
 
 
 def choose_stepper(
@@ -27,7 +27,7 @@ def choose_stepper(
 ) -> StepperChoice:
     """Choose by key `solver`, by what can be reduced, and by predicted time.
 
-    Raises SceneError where a small model or modes are asked for and can't be.
+    Raises SceneError where a small model or modes are requested but impossible.
     """
     substeps = spec.duration_s / layer.sizes.step_s
     explicit = explicit_layer(layer)
@@ -54,7 +54,7 @@ def choose_stepper(
     if requested != "auto":
         why = "asked for" if reason is None or requested != "wedges" else f"no small model: {reason}"
     elif reason is None:
-        # Where the load is known ahead, what is made for it alone is smaller than what serves every load
+        # If the load is predicted, a model for it alone is smaller than one for every load
         name = "reduced" if seconds["reduced"] < seconds["wedges"] else "wedges"
         small_s, whole_s = seconds["reduced"], seconds["wedges"]
         why = f"the load is known ahead; reduced about {small_s:.1f} s, wedges about {whole_s:.1f} s"
@@ -72,7 +72,7 @@ def choose_stepper(
 def common_choice(
     spec: SceneSpec, skin: SkinSpec, layer: SceneLayer, choices: Sequence[StepperChoice], loads: int
 ) -> StepperChoice:
-    """What steps a skin in all worlds.
+    """The stepper of a skin in all worlds.
 
     choices: what would step it in each that sounds, by itself; loads: how many of their loads are different
     """
@@ -88,10 +88,10 @@ def common_choice(
 
 
 def first_stepper(model: HapticModel, skin: int) -> SkinStepper:
-    """What a skin begins with: a small model for the known load in the reference pose, its whole layer, or what its key
-    `solver` names.
+    """The stepper with which a skin begins: the one of key `solver`, a small model for the predicted load in the
+    reference pose, or its whole layer.
 
-    Raises SceneError for a small model that is asked for but fails.
+    Raises SceneError for a small model that is requested but fails.
     """
     part = model.skins[skin]
     if part.explicit is not None:

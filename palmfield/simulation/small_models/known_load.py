@@ -1,7 +1,7 @@
-"""Loads whose course is known before the run: which scenes have one, and the small model of the skin made for it.
+"""Loads that are predicted before the run: the scenes that have one, and the small model of the skin made for it.
 
-A stimulus that comes round on skin that keeps still loads it with few patterns, and a skin whose load is known needs a
-small model only.
+A periodic stimulus on skin at rest loads it with few patterns, and a skin with a predicted load needs only a small
+model.
 """
 
 import math
@@ -43,26 +43,26 @@ from palmfield.stimulus.waveform import period_s as am_period_s
 from palmfield.types import Complex, Float, Float32
 
 SHARE = 0.1
-"""Of the wanted accuracy that reducing the skin may cost."""
+"""Share of the target accuracy that reducing the skin may cost."""
 MOST_TURNS = 4
 """Turns of a path in which its modulation must come round."""
 BAND = 2.5
-"""Of the highest frequency that mesh and step resolve: harmonics of a load that a model is made for."""
+"""Factor on the highest frequency that mesh and step resolve: limit of the harmonics of a load of a model."""
 TRIAL_S, LONGEST_TRIAL_S = 0.03, 0.1
 """Time of the load under which models are compared [s], and at most for a load that comes round more slowly."""
 REST_S = 2.5e-3
-"""A focus that rests longer than this at each point of its path is as many loads, and no smooth course [s]."""
+"""Longest rest of a focus at each point of its path [s]: beyond it the load is many loads, and no smooth course."""
 MOST_SAMPLES = 1024
 SMALLEST = 1e-4
-"""Of the largest harmonic of a load: smaller ones are left out of what a model is made for."""
+"""Share of the largest harmonic of a load below which others are left out of the model."""
 CLOSER, BEGIN_CLOSER = 16, 4
 """Examples of a load for each of its samples, as it comes round and while the transducers ring up."""
 SPAN_CLOSER = 4
-"""Drives for each sample of a load, of which all of its drives are to be sums."""
+"""Drives per sample of a load, whose sums represent all of its drives."""
 LEFT_OUT = 3e-4
-"""Of a known load, what the shapes may leave out by which it is looked at in few points."""
+"""Share of a predicted load that the shapes may omit, by which it is evaluated in few points."""
 DIGITS = 10
-"""Of drives, after the point."""
+"""Digits of drives, after the point."""
 BEGINNING = 48
 """Moments at which the load is looked at while the transducers ring up."""
 SETTLED = 12.0
@@ -107,7 +107,7 @@ def refusal(
 
 
 def expected_vectors(stimulus: StimulusModel, pole: Pole, response_on: bool) -> int:
-    """About how many vectors the model will have, as seen on the shipped scenes."""
+    """Expected number of vectors of the model, from the shipped scenes."""
     if one_shape(stimulus, pole, response_on):
         return 60
     config = stimulus.config
@@ -136,7 +136,7 @@ def period_s(config: StimulusConfig) -> float | None:
 
 
 def samples(config: StimulusConfig, turn_s: float, max_frequency_Hz: float) -> int:
-    """Loads to be computed over one period, for harmonics up to BAND, as many to each held point of a path."""
+    """Number of loads to compute over one period, for harmonics up to BAND, the same for each held point of a path."""
     points = max(points_a_turn(config), 1)
     band = BAND * (2.0 if points > 1 else 1.0) * max_frequency_Hz
     return points * math.ceil(max(32, 4 * math.ceil(band * turn_s)) / points)
@@ -146,10 +146,10 @@ def samples(config: StimulusConfig, turn_s: float, max_frequency_Hz: float) -> i
 
 
 def known_stepper(model: HapticModel, skin: int) -> ReducedStepper:
-    """The small model for the known load.
+    """The small model for the predicted load.
 
-    What it is made of is kept under what the load depends on, so that a run from the cache does not compute it. Its
-    vectors are kept under the load itself, which serves any level. Raises SceneError as `reduced_stepper`.
+    Its parts are stored under the inputs of the load, so that a run from the cache does not compute it. Its vectors are
+    stored under the load itself, which serves any level. Raises SceneError as `reduced_stepper`.
     """
     part = model.skins[skin]
     layer, posed = part.layer, reference_scene(model)
@@ -180,14 +180,14 @@ def known_stepper(model: HapticModel, skin: int) -> ReducedStepper:
         layer.system, str(known["load"]), lambda: known_load(model, skin, posed)[0], *reads, *wanted
     )
     if cache.digest(vectors) != str(known["vectors"]):
-        # They were made anew, perhaps on another machine: shares are of other vectors
+        # They were made again, perhaps on another machine: the shares are of other vectors
         make()
         return fresh[0]
     return ReducedStepper(small, vectors, known["shares"], known["points"], step_s, error, any_course)
 
 
 def known_load(model: HapticModel, skin: int, posed: PosedScene) -> tuple[KnownLoad, Float32]:
-    """What the one sounding stimulus does to a skin in a pose that it keeps, and the pressures of which it is made.
+    """The effect of the one sounding stimulus on a skin in a constant pose, and the pressures that compose it.
 
     The pressures are at the quadrature's points [Pa], shape (t, q).
     """
@@ -210,7 +210,7 @@ def known_load(model: HapticModel, skin: int, posed: PosedScene) -> tuple[KnownL
     skip = math.ceil(_settling_s(stimulus, model) * count / turn)
     drives, level_of = _at_full_level(steady_drives(model, number, posed, turn / count, skip, count))
     pressures = _pressures(skin, posed, radiation, drives)
-    # What the load is made of has to be seen more closely than its harmonics that matter
+    # The parts of the load need a finer tolerance than its relevant harmonics
     close = steady_drives(model, number, posed, turn / (CLOSER * count), CLOSER * skip, CLOSER * count)
     examples = _pressures(skin, posed, radiation, close)
     loads: Float = (operator @ pressures.T).T
@@ -219,7 +219,7 @@ def known_load(model: HapticModel, skin: int, posed: PosedScene) -> tuple[KnownL
     frequencies = np.arange(waves.shape[1]) / turn
     size = np.linalg.norm(waves, axis=0)
     kept = size > SMALLEST * size.max()
-    # Sampled from `skip` on, wanted from the start of the sound
+    # Sampled from `skip` on, needed from the start of the sound
     shift = np.exp(2j * np.pi * frequencies * skip * turn / count)
     frequencies, waves = frequencies[kept], (waves * shift)[:, kept]
     # The ARP goes with the square of what the transducers emit.
@@ -233,7 +233,7 @@ def known_load(model: HapticModel, skin: int, posed: PosedScene) -> tuple[KnownL
     trials: list[Float] = [level(fade, trial)[:, None] * harmonics(frequencies, time + trial) for time, fade in events]
     pair = np.array([1.0, -1j])
     spectrum = [(float(f), np.kron(np.eye(len(frequencies) + 1)[k], pair)[:-1]) for k, f in enumerate(frequencies)]
-    # What the beginning differs from the course, as one impulse spread over the trial.
+    # Difference of the beginning from the course, as one impulse spread over the trial.
     impulse = np.zeros(len(course.shapes))
     if model.response_on:
         width = _settling_s(stimulus, model) / BEGINNING
@@ -259,7 +259,7 @@ def _settling_s(stimulus: StimulusModel, model: HapticModel) -> float:
 
 
 def steady_drives(model: HapticModel, number: int, posed: PosedScene, step_s: float, skip: int, count: int) -> Complex:
-    """What is emitted at `count` times after the first `skip`, from the start of the sound on, (count, N).
+    """The emission at `count` times after the first `skip`, from the start of the sound on, (count, N).
 
     The stimulus is that without ramp and end: what comes round.
     """
@@ -279,7 +279,7 @@ def steady_drives(model: HapticModel, number: int, posed: PosedScene, step_s: fl
 
 
 def path_drives(model: HapticModel, number: int, posed: PosedScene) -> Complex:
-    """What is emitted along the path of a stimulus that comes round, shape (m, N).
+    """The emission along the path of a periodic stimulus, shape (m, N).
 
     Enough to span all others, while the transducers ring up as well.
     """
@@ -306,5 +306,5 @@ def _at_full_level(drives: Complex, level_of: float | None = None) -> tuple[Comp
 
 
 def _pressures(skin: int, posed: PosedScene, radiation: Radiation, drives: Complex) -> Float32:
-    """ARP at the skin's quadrature points [Pa] of drives (f, N), shape (f, q)."""
+    """ARP at the quadrature points of a skin [Pa] of drives (f, N), shape (f, q)."""
     return radiation.many(posed, skin, drives)

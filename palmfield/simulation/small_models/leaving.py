@@ -1,6 +1,6 @@
-"""Where a small model of a skin no longer serves, and how the whole layer goes on from it.
+"""End of the validity of a small model of a skin, and the change to the whole layer.
 
-What of a skin's loads lies outside the class that its modes serve is measured in every step.
+The part of the loads on a skin outside the class of its modes is measured in every step.
 """
 
 import math
@@ -21,8 +21,8 @@ from palmfield.stimulus.schedule import first_point
 from palmfield.types import Complex, Float
 
 SHORT_WAVES = 3.0
-"""Times its share of the pressure, what a load outside the class adds to the velocity's error, about: it is of shorter
-waves than the class, and a pressure that comes at once moves skin as deep only as its wave is long, so much faster."""
+"""Velocity error of a load outside the class, over its share of the pressure, about. Its waves are shorter than those
+of the class, and sudden pressure moves skin only to the depth of its wavelength, so faster."""
 
 
 def leaves_small_model(
@@ -34,9 +34,9 @@ def leaves_small_model(
     emission: Emission,
     t0: float,
 ) -> bool:
-    """Whether a skin's small model ends here: body, arrays or focus have moved, or the run begins after the sound.
+    """Whether the small model of a skin ends here: body, arrays or focus have moved, or the run begins after the sound.
 
-    Raises SceneError instead where key `solver` names what steps it.
+    Raises SceneError instead where key `solver` names the stepper.
     """
     part = model.skins[skin]
     if state.skins[skin][0, 0] == WHOLE:
@@ -75,9 +75,9 @@ def continue_on_whole_layer(
     amplitudes: Complex,
     t0: float,
 ) -> tuple[WedgeStepper, Float]:
-    """Turn a small model's motion into one of the whole layer, in place; amplitudes: emitted at t0 [s], shape (N,).
+    """Expand the motion of a small model to the whole layer, in place; amplitudes: emitted at t0 [s], shape (N,).
 
-    Returns the whole layer's stepper and its numbers, shape (1, state_size), a view of the state.
+    Returns the stepper of the whole layer and its numbers, shape (1, state_size), a view of the state.
     """
     small, whole = model.begin[skin].value, model.whole[skin].value
     numbers = state.skins[skin][:, HEADER:]
@@ -97,11 +97,11 @@ def continue_on_whole_layer(
 
 
 class OutsideClass:
-    """What of a skin's loads in a run has been outside the class that its modes serve.
+    """The part of the loads on a skin in a run that was outside the class of its modes.
 
-    sums: squares over all substeps
-    loudest: most energy of the load in one step, that of a focus in the middle of the skin included; None before the
-        first step
+    sums: squares over all substeps.
+    loudest: largest energy of the load in one step, at least that of a focus in the middle of the skin; None before
+        the first step.
     """
 
     def __init__(self) -> None:
@@ -109,9 +109,9 @@ class OutsideClass:
         self.loudest: float | None = None
 
     def add(self, step: Outside) -> float:
-        """Take a step's loads; what of them lies outside, in the energy norm, over the loudest step's.
+        """Take the loads of a step; return the part outside the class, in the energy norm, over the loudest step.
 
-        `loudest` must be known.
+        `loudest` must be set.
         """
         assert self.loudest is not None
         a, b, c, d = self.sums
@@ -120,33 +120,33 @@ class OutsideClass:
         return math.sqrt(step.energy / self.loudest) if self.loudest > 0.0 else 0.0
 
     def copy(self) -> "OutsideClass":
-        """A copy that goes on by itself."""
+        """An independent copy."""
         result = OutsideClass()
         result.sums, result.loudest = self.sums, self.loudest
         return result
 
     @property
     def energy_share(self) -> float:
-        """Of the energy norm of all loads, what was outside: about what that adds to the displacement's error."""
+        """Share of the energy norm of all loads that was outside: about its contribution to the displacement error."""
         return math.sqrt(self.sums.energy / self.sums.energy_of_all) if self.sums.energy_of_all > 0.0 else 0.0
 
     @property
     def pressure_share(self) -> float:
-        """Of the pressure's norm, what was outside."""
+        """Share of the norm of the pressure that was outside."""
         return math.sqrt(self.sums.plain / self.sums.plain_of_all) if self.sums.plain_of_all > 0.0 else 0.0
 
     def errors(self, added: tuple[float, float | None]) -> tuple[float, float | None]:
-        """What a small model adds to a run's errors (`SkinStepper.adds_error`), with what lay outside its class."""
+        """Errors that a small model adds (`SkinStepper.adds_error`), with the part of the loads outside its class."""
         displacement, velocity = added
         quick = SHORT_WAVES * self.pressure_share
         return math.hypot(displacement, self.energy_share), None if velocity is None else math.hypot(velocity, quick)
 
 
 def leaves_class(model: HapticModel, skin: int, share: Any) -> Any:
-    """Whether a skin's modes end here: more of a step's load than the wanted accuracy lies outside their class.
+    """Whether the modes of a skin end here: the part of a step's load outside their class exceeds the target accuracy.
 
-    share: see OutsideClass.add, one number or several. Where key `solver` asks for modes they go on, and the run's
-    error says it.
+    share: see OutsideClass.add, one number or several. Where key `solver` requests modes they continue, and the error
+    of the run includes it.
     """
     config = model.skins[skin].spec.config
     return (config.solver == "auto") & (share > config.accuracy)
@@ -155,8 +155,8 @@ def leaves_class(model: HapticModel, skin: int, share: Any) -> Any:
 def loudest_load(
     model: HapticModel, skin: int, stepper: SkinStepper, reference: PosedScene, radiation: Radiation
 ) -> float:
-    """Energy over a step of a stimulus's steady focus in the middle of a skin, in the reference pose: what sound beside
-    the skin is little against."""
+    """Energy over a step of a steady focus in the middle of a skin, in the reference pose: sound that misses the skin
+    is small against it."""
     frame = reference.skins[skin].body.frame
     centre = frame.points(np.array(model.skins[skin].spec.patch_centre))
     assert stepper.points is not None

@@ -1,12 +1,12 @@
-"""Loads that are not known before the run: the class of all sounds that a scene's arrays can make on a skin.
+"""Loads that cannot be predicted before the run: the class of all sounds that the arrays can make on a skin.
 
 The class is made of examples: foci on the region of the skin for which its layer is made, one or two at a time, from
-each array and from all, with the body where it stands in the reference pose and moved and tilted from there. Which
-stimulus comes does not matter, so that the modes made for a class serve all stimuli, and every moving hand.
+each array and from all. The body is in the reference pose, or moved and tilted from there. The class does not depend
+on the stimulus, so that its modes serve all stimuli, and every moving hand.
 
-The examples are drawn in a frame on the skin, and come with their images under quarter turns about its normal and under
-mirroring. They are the same for every array and every combination of arrays. So they depend neither on how the scene
-is turned or mirrored, nor on the order of its arrays, nor on the skin's mesh.
+The examples are drawn in a frame on the skin, together with their images under quarter turns about its normal and
+under mirroring. They are equal for every array and combination of arrays. So they are independent of rotation and
+mirroring of the scene, of the order of its arrays, and of the mesh of the skin.
 """
 
 import math
@@ -41,23 +41,23 @@ MOVES = (
     ((0.018, 0.018, 0.0), (0.12, -0.12), 8, 5),
 )
 """Of the body in the examples: shift along the first and second axis of the skin's frame and outwards [m], tilt about
-these axes [rad], and examples with one focus and with two of any relative phase; all before their images."""
+these axes [rad]; number of examples with one focus and with two of any relative phase; all before their images."""
 NEAREST = 0.5
 """Part of the distance from the skin to the nearest transducer that a shift takes, at most."""
 ALONG = 0.9
-"""Share of the body's first axis along the skin's normal above which the second one gives the skin's frame."""
+"""Share of the body's first axis along the normal of the skin above which the second axis gives the skin's frame."""
 OFF_SKIN_m = 0.006
-"""By which a focus misses the skin in an example, at most, along each axis [m]."""
+"""Largest distance by which a focus misses the skin in an example, along each axis [m]."""
 SPAN = 0.1
-"""Of the wanted accuracy, what the class's shapes may leave out of its examples."""
+"""Share of the target accuracy that the shapes of the class may omit from its examples."""
 LEAST_LEFT_OUT = 0.0075
 """Below it each shape more gains less than a block of modes more does."""
 BLOCKS, BLOCKS_AT, BLOCKS_POWER = 32, 0.05, 0.9
 """Blocks of the modes' space at one accuracy, and the power of the accuracy with which they become fewer."""
 WEAK, MOST_WEAK = 0.3, 0.025
-"""Of the wanted accuracy, what weak modes that are left out may take with them, in the energy norm; and at most."""
+"""Share of the target accuracy, in the energy norm, that omitted weak modes may cost; and its upper limit."""
 WEAK_TOGETHER = 0.3
-"""Of that, where several laws couple the modes: lossy ones are few, and weak ones among them move under slow loads."""
+"""Share of it with several laws, which couple modes: lossy ones are few, and weak ones move under slow loads."""
 EDGES_SPAN, EDGES_POINTS = 0.5, 4
 """SPAN where there are shadows, and points for each shape: edges are made of far more shapes than sounds are."""
 FINGER_m = 0.008, 0.02
@@ -67,14 +67,14 @@ KEPT = 0.36
 SHAPES = 15.0
 """Load shapes at accuracy 0.2 on a region as wide as a spot, about."""
 LEAST_CORNER_Hz = 75.0
-"""Corner of a load's spectrum that only comes and goes: the sound of a start or stop falls as 1/f."""
+"""Corner of the spectrum of a load with only onset and end: the sound of a start or stop falls as 1/f."""
 _lock = threading.RLock()
 # The last modes of a layer and what they depend on besides it: to find 100 MB in the cache on disk takes a second
 _bodies: WeakKeyDictionary[SceneLayer, tuple[str, ModalBody]] = WeakKeyDictionary()
 
 
 def refusal(skin: SkinSpec, layer: SceneLayer) -> str | None:
-    """Why a skin can't move by modes for every load, in words, or None; what only its matrices tell comes later."""
+    """Why a skin can't move by modes for every load, in words, or None; reasons that need its matrices come later."""
     config = skin.config
     if config.body_sound == "scattering":
         return "boundary elements for every example of its loads cost more than a run"
@@ -84,12 +84,12 @@ def refusal(skin: SkinSpec, layer: SceneLayer) -> str | None:
 
 
 def laws(layer: SceneLayer) -> int:
-    """By how many laws a layer's sheets relax."""
+    """Number of relaxation laws of the sheets of a layer."""
     return len({sheet.material.law for sheet in layer.sheets})
 
 
 def expected_modes(skin: SkinSpec, layer: SceneLayer) -> float:
-    """About how many modes there will be, as seen on the shipped scenes."""
+    """Expected number of modes, from the shipped scenes."""
     shapes = SHAPES * (_region_m(layer) / layer.demand.spot_fwhm_m) ** 2 * (0.2 / skin.config.accuracy) ** 0.35
     return float(KEPT * _blocks(skin.config.accuracy) * shapes)
 
@@ -100,9 +100,9 @@ def _blocks(accuracy: float) -> int:
 
 
 def _region_m(layer: SceneLayer) -> float:
-    """Radius of the region of a skin in which the foci of the class lie [m].
+    """Radius of the region of a skin that contains the foci of the class [m].
 
-    That is where its elements are fine, and all of a patch of given radius, with foci beside it that touch it.
+    The region has fine elements: a whole patch of given radius, with a margin for foci that touch it from outside.
     """
     sizes, spot_m = layer.sizes, layer.demand.spot_fwhm_m
     if layer.config.patch_radius_m or layer.config.shape == "disc":
@@ -111,10 +111,10 @@ def _region_m(layer: SceneLayer) -> float:
 
 
 def class_stepper(model: HapticModel, skin: int, blocks: int | None = None) -> ModalStepper:
-    """Modes of a skin's layer for the class of its loads.
+    """Modes of the layer of a skin for the class of its loads.
 
-    blocks: of the space of the modes, by default as many as the skin's accuracy asks for
-    Raises SceneError where there can be none.
+    blocks: of the space of the modes, by default the number that the accuracy of the skin needs.
+    Raises SceneError where modes are impossible.
     """
     part = model.skins[skin]
     layer, accuracy = part.layer, part.spec.config.accuracy
@@ -146,9 +146,9 @@ def class_stepper(model: HapticModel, skin: int, blocks: int | None = None) -> M
 
 
 def examples(model: HapticModel, skin: int, posed: PosedScene) -> Float:
-    """ARP of examples at a skin's quadrature points [Pa], shape (t, q); posed: the reference.
+    """ARP of examples at the quadrature points of a skin [Pa], shape (t, q); posed: the reference.
 
-    Where the skin's sound has shadows, those of the examples lie anywhere, whatever casts one in the reference.
+    If the sound on the skin has shadows, those of the examples lie anywhere, for any obstacle in the reference.
     """
     rng, shading = np.random.default_rng(0), np.random.default_rng(1)
     arrays, layer = posed.arrays, model.skins[skin].layer
@@ -199,9 +199,9 @@ def _images() -> list[Float]:
 
 
 def _images_of(move: Float) -> list[Float]:
-    """Different images of a shift [m] and the two numbers of a tilt's axis [rad], (5,) each.
+    """Distinct images of a shift [m] and the two numbers of the axis of a tilt [rad], (5,) each.
 
-    A mirror turns the sense of a rotation.
+    A mirror reverses the sense of a rotation.
     """
     images = [np.array([*(g @ move[:3]), *(np.linalg.det(g) * g[:2, :2] @ move[3:])]) for g in _images()]
     return list({tuple(np.round(image, 9) + 0.0): image for image in images}.values())
@@ -210,7 +210,7 @@ def _images_of(move: Float) -> list[Float]:
 def _foci(rng: np.random.Generator, offsets: Float, region_m: float, count: int) -> Float:
     """Foci near the skin and their images, from its middle in the skin's frame [m], shape (images, count, 3).
 
-    offsets: of the quadrature's points, in that frame, shape (q, 3). Foci are even over the region's area, as seen by
+    offsets: of the quadrature points, in that frame, shape (q, 3). Foci are uniform over the area of the region, by
     distance from the middle and direction, and take their height from the nearest point.
     """
     distance = np.linalg.norm(offsets, axis=1)
@@ -246,7 +246,7 @@ def _has_edges(skin: SkinSpec) -> bool:
 
 
 def _lit(offsets: Float, region_m: float, count: int, rng: np.random.Generator) -> NDArray[np.bool_]:
-    """Which points lie outside the shadow of a straight finger, or of all beyond a straight edge, and of its images.
+    """Which points lie outside the shadow of a straight finger, or of the half plane beyond an edge, and of its images.
 
     offsets: of the points from the region's middle in the skin's frame [m], shape (q, 3)
     Returns shape (images * count, q), image by image, as foci come.
@@ -261,7 +261,7 @@ def _lit(offsets: Float, region_m: float, count: int, rng: np.random.Generator) 
 
 
 def _moved(model: HapticModel, skin: int, posed: PosedScene, centre: Float, turn: Float, shift_m: Float) -> PosedScene:
-    """The scene with a skin's body turned about a point and moved, array frame."""
+    """The scene with the body of a skin turned about a point and moved, array frame."""
     part = model.skins[skin]
     before = posed.bodies[part.body]
     frame = Transform(turn @ (before.frame.position - centre) + centre + shift_m, turn @ before.frame.rotation)
@@ -306,10 +306,10 @@ def _drives(
 
 
 def corner_Hz(stimulus: StimulusModel, spot_m: float) -> float:
-    """Frequency above which the spectrum of a stimulus's load falls, about [Hz].
+    """Frequency above which the spectrum of the load of a stimulus falls, about [Hz].
 
-    A focus that moves at v over a spot of width w passes a point in w / v; one that jumps at some rate is as sudden as
-    one that moves on by then; AM has its own frequency. spot_m: width of the spot [m]
+    A focus with speed v and spot width w passes a point in w / v. One that jumps at some rate is as sudden as a focus
+    that has moved on by then. AM has its own frequency. spot_m: width of the spot [m].
     """
     config = stimulus.config
     corners = [LEAST_CORNER_Hz, *(0.5 * f for f in frame_rates(config))]

@@ -1,4 +1,4 @@
-"""Exact answers and printed formulas: what solvers and presets are held against."""
+"""Exact solutions and printed formulas, with which solvers and presets are compared."""
 
 import lazy_loader
 

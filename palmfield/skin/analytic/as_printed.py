@@ -1,7 +1,7 @@
-"""Formulas as papers print them where they are wrong, each beside its corrected form.
+"""Formulas that papers print wrongly, each with its corrected form.
 
-They are here so that a paper's own numbers can be had; nothing else in palmfield uses them. Complex moduli are
-E' - iE'' and G' - iG'' (e^{-i w t}).
+They reproduce the numbers of the papers; no other code in palmfield uses them. Complex moduli are E' - iE'' and
+G' - iG'' (e^{-i w t}).
 """
 
 import math
@@ -10,8 +10,8 @@ from dataclasses import replace
 from palmfield.skin.materials.catalogue import preset
 from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson
 
-# Mizushima & Sato 2024 (doi 10.18494/SAM5054): standard linear solid with spring E1 beside spring E2 and dashpot eta3
-# in series, moduli E1, E2 [Pa], eta3 [Pa s], all above 0; f [Hz] is the vibration's frequency.
+# Mizushima & Sato 2024 (doi 10.18494/SAM5054): standard linear solid with spring E1 parallel to spring E2 and dashpot
+# eta3 in series, moduli E1, E2 [Pa], eta3 [Pa s], all above 0; f [Hz] is the frequency of the vibration.
 
 
 def sls_modulus(f_Hz: float, e1_Pa: float, e2_Pa: float, eta3_Pa_s: float) -> complex:
@@ -23,9 +23,9 @@ def sls_modulus(f_Hz: float, e1_Pa: float, e2_Pa: float, eta3_Pa_s: float) -> co
 def equivalent_modulus_as_printed(f_Hz: float, e1_Pa: float, e2_Pa: float, eta3_Pa_s: float) -> float:
     """Their eq 4, E_d = (E1 E2 + eta3 f (E1 + E2)) / (E2 + eta3 f) [Pa], for E1 at a frequency.
 
-    It is E1 + i w eta3 E2 / (E2 + i w eta3) with f in place of i w: f for w puts the transition a factor 2 pi too
-    high, and without i two parts in quadrature add as if in phase, linear where eq 1 is quadratic in w.
-    Corrected: `sls_modulus`, or its magnitude where one number is wanted.
+    It is E1 + i w eta3 E2 / (E2 + i w eta3) with f in place of i w. With f for w the transition is a factor 2 pi too
+    high. Without i two parts in quadrature add as if in phase, linear where eq 1 is quadratic in w.
+    Corrected: `sls_modulus`, or its magnitude for one number.
     """
     return (e1_Pa * e2_Pa + eta3_Pa_s * f_Hz * (e1_Pa + e2_Pa)) / (e2_Pa + eta3_Pa_s * f_Hz)
 
@@ -71,10 +71,10 @@ def ecoflex_time_as_printed() -> Material:
 
 
 def ecoflex_bulk_corrected() -> Material:
-    """Ecoflex 00-10 with nu 0.495 beside the instantaneous modulus.
+    """Ecoflex 00-10 with nu 0.495 of the instantaneous modulus.
 
-    Preset 'ecoflex_00-10' reads nu as printed, beside the relaxed one: it softens in volume as it stiffens in shear,
-    to nu 0.487 at once.
+    Preset 'ecoflex_00-10' reads nu as printed, of the relaxed modulus: it softens in volume as it stiffens in shear, to
+    nu 0.487 at once.
     """
     right = preset("ecoflex_00-10")
     bulk = bulk_from_poisson(0.495, right.shear_instant_Pa)
@@ -93,9 +93,9 @@ def ecoflex_rate_law_as_printed() -> float:
 
 
 def ecoflex_rate_law_mixed(f_Hz: float) -> complex:
-    """Complex shear modulus [Pa] at f [Hz] of their law with its last dot taken as a slip.
+    """Complex shear modulus [Pa] at f [Hz] of their law with its last dot treated as a misprint.
 
-    eps' = sigma_1'/G_m + sigma_2/eta still puts the spring's sigma_1 where the branch's sigma_2 belongs: G = G_r -
+    eps' = sigma_1'/G_m + sigma_2/eta still has sigma_1 of the spring in the place of sigma_2 of the branch: G = G_r -
     i w eta (1 - G_r/G_m), a Kelvin-Voigt solid that never stiffens. Corrected as above.
     """
     material = preset("ecoflex_00-10")

@@ -1,7 +1,7 @@
-"""Exact answers for a flat viscoelastic layer, by plane waves in depth: the independent check of the finite elements.
+"""Exact solutions for a flat viscoelastic layer, by plane waves in depth: the independent check of the finite elements.
 
-Two estimates also use it at run time: how far a layer reaches that a load notices (approximation.truncate_domain) and
-what a smaller bulk modulus changes (approximation.reduce_bulk_modulus). Those estimates are tested by solvers that
+Two estimates also use it at run time: the distance to which a layer affects a load (approximation.truncate_domain) and
+the effect of a smaller bulk modulus (approximation.reduce_bulk_modulus). Those estimates are tested by solvers that
 do not use this file: the former by elements (axisymmetric), the latter by lateral waves.
 
 Plane strain, e^{ikx - i w t}, depth z from the loaded face (z = 0) to the base (z = h). With
@@ -31,12 +31,12 @@ def layer_compliance(
 ) -> Complex:
     """Normal surface compliance of an infinite layer under a normal pressure exp(ik.x) [m/Pa], positive when pushed in.
 
-    k: lateral wavenumber, >= 0 [rad/m], any shape; f_Hz: frequency, 0 for static [Hz]; thickness_m: layer depth [m]
-    base: "bonded" (no motion), "free_slip" (no normal motion, no shear traction) or "free" (no traction)
+    k: lateral wavenumber, >= 0 [rad/m], any shape. f_Hz: frequency, 0 for static [Hz]. thickness_m: layer depth [m].
+    base: "bonded" (no motion), "free_slip" (no normal motion, no shear traction) or "free" (no traction).
     Returns complex128 of k's shape, under e^{-i w t}. k = 0 is a column that cannot widen. A static free-slip layer
     under long waves can: its limit for k -> 0 is another, h (1 - nu^2) / E.
-    Raises SceneError for an unknown base, a thickness <= 0, a negative frequency, or a free layer under static uniform
-    pressure, which nothing holds.
+    Raises SceneError for an unknown base, a thickness <= 0, a negative frequency, or a free layer, which has no
+    support, under static uniform pressure.
     """
     if base not in BASES:
         raise SceneError(f"base '{base}' is not known; use one of {', '.join(BASES)}")
@@ -68,7 +68,7 @@ def _uniform_compliance(f_Hz: float, material: Material, h: float, base: Base) -
 
 
 def _wave_compliance(k: Float, f_Hz: Float, material: Material, h: float, base: Base) -> Complex:
-    """Of a wavenumber and frequency each, both (n,)."""
+    """For pairs of a wavenumber and a frequency, both (n,)."""
     unique, back = np.unique(f_Hz, return_inverse=True)
     omega = 2.0 * math.pi * f_Hz
     shear = np.array([complex_shear(material, float(f)) for f in unique])[back]
@@ -136,12 +136,12 @@ def centre_response(
 ) -> Complex:
     """Displacement into the layer at distance `at` from the axis of a Gaussian spot of 1 Pa peak pressure [m/Pa].
 
-    thickness: layer depth [m]; fwhm_m: full width of the pressure spot at half its peak [m]
+    thickness: layer depth [m]. fwhm_m: full width of the pressure spot at half its peak [m].
     radius_m: None for a layer without sides (Hankel integral), or the radius of a disc with roller sides: no radial
-        motion, no shear traction (Fourier-Bessel series over the zeros of J1(kR))
-    at: distances from the axis [m], any shape; settled: relative change at which the integral's refinement ends
+        motion, no shear traction (Fourier-Bessel series over the zeros of J1(kR)).
+    at: distances from the axis [m], any shape. settled: relative change at which the refinement of the integral ends.
     Returns complex128 of `at`'s shape, under e^{-i w t}.
-    Raises SceneError as layer_compliance, for fwhm_m <= 0, and where the sum does not settle.
+    Raises SceneError as layer_compliance, for fwhm_m <= 0, and where the sum does not converge.
     """
     if not fwhm_m > 0.0:
         raise SceneError(f"spot width is {fwhm_m} m; give a number above 0")
@@ -157,7 +157,7 @@ def centre_response(
 def centre_responses(
     f_Hz: Float, material: Material, thickness: float, fwhm_m: float, at: Float, base: Base, settled: float
 ) -> Complex:
-    """As centre_response without sides, of frequencies (f,) and distances (r,), together: shape (f, r)."""
+    """As centre_response without sides, for all pairs of frequencies (f,) and distances (r,): shape (f, r)."""
     spread = fwhm_m / math.sqrt(8.0 * math.log(2.0))
     return _hankel(np.asarray(f_Hz, dtype=float), material, thickness, spread, np.asarray(at), base, settled)
 

@@ -16,15 +16,15 @@ def mach_half_angle(
     *,
     between_deg: tuple[float, float] = (20.0, 89.0),
 ) -> float:
-    """Angle [deg] between the fronts and the way of a focus that runs along +x on y = 0.
+    """Angle [deg] between the wave fronts and the path of a focus that runs along +x on y = 0.
 
-    normal_velocity: snapshot at x (m,) and y (n,) [m], shape (m, n), both rising
-    skip_m: strip |y| < skip_m left out, where the load itself and what follows it lie; one and a half spot widths do
+    normal_velocity: snapshot at x (m,) and y (n,) [m], shape (m, n), both rising.
+    skip_m: half width of the strip that is left out, with the load and its wake; use 1.5 spot widths.
 
-    A slant stack (discrete Radon transform): at a trial angle b the mean over |y| of the snapshot along the lines
-    x + |y| / tan b = s is taken for each s; b is where the sum of its squares over s is largest, by a parabola through
-    the three best values. Straight fronts of that slope add up there; round ones don't. The sum runs over x: over the
-    distance between the lines it would favour steep ones.
+    A slant stack (discrete Radon transform): for a trial angle b and each s, take the mean over |y| of the snapshot
+    along the lines x + |y| / tan b = s. The result is the b with the largest sum of squares over s, by a parabola
+    through the three best values. Straight fronts of that slope add up there; round ones don't. The sum runs over x:
+    over the distance between the lines it would favour steep ones.
     Raises SceneError for shapes that don't fit and where skip_m leaves less than three rows on a side.
     """
     values = np.asarray(normal_velocity, dtype=float)
@@ -41,7 +41,7 @@ def mach_half_angle(
 
 
 def _stacked(values: Float, x: Float, y: Float, rows: np.ndarray, angle: float) -> float:
-    """Sum over s of the squared mean along the lines of one slope; what lies off the snapshot counts as still."""
+    """Sum over s of the squared mean along the lines of one slope; points off the snapshot have velocity 0."""
     total = np.zeros(len(x))
     for row in rows:
         total += np.interp(x - abs(y[row]) / np.tan(angle), x, values[:, row], left=0.0, right=0.0)

@@ -1,4 +1,4 @@
-"""What may be left out or made coarser, and the error that it costs."""
+"""Approximations by omitting or coarsening parts of a problem, and their error."""
 
 import lazy_loader
 

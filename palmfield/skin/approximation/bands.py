@@ -1,4 +1,4 @@
-"""Which frequencies a load moves the skin with: shares of energy by band, for what changes an answer by frequency."""
+"""Shares of the energy of a load by frequency band, for approximations whose effect depends on frequency."""
 
 import itertools
 import math
@@ -26,7 +26,7 @@ def bands(load: Load, end_s: float, resonance_Hz: float) -> tuple[Float, Float]:
     """Frequency [Hz] and energy of the load's course from rest to end_s by band, both (b,), bands without any left out.
 
     The course of a spot is its pressure at the middle of its path, that of a traction its largest point's. It begins
-    at rest and is let go at the end, so that jumps count. About resonance_Hz the bands are finer.
+    at rest and is released at the end, so that jumps count. Near resonance_Hz the bands are finer.
     """
     start = float(load.times_s[0])
     length = max(end_s - start, 1e-6)
@@ -35,7 +35,7 @@ def bands(load: Load, end_s: float, resonance_Hz: float) -> tuple[Float, Float]:
     times: Float = start + step * np.arange(count, dtype=np.float64)
     course = course_at(load, times)
     energy = np.abs(np.fft.rfft(np.concatenate([np.zeros(count), course]))) ** 2
-    # Every other rate stands for its negative as well
+    # Every rate except the first also represents its negative
     energy[1:] *= 2.0
     rates = np.fft.rfftfreq(2 * count, step)
     low = 1.0 / length
@@ -48,7 +48,7 @@ def bands(load: Load, end_s: float, resonance_Hz: float) -> tuple[Float, Float]:
         if total > 0.0:
             result.append((float(rates[inside] @ energy[inside]) / total, total))
     frequencies, energies = np.array(result).reshape(-1, 2).T
-    # The lowest band is what a push that lasts does, whose end is only the window's
+    # The lowest band is the effect of a steady push, which ends only with the window
     return np.where(frequencies < low, 0.0, frequencies), energies
 
 

@@ -1,4 +1,4 @@
-"""Sizes of mesh, patch and step for a target accuracy, and the error that two meshes show.
+"""Sizes of mesh, patch and step for a target accuracy, and the error from two meshes.
 
 The rules are read off the 120 x 20 mm Ecoflex disc with a spot of 10.3 mm, against its exact series (static / 200 Hz
 error of the centre's displacement; shear wavelength 18.7 mm; edges grow 2.5 times from the spot to the rim):
@@ -13,10 +13,10 @@ error of the centre's displacement; shear wavelength 18.7 mm; edges grow 2.5 tim
 | 0.29 | 4 | 0.23 % | 0.15 % |
 
 A step of 20, 40, 80 to a period errs by 0.99, 0.25, 0.063 %, that is 0.1 (w h)^2. Roller sides at 40, 50, 60 mm change
-the 200 Hz answer of the endless disc by 2.3, 0.3, 0.2 % where the shear wave falls to 1/e in l = 19.8 mm, and those of
-a 12 mm layer of the palm preset (l = 43 mm) at 40, 60, 80 mm by 15, 4.8, 2.0 %: about exp(-2 R / l). Slower waves die
-out over longer ways: at 70 Hz on the 20 mm disc a side at 60 mm still changes the answer by 14 %. A layer much thinner
-or thicker than the spot is outside this calibration: compare two meshes there.
+the 200 Hz response of the endless disc by 2.3, 0.3, 0.2 %; there the shear wave falls to 1/e in l = 19.8 mm. Those of
+a 12 mm layer of the palm preset (l = 43 mm) at 40, 60, 80 mm change it by 15, 4.8, 2.0 %: about exp(-2 R / l). Slower
+waves decay over longer paths: at 70 Hz on the 20 mm disc a side at 60 mm still changes the response by 14 %. A layer
+much thinner or thicker than the spot is outside this calibration: compare two meshes there.
 """
 
 import math
@@ -27,7 +27,7 @@ from palmfield.errors import SceneError
 from palmfield.skin.materials.material import Material, shear_wave
 from palmfield.types import Complex, Float
 
-# Observed on the disc between the meshes of the table; the element's own rate on smooth loads is higher.
+# Measured on the disc between the meshes of the table; the rate of the element on smooth loads is higher.
 ORDER = 2.0
 GROWTH = 1.6
 
@@ -37,8 +37,8 @@ def choose_sizes(
 ) -> tuple[float, float, float, Float, float, float]:
     """Sizes for a relative error of about `accuracy` of the displacement under a spot.
 
-    fwhm_m: full width of the pressure spot at half its peak [m]; max_frequency_Hz: highest frequency of the load [Hz]
-    accuracy: target relative error, 0.001 to 0.5
+    fwhm_m: full width of the pressure spot at half its peak [m]. max_frequency_Hz: highest frequency of the load [Hz].
+    accuracy: target relative error, 0.001 to 0.5.
     Returns (fine_m, coarse_m, fine_radius_m, fractions, step_s, patch_radius_m): edge length under the spot [m] and at
     the rim [m], radius of the fine part [m], depth fractions (L+1,), time step [s], radius of the patch [m].
     Raises SceneError for values outside these ranges.
@@ -56,18 +56,18 @@ def choose_sizes(
         share, layers = 0.58, 3
     else:
         share, layers = 0.44 * math.sqrt(accuracy / 0.01), 4
-    # The table's coarsest good mesh has 0.43 of a wavelength under the spot and 1.07 at the rim, where waves are weak.
+    # The coarsest good mesh has 0.43 of a wavelength under the spot and 1.07 at the rim, where waves are weak.
     fine = min(share * fwhm_m, 0.43 * wavelength)
     coarse = max(fine, min(2.5 * fine, wavelength))
     edges = np.concatenate([[0.0], np.cumsum(GROWTH ** np.arange(layers))])
     step = math.sqrt(2.0 * min(accuracy, 0.05)) / (2.0 * math.pi * max_frequency_Hz)
-    # Out and back the wave must fall to half the wanted error; an elastic layer needs a radius of one's own.
+    # Out and back the wave must fall to half the target error; an elastic layer needs an explicit radius.
     away = 0.5 * length * math.log(2.0 / accuracy) if math.isfinite(length) else 4.0 * wavelength
     return fine, coarse, 1.2 * fwhm_m, edges / edges[-1], step, max(4.0 * fwhm_m, away)
 
 
 def largest_change(answers: Complex | Float, reference: Complex | Float) -> float:
-    """Largest relative difference of some answers from those of another mesh, shape (n,). Raises SceneError for a 0."""
+    """Largest relative difference of some results from those of another mesh, shape (n,). Raises SceneError for a 0."""
     size = np.abs(reference)
     if not np.all(size > 0.0):
         raise SceneError(f"answers {reference}: what doesn't move has no relative error, so give answers not 0")

@@ -1,4 +1,4 @@
-"""How wide a load is, where it acts, and how fast it changes: what meshes and steps are chosen by."""
+"""Width, place and rate of change of a load, by which meshes and steps are chosen."""
 
 import math
 
@@ -10,22 +10,22 @@ from palmfield.skin.problem import GAUSSIAN, Body, Layer, Load, Spot, depth_of
 from palmfield.types import Float
 
 SAMPLES = 1 << 14
-"""Even samples of a load's course in time."""
+"""Number of even samples of the course of a load in time."""
 MARGIN_S = 0.1
 """Least time before and after a load that counts as part of its course [s]."""
 MOST = 0.95
-"""Share of the power of a load's course below the frequency that a step must resolve."""
+"""Share of the power of a load over time below the frequency that a step must resolve."""
 AT_SIDES = 1e-4
-"""Pressure at a body's sides over the load's peak, above which motion is shaped by the sides as well."""
+"""Pressure at the sides of a body over the peak of the load, above which the sides affect the motion as well."""
 ACROSS = 6.0
 """Lengths that motion is resolved by, at least, from the middle to the sides then."""
 
 
 def load_width(load: Load) -> float:
-    """Full width at half maximum [m] of a load's pressure.
+    """Full width at half maximum [m] of the pressure of a load.
 
     Of given pressures, that of the Gaussian with the same (int p)^2 / int p^2, the smallest over the times. Raises
-    SceneError where there is no pressure at all.
+    SceneError if there is no pressure.
     """
     if isinstance(load, Spot):
         return load.fwhm_m
@@ -51,7 +51,7 @@ def distance_to_sides(body: Body, places: Float) -> Float:
 
 
 def pressure_at_sides(body: Body, load: Load) -> float:
-    """Largest pressure on a body's sides over the load's peak, 0 to 1; of pressures at points, those by the sides."""
+    """Largest pressure on the sides of a body over the load's peak, 0 to 1; of given points, those at the sides."""
     if isinstance(load, Spot):
         room = np.maximum(distance_to_sides(body, load.centres()), 0.0)
         strength = np.abs(load.peak_Pa) * np.exp(-GAUSSIAN * (room / load.fwhm_m) ** 2)
@@ -64,7 +64,7 @@ def pressure_at_sides(body: Body, load: Load) -> float:
 
 
 def edge_is_felt(body: Body, load: Load, points: Float) -> bool:
-    """Whether a held edge matters: load or requested points (n, 3) lie by sides where a held and a free face meet.
+    """Whether a fixed edge matters: load or requested points (n, 3) are near sides where a fixed and a free face meet.
 
     Stresses are singular at such an edge, so that smooth elements converge at first order there.
     """
@@ -77,9 +77,9 @@ def edge_is_felt(body: Body, load: Load, points: Float) -> bool:
 
 
 def motion_width(body: Body, load: Load) -> float:
-    """Length [m] along the face that elements must resolve: the load's width, and where its pressure reaches the
-    body's sides at most the depth, over which what the sides do falls off, or from the middle to the sides where that
-    is less; no less than a part of the body then."""
+    """Length [m] along the face that elements must resolve: the width of the load. If its pressure reaches the sides,
+    at most the depth, over which the effect of the sides decays, or the distance from the middle to the sides if that
+    is less, and no less than a part of the body."""
     width = load_width(load)
     if pressure_at_sides(body, load) < AT_SIDES:
         return width
@@ -103,10 +103,10 @@ def load_centre(load: Load) -> tuple[Float, float]:
 
 
 def course_frequency(load: Load, share: float = MOST) -> float:
-    """Frequency below which a share of the power of a load's course in time about its mean lies [Hz]; 0 for few times.
+    """Frequency below which a share of the power of a load over time, about its mean, lies [Hz]; 0 for few times.
 
-    The course is the peak of a spot or the whole force of pressures, piecewise linear, 0 before the first time and
-    steady after the last. As long before and after the load counts as it lasts, at least MARGIN_S.
+    The course is the peak of a spot or the total force of pressures, piecewise linear, 0 before the first time and
+    steady after the last. The window adds the duration of the load, at least MARGIN_S, before and after it.
     """
     times = np.asarray(load.times_s, dtype=float)
     if len(times) < 3:

@@ -23,7 +23,7 @@ FAR = 1e-3
 """Share of the motion in the middle below which motion is judged by that."""
 
 FAINT = 1e-5
-"""Share of the energy of the load's course below which a band counts for nothing here."""
+"""Share of the energy of the load below which a band is ignored here."""
 
 
 def reduce_bulk_modulus(
@@ -31,13 +31,12 @@ def reduce_bulk_modulus(
 ) -> tuple[Body, float]:
     """The body with Poisson's ratio at once of at most nu_at_most, and the relative change of its motion.
 
-    end_s: last requested time [s]; at: requested points [m], shape (n, 2) or (n, 3)
-    nu_at_most: None takes the smallest of RATIOS that changes at most SHARE of the accuracy, on layers and endless
-    slabs of one sheet, whose volume nothing else confines; others stay as they are, as all do at 0.5
-    The change is that of the flat endless layer (palmfield.skin.analytic.layer_oracle), with the load's own
-    frequencies.
-    Raises SceneError, where nu_at_most is given, for more than one sheet, springs or a foundation, which that layer
-    does not know, and for a change above the accuracy.
+    end_s: last requested time [s]. at: requested points [m], shape (n, 2) or (n, 3).
+    nu_at_most: None takes the smallest of RATIOS that changes at most SHARE of the accuracy. That applies to layers and
+    endless slabs of one sheet, without other confinement of the volume; others, and all at 0.5, are returned unchanged.
+    The change is that of the flat endless layer (palmfield.skin.analytic.layer_oracle), with the frequencies of the
+    load. Raises SceneError for a change above the accuracy. If nu_at_most is given, raises SceneError for more than
+    one sheet, springs or a foundation, which that layer does not include.
     """
     plain = len(body.sheets) == 1 and body.base in BASES
     if nu_at_most == 0.5:
@@ -62,7 +61,7 @@ def reduce_bulk_modulus(
                 if change <= SHARE * accuracy:
                     return result, change
         except SceneError:
-            # Waves that nothing damps: that layer cannot say
+            # Undamped waves: that layer gives no estimate
             return body, 0.0
     return body, 0.0
 
@@ -78,9 +77,9 @@ def _tried(body: Body, change_of: Callable[[Material], float], nu: float) -> tup
 
 
 def relative_change(body: Body, load: Load, end_s: float, at: Float) -> Callable[[Material], float]:
-    """Tells the relative change of the motion with another material.
+    """Estimates the relative change of the motion with another material.
 
-    L2 over the times, the largest of the spot's middle and the points' places about it.
+    L2 over the times, the largest of the middle of the spot and the places of the points around it.
     """
     material, width = body.sheets[0].material, load_width(load)
     depth = float(np.mean(body.patch.depth)) if isinstance(body, Layer) else body.thickness_m
@@ -98,7 +97,7 @@ def relative_change(body: Body, load: Load, end_s: float, at: Float) -> Callable
     def change(soft: Material) -> float:
         near = centre_responses(frequencies[counted], soft, depth, width, away, base, 1e-5)
         difference, size = (energies[counted] @ np.abs(values) ** 2 for values in (near - exact, exact))
-        # Far off there is nothing but the integral's own error
+        # Far off only the numerical error of the integral remains
         return float(np.sqrt(difference / np.maximum(size, FAR**2 * size[0])).max())
 
     return change

@@ -1,6 +1,6 @@
-"""How fine a solution by wedges must be, and how far it then is from the converged one: coarser runs tell.
+"""Resolution that a solution by wedges needs, and its error against the converged one, from coarser runs.
 
-Errors fall by a power of the size of steps and elements, so that two of them show what is left (Richardson).
+Errors fall by a power of the size of steps and elements, so that two runs show the remaining error (Richardson).
 """
 
 import math
@@ -20,29 +20,28 @@ from palmfield.skin.problem import Body, Layer, Slab, depth_of
 from palmfield.types import Float
 
 RATIO = 4.0 / 3.0
-"""Element sizes of the coarser over those of the finer mesh; a layer's triangles are quartered, so there it is 2."""
+"""Element sizes of the coarser over those of the finer mesh; for a layer, whose triangles are quartered, it is 2."""
 MESH_ORDER = 1.5
-"""Between such meshes the errors of a disc in the middle of a spot fall with an order of 2.5 to 4. Under spots that
-reach the sides, and with few triangles under them in nearly incompressible sheets, it is less: of 19 round cases of a
-coverage run 2 claimed too small an error in 4, up to half of it."""
+"""Between such meshes the errors of a disc in the middle of a spot fall with an order of 2.5 to 4. The order is less
+under spots that reach the sides, and with few triangles under them in nearly incompressible sheets: of 19 round cases
+of a coverage run order 2 gave too small an error in 4, by up to half of it."""
 FINEST_RATIO = 2.0
 """Largest ratio of the sizes of one mesh and the next finer."""
 LEAST_MORE = 1.1
 """Least ratio of two meshes' edges that Richardson's rule is trusted with."""
 ALIKE = 1.3
-"""Triangles of the finer mesh over the coarser's, below which their difference is no measure: of 43 and 41 on a small
-disc it told a fifth of the error."""
+"""Triangles of the finer mesh over those of the coarser, below which their difference does not measure the error: with
+43 and 41 on a small disc it gave a fifth of the error."""
 SHRINK = 0.7
 """Extent of the smaller of two endless slabs."""
 WIDER = 2.0
 """Safety factor: the difference between the two domain sizes divided by the true error of the larger one. Measured 3 to
-5 (palm preset, 12 mm, at 200 Hz, under and 20 mm beside a spot, once the meshes agree); we use 2."""
+5 (palm preset, 12 mm, at 200 Hz, under a spot and 20 mm away, once the meshes agree); we use 2."""
 BELT = 1.0
 """Error by an absorbing layer's sides over the difference from one without the belt along them, see
 trim_absorbing_rim."""
 UNKNOWN = 1.0
-"""An error of which nothing is known: by absorbing sides so near that nothing can be taken away, or by two meshes that
-are the same one."""
+"""Value of an unknown error: absorbing sides so near that no belt can be removed, or two identical meshes."""
 MOST_DOFS = 400_000
 """Above this the factors of the matrix take more than 10 GB."""
 ROUNDS = 3
@@ -59,7 +58,7 @@ class Discretisation:
 
 @dataclass(frozen=True)
 class MeshSolution:
-    """Displacement [m] and velocity [m/s] at the requested times and points, (t, n, 3), and the mesh's numbers.
+    """Displacement [m] and velocity [m/s] at the requested times and points, (t, n, 3), and the numbers of the mesh.
 
     normals: of the face at the points, (n, 3)
     """
@@ -129,7 +128,7 @@ def refine_until_converged(
             reach_error, coarse = difference(wider, coarse) / WIDER, wider
     elif isinstance(body, Layer) and body.side == "absorbing":
         smaller = run(now, ratio_of(body, now.sizes), SHRINK)
-        # The same triangles: nothing could be taken away.
+        # The same triangles: no belt could be removed.
         taken = smaller.triangles < coarse.triangles
         reach_error = BELT * difference(coarse, smaller) if taken else np.full(3, UNKNOWN)
     now, coarse, rows_error = refine_in_depth(body, now, run, coarse, accuracy, pinned, judged)

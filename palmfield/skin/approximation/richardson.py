@@ -1,4 +1,4 @@
-"""What the difference of two solutions tells of their error (Richardson's rule)."""
+"""Error of a solution from the difference of two solutions (Richardson's rule)."""
 
 from typing import Any
 
@@ -15,7 +15,7 @@ STILL = 1e-9
 def error_of_finer(difference: Any, ratio: float, order: Any) -> Any:
     """Error of the finer of two solutions whose error falls by `order` in the size of elements or steps.
 
-    ratio: size of the coarser's elements or steps over that of the finer's, > 1
+    ratio: size of elements or steps of the coarser over that of the finer, > 1
     """
     return difference / (ratio**order - 1.0)
 

@@ -1,4 +1,4 @@
-"""A smaller part of a layer, to tell what absorbing sides send back, and which way its face looks."""
+"""A smaller part of a layer, to estimate the reflection of absorbing sides, and the direction of its face."""
 
 from dataclasses import replace
 
@@ -13,7 +13,7 @@ from palmfield.skin.problem import Body, Layer, Load, Spot
 from palmfield.types import Float
 
 FLATTEST = 0.5
-"""Least share of a patch's mean outward direction along z for a spot, which presses by distance in x and y."""
+"""Least z component of the mean outward direction of a patch for a spot, which presses by distance in x and y."""
 
 
 def refusal_of_spot(body: Body, load: Load) -> str | None:
@@ -31,8 +31,8 @@ def refusal_of_spot(body: Body, load: Load) -> str | None:
 def trim_absorbing_rim(body: Body, load: Load, points: Float, reach: float) -> Body:
     """A layer without a belt along its rim, (1 - reach) of the way from the load's middle to there wide; others whole.
 
-    The belt ends half way to the load's path and the requested points (n, 3) where these are nearer. A layer from which
-    nothing can be taken so comes back whole.
+    The belt ends half way to the load's path and the requested points (n, 3) where these are nearer. A layer without
+    such a belt is returned whole.
     """
     if reach == 1.0 or not isinstance(body, Layer):
         return body

@@ -1,6 +1,6 @@
-"""The part of a layer that matters to a load and the requested points.
+"""The part of a layer that affects a load and the requested points.
 
-A thin layer on bone hardly moves beside the spot.
+A thin layer on bone hardly moves outside the spot.
 """
 
 import math
@@ -27,19 +27,19 @@ FURTHEST = 20.0
 
 
 def truncate_domain(body: Body, load: Load, end_s: float, at: Float, accuracy: float) -> tuple[Body, Load, float]:
-    """A body's part around the load's path and the points, the load on it, and what leaving out the rest changes.
+    """Return the part of a body around the load's path and the points, the load on it, and the effect of truncation.
 
-    end_s: last requested time [s]; at: requested points [m], shape (n, 2) or (n, 3); accuracy: target relative error
-    A layer of one sheet bonded to bone is cut where the flat endless layer of its greatest depth
-    (palmfield.skin.analytic.layer_oracle) says that the edge changes the motion by SHARE of the accuracy; see `reach`.
-    Other bodies, layers almost without loss, and those that need their whole patch come back as they are, with 0.
+    end_s: last requested time [s]. at: requested points [m], shape (n, 2) or (n, 3). accuracy: target relative error.
+    A layer of one sheet bonded to bone is cut where the edge changes the motion by SHARE of the accuracy, by the flat
+    endless layer of its greatest depth (palmfield.skin.analytic.layer_oracle); see `reach`. Other bodies, layers almost
+    without loss, and those that need their whole patch are returned unchanged, with 0.
     """
     if not isinstance(body, Layer) or len(body.sheets) != 1 or body.base != "bonded":
         return body, load, 0.0
     try:
         result = reach(body, load, end_s, accuracy)
     except SceneError:
-        # Waves that nothing damps: they reach everything
+        # Undamped waves reach the whole layer
         result = None
     if result is None:
         return body, load, 0.0
@@ -69,10 +69,10 @@ def truncate_domain(body: Body, load: Load, end_s: float, at: Float, accuracy: f
 def reach(body: Layer, load: Load, end_s: float, accuracy: float) -> tuple[float, float] | None:
     """Distance from a spot [m] at which an edge changes its motion by at most SHARE of the accuracy, and that change.
 
-    The motion at a distance over that at the centre, both as energies summed over the load's bands: an edge there sends
-    back a wave of at most that, which dies out on its way as the first one did; a wave that the layer guides, above
-    c_s / 4h, meets again in the middle of a round edge with sqrt(2 pi k R) of its amplitude there. What comes farther
-    off counts as well, as motion may pass through nothing. None where no distance up to FURTHEST widths will do.
+    The motion at a distance over that at the centre, both as energies summed over the load's bands. An edge there
+    reflects a wave of at most that, which decays on its way as the first one did. A guided wave, above c_s / 4h, meets
+    in the middle of a round edge with sqrt(2 pi k R) of its amplitude there. Larger distances count as well, because
+    motion may pass through 0. None if no distance up to FURTHEST widths is enough.
     """
     material, width = body.sheets[0].material, load_width(load)
     depth = float(body.patch.depth.max())

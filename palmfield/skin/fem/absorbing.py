@@ -1,11 +1,11 @@
-"""Sides that let waves out: dashpots on the side faces, and a ring of graded damping outside the body.
+"""Sides that absorb waves: dashpots on the side faces, and a ring of graded damping outside the body.
 
-Dashpots (Lysmer & Kuhlemeyer 1969): traction -rho c v in every direction, c the shear speed at the frequency asked for.
-Across the face the compression speed would be usual; skin is nearly incompressible, and what runs out of a layer are
-guided waves near the shear speed: with 1, 2, 4 times c across, the palm preset 12 mm deep with sides at 35 mm errs by
-1.9, 2.9, 7.8 % of the endless layer's 200 Hz motion under the spot (fixed sides: 21 %), Ecoflex 20 mm deep with
-sides at 40 mm at 70 Hz by 2.4, 3.2, 6.3 % (13 %). The ring adds a force -rho sigma v with sigma growing like the
-square of the distance into it.
+Dashpots (Lysmer & Kuhlemeyer 1969): traction -rho c v in every direction, c the shear speed at the given frequency.
+Across the face the compression speed would be usual. But skin is nearly incompressible, and the waves that leave a
+layer are guided waves near the shear speed. Error of the motion under the spot with 1, 2, 4 times c across: palm
+preset 12 mm deep with sides at 35 mm, 200 Hz, 1.9, 2.9, 7.8 % (fixed sides: 21 %); Ecoflex 20 mm deep with sides at
+40 mm, 70 Hz, 2.4, 3.2, 6.3 % (13 %). The ring adds a force -rho sigma v with sigma growing like the square of the
+distance into it.
 """
 
 import math

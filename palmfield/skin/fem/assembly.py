@@ -50,18 +50,18 @@ class Matrices:
 class SkinSystem:
     """M u'' + C u' + E u + sum over parts K_p (u + sum_i g_i (u - q_i) + t u') = F, q_i' = (u - q_i) / tau_i.
 
-    mass M [kg], damping C [N s/m], elastic E [N/m]: symmetric csr matrices over n free degrees of freedom, (n, n)
-        They are assembled when one of them is first asked for.
-    directions: displacements of the mesh's nodes, then of the foundation's = directions @ u, csr, shape
-        (3 * (nodes + foundation's nodes), n), orthonormal columns
-    parts: what relaxes, a part for each relaxation law, with its g_i, tau_i and t = eta / G_r
-    material: of the surface
+    mass M [kg], damping C [N s/m], elastic E [N/m]: symmetric csr matrices over n free degrees of freedom, (n, n).
+        They are assembled at first use.
+    directions: displacements of the nodes of the mesh, then of the foundation = directions @ u, csr, shape
+        (3 * (nodes + foundation nodes), n), orthonormal columns.
+    parts: the relaxing stiffnesses, one for each relaxation law, with its g_i, tau_i and t = eta / G_r.
+    material: of the surface.
     dof_map: nodal displacements (3 * nodes, by node) = dof_map @ u, csr, shape (3 * nodes, n), the upper rows of
-        `directions`
-    surface_node: surface node under which each free degree of freedom lies, shape (n,)
-    supported: whether base or sides hold the body against a push, so that a static answer exists
-    materials: of the parts, known before they are assembled
-    made_of: all that the matrices follow from, for `palmfield.cache.digest`
+        `directions`.
+    surface_node: surface node under which each free degree of freedom lies, shape (n,).
+    supported: whether base or sides hold the body against a push, so that a static solution exists.
+    materials: of the parts, available before they are assembled.
+    made_of: all inputs of the matrices, for `palmfield.cache.digest`.
     """
 
     mesh: WedgeMesh
@@ -112,19 +112,19 @@ def assemble(
 ) -> SkinSystem:
     """Assemble a layer.
 
-    material: of the whole layer, or of each of its rows of elements, the one at the surface first
+    material: of the whole layer, or of each of its rows of elements, the one at the surface first.
     base: "bonded" (no motion), "free_slip" (no motion along the base's normal), "free" (no traction), Springs, or a
-        Foundation (sheets below the mesh; the sides go on beside them)
+        Foundation (sheets below the mesh; the sides continue along them).
     side: "fixed" (no motion), "free" (no traction), "roller" (no motion along the side's normal, square to the axis)
-        or "absorbing" (dashpots)
-        A free-slip base under roller sides leaves the disc free to spin about its axis: its static sideways motion is
-        then any rotation that round-off leaves, its normal motion is right.
-    foundation_Pa_m: (normal, tangential) stiffness by area [Pa/m] of what lies below, in place of `base`. The
+        or "absorbing" (dashpots).
+        A free-slip base under roller sides leaves the disc free to spin about its axis. Its static sideways motion is
+        then an arbitrary rotation by round-off; its normal motion is right.
+    foundation_Pa_m: (normal, tangential) stiffness by area [Pa/m] of the material below, in place of `base`. The
         tangential part is a shear spring and relaxes with the deepest material; the normal part is elastic.
-    absorbing_Hz: frequency at which the dashpots of absorbing sides match the material [Hz], > 0
-    sponge_1_s: damping by mass of each column of elements [1/s], shape (triangles,); none by default
-    Raises SceneError for other conditions, a roller side without an axis, a number of materials that is not the
-    mesh's, absorbing sides without a frequency, or foundation stiffnesses not >= 0.
+    absorbing_Hz: frequency at which the dashpots of absorbing sides match the material [Hz], > 0.
+    sponge_1_s: damping by mass of each column of elements [1/s], shape (triangles,); none by default.
+    Raises SceneError for other conditions, a roller side without an axis, a number of materials that is not that of
+    the mesh, absorbing sides without a frequency, or foundation stiffnesses not >= 0.
     """
     if (isinstance(base, str) and base not in BASES) or side not in SIDES:
         raise SceneError(f"base '{base}', side '{side}': base is one of {', '.join(BASES)}, side of {', '.join(SIDES)}")
@@ -141,7 +141,7 @@ def assemble(
     if side == "absorbing" and absorbing_Hz is None:
         raise SceneError("absorbing sides need absorbing_Hz, the frequency at which their dashpots match")
     if side == "absorbing" and absorbing_Hz is not None and not 0.0 < absorbing_Hz < np.inf:
-        # Before the matrices, which are made when they are asked for
+        # Before the matrices, which are made at first use
         raise SceneError(f"absorbing sides: frequency is {absorbing_Hz} Hz; give one above 0")
     matched_Hz = absorbing_Hz if side == "absorbing" else None
     held_base: Base = "free" if isinstance(below.base, Springs) else below.base
@@ -291,7 +291,7 @@ def _supported(mesh: WedgeMesh, base: str, side: str, springs: Springs) -> bool:
         return True
     if springs.normal_Pa_m > 0.0 and (springs.tangential_Pa_m > 0.0 or side == "roller"):
         return True
-    # A slippery base round a closed body, or with rollers beside a flat one, leaves only spins that no push drives.
+    # A slippery base round a closed body, or with rollers at the sides of a flat one, leaves only spins without drive.
     return base == "free_slip" and (side == "roller" or not len(mesh.side))
 
 
@@ -343,7 +343,7 @@ def element_matrices(mesh: WedgeMesh) -> tuple[Float, Float, Float]:
 
 
 class _Pattern:
-    """Where each element's node pair lands in the global matrix."""
+    """Place of each element's node pair in the global matrix."""
 
     def __init__(self, mesh: WedgeMesh) -> None:
         self.nodes = len(mesh.nodes)
@@ -376,7 +376,7 @@ class _Pattern:
 def _free_directions(mesh: WedgeMesh, base: Base, side: Side, deeper: int) -> sparse.csr_matrix:
     """Orthonormal directions in which each node may move, as columns over the components of all nodes.
 
-    deeper: levels of nodes below the mesh, the last of which lies on the base; the sides go on beside them
+    deeper: levels of nodes below the mesh, the last of which lies on the base; the sides continue along them
     """
     levels = mesh.levels + deeper
     count = levels * mesh.surface_nodes

@@ -1,9 +1,9 @@
-"""A factorised matrix as dense blocks, split into parts that threads solve side by side.
+"""A factorised matrix as dense blocks, split into parts that threads solve in parallel.
 
-SuperLU's own solve goes through both triangles number by number on one thread; the two passes over blocks
-(`warp_kernels.supernodes`, `warp_kernels.block_solves`) read half as much, in the order in which it lies, and what the
-elimination tree keeps apart is solved at the same time. For layers of 4000 to 7000 unknowns that is twice as fast on
-one thread, and three times on two.
+The solve of SuperLU goes through both triangles number by number on one thread. The two passes over blocks
+(`warp_kernels.supernodes`, `warp_kernels.block_solves`) read half as much, in storage order, and solve independent
+branches of the elimination tree at the same time. For layers of 4000 to 7000 unknowns that is twice as fast on one
+thread, and three times on two.
 """
 
 from dataclasses import dataclass
@@ -29,11 +29,11 @@ class Part(NamedTuple):
 
 @dataclass(frozen=True)
 class BlockFactor:
-    """What the kernels solve with. Unknowns are numbered by places: part by part, each padded to groups of WIDTH.
+    """The data of the solve kernels. Unknowns are numbered by places: part by part, each padded to groups of WIDTH.
 
-    size: places, a multiple of WIDTH; place: of each unknown of the matrix, shape (n,)
-    branches: parts that need nothing of one another; trunk: what all of them lead to
-    nodes: the blocks; widest: unknowns of the largest supernode; stored: numbers in all blocks
+    size: places, a multiple of WIDTH. place: of each unknown of the matrix, shape (n,).
+    branches: independent parts. trunk: the part to which all of them lead.
+    nodes: the blocks. widest: unknowns of the largest supernode. stored: numbers in all blocks.
     """
 
     size: int

@@ -1,4 +1,4 @@
-"""The mesh and the matrices of a slab or layer, for a wanted element size."""
+"""The mesh and the matrices of a slab or layer, for a given element size."""
 
 import numpy as np
 

@@ -92,7 +92,7 @@ class Cholesky:
         factor, trunk, threads = self._factor, self._factor.trunk, min(cores(), len(self._down))
         moved = np.zeros((factor.size + 1, columns.shape[1]))
         moved[factor.place] = columns
-        # What a branch takes from the trunk's right side: two must not write there at once
+        # Contribution of a branch to the right side of the trunk: two branches must not write there at once
         taken = [np.zeros((factor.size + 1 - trunk.first, columns.shape[1])) for _ in factor.branches]
         with one_blas_thread:
             apart = zip(factor.branches, taken, strict=True)
@@ -106,7 +106,7 @@ class Cholesky:
         return moved[factor.place]
 
     def _down_many(self, part: Part, moved: Float, trunk: Float) -> None:
-        """Forward pass of a part, in place; what it takes from the trunk's right side is added to `trunk`."""
+        """Forward pass of a part, in place; its contribution to the right side of the trunk is added to `trunk`."""
         first = self._factor.trunk.first
         for number in range(part.first_node, part.last_node):
             column, inverse, below, rows = self._block(number)
@@ -125,7 +125,7 @@ class Cholesky:
             own[...] = inverse.T @ (own - below.T @ moved[rows])
 
     def _block(self, number: int) -> tuple[int, Float, Float, Int]:
-        """First place of a supernode, the inverse of its own part, what is below, and the places of that."""
+        """First place of a supernode, the inverse of its own part, the part below, and its places."""
         column, size, groups, value, row = (int(values[number]) for values in self._nodes)
         own = -(-size // WIDTH)
         lines = self._values[value : value + (own + groups) * size].reshape(own + groups, size, WIDTH)

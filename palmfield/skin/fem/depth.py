@@ -4,10 +4,10 @@ u_x = i a(z) e^{ikx}, u_z = b(z) e^{ikx} make all matrices real and symmetric in
 int (K - 2/3 mu) (b' - k a)^2 + 2 mu (k^2 a^2 + b'^2) + mu (a' + k b)^2 - rho w^2 (a^2 + b^2) dz. In the K term a is
 projected on polynomials of one degree less, those of b': the volume then doesn't lock at any degree.
 
-Unknowns are the displacement of a sheet's top and its rise from there down, never that of both ends: what moves the
-whole depth together then strains it by nothing at all. Between two ends it is a difference of moduli over heights, in
-which thin free sheets under long slow waves drown: their inertia is 1e-10 of them, their loss less. Rounding made that
-loss negative, by up to 3e-5 of the impedance, so that such a foundation gave energy.
+Unknowns are the displacement of the top of a sheet and its rise from there down, never the displacement of both ends.
+So a rigid motion of the whole depth gives exactly 0 strain. Between two ends strain is a difference of moduli over
+heights. In it thin free sheets under long slow waves lose their digits: their inertia is 1e-10 of it, their loss less.
+Rounding made that loss negative, by up to 3e-5 of the impedance, so that such a foundation gave energy.
 """
 
 import functools
@@ -52,7 +52,7 @@ def impedance(
         s = -2j * math.pi * f_Hz
         rates = [base.tangential_Pa_m + base.tangential_Pa_s_m * s, base.normal_Pa_m + base.normal_Pa_s_m * s]
         return _without(_on(matrix, np.diag(rates)), [2, 3])
-    # A bottom that is held rises by minus the top's displacement.
+    # A fixed bottom rises by minus the displacement of the top.
     rising = {"bonded": [], "free_slip": [0], "free": [0, 1]}[base]
     moved = np.concatenate([np.eye(2), -np.eye(2)])
     moved[[2 + i for i in rising]] = 0.0
@@ -108,7 +108,7 @@ def _by_rise(degree: int, h: float) -> tuple[Float, Float, Float, Float]:
     whole = np.eye(degree + 1)
     whole[:, 0] = 1.0
     mass, slope, mixed, projected = (whole.T @ matrix @ whole for matrix in line_matrices(degree, h))
-    # What the derivative of 1 makes nothing of, and the others' integral: 1 for the lowest, which ends at 1.
+    # Zeros from the derivative of 1, and integrals of the other derivatives: 1 for the lowest, which ends at 1.
     slope[0], slope[:, 0], mixed[:, 0] = 0.0, 0.0, 0.0
     mixed[0, 1:] = np.arange(1, degree + 1) == degree
     return mass, slope, mixed, projected
@@ -136,7 +136,7 @@ def _unit_line(degree: int) -> tuple[Float, Float, Float, Float]:
 def line_matrices(degree: int, h: float) -> tuple[Float, Float, Float, Float]:
     """int N_i N_j, N_i' N_j', N_i N_j' and Pi N_i Pi N_j over a height h [m], by depth, each (degree + 1, degree + 1).
 
-    N: Lagrange functions of Lobatto's points, from the top down; Pi: projection on one degree less
+    N: Lagrange functions of Lobatto points, from the top down; Pi: projection on one degree less
     """
     mass, slope, mixed, projected = _unit_line(degree)
     return 0.5 * h * mass, 2.0 / h * slope, mixed, 0.5 * h * projected

@@ -1,8 +1,8 @@
-"""Sparse factors L L^T by dense blocks: which unknowns are eliminated together, and what that leaves of the others.
+"""Sparse factors L L^T by dense blocks: groups of unknowns that are eliminated together, and the remainder.
 
 Fronts (Duff & Reid, ACM Trans. Math. Softw. 9, 1983): a supernode is a run of unknowns with the same rows below. Its
-front is what the matrix and the supernodes before it leave in these columns; dense products carry the rest on to the
-next. What the elimination tree keeps apart is done side by side.
+front is the remainder of the matrix and of the supernodes before it in these columns; dense products carry the rest
+on to the next. Independent branches of the elimination tree run in parallel.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,15 +22,15 @@ from palmfield.types import Complex, Float, Int
 from warp_kernels import elimination as kernels
 
 BRANCHES = 2
-"""Parts that are worked on side by side. Not the number of cores: results repeat to the bit on any machine."""
+"""Parts that run in parallel. Not the number of cores: results repeat to the bit on any machine."""
 MOST_ADDED = 0.1
-"""Of the numbers of two supernodes, by which making one of them may grow the block."""
+"""Share of the numbers of two supernodes by which merging them may grow the block."""
 SMALLEST = 16
-"""Unknowns up to which supernodes are merged whatever that adds."""
+"""Unknowns up to which supernodes are merged at any cost."""
 COLUMNS = 32
-"""Of a complex block, up to which its root is taken column by column."""
+"""Size of a complex block up to which its root is computed column by column."""
 SPLIT = 256
-"""Rows from which the trunk's products are worth two threads."""
+"""Number of rows from which two threads pay for the products of the trunk."""
 
 
 @dataclass
@@ -61,7 +61,7 @@ def lower_triangle(matrix: Any, order: Int) -> sparse.csc_matrix:
 
 
 def supernodes(matrix: sparse.csc_matrix) -> list[Supernode]:
-    """Those of a symmetric matrix of which this is the lower triangle, csc (n, n), with a full diagonal."""
+    """Supernodes of a symmetric matrix from its lower triangle, csc (n, n), with a full diagonal."""
     parent, below = _tree(matrix.tocsr())
     count = len(parent)
     begins = np.ones(count, dtype=bool)
@@ -90,7 +90,7 @@ def _tree(matrix: sparse.csr_matrix) -> tuple[Int, Int]:
 
 
 def _merged(runs: list[Supernode]) -> list[Supernode]:
-    """Of runs one after another, made one where that adds few numbers."""
+    """Merge consecutive supernodes where that adds few numbers."""
     result: list[Supernode] = []
     for run in runs:
         result.append(run)
@@ -144,7 +144,7 @@ def branches(supernodes: list[Supernode]) -> list[list[int]]:
 
 
 def parents_of(supernodes: list[Supernode]) -> list[int]:
-    """The supernode in which each one's first row below lies, -1 where it has none."""
+    """The supernode that contains the first row below each one, -1 where it has none."""
     node_of = np.repeat(np.arange(len(supernodes)), [node.last - node.first for node in supernodes])
     return [int(node_of[node.rows[0]]) if len(node.rows) else -1 for node in supernodes]
 
@@ -168,10 +168,10 @@ def eliminate(
 ) -> None:
     """The factor L of a symmetric matrix L L^T, supernode by supernode.
 
-    matrix: its lower triangle, as for `supernodes`: real and positive definite, or complex with a real part that is so,
-        perhaps after a turn of phase; groups: of `branches`
-    take: is given each supernode's number, the inverse of its own part of L, lower triangular (w, w), and what L has
-        below, (rows, w); from several threads
+    matrix: its lower triangle, as for `supernodes`: real and positive definite, or complex with a positive definite
+        real part, perhaps after a turn of phase; groups: of `branches`.
+    take: called with the number of each supernode, the inverse of its own part of L, lower triangular (w, w), and the
+        part of L below, (rows, w); from several threads.
     Raises RuntimeError where a real matrix is not positive definite, or a complex one's pivot is 0.
     """
     parents = parents_of(supernodes)
@@ -216,7 +216,7 @@ def _real_root(own: Float) -> Float:
 
 
 def _complex_root(own: Complex) -> Complex:
-    """As `_real_root`, without conjugates, which no library has: by halves, down to a few columns."""
+    """As `_real_root`, without conjugates, which no library offers: by halves, down to a few columns."""
     size = len(own)
     inverse = np.zeros((size, size), dtype=complex)
     if size <= COLUMNS:
@@ -237,9 +237,9 @@ def _complex_root(own: Complex) -> Complex:
 
 
 def _front(matrix: sparse.csc_matrix, node: Supernode, before: list[tuple[Int, Any]]) -> tuple[Any, Any]:
-    """A supernode's columns, (w + rows, w), and the sum of what others leave for the rows below, (rows, rows).
+    """Columns of a supernode, (w + rows, w), and the sum of the remainders for the rows below, (rows, rows).
 
-    Of symmetric parts the lower triangles are right. before: rows and what is left there, of each one before.
+    Of symmetric parts the lower triangles are valid. before: rows and remainder of each supernode before.
     """
     first, last, rows = node.first, node.last, node.rows
     size = last - first

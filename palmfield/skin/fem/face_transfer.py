@@ -1,4 +1,4 @@
-"""Between a layer's wedges and the same face on another mesh: pressure goes there, motion comes back."""
+"""Transfer between the wedges of a layer and the same face on another mesh: pressure goes there, motion comes back."""
 
 import numpy as np
 from scipy import sparse
@@ -12,13 +12,13 @@ from palmfield.types import Float
 
 
 class FaceTransfer:
-    """What a stepper on a mesh of its own needs to know of the wedges, of which loads and operators speak.
+    """Data on the wedges, which define loads and operators, for a stepper on its own mesh.
 
-    system: of the wedges; points: nodes of the other face [m], shape (f, 3)
-    weights: motion of the wedges' surface nodes by that of the other face's nodes, csr, shape (S, f)
-    pressure: pressure at the other face's nodes [Pa] by pressure at the layer's quadrature points, csr, shape (f, q):
-        the quadratic polynomial through the six points of each triangle
-    motion: unknowns of the wedges by displacement of the other face's nodes, csr, shape (ndof, 3 f); 0 below the face
+    system: of the wedges. points: nodes of the other face [m], shape (f, 3).
+    weights: motion of the wedges' surface nodes by that of the other face's nodes, csr, shape (S, f).
+    pressure: pressure at the nodes of the other face [Pa] by pressure at the layer's quadrature points, csr, shape
+        (f, q): the quadratic polynomial through the six points of each triangle.
+    motion: unknowns of the wedges by displacement of the other face's nodes, csr, shape (ndof, 3 f); 0 below the face.
     """
 
     def __init__(self, system: SkinSystem, points: Float, weights: sparse.csr_matrix) -> None:
@@ -36,7 +36,7 @@ class FaceTransfer:
         self._below = unknowns[:, nodes:]
 
     def reader(self, operator: sparse.csr_matrix) -> Reader:
-        """Reads displacement and velocity of the other face's nodes as an operator (m, ndof) on the wedges would.
+        """Read displacement and velocity of the nodes of the other face as an operator (m, ndof) on the wedges would.
 
         Raises SceneError for another number of columns and for an operator that reads below the surface.
         """
@@ -51,13 +51,13 @@ class FaceTransfer:
 
 
 def read(motion: Float, reader: Reader) -> Float:
-    """Displacement and velocity, shape (s, 2, m), by those of the other face's nodes, shape (s, 2, f, 3)."""
+    """Displacement and velocity, shape (s, 2, m), by those of the nodes of the other face, shape (s, 2, f, 3)."""
     flat = motion.reshape(2 * len(motion), -1)
     return np.ascontiguousarray((reader.matrix @ flat.T).T).reshape(len(motion), 2, reader.count)
 
 
 def ends_of_substeps(pressure: sparse.csr_matrix, patterns: Float, first: Float, last: Float) -> Float:
-    """Pressure at a face's nodes at both ends of each substep, shape (2 s, f), start and end in turn.
+    """Pressure at the nodes of a face at both ends of each substep, shape (2 s, f), start and end in turn.
 
     pressure: of FaceTransfer, (f, q); patterns: at the quadrature points [Pa], (k, q); first, last: weights, (s, k)
     """

@@ -1,4 +1,4 @@
-"""factorise(matrix).solve(right): the one place that knows which library factorises the skin's matrices."""
+"""factorise(matrix).solve(right): the only module that chooses the library that factorises the matrices of a skin."""
 
 import contextlib
 import threading
@@ -55,7 +55,7 @@ AnyFactor: TypeAlias = Factor | Cholesky | ComplexFactor | PardisoFactor
 
 
 def factorise(matrix: Any, order: Int | None = None) -> AnyFactor:
-    """What solves with a symmetric matrix whose real part, perhaps after a turn of phase, is positive definite.
+    """The solver of a symmetric matrix whose real part, perhaps after a turn of phase, is positive definite.
 
     matrix, order: as for `superlu`
     For real matrices PARDISO, where it is installed and not switched off; for others blocks of our own, where an order
@@ -72,7 +72,7 @@ def factorise(matrix: Any, order: Int | None = None) -> AnyFactor:
 
 
 def superlu(matrix: Any, order: Int | None = None) -> Factor:
-    """SuperLU's factors of a symmetric matrix whose real part, perhaps after a turn of phase, is positive definite.
+    """SuperLU factors of a symmetric matrix whose real part, perhaps after a turn of phase, is positive definite.
 
     matrix: sparse, shape (n, n), real or complex
     order: elimination order, old index by new place, shape (n,); None lets SuperLU find one (minimum degree)

@@ -1,10 +1,10 @@
-"""What lies below a meshed layer: springs and dashpots by area, or the rest of the depth as a foundation.
+"""Support below a meshed layer: springs and dashpots by area, or the rest of the depth as a foundation.
 
-A foundation has unknowns of its own under every node of the base: the displacement of its sheets at the Lobatto points
-of one polynomial in depth for each sheet (finite elements of that degree; laterally they are those of the mesh). Its
-impedance so depends on frequency and wavenumber as that of the sheets, resonances and relaxation among it. It is
-passive, its matrices being those of a solid that moves as its polynomials let it. The volume is projected as in
-element.py: at degree 2 a sheet is a row of wedges. It is flat: the base's curvature is left out below it.
+A foundation has its own unknowns under every node of the base: the displacement of its sheets at the Lobatto points
+of one polynomial in depth for each sheet (finite elements of that degree; laterally they are those of the mesh). So its
+impedance depends on frequency and wavenumber as that of the sheets, including resonances and relaxation. It is
+passive, because its matrices are those of a solid that moves as its polynomials allow. The volume is projected as in
+element.py: at degree 2 a sheet is a row of wedges. It is flat: the curvature of the base is left out below it.
 
 Degree that fit_foundation takes (bonded, 50 to 400 Hz, spots of 5, 10 and 20 mm), and its misfit:
 
@@ -14,10 +14,10 @@ Degree that fit_foundation takes (bonded, 50 to 400 Hz, spots of 5, 10 and 20 mm
 | forearm 8, 12, 20 mm | 3: 0.7 %, 2: 4.0 %, 3: 1.7 % | 2: 2.3 %, 2: 1.9 %, 2: 3.4 % |
 | Ecoflex 8, 12, 20 mm | 3: 0.9 %, 3: 1.4 %, 5: 1.5 % | 2: 2.8 %, 3: 0.7 %, 4: 4.7 % |
 
-It saves geometry, no time: a level of it costs what half a row of wedges does. A disc of 40 mm, palm 20 mm, under a
+It saves geometry, not time: one level costs as much as half a row of wedges. A disc of 40 mm, palm 20 mm, under a
 spot of 10.3 mm: three rows through the depth have 9450 unknowns, 0.57 s to factorise; two through a quarter of it, on
 degree 5, 14175 and 1.8 s.
-Springs, dashpots, masses and membranes by area, without unknowns of their own, missed by 10 to 50 % above 200 Hz
+Springs, dashpots, masses and membranes by area, without their own unknowns, had errors of 10 to 50 % above 200 Hz
 unless half the depth was meshed.
 """
 
@@ -40,16 +40,16 @@ FREQUENCIES_Hz = (50.0, 75.0, 100.0, 150.0, 200.0, 250.0, 300.0, 350.0, 400.0)
 WIDTHS_M = (0.005, 0.01, 0.02)
 MOST_DEGREE = 8
 PLACES = (0.0, 0.25, 0.5, 0.75, 1.0)
-"""Distances from a spot's centre at which the fit compares, in its widths."""
+"""Distances from the centre of a spot at which the fit compares, in its widths."""
 
 
 class BaseFace:
     """Integrals over the base of a mesh, of products of lateral functions; matrices over its nodal components.
 
     A matrix is csr of shape (3 S, 3 S), S the nodes of a level. Names of functions of the displacement: "along", "out"
-    (its tangential part; its part along the outward normal), "slope" (gradient of the latter), "strain", "stretch"
-    (symmetric surface gradient of the former; its trace), "out_linear" ("out" projected on each triangle's linear
-    functions, among which "stretch" is).
+    (its tangential part; its part along the outward normal). "slope" is the gradient of the latter. "strain", "stretch"
+    are the symmetric surface gradient of the former and its trace. "out_linear" is "out" projected on the linear
+    functions of each triangle, which include "stretch".
     """
 
     def __init__(self, mesh: WedgeMesh) -> None:
@@ -80,7 +80,7 @@ class BaseFace:
         }
 
     def product(self, first: str, second: str, by_triangle: Float | None = None) -> sparse.csr_matrix:
-        """int first second dA, each triangle's share times `by_triangle`, shape (triangles,), where given."""
+        """int first second dA, the share of each triangle times `by_triangle`, shape (triangles,), where given."""
         weights = self.weights if by_triangle is None else by_triangle[:, None] * self.weights
         a, b = self.functions[first], self.functions[second]
         return scatter(self.triangles, np.einsum("tq,tqaib,tqajc->tibjc", weights, a, b, optimize=True), self.size)
@@ -123,7 +123,7 @@ def sheet_mass(face: BaseFace, height_m: float, degree: int, by_triangle: Float 
 
 
 def rim_dashpots(mesh: WedgeMesh, material: Material, height_m: float, degree: int, f_Hz: float) -> sparse.csr_matrix:
-    """Damping [N s/m] of a sheet's side faces, by level as sheet_stiffness; f_Hz as for absorbing.side_dashpots."""
+    """Damping [N s/m] of the side faces of a sheet by level, as sheet_stiffness; f_Hz: see absorbing.side_dashpots."""
     edges = rim_edges(mesh)
     ends = mesh.nodes[edges + int(mesh.base[0])]
     length = np.linalg.norm(ends[:, 2] - ends[:, 0], axis=1)
@@ -152,10 +152,10 @@ def fit_foundation(
 ) -> Foundation:
     """The foundation of lowest degree that replaces the sheets `below` under the meshed sheets `above`.
 
-    fwhm_m: full widths of the Gaussian spots for which it must hold [m]; base: below the lowest sheet
-    frequencies_Hz: where it must hold [Hz], > 0; target: largest misfit allowed
+    fwhm_m: full widths of the Gaussian spots for which it must hold [m]; base: below the lowest sheet.
+    frequencies_Hz: where it must hold [Hz], > 0; target: largest misfit allowed.
     Its misfit at a frequency is the relative error of the complex normal displacement of the surface, the largest over
-    the widths and over PLACES from a spot's centre; the reference are the same sheets by polynomials of degree 12.
+    the widths and over PLACES from the centre of a spot. The reference is the same sheets by polynomials of degree 12.
     Elements above it add their own error.
     Raises SceneError for no sheets, a width or frequency not above 0, and where MOST_DEGREE misses.
     """
@@ -184,7 +184,7 @@ def fit_foundation(
 
 
 class _Case:
-    """A spot on the whole depth at one frequency: its motion, and what a foundation makes of it."""
+    """A spot on the whole depth at one frequency: its motion, and the motion with a foundation."""
 
     def __init__(
         self, above: Sequence[Sheet], below: Sequence[Sheet], base: BaseKind | Springs, fwhm_m: float, f_Hz: float
@@ -192,7 +192,7 @@ class _Case:
         width = spread(fwhm_m)
         nodes, rule = np.polynomial.legendre.leggauss(120)
         self.f_Hz = f_Hz
-        # A Gaussian's transform is e^{-12.5} at k = 5 / width.
+        # The transform of a Gaussian is e^{-12.5} at k = 5 / width.
         self.k = 2.5 / width * (1.0 + nodes)
         weights = 2.5 / width * rule * self.k * np.exp(-0.5 * (self.k * width) ** 2)
         self.transform = j0(np.outer(fwhm_m * np.array(PLACES), self.k)) * weights

@@ -48,7 +48,7 @@ class Term:
 
 
 class Scheme:
-    """One step of generalised-alpha for a system, as numbers: what is solved, and what goes in and out.
+    """One step of generalised-alpha for a system, as numbers: the matrices to solve, and the inputs and outputs.
 
     A state S has r rows of n numbers: displacement u [m], velocity v [m/s], acceleration a [m/s^2] and the internal
     displacement q [m] of every branch of every part. Over a step the new displacement x solves
@@ -56,8 +56,8 @@ class Scheme:
         = (1 - alpha_f) force_end + alpha_f force_start + sum over terms of matrix @ (row @ S),
     then the new state is advance @ S + follow x.
 
-    step_s [s], rho_inf: as for WedgeStepper; state_rows: r; terms: only matrices that hold anything
-    advance: (r, r); follow: (r,)
+    step_s [s], rho_inf: as for WedgeStepper; state_rows: r; terms: only non-zero matrices.
+    advance: (r, r); follow: (r,).
     Raises SceneError for a step <= 0 or rho_inf outside 0..1.
     """
 
@@ -99,8 +99,8 @@ class Scheme:
         self.terms = [term for term in terms if term.matrix.nnz]
 
     def stiffened(self, parts: int) -> list[float]:
-        """What a step makes of G / G_r of the last so many terms, those of a body's parts: how much stiffer the matrix
-        that it solves with takes them than what doesn't relax."""
+        """Factor of G / G_r in a step of the last terms, those of the parts of a body: how much stiffer the matrix that
+        is solved takes them than the terms without relaxation."""
         return [term.coefficient / (1.0 - self.alpha_f) for term in self.terms[-parts:]]
 
     def effective(self) -> sparse.csr_matrix:

@@ -1,6 +1,6 @@
 """Sparse matrices by groups of rows with numbers in the same columns, as `warp_kernels.supernodes` multiplies them.
 
-A product number by number waits for each number's column; by groups of ROWS rows a column is looked up once for all.
+A product number by number waits for the column of each number; by groups of ROWS rows a column is looked up once.
 """
 
 from collections.abc import Sequence
@@ -18,11 +18,11 @@ from warp_kernels.supernodes import ROWS, GroupedRows, rows_of_group
 def grouped_rows(
     matrices: Sequence[sparse.csr_matrix], ranges: Sequence[tuple[int, int]]
 ) -> tuple[GroupedRows, list[tuple[int, int]]]:
-    """The matrices side by side, shape (n, m n), with the groups of each range of rows together.
+    """The matrices next to each other, shape (n, m n), with the groups of each range of rows together.
 
-    matrices: m of them, csr (n, n); ranges: first row of each, and the one after its last; together all rows that hold
-        numbers, and none twice
-    Returns, beside them, the first group of each range and the one after its last.
+    matrices: m of them, csr (n, n); ranges: first row of each, and the one after its last; together all non-zero rows,
+        each once.
+    Also returns the first group of each range and the one after its last.
     """
     n = matrices[0].shape[0]
     rows, starts, columns, values, groups = [], [np.zeros(1, np.int64)], [], [], []

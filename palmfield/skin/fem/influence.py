@@ -1,7 +1,7 @@
-"""How much pressure at each place of a skin moves one point of it: what an answer at that point is for every load.
+"""Influence of pressure at each place of a skin on one point: gives the response of that point to every load.
 
-The matrices Z are symmetric, so that what a point of displacement Z^-1 f reads is read Z^-1 f = (Z^-1 read^T)^T f: one
-solution for the point serves all pressures. It is kept on disk, where a factor would take a thousand times the room.
+The matrices Z are symmetric, so that a reading of displacement Z^-1 f is read Z^-1 f = (Z^-1 read^T)^T f: one
+solution for the point serves all pressures. It is stored on disk; a factor would take a thousand times the space.
 """
 
 from palmfield import cache
@@ -28,7 +28,7 @@ def static_influence(system: SkinSystem, quadrature: SurfaceQuadrature, point: F
 def harmonic_influence(
     system: SkinSystem, quadrature: SurfaceQuadrature, point: Float, f_Hz: float, step_s: float | None = None
 ) -> tuple[Complex, Complex]:
-    """The same under e^{-i w t}: exact in time, and as the scheme of WedgeStepper has it, shapes (q,) [m/Pa].
+    """The same under e^{-i w t}: exact in time, and by the scheme of WedgeStepper, shapes (q,) [m/Pa].
 
     f_Hz: frequency [Hz]; step_s: substep of the scheme [s]; None leaves the second as the first
     """

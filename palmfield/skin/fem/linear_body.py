@@ -1,4 +1,4 @@
-"""What steppers and reductions need of a viscoelastic body: its matrices, whatever they were assembled from."""
+"""Interface of a viscoelastic body for steppers and reductions: its matrices, from any assembly."""
 
 from collections.abc import Sequence
 from typing import Any, Protocol

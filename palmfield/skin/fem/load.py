@@ -22,25 +22,25 @@ from palmfield.skin.stepper import SurfaceLoads
 from palmfield.types import Float, Int, Patch
 
 MOST_HALVINGS = 4
-"""Quarterings of a triangle under a traction's points, at most."""
+"""Limit of the quarterings of a triangle under the points of a traction."""
 
 STEEPEST = 3.0
-"""Longest edge of a triangle of a traction's points over the longest seen from above, from which it is left out."""
+"""Longest edge of a triangle of a traction over its longest seen from above, from which the triangle is left out."""
 
 COVERED = 0.2
-"""By which the surface between points about a body may differ from their areas."""
+"""Largest relative difference of the surface between points about a body from their areas."""
 
 WRAPPED = 0.1
-"""Share of such triangles above which the points lie about a body."""
+"""Share of such triangles above which the points count as points about a body."""
 
 
 class SurfaceQuadrature:
-    """Points at which the pressure on the skin is wanted, and the operator that makes nodal forces of it.
+    """Points of the pressure on the skin, and the operator from it to nodal forces.
 
-    halvings: how often each triangle is quartered for it; only: numbers of the triangles it covers, by default all
-    points: positions [m], shape (q, 3); six in each of these (Dunavant, degree 4), triangle by triangle
-    normals: unit outward normals, shape (q, 3); weights: areas [m^2], shape (q,), which sum to the surface's area
-    operator: csr, shape (n free degrees of freedom, q) [m^2]: force = operator @ inward normal pressure
+    halvings: how often each triangle is quartered for it. only: numbers of the triangles it covers, by default all.
+    points: positions [m], shape (q, 3); six in each of these (Dunavant, degree 4), triangle by triangle.
+    normals: unit outward normals, shape (q, 3). weights: areas [m^2], shape (q,), which sum to the surface area.
+    operator: csr, shape (n free degrees of freedom, q) [m^2]: force = operator @ inward normal pressure.
     """
 
     def __init__(self, mesh: WedgeMesh, system: SkinSystem, halvings: int = 0, only: Int | None = None) -> None:
@@ -78,7 +78,7 @@ class SurfaceQuadrature:
 
 
 def halvings_for(corners: Float, weights_m2: Float) -> int:
-    """How often to quarter triangles, (t, 3, 3) [m], so that their rule is about as close as points of such areas."""
+    """Number of quarterings of triangles, (t, 3, 3) [m], for a rule about as close as points of such areas."""
     edge = float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean())
     spacing = math.sqrt(float(np.median(weights_m2)))
     return int(np.clip(math.ceil(math.log2(max(0.5 * edge / spacing, 1.0))), 0, MOST_HALVINGS))
@@ -94,11 +94,11 @@ def quartered_rule(halvings: int) -> tuple[Float, Float]:
 
 
 def face_points(patch: Patch, halvings: int = 1) -> tuple[Float, Float]:
-    """Points of a patch and the area that each stands for, for a Traction on it: shapes (q, 3) [m] and (q,) [m2].
+    """Points of a patch and the area of each, for a Traction on it: shapes (q, 3) [m] and (q,) [m2].
 
-    They are those of the quadrature of its own triangles, each cut into 4^halvings: where elements are these, forces at
-    the points are the load itself. On others the pressure is linear between the points (`sampled`).
-    halvings: how often the triangles are going to be quartered, which wedges do once or twice
+    They are the quadrature points of its own triangles, each cut into 4^halvings. On elements that are these triangles,
+    forces at the points are exactly the load. On others the pressure is linear between the points (`sampled`).
+    halvings: how often the triangles will be quartered; wedges do so once or twice.
     """
     points, weights = quartered_rule(halvings)
     corners = patch.vertices[patch.faces]
@@ -109,12 +109,12 @@ def face_points(patch: Patch, halvings: int = 1) -> tuple[Float, Float]:
 
 
 def sampled(mesh: WedgeMesh, system: SkinSystem, load: Traction) -> sparse.csr_matrix:
-    """Nodal forces [N] of pressures [Pa] at a traction's points, csr, shape (n, p).
+    """Nodal forces [N] of pressures [Pa] at the points of a traction, csr, shape (n, p).
 
     The pressure is that of `field_at`, integrated on a rule about as close as the points lie. Forces at the points
-    themselves, of the areas that they stand for, would be a rough load on elements not much larger than those, to which
-    a thin layer answers more than to a smooth one: a bonded layer of 1 mm round a bone moved up to 200 times too far.
-    They are left for points that are `alone`, and for the rule's own points on a body (`face_points`).
+    themselves, of their areas, would be a rough load on elements not much larger than those areas. A thin layer answers
+    more to a rough load than to a smooth one: a bonded layer of 1 mm round a bone moved up to 200 times too far. Such
+    forces remain for points that are `alone`, and for the points of the rule on a body (`face_points`).
     """
     probe = SurfaceProbe(mesh, load.points, system)
     forces = sparse.csr_matrix(-(probe.operator.T @ sparse.diags(load.weights_m2)))
@@ -135,16 +135,16 @@ def sampled(mesh: WedgeMesh, system: SkinSystem, load: Traction) -> sparse.csr_m
 def field_at(
     load: Traction, normals: Float, places: Float, facing: Float, weights_m2: Float | None
 ) -> sparse.csr_matrix:
-    """Shares of the pressures at a traction's points in the pressure at places of a face, csr, shape (q, p).
+    """Shares of the pressures at the points of a traction in the pressure at places of a face, csr, shape (q, p).
 
-    The pressure is linear between the points and reaches half a spacing beyond the outermost as it is there.
+    The pressure is linear between the points and constant over half a spacing beyond the outermost.
     Points seen from above are joined by Delaunay triangles in x and y. Skin above or below a triangle, farther from it
-    than its longest edge, has no pressure. Points about a body are joined by triangles in its own surface. The
-    forces of points on a line, or whose areas are not what lies between them, are spread over discs of these areas.
-    The mean of the pressure's size over the load's times pushes with the areas that the points stand for.
+    than its longest edge, has no pressure. Points about a body are joined by triangles in its own surface. If points
+    are on a line, or their areas are not those between them, their forces are spread over discs of these areas.
+    The mean size of the pressure over the times of the load pushes with the areas of the points.
 
-    normals: outward unit normals at the points, (p, 3); places [m], facing: the same of the face, (q, 3)
-    weights_m2: area of each place, (q,), by which the force is kept; None: pressures alone are wanted
+    normals: outward unit normals at the points, (p, 3); places [m], facing: the same of the face, (q, 3).
+    weights_m2: area of each place, (q,), by which the force is kept. None: only pressures are needed.
     """
     net = seen_from_above(load)
     if net:
@@ -174,11 +174,11 @@ def alone(between: sparse.csr_matrix, load: Traction) -> NDArray[np.bool_]:
 
 
 def face_pressure(load: Traction, nodes: Int, shares: Float, places: Float, area_m2: Float) -> sparse.csr_matrix:
-    """Pressure at a face's nodes by unit pressures at a traction's points, csr, shape (s, p), whose forces are kept.
+    """Pressure at the nodes of a face by unit pressures at the points of a traction, csr, shape (s, p), forces kept.
 
     nodes, shares: nodes of the face round each place and their shares there, both (q, k); each node is given the mean
-    of the pressure over its own part of the face
-    places: of a rule on all of the face, [m], (q, 3); area_m2: area vectors of the places, outward, (q, 3)
+    of the pressure over its own part of the face.
+    places: of a rule on all of the face, [m], (q, 3); area_m2: area vectors of the places, outward, (q, 3).
     """
     weights = np.linalg.norm(area_m2, axis=1)
     facing = area_m2 / weights[:, None]
@@ -195,7 +195,7 @@ def face_pressure(load: Traction, nodes: Int, shares: Float, places: Float, area
 
 
 def of_rule(mesh: WedgeMesh, system: SkinSystem, points: Float) -> bool:
-    """Whether points are those of the rule of the mesh's triangles, however often quartered."""
+    """Whether points are those of the rule of the triangles of the mesh, however often quartered."""
     halvings = math.log(len(points) / (len(triangle_rule()[0]) * len(mesh.surface_triangles6)), 4.0)
     if halvings < 0.0 or not halvings.is_integer():
         return False
@@ -206,10 +206,10 @@ def of_rule(mesh: WedgeMesh, system: SkinSystem, points: Float) -> bool:
 
 @dataclass(frozen=True)
 class Net:
-    """Triangles in x and y between a traction's points and others half a spacing beyond the outermost.
+    """Triangles in x and y between the points of a traction and others half a spacing beyond the outermost.
 
-    points: [m], (m, 3); owner: whose pressure each has, (m,); delaunay: of their x and y
-    longest_m: edge of each triangle [m]; steep: triangles that are left out
+    points: [m], (m, 3). owner: point whose pressure each has, (m,). delaunay: of their x and y.
+    longest_m: edge of each triangle [m]. steep: triangles that are left out.
     """
 
     points: Float
@@ -221,7 +221,7 @@ class Net:
     def between(self, places: Float, count: int) -> sparse.csr_matrix:
         """Shares of the pressures at `count` points in that at places [m] (q, 3), csr, shape (q, count)."""
         net = self.delaunay
-        # Triangles of places outside are sought among all of them, one by one
+        # Outer places search among all triangles, one by one
         low, high = net.min_bound, net.max_bound
         near = np.flatnonzero(np.all((places[:, :2] >= low) & (places[:, :2] <= high), axis=1))
         hull = ConvexHull(net.points).equations
@@ -240,7 +240,7 @@ class Net:
 
 
 def seen_from_above(load: Traction) -> Net | None:
-    """The net of a traction's points; None for points on a line or about a body, and whose areas leave gaps."""
+    """The net of the points of a traction; None for points on a line or about a body, and whose areas leave gaps."""
     flat = load.points[:, :2]
     if len(flat) < 3 or np.linalg.matrix_rank(flat - flat.mean(axis=0), tol=1e-9) < 2:
         return None
@@ -298,8 +298,8 @@ class PressureHistory:
     def loads(self, clock: Float) -> SurfaceLoads:
         """The loads of the substeps between rising times [s], (s + 1,), for a stepper with `operator` as its inputs.
 
-        Each substep's straight line has the load's own impulse and first moment. Where the load itself is a straight
-        line over the substep, that is the load; a jump or a bend inside it keeps its effect to second order.
+        The straight line in each substep has the impulse and first moment of the load. If the load is a straight line
+        over the substep, that is the load; a jump or a bend inside it keeps its effect to second order.
         """
         course = self._weight if self._shape is not None else self.pressure
         ends = [self._ends(course, *step) for step in itertools.pairwise(clock.tolist())]
@@ -328,7 +328,7 @@ class PressureHistory:
         return self.operator @ self.pressure(float(self.knots_s[-1]))
 
     def pressure(self, t: float) -> Float:
-        """Pressure [Pa] at the load's points at time t [s]; 0 before the first time, at rest after the last."""
+        """Pressure [Pa] at the points of the load at time t [s]; 0 before the first time, at rest after the last."""
         if self._shape is not None:
             return self._weight(t) * self._shape
         weights = self._knot_weights(t)
@@ -342,7 +342,7 @@ class PressureHistory:
         return float(self._knot_weights(t) @ np.asarray(self.load.peak_Pa))
 
     def _knot_weights(self, t: float) -> Float:
-        """Weight of the load at each of its own times at time t [s], shape (f,)."""
+        """Weight of each of the load's own times at time t [s], shape (f,)."""
         place, share = self._between(t)
         weights = np.zeros(len(self.knots_s))
         if place >= 0:
@@ -363,5 +363,5 @@ class PressureHistory:
 
 
 def bell(points: Float, centre: Float, fwhm_m: float) -> Float:
-    """A spot's share of its peak at points (n, 3), by their distance from its centre (2,) in x and y."""
+    """Share of the peak of a spot at points (n, 3), by their distance from its centre (2,) in x and y."""
     return np.exp(-GAUSSIAN * ((points[:, :2] - centre) ** 2).sum(axis=1) / fwhm_m**2)

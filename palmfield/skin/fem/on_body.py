@@ -1,4 +1,4 @@
-"""The part of a traction that lies on a body, given by points of the body's own face."""
+"""The part of a traction that lies on a body, given by points of the face of the body."""
 
 import math
 from dataclasses import replace
@@ -13,18 +13,18 @@ from palmfield.skin.problem import Body, Layer, Load, Slab, Spot, Traction, norm
 from palmfield.types import Float
 
 ROUND_OFF = 1e-6
-"""Of a point's spacing, by which it or its area may reach over a slab's side."""
+"""Share of the spacing of points by which a point or its area may reach over the side of a slab."""
 BESIDE = 0.05
-"""The same over the rim of a layer, whose triangles lie somewhat beside the surface that they stand for."""
+"""The same over the rim of a layer, whose triangles lie slightly off the surface that they represent."""
 PARTS = 3
 """Places across a cell of the face, over which its pressure is a mean."""
 
 
 def on_body(body: Body, load: Load) -> Load:
-    """A load without what lies off the body; the same load where all of it lies there.
+    """A load without the part off the body; the same load if all of it is on the body.
 
-    A spot is returned as it is. Where the areas of a traction's points reach over a slab's side or a layer's rim, the
-    pressure between its points is sampled at points of the face that stand for all of the face that is pressed. Points
+    A spot is returned unchanged. If areas of the points of a traction reach over the side of a slab or the rim of a
+    layer, the pressure between its points is sampled at points of the face, which cover the whole pressed face. Points
     that are alone, or on a line, press with their whole area where they lie on the body.
     """
     if isinstance(load, Spot) or len(load.points) == 0:
@@ -54,7 +54,7 @@ def _part(load: Traction, kept: NDArray[np.bool_]) -> Traction:
 
 
 def off_face(body: Body, points: Float) -> Float:
-    """Distance along the face from points [m], (n, 3), to a slab's sides or a layer's rim; 0 on the body, (n,)."""
+    """Distance along the face from points [m], (n, 3), to the sides of a slab or the rim of a layer; 0 on it, (n,)."""
     if isinstance(body, Slab):
         return np.maximum(-distance_to_sides(body, points[:, :2]), 0.0)
     away = points - closest_on_triangles(body.patch.vertices[body.patch.faces], points)[1]

@@ -1,7 +1,7 @@
 """PARDISO of Intel's MKL, where the extra `mkl` is installed: real symmetric positive definite matrices.
 
-It factorises a palm's layer in a sixth of SuperLU's time. Its sums depend on the processor and the number of threads
-(see MKL_CBWR and MKL_NUM_THREADS of MKL). The environment's PALMFIELD_PARDISO=off leaves it alone.
+It factorises the layer of a palm in a sixth of the time of SuperLU. Its sums depend on the processor and the number of
+threads (see MKL_CBWR and MKL_NUM_THREADS of MKL). The environment variable PALMFIELD_PARDISO=off disables it.
 """
 
 import functools
@@ -62,7 +62,7 @@ class PardisoFactor:
         self._solver = package.PyPardisoSolver(mtype=POSITIVE_DEFINITE)
         self._process = os.getpid()
         self._lock = threading.Lock()
-        # MKL's memory is not Python's
+        # The memory of MKL is not managed by Python
         self._free = weakref.finalize(self, _free, self._solver, self._process)
         try:
             self._solver.factorize(self._upper)

@@ -1,4 +1,4 @@
-"""Motion of the skin's surface, at its nodes and at points of one's choice, from a layer's unknowns."""
+"""Motion of the skin surface, at its nodes and at given points, from the unknowns of a layer."""
 
 import numpy as np
 from scipy import sparse
@@ -15,11 +15,11 @@ from palmfield.types import Float, Int
 class SurfaceProbe:
     """Normal displacement at points of the skin.
 
-    points: positions [m], shape (n, 3); each is moved to the closest point of the surface
-    closest: those points [m], (n, 3); triangles: what they lie in, (n,), and local: where, as xi and eta, (n, 2)
-    distance: how far each moved [m], (n,); normals: outward normals there, (n, 3)
-    operator: csr, shape (n, free degrees of freedom): displacement along the outward normal = operator @ u
-    vectors: csr, shape (3 n, free degrees of freedom): displacement, three components a point = vectors @ u
+    points: positions [m], shape (n, 3); each is moved to the closest point of the surface.
+    closest: those points [m], (n, 3). triangles: those that contain them, (n,). local: their xi and eta, (n, 2).
+    distance: how far each moved [m], (n,). normals: outward normals there, (n, 3).
+    operator: csr, shape (n, free degrees of freedom): displacement along the outward normal = operator @ u.
+    vectors: csr, shape (3 n, free degrees of freedom): displacement, three components per point = vectors @ u.
     Raises SceneError unless points is (n, 3) and finite.
     """
 
@@ -45,9 +45,9 @@ class SurfaceProbe:
 
 
 def nearest_on_surface(mesh: WedgeMesh, points: Float) -> tuple[Float, Float, Int, Float]:
-    """The closest points [m] of a mesh's surface, shape (n, 3), and the outward normals there, (n, 3).
+    """The closest points [m] of the surface of a mesh, shape (n, 3), and the outward normals there, (n, 3).
 
-    Also what triangles they lie in, (n,), and where, as xi and eta, (n, 2). points: [m], shape (n, 3)
+    Also the triangles that contain them, (n,), and their xi and eta, (n, 2). points: [m], shape (n, 3)
     """
     corners = mesh.nodes[mesh.surface_triangles6[:, :3]]
     triangles, closest = closest_on_triangles(corners, points)
@@ -62,7 +62,7 @@ def closest_on_triangles(corners: Float, points: Float) -> tuple[Int, Float]:
     reach = np.linalg.norm(corners - centroids[:, None], axis=2).max()
     tree = cKDTree(centroids)
     nearest, _ = tree.query(points)
-    # The nearest centroid lies on the surface, so the closest triangle's own centroid is within `reach` of that far.
+    # The nearest centroid lies on the surface, so the centroid of the closest triangle is within `reach` of that far.
     lists = tree.query_ball_point(points, nearest + reach)
     counts = np.array([len(result) for result in lists])
     candidates = np.concatenate([np.asarray(result, dtype=np.int64) for result in lists])

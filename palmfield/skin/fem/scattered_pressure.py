@@ -11,7 +11,7 @@ from palmfield.types import Float, Int
 NEIGHBOURS = 9
 """Points nearest to a place, of which three are the corners of the triangle round it."""
 CLOSEST = 6
-"""Points, the own among them, over which the spacing is a mean: those of a triangle's rule stand for unlike areas."""
+"""Number of points, with the point itself, in the mean of the spacing: points of a triangle's rule differ in area."""
 LONGEST = 3.0
 """Spacings that a corner is off at most: wider gaps have no pressure."""
 DISC = 1.0 / np.sqrt(np.pi)
@@ -26,13 +26,13 @@ CHUNK = 20_000
 def between_points(points: Float, normals: Float, areas_m2: Float, places: Float, facing: Float) -> sparse.csr_matrix:
     """Shares of the pressures at points in that at places, csr, shape (q, p): linear on triangles between the points.
 
-    Rows sum to 1 or, where there is no pressure, to 0. Of the triangles of near points round a place, in the plane that
-    touches the surface there, it is the one whose corners' squared distances have the least mean, which is Delaunay's
-    (Rajan 1994, Discrete Comput. Geom. 12, 189). A place outside all triangles has the pressure of the nearest point,
-    as far as a disc of its area reaches.
+    Rows sum to 1 or, where there is no pressure, to 0. The triangle of a place is one of near points, in the plane that
+    touches the surface there: the one whose corners have the least mean squared distance, which is Delaunay's (Rajan
+    1994, Discrete Comput. Geom. 12, 189). A place outside all triangles has the pressure of the nearest point, up to
+    the radius of a disc of its area.
 
-    points, normals: [m] and outward unit vectors, shape (p, 3); areas_m2: that each point stands for, (p,)
-    places, facing: the same of the places, shape (q, 3)
+    points, normals: [m] and outward unit vectors, shape (p, 3). areas_m2: of each point, (p,).
+    places, facing: the same of the places, shape (q, 3).
     """
     tree = cKDTree(points)
     spacing = _spacing(tree, points, areas_m2)

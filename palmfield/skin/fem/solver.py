@@ -1,4 +1,4 @@
-"""Motion of a skin layer: static, harmonic, and what generalised-alpha makes of a harmonic load."""
+"""Motion of a skin layer: static, harmonic, and harmonic by generalised-alpha."""
 
 import cmath
 import math
@@ -20,7 +20,7 @@ ITERATED, MOST_ITERATIONS = 1e-9, 24
 def static(system: SkinSystem, force: Float) -> Float:
     """Displacement [m], (ndof,), under a force [N] that has acted for ever: the branches are relaxed.
 
-    Raises SceneError for a body that nothing holds.
+    Raises SceneError for a body without support.
     """
     if not system.supported:
         raise SceneError(
@@ -72,7 +72,7 @@ def harmonic_both(system: SkinSystem, force: Float, f_Hz: float, step_s: float) 
 def discrete_weights(
     system: SkinSystem, f_Hz: float, step_s: float, rho_inf: float = RHO_INF
 ) -> tuple[complex, complex, list[complex]]:
-    """What stands before mass, damping and the parts' stiffnesses in the scheme's z-symbol."""
+    """Factors of mass, damping and the stiffnesses of the parts in the z-symbol of the scheme."""
     alpha_m, alpha_f, beta, gamma = alpha_weights(rho_inf)
     z = cmath.exp(-2j * math.pi * f_Hz * step_s)
     # u (z - 1) = h v + h^2 a (1/2 - beta + beta z) and v (z - 1) = h a (1 - gamma + gamma z).

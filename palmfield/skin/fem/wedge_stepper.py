@@ -16,7 +16,7 @@ import numpy as np
 import warp as wp
 from scipy import sparse
 
-# SciPy's products take ten Python calls around these, which add to what is there: y += A x.
+# SciPy's products take ten Python calls around these, which add in place: y += A x.
 from scipy.sparse._sparsetools import csr_matvec
 
 from palmfield.device import filled, recorded
@@ -30,17 +30,17 @@ from palmfield.types import Float, Float32
 from warp_kernels import supernodes as kernels
 
 STORED_PER_THREAD = 250_000
-"""Fewest numbers of the blocks worth a thread of its own."""
+"""Fewest numbers of the blocks per thread."""
 
 
 @dataclass(frozen=True)
 class _Room:
-    """What a call works in, and the launches that work there. All is numbered by the places of the factor.
+    """The work arrays of a call, and the launches on them. All is numbered by the places of the factor.
 
-    rows: the state, (r, size); forces: of patterns, (k, size); weights: of the patterns in the coming substep, (k,)
-    add_up: makes the sums of rows that the first substep takes
-    begin: each branch's way down to the trunk; trunk: what is between; turn: each branch's way up, and down again; end:
-    the way up
+    rows: the state, (r, size). forces: of patterns, (k, size). weights: of the patterns in the coming substep, (k,).
+    add_up: makes the sums of rows for the first substep.
+    begin: pass of each branch down to the trunk; trunk: the part between; turn: pass of each branch up, and down again;
+    end: the pass up.
     """
 
     rows: Float
@@ -56,9 +56,9 @@ class _Room:
 class WedgeStepper(SkinStepper):
     """The whole layer; see SkinStepper.
 
-    inputs: csr, shape (n, q): consistent nodal force [N] = inputs @ inward pressure [Pa]
-    step_s: length of a substep [s]; rho_inf: spectral radius at infinite frequency, 0 (L-stable: what the step cannot
-        resolve is gone at once) to 1 (none is lost); 0.8 takes unresolved pressure waves to a tenth in ten steps
+    inputs: csr, shape (n, q): consistent nodal force [N] = inputs @ inward pressure [Pa].
+    step_s: length of a substep [s]; rho_inf: spectral radius at infinite frequency, 0 (L-stable: unresolved motion
+        disappears at once) to 1 (none is lost); 0.8 reduces unresolved pressure waves to a tenth in ten steps.
     A state has a row of n numbers each for displacement [m], velocity [m/s], acceleration [m/s^2] and the internal
     displacement [m] of every branch of every part.
     Raises SceneError for a step <= 0 or rho_inf outside 0..1.
@@ -95,7 +95,7 @@ class WedgeStepper(SkinStepper):
         mix = self._alpha_f * loads.first + (1.0 - self._alpha_f) * loads.last
         worlds, substeps, _ = mix.shape
         seen = None if observe is None else np.zeros((worlds, substeps, 2, observe.count))
-        # One after the other: a world's matrices come through the cache once a substep, whoever else is stepped
+        # In sequence: the matrices of a world come through the cache once a substep, whichever other worlds are stepped
         for i in range(worlds):
             self._step_one(state[i], loads.pressure_Pa[i], mix[i], observe, None if seen is None else seen[i])
         return seen

@@ -1,7 +1,7 @@
-"""Named skin materials, how sure their numbers are, and the layered skin of the hand.
+"""Named skin materials, the uncertainty of their numbers, and the layered skin of the hand.
 
-`preset(name)` gives a Material; `CATALOGUE` has, beside it, the range of its numbers and the measurements with which
-tests compare it. docs/materials.md is made from these. Modules `law_*` of this package add their `PRESETS`.
+`preset(name)` gives a Material. `CATALOGUE` also has the range of its numbers and the measurements with which tests
+compare it. docs/materials.md is made from these. Modules `law_*` of this package add their `PRESETS`.
 """
 
 from dataclasses import dataclass, replace
@@ -177,7 +177,7 @@ PRESETS: dict[str, Material] = {name: entry.material for name, entry in CATALOGU
 
 
 def preset(name: str) -> Material:
-    """The material of that name in PRESETS. Raises SceneError with the known names otherwise."""
+    """The material of that name in PRESETS. Raises SceneError, with the available names, for another."""
     if name not in PRESETS:
         near = did_you_mean(name, PRESETS)
         raise SceneError(f"skin material '{name}' is not known{near}; use one of {', '.join(sorted(PRESETS))}")
@@ -225,10 +225,10 @@ TISSUES = (
 def hand_skin(site: str, depth_m: float | None = None) -> tuple[Sheet, ...]:
     """Stratum corneum, epidermis, dermis and subcutis of the "palm" or "finger_pad", outermost first.
 
-    depth_m: skin to bone [m]; None is DEPTH_M[site]. The subcutis takes what the others leave.
-    Moduli and thicknesses of TISSUES are those of models, known to a factor of 2 and to about a third. How each layer
-    relaxes is not known: all do as the site's preset, by the same share of their own modulus. nu 0.4999 beside the
-    instantaneous modulus.
+    depth_m: skin to bone [m]; None is DEPTH_M[site]. The subcutis takes the depth that the others leave.
+    Moduli and thicknesses of TISSUES are those of models, known to a factor of 2 and to about a third. The relaxation
+    of single layers is unknown: all relax like the site's preset, by the same share of their own modulus. nu 0.4999 is
+    for the instantaneous modulus.
     Raises SceneError for another site and a depth that leaves no subcutis.
     """
     if site not in DEPTH_M:
@@ -255,7 +255,7 @@ def hand_skin(site: str, depth_m: float | None = None) -> tuple[Sheet, ...]:
 
 
 def varied(entry: Preset) -> list[Material]:
-    """The preset's material at the low and the high end of each of its ranges, one range at a time."""
+    """The material of the preset at the low and the high end of each of its ranges, one range at a time."""
     materials = []
     for known in entry.ranges:
         for value in (known.low, known.high):
@@ -265,7 +265,7 @@ def varied(entry: Preset) -> list[Material]:
 
 
 def softest_and_stiffest(entry: Preset) -> tuple[Material, Material] | None:
-    """The preset's material with all its ranges at their low ends, and at their high ends; None without ranges."""
+    """The material of the preset with all ranges at their low ends, and at their high ends; None without ranges."""
     if not entry.ranges:
         return None
     ends = []
@@ -279,7 +279,7 @@ def softest_and_stiffest(entry: Preset) -> tuple[Material, Material] | None:
 
 
 def _with_value(material: Material, parameter: str, value: float, name: str) -> Material:
-    """The material with another value of a range's parameter, see `Range`."""
+    """The material with another value of the parameter of a range, see `Range`."""
     if parameter == "shear":
         return scaled(material, value, name)
     changed: dict[str, Any] = {parameter: value}

@@ -18,9 +18,9 @@ from palmfield.skin.materials.material import Material, complex_bulk, complex_sh
 class Waves:
     """A material at one frequency. Speeds are phase speeds [m/s]; lengths are 1/e lengths of the amplitude [m].
 
-    f_Hz: frequency [Hz]; shear_Pa, bulk_Pa: complex moduli G' - iG'', K' - iK'' [Pa]
-    shear, pressure: plane waves in the solid; rayleigh: the surface wave of a deep, bare half-space
-    cutoff_Hz: below it a bonded layer of the given thickness guides no wave, c_s / 4h [Hz]; None without a thickness
+    f_Hz: frequency [Hz]. shear_Pa, bulk_Pa: complex moduli G' - iG'', K' - iK'' [Pa].
+    shear, pressure: plane waves in the solid. rayleigh: the surface wave of a deep, bare half-space.
+    cutoff_Hz: c_s / 4h [Hz], below which a bonded layer of given thickness guides no wave; None without a thickness.
     """
 
     f_Hz: float
@@ -60,9 +60,9 @@ def rayleigh_wavenumber(material: Material, f_Hz: float) -> complex:
     """Wavenumber of the Rayleigh wave of a viscoelastic half-space at f > 0 [rad/m].
 
     (2 - x)^2 = 4 sqrt(1 - x) sqrt(1 - m x), x = (c/c_s)^2, m = G/(K + 4G/3), squared to the cubic
-    x^3 - 8 x^2 + (24 - 16 m) x - 16 (1 - m) = 0 (Achenbach 1973, ch. 5). Of its roots those count whose two parts
-    decay with depth and solve the equation before squaring. Beyond a loss tangent of about 0.16 a second, faster one
-    does too (Currie, Hayes & O'Leary 1977); taken is the one that becomes the elastic solid's as the loss vanishes.
+    x^3 - 8 x^2 + (24 - 16 m) x - 16 (1 - m) = 0 (Achenbach 1973, ch. 5). Valid are roots whose two parts decay with
+    depth and that solve the equation before squaring. Beyond a loss tangent of about 0.16 a second, faster one does too
+    (Currie, Hayes & O'Leary 1977); the one that becomes the root of the elastic solid as the loss vanishes is used.
     Raises SceneError for a frequency that is not above 0 and finite.
     """
     check_positive("frequency", f_Hz, "Hz")
@@ -89,8 +89,8 @@ def elastic_root(ratio: float) -> float:
 def cutoff(material: Material, thickness_m: float) -> float:
     """Frequency f = c_s(f) / 4h below which a bonded layer of thickness h [m] guides no wave [Hz].
 
-    The first thickness resonance in shear, with the shear wave's phase speed at that frequency itself; c_s(f) / f
-    falls with f, so there is one. Raises SceneError for a thickness that is not above 0 and finite.
+    It is the first thickness resonance in shear, with the phase speed of the shear wave at that frequency itself.
+    c_s(f) / f falls with f, so there is one. Raises SceneError for a thickness that is not above 0 and finite.
     """
     check_positive("thickness", thickness_m, "m")
     low = math.sqrt(material.shear_relaxed_Pa / material.density_kg_m3) / (4.0 * thickness_m)

@@ -13,14 +13,14 @@ from palmfield.errors import SceneError
 from palmfield.types import Complex, Float
 
 INCOMPRESSIBLE = 1e6
-"""K over the shear modulus that stands for nu = 0.5 in `elastic`, `kelvin_voigt` and their like.
+"""K over the shear modulus in place of nu = 0.5, in `elastic`, `kelvin_voigt` and similar functions.
 
 Under spots of 6 to 20 mm on bonded layers 1 to 20 mm deep, at 0 to 400 Hz, the motion is then within 6e-5 of the
 incompressible one (docs/materials.md; tests/skin/test_material.py). Thinner layers and wider spots: more.
 """
 
 FELT_Hz: Float = np.geomspace(5.0, 1000.0, 48)
-"""Frequencies at which a law is held against the series that stands for it in time."""
+"""Frequencies at which a law is compared with the series that replaces it in time."""
 
 NuOf = Literal["instant", "relaxed"]
 
@@ -29,7 +29,7 @@ NuOf = Literal["instant", "relaxed"]
 class Branch:
     """Maxwell branch: spring G_m [Pa], >= 0, in series with a dashpot; time_s: tau = eta / G_m [s], >= 0.
 
-    At tau = 0 the branch carries nothing.
+    At tau = 0 the branch carries no load.
     """
 
     shear_Pa: float
@@ -60,20 +60,20 @@ class Relaxation(NamedTuple):
 
 @dataclass(frozen=True)
 class Material:
-    """Spring G_r beside Maxwell branches and a dashpot, in shear: G(s) = G_r + sum G_i s tau_i / (1 + s tau_i) + eta s.
+    """Spring, Maxwell branches and dashpot in parallel, in shear: G(s) = G_r + sum G_i s tau_i/(1 + s tau_i) + eta s.
 
     No branch and no dashpot: elastic. A dashpot alone: Kelvin-Voigt. One branch: standard linear solid. More: Prony
-    series. A law of another form is a subclass (docs/materials.md) with `stiffening` of its own, by ratios to G_r and
-    times, and a `series` that stands for it in time. Solvers compute with `stiffening` and `modulus` at rates s, with
+    series. A law of another form is a subclass (docs/materials.md) with its own `stiffening`, by ratios to G_r and
+    times, and a `series` that replaces it in time. Solvers compute with `stiffening` and `modulus` at rates s, with
     `relaxation` in time, and with G_r, K, `shear_instant_Pa` and `bulk_instant_Pa` as bounds.
 
-    density_kg_m3: rho [kg/m^3], > 0
-    shear_relaxed_Pa: G_r [Pa], > 0
-    branches: Maxwell branches, any number
-    bulk_Pa: K [Pa], > 0, of the relaxed solid
-    viscosity_Pa_s: eta [Pa s], >= 0
-    bulk_relaxes: whether K follows G, K(s) = K G(s) / G_r (Poisson's ratio is constant), or is elastic
-    source: where the numbers come from
+    density_kg_m3: rho [kg/m^3], > 0.
+    shear_relaxed_Pa: G_r [Pa], > 0.
+    branches: Maxwell branches, any number.
+    bulk_Pa: K [Pa], > 0, of the relaxed solid.
+    viscosity_Pa_s: eta [Pa s], >= 0.
+    bulk_relaxes: whether K follows G, K(s) = K G(s) / G_r (Poisson's ratio is constant), or is elastic.
+    source: of the numbers.
 
     Raises SceneError for a value outside these ranges.
     """
@@ -102,7 +102,7 @@ class Material:
 
     @property
     def series(self) -> tuple[Branch, ...]:
-        """Maxwell branches that stand for the law in time, beside spring and dashpot."""
+        """Maxwell branches that replace the law in time, parallel to spring and dashpot."""
         return self.branches
 
     @cached_property
@@ -113,7 +113,7 @@ class Material:
 
     @cached_property
     def series_error(self) -> float:
-        """Relative error of G in time, by `relaxation`, rms over FELT_Hz; 0 of the material's own branches."""
+        """Relative error of G in time, by `relaxation`, rms over FELT_Hz; 0 for branches of the material itself."""
         s = np.asarray(-2j * np.pi * FELT_Hz, dtype=np.complex128)
         exact = self.stiffening(s)
         return float(np.sqrt(np.mean(np.abs((self.relaxation.stiffening(s) - exact) / exact) ** 2)))
@@ -182,7 +182,7 @@ def kelvin_voigt(
     source: str = "",
     bulk_relaxes: bool = False,
 ) -> Material:
-    """Spring G [Pa] beside a dashpot eta [Pa s]: G(s) = G + eta s. nu is of the spring; errors as `prony`."""
+    """Spring G [Pa] parallel to a dashpot eta [Pa s]: G(s) = G + eta s. nu is of the spring; errors as `prony`."""
     return prony(
         name, density_kg_m3, shear_Pa, (), (), nu,
         viscosity_Pa_s=viscosity_Pa_s, source=source, bulk_relaxes=bulk_relaxes,
@@ -201,7 +201,7 @@ def standard_linear(
     source: str = "",
     bulk_relaxes: bool = False,
 ) -> Material:
-    """Spring G_r [Pa] beside one Maxwell branch G_m [Pa], tau [s] (standard linear solid); errors as `prony`."""
+    """Spring G_r [Pa] parallel to one Maxwell branch G_m [Pa], tau [s] (standard linear solid); errors as `prony`."""
     return prony(
         name, density_kg_m3, relaxed_Pa, (branch_Pa,), (time_s,), nu,
         nu_of=nu_of, source=source, bulk_relaxes=bulk_relaxes,
@@ -221,12 +221,12 @@ def prony(
     source: str = "",
     bulk_relaxes: bool = False,
 ) -> Material:
-    """Spring G_r [Pa] beside Maxwell branches of moduli G_i [Pa] and times tau_i [s], and a dashpot eta [Pa s].
+    """Spring G_r [Pa] parallel to Maxwell branches of moduli G_i [Pa] and times tau_i [s], and a dashpot eta [Pa s].
 
-    nu: Poisson's ratio, above -1; 0.5 gives K = INCOMPRESSIBLE times the modulus it is of
-    nu_of: the shear modulus beside which nu is meant: "instant", G_r + sum G_i (the dashpot left out), or "relaxed",
-        G_r. Soft tissue is nearly incompressible however fast it moves: hence "instant". Where the bulk relaxes too,
-        nu is the same at all rates and K, of the relaxed solid, follows from G_r.
+    nu: Poisson's ratio, above -1; 0.5 gives K = INCOMPRESSIBLE times its shear modulus.
+    nu_of: the shear modulus to which nu applies: "instant", G_r + sum G_i (the dashpot left out), or "relaxed", G_r.
+        Soft tissue is nearly incompressible at all rates: hence "instant". If the bulk relaxes too, nu is the same at
+        all rates and K, of the relaxed solid, follows from G_r.
     Raises SceneError as Material and bulk_from_poisson, for unequal numbers of moduli and times, and an unknown nu_of.
     """
     if len(branches_Pa) != len(times_s):

@@ -22,11 +22,11 @@ SOFTEST = 1e-3
 
 @dataclass(frozen=True)
 class PronyFit:
-    """Spring and Maxwell branches fitted to moduli, and how far they are from them.
+    """Spring and Maxwell branches fitted to moduli, and the misfit.
 
-    relaxed_Pa: G_r [Pa]; branches_Pa: G_i [Pa]; times_s: tau_i [s], rising, shape (n,)
-    storage_misfit, loss_misfit: root mean square of (fit - data) / data over the data
-    band_Hz: lowest and highest frequency of the data; outside it the fit means nothing
+    relaxed_Pa: G_r [Pa]. branches_Pa: G_i [Pa]. times_s: tau_i [s], rising, shape (n,).
+    storage_misfit, loss_misfit: root mean square of (fit - data) / data over the data.
+    band_Hz: lowest and highest frequency of the data; outside it the fit is not valid.
     """
 
     relaxed_Pa: float
@@ -37,19 +37,19 @@ class PronyFit:
     band_Hz: tuple[float, float]
 
     def material(self, name: str, density_kg_m3: float, nu: float = 0.4999, source: str = "") -> Material:
-        """The material of this fit; nu is beside the instantaneous modulus."""
+        """The material of this fit; nu applies to the instantaneous modulus."""
         return prony(name, density_kg_m3, self.relaxed_Pa, self.branches_Pa, self.times_s, nu, source=source)
 
 
 def fit_prony(
     f_Hz: Float, storage_Pa: Float, loss_Pa: Float, branches: int, relaxed_Pa: float | None = None
 ) -> PronyFit:
-    """Fit a spring and so many Maxwell branches to storage and loss moduli, each weighted by its own size.
+    """Fit a spring and this number of Maxwell branches to storage and loss moduli, each weighted by its own size.
 
-    f_Hz: frequencies [Hz], above 0, shape (m,); storage_Pa, loss_Pa: G' and G'' [Pa], both positive, shape (m,)
-    branches: n, 1 or more; the fit has 2 n + 1 numbers, so at least n + 1 frequencies are needed
-    relaxed_Pa: the spring G_r [Pa] where it is known
-    The fit is a local minimum, the best of three starts. A branch that the data do not want has stiffness 0.
+    f_Hz: frequencies [Hz], above 0, shape (m,). storage_Pa, loss_Pa: G' and G'' [Pa], both positive, shape (m,).
+    branches: n, 1 or more; the fit has 2 n + 1 numbers, so at least n + 1 frequencies are needed.
+    relaxed_Pa: the spring G_r [Pa] where it is known.
+    The fit is a local minimum, the best of three starts. A branch that the data do not need has stiffness 0.
     Raises SceneError for other shapes, numbers that are not finite and above 0, and too many branches.
     """
     f, storage, loss = (np.asarray(values, dtype=float) for values in (f_Hz, storage_Pa, loss_Pa))
@@ -111,9 +111,9 @@ def fractional(
     """Material that follows a fractional law over a band, and the Prony fit with its misfit.
 
     modulus: G' - iG'' [Pa] at frequencies [Hz], for example
-        `lambda f: fractional_kelvin_voigt(f, 2e3, 300.0, 0.25)`
-    band_Hz: lowest and highest frequency [Hz]; 20 points a decade, evenly spaced in log f
-    One branch a decade keeps a spring-pot of exponent 0.2 within a few per cent: `PronyFit` says how far it is.
+        `lambda f: fractional_kelvin_voigt(f, 2e3, 300.0, 0.25)`.
+    band_Hz: lowest and highest frequency [Hz]; 20 points a decade, evenly spaced in log f.
+    One branch a decade fits a spring-pot of exponent 0.2 within a few per cent: `PronyFit` has the misfit.
     Raises SceneError for a band that is not 0 < low < high and as fit_prony and Material.
     """
     low, high = band_Hz

@@ -11,10 +11,10 @@ UNITS: dict[str, str] = {"surface speed": "m/s", "shear speed": "m/s", "decay": 
 
 @dataclass(frozen=True)
 class Range:
-    """A parameter of a Material (a field's name) or of its whole shear modulus ("shear"), and what is known of it.
+    """A parameter of a Material (the name of a field) or of its whole shear modulus ("shear"), and its range.
 
-    low, high: in the field's unit, or as factors on the preset's shear modulus where the parameter is "shear"
-    source: what the range is (one standard deviation, extremes, ...) and where it comes from
+    low, high: in the unit of the field, or as factors on the preset's shear modulus for the parameter "shear".
+    source: the kind of range (one standard deviation, extremes, ...) and its origin.
     """
 
     parameter: str
@@ -25,12 +25,12 @@ class Range:
 
 @dataclass(frozen=True)
 class Observation:
-    """Something measured that a material can be held against.
+    """A measurement with which a material can be compared.
 
-    quantity: "surface speed" [m/s]: phase speed of the Rayleigh wave; "shear speed" [m/s]; "decay": |u(40 mm)| over
-        |u(5 mm)| beside a Gaussian spot of 10 mm full width on a layer depth_m deep, bonded to bone; "storage in
-        compression" [Pa]: 3 G' of a bar that may widen freely
-    f_Hz: frequency [Hz]; value: in UNITS[quantity]; spread: its standard deviation or half its range, None if unknown
+    quantity: "surface speed" [m/s]: phase speed of the Rayleigh wave; "shear speed" [m/s]. "decay": |u(40 mm)| over
+        |u(5 mm)| from a Gaussian spot of 10 mm full width on a layer depth_m deep, bonded to bone. "storage in
+        compression" [Pa]: 3 G' of a bar that may widen freely.
+    f_Hz: frequency [Hz]. value: in UNITS[quantity]. spread: its standard deviation or half its range, None if unknown.
     """
 
     quantity: Quantity
@@ -43,7 +43,7 @@ class Observation:
 
 @dataclass(frozen=True)
 class Preset:
-    """A material, the ranges of its numbers, and the measurements that it stands beside."""
+    """A material, the ranges of its numbers, and the measurements for comparison."""
 
     material: Material
     ranges: tuple[Range, ...] = ()

@@ -1,4 +1,4 @@
-"""Patches and rows of elements of a slab or layer, for a wanted element size."""
+"""Patches and rows of elements of a slab or layer, for a given element size."""
 
 import math
 from dataclasses import dataclass, replace
@@ -10,20 +10,20 @@ from palmfield.skin.problem import Slab
 from palmfield.types import Float, Patch
 
 GROWTH = 1.6
-"""Of the rows of elements with depth."""
+"""Growth of the rows of elements with depth."""
 STEEPEST = 0.4
-"""Growth of a box's edges with distance from its fine part."""
+"""Growth of the edges of a box with distance from its fine part."""
 
 
 @dataclass(frozen=True)
 class Sizes:
-    """What the elements of a mesh measure.
+    """Sizes of the elements of a mesh.
 
-    fine_m, coarse_m: edges within fine_radius_m of `centre_m` and farthest from it [m]; row_m, deepest_row_m: height of
-    the first row and largest height of a row [m]; refinements: how often a layer's triangles are quartered
-    reach_m: distance from the centre to the end of an infinite slab's undamped part [m]
-    ring_m: width of the damped ring round it, or round an absorbing slab [m]; match_Hz: frequency of its damping
-    remesh: whether a layer gets triangles of these sizes in place of its own
+    fine_m, coarse_m: edges within fine_radius_m of `centre_m` and farthest from it [m]. row_m, deepest_row_m: height of
+    the first row and largest height of a row [m]; refinements: how often the triangles of a layer are quartered.
+    reach_m: distance from the centre to the end of the undamped part of an infinite slab [m].
+    ring_m: width of the damped ring round it, or round an absorbing slab [m]. match_Hz: frequency of its damping.
+    remesh: whether a layer gets triangles of these sizes in place of its own.
     """
 
     centre_m: tuple[float, float]
@@ -57,7 +57,7 @@ def graded_fractions(depth_m: float, row_m: float, deepest_row_m: float) -> Floa
 
 
 def slab_patch(slab: Slab, sizes: Sizes) -> tuple[Patch, Float]:
-    """The slab's face, a ring round it where its sides absorb, and each vertex's distance into that ring [m]."""
+    """The face of the slab, a ring round it where its sides absorb, and each vertex's distance into that ring [m]."""
     ring = sizes.ring_m if slab.shape == "infinite" or slab.side == "absorbing" else 0.0
     if slab.shape == "box":
         assert slab.size_m is not None
@@ -77,7 +77,7 @@ def slab_patch(slab: Slab, sizes: Sizes) -> tuple[Patch, Float]:
 
 
 def box_patch(half_m: Float, thickness_m: float, sizes: Sizes) -> Patch:
-    """A rectangle of half widths half_m (2,), its lines as dense as `sizes` asks, its squares cut crosswise in turn."""
+    """A rectangle of half widths half_m (2,), with line spacing by `sizes`, its squares cut crosswise in turn."""
     x, y = (
         _lines(float(half), centre, sizes) for half, centre in zip(half_m, sizes.centre_m, strict=True)
     )  # fmt: skip

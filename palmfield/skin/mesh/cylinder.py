@@ -57,7 +57,7 @@ def cylinder_surface(radius_m: float, length_m: float, edge_m: tuple[float, floa
 
 
 def round_body(radius_m: float, length_m: float) -> Surface:
-    """A cylinder's surface as a scene takes it: facets of a 120th of a turn, at most four times as long as wide."""
+    """Surface of a cylinder for a scene: facets of a 120th of a turn, at most four times as long as wide."""
     around = 2.0 * math.pi * radius_m / FACETS
     return cylinder_surface(radius_m, length_m, (around, min(4.0 * around, length_m)))
 

@@ -15,7 +15,7 @@ STEEPEST = 0.4
 
 
 OUTLINE, GRID = 720, 257
-"""Points of a circle's outline, and of a grid along each side of its square."""
+"""Points of the outline of a circle, and of a grid along each side of its square."""
 
 
 def disc_patch(
@@ -28,9 +28,9 @@ def disc_patch(
 ) -> Patch:
     """Disc of concentric rings of vertices, joined by Delaunay triangles.
 
-    radius_m, thickness_m: of the disc [m]; fine_m: edge length within fine_radius_m of the centre [m]; coarse_m: edge
-    length at the rim [m], reached linearly in the distance from the centre, but no faster than STEEPEST
-    fine_at: a place of the disc round which edges are fine instead of its centre [m]; then there are rings near it only
+    radius_m, thickness_m: of the disc [m]. fine_m: edge length within fine_radius_m of the centre [m]. coarse_m: edge
+    length at the rim [m], reached linearly in the distance from the centre, but no faster than STEEPEST.
+    fine_at: centre of the fine edges [m] instead of the centre of the disc; then there are rings near it only.
     Returns a Patch with its face at z = 0 looking along +z, `inward` along -z and `axis` +z.
     Raises SceneError unless all lengths are > 0, fine_m <= coarse_m <= radius_m and fine_radius_m <= radius_m.
     """
@@ -80,7 +80,7 @@ def _ringed(radius_m: float, fine_m: float, coarse_m: float, fine_radius_m: floa
 def _round(
     radius_m: float, fine_m: float, coarse_m: float, fine_radius_m: float, fine_at: tuple[float, float]
 ) -> tuple[Float, Int]:
-    """Vertices and faces of a disc that is fine round a place beside its centre."""
+    """Vertices and faces of a disc with fine edges round a place off its centre."""
     away = math.hypot(*fine_at)
     grown = min(coarse_m, fine_m + STEEPEST * max(radius_m + away - fine_radius_m, 0.0))
     size = graded_size(fine_m, grown, fine_radius_m, radius_m, fine_at)

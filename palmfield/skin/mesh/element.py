@@ -7,8 +7,8 @@ projected element by element on {1, x, y} times {1, zeta}, x = xi - 1/3, y = eta
 Why that space: centre displacement of the 120 x 20 mm disc, 6 mm triangles, 3 layers; static error for nu
 0.45 / 0.495 / 0.4999 / 0.499999: on {1} +22 / +24 / +25 / +25 %; {1, zeta} +17 / +20 / +20 / +20 %; {1, x, y, zeta}
 +4.7 / +5.1 / +5.1 / +5.1 %; this one -0.3 / -0.4 / -0.5 / -0.5 %. The pair is not inf-sup stable: the constant falls
-with h, from 0.055 to 0.025 between 8 mm and 3.5 mm ({1, zeta}: 0.43 to 0.32). Displacements converge and do not lock
-all the same, but an element's own pressure must not be read off. Interior triangle bubbles (21 nodes) on seven
+with h, from 0.055 to 0.025 between 8 mm and 3.5 mm ({1, zeta}: 0.43 to 0.32). Displacements still converge and do not
+lock, but the pressure of single elements must not be used. Interior triangle bubbles (21 nodes) on seven
 meshes gave 0.02-0.65 % static and 0.03-1.7 % at 200 Hz against 0.2-0.9 % and 0.15-0.85 % without, for 1.5 times the
 unknowns and twice the time: left out.
 """
@@ -49,7 +49,7 @@ def _barycentric(points: Float) -> Float:
 
 
 def prism_rule() -> tuple[Float, Float]:
-    """Eighteen points (18, 3) and weights (18,): the triangle's six times three Gauss points."""
+    """Eighteen points (18, 3) and weights (18,): the six of the triangle times three Gauss points."""
     points, weights = triangle_rule()
     zeta, line = np.polynomial.legendre.leggauss(3)
     prism = np.column_stack([np.tile(points, (3, 1)), np.repeat(zeta, 6)])
@@ -57,7 +57,7 @@ def prism_rule() -> tuple[Float, Float]:
 
 
 def displacement_shape(points: Float) -> tuple[Float, Float]:
-    """Values (q, 18) and derivatives by (xi, eta, zeta) (q, 18, 3) of the displacement's shape functions."""
+    """Values (q, 18) and derivatives by (xi, eta, zeta) (q, 18, 3) of the shape functions of the displacement."""
     z = points[:, 2]
     line = np.column_stack([z * (z - 1) / 2, 1 - z**2, z * (z + 1) / 2])
     line_slope = np.column_stack([z - 0.5, -2 * z, z + 0.5])
@@ -74,7 +74,7 @@ def corner_slopes(points: Float) -> Float:
 
 
 def _product(flat: Float, flat_slopes: Float, line: Float, line_slope: Float) -> tuple[Float, Float]:
-    """Tensor product of triangle and line functions, the line's index slowest."""
+    """Tensor product of triangle and line functions, the index of the line slowest."""
     count = len(flat)
     values = np.einsum("ql,qt->qlt", line, flat).reshape(count, -1)
     lateral = np.einsum("ql,qtd->qltd", line, flat_slopes)

@@ -1,9 +1,9 @@
 """Elimination order of a layer: nested dissection of its surface (George 1973).
 
-Numbers in both factors and ms a solve of SuperLU's, on one core of the 2-core machine, of the layers of
-follow_fingertip, two_hands, hover_explore, phantom_am200 and palm_am200. MMD and COLAMD are SuperLU's own orders;
-"before" cut at the median node. So this order is taken for every layer: where another fills less, it is by a few per
-cent of a small factor.
+Stored values in both factors and ms per solve of SuperLU, on one core of the 2-core machine, for the layers of
+follow_fingertip, two_hands, hover_explore, phantom_am200 and palm_am200. MMD and COLAMD are the orders of SuperLU;
+"before" cut at the median node. So this order is used for every layer: where another has less fill, it is by a few
+per cent of a small factor.
 
 | unknowns | before | MMD_AT_PLUS_A | COLAMD | this |
 |---|---|---|---|---|
@@ -20,9 +20,9 @@ from palmfield.skin.mesh.wedges import WedgeMesh
 from palmfield.types import Float, Int
 
 DIRECTIONS = 4
-"""In which a piece is cut on trial."""
+"""Trial directions of the cut of a piece."""
 PLACES = (0.42, 0.46, 0.5, 0.54, 0.58)
-"""Shares of its triangles that then lie before the cut."""
+"""Shares of its triangles before the cut, on trial."""
 SMALLEST = 3
 """Nodes that are not cut further."""
 

@@ -13,14 +13,14 @@ from palmfield.types import Float, Int, Patch
 class WedgeMesh:
     """Quadratic wedges below a surface. Node id = level * surface_nodes + surface node; level 0 is the skin surface.
 
-    nodes: positions [m], shape (levels * surface_nodes, 3), float64
-    elements: nodes of each wedge in the order of element.py, shape (m, 18), int32
-    surface_nodes: number S of nodes in a level: the patch's vertices, then the midpoints of its edges
-    levels: number of node levels, 2 L + 1 for L elements through the depth
-    surface_triangles6: vertices, then edges 01, 12, 20, as surface nodes, shape (t, 6), int32
-    side: nodes of the lateral boundary, all levels, right-angled corners twice; base: nodes of the deepest level
-    side_normals: unit normals of the lateral boundary, square to `axis`, shape (len(side), 3); empty without an axis
-    axis: the patch's axis for roller sides, or None
+    nodes: positions [m], shape (levels * surface_nodes, 3), float64.
+    elements: nodes of each wedge in the order of element.py, shape (m, 18), int32.
+    surface_nodes: number S of nodes in a level: the vertices of the patch, then the midpoints of its edges.
+    levels: number of node levels, 2 L + 1 for L elements through the depth.
+    surface_triangles6: vertices, then edges 01, 12, 20, as surface nodes, shape (t, 6), int32.
+    side: nodes of the lateral boundary, all levels, right-angled corners twice. base: nodes of the deepest level.
+    side_normals: unit normals of the lateral boundary, square to `axis`, shape (len(side), 3); empty without an axis.
+    axis: of the patch for roller sides, or None.
     """
 
     nodes: Float
@@ -47,7 +47,7 @@ class WedgeMesh:
 def extrude(patch: Patch, fractions: Float) -> WedgeMesh:
     """Solid between the patch and its offset by `depth` along `inward`.
 
-    fractions: depths of the elements' boundaries as shares of the patch's depth, 0 first, 1 last, rising, shape (L+1,)
+    fractions: depths of the element boundaries as shares of the patch depth, 0 first, 1 last, rising, shape (L+1,).
     Raises SceneError for other fractions, and for an inverted or flat element, with its place [m].
     """
     shares = np.asarray(fractions, dtype=float)
@@ -126,7 +126,7 @@ def _check_volumes(nodes: Float, elements: Int) -> None:
     """Every element must have det J > 0 at its quadrature points and corners, on the scale of its edges.
 
     Where inward directions meet in a point, a column that passes it comes out turned by half a turn with det J > 0
-    again: so no edge of the base side may run against its fellow on the surface side either.
+    again: so each edge of the base side must point in the direction of the same edge on the surface side.
     """
     corner_points = [[x, y, z] for z in (-1.0, 1.0) for x, y in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))]
     slopes = corner_slopes(np.concatenate([prism_rule()[0], corner_points]))
@@ -154,7 +154,7 @@ def output_triangles(mesh: WedgeMesh) -> Int:
 def closed_boundary(mesh: WedgeMesh) -> tuple[Float, Int]:
     """Skin surface, base and cut side of a layer as one closed triangle mesh.
 
-    Returns vertices [m], shape (2 S, 3), of which the first S are the skin's surface nodes, and faces, shape (m, 3).
+    Returns vertices [m], shape (2 S, 3), the first S of them surface nodes of the skin, and faces, shape (m, 3).
     """
     count, top = mesh.surface_nodes, output_triangles(mesh)
     vertices = np.concatenate([mesh.nodes[:count], mesh.nodes[-count:]])

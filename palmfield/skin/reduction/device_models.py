@@ -1,7 +1,7 @@
 """Small models of a skin on a device: all substeps of a MuJoCo step as a few launches for a captured graph.
 
-The pressure lies on the device already. The state comes in and goes out as the numbers that the stepper itself would
-have made of it, to rounding.
+The pressure is already on the device. The state comes in and goes out as the numbers that the stepper itself would
+compute, to rounding.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,13 +17,13 @@ from palmfield.types import Float
 from warp_kernels import skin_steps as kernels
 
 LEAST_NUMBERS = 2**18
-"""Of a small model's step as one matrix, below which a CPU takes no longer than a launch."""
+"""Size of the step matrix of a small model below which a CPU takes no longer than a launch."""
 MOST_NUMBERS = 2**23
 """Above which its substeps one by one take less memory and no more time."""
 CHUNK = 32
 """Numbers of a sum that one thread adds up."""
 SECTIONS = 4
-"""Sums of squares that say what of a load lies outside the class of modes."""
+"""Number of sums of squares for the part of a load outside the class of modes."""
 
 
 class DeviceModes:
@@ -88,7 +88,7 @@ class DeviceModes:
 
 
 def pays(size: int, shapes: int, substeps: int) -> bool:
-    """Whether a small model of so many numbers and shapes of force is worth a device."""
+    """Whether a small model with these numbers of coordinates and shapes of force is faster on a device."""
     return LEAST_NUMBERS <= size * (size + 2 * substeps * shapes) <= MOST_NUMBERS
 
 

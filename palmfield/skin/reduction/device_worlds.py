@@ -1,6 +1,6 @@
 """Modes of a skin in several worlds on a device: all substeps of all worlds as a few launches in one captured graph.
 
-The states are the caller's: they go in by one copy and come out by another, and the device keeps none of them.
+The states belong to the caller: one copy brings them in, another takes them out, and the device keeps none of them.
 """
 
 from collections.abc import Callable
@@ -15,8 +15,8 @@ from warp_kernels import skin_steps as kernels
 
 
 class _Work(NamedTuple):
-    """Steps of so many substeps, read in one way. mixed: weights of the patterns in each, (w, s); motion: what is read,
-    (w, s, 2, m), None for nothing; replay: does a step"""
+    """Steps with the same number of substeps and the same reading. mixed: weights of the patterns in each, (w, s);
+    motion: the readings, (w, s, 2, m), None without; replay: runs a step"""
 
     mixed: SharedArray
     motion: SharedArray | None
@@ -64,7 +64,7 @@ class DeviceWorlds:
         return None if work.motion is None else work.motion.host[:worlds]
 
     def _work(self, substeps: int, observe: Reader | None) -> "_Work":
-        """Memory and graph for steps of so many substeps, read by `observe`; kept."""
+        """Memory and graph for this number of substeps, read by `observe`; stored."""
         stepper, device = self.stepper, self._device
         rows, padded = stepper.state_rows, stepper.padded
         mixed = SharedArray((self.most, substeps), wp.float32, device)

@@ -1,19 +1,19 @@
 """Basis for a reduced viscoelastic body from one real factorisation: block Arnoldi of the first-order form.
 
 With v = u' and q_i' = (u - q_i) / tau_i a body is T x' = A x + b f, x = (u, v, q_1, ..). The Krylov space of
-(sigma T - A)^-1 T from (sigma T - A)^-1 b holds the derivatives in s, at s = sigma, of the answers Z(s)^-1 B. One
-application solves with Z(sigma) once: with the new x marked by a stroke,
+(sigma T - A)^-1 T from (sigma T - A)^-1 b holds the derivatives in s, at s = sigma, of the solutions Z(s)^-1 B. One
+application solves with Z(sigma) once. With the new x marked by a prime,
 
     Z(sigma) u' = M (v + sigma u) + C u + sum_p K_p (t u + sum_i g_i tau_i / (1 + sigma tau_i) q_i) + F w'
     v' = sigma u' - u,    q_i' = (u' + tau_i q_i) / (1 + sigma tau_i)
 
-So u, v and q lie in the space of the u alone, and x is kept as coordinates in a basis of that (two-level orthogonal
+So u, v and q lie in the space of the u alone, and x is stored as coordinates in a basis of that (two-level orthogonal
 Arnoldi: Lu, Su & Bai, SIAM J. Matrix Anal. Appl. 37, 2016). For sigma > 0 of the size of the highest frequency w the
-answers on the whole line up to i w converge together, in real arithmetic.
+solutions on the whole line up to i w converge together, in real arithmetic.
 
-A load whose course is known needs no basis for every course. Where it is F w with w' = S w from w(0) = w_0, skin and
-load together move on one line: the space begins with w_0 alone, and w' = (sigma - S)^-1 w goes with the rest. A
-focus on a circle takes some tens of vectors in this way, and hundreds otherwise.
+A load with a known course needs no basis for every course. If it is F w with w' = S w from w(0) = w_0, skin and load
+together move on one line: the space begins with w_0 alone, and w' = (sigma - S)^-1 w is added to the rest. A focus on
+a circle takes some tens of vectors in this way, and hundreds otherwise.
 """
 
 from dataclasses import dataclass
@@ -121,7 +121,7 @@ class Krylov:
 
     @property
     def projected(self) -> list[Float]:
-        """The dynamics's matrices in these vectors, symmetric."""
+        """The matrices of the dynamics in these vectors, symmetric."""
         self._project()
         return list(self._small)
 
@@ -131,7 +131,7 @@ class Krylov:
         return np.asarray(np.linalg.solve(self.shift * np.eye(len(rates)) - rates, load), dtype=float)
 
     def grow(self) -> int:
-        """Apply the operator to the last block. Returns by how many vectors the basis grew; 0 at the space's end."""
+        """Apply the operator to the last block. Returns the number of new vectors; 0 at the end of the space."""
         before, shift = self.order, self.shift
         u, v, *internal = self._block
         mass, damping, _, *stiffness = self.dynamics.matrices

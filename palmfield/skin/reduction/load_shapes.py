@@ -1,10 +1,10 @@
-"""Pressures that a class of loads is made of, and the few points of a skin that tell them apart.
+"""Pressure shapes that span a class of loads, and the few points of a skin that determine their shares.
 
-The sound of given arrays on a piece of skin varies no faster than half a wavelength, so that all pressures that it can
-make there are sums of some hundred shapes: the leading singular vectors of examples. As many numbers tell which sum it
-is, so that the pressure need not be computed at every point of the quadrature: empirical interpolation (Barrault et
-al., C. R. Math. 339, 2004) takes the points by pivoted QR (Drmac & Gugercin, SIAM J. Sci. Comput. 38, 2016), here with
-more points than shapes and least squares between them.
+The sound of given arrays on a piece of skin varies no faster than half a wavelength. So all its pressures there are
+sums of some hundred shapes: the leading singular vectors of examples. As many numbers determine the shares, so the
+pressure need not be computed at every quadrature point. Empirical interpolation (Barrault et al., C. R. Math. 339,
+2004) takes the points by pivoted QR (Drmac & Gugercin, SIAM J. Sci. Comput. 38, 2016), here with more points than
+shapes and least squares between them.
 """
 
 from dataclasses import dataclass
@@ -24,21 +24,21 @@ MANY = 400
 BLOCK = 2048
 """Points at which pressures are held in double precision at a time."""
 CLOSENESS = 0.003
-"""Of the tolerance, what the examples that are taken may leave out of the others: which ones are taken hardly matters
-then."""
+"""Share of the tolerance that the chosen examples may omit from the others: the choice of examples then hardly
+matters."""
 LEVEL = 0.005
 """Relative difference of neighbouring singular values up to which they count as equal: all are kept, or none."""
 TIE = 1e-3
-"""By which a point of a later number tells less, so that rounding does not choose among points that tell alike."""
+"""Reduction of the weight of a point by its number, so that rounding does not decide between equal points."""
 
 
 @dataclass(frozen=True)
 class LoadShapes:
-    """A class of pressures on the points of a skin's quadrature.
+    """A class of pressures on the quadrature points of a skin.
 
-    shapes: orthonormal over the skin's area [1/m], shape (m, q); sizes: rms share of each in the examples, (m,)
-    points: numbers of the points at which a pressure is looked at, rising, shape (p,)
-    fit: what a pressure at these points is made of: shares = fit @ pressure, shape (m, p)
+    shapes: orthonormal over the area of the skin [1/m], shape (m, q). sizes: rms share of each in the examples, (m,).
+    points: numbers of the points at which a pressure is evaluated, rising, shape (p,).
+    fit: matrix from pressures at these points to shares: shares = fit @ pressure, shape (m, p).
     """
 
     shapes: Float
@@ -48,11 +48,11 @@ class LoadShapes:
 
 
 def load_shapes(examples: Float | Float32, weights: Float, tolerance: float, points: int = POINTS) -> LoadShapes:
-    """Shapes whose sums come within a tolerance of examples, rms over all of them.
+    """Find shapes whose sums are within a tolerance of examples, rms over all of them.
 
-    examples: pressures [Pa], shape (t, q), in single or double precision
-    weights: areas for which the points stand [m^2], shape (q,); points: to look at for each shape, at most all
-    Raises SceneError where nothing sounds in the examples, or a number is not finite.
+    examples: pressures [Pa], shape (t, q), in single or double precision.
+    weights: areas of the points [m^2], shape (q,). points: number of points per shape, at most all points.
+    Raises SceneError for examples without sound, or with a number that is not finite.
     """
     if not np.isfinite(examples).all():
         raise SceneError("examples of a load are not finite: mend what computes them")
@@ -86,7 +86,7 @@ def in_gap(sizes: Float, count: int) -> int:
 
 
 def _telling_points(shapes: Float, times: int) -> Int:
-    """Columns that tell shapes (m, q) apart, rising: some times as many as shapes, each time of what is left."""
+    """Columns that separate shapes (m, q), rising: some times as many as shapes, each time from the remaining ones."""
     shapes = shapes * (1.0 - TIE * np.arange(shapes.shape[1]) / shapes.shape[1])
     left = np.arange(shapes.shape[1])
     chosen: list[Int] = []
@@ -98,7 +98,7 @@ def _telling_points(shapes: Float, times: int) -> Int:
 
 
 def _pivots(shapes: Float) -> Int:
-    """Columns of shapes (m, q), the most telling first: by QR, which finds better ones, or by LU for MANY shapes."""
+    """Columns of shapes (m, q), the best first: by QR, which finds better ones, or by LU for MANY shapes."""
     if len(shapes) < MANY:
         return np.asarray(linalg.qr(shapes, mode="r", pivoting=True, check_finite=False)[1])
     _, exchanged = linalg.lu_factor(shapes.T, check_finite=False)
@@ -119,14 +119,14 @@ def _products(examples: Float | Float32, root: Float) -> Float:
 
 
 def _taken(products: Float, left_out: float) -> tuple[Int, Float]:
-    """Rows that are enough of rows that are alike, (r,), and what of these, made orthonormal, all are, (t, r).
+    """Rows that represent a set of similar rows, (r,), and all rows in terms of these, made orthonormal, (t, r).
 
-    products: each row with each, (t, t), overwritten; left_out: of their squares. A pivoted Cholesky factorisation
-    takes them.
+    products: each row with each, (t, t), overwritten. left_out: share of their squares. The rows are found by a pivoted
+    Cholesky factorisation.
     """
     squares = np.diagonal(products)
     enough = max(left_out * squares.mean(), len(squares) * np.finfo(float).eps * squares.max())
-    # Symmetric: turned it lies as LAPACK wants it, without a copy
+    # Symmetric: transposed it has the layout that LAPACK needs, without a copy
     lower, pivots, rank, _ = lapack.dpstrf(products.T, tol=enough, lower=1, overwrite_a=1)
     taken = pivots - 1
     shares = np.empty((len(squares), rank))
@@ -135,5 +135,5 @@ def _taken(products: Float, left_out: float) -> tuple[Int, Float]:
 
 
 def _orthonormal(rows: Float) -> Float:
-    """Rows that are orthonormal but for round-off, without it."""
+    """Rows that are orthonormal except for round-off, without the round-off."""
     return np.asarray(linalg.solve_triangular(np.linalg.cholesky(rows @ rows.T), rows, lower=True), dtype=np.float64)

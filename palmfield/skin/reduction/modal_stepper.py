@@ -42,14 +42,14 @@ from palmfield.types import Complex, Float, Float32, Int
 from warp_kernels import modes as kernels
 
 MOST_SHARE = 0.4
-"""Of a layer's unknowns, up to which vectors are made: beyond, modes save nothing."""
+"""Share of the unknowns of a layer up to which vectors are made: beyond it, modes save no time."""
 COMPLIANCE_LEFT_OUT = 1e-4
 """Share of the compliance of the points that its low rank leaves out: 1 % of a norm."""
 
 
 @dataclass(frozen=True)
 class ModalBody:
-    """What a ModalStepper is made of: all that takes long to compute.
+    """The data of a ModalStepper that are expensive to compute.
 
     modes: see RitzModes; shapes: of the class; forces: of each shape on each mode, shape (m, r)
     compliance: the energy norm of a pressure at the shapes' points is that of pressure @ compliance, shape (p, k)
@@ -73,15 +73,15 @@ def modal_body(
     step_s: float,
     points: int = POINTS,
 ) -> ModalBody:
-    """Modes of a layer for the class of loads that examples are of, from one real factorisation.
+    """Modes of a layer for the class of loads given by examples, from one real factorisation.
 
-    surface: reads the displacement that must be right, csr, (S, n)
-    examples: pressures at the quadrature's points [Pa], shape (t, q); depends_on: all that they depend on
-    tolerance: what the shapes may leave out of the examples, relative; points: to look at for each shape
-    blocks: of the space of the modes, at least 2; left_out: by the modes of the space's motion, see `ritz_modes`
-    step_s: length of a substep [s], on which modes that are coupled depend
+    surface: operator of the displacement that must be right, csr, (S, n).
+    examples: pressures at the quadrature points [Pa], shape (t, q). depends_on: all data on which they depend.
+    tolerance: relative share of the examples that the shapes may omit. points: number of points per shape.
+    blocks: of the space of the modes, at least 2. left_out: share of the motion that modes may omit, see `ritz_modes`.
+    step_s: length of a substep [s], on which coupled modes depend.
     Kept in the cache (`palmfield.cache`).
-    Raises SceneError where the layer can have no modes, or its unknowns are too few.
+    Raises SceneError if the layer can have no modes, or has too few unknowns.
     """
 
     def make() -> cache.Arrays:
@@ -127,8 +127,8 @@ def modal_body(
 
 @dataclass(frozen=True)
 class _Room:
-    """What a call works in. forces: of each substep on the modes, (w, s, r); rows: the state, (w, rows, r); seen:
-    displacement and velocity after each substep, (w, s, 2, r); launch: does all substeps"""
+    """Work arrays of a call. forces: of each substep on the modes, (w, s, r); rows: the state, (w, rows, r); seen:
+    displacement and velocity after each substep, (w, s, 2, r); launch: runs all substeps"""
 
     forces: Float
     rows: Float
@@ -139,15 +139,15 @@ class _Room:
 class ModalStepper(SkinStepper):
     """Modes of a layer; see SkinStepper.
 
-    body: see ModalBody; system: the layer; step_s: length of a substep [s]
-    corner_Hz: above which the load's spectrum falls as 1/f, for which the errors are stated
-    points: numbers of the quadrature's points at which it takes pressure, shape (p,)
-    error, velocity_error: relative, estimated, of what fewer modes than the layer's cost, for loads of the class
-    advance, inputs: what a substep does to each mode's numbers, shape (at least r, rows, rows), and what a force adds,
-        (at least r, rows)
-    padded: modes in a state, with those that fill it up: at least r
-    coupling, felt: modes push one another in a substep by felt @ state, shape (c, rows) @ (rows, r'), one row after the
-        other, times coupling, (c * r', r'); r' is at least r; c is 0 where each moves by itself
+    body: see ModalBody. system: the layer. step_s: length of a substep [s].
+    corner_Hz: frequency above which the spectrum of the load falls as 1/f, for which the errors are stated.
+    points: numbers of the quadrature points at which it takes pressure, shape (p,).
+    error, velocity_error: estimated relative errors of using fewer modes than the layer has, for loads of the class.
+    advance, inputs: matrix of a substep for the numbers of each mode, shape (at least r, rows, rows), and the increment
+        by a force, (at least r, rows).
+    padded: modes in a state including padding: at least r.
+    coupling, felt: modes act on one another in a substep by felt @ state, shape (c, rows) @ (rows, r'), row after row,
+        times coupling, (c * r', r'); r' is at least r; c is 0 if each moves by itself.
     A state has a row of numbers of all modes each for displacement, velocity, acceleration and the internal
     displacement of every branch. Several worlds may be stepped at once.
     """
@@ -175,11 +175,11 @@ class ModalStepper(SkinStepper):
         self._forces: Float32 = np.zeros((len(body.forces), self.padded), np.float32)
         self._forces[:, : self.order] = body.forces
         self._compliance: Float32 = np.ascontiguousarray(body.compliance, dtype=np.float32)
-        # Least squares fit away a part of what lies outside: as many numbers as there are shapes
+        # A least squares fit removes part of the load outside the class: as many numbers as there are shapes
         count = len(shapes.points)
         self._hidden = count / max(count - len(shapes.sizes), 1)
         self._rooms: dict[tuple[int, int], list[_Room]] = {}
-        # What was made of the last pressures that don't change
+        # Results of the last pressures that don't change
         self._pushed: tuple[Float | Float32, Float32] | None = None
 
     def step(
@@ -190,7 +190,7 @@ class ModalStepper(SkinStepper):
         worlds, substeps, _ = loads.first.shape
         seen = None if observe is None else np.empty((worlds, substeps, 2, observe.count), np.float32)
         mixed = self.mixed(loads)
-        # For the helpers too: the number of BLAS threads is the whole process's
+        # For the helper threads too: the number of BLAS threads applies to the whole process
         with one_blas_thread:
             pushes = self.pushes(loads)
             if worlds == 1:
@@ -221,13 +221,13 @@ class ModalStepper(SkinStepper):
         room.launch()
         rows[...] = room.rows
         if seen is not None and observe is not None:
-            # As one product: of stacks NumPy makes one for each, at a seventh of the speed
+            # As one product: for stacks NumPy makes one product each, at a seventh of the speed
             motion = room.seen.reshape(-1, self.padded).astype(np.float32)
             np.matmul(motion, observe.single, out=seen[part].reshape(-1, observe.count))
         rooms.append(room)
 
     def pushes(self, loads: SurfaceLoads) -> Float32:
-        """What each pattern does to the modes, (w, k, r), or, where there are several, to the shapes, (w, k, m)."""
+        """Force of each pattern on the modes, (w, k, r), or, if there are several, on the shapes, (w, k, m)."""
         known = self._pushed
         if loads.fixed and known is not None and known[0] is loads.pressure_Pa:
             return known[1]
@@ -255,7 +255,7 @@ class ModalStepper(SkinStepper):
         """See SkinStepper."""
         points, shapes, modes, rows = len(self.points), len(self.body.shapes.sizes), self.order, self.state_rows
         dense = 2 * points * shapes + shapes * modes + points * self.body.compliance.shape[1]
-        # Of modes that are coupled; it fits no multiprocessor's own memory, so that each substep reads it again
+        # Of coupled modes; it is too large for the memory of a multiprocessor, so each substep reads it again
         coupling = substeps * self.coupling.size
         own = modes * (rows * rows + rows)
         single, double = patterns * (dense + substeps * modes), substeps * own + coupling
@@ -274,8 +274,8 @@ class ModalStepper(SkinStepper):
         return self.weighed(squares)
 
     def weighed(self, squares: Sequence[float]) -> Outside:
-        """What lies outside, from sums of squares over substeps: of what is left over in the energy norm, of all in it,
-        and of both as plain pressure [Pa^2]."""
+        """The part of the load outside the class, from sums of squares over substeps: of the remainder in the energy
+        norm, of the whole load in it, and of both as plain pressure [Pa^2]."""
         outside, whole, plain, plain_whole = squares
         return Outside(self._hidden * outside, whole, self._hidden * plain, plain_whole)
 
@@ -283,7 +283,7 @@ class ModalStepper(SkinStepper):
         """See SkinStepper."""
         matrix = checked_operator(operator, self.unknowns)
         seen = np.zeros((self.padded, matrix.shape[0]))
-        # Those of the unknowns that it reads, as the product makes a copy in double precision
+        # Only the unknowns that it reads, because the product makes a copy in double precision
         read = np.unique(matrix.indices)
         seen[: self.order] = (matrix[:, read] @ self.body.modes.vectors[read]).T
         return Reader(matrix.shape[0], seen, seen.astype(np.float32))
@@ -368,7 +368,7 @@ class DiagonalBody:
 
 
 def _propagators(scheme: Scheme, padded: int) -> tuple[Float, Float]:
-    """Matrix of each mode's state over a substep, (padded, rows, rows), and what a force adds, (padded, rows)."""
+    """Matrix of a mode's state over a substep, (padded, rows, rows), and its increment by a force, (padded, rows)."""
     diagonals = [term.matrix.diagonal() for term in scheme.terms]
     count, rows = len(diagonals[0]), scheme.state_rows
     rigidity = sum(term.coefficient * diagonal for term, diagonal in zip(scheme.terms, diagonals, strict=True))

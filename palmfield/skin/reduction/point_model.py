@@ -1,7 +1,7 @@
-"""How one point of a skin moves under one pressure whose level changes in any way: a small model of whole time courses.
+"""Motion of one point of a skin under one pressure with any level over time: a small model of whole time courses.
 
-A load that begins makes a lightly damped skin ring at frequencies of its own, which rest and the main frequency say
-nothing of. The ring is seen in the time course alone, and a small model gives that for one real factorisation.
+The start of a load makes a lightly damped skin ring at its own frequencies, which the responses at rest and at the
+main frequency do not show. Only the time course shows the ringing; a small model gives it for one factorisation.
 """
 
 import math
@@ -27,7 +27,7 @@ WINDOW_S = 0.05
 """After a sudden start, over which models of two sizes are compared [s]."""
 MOMENTS = 256
 TOLERANCE = 5e-3
-"""Relative error of the point's motion in that window at which the model is large enough."""
+"""Relative error of the motion of the point in that window at which the model is large enough."""
 MOST_VECTORS = 240
 
 
@@ -50,15 +50,15 @@ class _SmallBody:
 class PointModel:
     """Motion of one point under one shape of force.
 
-    projection: the body in the model's vectors, with that force and that reading; error: relative, see `point_model`
-    supported: whether something holds the body at rest
+    projection: the body in the vectors of the model, with that force and reading. error: relative, see `point_model`.
+    supported: whether the body has a support at rest.
     """
 
     def __init__(self, projection: Projection, error: float, supported: bool) -> None:
         self.projection, self.error, self.supported = projection, error, supported
 
     def static(self) -> float:
-        """Displacement at rest under the force [m]. Raises SceneError for a body that nothing holds."""
+        """Displacement at rest under the force [m]. Raises SceneError for a body without support."""
         if not self.supported:
             raise SceneError("a static answer needs a support: nothing holds this body, neither base nor sides")
         _, _, elastic, *stiffness = self.projection.matrices
@@ -98,9 +98,9 @@ class PointModel:
 def point_model(system: SkinSystem, force: Float, read: Float, highest_Hz: float) -> PointModel:
     """The motion of a point of a layer under a force, by one real factorisation.
 
-    force: of the load at full level, (n,) [N]; read: of the point, (n,); highest_Hz: highest frequency that matters
-    The error is SAFETY times what the last ROUND vectors or more change in the motion over WINDOW_S after a sudden
-    start, L2 over the window; above TOLERANCE where MOST_VECTORS don't reach that. Kept in the cache
+    force: of the load at full level, (n,) [N]. read: of the point, (n,). highest_Hz: highest relevant frequency.
+    The error is SAFETY times the change of the motion by the last ROUND vectors or more, over WINDOW_S after a sudden
+    start, L2 over the window; above TOLERANCE if MOST_VECTORS don't reach it. Kept in the cache
     (`palmfield.cache`).
     Raises SceneError for a force or a reading of 0.
     """

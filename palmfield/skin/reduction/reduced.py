@@ -4,9 +4,9 @@ Full body: M u'' + C u' + E u + sum_p K_p (u + sum_i g_i (u - q_i) + t u') = B f
 Its matrices are projected on both sides with a real V (palmfield.skin.reduction.reducer) and stay symmetric and
 positive semidefinite, so the small body dissipates energy as the full one does: it is stable whatever V is.
 
-Time: coordinates x = (w_k a_k, a', sqrt(g) L_p (a - q)) with w_k^2 the relaxed stiffness's eigenvalues and L^T L = K_p
-make |x|^2 / 2 the energy, so exp(A h) never lengthens x. Steps use that matrix exponential, with the force held or
-linear in between.
+Time: coordinates x = (w_k a_k, a', sqrt(g) L_p (a - q)), with w_k^2 the eigenvalues of the relaxed stiffness and
+L^T L = K_p, make |x|^2 / 2 the energy, so exp(A h) never lengthens x. Steps use that matrix exponential, with the force
+held or linear in between.
 """
 
 from dataclasses import dataclass
@@ -86,7 +86,7 @@ class Reduced:
         return _Modes(roots, vectors, inverse, np.linalg.solve(vectors, self.inputs))
 
     def decoupled(self, step_s: float) -> "Decoupled | None":
-        """The same steps in coordinates that go each its own way; None where the modes are ill conditioned."""
+        """The same steps in independent coordinates; None where the modes are ill conditioned."""
         modes = self._modes
         if modes is None:
             return None
@@ -116,7 +116,7 @@ class Reduced:
     def run(self, forces: Any, times: Float, law: Law = "linear") -> tuple[Any, Any]:
         """y [m] and y' [m/s] at times [s], rising, (t,), of a body at rest at the first, both (t, k).
 
-        forces: real or complex, shape (t, j): "linear" between the times, or "held" at the earlier one's
+        forces: real or complex, shape (t, j): "linear" between the times, or "held" at that of the earlier one.
         Exact in time: the modes of A where they are well conditioned, else a matrix exponential for each step length.
         Raises SceneError for shapes that do not fit or times that do not rise.
         """
@@ -150,7 +150,7 @@ class Reduced:
         return states
 
     def propagators(self, step_s: float) -> tuple[Float, Float, Float]:
-        """exp(A h) and the integrals that the force at the step's start and end get (Van Loan 1978)."""
+        """exp(A h) and the integrals for the force at the start and at the end of the step (Van Loan 1978)."""
         found = self._steps.get(step_s)
         if found is None:
             if len(self._steps) >= MOST_STEPS:
@@ -169,11 +169,11 @@ class Reduced:
 
 @dataclass(frozen=True)
 class Decoupled:
-    """A small model's steps in coordinates z of its modes: of a state x, z = x @ there, and x = z @ back, both (n, n).
+    """Steps of a small model in coordinates z of its modes: of a state x, z = x @ there, and x = z @ back, both (n, n).
 
-    The first numbers of z are real and imaginary part of each mode that swings, the others the modes that only fade.
-    grow: factor of a step for each of the first; fall: for each of the others
-    start, end: what a unit of each force at a step's start and end adds to z, shapes (j, n)
+    The first numbers of z are real and imaginary part of each oscillating mode, the others the purely decaying modes.
+    grow: factor of a step for each of the first. fall: for each of the others.
+    start, end: increment of z by a unit of each force at the start and at the end of a step, shapes (j, n).
     """
 
     there: Float
@@ -224,7 +224,7 @@ def _energy_form(small: Projection) -> tuple[Float, Float, Float, Float, list[Fl
     """
     _, damping, elastic, *stiffness = small.matrices
     squares, turn = np.linalg.eigh(elastic + sum(stiffness))
-    # A free body's rigid motions have no stiffness: they keep their displacement itself as coordinate.
+    # Rigid motions of a free body have no stiffness: their displacement itself is the coordinate.
     held = squares > 1e-12 * squares[-1]
     scale = np.where(held, np.sqrt(np.maximum(squares, 0.0)), 1.0)
     force = turn.T @ small.force
@@ -283,7 +283,7 @@ def _modal_run(roots: Complex, forces: Complex, lengths: Float, which: Any, law:
 
 
 def _modal_weights(roots: Complex, h: float) -> tuple[Complex, Complex, Complex]:
-    """e^{z}, and h (phi_1 - phi_2) and h phi_2 of z = roots h, for the force at the step's start and end."""
+    """e^{z}, and h (phi_1 - phi_2) and h phi_2 of z = roots h, for the force at the start and end of the step."""
     z = roots * h
     small = np.abs(z) < 0.1
     safe = np.where(small, 1.0, z)

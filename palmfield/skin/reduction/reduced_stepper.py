@@ -1,4 +1,4 @@
-"""Steps a skin by a small model, made for a load whose course is known ahead.
+"""Steps a skin by a small model, made for a predicted load.
 
 It is exact in time, and a substep is one dense product.
 """
@@ -25,17 +25,17 @@ from palmfield.types import Complex, Float, Float32, Int
 
 MOST_VECTORS = 400
 MIXED = 64
-"""Loads of which the residual's own displacement is asked, at most: their mean square is right to a tenth."""
+"""Largest number of loads for the displacement of the residual: their mean square is right to a tenth."""
 
 
 @dataclass(frozen=True)
 class KnownLoad:
-    """A load whose course is known ahead, F(t) = shapes @ shares(t).
+    """A predicted load, F(t) = shapes @ shares(t).
 
-    basis: what the model is made for: the shapes themselves, for any course of each, or one Course
-    shapes: [N], shape (n, m); trials: shares at the steps' times, one array of shape (t, m) for each course from rest
-        under which models are compared
-    spectrum: some of its frequencies [Hz] and, for each, its complex shares there, (m,), under e^{-i w t}
+    basis: what the model is made for: the shapes themselves, for any course of each, or one Course.
+    shapes: [N], shape (n, m); trials: shares at the times of the steps, one array of shape (t, m) for each course from
+        rest under which models are compared.
+    spectrum: some of its frequencies [Hz] and, for each, its complex shares there, (m,), under e^{-i w t}.
     """
 
     basis: Float | Course
@@ -47,18 +47,18 @@ class KnownLoad:
 class ReducedStepper(SkinStepper):
     """Galerkin in the vectors V, exact in time for loads that change linearly within a substep; see SkinStepper.
 
-    Any load may be given, but only for that course of it for which the model was made is the error as estimated.
+    Any load may be given, but the error estimate holds only for the course for which the model was made.
     Unlike other steppers it takes substeps of any length; those of step_s cost least.
 
-    small: the body in the vectors, under j shapes of force, with the coordinates in V as what it reads
-    vectors: V, (n, r)
-    shares: shape (p, j): how much of each shape of force a pressure of 1 Pa at each point is
-    points: numbers of the quadrature's points at which it takes pressure, shape (p,), None for all
-    step_s: length of a substep [s]
-    error: relative, of the surface's displacement under the known load, see `reduced_stepper`
-    any_course: whether the model is made for any course of its load in time, from any moment on
-    advance, start, end: of a state x and shapes of force f, g at a substep's ends it makes advance @ x + f @ start +
-        g @ end, shapes (n, n), (j, n) and (j, n)
+    small: the body in the vectors, under j shapes of force; its outputs are the coordinates in V.
+    vectors: V, (n, r).
+    shares: shape (p, j): share of each shape of force in a pressure of 1 Pa at each point.
+    points: numbers of the quadrature points at which it takes pressure, shape (p,), None for all.
+    step_s: length of a substep [s].
+    error: relative, of the displacement of the surface under the predicted load, see `reduced_stepper`.
+    any_course: whether the model is made for any course of its load in time, from any moment on.
+    advance, start, end: next state advance @ x + f @ start + g @ end, from a state x and shapes of force f, g at both
+        ends of a substep; shapes (n, n), (j, n) and (j, n).
     """
 
     name = "reduced"
@@ -87,7 +87,7 @@ class ReducedStepper(SkinStepper):
         self.advance = np.ascontiguousarray(advance)
         self.start, self.end = np.ascontiguousarray(start.T), np.ascontiguousarray(end.T)
         self._decoupled = self.model.decoupled(step_s)
-        # What was made of the last pressures that don't change
+        # Results of the last pressures that don't change
         self._fixed: tuple[Float | Float32, Float] | None = None
         self._leaps: tuple[Float | Float32, int, Float, Float] | None = None
         # Displacement and velocity in V are products of the first two blocks of a state: only these are not 0.
@@ -128,14 +128,14 @@ class ReducedStepper(SkinStepper):
             return self._read(states.reshape(-1, self.state_size), observe).reshape(worlds, substeps, 2, -1)
 
     def _leap(self, state: Float, loads: SurfaceLoads) -> None:
-        """All substeps at once, under pressures that stay: nobody asks for what lies between."""
+        """All substeps at once, under constant pressures: the states in between are not needed."""
         worlds, substeps, _ = loads.first.shape
         known = self._leaps
         with one_blas_thread:
             if known is None or known[0] is not loads.pressure_Pa or known[1] != substeps:
                 forces = self._forces(loads)
                 pushes = np.stack([forces @ self.start, forces @ self.end], axis=1)
-                steps, power = [pushes], self.advance.T  # one world's where all have the same pressure
+                steps, power = [pushes], self.advance.T  # of one world if all have the same pressure
                 for _ in range(substeps - 1):
                     steps.append(steps[-1] @ self.advance.T)
                     power = power @ self.advance.T
@@ -235,18 +235,18 @@ def reduced_stepper(
     tolerance: float,
     pressures: LoadShapes | None = None,
 ) -> ReducedStepper:
-    """Small model of a layer for a load known ahead, from one real factorisation.
+    """Small model of a layer for a predicted load, from one real factorisation.
 
-    surface: reads the displacement that must be right, csr, (S, n); point: at one place of it, (1, n)
-    inputs: csr, shape (n, q): consistent nodal force [N] = inputs @ inward pressure [Pa]
-    step_s: length of a substep [s], also that of the known load's shares
-    highest_Hz: highest frequency that matters [Hz]; tolerance: target relative error
-    pressures: of which the load is made, so that it is looked at in their points only; None for all points
-    The error is the larger of two. First, SAFETY times what the last ROUND vectors or more change in the motion under
-    the load from rest: L2 over times, the larger of over the surface and at the point. Second, of the steady motion
-    at the load's frequencies, the residual's own displacement by the factors that are there, over the surface. Both
-    are of a smaller or a stiffer body than the true one, so they are estimates, no bounds.
-    Raises SceneError where MOST_VECTORS don't reach the tolerance.
+    surface: operator of the displacement that must be right, csr, (S, n). point: at one place of it, (1, n).
+    inputs: csr, shape (n, q): consistent nodal force [N] = inputs @ inward pressure [Pa].
+    step_s: length of a substep [s], also that of the shares of the predicted load.
+    highest_Hz: highest relevant frequency [Hz]. tolerance: target relative error.
+    pressures: those that compose the load, so that only their points are evaluated; None for all points.
+    The error is the larger of two. The first is SAFETY times the change of the motion under the load from rest by the
+    last ROUND vectors or more: L2 over times, the larger of over the surface and at the point. The second is of the
+    steady motion at the frequencies of the load: the displacement of the residual by the stored factors, over the
+    surface. Both refer to a smaller or a stiffer body than the true one, so they are estimates, not bounds.
+    Raises SceneError if MOST_VECTORS don't reach the tolerance.
     """
     small, vectors, error, any_course = known_model(
         system, cache.digest(load), lambda: load, surface, point, step_s, highest_Hz, tolerance
@@ -267,9 +267,9 @@ def known_model(
     highest_Hz: float,
     tolerance: float,
 ) -> tuple[Projection, Float, float, bool]:
-    """The body in its vectors V, V (n, r), the error, and whether any course of the load will do.
+    """The body in its vectors V, V (n, r), the error, and whether the model holds for any course of the load.
 
-    mark: the digest of the known load, for which is asked only where the cache (`palmfield.cache`) has no answer
+    mark: the digest of the predicted load, which is made only if the cache (`palmfield.cache`) has no entry
     """
 
     def make() -> cache.Arrays:
@@ -298,7 +298,7 @@ def known_model(
 
 
 class _Trial:
-    """The motions of a model of `order` vectors under the known load: coordinates in V, each of shape (t, order)."""
+    """Motions of a model of `order` vectors under the predicted load: coordinates in V, each of shape (t, order)."""
 
     def __init__(self, krylov: Krylov, load: KnownLoad, step_s: float) -> None:
         self.order = krylov.order

@@ -1,8 +1,8 @@
-"""The vectors on which a body is reduced: a Krylov space grown until the motion that it gives stops changing.
+"""The vectors on which a body is reduced: a Krylov space grown until its motion stops changing.
 
 The body moves under real shapes of its load; `palmfield.skin.reduction.krylov` takes one real factorisation for the
-whole space. What tells that it is large enough differs: the motion under a known load (reduced_stepper and
-solvers.reduced) or the transfer functions over a band (`reduce`, here).
+whole space. Two criteria decide that it is large enough: the motion under a predicted load (reduced_stepper and
+solvers.reduced), or the transfer functions over a band (`reduce`, here).
 """
 
 from collections.abc import Callable
@@ -19,19 +19,19 @@ from palmfield.skin.reduction.reduced import Projection, Reduced
 from palmfield.types import Complex, Int
 
 SHIFT = 0.6
-"""Of the highest angular frequency that matters: there answers from 0 to it converge together."""
+"""Share of the highest relevant angular frequency: with it solutions from 0 to that frequency converge together."""
 ROUND = 8
 """Vectors by which two models that are compared differ, at least."""
 SAFETY = 1.5
 """Times the last change: with a circle on the palm, on large elements, the true error was up to 1.3 times that."""
 WEAK = 0.1
-"""Part of the largest answer to which the error of weaker ones is related."""
+"""Share of the largest response to which the error of weaker ones is related."""
 
 T = TypeVar("T")
 
 
 class TooManyVectorsError(SceneError):
-    """A tolerance that a model of the largest size allowed does not reach. reached: that model's trial"""
+    """A tolerance that a model of the largest allowed size does not reach. reached: the trial of that model"""
 
     def __init__(self, message: str, reached: object = None) -> None:
         super().__init__(message)
@@ -39,7 +39,7 @@ class TooManyVectorsError(SceneError):
 
 
 def grown(krylov: Krylov, vectors: int) -> bool:
-    """Grow a space by so many vectors or more; False where it has ended."""
+    """Grow a space by this number of vectors or more; False where it has ended."""
     target, growing = krylov.order + vectors, True
     while growing and krylov.order < target:
         growing = krylov.grow() > 0
@@ -54,12 +54,12 @@ def grow_until(
     most_vectors: int,
     residual: Callable[[], float] | None = None,
 ) -> tuple[T, float]:
-    """Grow a Krylov space until models of two sizes agree; the last trial, and its estimated relative error.
+    """Grow a Krylov space until models of two sizes agree; return the last trial and its estimated relative error.
 
-    trial: what the model of the present size gives; change: (trial, that of fewer vectors) -> relative difference
-    residual: another estimate, asked once the first is small enough; the larger of the two counts
-    The error is SAFETY times what the last ROUND vectors or more changed. It is above the tolerance only where the
-    space ended. Raises TooManyVectorsError where most_vectors don't reach the tolerance.
+    trial: the result of the model of the present size. change: (trial, that of fewer vectors) -> relative difference.
+    residual: another estimate, computed once the first is small enough; the larger of the two counts.
+    The error is SAFETY times the change by the last ROUND vectors or more. It is above the tolerance only where the
+    space ended. Raises TooManyVectorsError if most_vectors don't reach the tolerance.
     """
     before = trial()
     while True:
@@ -93,15 +93,15 @@ def reduce(
 ) -> Reduced:
     """Reduced model of a body between its inputs and outputs, for any course of the inputs.
 
-    body: the full matrices, n unknowns, such as a SkinSystem
-    inputs: B, force [N] for one unit of each of j inputs, shape (n, j), sparse or dense
-    outputs: Y, shape (k, n): what is read, y = Y u [m]
-    band_Hz: lowest and highest frequency at which the model must be right, 0 <= low < high
-    tolerance: target relative error of y, on a line s = d + i w over the band, 2 d being the spacing of its `points`,
-        which is closer at low w: sharper resonances are seen at this width. Relative to the largest answer at this or
-        a higher frequency, or WEAK times the largest of all.
-    order: elimination order of the unknowns, shape (n,), for the factor; None lets SuperLU choose
-    beyond: grow once more after that: a model that another is held against errs less than it, whatever both reach
+    body: the full matrices, n unknowns, such as a SkinSystem.
+    inputs: B, force [N] for one unit of each of j inputs, shape (n, j), sparse or dense.
+    outputs: Y of the outputs y = Y u [m], shape (k, n).
+    band_Hz: lowest and highest frequency at which the model must be right, 0 <= low < high.
+    tolerance: target relative error of y, on a line s = d + i w over the band. 2 d is the spacing of its `points`, less
+        at low w: sharper resonances have this width. Relative to the largest response at this or a higher frequency, or
+        WEAK times the largest of all.
+    order: elimination order of the unknowns, shape (n,), for the factor; None lets SuperLU choose.
+    beyond: grow once more after that: the reference for another model then has a smaller error than that model.
     Raises SceneError for shapes that do not fit, a tolerance or band outside these ranges, or no end at most_vectors.
     """
     forces = np.asarray(inputs.toarray() if sparse.issparse(inputs) else inputs, dtype=float)
@@ -114,7 +114,7 @@ def reduce(
         raise SceneError(f"band {band_Hz} Hz, tolerance {tolerance}: need 0 <= low < high, 0 < tolerance < 1, finite B")
     dynamics = DynamicStiffness(body, order)
     krylov = Krylov(dynamics, SHIFT * 2.0 * np.pi * high, forces)
-    # Resonances are narrower at low frequencies, and what nothing holds drifts there.
+    # Resonances are narrower at low frequencies, and unsupported bodies drift there.
     omega = 2.0 * np.pi * (low + (high - low) * np.linspace(0.0, 1.0, points) ** 3)
     weights = dynamics.weights(0.5 * np.gradient(omega) + 1j * omega)
 

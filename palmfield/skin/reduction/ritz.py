@@ -2,17 +2,17 @@
 
 With A = E + (1 + 1/2 sum_i g_i) K + w^2 M at one real rate w, factorised once, the space is that of A^-1 B,
 (A^-1 M) A^-1 B, and so on, orthonormal in the mass (load-dependent Ritz vectors: Wilson, Yuan & Dickens, Earthq. Eng.
-Struct. Dyn. 10, 1982; Nour-Omid & Clough, ibid. 12, 1984). Turned to the eigenvectors of E + c K in it, with c of the
-material at a middle frequency, mass and that sum are diagonal. Of soft matter that hardly changes its volume E holds
-next to no energy, so that it is all but diagonal as well, and each mode moves by itself.
+Struct. Dyn. 10, 1982; Nour-Omid & Clough, ibid. 12, 1984). In the eigenvectors of E + c K in it, with c of the
+material at a middle frequency, mass and that sum are diagonal. In nearly incompressible soft matter E holds almost no
+energy, so that it is nearly diagonal as well, and each mode moves by itself.
 
-Several relaxation laws make a sum of as many stiffnesses, which modes turn diagonal at one frequency only, and sheets
-share a load otherwise when they have relaxed. The space then begins with answers of the relaxed body besides, strong
-modes are told from weak ones by how all move together, and what couples them is kept: they are turned to the
-eigenvectors of what a substep of the scheme solves with, so that the coupling acts through the state before alone.
+Several relaxation laws make a sum of as many stiffnesses. Modes make it diagonal at one frequency only, and sheets
+share a load differently when they have relaxed. The space then also begins with responses of the relaxed body. Strong
+and weak modes are separated by the motion of all together, and their coupling is kept. They are turned to the
+eigenvectors of the matrix of a substep, so that the coupling acts through the previous state alone.
 
-Waves of 1 kHz run long in skin, so that the space needs far more vectors than the motion has: what the loads of the
-class move at all frequencies is known by then, and the sums of modes that hold most of its energy (proper orthogonal
+Waves of 1 kHz are long in skin, so that the space needs far more vectors than the motion has. Once it is complete, the
+motion by loads of the class at all frequencies is known. The sums of modes with most of its energy (proper orthogonal
 decomposition in the frequency domain: Willcox & Peraire, AIAA J. 40, 2002) are turned to modes once more.
 """
 
@@ -32,26 +32,26 @@ from palmfield.types import Complex, Float, Float32
 RATE_Hz = 400.0
 """w / 2 pi. A lower one does not settle short waves, a higher one does not reach out into the skin."""
 RELAXED_Hz = 100.0
-"""The same where several laws have relaxed."""
+"""The same for several laws, in the relaxed state."""
 PARALLEL = 0.01
-"""Part of a block below which what is new in a direction, for loads of the class's sizes, is left out."""
+"""Part of a block below which the new part of a direction, for loads of the sizes of the class, is left out."""
 COUPLED, COUPLED_SHARE = 0.01, 0.5
-"""What coupling that is left out may change in the harmonic motion, at least, and where more is left out with weak
-modes, of that."""
+"""Change of the harmonic motion that omitted coupling may cause, at least; and its share in the change by omitted weak
+modes, where that is more."""
 COUPLED_Hz = 200.0, 50.0, 800.0
-"""At which that is looked at; of one law at the first."""
+"""Frequencies at which that change is measured; for one law only at the first."""
 UNCOUPLED_Hz = 100.0
-"""At which it couples none: between a stimulus's start or end and its modulation."""
+"""Frequency at which modes are not coupled: between the start or end of a stimulus and its modulation."""
 CHUNK = 256
 """Columns or rows of a product that are held at a time."""
 FREQUENCIES_Hz: Float = np.concatenate([[0.0], np.geomspace(20.0, 4000.0, 32)])
-"""At which models are compared."""
+"""Frequencies at which models are compared."""
 HIGHEST_Hz = 4000.0
 """Modes above it, that would be stiff and coupled pressure waves, are left out."""
 SAFETY, TOGETHER = 1.25, 1.4
-"""Times that change; and besides where there are several laws, whose modes come nearer by less from block to block."""
+"""Factor on that change; and a second one for several laws, whose modes converge more slowly from block to block."""
 LINES_Hz: Float = np.linspace(0.0, 2500.0, 251)
-"""At which the motion is summed up that tells strong modes from weak ones."""
+"""Frequencies at which the motion is summed up to separate strong modes from weak ones."""
 CORNER_Hz = 500.0
 """Above which the loads' spectrum falls there as 1/f."""
 TRIALS = 16
@@ -62,13 +62,13 @@ TRIALS = 16
 class RitzModes:
     """Modes V of a body of p relaxation laws, orthonormal in the mass.
 
-    vectors: V in single precision, shape (n, r)
-    elastic, stiffness: diagonals of V^T E V and of each V^T K_p V, shapes (r,) and (p, r)
-    coupling: what couples the modes, matrices without diagonal, in single precision, shape (c, r, r); none where each
-        moves by itself
-    shares: of 1 and each law's stiffening with which each of these adds to the dynamic stiffness, shape (c, 1 + p)
-    motion, change: the surface's harmonic motion under random sums of the shapes, and what the last block of vectors,
-        the modes left out and the coupling left out change in it, rms [m], at FREQUENCIES_Hz, shapes (f,)
+    vectors: V in single precision, shape (n, r).
+    elastic, stiffness: diagonals of V^T E V and of each V^T K_p V, shapes (r,) and (p, r).
+    coupling: matrices without diagonal that couple the modes, in single precision, shape (c, r, r); none where each
+        moves by itself.
+    shares: of 1 and of the stiffening of each law, the factors of these matrices in the dynamic stiffness, (c, 1 + p).
+    motion, change: harmonic motion of the surface under random sums of the shapes, and its change by the last block of
+        vectors, the modes left out and the coupling left out, rms [m], at FREQUENCIES_Hz, shapes (f,).
     """
 
     vectors: Float32
@@ -119,25 +119,25 @@ def ritz_modes(
     stiffened: Sequence[float],
     relaxed: Float,
 ) -> RitzModes:
-    """Modes of a body for forces [N], shape (n, m), of which a load has shares of some rms sizes, shape (m,).
+    """Modes of a body for forces [N], shape (n, m), of which a load has shares of given rms sizes, shape (m,).
 
-    factor: of `shifted(system)`; blocks: vectors of the space for each force, at least 2, or 4 of several laws
-    left_out: of the motion's energy norm, what the weakest modes take with them that are left out
-    surface: reads the displacement that must be right, csr, shape (S, n)
-    stiffened: of each law, what a substep makes of G / G_r (palmfield.skin.fem.generalised_alpha), for modes that are
-        coupled, shape (p,)
-    relaxed: of several laws, answers of `shifted(system, relaxed=True)` to forces * sizes, shape (n, m), or (n, 0):
-        sheets share a load otherwise when they have relaxed, which no power of A^-1 M makes up for
+    factor: of `shifted(system)`. blocks: vectors of the space for each force, at least 2, or 4 of several laws.
+    left_out: share of the energy norm of the motion that the weakest modes, which are left out, may have.
+    surface: operator of the displacement that must be right, csr, shape (S, n).
+    stiffened: for coupled modes, the factor of G / G_r of each law in a substep
+        (palmfield.skin.fem.generalised_alpha), shape (p,).
+    relaxed: of several laws, solutions of `shifted(system, relaxed=True)` for forces * sizes, shape (n, m), or (n, 0).
+        Relaxed sheets share a load differently, for which powers of A^-1 M cannot compensate.
     Raises SceneError where `refusal` gives a reason.
     """
     reason = refusal(system)
     if reason is not None:
         raise SceneError(f"no modes of this skin: {reason}")
     materials = [part.material for part in system.parts]
-    # As stiff as the materials are at a middle frequency: there nothing couples the modes
+    # As stiff as the materials are at a middle frequency: modes are not coupled there
     means = laws_at(materials, -2j * np.pi * UNCOUPLED_Hz).real
     space, ends = _lanczos(system.mass, factor, forces * sizes, blocks, relaxed)
-    # The first law's is what is left of the sum: it need not be kept
+    # That of the first law is the rest of the sum: it need not be stored
     own = [_projected(matrix, space) for matrix in (system.elastic, *(part.stiffness for part in system.parts[1:]))]
     total = _projected(system.parts[0].stiffness, space)
     total *= means[1]
@@ -179,7 +179,7 @@ def ritz_modes(
     after = modes.answers(coupled, force, watched)
     scale = np.sqrt(TRIALS * seen.shape[0])
     motion = np.linalg.norm(after, axis=(1, 2)) / scale
-    # Of a block less, as if each mode moved by itself: what the laws couple changes little in that
+    # With one block less, as if each mode moved by itself: the coupling by the laws changes little in that
     changes = [np.linalg.norm(change, axis=(1, 2)) / scale for change in (answers[1] - answers[0], after - before)]
     change = np.sqrt(changes[0] ** 2 + changes[1] ** 2 + (coupling * motion) ** 2)
     change *= TOGETHER if len(materials) > 1 else 1.0
@@ -203,9 +203,9 @@ def laws_at(materials: Sequence[Material], s: complex) -> Complex:
 class _Modes:
     """Stiffnesses of a body in the eigenvectors of a sum of them.
 
-    values: of the sum, (r,); matrices: elastic, and of each law but the first, (r, r)
-    means: of the elastic one and each law in the sum, (1 + p,)
-    rigidities: diagonals of the elastic stiffness and of each law's, (1 + p, r)
+    values: of the sum, (r,). matrices: elastic, and of each law except the first, (r, r).
+    means: of the elastic one and each law in the sum, (1 + p,).
+    rigidities: diagonals of the elastic stiffness and of that of each law, (1 + p, r).
     """
 
     def __init__(self, values: Float, matrices: Sequence[Float], means: Float, materials: Sequence[Material]) -> None:
@@ -213,14 +213,14 @@ class _Modes:
         self.rigidities = _rigidities(values, [np.diagonal(matrix) for matrix in matrices], means)
 
     def share(self, number: int) -> Float:
-        """With which one of the matrices adds to the dynamic stiffness beside `values`, of what `laws_at` gives."""
+        """Factors with which one of the matrices adds to the dynamic stiffness besides `values`, from `laws_at`."""
         row = 0 if number == 0 else number + 1
         share = np.eye(len(self.means))[row]
         share[1] = -self.means[row] / self.means[1]
         return share
 
     def between(self, number: int) -> Float:
-        """What one of the matrices couples, (r, r)."""
+        """The coupling by one of the matrices, (r, r)."""
         return self.matrices[number] - np.diag(np.diagonal(self.matrices[number]))
 
     def of(self, means: Float) -> Float:
@@ -247,7 +247,7 @@ class _Modes:
         return np.array([watched @ np.linalg.solve(self.at(f, coupled), force) for f in FREQUENCIES_Hz])
 
     def left_out(self, coupled: Sequence[int], force: Float, watched: Float) -> float:
-        """What the coupling by the other matrices changes in the harmonic motion at COUPLED_Hz, at most, relative."""
+        """Largest relative change of the harmonic motion at COUPLED_Hz by the coupling of the other matrices."""
         worst = 0.0
         for f in COUPLED_Hz if len(self.means) > 2 else COUPLED_Hz[:1]:
             stiffnesses = self.at(f, range(len(self.matrices))), self.at(f, coupled)
@@ -266,7 +266,7 @@ def _turned(
 
 
 def _rigidities(values: Float, diagonals: Sequence[Float], means: Float) -> Float:
-    """Diagonals of the elastic stiffness and each law's, (1 + p, r), from those of all but the first law's."""
+    """Diagonals of the elastic stiffness and of each law, (1 + p, r), from those of all except the first law."""
     elastic, *others = diagonals
     first = (values - np.delete(means, 1) @ np.array(diagonals)) / means[1]
     return np.array([elastic, first, *others])
@@ -281,7 +281,7 @@ def _motion_alone(materials: Sequence[Material], rigidities: Float, pushed: Floa
     answers = np.array([1.0 / (rate**2 + laws_at(materials, rate) @ rigidities) for rate in s])
     answers *= 1.0 / np.hypot(1.0, LINES_Hz[:, None] / CORNER_Hz)
     parts = np.concatenate([answers.real, answers.imag])
-    # Products of pushes times those of answers
+    # Products of pushes and responses
     return (pushed @ pushed.T) * (parts.T @ parts)
 
 
@@ -292,7 +292,7 @@ def _motion_together(modes: _Modes, pushed: Float, trials: Float, seen: Float) -
     """
     gram = np.zeros((len(pushed), len(pushed)))
     answers = []
-    # Single precision: what it tells need be right to a part in a thousand
+    # Single precision: the result need be right only to a part in a thousand
     loads = pushed.astype(np.complex64)
     for f, width in zip(FREQUENCIES_Hz, np.gradient(FREQUENCIES_Hz), strict=True):
         stiffness = modes.at(f, range(1, len(modes.matrices)), np.complex64)
@@ -321,7 +321,7 @@ def _lanczos(
 ) -> tuple[Float32, list[int]]:
     """The space, orthonormal in the mass, shape (n, r), and how many vectors it has after each block.
 
-    also: motions that the first block has beside the answers to the forces, (n, a)
+    also: motions in the first block as well as the solutions for the forces, (n, a)
     Directions of a block keep the size that the forces give them, so that those of small ones are left out.
     """
     space = np.empty((forces.shape[0], blocks * forces.shape[1]), dtype=np.float32, order="F")

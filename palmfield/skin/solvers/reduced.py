@@ -1,8 +1,8 @@
 """Skin problems by reduced models of wedges: for loads that keep their shape, exact in time.
 
-A spot at rest, or pressures that are sums of a few patterns, push with few shapes. The mesh's matrices are projected on
-the Krylov space of those (palmfield.skin.reduction.krylov), which takes one factorisation and some tens of solves in
-place of a solve for every step. Meshes and their errors are those of palmfield.skin.solvers.wedges.
+A spot at rest, or pressures that are sums of a few patterns, push with few shapes. The matrices of the mesh are
+projected on the Krylov space of those (palmfield.skin.reduction.krylov), which takes one factorisation and some tens of
+solves in place of a solve for every step. Meshes and their errors are those of palmfield.skin.solvers.wedges.
 """
 
 import itertools
@@ -68,7 +68,7 @@ def refusal_reduced(body: Body, load: Load) -> str | None:
 
 
 def at_least(load: Traction) -> int:
-    """How many patterns the pressure has, counted up to MOST_SHAPES + 1 in a random mixture of the points."""
+    """Number of patterns of the pressure, counted up to MOST_SHAPES + 1 in a random mixture of the points."""
     mixture = np.random.default_rng(0).standard_normal((load.pressure_Pa.shape[1], MOST_SHAPES + 1))
     sizes = np.linalg.svd(load.pressure_Pa @ mixture, compute_uv=False)
     return int((sizes > 1e-6 * sizes.max(initial=0.0)).sum())
@@ -166,7 +166,7 @@ def _run(
     try:
         moved, _ = grow_until(krylov, motion, change, tolerance, MOST_VECTORS)
     except TooManyVectorsError as limit:
-        # What it has cost gives an answer all the same, with the error that the last vectors leave
+        # The completed work gives a result all the same, with the error that the last vectors leave
         moved = cast(Float, limit.reached)
     triangles, levels = len(mesh.surface_triangles6), (mesh.levels - 1) // 2
     solution = MeshSolution(moved[0], moved[1], system.ndof, triangles, levels, normals)
@@ -174,9 +174,9 @@ def _run(
 
 
 def course(load: Load, weights: Float, requested: Float) -> tuple[Float, Float, Int]:
-    """Times at which load or motion is wanted (c,), the weights there (c, m), and the rows of the requested times (t,).
+    """Times at which load or motion is needed (c,), the weights there (c, m), and the rows of the requested times (t,).
 
-    weights: at the load's times, (f, m); they stay after the last
+    weights: at the times of the load, (f, m); they stay after the last
     """
     knots = load.times_s
     clock = np.unique(np.concatenate([knots, requested[requested > knots[0]]]))
@@ -200,7 +200,7 @@ def common_length(clock: Float) -> float:
 def carried(stepper: ReducedStepper, read: Float, clock: Float, weights: Float, law: str) -> Float:
     """Displacement [m] and velocity [m/s] from rest at the times of the clock, shape (c, 2, m).
 
-    weights: of the stepper's inputs at these times, (c, k), "linear" in between or "held" at the earlier one's
+    weights: of the inputs at these times, (c, k), "linear" in between or "held" at that of the earlier one
     Steps of one length are taken in one call.
     """
     reader = stepper.reader(read)

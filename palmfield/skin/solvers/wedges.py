@@ -1,8 +1,8 @@
 """Skin problems by quadratic wedges: generalised-alpha, for any slab or layer.
 
-Sizes come from the target accuracy, then from what coarser runs show
-(`refine_until_converged`): two steps, where sides absorb two
-extents, more rows in depth, and two meshes. The error is the sum of what their differences tell.
+Sizes come from the target accuracy, then from the differences of coarser runs (`refine_until_converged`): two steps,
+two extents if sides absorb, more rows in depth, and two meshes. The error is the sum of the estimates from these
+differences.
 """
 
 import math
@@ -70,7 +70,7 @@ def refusal_wedges(body: Body, load: Load) -> str | None:
 def cost_wedges(problem: SkinProblem) -> float:
     """Predicted time [s] on one core.
 
-    The time of a run is known to a factor of 1.5; how fine mesh and steps will have to be only to one of 4.
+    The time of a run is known to a factor of 1.5, the sizes of mesh and steps that it needs only to one of 4.
     """
     body, load, accuracy = problem.body, problem.load, problem.accuracy
     span = max(float(problem.times[-1]) - float(load.times_s[0]), 0.0)
@@ -81,7 +81,7 @@ def cost_wedges(problem: SkinProblem) -> float:
 
 
 def last_dofs(problem: SkinProblem) -> float:
-    """About how many unknowns the finest mesh of a solution will have."""
+    """Expected number of unknowns of the finest mesh of a solution."""
     body, load, points, accuracy = problem.body, problem.load, problem.at, problem.accuracy
     first = expected_dofs(body, first_sizes(body, load, points, accuracy))
     if not isinstance(body, Slab):
@@ -89,14 +89,14 @@ def last_dofs(problem: SkinProblem) -> float:
     growth = ENDLESS_GROWTH * 0.05 / accuracy if body.shape == "infinite" else GROWTH * math.sqrt(0.05 / accuracy)
     if body.shape == "disc" and edge_is_felt(body, load, points):
         growth = EDGE_GROWTH * 0.05 / accuracy
-    # A thin sheet moves by its load's second derivative
+    # The motion of a thin sheet follows the second derivative of its load
     grown = first * growth * max(1.0, THIN * motion_width(body, load) / depth_of(body)) ** 2
     return math.sqrt(grown * max(grown, OFTEN_DOFS))
 
 
 OFTEN_DOFS, THIN = 4.5e3, 0.4
-"""Unknowns of a slab's last mesh, of which there are seldom many fewer: few elements tell little of one another. And
-the depth over a load's width below which they grow: 22 and 12 times at 0.13 and 0.22, 2 and 11 at 0.3 (4 maps)."""
+"""Unknowns of the last mesh of a slab, seldom many fewer: with few elements two meshes give poor estimates. Also the
+depth over the width of the load below which they grow: 22 and 12 times at 0.13 and 0.22, 2 and 11 at 0.3 (4 maps)."""
 
 
 def run_cost(dofs: float, steps: float) -> float:
@@ -105,15 +105,15 @@ def run_cost(dofs: float, steps: float) -> float:
 
 
 FINER_THAN_REQUESTED = 0.6
-"""Share of the requested edges below which a layer's own triangles are left for coarser ones."""
+"""Share of the requested edges below which the triangles of a layer are replaced by coarser ones."""
 
 OVERDAMPED = 2.0
 """Speed of a wave over that without dashpots, above which it dies out within its length and steps need not follow."""
 
 STEP_ORDER = np.array([1.5, 1.0, 1.5])
-"""Of the QUANTITIES, by which the error of generalised-alpha falls with its step, at least. It is 2 in the end, and the
-few steps that a load shorter than the body's own period takes are not yet there: with 2 a ramp in 6 steps told 0.6 of
-the error. A sudden velocity has pressure waves that no step resolves."""
+"""Orders, by QUANTITIES, at which the error of generalised-alpha falls with its step, at least. The limit is 2, but the
+few steps of a load shorter than the period of the body do not reach it: with 2 a ramp in 6 steps gave 0.6 of the error.
+A sudden velocity has pressure waves that no step resolves."""
 
 TOGETHER = 32
 """Substeps that are taken in one call."""
@@ -123,7 +123,7 @@ NARROWEST = 3.0
 
 GROWTH, EDGE_GROWTH, ENDLESS_GROWTH = 1.7, 6.0, 10.0
 """Unknowns of the last mesh over those first expected, at 5 %: 1.3 to 2.4 on four discs of 2 to 10 %; 4 to 30 on three
-where a held edge is felt; 7 to 20 on three endless slabs, widened. A layer's triangles are quartered first."""
+with a singular fixed edge; 7 to 20 on three endless slabs, widened. The triangles of a layer are quartered first."""
 
 
 def solve_wedges(
@@ -174,7 +174,7 @@ def solve_wedges(
 
 
 def static_wedges(body: Body, load: Load, at: Float, *, accuracy: float = 0.05, sizes: Sizes | None = None) -> Motion:
-    """Displacement under the load's last pressure, held for ever; times_s is its last time, the velocity 0.
+    """Displacement under the last pressure of the load, held for ever; times_s is its last time, the velocity 0.
 
     Arguments as for solve_wedges. Raises SceneError also for a body without a support.
     """
@@ -205,16 +205,16 @@ def static_wedges(body: Body, load: Load, at: Float, *, accuracy: float = 0.05, 
 
 
 def first_step(body: Body, load: Load, accuracy: float) -> float:
-    """Step [s] whose error is a third of the target at the load's frequency: 0.1 (w h)^2, see estimate."""
+    """Step [s] whose error is a third of the target at the load frequency: 0.1 (w h)^2, see estimate."""
     frequency = load_frequency(load, slowest_wave(body, 200.0), motion_width(body, load))
     return math.sqrt(10.0 * min(accuracy, 0.2) / 3.0) / (2.0 * math.pi * frequency)
 
 
 def first_sizes(body: Body, load: Load, points: Float, accuracy: float) -> Sizes:
-    """Sizes of a mesh for an accuracy, from the load's width, the shear wavelength and where load and points lie.
+    """Sizes of a mesh for an accuracy, from the width and place of the load, the shear wavelength and the points.
 
-    A disc's errors by these sizes are in estimate.py. A layer's triangles are quartered at least once, as the coarser
-    mesh that tells the error is the patch itself or lies between; those much finer than requested give way to others.
+    Errors of a disc with these sizes are in estimate.py. A layer's triangles are quartered at least once, because the
+    coarser mesh of the error estimate is the patch itself or lies between; too fine ones are replaced.
     """
     if not 1e-4 <= accuracy <= 0.5:
         raise SceneError(f"accuracy is {accuracy}; give one in 0.0001 to 0.5")
@@ -256,7 +256,7 @@ def first_sizes(body: Body, load: Load, points: Float, accuracy: float) -> Sizes
 
 
 def expected_dofs(body: Body, sizes: Sizes) -> float:
-    """About how many unknowns a body's mesh will have."""
+    """Expected number of unknowns of the mesh of a body."""
     depth = depth_of(body)
     if isinstance(body, Layer) and not sizes.remesh:
         triangles = len(body.patch.faces) * 4.0**sizes.refinements
@@ -289,7 +289,7 @@ def slowest_wave(body: Body, f_Hz: float) -> float:
 
 
 def _check_pinned(body: Body, load: Load, sizes: Sizes | None) -> None:
-    """Between the load's quadrature points, some 0.4 of an edge apart, a smaller spot falls through."""
+    """Refuse edges so large that a spot falls between the quadrature points of its load, some 0.4 of an edge apart."""
     if isinstance(body, Slab) and sizes is not None and sizes.fine_m > 2.0 * load_width(load):
         raise SceneError(
             f"sizes: edges of {sizes.fine_m:.3g} m don't see a spot {load_width(load):.3g} m wide; give fine_m of at "
@@ -304,7 +304,7 @@ def _size(system: SkinSystem) -> tuple[int, int]:
 
 
 def _run(body: Body, load: Load, requested: Float, points: Float, discretisation: Discretisation) -> MeshSolution:
-    """March from the load's first time to the last requested one; the motion between steps by cubic Hermite pieces."""
+    """March from the first time of the load to the last requested one; the motion between steps is cubic Hermite."""
     system, step_s = build(body, discretisation.sizes), discretisation.step_s
     history = PressureHistory(load, system.mesh, system)
     stepper = WedgeStepper(system, history.operator, step_s, discretisation.rho_inf)

@@ -9,8 +9,8 @@ U, V, W of (r, z). Strains of a real (U, V, W) then are, times cosine or sine of
 r times in z (Karniadakis & Sherwin 2005, ch. 2). As all rectangles are aligned, every integral is one over r times one
 over z. Nothing is projected: from p = 4 on the displacement alone does not lock up to nu = 0.4999 and beyond.
 
-On the axis a smooth field has U = V = 0 (m = 0), U = -V and W = 0 (m = 1), all 0 (m >= 2): what stands under 1 / r then
-vanishes there, and integrals at interior points are exact.
+On the axis a smooth field has U = V = 0 (m = 0), U = -V and W = 0 (m = 1), all 0 (m >= 2). So the terms with 1 / r
+vanish there, and integrals at interior points are exact.
 """
 
 from dataclasses import dataclass
@@ -76,7 +76,7 @@ class Line:
 
 @dataclass(frozen=True)
 class DiscPart:
-    """Stiffness [N/m] of G_r, csr (n, n), that relaxes as this material's shear modulus."""
+    """Stiffness [N/m] of G_r, csr (n, n), that relaxes as the shear modulus of this material."""
 
     stiffness: sparse.csr_matrix
     material: Material
@@ -98,10 +98,10 @@ class DiscSystem:
 
 
 class DiscGrid:
-    """A disc's elements and the integrals that its harmonics share.
+    """Elements of a disc and the integrals that its harmonics share.
 
-    radial: r from 0 to the rim; depth: z from the base, -thickness, to the face, 0
-    sheet: number of the sheet in which each element in depth lies
+    radial: r from 0 to the rim. depth: z from the base, -thickness, to the face, 0.
+    sheet: number of the sheet that contains each element in depth.
     """
 
     def __init__(self, body: Slab, radial: Line, depth: Line, sheet: Int) -> None:
@@ -195,7 +195,7 @@ class DiscGrid:
     def _spread(self, m: int) -> sparse.csr_matrix:
         free = np.ones((self.radial.count, self.depth.count, 3), dtype=bool)
         if m == 0:
-            # A pressure that does not depend on the angle turns nothing.
+            # A pressure that does not depend on the angle has no torque.
             free[:, :, V] = False
         free[0] = [[False, False, True], [True, True, False], [False, False, False]][min(m, 2)]
         if self.body.base == "bonded":

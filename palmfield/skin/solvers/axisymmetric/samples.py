@@ -11,7 +11,7 @@ from palmfield.types import Float
 REACH = 3.0
 """Standard deviations to which a spot is resolved."""
 BAND, MOST_BAND = 8.0, 24.0
-"""Least and most that the reduced models hold, in c / (2 pi s): a load of size s answers as 1 / f^2 above that."""
+"""Least and most of the band of the reduced models, in c / (2 pi s): above it a load of size s responds as 1 / f^2."""
 MOST_BINS = 1 << 16
 
 
@@ -67,10 +67,10 @@ def _speed(body: Slab, s: float) -> float:
 
 
 def _own_frequency(body: Slab, s: float) -> float:
-    """Frequency [Hz] at which a spot of this width that is let go rings: its own, c_s / (2 pi s), or the layer's.
+    """Frequency [Hz] at which a spot of this width rings after release: its own, c_s / (2 pi s), or that of the layer.
 
-    A layer thinner than the spot answers at the quarter wave of shear, and where the spot is so wide that a column's
-    compression h / M outweighs the squeeze to the sides, about (h / s)^2 h / 3 G, at that of compression as well.
+    A layer thinner than the spot rings at the quarter wave of shear. If the spot is so wide that the compression of a
+    column, h / M, outweighs the squeeze to the sides, about (h / s)^2 h / 3 G, it rings at that of compression as well.
     """
     h = body.thickness_m
     own = _speed(body, min(s, 2.0 * h / math.pi)) / (2.0 * math.pi * min(s, 2.0 * h / math.pi))
@@ -82,7 +82,7 @@ def _own_frequency(body: Slab, s: float) -> float:
 
 
 def band_of(body: Slab, load: Spot, samples: Samples, error: float) -> float:
-    """Highest frequency that the reduced models must hold [Hz]: the spot's own, that of its path, that of its law."""
+    """Highest frequency that the reduced models must include [Hz]: that of the spot, of its path, of its law."""
     s = spread(load.fwhm_m)
     own = _own_frequency(body, s)
     steps = np.diff(samples.times_s)
@@ -92,7 +92,7 @@ def band_of(body: Slab, load: Spot, samples: Samples, error: float) -> float:
     path = (
         REACH * float(np.max(np.abs(np.diff(place)) / steps)) / (2.0 * math.pi * s) if samples.law == "linear" else 0.0
     )
-    # Spectrum of the amplitude from its increments, the first jump included, as seen through an answer of 1 / f^2.
+    # Spectrum of the amplitude from its increments, the first jump included, filtered by a response of 1 / f^2.
     count = min(MOST_BINS, 2 + math.ceil(np.ptp(samples.times_s) / steps.min()))
     even = np.linspace(samples.times_s[0], samples.times_s[-1], count)
     rise = np.diff(np.interp(even, samples.times_s, samples.peak_Pa), prepend=0.0)
@@ -107,7 +107,7 @@ def principal_shapes(loads: Float, tolerance: float) -> tuple[Float, Float]:
     """Basis of load shapes: loads (n, f) = shapes (n, j) @ coordinates (j, f), to `tolerance` of each's scale.
 
     Proper orthogonal decomposition (truncated singular values): the largest dropped one is below tolerance times the
-    largest, at least one is kept.
+    largest. At least one is kept.
     """
     left, singular, right = np.linalg.svd(loads, full_matrices=False)
     kept = max(1, int(np.sum(singular > tolerance * singular[0])))

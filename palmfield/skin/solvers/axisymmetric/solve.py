@@ -4,11 +4,11 @@ A spot of width s at distance d from the axis, at angle phi, is the sum over m o
 
     e_m exp(-(r^2 + d^2) / 2 s^2) I_m(r d / s^2) cos m(theta - phi),    e_0 = 1, e_m = 2
 
-(Jacobi-Anger; Abramowitz & Stegun 9.6.34), and as the disc is round each harmonic moves by itself (`element`). A
-harmonic's load is a few shapes in r (POD over the distances that the spot takes) times complex numbers e^{-i m phi(t)}
+(Jacobi-Anger; Abramowitz & Stegun 9.6.34). Because the disc is round each harmonic moves by itself (`element`). The
+load of a harmonic is a few shapes in r (POD over the distances of the spot) times complex numbers e^{-i m phi(t)}
 in time: on a circle about the axis it is a single shape. Each harmonic is reduced to some tens of vectors between these
-shapes and the requested points (`reduced`), which are then integrated exactly between the load's times; a moving spot
-is sampled often enough for the load to be linear in between.
+shapes and the requested points (`reduced`), which are then integrated exactly between the times of the load. A moving
+spot is sampled often enough for the load to be linear in between.
 """
 
 import math
@@ -49,15 +49,15 @@ from palmfield.types import Complex, Float
 FINE = 1.8
 """Edge of the elements under the spot, in standard deviations; they grow away from it."""
 BAND_STEP = 1.25
-"""Ratio of the bands of two runs that are compared: what a jump excites above them shows in the difference."""
+"""Ratio of the bands of two runs that are compared: the motion above them after a jump shows in the difference."""
 SAFETY = np.array([2.0, 3.0, 2.0])
-"""Of 14 random discs the error was 0.2 to 1.6 times the difference from the finer run, which errs itself. A sudden
-velocity is nearer to it: on a sheet 300 times as soft as the next its error was 2.2 times that difference. For the
-QUANTITIES."""
+"""Factors on the difference from the finer run, by QUANTITIES. On 14 random discs the error was 0.2 to 1.6 times the
+difference, because the finer run has an error too. For a sudden velocity it was 2.2 times, on a sheet 300 times as soft
+as the next."""
 STATIC_SAFETY = 4.0
 """The same at rest, where errors at a point do not average over times."""
 TIGHTER, TIGHTEST = 0.35, 2e-5
-"""Accuracy for which that run's harmonics, path and reduced models are chosen, in the target, and the least."""
+"""Share of the target accuracy for which harmonics, path and reduced models of that run are chosen, and the least."""
 CORNER = 0.15
 """Width of the elements at a singular corner, in those of their neighbours (Szabo & Babuska 1991, ch. 10)."""
 MOST_DEGREE = 9
@@ -84,10 +84,10 @@ def refusal_axisymmetric(body: Body, load: Load) -> str | None:
 def solve_axisymmetric(
     problem: SkinProblem, *, degree: int | None = None, fine: float | None = None, harmonics: int | None = None
 ) -> Motion:
-    """Motion of a disc's face under a spot; on the CPU. The body is a Slab of shape "disc", the load a Spot.
+    """Motion of the face of a disc under a spot; on the CPU. The body is a Slab of shape "disc", the load a Spot.
 
     degree: polynomial degree p of the elements; fine: their edge under the spot in its standard deviations; harmonics:
-        highest harmonic. None chooses.
+        highest harmonic. With None the solver chooses.
     Raises SceneError for what `refusal_axisymmetric` names, points off the face, and values outside these ranges.
     """
     begin = time.perf_counter()
@@ -123,9 +123,9 @@ def solve_axisymmetric(
 
 
 def static_axisymmetric(body: Body, load: Load, at: Float, *, accuracy: float = 0.05) -> Motion:
-    """Displacement of a disc's face under a spot's last pressure, held for ever; times_s is its last time, velocity 0.
+    """Displacement of the face of a disc under the last pressure of a spot, held for ever; times_s is its last time.
 
-    Arguments as for `solve_axisymmetric`. Raises SceneError as it does, and for a disc that nothing holds.
+    The velocity is 0. Arguments and errors as for `solve_axisymmetric`; also SceneError for a disc without support.
     """
     begin = time.perf_counter()
     problem = SkinProblem(body, load, load.times_s[-1:], at, accuracy)
@@ -140,7 +140,7 @@ def static_axisymmetric(body: Body, load: Load, at: Float, *, accuracy: float = 
         finer, result = _motions([(tighter, first + 1, 0.0), (disc, first, 0.0)], None, _harmonic_at_rest)
         difference = STATIC_SAFETY * gap(result, finer, points)
         errors = difference + finer.dropped
-        # A higher degree does nothing for the harmonics that are left out
+        # A higher degree does not reduce the error of the harmonics that are left out
         if errors[0] <= accuracy or difference[0] <= 0.5 * accuracy or first >= MOST_DEGREE:
             break
         first += 2
@@ -169,7 +169,7 @@ def check_held(body: Slab) -> None:
 
 
 def first_degree(accuracy: float) -> int:
-    """Odd: the next higher degree is 2 to 50 times as good then, and tells the error; from an even one it is not."""
+    """Odd: the next higher degree is then 2 to 50 times as good and shows the error; from an even one it is not."""
     return 5 if accuracy >= 0.005 else 7
 
 
@@ -191,7 +191,7 @@ def cost_axisymmetric(problem: SkinProblem) -> float:
 
 
 def ringing(body: Slab, band_Hz: float) -> float:
-    """About how many modes of a harmonic below a frequency ring: Weyl's law of the cross-section, for shear in it."""
+    """Expected number of modes of a harmonic below a frequency: Weyl's law of the cross-section, for shear in it."""
     count = 0.0
     for sheet in body.sheets:
         material, turns = sheet.material, 2.0 * math.pi * band_Hz
@@ -204,7 +204,7 @@ def ringing(body: Slab, band_Hz: float) -> float:
 
 @dataclass(frozen=True)
 class _DiscProblem:
-    """What all resolutions share.
+    """The data that all resolutions share.
 
     share: pressure of each harmonic per peak; dropped: of those left out; path: mean error of its samples
     beyond: whether its reduced models are larger than their tolerance takes
@@ -254,7 +254,7 @@ def _problem(
 def _shares(ratio: float, least: float) -> Float:
     """Largest pressure of each harmonic, of a spot of peak 1 at `ratio` standard deviations off the axis, to `least`.
 
-    Taken over all distances from the axis: close to it a spot's high harmonics are strongest outside its middle.
+    Taken over all distances from the axis: close to it the high harmonics of a spot are strongest outside its middle.
     """
     r = np.linspace(0.0, ratio + 8.0, 400)
     spot = np.exp(-0.5 * (r - ratio) ** 2)
@@ -282,7 +282,7 @@ def _motions(
         )
         grids.append(grid)
         tasks += [(grid, problem, m, band_Hz) for m in problem.numbers]
-    # A harmonic that found BLAS at one thread or at two, as another one's factor has just set it, would differ in bits.
+    # BLAS threads are fixed: the factor of another harmonic may have just set their number, which changes last bits.
     with one_blas_thread, ThreadPoolExecutor(python_threads()) as pool:
         parts = pool.map(lambda task: (harmonic or _harmonic)(*task), tasks)
         result = [[next(parts) for _ in problem.numbers] for problem, _, _ in runs]
@@ -300,14 +300,14 @@ def _summed(problem: _DiscProblem, grid: DiscGrid, result: list[tuple[Complex, C
         for kind, part in enumerate(parts):
             mine[kind, after] = _turned(part[target[after]], m, points)
         moved += mine
-    # Those left out move as the last one does, by their share of the load.
+    # Those left out move like the last one, by their share of the load.
     last = np.array([_worst(part, whole) for part, whole in zip(quantities(mine), quantities(moved), strict=True)])
     dropped = last * problem.dropped / float(problem.share[problem.numbers[-1]])
     return _Found(moved, dropped, f"{grid.radial.elements} x {grid.depth.elements}")
 
 
 def quantities(moved: Float) -> tuple[Float, Float, Float]:
-    """Displacement, velocity and normal displacement of a disc's face from (2, t, n, 3), (t, n, 3 or 1) each."""
+    """Displacement, velocity and normal displacement of the face of a disc from (2, t, n, 3), (t, n, 3 or 1) each."""
     return moved[0], moved[1], moved[0][..., 2:]
 
 
@@ -346,7 +346,7 @@ def _grid(body: Slab, load: Spot, samples: Samples, degree: int, fine: float) ->
         return np.minimum(fine * s + 0.3 * away, longest)
 
     ends_r = graded(radius, across)
-    # Where a held and a free boundary meet stresses are singular: a thin row of elements keeps that to itself.
+    # Where a fixed and a free boundary meet stresses are singular: a thin row of elements confines the error.
     corner_side = body.side == "fixed" or (body.side == "free" and body.base not in ("free", "free_slip"))
     if corner_side:
         ends_r = np.insert(ends_r, -1, ends_r[-1] - CORNER * (ends_r[-1] - ends_r[-2]))
@@ -395,7 +395,7 @@ def _harmonic(grid: DiscGrid, problem: _DiscProblem, m: int, band_Hz: float) -> 
 
 @dataclass(frozen=True)
 class _SpotShape:
-    """What a harmonic's reduced model depends on: not on the course of the spot's pressure and angle."""
+    """All inputs of the reduced model of a harmonic; the course of the spot's pressure and angle is not one of them."""
 
     grid: DiscGrid
     m: int
@@ -462,7 +462,7 @@ def _harmonic_at_rest(grid: DiscGrid, problem: _DiscProblem, m: int, _: float) -
 
 
 def _turned(harmonic: Complex, m: int, points: Float) -> Float:
-    """Vectors (t, n, 3) along x, y, z of a harmonic's U, V, W (t, n, 3) at points (n, 3)."""
+    """Vectors (t, n, 3) along x, y, z from U, V, W (t, n, 3) of a harmonic at points (n, 3)."""
     angle = np.arctan2(points[:, 1], points[:, 0])
     turned = harmonic * np.exp(1j * m * angle)[:, None]
     out, around, up = turned[..., 0].real, turned[..., 1].imag, turned[..., 2].real

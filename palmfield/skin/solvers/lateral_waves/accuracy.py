@@ -1,4 +1,4 @@
-"""How far two solutions differ."""
+"""Difference of two solutions."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from palmfield.types import Float, Int
 SERIES_FROM = 8
 """Asked times from which points are judged one by one, over time."""
 FEW_POINTS = 32
-"""Points up to which they are judged one by one at fewer times as well; a picture's are judged together."""
+"""Points up to which errors are estimated one by one at fewer times as well; those of a snapshot get one estimate."""
 FAINT = 1e-3
 """Share of the largest motion below which a point is judged by that."""
 

@@ -1,4 +1,4 @@
-"""Which waves a slab and a load call for."""
+"""Choice of the waves for a slab and a load."""
 
 import math
 from dataclasses import replace
@@ -27,7 +27,7 @@ from palmfield.skin.solvers.lateral_waves.waves import (
 from palmfield.types import Float
 
 RIM_WIDTHS = 1.6
-"""Widths of the spot that its centre keeps from a slab's sides: there the pressure is below 1e-3 of its peak."""
+"""Least distance of the centre of a spot from the sides of a slab, in widths: there p is below 1e-3 of its peak."""
 MOST_RATES = 1e7
 """Ratio of the fastest and the slowest rate of an overdamped wave up to which its poles keep their digits."""
 SHORTEST = 3.0
@@ -41,8 +41,8 @@ MODES = 0.1
 LOOSEST = 0.03
 """Loosest tolerance of the modes in depth, at wavenumbers that the load hardly has."""
 JUMP = 0.05
-"""The same after a sudden load, in a run that tells another's error: modes are left out by their displacement, and the
-velocity that they take along falls by the root of that at best, or not at all from one tolerance to a fifth of it."""
+"""The same after a sudden load, in a run that estimates the error of another. Modes are left out by displacement; their
+velocity falls by the root of that at best, or not at all from one tolerance to a fifth of it."""
 RINGS = 60
 
 
@@ -57,7 +57,7 @@ def refusal_lateral_waves(body: Body, load: Load) -> str | None:
     if body.shape == "disc" and not (isinstance(load, Spot) and is_still(load) and not load.centres().any()):
         return "on a disc it takes a spot at rest in the middle"
     for material in (sheet.material for sheet in body.sheets):
-        # Of a wave as short as the load's: how fast it stops, times how slowly it creeps
+        # Of a wave as short as the load: stopping rate times creep rate
         rate = material.viscosity_Pa_s / material.density_kg_m3 * (SHORTEST / spread(load_width(load))) ** 2
         rate *= material.relaxation.viscous_time_s
         if rate > MOST_RATES:
@@ -78,7 +78,7 @@ def refusal_lateral_waves(body: Body, load: Load) -> str | None:
 
 
 def unevenness(body: Slab, load: Spot) -> float:
-    """By how much of its peak a spot's pressure falls over a slab, at most."""
+    """Largest fall of the pressure of a spot over a slab, as a share of its peak."""
     if body.shape == "infinite":
         return 1.0
     half = np.asarray(body.size_m or (body.radius_m or 0.0, 0.0)) * (0.5 if body.shape == "box" else 1.0)
@@ -87,9 +87,9 @@ def unevenness(body: Slab, load: Spot) -> float:
 
 
 def check_sides(body: Slab, load: Load, accuracy: float) -> float:
-    """Pressure at a slab's sides over the spot's peak, which the wavenumbers leave out; 0 for pressures at points.
+    """Pressure at the sides of a slab over the peak of the spot, which the wavenumbers omit; 0 for pressures at points.
 
-    Of one that is even over the slab to EVEN, its unevenness.
+    For a pressure that is even over the slab to EVEN, its unevenness.
 
     Raises SceneError where it is more than AT_SIDES of the target accuracy.
     """
@@ -113,7 +113,7 @@ def is_still(spot: Spot) -> bool:
 
 
 def box_images(body: Slab, points: Float) -> list[tuple[Float, Float]]:
-    """Points at which the periodic answer is summed, with signs of the vector components, shape (n, 2) and (3,)."""
+    """Points at which the periodic solution is summed, with signs of the vector components, shape (n, 2) and (3,)."""
     if body.shape != "box" or body.size_m is None:
         return [(points, np.ones(3))]
     return mirrored(points, body.size_m)
@@ -131,10 +131,10 @@ def build_waves(
     threads: int | None = None,
     farther: bool = False,
 ) -> tuple[WaveSet, Float | None]:
-    """Waves for a load on a slab, for points (n, 2) and times up to horizon_s [s] after its begin; and the panels of
-    wavenumbers of an endless slab, which a finer set may begin with. still: modes that come to rest at once, at the
-    static answer; farther: with a wavenumber of a disc or box beyond those that the resolution asks for, and more modes
-    after sudden loads."""
+    """Waves for a load on a slab, for points (n, 2) and times up to horizon_s [s] after its start. Also the panels of
+    wavenumbers of an endless slab, with which a finer set may begin. still: modes that come to rest at once, at the
+    static solution; farther: with one wavenumber of a disc or box beyond the resolution, and more modes after sudden
+    loads."""
     if isinstance(load, Spot):
         k_end = resolution.cut(load.fwhm_m)
         sources = load.centres()
@@ -187,7 +187,7 @@ def build_waves(
 
 
 def next_wavenumber(body: Slab) -> float:
-    """How far a slab's wavenumbers lie from one another, along its shortest side at least [rad/m]."""
+    """Spacing of the wavenumbers of a slab, along its shortest side at least [rad/m]."""
     if body.shape == "disc":
         return math.pi / body.radius_m if body.radius_m else 0.0
     return math.pi / min(body.size_m) if body.size_m else 0.0
@@ -209,7 +209,7 @@ def disc_transform(fwhm_m: float, radius_m: float, k: Float) -> Float:
 
 
 def nyquist(weights_m2: Float) -> float:
-    """Wavenumber [rad/m] beyond which points that stand for such areas say nothing of the pressure between them."""
+    """Wavenumber [rad/m] beyond which points with such areas do not determine the pressure between them."""
     return np.pi / float(np.sqrt(np.median(weights_m2)))
 
 
@@ -228,7 +228,7 @@ def ring_sizes(force: Float, points: Float, k_end: float) -> tuple[Float, Float]
 
 
 def cut(rings: Float, sizes: Float, tolerance: float) -> float:
-    """Wavenumber beyond which less than `tolerance` of the load's content lies; the last one where it does not fall."""
+    """Wavenumber beyond which less than `tolerance` of the load content lies; the last one where it does not fall."""
     content = np.cumsum((rings * sizes**2)[::-1])[::-1]
     beyond = np.sqrt(content / content[0]) < tolerance
     return float(rings[np.argmax(beyond)] if beyond.any() else rings[-1])

@@ -1,12 +1,12 @@
-"""A slab in depth for one lateral wavenumber: matrices of one polynomial element a sheet.
+"""A slab in depth for one lateral wavenumber: matrices of one polynomial element per sheet.
 
 Motion u_x = i U(z) e^{ikx}, u_z = W(z) e^{ikx} makes the strain -k U, W', (U' + k W) / 2 and every matrix real and
 symmetric. Polynomials of high degree neither lock at Poisson's ratio 0.5 nor disperse (Szabo & Babuska 1991, ch. 6,
 give the basis: integrated Legendre polynomials).
 
-Stiffness and damping are kept as their factors, rows of strain whose squares sum to the energy: the soft modes of a
-stiff sheet, 1e13 times softer than its stiffest, keep their digits in the factor's singular values and lose them in the
-eigenvalues of its square.
+Stiffness and damping are stored as their factors, rows of strain whose squares sum to the energy. The soft modes of a
+stiff sheet are 1e13 times softer than its stiffest. They keep their digits in the singular values of the factor and
+lose them in the eigenvalues of its square.
 """
 
 import math
@@ -38,9 +38,9 @@ class Relaxing:
 class DepthProblem:
     """M u'' + D u' + E u + sum g Q (u - q) = force, by area of the face; D = viscous^T viscous, E = strain^T strain.
 
-    mass: M [kg/m^2], shape (n, n); strain: [(Pa/m)^1/2], shape (m, n); viscous: [(Pa s/m)^1/2], shape (l, n)
-    relaxing: the terms of the Maxwell branches
-    normal, lateral: places of the face's W and U among the n unknowns; lateral is None at k = 0, where they part
+    mass: M [kg/m^2], shape (n, n). strain: [(Pa/m)^1/2], shape (m, n). viscous: [(Pa s/m)^1/2], shape (l, n).
+    relaxing: the terms of the Maxwell branches.
+    normal, lateral: places of W and U of the face among the n unknowns; lateral is None at k = 0, where they decouple.
     """
 
     mass: Float
@@ -77,8 +77,8 @@ def reference(degree: int) -> tuple[Float, Float, Float]:
 def sheet_matrices(k: float, thickness_m: float, degree: int) -> tuple[Float, Float, Float]:
     """Of one sheet, by U first, then W: mass for density 1, shape (2p + 2, 2p + 2), then rows of strain.
 
-    Twice the energy is the sum of squares of these rows by u: for K = 1 of the dilation's, shape (p + 1, 2p + 2); for
-    G = 1 a third of that, and of the others', shape (2p + 2, 2p + 2).
+    Twice the energy is the sum of squares of these rows times u. For K = 1 of the dilation, shape (p + 1, 2p + 2). For
+    G = 1 of a third of it and of the other strains, shape (2p + 2, 2p + 2).
     """
     values, slopes, plain = reference(degree)
     values, slopes = math.sqrt(0.5 * thickness_m) * values, math.sqrt(2.0 / thickness_m) * slopes
@@ -92,7 +92,7 @@ def sheet_matrices(k: float, thickness_m: float, degree: int) -> tuple[Float, Fl
 
 
 def _places(sheet: int, sheets: int, degrees: tuple[int, ...]) -> np.ndarray:
-    """Where a sheet's functions stand among all: interfaces first (the face is 0), then the insides."""
+    """Places of the functions of a sheet among all: interfaces first (the face is 0), then the insides."""
     inside = sheets + 1 + sum(p - 1 for p in degrees[:sheet])
     return np.concatenate([[sheet + 1, sheet], np.arange(inside, inside + degrees[sheet] - 1)])
 

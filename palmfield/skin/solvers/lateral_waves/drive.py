@@ -1,4 +1,4 @@
-"""The load on each wave, cut into segments that end where the load bends or an answer is asked for."""
+"""The load on each wave, cut into segments that end where the load bends or a result is requested."""
 
 from dataclasses import dataclass
 
@@ -14,8 +14,8 @@ SAME = 1e-9
 
 @dataclass(frozen=True)
 class Timeline:
-    """edges: ends of the segments [s], shape (s + 1,); kind: which of the durations [s] each segment has, shape (s,)
-    rows: place of each segment's end among the requested times, or -1, shape (s,)
+    """edges: ends of the segments [s], shape (s + 1,); kind: number of each segment's duration [s], shape (s,)
+    rows: place of the end of each segment among the requested times, or -1, shape (s,)
     """
 
     edges: Float
@@ -25,7 +25,7 @@ class Timeline:
 
 
 def timeline(load: Load, requested: Float) -> Timeline | None:
-    """Segments from the load's begin to the last requested time; None where all requested times are before or at it."""
+    """Segments from the start of the load to the last requested time; None if no requested time is after it."""
     start = float(load.times_s[0])
     span = float(requested[-1]) - start
     if span <= 0.0:
@@ -34,7 +34,7 @@ def timeline(load: Load, requested: Float) -> Timeline | None:
     ticks = np.round((np.concatenate([bends, requested[requested > start]]) - start) / (SAME * span)).astype(np.int64)
     different, place = np.unique(ticks, return_inverse=True)
     edges = np.empty(len(different))
-    # Bends last, so that an edge of both is the load's own instant
+    # Bends last, so that an edge of both has exactly the time of the load
     edges[place[::-1]] = np.concatenate([bends, requested[requested > start]])[::-1]
     rows = np.full(len(edges), -1, dtype=np.int32)
     rows[place[len(bends) :]] = np.flatnonzero(requested > start)
@@ -50,9 +50,9 @@ def spot_transform(fwhm_m: float, k: Float) -> Float:
 
 
 def drive(load: Load, line: Timeline, waves: WaveSet, part: slice) -> Float:
-    """Force on each wave, as `warp_kernels.oscillators.march` wants it: shape (n, s, 7).
+    """Force on each wave in the form of `warp_kernels.oscillators.march`: shape (n, s, 7).
 
-    The transform of a spot's shape is part of the wave's weight; here are its amplitude and the phase of its centre.
+    The transform of the shape of a spot is part of the weight of the wave; here are its amplitude and centre phase.
     """
     if not isinstance(load, Spot):
         return given(load.law, load.times_s, transform(waves.vectors[part], _weighted(load), load.points[:, :2]), line)

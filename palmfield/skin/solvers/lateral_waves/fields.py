@@ -1,8 +1,8 @@
-"""Whole fields of a slab's face: the normal velocity on a grid at many times, under a spot that moves.
+"""Whole fields of the face of a slab: the normal velocity on a grid at many times, under a spot that moves.
 
 `solve` sums every wave at every point, which is right for points and takes minutes for pictures of an endless slab.
-Here its waves are those of a square that repeats itself, so that their sum on a grid is a Fourier transform; or those
-of a disc within a smooth wall, so that it is one round the disc. Modes in depth and steps in time are the solver's own.
+Here the waves are those of a periodic square, so that their sum on a grid is a Fourier transform; or those of a disc
+within a smooth wall, with a transform round the disc. Modes in depth and steps in time are those of the solver.
 
 from palmfield.skin.solvers.lateral_waves.fields import PeriodicSlab
 plate = PeriodicSlab(Slab((Sheet(preset("gelatin_2"), 0.01),), base="free"), fwhm_m=0.006, period_m=0.6)
@@ -33,7 +33,7 @@ from palmfield.skin.solvers.lateral_waves.waves import WaveSet, lattice
 from palmfield.types import Complex, Float, Float32, Int
 
 LEAST_SHARE = 1e-2
-"""Of the spot's transform, by which the tolerance of the modes of short waves is loosened at most."""
+"""Least transform of the spot by which the tolerance of the modes of short waves is divided."""
 MODES = 0.1
 """Tolerance of the modes in depth over that of the waves."""
 CLEAR_WIDTHS = 1.6
@@ -47,19 +47,19 @@ FINER_ANGLES = 2
 ROWS = 32
 """Moments that are summed at once."""
 WALL_STEP_m = 5e-4
-"""Between radii at which the disc's waves are tabulated; the shortest are seven times as long."""
+"""Spacing of the radii at which the waves of the disc are tabulated; the shortest are seven times as long."""
 
 
 @dataclass(frozen=True)
 class PeriodicSlab:
-    """An endless slab whose load repeats itself with a period both ways.
+    """An endless slab with a periodic load in both directions.
 
-    What the face does is right until waves of the repeated loads arrive: about (period - way to the load) over the
-    fastest group speed, which is twice the shear speed on a free slab and below it on a bonded one.
+    The motion of the face is right until waves of the repeated loads arrive: about (period - distance to the load) over
+    the fastest group speed, which is twice the shear speed on a free slab and below it on a bonded one.
 
-    slab: endless; fwhm_m: width of the spot [m]; period_m: [m]
-    tolerance: of the cut of short waves and of the modes, of which modes_tolerance may say another
-    horizon_s: for how long it will be asked [s]; speed_m_s: how fast the spot runs at most; threads: None for all cores
+    slab: endless. fwhm_m: width of the spot [m]. period_m: [m].
+    tolerance: of the cut of short waves and of the modes, for which modes_tolerance may give another value.
+    horizon_s: last requested time [s]. speed_m_s: largest speed of the spot. threads: None for all cores.
     Raises SceneError for another shape and sizes that are not above 0.
     """
 
@@ -77,7 +77,7 @@ class PeriodicSlab:
 
     @cached_property
     def waves(self) -> WaveSet:
-        """One of each pair of waves k, -k, with the spot's transform in the weights."""
+        """One of each pair of waves k, -k, with the transform of the spot in the weights."""
         half = 0.5 * self.period_m
         resolution = _resolution(self.tolerance, self.speed_m_s)
         vectors, weights, k, group = lattice((half, half), resolution.cut(self.fwhm_m))
@@ -99,7 +99,7 @@ class PeriodicSlab:
     ) -> tuple[Float32, Float32]:
         """The same along the line y = 0 at all times, shape (t, n), and on the whole square at some, (m, n, n).
 
-        maps: numbers of the times at which the square is wanted, shape (m,); others as of `normal_velocity`
+        maps: numbers of the times at which the square is needed, shape (m,); others as of `normal_velocity`
         """
         times = _asked(spot, times_s, self.fwhm_m)
         numbers, shown = self._grid(half_m, cells)
@@ -109,7 +109,7 @@ class PeriodicSlab:
             (np.ones(len(numbers)), (np.arange(len(numbers)), numbers[:, 0])), shape=(len(numbers), most + 1)
         )
         sums = (of_column.T @ amplitude.T).T
-        # On the line m = 0 both a wave and its mirror are wanted
+        # On the line m = 0 both a wave and its mirror are needed
         sums[:, 0] = 2.0 * sums[:, 0].real
         spectrum = np.zeros((len(times), cells // 2 + 1), dtype=complex)
         spectrum[:, : most + 1] = sums
@@ -146,7 +146,7 @@ class PeriodicSlab:
 
 
 def _maps(amplitude: Complex, numbers: Int, cells: int, shown: Int) -> Float32:
-    """Sums of plane waves on the shown places of a period's cells, shape (t, n, n).
+    """Sums of plane waves on the visible cells of a period, shape (t, n, n).
 
     amplitude: shape (t, w); numbers: waves in a period along x and y, shape (w, 2)
     """
@@ -158,7 +158,7 @@ def _maps(amplitude: Complex, numbers: Int, cells: int, shown: Int) -> Float32:
     for row, values in enumerate(amplitude):
         sums[...] = 0.0
         sums[numbers[:, 1], numbers[:, 0]] = values
-        # On the line m = 0 both a wave and its mirror are wanted; k = 0 has half a weight
+        # On the line m = 0 both a wave and its mirror are needed; k = 0 has half a weight
         sums[:, 0] += np.roll(sums[::-1, 0], 1).conj()
         padded = np.zeros((cells, most + 1), dtype=complex)
         padded[: most + 1], padded[cells - most :] = sums[: most + 1], sums[most + 1 :]
@@ -169,11 +169,11 @@ def _maps(amplitude: Complex, numbers: Int, cells: int, shown: Int) -> Float32:
 
 @dataclass(frozen=True)
 class WalledDisc:
-    """A disc within a smooth wall, which sends back all waves: no radial motion there, nothing that holds it along z.
+    """A disc within a smooth wall, which reflects all waves: no radial motion there, free along z.
 
     Its lateral waves are J_m(k r) e^{i m phi} with J_m'(k R) = 0. They leave a shear traction along the wall of about
-    2 m / (k R)^2 of a wave's own, from the wall's curvature, which is neglected: 1 % of waves of 12 mm on 25 cm.
-    A free slab moves as a whole, as nothing holds it.
+    2 m / (k R)^2 of that of the wave, from the curvature of the wall, which is neglected: 1 % for 12 mm waves on 25 cm.
+    A free slab moves as a whole, because it has no support.
 
     slab: a disc with rollers; others as of `PeriodicSlab`
     """
@@ -193,7 +193,7 @@ class WalledDisc:
 
     @property
     def radius_m(self) -> float:
-        """Of the disc [m]."""
+        """Radius of the disc [m]."""
         assert self.slab.radius_m is not None
         return self.slab.radius_m
 
@@ -275,7 +275,7 @@ class WalledDisc:
         return np.asarray(spacing_m * np.arange(-reach, reach + 1), dtype=float)
 
     def _amplitudes(self, spot: Spot, times: Float, device: str) -> tuple[Complex, Int]:
-        """Normal velocity of each wave at the asked times with its weight, shape (t, n), and the orders."""
+        """Normal velocity of each wave at the requested times with its weight, shape (t, n), and the orders."""
         waves, orders = self.waves
         fine = self._linear(spot)
         line = timeline(fine, times)
@@ -297,7 +297,7 @@ class WalledDisc:
         return _amplitudes(fine, line, waves, len(times), device, self.threads, force), orders
 
     def _linear(self, spot: Spot) -> Spot:
-        """The spot with so many places that the shortest wave turns by less than PHASE between two."""
+        """The spot with enough places that the shortest wave turns by less than PHASE between two."""
         if spot.law == "held":
             return spot
         short = _resolution(self.tolerance, self.speed_m_s).cut(self.fwhm_m)
@@ -344,7 +344,7 @@ def _amplitudes(
     threads: int | None,
     force_on: Callable[[slice], Float] | None = None,
 ) -> Complex:
-    """Normal velocity of each wave at the asked times, with its weight, shape (rows, n)."""
+    """Normal velocity of each wave at the requested times, with its weight, shape (rows, n)."""
     result = np.zeros((rows, len(waves)), dtype=complex)
 
     def keep(part: slice, amplitude: Complex) -> Float:
@@ -357,7 +357,7 @@ def _amplitudes(
 
 @lru_cache(maxsize=8)
 def _found(slab: Slab, fwhm_m: float, resolution: Resolution, horizon_s: float) -> dict[float, FaceModes]:
-    """Modes by rounded wavenumber, which lattices of half a period share; an endless slab's are also a disc's."""
+    """Modes by rounded wavenumber, shared by lattices of half a period; those of an endless slab are also a disc's."""
     return {}
 
 

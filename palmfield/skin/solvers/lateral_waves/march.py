@@ -18,11 +18,11 @@ from warp_kernels import oscillators as kernels
 CHUNK_NUMBERS = 4_000_000
 """Doubles that the drive or the result of one chunk of waves takes at most, about."""
 LEAST_CHUNKS = 8
-"""Work for as many cores; the same on all machines, as the order of the sums follows from it."""
+"""Number of parts of the work; the same on all machines, because the order of the sums follows from it."""
 
 
 def tables(waves: WaveSet, line: Timeline) -> list[tuple[Any, Any]]:
-    """Poles, residues and e^{s h}, padded to one width, with their Warp types in the kernel's order."""
+    """Poles, residues and e^{s h}, padded to one width, with their Warp types in the order of the kernel."""
     counts = np.array([len(m.poles) for m in waves.modes], dtype=np.int32)
     width = int(counts.max())
     groups = len(counts)
@@ -55,9 +55,9 @@ def march(
 ) -> Float:
     """Sum over all waves of to_points(part, amplitude), see `waves.at_points`, in chunks of waves.
 
-    force_on: the force on a part of the waves, as `drive` gives it; None where the waves are plane or axial
+    force_on: the force on a part of the waves, as from `drive`; None where the waves are plane or axial.
 
-    Chunks run side by side on the CPU and are added in their order, so that the sum is always the same.
+    Chunks run in parallel on the CPU and are added in their order, so that the sum is always the same.
     """
     shared = tables(waves, line)
     width = shared[1][0].shape[2]

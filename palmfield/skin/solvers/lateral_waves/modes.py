@@ -10,10 +10,10 @@ from palmfield.skin.solvers.lateral_waves.depth import DepthProblem
 from palmfield.types import Complex, Float
 
 SLOWEST = 1e-3
-"""Radians within the time asked for below which a mode counts as unheld; moving it there changes t^2/2 by 1e-7."""
+"""Radians within the requested time below which a mode counts as free; moving it there changes t^2/2 by 1e-7."""
 RUSH_1_S = 1e4
 LONGEST_S = 5e-3
-"""Time up to which a slow mode's part in the step response counts when the others are weighed against it."""
+"""Time up to which the part of a slow mode in the step response counts when the others are weighed against it."""
 
 
 @dataclass(frozen=True)
@@ -48,11 +48,11 @@ def reduce(problem: DepthProblem, horizon_s: float, tolerance: float) -> ModalPr
     """The undamped modes that matter for the face, and the static shapes of all the others.
 
     A mode adds b^2/w^2 (1 - cos wt) to the step response, b its part in the face. The smallest are left out while the
-    root of their summed squares stays below `tolerance` of all; their sum remains, as one shape, so that the static
-    answer is that of the whole problem. A second shape does the same for the stiffness at once, branches included.
+    root of their summed squares stays below `tolerance` of all. Their sum remains, as one shape, so that the static
+    solution is that of the whole problem. A second shape does the same for the stiffness at once, branches included.
     """
     root = cholesky(problem.mass)
-    # Of the factor: its values are right to 1e-16 of the largest, eigenvalues of its square to 1e-16 of that squared
+    # From the factor: its values are right to 1e-16 of the largest, eigenvalues of its square to 1e-16 of that squared
     values, shapes = np.linalg.svd(solve_triangular(root, problem.strain.T, trans="T").T, full_matrices=False)[1:]
     shapes = solve_triangular(root, shapes.T)
     squares = np.maximum(values**2, (SLOWEST / horizon_s) ** 2)
@@ -97,7 +97,7 @@ def _solved(rows: Float, right: Float) -> Float:
 
 
 def _factor(rows: Float) -> Float:
-    """L with L L^T = rows^T rows, as many columns as that has rank."""
+    """L with L L^T = rows^T rows, with as many columns as its rank."""
     values, vectors = np.linalg.svd(rows, full_matrices=False)[1:]
     kept = values > 1e-12 * values[0]
     return vectors[kept].T * values[kept]
@@ -140,7 +140,7 @@ def face_modes(problem: DepthProblem, horizon_s: float, tolerance: float) -> Fac
 
 
 def still_modes(problem: DepthProblem) -> FaceModes:
-    """One pole that takes the face to its static answer in a time that is nothing beside a second."""
+    """One pole that takes the face to its static solution in a time that is negligible against a second."""
     force = np.zeros(len(problem.mass))
     force[problem.normal] = -1.0
     shape = _solved(problem.strain, force)

@@ -43,15 +43,15 @@ class RadialRule:
 def compute_modes(
     modes_at: Callable[[float], FaceModes], wavenumbers: Float, threads: int | None
 ) -> tuple[FaceModes, ...]:
-    """Modes at each wavenumber, side by side: LAPACK lets go of Python's lock, and its matrices are too small for more
-    than one of its own threads."""
+    """Modes at each wavenumber, in parallel: LAPACK releases the GIL, and its matrices are too small for more than
+    one of its own threads."""
     with one_blas_thread, ThreadPoolExecutor(threads or python_threads()) as pool:
         return tuple(pool.map(modes_at, wavenumbers))
 
 
 def step_response(modes: FaceModes, times: Float, pace_1_s: float) -> Float:
-    """Normal displacement and velocity after a unit step of pressure, shape (2, t); the velocity without what is faster
-    than the load's pace, as that of a pressure wave's echoes, which a slower load does not raise."""
+    """Normal displacement and velocity after a unit step of pressure, shape (2, t). The velocity is without parts
+    faster than the load, such as echoes of a pressure wave, which a slower load does not excite."""
     turned = np.outer(times, modes.poles)
     moved = np.expm1(turned) / modes.poles
     slow = modes.normal / (1.0 + np.abs(modes.poles / pace_1_s) ** 2)
@@ -70,12 +70,12 @@ def radial_rule(
     threads: int | None = None,
 ) -> RadialRule:
     """Nodes from 0 to k_end [rad/m] for loads whose transform has the size profile(k), for points up to farthest_m from
-    the load and times up to horizon_s after it; pace: how fast such a load changes
-    at k [1/s]; panels: ends of those to begin with, from a coarser rule.
+    the load and times up to horizon_s after it; pace: rate of change of such a load
+    at k [1/s]; panels: ends of the first panels, from a coarser rule.
 
-    Each panel's Legendre coefficients tell how the integrand is resolved: n Gauss nodes integrate degree 2n - 1, so
-    where coefficients fall geometrically the error is about the square of the last over the first.
-    Raises SceneError where MOST_PANELS do not do.
+    The Legendre coefficients of each panel show how the integrand is resolved: n Gauss nodes integrate degree 2n - 1.
+    So where coefficients fall geometrically the error is about the square of the last over the first.
+    Raises SceneError if MOST_PANELS are not enough.
     """
     points, weights = leggauss(NODES)
     degrees = 2.0 * np.arange(NODES) + 1.0
@@ -105,7 +105,7 @@ def radial_rule(
         for number, ends in enumerate(waiting):
             done[ends] = measured(*ends, k[number], modes[number * NODES : (number + 1) * NODES])
         total = np.abs(sum(part[2] for part in done.values()))
-        # Of displacement and velocity each, the largest over the times, at each distance
+        # For displacement and velocity, the largest over the times, at each distance
         scale = total.max(axis=1, keepdims=True)
         size = {ends: float((part[3] / scale).max()) for ends, part in done.items()}
         if sum(size.values()) < tolerance:

@@ -1,4 +1,4 @@
-"""How fine solver lateral_waves works for a wanted tolerance."""
+"""Resolution of solver lateral_waves for a given tolerance."""
 
 import math
 from dataclasses import dataclass
@@ -14,9 +14,9 @@ SUDDEN_1_S = 2.0 * math.pi * 500.0
 
 @dataclass(frozen=True)
 class Resolution:
-    """tolerance: of each single part (wavenumbers, angles, modes, cut), relative; degree: polynomial degree to begin
-    with; per_radian: further degrees a radian of wave through half a sheet; pace_1_s: how fast the load changes, and
-    speed_m_s: how fast it runs, at most"""
+    """tolerance: of each single part (wavenumbers, angles, modes, cut), relative; degree: initial polynomial degree.
+    per_radian: further degrees per radian of wave through half a sheet; pace_1_s: largest rate of change of the load;
+    speed_m_s: its largest speed"""
 
     tolerance: float
     degree: int
@@ -29,7 +29,7 @@ class Resolution:
         return -math.log10(self.tolerance)
 
     def pace(self, k: float) -> float:
-        """How fast the load changes on a wave [1/s]: by amplitude and way; sudden ones count as SUDDEN_1_S."""
+        """Rate of change of the load on a wave [1/s]: by amplitude and path; sudden ones count as SUDDEN_1_S."""
         return min(self.pace_1_s, SUDDEN_1_S) + k * self.speed_m_s
 
     def cut(self, fwhm_m: float) -> float:

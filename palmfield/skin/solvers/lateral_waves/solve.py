@@ -17,12 +17,12 @@ from palmfield.skin.solvers.lateral_waves.waves import at_points
 from palmfield.types import Complex, Float
 
 FINER, SAFETY = 0.2, 2.0
-"""Tolerance of the run that the answer is compared with, relative to its own, and what their difference is taken times:
-of 23 random slabs the error was 0.7 to 1.7 times the difference, of two weak ones more."""
+"""Tolerance of the run for the error estimate over that of the solution, and the factor on their difference: on 23
+random slabs the error was 0.7 to 1.7 times the difference, on two weak ones more."""
 MOMENT_SAFETY = 4.0
 """The same at fewer than eight times, over which errors at a point do not average: up to 2.4 at a faint one."""
 PICTURE_FINER, PICTURE_SAFETY = 0.35, 2.5
-"""The same for a picture of many points, whose faint places weigh little: 3 of them said the same as with 0.2."""
+"""The same for a snapshot of many points, whose faint places weigh little: 3 of them gave the same as with 0.2."""
 FINEST = 1e-9
 RETRIES = 3
 PART = 0.5
@@ -31,7 +31,7 @@ PART = 0.5
 
 @dataclass(frozen=True)
 class Settings:
-    """How to solve: as the arguments of solve_lateral_waves; still: at rest."""
+    """Options of a solution: as the arguments of solve_lateral_waves; still: at rest."""
 
     tolerance: float | None
     device: str
@@ -54,11 +54,11 @@ class Run:
 def solve_lateral_waves(problem: SkinProblem, *, tolerance: float | None = None, threads: int | None = None) -> Motion:
     """Displacement and velocity of the face of a slab at points and times; see `refusal_lateral_waves`.
 
-    tolerance: pins that of the wavenumbers, angles, depth modes and cut, each; then nothing is refined
-    threads: on the CPU; None takes all cores
-    The error is told by a run with a fifth of the tolerance, and one wavenumber more on a disc or box, at up to four
-    of the points; for a picture (fewer than eight times, more than 32 points) by one with a third, over 200 of them
-    together.
+    tolerance: sets that of the wavenumbers, angles, depth modes and cut, each; then there is no refinement.
+    threads: on the CPU; None takes all cores.
+    The error is estimated by a run with a fifth of the tolerance, and one wavenumber more on a disc or box, at up to
+    four of the points. For a snapshot (fewer than eight times, more than 32 points) it is estimated by a run with a
+    third, over 200 of them together.
     Raises SceneError where `refusal_lateral_waves` has a reason, and for points or an accuracy out of range.
     """
     slab = accepted(problem)
@@ -75,11 +75,11 @@ def static_lateral_waves(
     tolerance: float | None = None,
     threads: int | None = None,
 ) -> Motion:
-    """Displacement at rest under the load as it is at its last time, shape (1, n, 3).
+    """Displacement at rest under the load at its last time, shape (1, n, 3).
 
     Arguments are as for solve_lateral_waves.
 
-    Raises SceneError as solve_lateral_waves, and for a base that holds nothing.
+    Raises SceneError as solve_lateral_waves, and for a base without support.
     """
     problem = SkinProblem(body, last_of(load), np.ones(1), at, accuracy, device=device)
     slab = accepted(problem)
@@ -167,7 +167,7 @@ def run(
 ) -> Run:
     """One solution at one tolerance.
 
-    panels: of a coarser run, to begin with; farther: whether it goes a wavenumber of the body beyond the spot's, so
+    panels: of a coarser run, to begin with; farther: whether it includes one wavenumber of the body beyond the spot, so
     that a run with the same tolerance or a somewhat larger one has fewer of them
     """
     line = timeline(load, requested)

@@ -21,9 +21,9 @@ GRID_FROM = 64
 
 @dataclass(frozen=True)
 class WaveSet:
-    """modes: in depth, of each group of waves; group: of each wave, shape (n,); weights: shape (n,)
-    vectors: k [rad/m], shape (n, 2), of plane waves; axial waves have (k, 0)
-    centre: of axial waves [m], shape (2,); None for plane ones
+    """modes: in depth, of each group of waves; group: of each wave, shape (n,); weights: shape (n,).
+    vectors: k [rad/m], shape (n, 2), of plane waves; axial waves have (k, 0).
+    centre: of axial waves [m], shape (2,); None for plane ones.
     """
 
     modes: tuple[FaceModes, ...]
@@ -45,7 +45,7 @@ def hankel(rule: RadialRule, centre: Float) -> WaveSet:
 
 
 def fourier_bessel(radius_m: float, k_end: float) -> tuple[Float, Float]:
-    """Wavenumbers [rad/m] with J1(k R) = 0 up to k_end, and the weight of J0(k r) for a load's transform."""
+    """Wavenumbers [rad/m] with J1(k R) = 0 up to k_end, and the weight of J0(k r) for the transform of a load."""
     count = int(k_end * radius_m / np.pi) + 2
     zeros = np.concatenate([[0.0], jn_zeros(1, count)])
     zeros = zeros[zeros <= max(k_end * radius_m, zeros[1])]
@@ -133,7 +133,7 @@ def plane_sum(vectors: Float, values: Complex, points: Float) -> Float:
         sums = np.empty((len(values), len(points)))
         for number, row in enumerate(values):
             left = along * row
-            # A real product of twice the length: half the work of a complex one whose imaginary part nobody wants
+            # A real product of twice the length: half the work of a complex one whose imaginary part is not needed
             sums[number] = (np.concatenate([left.real, -left.imag], axis=1) @ across)[place_x, place_y]
         return sums
     result = np.empty((len(values), len(points)))
@@ -155,7 +155,7 @@ def transform(vectors: Float, values: Float, points: Float) -> Complex:
 
 
 def _grid(points: Float) -> tuple[np.ndarray, ...] | None:
-    """Coordinates of the rows and columns that the points lie on, and which each has, where they fill a grid."""
+    """Coordinates of the rows and columns of the points, and those of each point, if they fill a grid."""
     if len(points) < GRID_FROM:
         return None
     scale = np.abs(points).max() or 1.0

@@ -1,14 +1,14 @@
 """Particles and their pairs: volumes, masses, and the area vectors that make gradients and forces.
 
-A pair's area vector is a_sj = integral over the cells between particles of N_s grad N_j, with N the (tri)linear shape
-functions: the gradient's projection with lumped volumes (Dohrmann et al. 2000, Int. J. Numer. Meth. Engng 47, 1549,
-average it; Chen, Wu, Yoon & You 2001, ibid. 50, 435, smooth it). On a square lattice that is the kernel gradient of
-total-Lagrangian SPH, weights 2/9, 1/18 and 1/72 on the faces, edges and corners of the cube round a particle, after its
-linear correction; at the body's faces it meets two exact conditions at once, of which corrected kernels meet the
-first only:
-    sum_j a_sj (X_j - X_s) = V_s I              gradients of linear fields are exact
-    sum_s a_sj = area vector of the face at j   uniform stress is in balance with its traction
-With forces f_sj = P_s a_sj on the site's particle and -f_sj on its neighbour, they are the derivative of sum_s V_s
+The area vector of a pair is a_sj = integral over the cells between particles of N_s grad N_j, with N the (tri)linear
+shape functions: the projection of the gradient with lumped volumes (Dohrmann et al. 2000, Int. J. Numer. Meth. Engng
+47, 1549, average it; Chen, Wu, Yoon & You 2001, ibid. 50, 435, smooth it). On a square lattice that is the kernel
+gradient of total-Lagrangian SPH, with weights 2/9, 1/18 and 1/72 on the faces, edges and corners of the cube round a
+particle, after its linear correction. At the faces of the body two exact conditions hold at once, for corrected
+kernels only the first.
+    sum_j a_sj (X_j - X_s) = V_s I              gradients of linear fields are exact.
+    sum_s a_sj = area vector of the face at j   uniform stress is in balance with its traction.
+With forces f_sj = P_s a_sj on the particle of the site and -f_sj on its neighbour, they are the derivative of sum_s V_s
 psi(F_s): linear and angular momentum and energy are those of the body.
 """
 
@@ -28,17 +28,17 @@ from palmfield.types import Float, Int
 class Cloud:
     """Particles of a body; n particles, s sites, at most k pairs a site, b pairs in which a particle is the neighbour.
 
-    points: rest positions [m], shape (n, 3); mass: [kg], (n,)
-    free: projector on the directions in which each may move, (n, 3, 3)
-    materials: one for each law; law: of each site, (s,); owner: particle of each site, rising, (s,)
-    volume: [m^3], (s,); site_start: first site of each particle, and their number, (n + 1,)
-    count: pairs of each site, (s,); neighbour: other particle, (s, k); offset: X_j - X_s [m], (s, k, 3)
-    area: a_sj [m^2], (s, k, 3); spring: weight of a pair against its site's gradient [m], (s, k)
-    moment: sum_j spring offset offset^T [m^3], (s, 3, 3)
-    remembers: whether the site and its neighbours are of one material, (s,)
-    incoming: s * k + slot of the pairs in which a particle is the neighbour, (n, b); incoming_count: (n,)
+    points: rest positions [m], shape (n, 3). mass: [kg], (n,).
+    free: projector on the directions in which each may move, (n, 3, 3).
+    materials: one for each law. law: of each site, (s,). owner: particle of each site, rising, (s,).
+    volume: [m^3], (s,). site_start: first site of each particle, and their number, (n + 1,).
+    count: pairs of each site, (s,). neighbour: other particle, (s, k). offset: X_j - X_s [m], (s, k, 3).
+    area: a_sj [m^2], (s, k, 3). spring: weight of a pair against the gradient of its site [m], (s, k).
+    moment: sum_j spring offset offset^T [m^3], (s, 3, 3).
+    remembers: whether the site and its neighbours are of one material, (s,).
+    incoming: s * k + slot of the pairs in which a particle is the neighbour, (n, b). incoming_count: (n,).
     surface: number within the face of each particle, -1 below it, (n,); face_area: outward area vector [m^2] of the
-        face's particles, which come first, (f, 3); columns: as laid out
+        particles of the face, which come first, (f, 3); columns: as laid out.
     """
 
     points: Float
@@ -139,10 +139,10 @@ def _padded(values: Float, row: Int, slot: Int, sites: int, width: int) -> Float
 
 
 def _cell_pairs(columns: Columns, points: Float, law_of_sheet: Int, laws: int) -> tuple[Int, Int, Float, Float]:
-    """Every (site key, particle) of every cell with its area vector, and the cell's volume share in the site's own
-    entry.
+    """Every (site key, particle) of every cell with its area vector, and the volume share of the cell in the entry of
+    the site itself.
 
-    A site's key is particle * laws + law, so that a particle between two materials gets a site in each.
+    The key of a site is particle * laws + law, so that a particle between two materials gets a site in each.
     """
     rows, nodes, areas, shares = [], [], [], []
     for faces in (columns.triangles, columns.squares):
@@ -194,7 +194,7 @@ def _face_rule(corners: int) -> tuple[Float, Float, Float]:
 
 
 def _prism_rule(corners: int) -> tuple[Float, Float, Float]:
-    """As _face_rule, for the solid over a face: 2 * corners shape functions, the lower face's first, slopes (q, 2 *
+    """As _face_rule, for the solid over a face: 2 * corners shape functions, the lower face first, slopes (q, 2 *
     corners, 3)."""
     shape, slopes, weights = _face_rule(corners)
     values, gradients = [], []

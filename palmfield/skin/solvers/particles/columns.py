@@ -1,4 +1,4 @@
-"""Where particles lie: in columns below a face of triangles and squares."""
+"""Places of particles: in columns below a face of triangles and squares."""
 
 import math
 from dataclasses import dataclass
@@ -19,13 +19,13 @@ FEWEST_CELLS = 3
 class Columns:
     """Columns of particles, from the face down.
 
-    face: positions of the face's particles [m], shape (n, 3); inward: unit directions, (n, 3); depth: [m], (n,)
-    triangles: (t, 3), squares: (q, 4), counter-clockwise seen from outside, either may be empty
-    shares: depths of the levels as shares of the depth, from 0 to 1, shape (l,)
-    sheet: sheet between a level and the next, shape (l - 1,)
-    rim: particles of the face's edge, shape (r,), a corner of a box twice; rim_normals: unit, outward, (r, 3), NaN
-        where a layer has none
-    spacing_m: mean distance of neighbours in the face [m]
+    face: positions of the particles of the face [m], shape (n, 3). inward: unit directions, (n, 3). depth: [m], (n,).
+    triangles: (t, 3), squares: (q, 4), counter-clockwise seen from outside, either may be empty.
+    shares: depths of the levels as shares of the depth, from 0 to 1, shape (l,).
+    sheet: sheet between a level and the next, shape (l - 1,).
+    rim: particles on the edge of the face, shape (r,), a corner of a box twice; rim_normals: unit, outward, (r, 3), NaN
+        where a layer has none.
+    spacing_m: mean distance of neighbours in the face [m].
     """
 
     face: Float
@@ -49,11 +49,11 @@ class Columns:
 
 
 def columns_of(body: Body, spacing_m: float, fewest_cells: int = FEWEST_CELLS) -> Columns:
-    """Columns of a box or disc (a square lattice, fitted at the disc's rim) or below a layer's own triangles.
+    """Columns of a box or disc (a square lattice, fitted at the rim of the disc) or below the triangles of a layer.
 
-    spacing_m: wanted distance of particles [m]; it is lowered so that whole numbers fit, and in depth so that there are
-        fewest_cells. In a layer it only sets the levels, the patch's edges being what they are.
-    Raises SceneError for a spacing <= 0 or above half of the body's length along the face, an inside-out layer, and a
+    spacing_m: target distance of particles [m]. It is reduced so that whole numbers fit, and in depth so that there are
+        fewest_cells. In a layer it only sets the levels, because the edges of the patch are given.
+    Raises SceneError for a spacing <= 0 or above half of the body length along the face, an inside-out layer, and a
     layer with roller sides whose patch has no axis.
     """
     if not (math.isfinite(spacing_m) and spacing_m > 0.0):

@@ -1,4 +1,4 @@
-"""Pressure on the face's particles, step by step, as means over each step."""
+"""Pressure on the particles of the face, step by step, as means over each step."""
 
 import numpy as np
 import warp as wp
@@ -79,7 +79,7 @@ def _path(load: Spot, times_s: Float) -> Float:
 
 
 def _spread(cloud: Cloud, load: Traction) -> sparse.csr_matrix:
-    """Pressure at the face's particles [Pa] by the pressure at the load's points, shape (f, n)."""
+    """Pressure at the particles of the face [Pa] by the pressure at the points of the load, shape (f, n)."""
     columns = cloud.columns
     squares = columns.squares
     # Squares by the mean of both cuts, which gives each corner a quarter of its area

@@ -13,10 +13,10 @@ NEIGHBOURS = 16
 def point_weights(columns: Columns, normals: Float, at: Float) -> tuple[Float, Int, Float]:
     """Points on the face, and the weights that give their displacement from particles of the face.
 
-    normals: outward area vectors of the face's particles, shape (f, 3); at: shape (n, 3), or (n, 2) on a flat face
-    Returns points [m] (n, 3), particles (n, k), weights (n, k). Moving least squares in the tangent plane of the
+    normals: outward area vectors of the particles of the face, shape (f, 3); at: shape (n, 3), or (n, 2) on a flat
+    face. Returns points [m] (n, 3), particles (n, k), weights (n, k). Moving least squares in the tangent plane of the
     nearest particle, with a quadratic basis and weights that grow without bound at a particle (Lancaster & Salkauskas
-    1981): quadratic fields come back exactly, and a particle's own displacement at its place.
+    1981): quadratic fields are exact, and so is the displacement of a particle at its own place.
     Raises SceneError for other shapes and points that are not finite or farther from all particles than two spacings.
     """
     points = np.asarray(at, dtype=float)

@@ -1,4 +1,4 @@
-"""Spacing of particles for a wanted error, what it costs, and what particles can't do."""
+"""Spacing of particles for a target error, its cost, and the limits of particles."""
 
 import itertools
 import math
@@ -12,7 +12,7 @@ from palmfield.skin.problem import ONLY_WEDGES, Body, Foundation, Layer, Load, S
 from palmfield.skin.solvers.particles.columns import FEWEST_CELLS
 
 SECONDS_A_STEP = {"cpu": 0.9e-6, "cuda": 2.0e-9}
-"""Seconds that a particle's step takes: on one core measured, on a GPU the time its 1.5 kB take at 0.75 TB/s."""
+"""Seconds of a step per particle: measured on one core; on a GPU the time for its 1.5 kB at 0.75 TB/s."""
 STIFFEST = 1e5
 """Bulk over shear modulus at once, above which the step is so small that the solver refuses (nu 0.499995)."""
 BELOW = 0.6
@@ -20,10 +20,10 @@ BELOW = 0.6
 FINEST = 2e-3
 """Least error for which particles are laid out."""
 STIFFER = 100.0
-"""Stiffness of a sheet over that of one below it, above which the solver refuses: on a bed a hundredth as stiff a sheet
-one cell thick bends a third too little, on one of a thousandth two fifths, and the stated error is short of that."""
+"""Stiffness of a sheet over that of one below it, above which the solver refuses. On a bed 1/100 as stiff, a sheet one
+cell thick bends a third too little, on one of 1/1000 two fifths, and the stated error is smaller than that."""
 COARSER = 1.5
-"""Spacing of the run that shows the error, over the spacing asked for."""
+"""Spacing of the run that estimates the error, over the requested spacing."""
 COARSE_CELLS = 2
 """Its fewest cells through the depth: COARSER times as high as FEWEST_CELLS make them."""
 
@@ -61,9 +61,9 @@ def law_error(body: Body, load: Load, spacing_m: float) -> float:
     """Relative error that particles at this spacing [m] had on discs against the exact layer
     (docs/bench/skin_particles.md).
 
-    0.65 (h / L)^2 + 0.6 (h_z / H)^2 + 4.6 (h / wavelength)^2: L = min(w, sqrt(w H)) of the spot's width w, or what of a
-    narrow body has to be resolved under a wide one (`motion_width`), and the depth H, h_z the spacing in depth, the
-    shear wavelength at the load's mean frequency in its slowest sheet.
+    0.65 (h / L)^2 + 0.6 (h_z / H)^2 + 4.6 (h / wavelength)^2: L = min(w, sqrt(w H)) of the width w of the spot, or the
+    length that a narrow body needs under a wide one (`motion_width`); H the depth, h_z the spacing in depth, wavelength
+    that of shear at the mean frequency of the load in its slowest sheet.
     """
     depth = depth_of(body)
     below = min(spacing_m, depth / FEWEST_CELLS)
@@ -90,7 +90,7 @@ def choose_spacing(body: Body, load: Load, accuracy: float) -> float:
     if not 0.0 < accuracy <= 1.0:
         raise SceneError(f"particles: accuracy is {accuracy}; give 0.002 to 1 (5 % is what they are good for)")
     accuracy = max(accuracy, FINEST)
-    # Below two particles a width in the run that shows the error, it shows nothing.
+    # Below two particles a width in the run that estimates the error, the estimate has no value.
     high = min(length_of(body) / 4.0, motion_width(body, load) / 3.0)
     depth, along = depth_of(body), _along_face(body, load)
     # With the fewest cells through the depth, or as many as along the face

@@ -15,17 +15,17 @@ from palmfield.types import Float, Int
 from warp_kernels import particles as kernels
 
 HOURGLASS = 4.0 / 3.0
-"""Share of G_r against pairs that stray from their site's gradient. On a square lattice 4/3 takes the h^2 error out of
-shear waves in every direction: in place of k^2 sites alone give k^2 (1 - 4 X / 3)
+"""Share of G_r against pairs that stray from the gradient of their site. On a square lattice 4/3 removes the h^2 error
+of shear waves in every direction: in place of k^2 sites alone give k^2 (1 - 4 X / 3)
 and pairs alone k^2 (1 - X / 3), X = (k h / 2)^2."""
 SAFETY = 0.9
-"""Step over the stable one: room for stiffening by strain until a run is begun anew."""
+"""Step over the stable one: margin for stiffening by strain before a run is begun again."""
 COURANT = 1.24
 """Stable step of a cube times the speed of sound over the spacing."""
 BLOCK = 256
 """Steps between looks at the state."""
 SMALL_STRAIN = 0.1
-"""Displacement gradient up to which (1 + 2 x)^4 is more than any growth of the body's rates."""
+"""Displacement gradient up to which (1 + 2 x)^4 is more than any growth of the rates of the body."""
 
 
 class CrushedError(SceneError):
@@ -153,7 +153,7 @@ class Particles:
             )
 
     def _state_arrays(self) -> list[wp.array]:
-        """What a step changes, but for what it begins with: motion by particle, then stresses by site."""
+        """The part of the state that a step changes: motion by particle, then stresses by site."""
         motion = [self.displacement, self.velocity, self.memory, self.relaxed_displacement]
         return [*motion, self.stress, self.relaxed]
 
@@ -177,7 +177,7 @@ class Particles:
             start += count
 
     def check(self, longest_s: float) -> None:
-        """Look whether the body is whole and the step still stable; longest_s: longest stable step at rest [s].
+        """Check that the body is whole and the step still stable; longest_s: longest stable step at rest [s].
 
         Raises CrushedError where the body has come apart, with the place, and StepTooLongError where it has stiffened.
         """
@@ -262,7 +262,7 @@ def stable_step(cloud: Cloud, hourglass: float = HOURGLASS) -> float:
 
 
 def likely_step(cloud: Cloud) -> float:
-    """About the step that will be taken [s], from the cells' heights at a corner: 0.6 to 0.9 of it."""
+    """About the next step [s], from the heights of the cells at a corner: 0.6 to 0.9 of it."""
     columns = cloud.columns
     levels = columns.points().reshape(len(columns.shares), -1, 3)
     steepest = 0.0

@@ -41,12 +41,12 @@ from palmfield.types import Float, Int
 ORDER = 1.0
 """Least order seen between spacings, of motion along the face near nu 0.5; into it 1.5, and 2 as they shrink."""
 RESTARTS = 12
-"""Runs begun anew with a shorter step before giving up."""
+"""Runs begun again with a shorter step before giving up."""
 LONGEST_S = 3600.0
 """Predicted time above which a run is refused before it begins."""
 SHORTEST = 1.0 / 8.0
-"""Part of the first step down to which a body that comes apart is tried again: strain may stiffen it, and the step
-blow up, within one block of steps. What still comes apart then is crushed."""
+"""Share of the first step down to which a body that comes apart is tried again: strain may stiffen it, and the step
+become unstable within one block of steps. A body that still comes apart then is crushed."""
 
 
 def solve_particles(
@@ -54,13 +54,13 @@ def solve_particles(
 ) -> Motion:
     """Motion at points of the face under a pressure, by total-Lagrangian particles at finite strain (neo-Hookean).
 
-    The accuracy sets the spacing of a slab's particles where spacing_m [m] is None. A layer's particles stand on its
-    patch's own vertices, and spacing_m sets its levels only.
-    step_s, follower: as run_particles
-    A layer's spot is measured in the x and y of the patch's frame.
-    The error: of a slab from a second run with particles COARSER times as far apart, at ORDER, but at least half of
-    law_error (the difference may pass through 0), and all of it where the spot reaches the sides; of a layer law_error
-    at its own edges. L2 over the times at a point, the largest of the points.
+    The accuracy sets the spacing of the particles of a slab where spacing_m [m] is None. The particles of a layer are
+    the vertices of its patch, and spacing_m sets its levels only.
+    step_s, follower: as run_particles.
+    The spot of a layer is measured in the x and y of the frame of the patch.
+    The error of a slab is from a second run with particles COARSER times as far apart, at ORDER, but at least half of
+    law_error (the difference may pass through 0), and all of it where the spot reaches the sides. That of a layer is
+    law_error at its own edges. L2 over the times at a point, the largest of the points.
     Raises SceneError for what refusal_particles names, a wrong spacing, accuracy or step, and a body that is crushed.
     """
     begun = time.perf_counter()
@@ -101,9 +101,9 @@ def run_particles(
 ) -> tuple[Float, Float, Float, float]:
     """Step particles from rest through the last of `times`.
 
-    times: [s], rising, shape (t,); at: points of the face [m], (n, 3) or (n, 2)
-    step_s: pinned step [s]; None takes a stable one, and begins anew with a shorter one where strain stiffens the body
-    follower: pressure stays normal to the moving face and acts on its present area; otherwise it is a dead load
+    times: [s], rising, shape (t,). at: points of the face [m], (n, 3) or (n, 2).
+    step_s: given step [s]; None takes a stable one, and begins again with a shorter one where strain stiffens the body.
+    follower: pressure stays normal to the moving face and acts on its present area; otherwise it is a dead load.
     Returns points [m] (n, 3), displacement [m] and velocity [m/s], both (t, n, 3), and the step [s].
     Raises SceneError for a pinned step above the stable one and a body that is crushed or turned inside out.
     """

@@ -1,4 +1,4 @@
-"""A scene's layer of particles, and what steps it, a state of the caller: a preview."""
+"""Particle layer of a scene and its stepper, with a state of the caller: a preview."""
 
 import math
 
@@ -18,7 +18,7 @@ from palmfield.skin.solvers.particles.solve import solve_particles
 from palmfield.types import Float, Int
 
 HALVINGS = 3
-"""How often a call is begun anew with half the step where strain has stiffened the body."""
+"""How often a call is begun again with half the step where strain has stiffened the body."""
 
 
 class ParticleLayer(OwnMesh):
@@ -30,12 +30,12 @@ class ParticleLayer(OwnMesh):
 
     @locked_cached_property
     def spacing_m(self) -> float:
-        """Distance of particles for the wanted accuracy [m]."""
+        """Distance of particles for the target accuracy [m]."""
         return spacing.choose_spacing(self.body_of(), self.planned_load(), self.layer.config.accuracy)
 
     @locked_cached_property
     def body(self) -> Body:
-        """See OwnMesh; a patch is meshed with edges as long as the particles are apart."""
+        """See OwnMesh; a patch is meshed with edges as long as the distance of particles."""
         return self.body_of(self.spacing_m / self.layer.sizes.edge_fine_m)
 
     @locked_cached_property
@@ -65,7 +65,7 @@ class ParticleLayer(OwnMesh):
 
     def seconds(self, duration_s: float, device: str) -> float:
         """See OwnMesh."""
-        # A disc's own error takes two runs more
+        # The error estimate of a disc takes two runs more
         more = 2.0 * self.trial_s() if isinstance(self.body, Slab) else 0.0
         each = len(self.cloud.points) * spacing.SECONDS_A_STEP["cpu" if device == "cpu" else "cuda"]
         return (duration_s + more) / run.likely_step(self.cloud) * each
@@ -85,7 +85,7 @@ class ParticleLayer(OwnMesh):
         return ParticleStepper(self, transfer, device)
 
     def error(self, device: str) -> float:
-        """What `palmfield.skin.solve` states for particles so far apart under the trial load."""
+        """Error that `palmfield.skin.solve` states for particles at this distance under the trial load."""
         body, face = self.body, self.cloud.columns.face
         if isinstance(body, Layer):
             return self.expected_error

@@ -13,9 +13,9 @@ from palmfield.types import Float
 class Rule:
     """GLL rule of a polynomial order N, n = N + 1 nodes; it integrates polynomials of degree 2 N - 1 exactly.
 
-    nodes: rising, shape (n,); weights: shape (n,); derivative: D[i, m] = l_m'(x_i), shape (n, n)
-    top: Legendre polynomial of degree N at the nodes, shape (n,)
-    top_weights: weights that give a function's share of it in the rule's own inner product, shape (n,)
+    nodes: rising, shape (n,). weights: shape (n,). derivative: D[i, m] = l_m'(x_i), shape (n, n).
+    top: Legendre polynomial of degree N at the nodes, shape (n,).
+    top_weights: weights that give its share in a function, in the inner product of the rule, shape (n,).
     """
 
     nodes: Float
@@ -37,13 +37,13 @@ def rule(order: int) -> Rule:
     gaps = nodes[:, None] - nodes + np.eye(order + 1)
     derivative = top[:, None] / (top * gaps)
     np.fill_diagonal(derivative, 0.0)
-    # Rows that sum to nothing, so that a rigid shift gives no strain to the last digit
+    # Rows sum to 0, so that a rigid shift gives no strain to the last digit
     np.fill_diagonal(derivative, -derivative.sum(axis=1))
     return Rule(nodes, weights, derivative, top, weights * top / (weights @ top**2))
 
 
 def lagrange(order: int, x: Float) -> Float:
-    """Values of the order's Lagrange polynomials at x, shape (len(x), n)."""
+    """Values of the Lagrange polynomials of the order at x, shape (len(x), n)."""
     vandermonde = legendre.legvander(rule(order).nodes, order)
     at = legendre.legvander(np.asarray(x, dtype=np.float64), order)
     return np.asarray(np.linalg.solve(vandermonde.T, at.T).T, dtype=np.float64)

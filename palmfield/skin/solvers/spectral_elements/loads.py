@@ -1,4 +1,4 @@
-"""What the face is pressed with at every step."""
+"""Pressure on the face at every step."""
 
 import math
 from dataclasses import dataclass
@@ -35,7 +35,7 @@ class Table:
 
 
 def rows_at(load: Load, times: Any, step_s: float) -> tuple[Any, Any]:
-    """Row of [0, first, ..., last, last] and share of the next row at times that begin with the load's first.
+    """Row of [0, first, ..., last, last] and share of the next row at times from the first time of the load on.
 
     Where the load jumps, a step takes the mean over half a step to each side, so that the scheme stays of second order.
     """
@@ -75,8 +75,8 @@ def table_of(load: Load, solid: Solid, step_s: float, steps: int) -> Table:
 def face_rule(solid: Solid, spacing_m: float) -> tuple[Int, Float, Float, Float]:
     """Gauss points on all cells of the face, about as close as `spacing_m` [m] or closer, for `face_pressure`.
 
-    Returns the surface nodes of each point's cell and their shares there, (q, n^2), the points [m] and their outward
-    area vectors [m2], (q, 3).
+    Returns the surface nodes of the cell of each point and their shares there, (q, n^2), the points [m] and their
+    outward area vectors [m2], (q, 3).
     """
     cells, order = solid.quads.cells, solid.order
     x = solid.nodes[cells]

@@ -1,4 +1,4 @@
-"""Which elements a body gets: size from the load and the target accuracy, and a sponge where it has no sides."""
+"""Choice of the elements of a body: size from the load and the target accuracy, and a sponge where it has no sides."""
 
 import math
 from dataclasses import dataclass
@@ -28,8 +28,8 @@ LINEAR_DEEP = 0.36
 """Accuracy times the square of the number of elements of order 1 through a layer: 3, 2, 1 have 2, 4.5, 24 %."""
 
 DEPTHS, LEAST = {2: (0.076, 0.75), 3: (0.3, 0.5)}, 0.04
-"""Depth of a layer's elements by order, in spot widths at 1 %, and power of the accuracy: half a width has 4 to 12 % at
-order 2 on 22 layers and 1 to 2 % at order 3. And the accuracy below which order 2, staying at 3 to 4 %, won't do."""
+"""Depth of a layer's elements by order, in spot widths at 1 %, and power of the accuracy: half a width has 4 to 12 %
+at order 2 on 22 layers, 1 to 2 % at order 3. And the accuracy below which order 2, with 3 to 4 %, fails."""
 
 GROWTH = 1.3
 """Growth of elements away from what is watched."""
@@ -38,23 +38,23 @@ COARSEST = 2.0
 """Largest element over the fine one."""
 
 SPONGE_LEFT = 1e-3
-"""What an ideal sponge leaves of the amplitude of a shear wave that crosses it and comes back."""
+"""Remaining share of the amplitude of a shear wave that crosses an ideal sponge and comes back."""
 
 MARGIN = 3.0
 """Clear way before a sponge, in widths of the load or thicknesses: a sponge holds back slow motion too."""
 
 MOST = 0.995
-"""Share of the power of a load's course below the frequency whose shear waves elements must resolve."""
+"""Share of the power of a load below the frequency whose shear waves elements must resolve."""
 
 CORE = 0.45
-"""Half width of a disc's inner square as a share of the radius."""
+"""Half width of the inner square of a disc as a share of the radius."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """order: N; size_m: width of the elements under the load [m]; deep: elements through each sheet
-    watched_m: box around the load's path and the requested points, along x and y, shape (2, 2)
-    margin_m: from there to where an endless body's sponge begins [m]; sponge_m: width of the sponge [m], or 0
+    """order: N; size_m: width of the elements under the load [m]; deep: elements through each sheet.
+    watched_m: box around the path of the load and the requested points, along x and y, shape (2, 2).
+    margin_m: from there to the start of the sponge of an endless body [m]. sponge_m: width of the sponge [m], or 0.
     """
 
     order: int
@@ -79,7 +79,7 @@ def plan(
     size_m: float | None = None,
     deep: tuple[int, ...] | None = None,
 ) -> Plan:
-    """Elements for an accuracy; what is given stays."""
+    """Elements for an accuracy; given values are not changed."""
     materials = [sheet.material for sheet in body.sheets]
     width = motion_width(body, load)
     top = course_frequency(load, MOST)
@@ -144,7 +144,7 @@ def graded(low: float, high: float, fine: tuple[float, float], size_m: float) ->
 
 
 def build(body: Body, chosen: Plan) -> tuple[Solid, Float]:
-    """The elements, and the sponge's damping rate at their nodes [1/s]."""
+    """The elements, and the damping rate of the sponge at their nodes [1/s]."""
     order, size = chosen.order, chosen.size_m
     if isinstance(body, Layer):
         solid = extrude(patch_quads(body.patch, order), body.sheets, chosen.deep)
@@ -167,7 +167,7 @@ def build(body: Body, chosen: Plan) -> tuple[Solid, Float]:
             middle, radius = np.zeros(2), float(body.radius_m or 0.0)
             reach = float(np.linalg.norm(np.abs(watched).max(axis=1)))
             inner = CORE * radius
-            # Cells widen to the rim by half pi / (2 CORE); what is watched there wants them finer everywhere
+            # Cells widen to the rim by half pi / (2 CORE); watched points there need finer cells everywhere
             if reach > radius * (0.5 + 0.5 * CORE):
                 size = size / 1.5
         else:

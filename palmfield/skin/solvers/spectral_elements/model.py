@@ -26,7 +26,7 @@ ROUNDS = 60
 
 @dataclass(frozen=True)
 class Layout:
-    """Where element nodes lie in the flat arrays of positions.
+    """Places of element nodes in the flat arrays of positions.
 
     at: position by element and node, shape (E, n^3); slot, element: by position, node and element (the padding too)
     count: positions; padded: elements with padding, at least one of it; spare: a position of that; gpu: for a GPU
@@ -124,7 +124,7 @@ class Model:
         self.moduli = self.moduli_of([m.shear_relaxed_Pa for m in self.materials])
 
     def put(self, values: Float) -> Any:
-        """An array of the model's precision on its device."""
+        """An array with the precision of the model on its device."""
         return wp.array(np.asarray(values, dtype=self.dtype), dtype=self.real, device=self.device)
 
     def ints(self, values: Any) -> Any:
@@ -152,7 +152,7 @@ class Model:
         force: Any = None,
         record_cmd: bool = False,
     ) -> Any:
-        """Internal forces by position into `force`, the model's own by default, now or as a recorded launch.
+        """Internal forces by position into `force`, that of the model by default, now or as a recorded launch.
 
         reading: as hexa.element_forces
         """
@@ -198,7 +198,7 @@ class Model:
         return float(rate.numpy().max())
 
     def stable_step(self, spring_rate: float = 0.0) -> float:
-        """Largest step [s] at which the scheme's discrete energy stays positive (see `Stepper`): h^2 rate(h) = 4.
+        """Largest step [s] at which the discrete energy of the scheme stays positive (see `Stepper`): h^2 rate(h) = 4.
 
         spring_rate: largest k / m of springs on nodes [1/s^2]
         """
@@ -229,7 +229,7 @@ def reduced(values: Float, gll: Rule) -> Float:
 
 
 def stiffening_at(material: Material, step_s: float) -> float:
-    """What multiplies G_r in the bound of the step: 1 + sum g tanh(x/2) / (x/2) + 2 t / h, x = h / tau.
+    """Factor on G_r in the bound of the step: 1 + sum g tanh(x/2) / (x/2) + 2 t / h, x = h / tau.
 
     At step 0 the dashpot, without bound there, is left out.
     """
@@ -242,7 +242,7 @@ def stiffening_at(material: Material, step_s: float) -> float:
 
 @dataclass(frozen=True)
 class Holds:
-    """How nodes are held or damped.
+    """Fixed and damped directions of the nodes.
 
     damping: mass-proportional rate by node [1/s], shape (nodes,)
     rows: node of each row; projector: keeps the motion that is free; spring: [N/m]; dashpot: [N s/m], (rows, 3, 3)
@@ -299,7 +299,7 @@ def hold(model: Model, base: BaseKind | Springs, side: SideKind | None, damping:
 
 
 def _side_dashpots(model: Model, row_of: Int, count: int) -> Float:
-    """Area times rho c_p along the side's normal and rho c_s across, on the nodes of the sides, (rows, 3, 3)."""
+    """Area times rho c_p along the normal of the side and rho c_s across, on the nodes of the sides, (rows, 3, 3)."""
     solid, gll = model.solid, rule(model.solid.order)
     edges, cell = rim_edges(solid.quads.cells)
     layers = (solid.levels - 1) // solid.order

@@ -1,4 +1,4 @@
-"""Points of the face in the surface's own coordinates."""
+"""Points of the face in the coordinates of the surface."""
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -13,10 +13,10 @@ CANDIDATES = 12
 
 
 def find(solid: Solid, at: Float) -> tuple[Int, Float]:
-    """Surface nodes of the cell in which each point lies, and their shares, both (p, n^2).
+    """Surface nodes of the cell that contains each point, and their shares, both (p, n^2).
 
-    at: points [m], shape (p, 3), or (p, 2) on a plane face; each is taken to the nearest place of the surface.
-    Raises SceneError for another shape, numbers that are not finite, and points farther off than a cell's width.
+    at: points [m], shape (p, 3), or (p, 2) on a plane face; each is moved to the nearest place of the surface.
+    Raises SceneError for another shape, numbers that are not finite, and points farther off than the width of a cell.
     """
     points = np.asarray(at, dtype=float)
     if points.ndim != 2 or points.shape[1] not in (2, 3) or not np.isfinite(points).all():

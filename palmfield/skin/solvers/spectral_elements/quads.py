@@ -1,4 +1,4 @@
-"""Surfaces of curved quadrilaterals that carry GLL nodes: a box's face, a disc's, and triangles cut in three."""
+"""Surfaces of curved quadrilaterals with GLL nodes: the face of a box, of a disc, and triangles cut in three."""
 
 import math
 from dataclasses import dataclass
@@ -14,10 +14,10 @@ from palmfield.types import Float, Int, Patch
 class Quads:
     """A surface of quadrilaterals of order N, counter-clockwise seen from outside, neighbours sharing nodes.
 
-    nodes: positions [m], shape (s, 3); drop: vector from the surface to the base below a node [m], shape (s, 3)
-    cells: nodes of each quadrilateral, first index along its edge 0-1, second along 0-3, shape (m, n, n), int32
-    rim: True at nodes of the surface's boundary, shape (s,); rim_normals: unit vectors out of the side there, square
-        to the drop, two a node for corners of a box, shape (s, 2, 3), 0 where there is none
+    nodes: positions [m], shape (s, 3). drop: vector from the surface to the base below a node [m], shape (s, 3).
+    cells: nodes of each quadrilateral, first index along its edge 0-1, second along 0-3, shape (m, n, n), int32.
+    rim: True at boundary nodes of the surface, shape (s,); rim_normals: unit vectors out of the side there, square to
+        the drop, two a node for corners of a box, shape (s, 2, 3), 0 where there is none.
     """
 
     nodes: Float
@@ -60,7 +60,7 @@ def number(corners: Int, order: int) -> Int:
 
 
 def rim_edges(cells: Int) -> tuple[Int, Int]:
-    """Nodes of the boundary's edges in the direction that keeps the surface on the left, (b, n), and their cells."""
+    """Nodes of the edges of the boundary in the direction with the surface on the left, (b, n), and their cells."""
     sides = np.concatenate([cells[:, :, 0], cells[:, -1, :], cells[:, ::-1, -1], cells[:, 0, ::-1]])
     ends = np.sort(sides[:, [0, -1]], axis=1)
     _, index, uses = np.unique(ends, axis=0, return_index=True, return_counts=True)
@@ -112,14 +112,14 @@ def box_quads(x: Float, y: Float, thickness_m: float, order: int) -> Quads:
 
 
 BULGE = 0.15
-"""How far the middle of the inner square's sides stands out, as a share of the half width: it takes half the kink out
-of the rim's arcs."""
+"""Bulge of the middle of the sides of the inner square, as a share of the half width: it removes half the kink of the
+arcs of the rim."""
 
 
 def disc_quads(thickness_m: float, half_m: float, core: int, radii_m: Float, order: int) -> Quads:
     """A disc: `core` x `core` cells in a bulged square of half width half_m [m], then rings of 4 `core` cells.
 
-    radii_m: mean outer radius of each ring [m], rising, the last the disc's; the first begins at the square
+    radii_m: mean outer radius of each ring [m], rising, the last that of the disc; the first begins at the square
     """
     radius_m = float(radii_m[-1])
     middle = half_m * (1.0 + BULGE)
@@ -138,7 +138,7 @@ def disc_quads(thickness_m: float, half_m: float, core: int, radii_m: Float, ord
     blocks = [square(a, b).reshape(-1, n, n, 2)]
     grid = np.arange((core + 1) ** 2).reshape(core + 1, core + 1)
     corners = [np.stack([grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]], axis=-1).reshape(-1, 4)]
-    # Round the square's boundary counter-clockwise, quarter by quarter
+    # Round the boundary of the square counter-clockwise, quarter by quarter
     around = np.concatenate([grid[-1, :-1], grid[:0:-1, -1], grid[0, :0:-1], grid[:-1, 0]])
     loops = np.concatenate([around[None], grid.size + np.arange(4 * core * rings).reshape(rings, 4 * core)])
     angle = 0.25 * math.pi * s

@@ -1,4 +1,4 @@
-"""Steps of the explicit scheme, and the energy that it never lets grow."""
+"""Steps of the explicit scheme, with an energy that never grows."""
 
 import math
 from dataclasses import dataclass
@@ -37,7 +37,7 @@ def branch_step(step_s: float, time_s: float) -> tuple[float, float]:
 def lane_rows(elements: Int, layout: Layout, lanes: int) -> tuple[Int, Int]:
     """First row of each thread's nodes, (threads + 1,), and rows of one position a lane, flat.
 
-    Lanes with fewer elements than their fellows point at a position of an element of padding, where no force is.
+    Lanes with fewer elements than the others point at a position of an element of padding, where the force is 0.
     """
     flat = elements.ravel()
     order = np.argsort(flat, kind="stable")
@@ -74,7 +74,7 @@ def state_size(solid: Solid, materials: list[Material]) -> int:
 
 
 class Stepper:
-    """Central differences with exact branches; the dashpot takes the velocity of half a step before.
+    """Central differences with exact branches; the dashpot takes the velocity of the previous half step.
 
     With K the elastic and K_d the relaxed deviatoric stiffness, M v' + K u + K_d (sum g y + t v(-1/2)) = f and
     y <- e y + c h v, the energy
@@ -82,12 +82,12 @@ class Stepper:
         E = v (M - h t K_d / 2) v / 2 + u0 K u1 / 2 + sum g / (2 c) [y0 K_d y1 + (1 - e) / 2 y0 K_d y0]
 
     of a step from 0 to 1 changes without a load by -h t s K_d s / 4 - sum g (1 - e) / (4 c) z K_d z, where s and z are
-    sums of two neighbouring v and y: it never grows. It is positive where
-    M - h^2 / 4 [K + sum g tanh(x / 2) / (x / 2) K_d] - h t K_d / 2 is, x = h / tau; that gives the stable step.
+    sums of two neighbouring v and y: it never grows. It is positive definite if M - h^2 / 4 [K + sum g tanh(x / 2) /
+    (x / 2) K_d] - h t K_d / 2 is so, x = h / tau; that gives the stable step.
 
-    step_s: [s]; table: the load at each step; points: where to read; target: steps after which to, rising
-    graph_steps: that one CUDA graph holds
-    Raises SceneError for a step above the stable one.
+    step_s: [s]. table: the load at each step. points: of the output.
+    target: numbers of steps after which to read, rising.
+    graph_steps: number of steps in one CUDA graph.
     """
 
     def __init__(
@@ -146,7 +146,7 @@ class Stepper:
         self.u, self.v = (wp.zeros(threads * lanes, dtype=model.vec3, device=device) for _ in range(2))
         self.w = wp.zeros(copies, dtype=model.vec3, device=device)
         self.strain = wp.zeros((max(1, self.most), copies), dtype=model.vec3, device=device)
-        # Of its own, as several may step one model at once
+        # A private array, because several may step one model at once
         self.force = wp.zeros_like(model.force)
         self.clock, self.finished = (wp.zeros(1, dtype=wp.int32, device=device) for _ in range(2))
         self.done = 0
@@ -161,7 +161,7 @@ class Stepper:
         self.graph: Any = None
 
     def _copies(self) -> None:
-        """What relaxes, by copy; see `copies_of`."""
+        """Make the arrays of the relaxing displacements, by copy; see `copies_of`."""
         model, solid, layout = self.model, self.model.solid, self.model.layout
         laws, keys, inverse = copies_of(solid, model.materials)
         self.copy_count = len(keys)
@@ -210,7 +210,7 @@ class Stepper:
             command.launch()
 
     def advance(self, steps: int) -> None:
-        """Take that many steps. Raises SceneError where the load's table ends before."""
+        """Take that many steps. Raises SceneError if the table of the load ends before."""
         if self.done + steps > self.table.steps:
             raise SceneError(
                 f"solver 'spectral_elements': {self.done + steps} steps asked, the load is tabled for "
@@ -240,11 +240,11 @@ class Stepper:
         )
 
     def readings(self) -> tuple[Any, Any]:
-        """Displacement [m] and velocity [m/s] after the wanted steps, at the points, both (wanted, p) of vectors."""
+        """Displacement [m] and velocity [m/s] after the target steps, at the points, both (target, p) of vectors."""
         return self.read_u, self.read_v
 
     def _state_arrays(self) -> list[Any]:
-        """What a step changes, without the padding: u, v, w, and y of each branch."""
+        """The part of the state that a step changes, without the padding: u, v, w, and y of each branch."""
         nodes, copies = len(self.model.solid.nodes), self.copy_count
         strain = [self.strain[branch][:copies] for branch in range(self.most)]
         return [self.u[:nodes], self.v[:nodes], self.w[:copies], *strain]
@@ -257,7 +257,7 @@ class Stepper:
             start += 3 * len(array)
 
     def begin(self, numbers: Float, frames: Float) -> None:
-        """Go on from a state, shape (state_size,), at the table's beginning, under other frames [Pa]."""
+        """Continue from a state, shape (state_size,), at the beginning of the table, under other frames [Pa]."""
         start = 0
         for array in self._state_arrays():
             values = numbers[start : start + 3 * len(array)].reshape(-1, 3)

@@ -36,9 +36,9 @@ class Solid:
 
 
 def extrude(quads: Quads, sheets: tuple[Sheet, ...], deep: tuple[int, ...]) -> Solid:
-    """Solid of `deep` elements through each sheet; a sheet's share of the drop is its share of the thicknesses.
+    """Solid of `deep` elements through each sheet; the share of a sheet in the drop is its share of the thicknesses.
 
-    Raises SceneError with its place [m] where a column of elements passes through a point and comes out turned round.
+    Raises SceneError with its place [m] where a column of elements passes through a point and comes out inverted.
     """
     order = quads.cells.shape[1] - 1
     ends = np.concatenate([[0.0], np.cumsum([sheet.thickness_m for sheet in sheets])])
@@ -50,7 +50,7 @@ def extrude(quads: Quads, sheets: tuple[Sheet, ...], deep: tuple[int, ...]) -> S
     shares = np.concatenate([(edges[:-1, None] + np.diff(edges)[:, None] * inner).ravel(), [1.0]])
     levels, count = len(shares), len(quads.nodes)
     nodes = (quads.nodes + shares[:, None, None] * quads.drop).reshape(-1, 3)
-    # The first direction along the quadrilateral's second: with the third inwards this is right-handed
+    # The first direction along the second of the quadrilateral: with the third inwards this is right-handed
     flat = quads.cells.transpose(0, 2, 1)
     offset = count * (order * np.arange(layers)[:, None] + np.arange(order + 1))
     elements = flat[None, :, :, :, None] + offset[:, None, None, None, :]
@@ -68,7 +68,7 @@ def extrude(quads: Quads, sheets: tuple[Sheet, ...], deep: tuple[int, ...]) -> S
 
 
 def _check_turns(solid: Solid) -> None:
-    """No edge of an element's base side may run against its fellow on the surface side: det J > 0 there again."""
+    """Refuse edges on the base side that point against the same edge on the surface side: det J > 0 there again."""
     n = solid.order + 1
     box = solid.elements.reshape(-1, n, n, n)[:, [0, -1]][:, :, [0, -1]][..., [0, -1]]
     corners = solid.nodes[box]
@@ -95,7 +95,7 @@ def face_areas(solid: Solid) -> Float:
 
 
 def base_areas(solid: Solid) -> Float:
-    """Area vectors of the base's nodes, out of the body [m^2], shape (surface_nodes, 3)."""
+    """Area vectors of the nodes of the base, out of the body [m^2], shape (surface_nodes, 3)."""
     return -_areas(solid, solid.nodes[-solid.surface_nodes :])
 
 

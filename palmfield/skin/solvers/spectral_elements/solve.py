@@ -39,18 +39,18 @@ COARSER = 1.4
 """Element size of the run by which the error is estimated, over that of the run that is returned."""
 
 LEAST_WIDER = 1.2
-"""Ratio of the widths under the load from which two meshes tell each other's error."""
+"""Ratio of the widths under the load of two meshes whose difference estimates the error."""
 
 LOWER = 0.6
 """Error of an order over the difference to the next lower, at most: 0.05 to 0.5 on 20 random discs and boxes."""
 
 AT_EDGE = 1.5
-"""Order at which the error falls with that of the elements where a held edge is felt: stresses are singular there.
-Set on two discs, with fixed and free side, under a spot of 0.6 radii, where it gives 1.1 and 1.6 times the error."""
+"""Order, over that of the elements, at which the error falls near a singular fixed edge. Set on two discs, with fixed
+and free side, under a spot of 0.6 radii, where it gives 1.1 and 1.6 times the error."""
 
 STEP_ORDER = 1.0
-"""By which the error falls with the step, at least: dashpots, and branches shorter than a step, take the velocity of
-half a step before. Without them it is 2."""
+"""Order at which the error falls with the step, at least: dashpots, and branches shorter than a step, take the velocity
+of the previous half step. Without them it is 2."""
 
 LOWER_SPONGE = 0.7
 """The same in a sponge, which is smaller in the second run as well: 0.03 to 0.53 on 10 random endless slabs."""
@@ -77,11 +77,11 @@ LIKELY = 1.2
 """Step that is likely over the one found: 1.05 to 1.4 on 11 slabs and layers without much viscosity."""
 
 REPEATED, FEW, THIN = (1.2, 3.0), 50, 0.5
-"""Seconds of all solutions of a slab over those of the first; the second on discs of less than FEW elements where a
-held edge is felt (8 of 20 missed) and where it is THIN, in widths of the load (8 of 11)."""
+"""Seconds of all solutions of a slab over those of the first. The second applies on discs of less than FEW elements
+with a singular fixed edge (8 of 20 missed) and where it is THIN, in widths of the load (8 of 11)."""
 
 BY_NODES, ROOM, MOST_MISS = 1.5, 0.8, 10.0
-"""Power of its nodes by which a mesh's error falls, 0.4 to 2.5 on 40 bodies; share of the target; miss at once."""
+"""Power of its nodes by which the error of a mesh falls, 0.4 to 2.5 on 40 bodies; share of the target; miss at once."""
 
 GPU_COST = (0.035e-9, 0.1e-9, 5e-6)
 """The same on a GPU: layers of 13 k to 40 k elements of order 1 and 2 on an H200."""
@@ -163,9 +163,9 @@ def finer_spectral_elements(problem: SkinProblem, miss: float, **last: Any) -> A
 def comparison_plan(body: Body, chosen: Plan, singular: bool) -> Plan:
     """The mesh by which the error is estimated: wider elements, or another order where those would be the same ones.
 
-    That is so on a patch's own triangles and where few elements lie under the load. Where a held edge is felt
-    (singular), wider elements may have the same ones at the edge, and say nothing of it. Order 1 has no lower one: the
-    next higher tells its error, in a shorter time (`window`). A sponge is smaller too.
+    That is so on a given patch of triangles and where few elements lie under the load. Near a singular fixed edge,
+    wider elements may be the same ones at the edge, and show no error. Order 1 has no lower one: the next higher
+    estimates its error, in a shorter time (`window`). A sponge is smaller too.
     """
     margin, sponge = 0.6 * chosen.margin_m, 0.8 * chosen.sponge_m
     if not isinstance(body, Layer) and not singular:
@@ -221,13 +221,13 @@ def solve_spectral_elements(
 ) -> Motion:
     """Motion of the face by explicit spectral elements, matrix-free (Patera 1984; Komatitsch & Vilotte 1998).
 
-    order: N of the elements, 1 to 7 (1 integrates too coarsely unless they are prisms); size_m: their width [m] (slabs)
-    deep: elements through each sheet; step_s: [s], at most the stable one; precision: "float32" or "float64"
-    nu_at_most: takes a smaller bulk modulus where Poisson's ratio at once is above this, which makes larger steps; by
-    default one that the accuracy allows, see palmfield.skin.approximation.reduce_bulk_modulus; 0.5 leaves the material
-    as it is. What it changes is in the error
-    estimate: False leaves the second run out; the error is then NaN
-    softened: what reduce_bulk_modulus returns for the body, where it is known
+    order: N of the elements, 1 to 7 (1 integrates too coarsely except in prisms). size_m: their width [m] (slabs).
+    deep: elements through each sheet. step_s: [s], at most the stable one. precision: "float32" or "float64".
+    nu_at_most: reduces the bulk modulus if Poisson's ratio at once is above this, for larger steps; the error includes
+    it. By default a value that the accuracy allows (palmfield.skin.approximation.reduce_bulk_modulus); 0.5 leaves the
+    material unchanged.
+    estimate: False leaves the second run out; the error is then NaN.
+    softened: result of reduce_bulk_modulus for the body, where available.
     Raises SceneError for a problem that `refusal_spectral_elements` names, an element inside out, a step above the
     stable one, and points off the face.
     """
@@ -277,7 +277,7 @@ def solve_spectral_elements(
             # 1.2 times it with a sponge, which falls with no known power of its size
             errors, source = gap, f"the difference to elements {COARSER} times as wide"
             if chosen.order > 1:
-                # Wider elements may miss as much of a sudden velocity: by them a step on a short branch told a quarter
+                # Wider elements may miss as much of a sudden velocity: on a short branch they estimated a quarter of it
                 same = march(prepared(body, at_lower_order(chosen), device, precision), load, requested, points)
                 shares = LOWER * differences(same[:2], fine[:2], normals)
                 errors[1] = max(errors[1], shares[1])
@@ -293,7 +293,7 @@ def solve_spectral_elements(
 
 
 def lifted_points(body: Body, points: Float) -> Float:
-    """Points (n, 3) of points (n, 2 or 3): a layer's lie on its face, a slab's at z = 0."""
+    """Points (n, 3) from points (n, 2 or 3): those of a layer lie on its face, those of a slab at z = 0."""
     if points.shape[1] == 3:
         return points
     return points_on_face(body, points)
@@ -352,7 +352,7 @@ def step_seconds(solid: Solid, gpu: bool) -> float:
 
 
 def likely_step(solid: Solid, sheets: tuple[Sheet, ...]) -> float:
-    """About the step that will be taken [s], from heights in the middle of elements: 1.1 to 1.4 of it on layers."""
+    """About the next step [s], from heights in the middle of elements: 1.1 to 1.4 of it on layers."""
     n = solid.order + 1
     corners = solid.nodes[solid.elements.reshape(-1, n, n, n)[:, [0, -1]][:, :, [0, -1]][..., [0, -1]]]
     edges = [np.diff(corners, axis=axis).squeeze(axis).mean(axis=(1, 2)) for axis in (1, 2, 3)]
@@ -363,7 +363,7 @@ def likely_step(solid: Solid, sheets: tuple[Sheet, ...]) -> float:
     for number, material in enumerate(sheet.material for sheet in sheets):
         fast = fast_speed(material)
         elastic = courant * float(spacing[solid.sheet == number].min()) / fast
-        # A dashpot's force of half a step before: h^2 rate + 2 h t (its share of the rate) = 4
+        # With a dashpot force of the previous half step: h^2 rate + 2 h t (its share of the rate) = 4
         speed = math.sqrt(material.shear_instant_Pa / material.density_kg_m3)
         late = 4.0 / 3.0 * (speed / fast) ** 2 * material.relaxation.viscous_time_s
         step = min(step, SAFETY * elastic**2 / (late + math.hypot(late, elastic)))

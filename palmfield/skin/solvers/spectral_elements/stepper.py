@@ -1,4 +1,4 @@
-"""A scene's layer on spectral elements, and what steps it: a state of the caller."""
+"""Layer of a scene on spectral elements and its stepper, with a state of the caller."""
 
 import math
 
@@ -96,7 +96,7 @@ class ElementLayer(OwnMesh):
         return SpectralElementStepper(self, transfer, device)
 
     def error(self, device: str) -> float:
-        """What `palmfield.skin.solve` states for these elements under the trial load, and the bulk modulus's share."""
+        """Error that `palmfield.skin.solve` states for these elements under the trial load, with bulk modulus."""
         solid, chosen = self.solid, self.chosen
         areas = np.linalg.norm(face_areas(solid), axis=1)
         load, times, at = self.trial(self.body, self.face, areas)
