@@ -52,12 +52,12 @@ def speed_figure(rows: list[FieldRow], models: dict[str, str]) -> Figure:
 
 
 def speed(row: FieldRow) -> float:
-    """Pairs per core-second, which other work on the machine doesn't change; on a GPU per second on the clock."""
+    """Pairs per core-second, which other load of the machine does not change; on a GPU per second of wall time."""
     return row.pairs_per_s if row.pairs_per_core_s is None else row.pairs_per_core_s
 
 
 def label(axis: Any, rows: list[FieldRow]) -> None:
-    """Names beside the points, towards the panel's middle, moved up or down so that none covers another."""
+    """Label the points towards the middle of the panel, moved up or down so that no label covers another."""
     low, high = np.log(axis.get_ylim())
     middle = np.sqrt(np.prod(axis.get_xlim()))
     last = {True: -np.inf, False: -np.inf}

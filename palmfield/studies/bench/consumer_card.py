@@ -1,8 +1,8 @@
-"""What a step would take on a consumer's GPU of 12 GB: a prediction from bytes and operations, not a measurement.
+"""Predict the time of a step on a consumer GPU of 12 GB from bytes and operations; this is not a measurement.
 
-All of a MuJoCo step is one launch there: field and ARP at the points of the skins and at the samples for the force,
-then all substeps of the skins. Nothing overlaps in this model, and nothing is kept from one step to the next but what
-is constant in a run. Shadows, boundary elements, and what MuJoCo and Python do on the host come on top.
+A MuJoCo step is one launch: field and ARP at the skins' points and at the force samples, then all substeps. The model
+overlaps no stages, and keeps only constants from one step to the next. Shadows, boundary elements, and the work of
+MuJoCo and Python on the host are not included.
 """
 
 from dataclasses import dataclass
@@ -29,18 +29,18 @@ CARD = Card("GeForce RTX 3060, 12 GB", 3584 * 1.777e9, 1.0 / 64.0, 360e9)
 PAIR = 44.75
 """Instructions for pressure and gradient of one transducer at one point, see docs/bench/gpu.md."""
 SHARE = 0.75
-"""Of the peak of instructions and bytes that is reached: what the field's kernel reaches on an H200."""
+"""Fraction of peak instructions and bytes that is reached: the value of the field's kernel on an H200."""
 KERNELS, KERNEL_s = 20, 2e-6
-"""Kernels of a step beside the skins', and what one of a captured graph takes to begin and end [s]."""
+"""Kernels of a step other than the skins', and the time to begin and end one in a captured graph [s]."""
 SKIN_KERNELS = 6
 BEGIN_s = 25e-6
-"""To hand over a pose, launch a captured graph, wait for it and fetch forces and sensors [s]."""
+"""Time to pass a pose, launch a captured graph, wait for it and fetch forces and sensors [s]."""
 SINGLE_BYTES, DOUBLE_BYTES = 4, 8
 
 
 @dataclass(frozen=True)
 class Work:
-    """What a stage of one MuJoCo step takes: operations of single and double precision, bytes read, kernels."""
+    """Cost of one stage of a MuJoCo step: operations of single and double precision, bytes read, kernels."""
 
     single: float = 0.0
     double: float = 0.0
@@ -63,7 +63,7 @@ class Work:
 
 
 def predicted_s(model: HapticModel, card: Card = CARD) -> float | None:
-    """Wall time of one MuJoCo step [s]; None for steppers that are sparse solves, one after another.
+    """Predict the wall time of one MuJoCo step [s]; None for steppers that solve sparse systems one after another.
 
     model: with steppers that are made
     """

@@ -1,4 +1,4 @@
-"""What a benchmark draws after a scene's model is built: stimuli and poses that its steppers were not made for."""
+"""What a benchmark draws after a scene's model is built: stimuli and poses that are new to its steppers."""
 
 from dataclasses import replace
 from typing import Any
@@ -11,20 +11,20 @@ from palmfield.session.simulation import Simulation
 from palmfield.simulation.build import build
 
 ASIDE_m = 0.003
-"""By which a focus is moved in the plane of its path, and the arrays along each axis, at most [m]."""
+"""Largest shift of a focus in the plane of its path, and of the arrays along each axis [m]."""
 TILT_rad = 0.02
-"""By which the arrays are turned about each axis, at most [rad]."""
+"""Largest rotation of the arrays about each axis [rad]."""
 LEVELS = (0.5, 1.0)
-"""ARP over the scene's own."""
+"""ARP relative to that of the scene."""
 SIZES, SPEEDS = (0.8, 1.0), (0.8, 1.2)
-"""Of a path over the scene's own; larger paths would leave the part of the skin that has fine elements."""
+"""Path size relative to that of the scene; larger paths would leave the region of fine elements."""
 
 
 def draw_again(sim: Simulation, seed: int) -> None:
-    """Give a simulation other paths and levels, and its arrays another place, with the steppers that it has; reset.
+    """Draw other paths, levels and array places for a simulation that keeps its steppers; reset it.
 
-    seed: of the random numbers; equal ones draw the same for scenes that differ in their skins only
-    The arrays stand in for the start pose: they are moved against bodies, obstacles and MuJoCo's own script.
+    seed: of the random numbers; equal seeds draw the same for scenes that differ only in their skins
+    Moving the arrays replaces the start pose: they move relative to bodies, obstacles and MuJoCo's own script.
     """
     rng = np.random.default_rng(seed)
     runtime = sim.runtime
@@ -38,14 +38,14 @@ def draw_again(sim: Simulation, seed: int) -> None:
 
 
 def drawn_stimulus(config: StimulusConfig, rng: np.random.Generator) -> StimulusConfig:
-    """The keys of a stimulus with another focus, level, size of its path and speed along it."""
+    """Return the keys of a stimulus with another focus, level, path size and speed."""
     aside = rng.uniform(-ASIDE_m, ASIDE_m, 2)
     level, size, speed = (rng.uniform(*limits) for limits in (LEVELS, SIZES, SPEEDS))
     changes: dict[str, Any] = {"focus_m": tuple(np.add(config.focus_m, [*aside, 0.0]).tolist())}
     if config.arp_peak_Pa is not None:
         changes["arp_peak_Pa"] = level * config.arp_peak_Pa
     else:
-        # The ARP goes with the square of what transducers are told.
+        # The ARP is quadratic in the drive of the transducers.
         amplitude = 1.0 if config.drive_amplitude is None else config.drive_amplitude
         changes["drive_amplitude"] = float(np.sqrt(level)) * amplitude
     for factor, keys in (
@@ -60,7 +60,7 @@ def drawn_stimulus(config: StimulusConfig, rng: np.random.Generator) -> Stimulus
 
 
 def move_arrays(model: mujoco.MjModel, sites: tuple[int, ...], rng: np.random.Generator) -> None:
-    """Move and turn the bodies that carry arrays, all by the same, or the arrays' own sites where they lie in the
+    """Move and rotate all bodies that carry arrays by the same amount, or the arrays' sites if they lie in the
     world."""
     aside = rng.uniform(-ASIDE_m, ASIDE_m, 3)
     turn = rng.uniform(-TILT_rad, TILT_rad, 3)

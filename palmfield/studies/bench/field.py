@@ -1,4 +1,4 @@
-"""`palmfield bench field`: speed and error of palmfield's field; a caller may put other programs beside it."""
+"""`palmfield bench field`: speed and error of palmfield's field; a caller may compare other programs with it."""
 
 import functools
 import os
@@ -39,19 +39,19 @@ MODELS = {
     "piston, lossless": "piston, without absorption",
     "sphere": "point source, without absorption",
 }
-"""What one transducer radiates, by the name that methods give it. Errors are against float64 of the same model."""
+"""Radiation model of one transducer, by the name that methods use. Errors are against float64 of the same model."""
 
 LAYOUT = "autd3_2x2"
 RANGES_M = ((0.05, 0.4), (0.4, 1.2))
 """Distances from the array's plane."""
 
 WIDTH_M = 0.2
-"""Width of the points' box along x and y, over the middle of the array."""
+"""Width of the box of points along x and y, centred on the array."""
 
 FOCUS_M = (0.02, 0.01, 0.2)
 POINTS, RUNS = 20_000, 5
 CHECKED = 20_000
-"""Most points compared with float64, evenly taken from all."""
+"""Largest number of points compared with float64, evenly spaced among all."""
 
 OWN = "palmfield.studies.bench.own"
 COMMAND = "palmfield bench field"
@@ -74,11 +74,11 @@ def main(
     device: where palmfield's own methods run: cpu or cuda:N
     points: roughly how many points a range has
     runs: how often each method runs, in turns with the others; medians are reported
-    only: leave out methods whose names do not contain this text
-    commit: for the report's head, where no git is [default: git's]
-    peers: other programs to be measured too [default: none]
-    Raises PalmfieldError for options that can't be, and where a method fails; OutputError where a file can't be
-    written: before anything is measured, or, if it comes to that afterwards only, once the report is printed.
+    only: run only methods whose names contain this text
+    commit: for the head of the report where git is missing [default: that of git]
+    peers: other programs to measure too [default: none]
+    Raises PalmfieldError for invalid options and for a method that fails. Raises OutputError for a file that cannot be
+    written: before any measurement if possible, else after the report is printed.
     """
     if not 1 <= runs <= MOST_RUNS:
         raise PalmfieldError(f"--runs has value {runs}; allowed: 1 to {MOST_RUNS}")
@@ -140,7 +140,7 @@ def main(
         if picture is not None and not all(row.missing for row in rows):
             draw(rows, MODELS, picture)
     except (OSError, OutputError) as error:
-        print(report, end="")  # minutes of measuring must not be lost
+        print(report, end="")  # minutes of measurements must not be lost
         raise OutputError(f"the report above is not in its files: {error}") from error
     return report
 
@@ -178,7 +178,7 @@ def run_range(
     here = Path(sys.executable)
     places: dict[str, tuple[Path, Sequence[Path]]] = {OWN: (here, [ROOT])}
     if peers is not None:
-        # Another environment sees palmfield alone, not the libraries that may be installed beside it
+        # The other environment gets palmfield only, not the libraries installed next to it
         alone = folder / "alone"
         alone.mkdir()
         (alone / "palmfield").symlink_to(ROOT / "palmfield")
@@ -194,7 +194,7 @@ def problem_of(model: str, low_m: float, high_m: float, points: int, device: str
         array = replace(array, piston_radius_m=0.0)
     lossy = model == "piston"
     absorption = absorption_Np_m(AIR, array.frequency_Hz) if lossy else 0.0
-    # A phase of 8 bits is what an AUTD3 can play: every program gets the same drive
+    # AUTD3 plays phases of 8 bits: every program gets the same drive
     phase = np.round(256.0 * np.angle(focus(array, AIR, FOCUS_M)) / (2.0 * np.pi)) / 256.0
     low, steps, resolution = grid(low_m, high_m, points)
     k = 2.0 * np.pi * array.frequency_Hz / sound_speed(AIR)
@@ -229,7 +229,7 @@ def grid(low_m: float, high_m: float, points: int) -> tuple[Any, Any, float]:
 
 
 def row(one: Measured, text: str, problem: Problem) -> FieldRow:
-    """Speed and error of a method that has run, or that it is missing."""
+    """Return speed and error of a method, or the note that it is missing."""
     result = FieldRow(one.method.name, one.method.model, text, missing=one.missing)
     if one.missing:
         return result
@@ -282,9 +282,9 @@ def device_name(device: str) -> str:
 
 
 def git_commit(*folders: str) -> str:
-    """Short name of the commit that runs, and whether files are changed; "unknown" where no git is.
+    """Return the short name of the running commit and whether files are changed; "unknown" without git.
 
-    folders: of the clone that count beside those of the packages
+    folders: of the clone that count as well as those of the packages
     """
     try:
         name, changed = (

@@ -1,4 +1,4 @@
-"""palmfield's own ways to compute a field, for the benchmark. One more method is one more line of METHODS."""
+"""palmfield's own methods to compute a field, for the benchmark. Each method is one line of METHODS."""
 
 from collections.abc import Callable
 from typing import Any
@@ -37,7 +37,7 @@ def pressure_gradient(state: State) -> NDArray[np.complex64]:
 
 
 ALL_CORES = "palmfield, all cores"
-"""Name of the method that means nothing on a GPU."""
+"""Name of the method that does not apply to a GPU."""
 
 METHODS = [
     Method("palmfield", "piston", evaluator(threads=1), pressure),

@@ -1,4 +1,4 @@
-"""What a field benchmark computes, as a file that programs of other environments can read. Imports NumPy only."""
+"""Problem of a field benchmark, as a file that programs of other environments can read. Imports NumPy only."""
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from palmfield.types import Array, Complex, Float, Float32
 
 MOST_RUNS = 63
-"""Most runs of a benchmark: programs that record a signal ahead need to know how much of it will be asked for."""
+"""Largest number of runs: programs that record a signal in advance need its length."""
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Transducers, drive and a regular grid of points, with every number that a program needs for the sum.
+    """Transducers, drive and a regular grid of points, with all numbers that a program needs for the sum.
 
     low_m, steps, resolution_m: first point of the grid, number of points along x, y, z, and their distance [m]
     positions, normals: of the transducers [m], shape (t, 3), float64; units of 249 in a row, for programs that
@@ -53,7 +53,7 @@ class Problem:
         return 2.0 * np.pi * self.frequency_Hz / self.sound_speed_m_s
 
     def array(self) -> Array:
-        """The transducers, all alike."""
+        """Return the transducers, which are all equal."""
         return Array(
             "bench",
             self.positions,
@@ -84,12 +84,12 @@ def load(path: Path) -> Problem:
 class Method:
     """One way to compute a field.
 
-    name: as it stands in the table
+    name: as in the table
     model: a key of palmfield.studies.bench.field.MODELS: what one transducer radiates
-    prepare: makes from a Problem whatever `run` needs; what a program keeps from one drive to the next
-    run: gives the complex pressure [Pa], shape (n,), or pressure and gradient side by side, shape (n, 4);
+    prepare: makes the input of `run` from a Problem; this part is kept between drives
+    run: returns the complex pressure [Pa], shape (n,), or pressure and gradient in columns, shape (n, 4);
         real numbers are magnitudes
-    needs: distributions, to import before anything is measured; the first one's version is reported
+    needs: distributions to import before the measurement; the version of the first one is reported
     """
 
     name: str

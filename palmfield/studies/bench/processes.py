@@ -1,4 +1,4 @@
-"""Methods in processes of their own, run in turns, so that what else the machine does meets all of them alike."""
+"""Methods in processes of their own, run in turns, so that other load of the machine affects all of them equally."""
 
 import hashlib
 import json
@@ -22,7 +22,7 @@ from palmfield.studies.bench.problem import Method
 
 ROOT = Path(__file__).resolve().parents[3]
 SIZE = 1000
-"""Rows of the yardstick's matrices."""
+"""Rows of the matrices of the yardstick."""
 
 ONE_THREAD = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS", "RAYON_NUM_THREADS", "POLARS_MAX_THREADS"), "1"
@@ -31,7 +31,7 @@ ONE_THREAD = dict.fromkeys(
 
 @dataclass
 class Measured:
-    """A method and what came of it; `missing` names what is not installed, and then nothing else is set."""
+    """Result of a method; `missing` names what is not installed, and then no other field is set."""
 
     method: Method
     module: str
@@ -68,10 +68,10 @@ class PeerMethods:
 
 
 class Process:
-    """A worker, asked by lines and answering by lines of JSON. A context, at whose end it is stopped.
+    """A worker, which gets lines and answers by lines of JSON. A context manager, which stops it at the end.
 
-    python, folders: interpreter, and the folders on its path that hold palmfield and the method's module
-    words: file for what it writes to standard error
+    python, folders: interpreter, and folders on its path: palmfield's and that of the method's module
+    words: file for its standard error
     """
 
     def __init__(self, python: Path, folders: Sequence[Path], one: Measured, problem: Path, words: Path) -> None:
@@ -98,7 +98,7 @@ class Process:
         self.child.communicate()
 
     def ask(self, order: str) -> dict[str, Any]:
-        """The answer to one line. Raises PalmfieldError with the worker's last words where it has died."""
+        """Return the answer to one line. Raises PalmfieldError with the last lines of a worker that has died."""
         assert self.child.stdin is not None and self.child.stdout is not None
         try:
             self.child.stdin.write(order + "\n")
@@ -117,7 +117,7 @@ class Process:
 
 
 def yardstick() -> float:
-    """Seconds of one float64 product of two 1000 x 1000 matrices on one thread: how fast this machine is just now."""
+    """Seconds of one float64 product of two 1000 x 1000 matrices on one thread: a measure of the present speed."""
     matrix = np.random.default_rng(0).normal(size=(SIZE, SIZE))
     start = time.perf_counter()
     matrix @ matrix
@@ -125,7 +125,7 @@ def yardstick() -> float:
 
 
 def cores() -> float:
-    """How many times the work of one thread a thread for each core does just now, on hashing, which needs no lock."""
+    """Throughput of one thread per core relative to one thread, on hashing, which needs no lock."""
     data = bytes(20_000_000)
     count = os.cpu_count() or 1
 

@@ -13,9 +13,9 @@ FIELD = ["method", "distance", "time [ms]", "set-up [ms]", "M pairs/s", "M pairs
 
 
 def speed_picture(path: Path) -> Figure:
-    """Speed against error of what a report in Markdown has measured, to the digits of its table; its own picture again.
+    """Draw speed against error from a Markdown report, to the digits of its table.
 
-    Raises OutputError where it can't be read, and where it has no row of either benchmark that was measured.
+    Raises OutputError for a report that cannot be read or has no measured row of either benchmark.
     """
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
@@ -40,7 +40,7 @@ def speed_picture(path: Path) -> Figure:
 
 
 def _rows(lines: list[str]) -> Iterator[tuple[str, list[str], list[str]]]:
-    """Heading above, columns and cells of each row of all tables."""
+    """Return the heading, columns and cells of each row of all tables."""
     heading, columns = "", list[str]()
     for line in lines:
         if not line.startswith("|"):

@@ -1,4 +1,4 @@
-"""Speed beside error of whole scenes: wall milliseconds for a simulated one in plain mj_step, as a table."""
+"""Speed and error of whole scenes: wall milliseconds per simulated millisecond in plain mj_step, as a table."""
 
 import json
 import os
@@ -25,8 +25,8 @@ STEPS, MOST_STEPS = 2000, 1_000_000
 
 
 class Goal(NamedTuple):
-    """Wall ms for a simulated ms that is aimed at: median on two CPU cores (the 99th percentile at most twice that),
-    median and 99th percentile on an H200."""
+    """Target for wall ms per simulated ms: median on two CPU cores (99th percentile at most twice that), median and
+    99th percentile on an H200."""
 
     cores: float
     gpu: float
@@ -38,7 +38,7 @@ GOALS = {
     **dict.fromkeys(("approach_withdraw", "follow_fingertip", "stroke_palm"), Goal(4.0, 0.5, 1.0)),
     **dict.fromkeys(("two_hands", "two_hands_both_feel", "trace_shape", "hover_explore"), Goal(8.0, 0.5, 1.0)),
 }
-"""Of the shipped scenes; the ones that are measured by default."""
+"""Targets of the shipped scenes, which are measured by default."""
 
 
 def main(
@@ -53,14 +53,14 @@ def main(
 ) -> str:
     """Measure and return the report; options of `palmfield bench scene`.
 
-    scenes: files, or names of shipped scenes [default: those with a goal]; out: markdown file to write [default: none]
-    device: where the scene is computed; steps: that sound, at least, for each scene
-    known: measure scenes as they are, with a small model where their load is known ahead; else path, level and pose
-        are drawn after the model is built, and skins move by modes for every load
-    error: also hold the very run that is measured against the whole layer; seed: of what is drawn
-    commit: for the report's head, where no git is [default: git's]
-    Raises PalmfieldError for options that can't be; OutputError where a file can't be written: before anything is
-    measured, or, if it comes to that afterwards only, once the report is printed.
+    scenes: files, or names of shipped scenes [default: those with a goal]; out: markdown file [default: none]
+    device: where the scene is computed; steps: least number of steps with sound for each scene
+    known: measure scenes as they are, with a reduced model where the load is predicted; else path, level and pose are
+        drawn after the model is built, and skins move by modes for every load
+    error: also compare the measured run with the whole layer; seed: of the random draws
+    commit: for the head of the report where git is missing [default: that of git]
+    Raises PalmfieldError for invalid options. Raises OutputError for a file that cannot be written: before any
+    measurement if possible, else after the report is printed.
     """
     if not 1 <= steps <= MOST_STEPS:
         raise PalmfieldError(f"--steps has value {steps}; allowed: 1 to {MOST_STEPS}")
@@ -100,13 +100,13 @@ def main(
         try:
             out.write_text(report)
         except OSError as failure:
-            print(report, end="")  # minutes of measuring must not be lost
+            print(report, end="")  # minutes of measurements must not be lost
             raise OutputError(f"the report above is not in {out}: {failure.strerror}") from failure
     return report
 
 
 def found(name: str) -> Path:
-    """The file of a scene: a path, or the name of a shipped one. Raises PalmfieldError where there is none."""
+    """Return the file of a scene, from a path or the name of a shipped one. Raises PalmfieldError for a missing one."""
     shipped = folder("mjcf") / "scenes"
     for path in (Path(name), shipped / f"{name}.xml"):
         if path.is_file():
@@ -116,7 +116,7 @@ def found(name: str) -> Path:
 
 
 def asked(job: Job, cache: Path) -> dict[str, Any]:
-    """The answer of a process of its own, with a cache folder. Raises PalmfieldError with its last words."""
+    """Return the answer of a process of its own, with a cache folder. Raises PalmfieldError with its last lines."""
     done = subprocess.run(
         [sys.executable, "-m", "palmfield.studies.bench.scene_run", as_line(job)],
         capture_output=True,
@@ -134,7 +134,7 @@ def asked(job: Job, cache: Path) -> dict[str, Any]:
 
 
 def as_markdown(results: list[tuple[str, dict[str, Any]]], command: str, job: Job, load: float, commit: str) -> str:
-    """The tables with what was measured, where and how. load: average of the machine before the first run"""
+    """Return the tables with results, machine and method. load: average of the machine before the first run"""
     lines = [
         "# Scenes in real time",
         "",
@@ -180,7 +180,7 @@ def as_markdown(results: list[tuple[str, dict[str, Any]]], command: str, job: Jo
 
 
 def about(job: Job) -> str:
-    """What the runs were of, in a sentence."""
+    """Describe the runs in a sentence."""
     if not job.drawn:
         return "Scenes are as they are shipped, their load known before the run."
     return (

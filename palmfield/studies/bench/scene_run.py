@@ -1,7 +1,7 @@
 """One scene measured in a process of its own: `python -m palmfield.studies.bench.scene_run JOB`, JOB as JSON.
 
-Its last line is the answer, as JSON. What it takes to get ready depends on what the cache holds, so that the caller
-names a folder for it in the environment.
+Its last line is the answer, as JSON. The time to prepare depends on the cache, so the caller sets its folder in the
+environment.
 """
 
 import json
@@ -34,19 +34,19 @@ Task = Literal["prepare", "measure", "reference"]
 Solver = Literal["auto", "modal", "wedges", "reduced"]
 SKIN = SkinConfig.plugin
 FINER = (5.0, 2.0)
-"""By which the reference's accuracy is stricter than the scene's: the first that is affordable."""
+"""Factors by which the reference's accuracy is stricter than the scene's: the first affordable one is used."""
 MOST_UNKNOWNS = 40_000
-"""Of a reference: the whole layer of more takes hours."""
+"""Largest number of unknowns of a reference: a larger whole layer takes hours."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """What a process is to do.
+    """Task of a process.
 
     task: "prepare" makes the first step only; "measure" steps whole runs; "reference" runs the whole layer once
-    solver: asked for of all skins; drawn: whether path, level and pose are drawn after the model is built
-    seed: of what is drawn; steps: that sound, at least, to be measured
-    motion: file of the run's motion, which "measure" writes and "reference" compares with; none where it is ""
+    solver: requested for all skins; drawn: whether path, level and pose are drawn after the model is built
+    seed: of the random draws; steps: least number of steps with sound to measure
+    motion: file of the run's motion, written by "measure" and read by "reference"; "" for none
     """
 
     task: Task
@@ -60,7 +60,7 @@ class Job:
 
 
 class Yardstick:
-    """A product of two 600 x 600 matrices, and a walk through 64 MB: what a step waits for, processor and memory."""
+    """A product of two 600 x 600 matrices and a pass over 64 MB: the processor and memory limits of a step."""
 
     def __init__(self) -> None:
         generator = np.random.default_rng(0)
@@ -91,7 +91,7 @@ def answer(job: Job) -> dict[str, Any]:
 
 
 def opened(job: Job) -> tuple[Simulation, str]:
-    """The scene with steppers that serve what will be drawn, made; and why they are not those asked for, or ""."""
+    """Return the scene with steppers made for the load to be drawn, and why they differ from those requested, or ""."""
     try:
         sim = Simulation(Path(job.scene), device=job.device, keys={f"{SKIN}.solver": job.solver})
         names = [lazy.value.name for lazy in sim.runtime.model.begin]
@@ -107,7 +107,7 @@ def opened(job: Job) -> tuple[Simulation, str]:
 
 
 def sounding(model: HapticModel, count: int) -> list[bool]:
-    """Of each of a run's first steps, whether a stimulus sounds in it or in the one before, which rings on."""
+    """Return for each of the first steps whether a stimulus sounds in it or in the step before, which rings on."""
     step_s = model.spec.timestep_s
     ends = np.arange(count * model.substeps + 1, dtype=np.float64) * (step_s / model.substeps)
     loud = np.zeros(len(ends), dtype=bool)
@@ -119,10 +119,10 @@ def sounding(model: HapticModel, count: int) -> list[bool]:
 
 
 def measured(job: Job, sim: Simulation) -> dict[str, Any]:
-    """Wall time of each step that sounds, over whole runs from reset; raises SceneError for a scene that is silent."""
+    """Return the wall time of each step with sound, over whole runs from reset; SceneError for a silent scene."""
     if job.drawn:
         draw_again(sim, job.seed)
-        # Buffers for the new sound are made in its first step
+        # The first step with a new sound allocates buffers
         sim.step()
     model, data, runtime = sim.model, sim.data, sim.runtime
     began = [lazy.value.name for lazy in runtime.model.begin]
@@ -170,9 +170,9 @@ def measured(job: Job, sim: Simulation) -> dict[str, Any]:
 
 
 def stated(sim: Simulation) -> tuple[float, float | None] | None:
-    """What modes and small models state of their own errors of displacement and velocity, the worst skin's.
+    """Return the errors of displacement and velocity that modes and reduced models report, of the worst skin.
 
-    A small model states none of the velocity, a whole layer none at all.
+    A reduced model reports none of the velocity, a whole layer none at all.
     """
     errors: list[tuple[float, float | None]] = []
     for lazy, outside in zip(sim.runtime.model.begin, sim.runtime.work.outside, strict=True):
@@ -183,16 +183,16 @@ def stated(sim: Simulation) -> tuple[float, float | None] | None:
 
 
 def node_areas(nodes: Float, faces: Any) -> Float:
-    """Area for which each node of a triangulated surface stands [m^2], shape (S,)."""
+    """Area assigned to each node of a triangulated surface [m^2], shape (S,)."""
     a, b, c = (nodes[faces[:, corner]] for corner in range(3))
     third = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6.0
     return np.bincount(faces.ravel(), np.repeat(third, 3), len(nodes)).astype(np.float64)
 
 
 def motion(sim: Simulation, points: list[Float], count: int) -> dict[str, Float]:
-    """Normal displacement [m] and velocity [m/s] of each skin after each step of a run from reset, (count, 2, n).
+    """Return normal displacement [m] and velocity [m/s] of each skin after each step from reset, (count, 2, n).
 
-    points: of each skin where it is read, at rest, body frame [m], shape (n, 3)
+    points: where each skin is read, at rest, body frame [m], shape (n, 3)
     """
     runtime = sim.runtime
     operators = [
@@ -213,7 +213,7 @@ def motion(sim: Simulation, points: list[Float], count: int) -> dict[str, Float]
 
 
 def compared(job: Job) -> dict[str, Any]:
-    """Relative errors of a run's displacement and velocity against the whole layer, L2 over surfaces and times."""
+    """Return relative errors of displacement and velocity against the whole layer, L2 over surfaces and times."""
     sim, text = reference(job)
     if job.drawn:
         draw_again(sim, job.seed)
@@ -239,7 +239,7 @@ def relative_errors(motions: list[Float], expected: list[Float], areas: list[Flo
 
 
 def reference(job: Job) -> tuple[Simulation, str]:
-    """The whole layer at the strictest accuracy that is affordable, and what it is, in words."""
+    """Return the whole layer at the strictest affordable accuracy, and its description."""
     path = Path(job.scene)
     scene = Simulation(path, device="cpu")
     skins = scene.runtime.model.skins
@@ -248,7 +248,7 @@ def reference(job: Job) -> tuple[Simulation, str]:
         finer = {f"{skin.spec.name}.accuracy": skin.spec.config.accuracy / factor for skin in skins}
         sim = Simulation(path, device=job.device, keys=whole | finer)
         layers = [skin.layer for skin in sim.runtime.model.skins]
-        # From sizes first: a mesh that is out of reach takes long itself
+        # Estimate the size first: making a mesh that is too large takes long itself
         if sum(layer.expected_dofs for layer in layers) > 2 * MOST_UNKNOWNS:
             continue
         unknowns = sum(layer.system.ndof for layer in layers)
@@ -265,7 +265,7 @@ def main() -> None:
 
 
 def as_line(job: Job) -> str:
-    """A job as this module's command line takes it."""
+    """Return a job as the command line of this module takes it."""
     return json.dumps(asdict(job))
 
 

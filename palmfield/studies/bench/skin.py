@@ -1,4 +1,4 @@
-"""Skin solvers side by side on one slab and load, at several accuracies; a caller may put other programs with them."""
+"""Compare skin solvers on one slab and load at several accuracies; a caller may add other programs."""
 
 import os
 import statistics
@@ -33,7 +33,7 @@ ACCURACIES = {
     "spectral_elements": (0.1, 0.05, 0.02),
     "particles": (0.2, 0.1, 0.05),
 }
-"""What each of our solvers is asked for."""
+"""Target accuracies of each palmfield solver."""
 
 COMMAND = "palmfield bench skin"
 MARKERS = "o^sDvP*X"
@@ -45,8 +45,8 @@ RADIUS_M = 0.06
 class SkinRow:
     """One solution. missing: why there is none
 
-    static, moving: relative errors of the centre's push, at rest and its complex amplitude at F_Hz
-    stated: the error that the solver itself states; size: its resolution in words
+    static, moving: relative errors of the centre's displacement, at rest and of its complex amplitude at F_Hz
+    stated: error that the solver reports; size: its resolution in words
     """
 
     name: str
@@ -64,10 +64,10 @@ class SkinRow:
 
 @dataclass(frozen=True)
 class PeerSolutions:
-    """Other programs on the same case, to be put beside our solvers.
+    """Other programs on the same case, to compare with palmfield's solvers.
 
-    jobs: what solves, by name in the table; about: what the head of the report says of them
-    command: what makes this comparison, for the head too
+    jobs: solver by name in the table; about: description for the head of the report
+    command: that makes this comparison, for the head of the report
     """
 
     jobs: Sequence[tuple[str, Callable[[], SkinRow]]]
@@ -76,7 +76,7 @@ class PeerSolutions:
 
 
 def own(case: Case, name: str, accuracy: float, device: str, runs: int) -> SkinRow:
-    """A solver of ours on AM from rest: mean and amplitude over the last LAST_s are half of both answers."""
+    """Solve AM from rest with a palmfield solver: mean and amplitude over the last LAST_s are half of both answers."""
     sheets = (Sheet(case.material, case.depth_m),)
     endless = name in ("lateral_waves", "wedges", "spectral_elements")
     body = Slab(sheets) if endless else Slab(sheets, "disc", side="free", radius_m=RADIUS_M)
@@ -116,7 +116,7 @@ def main(
     """Measure, draw and return the report; options of `palmfield bench skin`, as for
     `palmfield.studies.bench.field.main`.
 
-    Raises PalmfieldError for options that can't be; OutputError where a file can't be written.
+    Raises PalmfieldError for invalid options, OutputError for a file that cannot be written.
     """
     if not 1 <= runs <= 99:
         raise PalmfieldError(f"--runs has value {runs}; allowed: 1 to 99")
@@ -148,7 +148,7 @@ def main(
         if picture is not None:
             draw([row for row in rows if not row.missing], picture)
     except (OSError, OutputError) as error:
-        print(report, end="")  # minutes of measuring must not be lost
+        print(report, end="")  # minutes of measurements must not be lost
         raise OutputError(f"the report above is not in its files: {error}") from error
     return report
 

@@ -1,4 +1,4 @@
-"""The case on which skin solvers, and other programs with them, are held side by side, and its known answer."""
+"""The case for comparisons of skin solvers and other programs, and its exact solution."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ F_Hz = 200.0
 
 @dataclass(frozen=True)
 class Case:
-    """An endless bonded slab under a round Gaussian spot; every program takes a piece of it as wide as it likes.
+    """An infinite bonded slab under a round Gaussian spot; each program may choose the width that it models.
 
     depth_m, fwhm_m: thickness of the slab and width of the spot [m]
     """
@@ -21,7 +21,7 @@ class Case:
     fwhm_m: float
 
     def exact(self) -> tuple[float, complex]:
-        """Push of the centre per pascal of peak pressure [m/Pa], static and at F_Hz, by plane waves in depth."""
+        """Displacement of the centre per peak pressure [m/Pa], static and at F_Hz, by plane waves in depth."""
         still, moving = (
             complex(centre_response(f, self.material, self.depth_m, self.fwhm_m).item()) for f in (0.0, F_Hz)
         )

@@ -8,13 +8,13 @@ from pathlib import Path
 
 @dataclass(frozen=True)
 class FieldRow:
-    """One method in one range; with `missing` set nothing was measured. Seconds are medians.
+    """One method in one range; with `missing` set there are no measurements. Seconds are medians.
 
-    model: a key of MODELS; range: for the reader
-    setup_s: what need not be done again for another drive; clock_s: one run
-    pairs_per_core_s: per second that cores worked, or None on a GPU
+    model: a key of MODELS; range: in words
+    setup_s: time that is not repeated for another drive; clock_s: of one run
+    pairs_per_core_s: per second of core time, or None on a GPU
     error, gradient_error: relative L2 difference to float64 of the same model; of magnitudes where `magnitude` is set
-    memory_MiB: peak beyond what the program takes for a few points
+    memory_MiB: peak beyond that for a few points
     """
 
     name: str
@@ -34,7 +34,7 @@ class FieldRow:
 
 @dataclass(frozen=True)
 class Head:
-    """What stands above the table."""
+    """Head of the table."""
 
     command: str
     commit: str

@@ -1,5 +1,4 @@
-"""Runs one method in a process of its own, as told line by line: `python -m palmfield.studies.bench.worker MODULE NAME
-FILE`.
+"""Run one method in a process of its own, by commands: `python -m palmfield.studies.bench.worker MODULE NAME FILE`.
 
 It answers each line of standard input by one line of JSON on standard output:
 `prepare` (with versions, seconds and memory), `run` (seconds on the clock and of the cores), `save PATH` (the last
@@ -23,7 +22,7 @@ from palmfield.studies.bench.problem import Method, load
 
 
 def memory_MiB(name: str) -> float:
-    """VmRSS (now) or VmHWM (peak). getrusage would give the peak of the parent too: it survives vfork and exec."""
+    """VmRSS (now) or VmHWM (peak). getrusage would give the peak of the parent too, which survives vfork and exec."""
     for line in Path("/proc/self/status").read_text().splitlines():
         if line.startswith(name + ":"):
             return int(line.split()[1]) / 1024.0
@@ -37,7 +36,7 @@ def version(method: Method) -> str:
 class Worker:
     """One method with its state between lines.
 
-    Before anything is measured the method computes a few points, so that imports and compilation don't count.
+    Before the measurement the method computes a few points, so that imports and compilation do not count.
     """
 
     def __init__(self, module: str, name: str, problem: Path) -> None:

@@ -1,4 +1,4 @@
-"""What in a comparison looks like a fault of the scan or of its place, in sentences."""
+"""Likely faults of a scan or of its place that a comparison shows, in sentences."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,24 +13,24 @@ from palmfield.metrics.checks import even_step
 from palmfield.types import Float
 
 UNIT = 30.0
-"""A gain this far from 1, either way, is rather a unit than a level."""
+"""A gain that differs from 1 by this factor, up or down, suggests a wrong unit rather than a level."""
 FOLDED = 0.02
-"""Share of our power above half of the scan's rate from which on it is told."""
+"""Share of the computed power above half of the scan's rate from which aliasing is reported."""
 SHARPEN = 4
-"""Power of the rms that weighs places for the middle of a motion, so that the loudest place counts most."""
+"""Power of the rms that weights places for the middle of a motion, so that the loudest place counts most."""
 LEAST_APART_M = 1e-3
 OFFSET = 0.02
-"""Of the peak: an offset or drift is named beyond."""
+"""Share of the peak beyond which an offset or drift is reported."""
 WILD = 4.0
-"""A point so many times louder than all its neighbours, and than ours ever is at the scan's level, is a broken channel.
+"""A point so many times louder than all its neighbours and any computed one at the scan's level is a broken channel.
 """
 NEIGHBOURS = 4
 
 
 def wild(measured: Scan, computed: Scan) -> NDArray[np.bool_]:
-    """Points of a scan whose channel is broken, as where the beam was lost, shape (n,).
+    """Return which points of a scan have a broken channel, for instance a lost beam, shape (n,).
 
-    One of them would stand for the loudest place, by which it is told which points move enough to count.
+    Such a point would be taken as the loudest place, which decides which points move enough to count.
     """
     theirs, ours = (np.sqrt(np.mean(scan.values**2, axis=0)) for scan in (measured, computed))
     count = min(NEIGHBOURS, len(theirs) - 1)
@@ -41,17 +41,17 @@ def wild(measured: Scan, computed: Scan) -> NDArray[np.bool_]:
 
 
 def middle(scan: Scan) -> Float:
-    """Where a scan moves most [m], shape (3,), between its points: their mean, weighted by std to the SHARPEN."""
+    """Where a scan moves most [m], shape (3,), between its points: their mean, weighted by std to the power SHARPEN."""
     weights = np.std(scan.values, axis=0)
     weights = (weights / weights.max()) ** SHARPEN
     return np.asarray(weights @ scan.points / weights.sum())
 
 
 def doubts(measured: Scan, computed: Scan, motion: SurfaceMotion, numbers: Agreement, most_delay_s: float) -> list[str]:
-    """Sentences for a report, none where nothing is odd.
+    """Return sentences for a report, none if the comparison looks plausible.
 
-    measured, computed: at the same points and times; the measured one's places are those on the skin
-    motion: ours as it was computed, before any instrument
+    measured, computed: at the same points and times; the places of `measured` are those on the skin
+    motion: computed motion before any instrument
     """
     found = []
     gain = float(np.median(np.abs(numbers.gain)))

@@ -1,4 +1,4 @@
-"""What a comparison says: in words, as JSON, as a table of points."""
+"""Results of a comparison: in words, as JSON, as a table of points."""
 
 import json
 from dataclasses import dataclass
@@ -23,13 +23,13 @@ QUIET = 0.1
 
 @dataclass(frozen=True)
 class Comparison:
-    """A measured scan against a run's skin.
+    """Comparison of a measured scan with a run's skin.
 
     measured, skin: their names; quantity: what was read; place: where the scan lies on the skin
-    near: which of its points are close enough to be compared, shape (points,), bool; computed: ours, at these
-    numbers: of these points; bare: no instrument was told; cut_s: how much of the scan is later than the run [s]
-    most_delay_s: within what delays were sought; doubts: what looks like a fault, in sentences
-    modes: the guided mode at mode_Hz, measured and computed, if asked for
+    near: which points are close enough to compare, shape (points,), bool; computed: by palmfield, at these
+    numbers: of these points; bare: no instrument was given; cut_s: part of the scan after the run's end [s]
+    most_delay_s: range of the delay search; doubts: likely faults, in sentences
+    modes: the guided mode at mode_Hz, measured and computed, if requested
     """
 
     measured: str
@@ -52,7 +52,7 @@ class Comparison:
         return np.asarray(self.numbers.level >= QUIET)
 
     def median(self, name: str) -> tuple[float, float, float]:
-        """Median and quartiles of one of the numbers, of the points that move enough."""
+        """Median and quartiles of one of the numbers over the points that move enough."""
         low, middle, high = np.quantile(getattr(self.numbers, name)[self.loud], [0.25, 0.5, 0.75])
         return float(middle), float(low), float(high)
 
@@ -146,7 +146,7 @@ COLUMNS = ("point", "x_m", "y_m", "z_m", "skin_x_m", "skin_y_m", "skin_z_m", "re
 
 
 def write_report(done: Comparison, folder: Path) -> None:
-    """compare.json and points.csv, a line for each compared point. Raises OutputError where they can't be written."""
+    """Write compare.json and points.csv, a line for each compared point. Raises OutputError if that fails."""
     try:
         (folder / "compare.json").write_text(json.dumps(done.as_dict(), indent=1) + "\n", encoding="utf-8")
     except OSError as error:

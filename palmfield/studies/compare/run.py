@@ -1,4 +1,4 @@
-"""A measured scan against a run: registered to its skin, ours through the same instrument, told point by point."""
+"""Compare a measured scan with a run: register it to the skin, pass ours through the instrument, report each point."""
 
 from pathlib import Path
 
@@ -26,7 +26,7 @@ from palmfield.types import Float
 OFF_M = 5e-3
 """A measured point farther from the skin than this is left out [m]."""
 HUGE = 20.0
-"""A scan that is larger than the skin by this is in another unit."""
+"""A scan larger than the skin by this factor is in another unit."""
 PAIR_COLUMNS = ("x_m", "y_m", "z_m", "skin_x_m", "skin_y_m", "skin_z_m")
 FILES = ("compare.json", "points.csv", "computed.csv", "agreement.png", "wavenumbers.png")
 
@@ -46,17 +46,17 @@ def compare(
     out: str | Path | None = None,
     overwrite: bool = False,
 ) -> Comparison:
-    """Hold a measured scan against a run's skin.
+    """Compare a measured scan with a run's skin.
 
     run: folder of a run, or its result.nc; measured: file of a scan (`palmfield.outputs.scan_files.READERS`), or a Scan
     instrument: TOML file with a table [vibrometer], or settings; sampling rate, length and quantity are the scan's own,
         and its lines of sight where it has some. None: seen along the normal of the first array's side, without filters
     skin: which one, where the run has several; fiducials: CSV file of columns PAIR_COLUMNS, points in the scan's frame
         and where they are on the skin at rest
-    onto_surface: move the scan onto the skin, as far as the skin tells where it lies
+    onto_surface: move the scan onto the skin as far as the shape of the skin determines its place
     mode_Hz: a frequency at which the guided mode of both is fitted; source_m: its source on the skin [m], None: where
         ours moves most; source_radius_m: what is left out about it, 1.5 times the width of the spot
-    out: folder for FILES; None: nothing is written
+    out: folder for FILES; None writes no files
     Raises MeasurementError for scans, settings and fiducials that don't fit, OutputError for the run and for a folder
     that has such files already.
     """
@@ -168,7 +168,7 @@ def _pairs(file: str | Path | None) -> tuple[Float, Float] | None:
 
 
 def _in_millimetres(scan: Scan, vertices: Float) -> str:
-    """A hint where a scan is so much larger than the skin that its places are no metres, else empty."""
+    """Return a hint if a scan is so much larger than the skin that its places cannot be in metres, else ""."""
     sizes = [float(np.linalg.norm(np.ptp(points, axis=0))) for points in (scan.points, vertices)]
     if sizes[0] < HUGE * sizes[1]:
         return ""
@@ -176,7 +176,7 @@ def _in_millimetres(scan: Scan, vertices: Float) -> str:
 
 
 def _through_instrument(motion: SurfaceMotion, scan: Scan, place: Registration, settings: Vibrometer | None) -> Scan:
-    """Our motion at the scan's places, as its instrument reads it, at the scan's times as long as the run lasts."""
+    """Return the computed motion at the scan's places as its instrument reads it, at its times within the run."""
     head = settings or _straight(motion.normals.mean(axis=0))
     rate = scan.rate_Hz
     trigger = head.trigger_s + float(scan.times_s[0])
@@ -196,7 +196,7 @@ def _through_instrument(motion: SurfaceMotion, scan: Scan, place: Registration, 
 
 
 def _straight(normal: Float) -> Vibrometer:
-    """Seen along a direction, without filters."""
+    """Return the motion along a direction, without filters."""
     x, y, z = (float(part) for part in normal / np.linalg.norm(normal))
     along = int(np.abs(normal).argmin())
     return Vibrometer(normal=(x, y, z), x_axis=(float(along == 0), float(along == 1), float(along == 2)))

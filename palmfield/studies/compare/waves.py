@@ -1,4 +1,4 @@
-"""The guided mode of a measured and of a computed scan, side by side."""
+"""Compare the guided mode of a measured and of a computed scan."""
 
 from typing import Any
 
@@ -10,15 +10,15 @@ from palmfield.instruments.scan import Scan
 from palmfield.types import Float
 
 FLAT = 0.02
-"""Share of a scan's width by which its points may leave a plane."""
+"""Largest distance of a scan's points from a plane, as a share of its width."""
 
 
 def guided_modes(
     measured: Scan, computed: Scan, frequency_Hz: float, source_m: Float | None, radius_m: float
 ) -> tuple[GuidedMode, GuidedMode]:
-    """The mode at one frequency of both scans, which are at the same points of the skin, seen along the computed beams.
+    """Fit the mode at one frequency to both scans, at the same points of the skin, along the computed beams.
 
-    source_m: on the skin [m], (3,); None: where the computed scan moves most; radius_m: what is left out about it
+    source_m: on the skin [m], (3,); None: place of largest computed motion; radius_m: excluded radius about it
     Raises MeasurementError for skin that is not flat, and as `line_amplitudes` and `guided_mode_fit`.
     """
     assert computed.sights is not None
@@ -43,7 +43,7 @@ def guided_modes(
 
 
 def in_words(mode: GuidedMode, frequency_Hz: float) -> str:
-    """Speed and 1/e length, or why there are none; the same of other waves that carry much of the motion."""
+    """Report speed and 1/e length, or why there are none, also of other waves that carry much of the motion."""
     told = [_wave_in_words(mode, frequency_Hz)]
     for other in mode.others:
         share = other.motion / mode.motion

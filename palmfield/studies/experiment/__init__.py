@@ -1,1 +1,1 @@
-"""Experiments on what is felt: procedures, trials on a board, logs, reports."""
+"""Experiments on perception: procedures, trials on a board, logs, reports."""

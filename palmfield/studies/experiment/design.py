@@ -1,4 +1,4 @@
-"""An experiment as a file says it: scene, what is varied and asked, conditions, procedure, order. No physics."""
+"""Design of an experiment in a file: scene, varied key, question, conditions, procedure, order. No physics."""
 
 import hashlib
 import json
@@ -22,7 +22,7 @@ KINDS: dict[str, type[Any]] = {
     "adjustment": Adjustment,
 }
 ONE_LEVEL = ("limits", "adjustment")
-"""Procedures of one interval, of which it is said whether it was felt."""
+"""Procedures of one interval, whose question is whether it was felt."""
 Scalar = bool | float | int | str | list[float]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Number = Annotated[float, Field(allow_inf_nan=False)]
@@ -33,10 +33,10 @@ class _Part(BaseModel):
 
 
 class Varied(_Part):
-    """What the procedure varies.
+    """The key that the procedure varies.
 
     key: dotted, as of --set; reference: its value in the other intervals of a task with several
-    scale: log for levels that count as ratios, told as 20 lg of them in dB; unit: of the level, for tables
+    scale: log for levels that count as ratios, reported as 20 lg in dB; unit: of the level, for tables
     """
 
     key: str
@@ -45,7 +45,7 @@ class Varied(_Part):
     unit: str = ""
 
     def told(self, level: float) -> float:
-        """A level as fits and pictures have it: in dB re 1 for a scale of ratios, -inf for 0."""
+        """Return a level as fits and pictures use it: in dB re 1 for a scale of ratios, -inf for 0."""
         if self.scale == "linear":
             return level
         return 20.0 * math.log10(level) if level > 0.0 else -math.inf
@@ -56,10 +56,10 @@ class Varied(_Part):
 
 
 class Task(_Part):
-    """What is asked after each trial.
+    """The question after each trial.
 
     kind: yes_no (was it felt?), or nafc (in which of several intervals was the target?); question: in words
-    gap_s: between intervals; guess: of yes_no, rate of yes where nothing is played, as fits have it
+    gap_s: between intervals; guess: for yes_no, rate of yes without sound, as fits use it
     """
 
     kind: Literal["yes_no", "nafc"] = "nafc"
@@ -70,20 +70,20 @@ class Task(_Part):
 
     @property
     def chance(self) -> float:
-        """Rate of right answers by chance."""
+        """Rate of correct answers by chance."""
         return 1.0 / self.intervals if self.kind == "nafc" else self.guess
 
 
 class Condition(_Part):
-    """Other values of the scene's keys. name: of its own; keys: dotted, as of --set"""
+    """Other values of the scene's keys. name: label of the condition; keys: dotted, as of --set"""
 
     name: str = Field(min_length=1)
     keys: dict[str, Scalar] = {}
 
 
 class Simulated(_Part):
-    """An observer of known psychometric function. threshold, spread: in the units of the varied key, or in dB for a
-    scale of ratios; lapse: rate of wrong answers however loud it is; thresholds: of conditions that have others
+    """A simulated observer with a given psychometric function. threshold, spread: in the units of the varied key, or in
+    dB for a scale of ratios; lapse: rate of wrong answers at any level; thresholds: of conditions with other ones
     """
 
     threshold: Number
@@ -93,14 +93,14 @@ class Simulated(_Part):
     thresholds: dict[str, Number] = {}
 
     def function(self, condition: str) -> PsychometricFunction:
-        """Of detection, without guesses."""
+        """Return the function of detection, without guesses."""
         return PsychometricFunction(self.shape, self.thresholds.get(condition, self.threshold), self.spread)
 
 
 class SkinObserver(_Part):
-    """An observer that feels what the simulated skin does.
+    """An observer that responds to the motion of the simulated skin.
 
-    observer: of `palmfield.perception`, whose level above threshold counts, at 0 dB felt in half of the cases
+    observer: of `palmfield.perception`; a level of 0 dB above its threshold is felt in half of the cases
     slope: b of 1 - exp(-ln 2 E^b), E the level as a ratio; lapse: as of Simulated; skin: instance, None for the first
     """
 
@@ -111,8 +111,8 @@ class SkinObserver(_Part):
 
 
 class Trigger(_Part):
-    """A line that goes up as the sound begins. port: serial; line: DTR, RTS, or a byte that is sent; pulse_s: how
-    long it stays up
+    """A line that is raised when the sound begins. port: serial; line: DTR, RTS, or a byte that is sent; pulse_s:
+    duration of the pulse
     """
 
     port: str
@@ -124,8 +124,8 @@ class Trigger(_Part):
 class Design(_Part):
     """An experiment. See docs/experiments.md for each key.
 
-    scene: file, relative to the experiment's own; blocks: how often each condition is run
-    order: in each block, trials of all conditions interleaved, or one condition after the other, both drawn by seed
+    scene: file, relative to the experiment's file; blocks: number of runs of each condition
+    order: in each block, trials of all conditions interleaved, or one condition after another, both drawn by seed
     """
 
     name: str = Field(min_length=1)
@@ -171,7 +171,7 @@ class Design(_Part):
         return self
 
     def procedure_of(self, block: int, condition: int) -> Procedure:
-        """The procedure of one run, with an order of its own."""
+        """Return the procedure of one run, with its own random order."""
         keys = {key: value for key, value in self.procedure.items() if key != "kind"}
         kind = KINDS[self.procedure["kind"]]
         if kind is not ConstantStimuli:
@@ -189,13 +189,13 @@ class Design(_Part):
         return made
 
     def digest(self, observer: str) -> str:
-        """Of all that must not change within an observer's log: all but other observers, markers and the board."""
+        """Digest of the settings that are fixed within a log: all but other observers, markers and the board."""
         others = {"simulated", "skin"} - {observer}
         own = self.model_dump(mode="json", exclude=others | {"lsl", "trigger", "board"})
         return hashlib.sha256(json.dumps(own, sort_keys=True).encode()).hexdigest()[:16]
 
     def playable(self) -> tuple[float, float]:
-        """Least and largest level that the varied key takes and the procedure plays; infinite where nothing says."""
+        """Least and largest level that the varied key allows and the procedure plays; infinite if unlimited."""
         part, _, key = self.varied.key.rpartition(".")
         models = [one for one in CONFIGS if key in one.model_fields]
         models = [one for one in models if one.plugin == f"palmfield.{part}"] or models
@@ -207,32 +207,32 @@ class Design(_Part):
         return max(lows), min(highs)
 
     def keys_at(self, condition: int, level: float) -> dict[str, object]:
-        """Keys of a presentation, as `palmfield.load` takes them."""
+        """Return the keys of a presentation, as `palmfield.load` takes them."""
         return {**self.keys, **self.conditions[condition].keys, self.varied.key: level}
 
     def highest(self) -> float | None:
-        """The highest level that may be played; None where the procedure has no end."""
+        """Return the highest level that may be played; None where the procedure has no upper end."""
         levels: list[float] = self.procedure.get("levels") or [self.procedure.get("high", math.inf)]
         return None if math.isinf(max(levels)) else max(levels)
 
     def next_condition(self, block: int, number: int, unfinished: list[int]) -> int:
-        """The condition of a block's trial of a number, of those that have trials left."""
+        """Return the condition of a trial of a block, among those that have trials left."""
         if self.order == "blocked":
             order = np.random.default_rng((self.seed, 1, block)).permutation(len(self.conditions)).tolist()
             return next(int(condition) for condition in order if condition in unfinished)
         return unfinished[int(np.random.default_rng((self.seed, 2, block, number)).integers(len(unfinished)))]
 
     def target(self, trial: int) -> int:
-        """The interval, from 1, that has the target in a trial of a number, from 0."""
+        """Return the interval, from 1, that has the target in a trial, numbered from 0."""
         if self.task.kind == "yes_no":
             return 1
         return 1 + int(np.random.default_rng((self.seed, 3, trial)).integers(self.task.intervals))
 
 
 def read_design(path: Path) -> Design:
-    """The experiment in a TOML or JSON file.
+    """Read an experiment from a TOML or JSON file.
 
-    Raises OutputError, with the key, for what can't be read or isn't allowed.
+    Raises OutputError, with the key, for a file that cannot be read and for values that are not allowed.
     """
     try:
         content = read_toml(path) if path.suffix.lower() == ".toml" else read_json(path)

@@ -1,8 +1,8 @@
-"""The log of an experiment: one line of JSON a trial, on the disk before the next begins.
+"""The log of an experiment: one line of JSON for each trial, on the disk before the next trial begins.
 
 The first line is the head: `palmfield_experiment` (1), design and its digest, scene's digest, participant, observer,
-versions. Each time the experiment goes on, a line with `session` says when, and what the wall's clock shows at 0 of the
-clock that all times are on. Each further line is a trial.
+versions. When the experiment continues, a line with `session` holds the date and the wall clock's reading at time 0 of
+all times. Each further line is a trial.
 """
 
 import datetime
@@ -28,7 +28,7 @@ VERSION = 1
 
 
 class Trial(NamedTuple):
-    """A trial that is logged. number: from 0; block, condition: from 0; content: its line"""
+    """A logged trial. number: from 0; block, condition: from 0; content: its line"""
 
     number: int
     block: int
@@ -48,9 +48,9 @@ class Log(NamedTuple):
 
 
 def read_experiment_log(path: Path) -> Log:
-    """The log's content; a last line that is cut, as by a lost power supply, is left out.
+    """Read the log's content; an incomplete last line, for instance after a power failure, is left out.
 
-    Raises OutputError for a file that can't be read or is no log of this version.
+    Raises OutputError for a file that cannot be read or is no log of this version.
     """
     try:
         data = read_bytes(path)
@@ -81,7 +81,7 @@ def read_experiment_log(path: Path) -> Log:
 
 
 def next_trial(design: Design, trials: list[Trial]) -> tuple[int, int, int, float] | None:
-    """Number, block, condition and level of the trial that follows some; None at the end."""
+    """Return number, block, condition and level of the next trial; None at the end."""
     for block in range(design.blocks):
         unfinished: list[int] = []
         coming: dict[int, float] = {}
@@ -99,9 +99,9 @@ def next_trial(design: Design, trials: list[Trial]) -> tuple[int, int, int, floa
 
 
 class LogWriter:
-    """An experiment's log that is written or gone on with; nobody else can meanwhile. A context manager.
+    """Writes an experiment's log, new or continued; it is locked for other processes. A context manager.
 
-    trials: so far, in turn; session: number of this one, from 1
+    trials: so far, in order; session: number of this one, from 1
     """
 
     def __init__(self, path: Path, design: Design, scene: Path, participant: str, observer: str, board: str) -> None:
@@ -150,7 +150,7 @@ class LogWriter:
                 raise OutputError(f"{self.path} holds trials of another {what} ({told}); give another --log")
 
     def add(self, trial: Mapping[str, Any], condition: int, answered: Answered) -> None:
-        """Write a trial; it is on the disk when this returns. Raises OutputError where it can't be."""
+        """Write a trial; it is on the disk when this returns. Raises OutputError if writing fails."""
         self._line({**trial, "session": self.session})
         self.trials.append(Trial(int(trial["trial"]), int(trial["block"]), condition, answered, trial))
 
@@ -177,7 +177,7 @@ class LogWriter:
 
 
 def _scene_digest(scene: Path) -> str:
-    """Of the scene's file and those that it includes."""
+    """Return a digest of the scene's file and those that it includes."""
     text = read_scene_text(scene)
     result = hashlib.sha256()
     for file in (scene, *text.included):
@@ -186,7 +186,7 @@ def _scene_digest(scene: Path) -> str:
 
 
 def _difference(known: Any, own: Any, place: str = "") -> str:
-    """The first of what two designs say otherwise, with its key."""
+    """Return the first difference between two designs, with its key."""
     if isinstance(known, dict) and isinstance(own, dict):
         for key in {**known, **own}:
             if known.get(key) != own.get(key):

@@ -10,10 +10,10 @@ from palmfield.studies.experiment.design import Design
 
 
 class Marker(Protocol):
-    """What is told of each presentation."""
+    """Contents of the marker of each presentation."""
 
     def mark(self, text: str, when: float) -> None:
-        """Mark what `text` says at a moment of time.monotonic, soon or just past; returns at once."""
+        """Mark the event `text` at a moment of time.monotonic, soon or just past; returns at once."""
 
     def close(self) -> None: ...
 
@@ -21,7 +21,7 @@ class Marker(Protocol):
 class LslMarker:
     """A stream `palmfield` of type Markers: each sample is a text, stamped with the moment of emission.
 
-    source_id: by which the stream is found again
+    source_id: identifies the stream when it is reopened
     """
 
     def __init__(self, name: str) -> None:
@@ -51,7 +51,7 @@ class Markers:
 
     @classmethod
     def of(cls, design: Design) -> Self:
-        """Those that a design asks for."""
+        """Return the markers that a design requests."""
         parts: list[Marker] = [LslMarker(design.name)] if design.lsl else []
         if (trigger := design.trigger) is not None:
             parts.append(TriggerLine(trigger.port, trigger.line, trigger.byte, trigger.pulse_s))
@@ -64,7 +64,7 @@ class Markers:
 
     @property
     def trigger_late_s(self) -> float | None:
-        """By how much the last trigger was late [s], None without one."""
+        """Return the delay of the last trigger [s], None without one."""
         return next((part.late_s for part in self.parts if isinstance(part, TriggerLine)), None)
 
     def __enter__(self) -> Self:

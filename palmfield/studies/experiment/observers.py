@@ -1,4 +1,4 @@
-"""Who answers: a person at the keyboard, an observer of known function, or one that feels the simulated skin."""
+"""Observers: a person at the keyboard, one with a given psychometric function, or one based on the simulated skin."""
 
 import math
 import select
@@ -45,7 +45,7 @@ class Stopped(Exception):
 
 
 class Keyboard:
-    """A person at a terminal, who presses one key; of a file, lines are read. `q` ends the session."""
+    """A person at a terminal, who presses one key; from a file, lines are read. `q` ends the session."""
 
     def __init__(self, design: Design, keys: TextIO | None = None, screen: TextIO | None = None) -> None:
         self.design = design
@@ -74,7 +74,7 @@ class Keyboard:
                 self._say(f"[{key}: press one of {', '.join(allowed)}; q ends] ")
 
     def announce(self, interval: int, of: int) -> None:
-        """Say that an interval begins."""
+        """Report that an interval begins."""
         if of > 1:
             self._say(f"{interval} ")
 
@@ -97,7 +97,7 @@ class Keyboard:
         number = self.keys.fileno()
         before = termios.tcgetattr(number)
         try:
-            # What was pressed before the question is no answer to it
+            # Keys pressed before the question are not an answer
             termios.tcflush(number, termios.TCIFLUSH)
             tty.setcbreak(number)
             while not select.select([self.keys], [], [], 0.5)[0]:
@@ -108,7 +108,7 @@ class Keyboard:
 
 
 class SimulatedObserver:
-    """An observer of the function that the design has under `simulated`; answers follow from seed and trial alone."""
+    """An observer with the function under `simulated` in the design; answers depend only on seed and trial."""
 
     def __init__(self, design: Design) -> None:
         if design.simulated is None:
@@ -125,12 +125,12 @@ class SimulatedObserver:
         rng = np.random.default_rng((self.design.seed, 4, shown.number))
         chances = [self.detected(shown, interval) for interval in range(len(shown.levels))]
         felt = [bool(rng.random() < chance) for chance in chances]
-        # Who lapses guesses, and is right by chance: so often that lapses are wrong answers, as fits have them
+        # A lapse is a guess, which may be right: its rate is raised so that the rate of wrong answers is `lapse`
         lapsed = bool(rng.random() < self.lapse / (1.0 - self.design.task.chance))
         guessed = int(rng.integers(len(chances)))
         delay_s = float(rng.lognormal(math.log(0.5), 0.3))
         if shown.adjusting:
-            # Just felt: a level that is felt where the last one, weaker by a step, was not
+            # Just felt: this level is felt, the last one, weaker by a step, was not
             return ("done" if 0.3 < chances[0] < 0.7 else "weaker" if chances[0] >= 0.7 else "stronger"), delay_s
         if self.design.task.kind == "yes_no":
             yes = (felt[0] and not lapsed) or bool(rng.random() < self.design.task.guess)
@@ -142,9 +142,9 @@ class SimulatedObserver:
 
 
 class FeelingObserver(SimulatedObserver):
-    """As SimulatedObserver, with the level above threshold of the simulated skin, by an observer of perception.
+    """As SimulatedObserver, with the level of the simulated skin above the threshold of an observer of perception.
 
-    levels: [dB SL] by keys, as they were computed
+    levels: [dB SL] by keys, cached
     """
 
     def __init__(self, design: Design, scene: Path, board: str | None) -> None:
@@ -160,9 +160,9 @@ class FeelingObserver(SimulatedObserver):
         return float(detection_probability(level_dB, slope=self.design.skin.slope))
 
     def level_dB(self, keys: Mapping[str, object]) -> float:
-        """Level above threshold with some keys [dB SL]; -inf in silence.
+        """Return the level above threshold for some keys [dB SL]; -inf in silence.
 
-        Raises OutputError where the observer is refused, with its reason.
+        Raises OutputError with the reason if the observer refuses.
         """
         key = repr(sorted(keys.items()))
         if key not in self.levels:
@@ -189,7 +189,7 @@ class FeelingObserver(SimulatedObserver):
 
 
 def observer_of(name: str, design: Design, scene: Path, board: str | None) -> Respondent:
-    """The observer of a name (NAMES). Raises OutputError for another one, and for parts of the design it lacks."""
+    """Return the observer of a name (NAMES). Raises OutputError for other names and for a design without its parts."""
     match name:
         case "keyboard":
             return Keyboard(design)

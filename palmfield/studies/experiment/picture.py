@@ -16,7 +16,7 @@ MOST_CONDITIONS = 12
 
 
 def draw_report(report: Report, path: Path) -> None:
-    """Draw the first MOST_CONDITIONS conditions into a PNG, SVG or PDF. Raises OutputError for one that can't be."""
+    """Draw the first MOST_CONDITIONS conditions into a PNG, SVG or PDF. Raises OutputError if it cannot be written."""
     shown = report.conditions[:MOST_CONDITIONS]
     figure = Figure(figsize=(9.0, 0.6 + 2.7 * len(shown)), layout="constrained")
     axes = figure.subplots(len(shown), 2, squeeze=False)
@@ -39,7 +39,7 @@ def _level_name(design: Design) -> str:
 
 
 def _runs(axes: Axes, condition: ConditionReport, design: Design) -> None:
-    """Levels over trials, filled where the answer was right; where a staircase turned, and what it estimates."""
+    """Draw levels over trials, filled for right answers; with the staircase's reversals and estimate."""
     begin = 0
     for block, run in enumerate(condition.runs):
         if not run:
@@ -66,7 +66,7 @@ def _runs(axes: Axes, condition: ConditionReport, design: Design) -> None:
 
 
 def _function(axes: Axes, condition: ConditionReport, report: Report) -> None:
-    """Shares of right answers, areas as trials, with the fitted function and its threshold's interval."""
+    """Draw shares of right answers, areas by trials, with the fitted function and its threshold's interval."""
     design = report.design
     if condition.levels:
         sizes = 12.0 + 120.0 * np.array(condition.trials) / max(condition.trials)

@@ -1,4 +1,4 @@
-"""Presentations: a scene's frames, made before they are due, sent to a board, and the times at which they sounded."""
+"""Presentations: a scene's frames, made in advance, sent to a board, and the times at which they sounded."""
 
 import logging
 import time
@@ -22,7 +22,7 @@ from palmfield.session.preview import preview
 
 LOG = logging.getLogger(__name__)
 Heard = Callable[[float], None]
-"""Told, as soon as it is known, when the first frame sounds [s, time.monotonic]."""
+"""Called with the time of the first frame's sound as soon as it is measured [s, time.monotonic]."""
 MOST_KEPT = 256
 
 
@@ -39,9 +39,9 @@ class Presentation:
 class Emission(NamedTuple):
     """When frames of a presentation sounded: their last bytes were on the line [s, time.monotonic].
 
-    first_s, last_s: the first and the last of them; frames: how many; skipped: those that the line left out
-    log: file of all that was sent when; None without a board, where the times are when it would have been asked for
-    log_s: the first one's time on that file's clock [s]
+    first_s, last_s: of the first and the last frame; frames: their number; skipped: frames dropped by the line
+    log: file of the sent frames and their times; None without a board, where times are those of the requests
+    log_s: time of the first frame on the log's clock [s]
     """
 
     first_s: float
@@ -59,10 +59,10 @@ class Emission(NamedTuple):
 def presentation(
     scene: Path, board: str | None, keys: Mapping[str, object], duration_s: float
 ) -> Presentation:  # fmt: skip
-    """The frames of a scene with other keys, as `drive` sends them and within the limits of its driver.
+    """Return the frames of a scene with other keys, as `drive` sends them and within the limits of its driver.
 
-    Raises SceneError for a bad scene or key, DeviceError where the board can't play it or takes no bytes, and for what
-    is longer or louder than the driver's keys allow.
+    Raises SceneError for a bad scene or key. Raises DeviceError for a scene that the board cannot play, for a board
+    without bytes, and for sound that is longer or louder than the driver's keys allow.
     """
     view = preview(scene, board=board, keys=keys)
     model = view.runtime.model
@@ -78,20 +78,20 @@ def presentation(
 
 
 class Sender:
-    """Sends presentations to a port, by a player's process that stays for all of them; nothing where there is no port.
+    """Sends presentations to a port by one player process that is kept for all of them; does not send without a port.
 
-    This is the one place where an experiment sends. A context manager: the board is silent at its end.
+    This is the only place where an experiment sends. A context manager: the board is silent at its end.
     """
 
     def __init__(self, scene: Path, board: str | None, port: str | None, duration_s: float, log: Path) -> None:
-        """log: of frames, in a folder that is made when it is needed; a second player's is numbered"""
+        """log: of frames, in a folder that is made when needed; the file of a second player is numbered"""
         self.scene, self.board, self.port, self.duration_s, self.log = scene, board, port, duration_s, log
         self._known: dict[str, Presentation] = {}
         self._open: tuple[Board, Path, Player] | None = None
         self._players = 0
 
     def prepare(self, keys: Mapping[str, object]) -> Presentation | None:
-        """What is presented with some keys, made at the first time, None without a port."""
+        """Return the presentation for some keys, made at the first call, None without a port."""
         if self.port is None:
             return None
         key = repr(sorted(keys.items()))
@@ -102,7 +102,7 @@ class Sender:
         return self._known[key]
 
     def send(self, what: Presentation | None, heard: Heard) -> Emission:
-        """Play a presentation to its end, and say when it sounded. Raises DeviceError when the board is lost."""
+        """Play a presentation to its end, and return when it sounded. Raises DeviceError when the board is lost."""
         if what is None or self.port is None:
             now = time.monotonic()
             heard(now)
@@ -116,7 +116,7 @@ class Sender:
         return Emission(report.first_s, report.last_s, report.frames, report.skipped, file, begun_s)
 
     def _player(self, what: Presentation, port: str) -> tuple[Path, Player]:
-        """The player of a presentation's board; another board has other bytes to start and stop, and one of its own."""
+        """Return the player of a presentation's board; each board has its own start and stop bytes, and a player."""
         if self._open is not None and self._open[0] == what.board:
             return self._open[1:]
         self.close()

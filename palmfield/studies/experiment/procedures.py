@@ -1,7 +1,6 @@
-"""Which level comes next: staircases, limits, constant stimuli, adjustment. All follow from the answers so far alone.
+"""Choose the next level: staircases, limits, constant stimuli, adjustment. All depend only on the answers so far.
 
-A procedure keeps no state: it is asked with the trials of its run so far, so that an experiment that was cut off goes
-on where it was.
+A procedure keeps no state: each call passes the trials of the run so far. An interrupted experiment can thus continue.
 """
 
 import math
@@ -20,7 +19,7 @@ Scale = Literal["linear", "log"]
 
 
 class Answered(NamedTuple):
-    """A trial of one run. level; right: whether the answer was right, or yes; word: the answer of an adjustment"""
+    """A trial of one run. level; right: whether the answer was correct, or yes; word: the answer of an adjustment"""
 
     level: float
     right: bool
@@ -31,12 +30,12 @@ class Answered(NamedTuple):
 @dataclass(frozen=True)
 class Staircase:
     """A transformed up-down staircase (Levitt 1971): harder after `down` right answers in a row, easier after `up`
-    wrong ones in a row, of which one is 1.
+    wrong ones; one of the two is 1.
 
-    start: first level; steps: sizes, each used until the next reversal, the last one to the end; up_ratio: by how much
-    a step to easier is larger than one to harder; scale: steps are added (linear), or are dB of a ratio (log: 20 lg)
-    low, high: levels beyond are not played; reversals, trials: it ends after as many, whichever comes first
-    skipped: first reversals that the estimate leaves out; harder: whether levels fall or rise as it gets harder
+    start: first level; steps: sizes, each used until the next reversal, the last one to the end; up_ratio: ratio of
+    steps to easier and to harder; scale: steps are added (linear), or are dB of a ratio (log: 20 lg)
+    low, high: limits of played levels; reversals, trials: it ends after this number of either
+    skipped: first reversals that the estimate leaves out; harder: whether harder levels are lower or higher
     """
 
     start: float
@@ -67,8 +66,8 @@ class Staircase:
     def convergence(self) -> float:
         """The share of right answers at which steps to harder and to easier balance.
 
-        With `down` right answers in a row p^down of the moves are to harder; up_ratio q makes that p^down = q/(1 + q).
-        Of 1 up 2 down it is 0.707, of 1 up 3 down 0.794, of 2 up 1 down 0.293 (Levitt 1971, table I).
+        With `down` right answers in a row a share p^down of the moves is to harder; an up_ratio q gives p^down = q/(1 +
+        q). For 1 up 2 down it is 0.707, for 1 up 3 down 0.794, for 2 up 1 down 0.293 (Levitt 1971, table I).
         """
         to_harder = self.up_ratio / (1.0 + self.up_ratio)
         if self.up == 1:
@@ -81,11 +80,11 @@ class Staircase:
         return None if len(run) >= self.trials or len(course.turns) >= self.reversals else course.level
 
     def turns(self, run: Sequence[Answered]) -> list[int]:
-        """Numbers of the trials, from 0, at which the staircase turned."""
+        """Return the numbers of the trials, from 0, at which the staircase reversed."""
         return self._course(run).turns
 
     def estimate(self, run: Sequence[Answered]) -> float:
-        """Mean of the levels at which it turned, an even number of them, by the scale; NaN with fewer than two.
+        """Mean of the levels of an even number of reversals, by the scale; NaN with fewer than two.
 
         It estimates the level of `convergence`.
         """
@@ -100,7 +99,7 @@ class Staircase:
         turns: list[int] = []
         for number, trial in enumerate(run):
             rights, wrongs = (rights + 1, 0) if trial.right else (0, wrongs + 1)
-            # A right answer breaks a row of wrong ones, and the other way round
+            # A right answer ends a row of wrong ones, and vice versa
             move = 1 if rights >= self.down else -1 if wrongs >= self.up else 0
             if move == 0:
                 continue
@@ -126,7 +125,7 @@ class _Course(NamedTuple):
 @with_config(ConfigDict(extra="forbid", strict=False))
 @dataclass(frozen=True)
 class ConstantStimuli:
-    """Each level as often, in an order drawn for each repetition. levels; repeats; seed: of the order"""
+    """Present each level equally often, in an order drawn for each repetition. levels; repeats; seed: of the order"""
 
     levels: tuple[float, ...]
     repeats: int
@@ -151,10 +150,10 @@ class ConstantStimuli:
 @with_config(ConfigDict(extra="forbid", strict=False))
 @dataclass(frozen=True)
 class Adjustment:
-    """A participant makes a level stronger and weaker until it is just felt, several times from drawn beginnings.
+    """A participant makes a level stronger and weaker until it is just felt, several times from random start levels.
 
-    low, high: between which it begins and stays; step, scale: as of a staircase; settings: how many
-    presses: at most, of one setting, then the next begins. Answers are `stronger`, `weaker`, and `done`.
+    low, high: limits of the levels; step, scale: as of a staircase; settings: number of settings
+    presses: largest number in one setting, then the next begins. Answers are `stronger`, `weaker`, and `done`.
     """
 
     low: float
@@ -201,7 +200,7 @@ class Adjustment:
         return float(np.exp(np.mean(np.log(levels)))) if self.scale == "log" else float(np.mean(levels))
 
     def _ends(self, run: Sequence[Answered]) -> list[int]:
-        """Numbers of the trials with which settings ended."""
+        """Return the numbers of the trials with which settings ended."""
         ends, begin = [], 0
         for number, trial in enumerate(run):
             if trial.word == "done" or number - begin + 1 >= self.presses:
@@ -219,9 +218,9 @@ class Adjustment:
 class Limits:
     """The method of limits: series of rising and of falling levels, in turn, each until the answer changes.
 
-    levels: rising; series: how many, half of them rising where the number is even, a rising one first
-    scale: of the mean. A rising series ends at the first yes, a falling one at the first no, each at the last level
-    anyway. Hasegawa & Shinoda 2018 (section 6.1) took six.
+    levels: rising; series: their number, half of them rising if even, a rising one first
+    scale: of the mean. A rising series ends at the first yes, a falling one at the first no, each at the last level at
+    the latest. Hasegawa & Shinoda 2018 (section 6.1) used six.
     """
 
     levels: tuple[float, ...]
@@ -242,10 +241,10 @@ class Limits:
         return None if number >= self.series else self._order(number)[place]
 
     def estimate(self, run: Sequence[Answered]) -> float:
-        """Mean by the scale of the series' ends, each midway between the level that changed the answer and the one
-        before; NaN without one.
+        """Mean by the scale of the ends of the series, each midway between the level that changed the answer and the
+        one before; NaN without one.
 
-        A series whose answer never changed, or was another from its first level on, has no such end and is left out.
+        A series whose answer never changed, or differed at its first level, has no such end and is left out.
         """
         ends = []
         number, place = 0, 0
@@ -264,7 +263,7 @@ class Limits:
         return self.levels if number % 2 == 0 else self.levels[::-1]
 
     def _at(self, run: Sequence[Answered]) -> tuple[int, int]:
-        """Number of the series and place in it of the next trial."""
+        """Return the number of the series and the place in it of the next trial."""
         number, place = 0, 0
         for trial in run:
             number, place = self._after(number, place, trial)

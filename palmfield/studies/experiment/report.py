@@ -1,4 +1,4 @@
-"""What a log says: thresholds by condition, of the procedure and of a fitted psychometric function, with intervals."""
+"""Evaluate a log: thresholds by condition, of the procedure and of a fitted psychometric function, with intervals."""
 
 import math
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ from palmfield.studies.experiment.log import Log, Trial, next_trial, read_experi
 from palmfield.studies.experiment.procedures import Adjustment, Answered, Limits, Staircase
 
 STEEP = 0.5
-"""Of the smallest distance between levels: a function with a smaller spread goes up between two of them."""
+"""Share of the smallest distance between levels: a function with a smaller spread rises between two of them."""
 
 
 class _Settings(NamedTuple):
@@ -27,10 +27,10 @@ class _Settings(NamedTuple):
 
 @dataclass(frozen=True)
 class ConditionReport:
-    """One condition. runs: its trials by block; estimates: of the procedure by block, in the varied key's own unit
+    """One condition. runs: trials by block; estimates: of the procedure by block, in the unit of the varied key
 
-    levels: told as fits have them (dB re 1 for a scale of ratios); shares, trials: of right answers (or yes) there
-    fit: None where there is none, with why
+    levels: as fits use them (dB re 1 for a scale of ratios); shares, trials: of right answers (or yes) there
+    fit: None if there is none, with the reason
     """
 
     name: str
@@ -44,7 +44,7 @@ class ConditionReport:
 
     @property
     def answered(self) -> int:
-        """How many trials there are."""
+        """Number of trials."""
         return sum(len(run) for run in self.runs)
 
 
@@ -52,7 +52,7 @@ class ConditionReport:
 class Report:
     """A log. convergence: share of right answers that staircases converge to, None for other procedures
 
-    spread_known: whether the fits were told their spread
+    spread_known: whether the spread was given to the fits
     """
 
     log: Log
@@ -75,10 +75,10 @@ def report_of(
     spread: float | None = None,
     confidence: float = 0.95,
 ) -> Report:
-    """The report of an experiment's log, finished or not.
+    """Return the report of an experiment's log, finished or not.
 
     shape, lapse, spread, confidence: of the fit (`palmfield.perception.psychometric.fit`); lapse and spread (dB where
-        the scale is of ratios) None to be found
+        the scale is of ratios) are fitted where None
     Raises OutputError for a file that is no log, and as the fit for shape, lapse and confidence.
     """
     log = read_experiment_log(path)
@@ -105,7 +105,7 @@ def _condition(design: Design, number: int, trials: Sequence[Trial], settings: _
         if isinstance(procedure, Staircase | Limits | Adjustment):
             estimates.append(procedure.estimate(run))
     adjusted = design.procedure["kind"] == "adjustment"
-    # Steps of ratios meet again but for rounding
+    # Steps of ratios return to a level only within rounding
     told = [(round(design.varied.told(one.level), 6), one.right) for run in runs for one in run]
     silent = sum(not math.isfinite(level) for level, _ in told)
     heard = [(level, right) for level, right in told if math.isfinite(level)]
@@ -131,11 +131,11 @@ def _condition(design: Design, number: int, trials: Sequence[Trial], settings: _
 
 
 def interval_of(design: Design, one: ConditionReport) -> tuple[float | None, float | None]:
-    """The threshold's interval in the varied key's unit; None for an end that no level that can be played bounds."""
+    """Return the threshold's interval in the varied key's unit; None for an end outside the playable levels."""
     assert one.fit is not None
     low, high = (design.varied.level(told) for told in one.fit.threshold_interval)
     least, most = design.playable()
-    # Where a search for the interval ended it is not bounded either
+    # An end at the limit of the search is not bounded either
     ratios = one.fit.function.shape == "weibull"
     places, ends = (np.log(x) if ratios else np.array(x) for x in (one.levels, one.fit.threshold_interval))
     searched = BEYOND * np.ptp(places) - 1e-6
@@ -146,7 +146,7 @@ def interval_of(design: Design, one: ConditionReport) -> tuple[float | None, flo
 
 
 def threshold_of(design: Design, one: ConditionReport) -> tuple[float | None, str]:
-    """The threshold in the varied key's unit, and in words; None where no level that can be played reaches it."""
+    """Return the threshold in the varied key's unit, and in words; None if it is outside the playable levels."""
     assert one.fit is not None
     (least, most), level = design.playable(), design.varied.level(one.fit.threshold)
     if least <= level <= most:
@@ -155,14 +155,14 @@ def threshold_of(design: Design, one: ConditionReport) -> tuple[float | None, st
 
 
 def written(low: float | None, high: float | None) -> str:
-    """An interval in words, from its ends as of `interval_of`."""
+    """Return an interval in words, from its ends as of `interval_of`."""
     if low is None and high is None:
         return "not bounded"
     return f"{'not bounded' if low is None else f'{low:.4g}'} to {'not bounded' if high is None else f'{high:.4g}'}"
 
 
 def as_dict(report: Report) -> dict[str, Any]:
-    """The report with units in the names, for other programs; None for what no level that can be played bounds."""
+    """Return the report with units in the names, for other programs; None for values outside the playable levels."""
     varied, head = report.design.varied, report.log.head
     rows = []
     for one in report.conditions:

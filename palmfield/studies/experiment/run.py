@@ -1,4 +1,4 @@
-"""An experiment from its next trial to its end: levels, presentations, answers, log."""
+"""Run an experiment from its next trial to its end: levels, presentations, answers, log."""
 
 import datetime
 import logging
@@ -23,12 +23,12 @@ from palmfield.studies.experiment.presentation import Sender, presentation
 from palmfield.studies.experiment.procedures import Answered
 
 OnTrial = Callable[[Trial, float], None]
-"""Told of each trial that is logged, and how long the last ones took on average [s]."""
+"""Called after each logged trial, with the mean duration of the last ones [s]."""
 
 
 @dataclass(frozen=True)
 class Done:
-    """How a session went. trials: of the log; new: of this session; finished: whether the experiment has ended"""
+    """Result of a session. trials: of the log; new: of this session; finished: whether the experiment has ended"""
 
     log: Path
     trials: int
@@ -48,11 +48,11 @@ def run_experiment(
     answers: Respondent | None = None,
     on_trial: OnTrial | None = None,
 ) -> Done:
-    """Run an experiment, or go on with one: every trial is in the log before the next begins.
+    """Run or continue an experiment: every trial is in the log before the next begins.
 
-    observer: keyboard, simulated or skin; answers: one of your own in its place, under this name
-    port: of the board; virtual: a virtual board instead; neither: nothing is played, for observers that need no sound
-    board: another one than the design's or the scene's, as `palmfield.load` takes it
+    observer: keyboard, simulated or skin; answers: a custom observer in its place, under this name
+    port: of the board; virtual: a virtual board instead; neither: no sound, for observers that need none
+    board: instead of the design's or the scene's, as `palmfield.load` takes it
     Raises OutputError for a bad design and a log of another, SceneError and DeviceError as `drive` does.
     """
     design = read_design(experiment)
@@ -68,7 +68,7 @@ def run_experiment(
         raise DeviceError("a person needs a board to feel anything; give --port, or --virtual to rehearse")
     wanted = board or design.board
     with ExitStack() as opened:
-        # Values that a key can't have, and what the board can't play, are refused before anything begins
+        # Invalid values of a key and sound that the board cannot play are refused before the first trial
         first = _checked(design, experiment, scene, wanted, 0)
         opened.enter_context(_said_once())
         for number in range(1, len(design.conditions)):
@@ -99,7 +99,7 @@ def run_experiment(
 
 @contextmanager
 def _said_once() -> Iterator[None]:
-    """Meanwhile the scene doesn't say again what another board changes, as it would in every trial."""
+    """Suppress the scene's repeated messages about changes by another board, which every trial would print."""
     log = logging.getLogger("palmfield.session")
     before = log.level
     log.setLevel(logging.WARNING)
@@ -110,7 +110,7 @@ def _said_once() -> Iterator[None]:
 
 
 def _checked(design: Design, experiment: Path, scene: Path, board: str | None, condition: int) -> Preview:
-    """The scene at a condition's first level, after a look at its reference too."""
+    """Return the scene at a condition's first level, after a check of its reference too."""
     first = design.procedure_of(0, condition).next_level([])
     assert first is not None
     levels = [first, design.varied.reference] if design.task.kind == "nafc" else [first]
@@ -122,7 +122,7 @@ def _checked(design: Design, experiment: Path, scene: Path, board: str | None, c
 
 
 def _allowed(design: Design, experiment: Path, scene: Path, board: str | None) -> None:
-    """Make the highest level of each condition: what is longer or louder than the driver allows is refused now."""
+    """Make the highest level of each condition: sound longer or louder than the driver allows is refused now."""
     level = design.highest()
     for number, condition in enumerate(design.conditions if level is not None else ()):
         assert level is not None
@@ -139,7 +139,7 @@ class _Session:
         self.design, self.writer, self.sender, self.who, self.markers = design, writer, sender, who, markers
 
     def trial(self) -> bool:
-        """Make and log the next trial; False where there is none."""
+        """Make and log the next trial; False if there is none."""
         coming = next_trial(self.design, self.writer.trials)
         if coming is None:
             return False

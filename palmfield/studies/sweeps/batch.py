@@ -1,4 +1,4 @@
-"""Points that one process computes together, and how a design is cut into such batches."""
+"""Points that one process computes together, and how a design is split into such batches."""
 
 import math
 from collections import defaultdict
@@ -22,20 +22,20 @@ from palmfield.studies.sweeps.point import Numbers, measured
 from palmfield.types import Float
 
 MOST_IN_BATCH = 16
-"""Points that are worlds of one simulation, at most: a killed worker costs as many."""
+"""Largest number of points in a batch, as worlds of one simulation: a killed worker loses as many."""
 MOST_ON_GPU = 64
-"""The same where fields are computed on a GPU, which more of them keep busy."""
+"""The same with fields on a GPU, whose load needs more worlds."""
 BATCHES_PER_WORKER = 4
-"""At least so many, where there are points enough, so that workers end at about the same time."""
+"""Least number of batches for each worker, if there are enough points, so that workers end at about the same time."""
 
 
 @dataclass(frozen=True)
 class Task:
-    """What all points of a sweep have in common.
+    """Settings that all points of a sweep share.
 
     scene: file, as the workers see it; device, accuracy: see `palmfield.session.open_scene.compiled`
     duration_s: of each run [s]; times: of courses [s], shape (t,); errors: whether errors are estimated
-    threads: that a worker may use, None for what it uses anyway
+    threads: limit for a worker, None for no change
     """
 
     scene: Path
@@ -49,17 +49,17 @@ class Task:
 
 @dataclass(frozen=True)
 class Failed:
-    """A point without numbers. reason: the error, in a line"""
+    """A point without numbers. reason: the error, in one line"""
 
     reason: str
 
 
 Results = Mapping[int, Numbers | Failed]
-"""By the points' numbers in the design."""
+"""Results by the points' numbers in the design."""
 
 
 class Batch(NamedTuple):
-    """Points that share a model. worker: which of them it is meant for; points: their numbers in the design"""
+    """Points that share a model. worker: number of the preferred worker; points: their numbers in the design"""
 
     worker: int
     points: tuple[int, ...]
@@ -69,7 +69,7 @@ class Point(NamedTuple):
     """A point for the process that computes it.
 
     keys: all that differ from the scene's, as `palmfield.Simulation` takes them
-    differing: those of them that worlds of one model may have each for itself
+    differing: keys among them that may differ between worlds of one model
     """
 
     keys: Keys
@@ -77,15 +77,15 @@ class Point(NamedTuple):
 
 
 def run_batch(task: Task, base: Keys, shared: Shared | None, points: Sequence[Point]) -> Sequence[Numbers | Failed]:
-    """Numbers of points that share a model, as worlds of one simulation.
+    """Return the numbers of points that share a model, as worlds of one simulation.
 
-    Where one of them fails, they are computed one by one; a point that fails then leaves its error.
+    If one of them fails, they are computed one by one; a point that fails then leaves its error.
     base, shared: see `palmfield.studies.sweeps.groups.Group`
     """
     if task.threads is not None:
         threads.limit(task.threads)
     if shared is not None and len(points) > 1:
-        # Which point failed, and why, is found by taking them one by one
+        # One by one, to find which point failed and why
         with suppress(Exception):
             return _measured(task, _worlds(task, base, shared, points))
     return [_run(task, base, shared, point) for point in points]
@@ -106,13 +106,13 @@ def _run(task: Task, base: Keys, shared: Shared | None, point: Point) -> Numbers
     except MemoryError:
         return Failed("there is not enough memory; give fewer workers, or a larger --accuracy")
     except Exception as error:
-        # What fails here must not take the other points with it
+        # A failure here must not affect the other points
         return Failed(f"{type(error).__name__}: {' '.join(str(error).split())}")
 
 
 def _measured(task: Task, simulation: Simulation) -> list[Numbers]:
     numbers = measured(simulation, task.duration_s, task.times, task.errors)
-    # Each model may hold factors of a gigabyte; the next points take the layer of the last ones, if any
+    # Each model may hold factors of a gigabyte; the next points reuse the last layer, if there is one
     runtime = simulation.runtimes[0]
     keep_model(runtime.spec, runtime.model)
     return numbers
@@ -134,10 +134,10 @@ def _worlds(task: Task, base: Keys, shared: Shared, points: Sequence[Point]) -> 
 def batches(
     points: Iterable[int], model_keys: Mapping[int, Any], workers: int, most: int = MOST_IN_BATCH
 ) -> list[Batch]:
-    """Cut points into batches that share a model, and share them out so that few workers make the same model.
+    """Split points into batches that share a model, so that few workers make the same model.
 
-    points: numbers of those that are to be computed; model_keys: of each, what it must share with others of its batch
-    workers: how many there are, >= 1; most: points in a batch. Batches come in the order in which they should begin.
+    points: numbers of the points to compute; model_keys: of each, what its batch must share
+    workers: number of workers, >= 1; most: points in a batch. Batches are in the order in which they should begin.
     """
     groups: dict[Any, list[int]] = defaultdict(list)
     for point in points:
@@ -149,7 +149,7 @@ def batches(
     size = max(1, min(most, math.ceil(total / (workers * BATCHES_PER_WORKER))))
     fair = math.ceil(total / workers)
     for group in largest_first:
-        # A group that is more than a worker's share is cut; any other one's model is made once
+        # A group larger than a worker's share is split; the model of any other group is made once
         pieces = max(1, math.ceil(len(group) / fair))
         length = math.ceil(len(group) / pieces)
         for start in range(0, len(group), length):

@@ -1,4 +1,4 @@
-"""Dask workers: an embedded local cluster, one GPU a worker where GPUs compute, or a cluster that runs already."""
+"""Dask workers: an embedded local cluster, one GPU a worker where GPUs compute, or an external cluster."""
 
 import logging
 import os
@@ -23,7 +23,7 @@ EXAMPLE = "such as tcp://192.168.1.10:8786"
 
 
 class Slot(NamedTuple):
-    """One thread of a worker. address: the worker's; threads: cores that a point may use there"""
+    """One thread of a worker. address: of the worker; threads: cores that a point may use there"""
 
     address: str
     threads: int
@@ -31,29 +31,29 @@ class Slot(NamedTuple):
 
 @contextmanager
 def local_cluster(workers: int, gpus: list[str]) -> Iterator[Any]:
-    """A Dask client with workers of its own on this machine, processes with one thread each, stopped at the end.
+    """Yield a Dask client with workers of its own on this machine, processes with one thread each, stopped at the end.
 
-    gpus: names of GPUs, as CUDA_VISIBLE_DEVICES has them, of which each worker sees one; empty for none
-    Raises PalmfieldError where they don't start.
+    gpus: names of GPUs as in CUDA_VISIBLE_DEVICES, one visible to each worker; empty for none
+    Raises PalmfieldError if they do not start.
     """
     from distributed import Client, Nanny, Scheduler  # noqa: F401
     from distributed.deploy.spec import SpecCluster
     from distributed.deploy.subprocess import SubprocessWorker
 
-    # A worker that holds much memory must go on: it is ended only before the system would end something else
+    # A worker that uses much memory must continue: it is ended only before the system would end another process
     memory: dict[str, Any] = {f"distributed.worker.memory.{name}": False for name in ("target", "spill", "pause")}
     specs = {}
     for number in range(workers):
         options = {"nthreads": 1, "host": "127.0.0.1", "silence_logs": logging.ERROR, "config": memory}
         if gpus:
             options["env"] = {"CUDA_VISIBLE_DEVICES": gpus[number % len(gpus)]}
-        # A process that starts by itself doesn't run the user's script again, as Python's own spawned ones do
+        # A process started separately does not run the user's script again, unlike one spawned by Python
         specs[number] = {"cls": SubprocessWorker, "options": {"name": str(number), "worker_kwargs": options}}
     scheduler: dict[str, Any] = {
         "cls": Scheduler,
         "options": {"host": "127.0.0.1", "port": 0, "dashboard": False, "dashboard_address": "127.0.0.1:0"},
     }
-    # A batch whose worker died is not tried as it was: `palmfield.studies.sweeps.dispatch` takes its points one by one
+    # A batch whose worker died is not retried whole: `palmfield.studies.sweeps.dispatch` retries its points one by one
     scheduler["options"]["allowed_failures"] = 0
     try:
         cluster = SpecCluster(workers=specs, scheduler=scheduler, silence_logs=logging.CRITICAL)
@@ -83,7 +83,7 @@ def local_cluster(workers: int, gpus: list[str]) -> Iterator[Any]:
 
 @contextmanager
 def remote_cluster(address: str) -> Iterator[Any]:
-    """A Dask client of a scheduler that runs already. Raises PalmfieldError where it can't be reached."""
+    """Yield a Dask client of a running scheduler. Raises PalmfieldError if it cannot be reached."""
     from distributed import Client
 
     if not re.fullmatch(ADDRESS, address):
@@ -104,9 +104,9 @@ def remote_cluster(address: str) -> Iterator[Any]:
 
 
 def slots(client: Any, scene: Path) -> list[Slot]:
-    """The threads of all workers, each of which has been asked whether it has this palmfield and sees the scene.
+    """Return the threads of all workers, after a check that each has this palmfield and sees the scene.
 
-    Raises PalmfieldError that names the worker for one that doesn't.
+    Raises PalmfieldError with the worker's name if the check fails.
     """
     own = cache.code_mark()
     try:
@@ -134,14 +134,14 @@ def slots(client: Any, scene: Path) -> list[Slot]:
 
 
 def worker_facts(scene: str) -> dict[str, Any]:
-    """What a worker has: its code's mark, whether it sees the scene, its host and cores."""
+    """Return the worker's digest of the code, whether it sees the scene, its host and cores."""
     import platform
 
     return {"mark": cache.code_mark(), "sees": Path(scene).is_file(), "host": platform.node(), "cores": cores()}
 
 
 def visible_gpus() -> list[str]:
-    """GPUs of this machine that this process may use, as CUDA_VISIBLE_DEVICES names them."""
+    """Return the GPUs of this machine that this process may use, as in CUDA_VISIBLE_DEVICES."""
     import warp
 
     from palmfield import device  # noqa: F401  initialises Warp without its notice that there is none
@@ -152,7 +152,7 @@ def visible_gpus() -> list[str]:
 
 
 def gpu_memory_bytes() -> int:
-    """Memory that is free on each of the GPUs that this process may use, the least of them; 0 without any."""
+    """Return the free memory of the GPUs that this process may use, the least of them; 0 without any."""
     import warp
 
     return min((device.free_memory for device in warp.get_cuda_devices()), default=0)

@@ -1,4 +1,4 @@
-"""Which points a sweep has: every combination of values, a list, or points drawn from ranges."""
+"""Points of a sweep: every combination of values, a list, or points drawn from ranges."""
 
 import json
 import math
@@ -14,13 +14,13 @@ from scipy.stats import qmc
 from palmfield.errors import SceneError
 
 Value = float | int | bool | str | tuple[float, ...]
-"""Of a key: a number, a text, or the numbers of a vector."""
+"""Value of a key: a number, a text, or the numbers of a vector."""
 Kind = Literal["grid", "list", "random", "sobol"]
 MOST_POINTS = 10_000_000
 
 
 class Range(NamedTuple):
-    """All numbers from `low` to `high`; of a logarithmic one each octave is as likely as another."""
+    """All numbers from `low` to `high`; in a logarithmic range all octaves are equally likely."""
 
     low: float
     high: float
@@ -31,7 +31,7 @@ class Range(NamedTuple):
 class Design:
     """Points of a sweep.
 
-    kind: how they were made; keys: what is swept
+    kind: how they were made; keys: those swept
     values: by key; of a grid those along its dimension, else one for each point
     """
 
@@ -40,7 +40,7 @@ class Design:
 
     @property
     def keys(self) -> tuple[str, ...]:
-        """What is swept, `INSTANCE.KEY` or `INSTANCE.KEY[i]`."""
+        """Swept keys, `INSTANCE.KEY` or `INSTANCE.KEY[i]`."""
         return tuple(self.values)
 
     @property
@@ -56,25 +56,25 @@ class Design:
 
     @property
     def count(self) -> int:
-        """How many points there are."""
+        """Number of points."""
         return math.prod(self.shape)
 
     def index(self, number: int) -> tuple[int, ...]:
-        """Where a point lies along the dimensions; the last one goes fastest."""
+        """Return a point's index along each dimension; the last one varies fastest."""
         return tuple(int(place) for place in np.unravel_index(number, self.shape))
 
     def point(self, number: int) -> dict[str, Value]:
-        """The values of a point, by key."""
+        """Return the values of a point, by key."""
         places = self.index(number) if self.kind == "grid" else (number,) * len(self.values)
         return {key: values[place] for (key, values), place in zip(self.values.items(), places, strict=True)}
 
     def as_json(self) -> str:
-        """The whole design, the same text for the same points."""
+        """Return the whole design, as the same text for the same points."""
         return json.dumps({"kind": self.kind, "values": self.values})
 
 
 def grid(values: Mapping[str, Sequence[Any] | np.ndarray]) -> Design:
-    """Every combination of the keys' values, the last key fastest.
+    """Return every combination of the keys' values, the last key fastest.
 
     values: by key; of a vector's key a sequence of tuples or an array of shape (n, m)
     Raises SceneError for no keys, a key without values or with one twice, and for more points than MOST_POINTS.
@@ -91,7 +91,7 @@ def grid(values: Mapping[str, Sequence[Any] | np.ndarray]) -> Design:
 
 
 def listed(values: Mapping[str, Sequence[Any] | np.ndarray]) -> Design:
-    """Points one by one: the first has the first value of each key, and so on.
+    """Return a list of points: the first has the first value of each key, and so on.
 
     Raises SceneError for keys without values or with different numbers of them.
     """
@@ -105,9 +105,9 @@ def listed(values: Mapping[str, Sequence[Any] | np.ndarray]) -> Design:
 
 
 def random(values: Mapping[str, Range | Sequence[Any]], count: int, seed: int = 0) -> Design:
-    """Points drawn at random; the same ones for the same seed.
+    """Draw points at random; equal seeds give equal points.
 
-    values: by key, the Range from which numbers are drawn, or a sequence of which one is drawn
+    values: by key, a Range to draw numbers from, or a sequence to draw one element from
     Raises SceneError for an empty range and for a count that is not above 0.
     """
     _check_drawn(values, count, "random")
@@ -115,13 +115,13 @@ def random(values: Mapping[str, Range | Sequence[Any]], count: int, seed: int = 
 
 
 def sobol(values: Mapping[str, Range | Sequence[Any]], count: int, seed: int = 0) -> Design:
-    """Scrambled Sobol points, which fill the ranges more evenly than random ones; best for a power of 2.
+    """Return scrambled Sobol points, which fill the ranges more evenly than random ones; best for a power of 2.
 
     Arguments and errors as `random`.
     """
     _check_drawn(values, count, "Sobol")
     with warnings.catch_warnings():
-        # Scipy's notice that other counts than powers of 2 are balanced less well; the docs say so
+        # Scipy warns that counts other than powers of 2 are less balanced; the docs explain it
         warnings.simplefilter("ignore", UserWarning)
         unit = qmc.Sobol(len(values), scramble=True, rng=np.random.default_rng(seed)).random(count)
     return Design("sobol", _spread(values, unit))
@@ -141,7 +141,7 @@ def _check_count(count: int) -> None:
 
 
 def _spread(values: Mapping[str, Range | Sequence[Any]], unit: np.ndarray) -> dict[str, tuple[Value, ...]]:
-    """Points of the unit cube, shape (points, keys), as values of the keys."""
+    """Map points of the unit cube, shape (points, keys), to values of the keys."""
     result: dict[str, tuple[Value, ...]] = {}
     for (key, wanted), shares in zip(values.items(), unit.T, strict=True):
         if isinstance(wanted, Range):
@@ -159,7 +159,7 @@ def _spread(values: Mapping[str, Range | Sequence[Any]], unit: np.ndarray) -> di
 
 
 def check_range(key: str, wanted: Range) -> None:
-    """Raises SceneError for a range that holds nothing, or can't be logarithmic."""
+    """Raises SceneError for a range that is empty or cannot be logarithmic."""
     low, high, logarithmic = wanted
     if not (math.isfinite(low) and math.isfinite(high) and low != high):
         raise SceneError(f"key '{key}' has the range {low:g}:{high:g}; allowed: two different finite numbers")
@@ -168,7 +168,7 @@ def check_range(key: str, wanted: Range) -> None:
 
 
 def _plain(key: str, given: Iterable[Any]) -> tuple[Value, ...]:
-    """Values as plain Python, vectors as tuples. Raises SceneError where there are none, or something else."""
+    """Return values as plain Python, vectors as tuples. Raises SceneError for none or for other types."""
     if isinstance(given, str) or not isinstance(given, Iterable):
         raise SceneError(f"key '{key}' has values {given!r}; allowed: a sequence of values")
     plain = tuple(_one(key, value) for value in given)

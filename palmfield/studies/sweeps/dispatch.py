@@ -1,4 +1,4 @@
-"""Which batch goes to which worker and when, and what the death of a worker costs."""
+"""Assign batches to workers, and handle the death of a worker."""
 
 from collections import deque
 from collections.abc import Callable, Generator, Sequence
@@ -19,13 +19,13 @@ def computed(
     group: Callable[[int], Group],
     point: Callable[[int], Point],
 ) -> Generator[Results]:
-    """Results of all batches as they come from Dask workers, each of which has one batch at a time.
+    """Yield results of all batches as Dask workers return them; each worker has one batch at a time.
 
     there: threads of the workers; todo: see `palmfield.studies.sweeps.batch.batches`
     group, point: by the point's number; points of a batch are of one group
-    A worker that dies takes down what it had begun: the points of that batch are tried again at the end, one by one and
-    with nothing beside them, so that only a point that kills its worker by itself has failed.
-    Raises PalmfieldError where the scheduler is lost.
+    If a worker dies, the points of its batch are tried again at the end, one by one and alone on a worker. So only a
+    point that kills its worker by itself fails.
+    Raises PalmfieldError if the scheduler is lost.
     """
     from distributed import KilledWorker, as_completed
 
@@ -46,7 +46,7 @@ def computed(
         coming.add(future)
 
     def begin(slot: int) -> None:
-        """Give a thread its next batch; the last one of the longest queue where its own is empty."""
+        """Give a thread its next batch; if its queue is empty, the last one of the longest queue."""
         longest = max(queues, key=len)
         if queues[slot]:
             submit(queues[slot].popleft().points, slot)
@@ -75,7 +75,7 @@ def computed(
                 "what is not done yet"
             )
         future.release()
-        # Before the results are written, so that the worker needn't wait for that
+        # Before the results are written, so that the worker does not wait for that
         alone = not under_way and not any(queues)
         begin(slot)
         if results:
@@ -83,7 +83,7 @@ def computed(
 
 
 def _present(client: Any, slots: Sequence[Slot], slot: int) -> Slot:
-    """A thread, or that of a worker which has come in place of a lost one."""
+    """Return a thread, or one of a worker that replaces a lost one."""
     own = slots[slot]
     present = client.nthreads()
     taken = {other.address for other in slots}

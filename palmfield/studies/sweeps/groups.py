@@ -1,7 +1,7 @@
-"""Which points of a sweep are worlds of one model, and what their skins' layers are made for.
+"""Group the points of a sweep into worlds of one model, and choose what their skins' layers are made for.
 
-Both follow from the design alone, never from what is left to do or from who is computed beside whom, so that a sweep
-that was cut off goes on with the same numbers.
+Both depend only on the design, not on the remaining points or on the workers. So an interrupted sweep continues with
+the same numbers.
 """
 
 from collections import defaultdict
@@ -28,12 +28,12 @@ from palmfield.studies.sweeps.design import Design, Value
 from palmfield.studies.sweeps.keys import SceneKeys
 
 MANY_LOADS = 20
-"""Different loads on one skin from which modes for every load are thought of: on a palm the modes take some 80 s of one
-core to make, and a small model 5 s."""
+"""Number of different loads on a skin from which modes for every load are considered: on a palm the modes take some 80
+s of one core to make, and a reduced model 5 s."""
 LOOKED_AT = 2000
-"""Points of a group, at most, at which it is asked what they ask of a layer."""
+"""Largest number of points of a group whose demands on a layer are examined."""
 LEVEL = ("drive_amplitude", "arp_peak_Pa")
-"""Keys of a stimulus that change nothing but the level of its load."""
+"""Keys of a stimulus that change only the level of its load."""
 
 Keys = Mapping[str, Value | None]
 
@@ -43,8 +43,8 @@ class Group:
     """Points that may be worlds of one model.
 
     points: their numbers in the design; base: keys with which MuJoCo's model is made
-    shared: their layers and solvers, the same for all of the group; None for a point that is a simulation by itself
-    modes_bytes: about what modes take while they are made
+    shared: their layers and solvers, common to the group; None for a point that is a simulation by itself
+    modes_bytes: approximate memory to make the modes
     """
 
     points: tuple[int, ...]
@@ -54,10 +54,10 @@ class Group:
 
 
 def groups_of(scene: Path, design: Design, keys: SceneKeys, device: str | None, accuracy: float | None) -> list[Group]:
-    """Cut a design into groups, in the order of their first points.
+    """Split a design into groups, in the order of their first points.
 
-    Points whose stimuli alone differ are one group where there are MANY_LOADS different loads and modes can serve them
-    all, with one layer for the strictest of them; else those whose loads differ in their level alone.
+    Points that differ only in their stimuli form one group if they have MANY_LOADS different loads that modes can
+    serve, with one layer for the strictest of them. Else a group holds loads that differ only in level.
     """
     by_model: dict[object, dict[int, dict[str, Value]]] = defaultdict(dict)
     for number in range(design.count):
@@ -85,13 +85,13 @@ def groups_of(scene: Path, design: Design, keys: SceneKeys, device: str | None, 
 
 
 def _level(keys: Keys) -> float:
-    """What the levels that a point gives add up to, to find one that sounds."""
+    """Return the sum of the levels that a point sets, to find one that sounds."""
     values = [value for full, value in keys.items() if full.rpartition(".")[2] in LEVEL]
     return sum(value for value in values if isinstance(value, int | float))
 
 
 def _plays_any_level(keys: SceneKeys, own: Mapping[int, Keys]) -> bool:
-    """Whether the board plays any level as it is, so that points differ in nothing else."""
+    """Whether the board plays any level unchanged, so that points differ only in level."""
     (first, *_) = own.values()
     boards = [
         str(first.get(f"{instance.name}.board", instance.keys.get("board")))
@@ -109,7 +109,7 @@ def _many_loads(
     device: str | None,
     accuracy: float | None,
 ) -> Group | None:
-    """All of some points as one group, whose skins move by modes for every load; None where they can't."""
+    """Return some points as one group whose skins move by modes for every load; None if that is not possible."""
     numbers = list(own)
     for number in (numbers[0], numbers[-1]):
         try:
@@ -130,13 +130,13 @@ def _many_loads(
     if not all(_pays(skin, len(points), view.duration_s) for skin in view.runtime.model.skins):
         return None
     skins = view.runtime.model.skins
-    # Twice in double precision: vectors and what is made of them
+    # Twice in double precision: vectors and their products
     size = sum(16 * skin.layer.dofs * load_class.expected_modes(skin.spec, skin.layer) for skin in skins)
     return Group(tuple(own), base, Shared(asked, modal=True), round(size))
 
 
 def _pays(skin: SkinModel, points: int, duration_s: float) -> bool:
-    """Whether modes for every load take less time than what would step each point by itself, as predicted."""
+    """Whether modes for every load are predicted to take less time than a stepper for each point."""
     modes, dofs = load_class.expected_modes(skin.spec, skin.layer), skin.layer.dofs
     steps = duration_s / skin.layer.sizes.step_s
     if modes > MOST_SHARE * dofs:
@@ -146,7 +146,7 @@ def _pays(skin: SkinModel, points: int, duration_s: float) -> bool:
 
 
 def _looked_at(points: Mapping[int, Mapping[str, Value]]) -> list[int]:
-    """Numbers of points that tell what all of them ask for: all, or those with extreme values and some between."""
+    """Return points that represent the demands of all: all, or those with extreme values and some between."""
     numbers = list(points)
     if len(numbers) <= LOOKED_AT:
         return numbers
@@ -158,7 +158,7 @@ def _looked_at(points: Mapping[int, Mapping[str, Value]]) -> list[int]:
 
 
 def _demands(view: Preview, differing: Keys) -> list[LayerDemand] | None:
-    """What a point asks of each skin's layer; None for silence, and for keys that can't be, which its run will say."""
+    """Return a point's demands on each skin's layer; None for silence, and for invalid keys (its run reports them)."""
     model = view.runtime.model
     by_instance: dict[str, dict[str, tuple[object, ...]]] = defaultdict(dict)
     for full, value in differing.items():
@@ -176,7 +176,7 @@ def _demands(view: Preview, differing: Keys) -> list[LayerDemand] | None:
 
 
 def in_words(groups: Sequence[Group]) -> str:
-    """What is stepped by what, in a sentence; empty where each point is by itself."""
+    """Describe which stepper serves which points, in a sentence; "" where each point is by itself."""
     many = [group for group in groups if group.shared is not None and group.shared.modal]
     if not many:
         return ""

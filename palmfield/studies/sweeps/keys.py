@@ -1,4 +1,4 @@
-"""What the keys of a sweep mean in one scene: which instances they are of, and which values they can have."""
+"""Meaning of the keys of a sweep in one scene: their instances and allowed values."""
 
 import re
 from collections.abc import Mapping
@@ -29,16 +29,16 @@ class _Place(NamedTuple):
 
 
 def _may_differ(place: _Place) -> bool:
-    """Whether worlds of one model may have each its own value."""
+    """Whether the value may differ between worlds of one model."""
     return place.instance.plugin == STIMULUS and place.key not in BOUND
 
 
 @dataclass(frozen=True)
 class SceneKeys:
-    """Keys of a design and those that all its points share, held against one scene.
+    """Keys of a design and those that all its points share, checked against one scene.
 
-    instances: of the scene's plugins; places: by key, what it sets
-    fixed: values that all points share, by `INSTANCE.KEY`; None takes a key out
+    instances: of the scene's plugins; places: by key, the value that it sets
+    fixed: values that all points share, by `INSTANCE.KEY`; None removes a key
     """
 
     instances: tuple[Instance, ...]
@@ -46,9 +46,9 @@ class SceneKeys:
     fixed: dict[str, Value | None]
 
     def of_point(self, point: Mapping[str, Value | None]) -> dict[str, Value | None]:
-        """Keys as `palmfield.Simulation` takes them, of a point's values by key of the sweep.
+        """Return keys as `palmfield.Simulation` takes them, from a point's values by key of the sweep.
 
-        Raises SceneError for a component of a key that is no vector, or not so long.
+        Raises SceneError for a component of a key that is no vector, or a shorter one.
         """
         result: dict[str, Value | None] = dict(self.fixed)
         for key, value in point.items():
@@ -58,18 +58,18 @@ class SceneKeys:
         return result
 
     def of_model(self, point: Mapping[str, Value]) -> tuple[tuple[str, Value], ...]:
-        """The values that points must share to share a model: all but the stimuli's that worlds may have each."""
+        """Return the values that points of one model must share: all but those of stimuli that may differ."""
         own = {key: value for key, value in point.items() if not all(map(_may_differ, self.places[key]))}
         return tuple(sorted(own.items()))
 
     def differing(self, point: Mapping[str, Value]) -> dict[str, Value | None]:
-        """Of a point's keys, as `of_point` gives them, those that worlds of one model may have each for itself."""
+        """Return the keys of a point, as `of_point` gives them, that may differ between worlds of one model."""
         own = self.of_point(point)
         names = [f"{p.instance.name}.{p.key}" for key in point for p in self.places[key] if _may_differ(p)]
         return {name: own[name] for name in dict.fromkeys(names)}
 
     def files(self, design: Design) -> list[str]:
-        """What the scene, the shared keys and the design name as files, each once."""
+        """Return the files named by the scene, the shared keys and the design, each once."""
         named = [(key, text) for instance in self.instances for key, text in instance.keys.items()]
         named += [(full.rpartition(".")[2], str(value)) for full, value in self.fixed.items()]
         named += [(key.rpartition(".")[2], str(value)) for key, several in design.values.items() for value in several]
@@ -78,7 +78,7 @@ class SceneKeys:
     def _replaced(
         self, known: dict[str, Value | None], instance: Instance, name: str, component: int, value: Value | None
     ) -> tuple[float, ...]:
-        """The vector of a key with one component replaced."""
+        """Return the vector of a key with one component replaced."""
         given = known.get(f"{instance.name}.{name}", instance.keys.get(name))
         if given is None:
             field = _CONFIGS[instance.plugin].model_fields[name] if instance.plugin in _CONFIGS else None
@@ -95,10 +95,10 @@ class SceneKeys:
 
 
 def scene_keys(scene: str | Path, design: Design, fixed: Mapping[str, Value | None]) -> SceneKeys:
-    """Hold a design and the keys that all points share against a scene.
+    """Check a design and the keys that all points share against a scene.
 
-    Raises SceneError for a scene that can't be read, unknown instances and keys, two keys that set the same value, and
-    values that a key can't have whatever the others are.
+    Raises SceneError for a scene that cannot be read, unknown instances and keys, two keys that set the same value, and
+    values that are invalid for any values of the others.
     """
     places: dict[str, tuple[_Place, ...]] = {}
     taken: dict[tuple[str, str], list[tuple[str, int | None]]] = {}
@@ -111,7 +111,7 @@ def scene_keys(scene: str | Path, design: Design, fixed: Mapping[str, Value | No
         places[key] = tuple(_Place(by_name[owner], name, component) for owner in changes)
         for owner in changes:
             for other, part in taken.setdefault((owner, name), []):
-                # A vector that all points share may have one of its numbers swept
+                # One component of a vector that all points share may be swept
                 whole_first = part is None and component is not None and other in fixed
                 if not whole_first and (component is None or part is None or part == component):
                     raise SceneError(f"keys '{other}' and '{key}' both set {owner}.{name}; give one of them")
@@ -127,7 +127,7 @@ def scene_keys(scene: str | Path, design: Design, fixed: Mapping[str, Value | No
 
 
 def _check_value(place: _Place, value: Value | None) -> None:
-    """Raises SceneError for a value that a key can't have, whatever the other keys are."""
+    """Raises SceneError for a value of a key that is invalid for any values of the others."""
     config = _CONFIGS.get(place.instance.plugin)
     if config is None or value is None or place.component is not None:
         return

@@ -1,4 +1,4 @@
-"""What is known of a sweep before its first point: labels of its dimensions, times, size and memory."""
+"""Properties of a sweep before its first point: labels of its dimensions, times, size and memory."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,9 +24,9 @@ from palmfield.types import Float
 class Overview:
     """name: of the scene; labels: see `palmfield.studies.sweeps.store.Labels`; times: of courses [s], shape (t,)
 
-    duration_s: of each point [s]; device: of the fields, "cpu" or "cuda:N"; memory_bytes: about what a worker takes
-    point_bytes: of it, what each further point takes that is a world of the same simulation
-    scene_digest: tells scenes apart
+    duration_s: of each point [s]; device: of the fields, "cpu" or "cuda:N"; memory_bytes: estimate for a worker
+    point_bytes: part of it for each further point as a world of the same simulation
+    scene_digest: identifies the scene
     """
 
     name: str
@@ -48,9 +48,9 @@ def overview(
     accuracy: float | None,
     duration_s: float | None,
 ) -> Overview:
-    """Look at the first and the last point of a sweep; simulates nothing.
+    """Examine the first and the last point of a sweep, without simulation.
 
-    Raises the error of the first point where neither can be made, and SceneError for a duration that is not > 0.
+    Raises the error of the first point if neither can be made, and SceneError for a duration that is not > 0.
     """
     if duration_s is not None:
         check_duration(duration_s)
@@ -92,17 +92,17 @@ def _memory_bytes(view: Preview, records: int) -> int:
 
 
 def _point_bytes(view: Preview, records: int) -> int:
-    """The state of the skins, and displacement and velocity of all vertices over the run, in single precision."""
+    """Size of the skins' state, and of displacement and velocity of all vertices over the run, in single precision."""
     layers = [skin.layer for skin in view.runtime.model.skins]
     return sum(8 * records * layer.mesh.surface_nodes + 8 * layer.state_room for layer in layers)
 
 
 def _digest(scene: Path, view: Preview, design: Design, keys: SceneKeys) -> str:
-    """A hash of the compiled scene and of the files that its plugins read."""
+    """Return a hash of the compiled scene and of the files that its plugins read."""
     model = view.data.model
     image = np.empty(mujoco.mj_sizeModel(model), np.uint8)
     mujoco.mj_saveModel(model, None, image)
     files = [scene.parent / name for name in keys.files(design)]
-    # The folder is left out, so that scene and results may be moved together
+    # The folder is not included, so that scene and results may be moved together
     known = image.tobytes().replace(str(scene.parent).encode(), b"")
     return cache.digest(known, [path.read_bytes() for path in files if path.is_file()])

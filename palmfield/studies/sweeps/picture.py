@@ -16,11 +16,11 @@ from palmfield.types import Float
 DPI = 150
 MARKS = "osD^v"
 MOST_PANELS = 4
-"""Keys over which points are drawn."""
+"""Largest number of keys over which points are drawn."""
 MOST_TICKS = 7
-"""Values that are each named on an axis."""
+"""Largest number of values with a label each on an axis."""
 SPACED = 3.0
-"""Axes of positive values are logarithmic where ratios of neighbours vary less than differences, by this."""
+"""Factor: axes of positive values are logarithmic where ratios of neighbours vary less than differences by it."""
 
 
 class _Quantity(NamedTuple):
@@ -38,9 +38,9 @@ MORE = (_Quantity("peak_velocity", "Peak normal velocity", "mm/s", 1e3),)
 
 
 def plot_sweep(dataset: xr.Dataset, path: Path) -> None:
-    """PNG of level and peak displacement over what was swept: lines, heat maps, or points.
+    """Draw a PNG of level and peak displacement over the swept keys: lines, heat maps, or points.
 
-    dataset: of `open_dataset`. Raises OutputError where no point is done, and where `path` cannot be written.
+    dataset: of `open_dataset`. Raises OutputError if no point is done or `path` cannot be written.
     """
     keys = swept_keys(dataset)
     known = [quantity for quantity in QUANTITIES if _finite(dataset[quantity.name])]
@@ -85,7 +85,7 @@ def _lines(dataset: xr.Dataset, key: str, quantities: list[_Quantity]) -> Figure
 
 
 def _maps(dataset: xr.Dataset, keys: list[str], quantities: list[_Quantity]) -> Figure:
-    """One map a quantity and skin: of levels that of the first observer who has any."""
+    """Draw one map for each quantity and skin: of levels that of the first observer with any."""
     skins = [str(name) for name in dataset["skin"].values]
     figure = Figure(figsize=(4.6 * len(quantities), 3.9 * len(skins) + 0.3), dpi=DPI, layout="constrained")
     panels = figure.subplots(len(skins), len(quantities), squeeze=False)
@@ -112,7 +112,7 @@ def _maps(dataset: xr.Dataset, keys: list[str], quantities: list[_Quantity]) -> 
 
 
 def _points(dataset: xr.Dataset, keys: list[str], quantities: list[_Quantity]) -> Figure:
-    """Each quantity over each key; of a grid over many keys the others scatter."""
+    """Draw each quantity over each key; for a grid over many keys the other keys scatter the points."""
     shown = keys[:MOST_PANELS]
     flat = dataset[[quantity.name for quantity in quantities]]
     if "point" not in dataset.dims:
@@ -137,7 +137,7 @@ def _points(dataset: xr.Dataset, keys: list[str], quantities: list[_Quantity]) -
 
 
 def _curves(dataset: xr.Dataset, quantity: _Quantity) -> list[tuple[str, Float]]:
-    """Label and values in the quantity's unit of each skin and observer, along what is left."""
+    """Return label and values in the quantity's unit of each skin and observer, along the remaining dimensions."""
     values = dataset[quantity.name]
     skins = [str(name) for name in dataset["skin"].values]
     curves = []
@@ -160,7 +160,7 @@ def _of(dataset: xr.Dataset, quantity: _Quantity) -> xr.DataArray:
 
 
 def _mapped_observer(dataset: xr.Dataset) -> str:
-    """The first observer with a level at any point."""
+    """Return the first observer with a level at any point."""
     levels = dataset[LEVEL.name]
     return next(str(name) for name in levels["observer"].values if _finite(levels.sel(observer=name)))
 
@@ -176,18 +176,18 @@ def _finite(values: xr.DataArray) -> bool:
 
 
 def _places(dataset: xr.Dataset, key: str) -> tuple[Float, list[str]]:
-    """Where the values of a key lie on an axis, and their names where they are texts."""
+    """Return the positions of a key's values on an axis, and their names if they are texts."""
     values = dataset[key].values
     if values.dtype.kind in "fiu":
         return values.astype(float), []
     words, places = np.unique([str(value) for value in values], return_inverse=True)
-    if dataset[key].dims == (key,):  # along a grid the order is the design's own
+    if dataset[key].dims == (key,):  # along a grid the order is that of the design
         return np.arange(len(values), dtype=float), [str(value) for value in values]
     return places.astype(float), [str(word) for word in words]
 
 
 def _edges(places: Float) -> Float:
-    """Borders of cells round places; outer cells are as wide as their neighbours."""
+    """Borders of cells around positions; outer cells are as wide as their neighbours."""
     if len(places) == 1:
         width = abs(places[0]) or 1.0
         return np.array([places[0] - 0.5 * width, places[0] + 0.5 * width])
@@ -207,7 +207,7 @@ def _name_axis(axis: Any, key: str, dataset: xr.Dataset, places: Float, words: l
 
 
 def _geometric(places: Float) -> bool:
-    """Whether values go up by factors rather than by steps."""
+    """Whether values increase by factors rather than by steps."""
     ordered = np.sort(places)
     ratios, steps = ordered[1:] / ordered[:-1], np.diff(ordered)
     return bool(np.ptp(np.log(ratios)) * SPACED < np.ptp(np.log(steps)))

@@ -1,4 +1,4 @@
-"""What a sweep keeps of one point: numbers of a simulation's run, and a few courses over time."""
+"""Results that a sweep stores for one point: numbers of a simulation's run, and a few courses over time."""
 
 import math
 import time
@@ -19,21 +19,21 @@ from palmfield.studies.sweeps.watch import Watched
 from palmfield.types import Float
 
 Numbers = dict[str, NDArray[Any]]
-"""By variable (`palmfield.studies.sweeps.variables`), without the design's dimensions."""
+"""Values by variable (`palmfield.studies.sweeps.variables`), without the design's dimensions."""
 
 
 def sensor_names(scene: Simulation | Preview) -> list[str]:
-    """Names of the sensors on all skins, in the order of their skins."""
+    """Return the names of the sensors on all skins, in the order of their skins."""
     world = world_with(scene.data)
     return [sensor.name for skin in scene.runtime.binding.skins for sensor in world.sensors(skin.instance)]
 
 
 def measured(simulation: Simulation, duration_s: float, times: Float, errors: bool) -> list[Numbers]:
-    """Run a simulation and give the numbers of its worlds, each a point, or of the one that it is.
+    """Run a simulation and return the numbers of its worlds, each a point, or of a single world.
 
-    duration_s: simulated time [s]; times: at which courses are wanted, from the run's start [s], shape (t,)
+    duration_s: simulated time [s]; times: of courses, from the run's start [s], shape (t,)
     errors: whether the error of the displacement is estimated, which takes longer than most runs
-    Raises what the run raises (SceneError, DeviceError).
+    Raises the errors of the run (SceneError, DeviceError).
     """
     started = time.perf_counter()
     model = simulation.runtimes[0].model
@@ -48,7 +48,7 @@ def measured(simulation: Simulation, duration_s: float, times: Float, errors: bo
 
 
 def _point(watched: Watched, world: int, times: Float, errors: bool) -> Numbers:
-    """Numbers of one world."""
+    """Return the numbers of one world."""
     model = watched.runtimes[world].model
     rows = [_skin(watched, world, number, times) for number in range(len(model.skins))]
     result: Numbers = {name: np.array([row[name] for row in rows]) for name in rows[0]}
@@ -63,7 +63,7 @@ def _point(watched: Watched, world: int, times: Float, errors: bool) -> Numbers:
 
 
 def _skin(watched: Watched, world: int, number: int, times: Float) -> dict[str, Any]:
-    """Numbers of one skin in one world."""
+    """Return the numbers of one skin in one world."""
     displacement, velocity = watched.motion[number][world].swapaxes(0, 1)
     sizes = np.maximum(displacement.max(axis=0), -displacement.min(axis=0))
     vertex = int(sizes.argmax())
@@ -99,12 +99,12 @@ def _skin(watched: Watched, world: int, number: int, times: Float) -> dict[str, 
 
 
 def _by_observer(levels: dict[str, Any], key: str) -> Float:
-    """One number an observer, NaN where there is none."""
+    """Return one number for each observer, NaN if there is none."""
     return np.array([_number(levels.get(key.format(name))) for name in ALL_OBSERVERS])
 
 
 def _estimate(watched: Watched, world: int, number: int) -> tuple[float, str]:
-    """Relative error of a skin's displacement, or why there is none."""
+    """Return the relative error of a skin's displacement, or why there is none."""
     loudest = watched.loudest[world][number]
     if loudest is None or not np.any(watched.motion[number][world, :, 0]):
         return math.nan, "no sound"
@@ -113,7 +113,7 @@ def _estimate(watched: Watched, world: int, number: int) -> tuple[float, str]:
 
 
 def resampled(own: Float, values: Float, times: Float) -> Float:
-    """A course at other times [s], by a cubic spline; the very values where the times are its own.
+    """Resample a course at other times [s] by a cubic spline; at its own times the values are unchanged.
 
     own, times: rising, shapes (n,) and (t,); values: shape (n,). NaN after the course's end.
     """
@@ -126,7 +126,7 @@ def resampled(own: Float, values: Float, times: Float) -> Float:
 
 
 def _last_period(times: Float, frequency: float | None) -> NDArray[np.bool_]:
-    """Which times lie in the last period; none where nothing repeats."""
+    """Return which times lie in the last period; none if the sound does not repeat."""
     if frequency is None:
         return np.zeros(len(times), bool)
     return times > times[-1] - 1.0 / frequency + 1e-9

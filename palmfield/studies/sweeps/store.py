@@ -1,7 +1,7 @@
 """The dataset of a sweep on disk: one Zarr group that xarray opens, written point by point.
 
-What the sweep is is written first. Each array's chunks are replaced whole (Zarr writes a file beside and renames it),
-and `status` comes last: a point counts as done when all of it is there, whatever was killed in between.
+The description of the sweep is written first. Each array's chunks are replaced whole (Zarr writes a new file and
+renames it), and `status` comes last. So a point counts as done only when it is complete, even if a process was killed.
 """
 
 import json
@@ -26,22 +26,22 @@ from palmfield.studies.sweeps.variables import COURSES, DONE, FAILED, variables
 
 DATASET = "sweep.zarr"
 BLOCK_BYTES, TEXT_BYTES = 4096, 64
-"""Of a file system; of a text."""
+"""Name in the file system, and in a text."""
 CHUNK_POINTS = 4096
-"""Points in one chunk of what is one number or a few of them a point."""
+"""Points in one chunk of a variable with one or a few numbers for each point."""
 
 Labels = Mapping[str, NDArray[Any]]
 """Coordinates of the dimensions after the design's: `skin`, `sensor`, `stimulus`, `observer`, `time`, `step_time`."""
 
 
 def size_bytes(design: Design, labels: Labels, errors: bool) -> int:
-    """What the dataset takes on disk at most, before it is compressed."""
+    """Largest size of the dataset on disk, before compression."""
     total = 0
     for variable in variables(errors).values():
         one = math.prod(_shape(variable, labels)) * (
             TEXT_BYTES if variable.dtype == "str" else _type(variable).itemsize
         )
-        # Each point's course is a file
+        # The course of each point is a file
         total += design.count * (math.ceil(one / BLOCK_BYTES) * BLOCK_BYTES if _is_course(variable) else one)
     return total
 
@@ -55,11 +55,11 @@ class SweepStore:
     def __init__(self, out: Path, design: Design, labels: Labels, attributes: Mapping[str, Any], errors: bool) -> None:
         """Make the dataset in a folder, or open the one that an earlier run of the same sweep has left there.
 
-        attributes: of the dataset; those in `identity`, a mapping, tell sweeps apart
-        Raises OutputError where the folder can't be written, or holds another sweep.
+        attributes: of the dataset; those in `identity`, a mapping, identify the sweep
+        Raises OutputError if the folder cannot be written, or holds another sweep.
         """
         self.path, self.design = Path(out) / DATASET, design
-        # A scene without sensors has nothing along `sensor`
+        # A scene without sensors has an empty dimension `sensor`
         self._variables = {
             name: variable for name, variable in variables(errors).items() if 0 not in _shape(variable, labels)
         }
@@ -73,7 +73,7 @@ class SweepStore:
             raise OutputError(f"cannot open {self.path}: {_reason(error)}; choose another folder") from error
 
     def write(self, results: Mapping[int, Numbers | Failed]) -> None:
-        """Write points by their numbers in the design. Raises OutputError where there is no room, and loses nothing."""
+        """Write points by their numbers in the design. Raises OutputError if the disk is full, without loss of data."""
         if not results:
             return
         try:
@@ -89,15 +89,15 @@ class SweepStore:
 
     @property
     def done(self) -> int:
-        """How many points are on the disk."""
+        """Number of points on the disk."""
         return int((np.asarray(self._groups["status"][...]) == DONE).sum())
 
     def failure(self, number: int) -> str:
-        """Why a point has failed."""
+        """Return why a point has failed."""
         return str(self._small["failure"][self.design.index(number)])
 
     def _take(self, index: tuple[int, ...], result: Numbers | Failed) -> None:
-        """One point into memory, but for its courses."""
+        """Copy one point into memory, except its courses."""
         if isinstance(result, Failed):
             self._small["failure"][index] = result.reason
             self.status[index] = FAILED
@@ -109,7 +109,7 @@ class SweepStore:
         self.status[index] = DONE
 
     def _write_courses(self, results: Mapping[int, Numbers | Failed]) -> None:
-        """Courses to the disk: of neighbours in the design together, whose files are then written side by side."""
+        """Write courses to the disk: those of neighbours in the design together, so that files are in parallel."""
         done = {number: result for number, result in sorted(results.items()) if not isinstance(result, Failed)}
         runs: list[list[int]] = []
         for number in done:
@@ -127,7 +127,7 @@ class SweepStore:
                     self._groups[name][place] = np.stack([done[number][name] for number in run])
 
     def _flush(self, rows: Sequence[int]) -> None:
-        """What is in memory of these rows of the first dimension."""
+        """Write the data in memory for these rows of the first dimension."""
         length = _rows_a_chunk(self.design)
         for chunk in sorted({row // length for row in rows}):
             part = slice(chunk * length, (chunk + 1) * length)
@@ -139,7 +139,7 @@ class SweepStore:
     # -- making and opening ----------------------------------------------------------------------------------------
 
     def _make(self, labels: Labels, attributes: Mapping[str, Any]) -> None:
-        """The dataset without a point, complete before it has its name."""
+        """Make the dataset without points; it is complete before it gets its name."""
         import dask.array
 
         arrays: dict[str, xr.Variable] = {}
@@ -148,7 +148,7 @@ class SweepStore:
             dims, shape = (*self.design.dims, *variable.dims), (*self.design.shape, *_shape(variable, labels))
             chunks = self._chunks(variable, shape)
             empty: Any = "" if variable.dtype == "str" else 0 if variable.dtype == "int8" else np.nan
-            # Never computed: only shapes and attributes are written, whatever the number of points
+            # Never computed: only shapes and attributes are written, for any number of points
             made = dask.array.full(shape, empty, dtype=_type(variable), chunks=-1)
             arrays[name] = xr.Variable(dims, made, variable.attributes)
             encoding[name] = {"chunks": chunks}
@@ -186,7 +186,7 @@ class SweepStore:
         return made
 
     def _check_same(self, identity: Mapping[str, Any]) -> None:
-        """Raises OutputError where the folder holds another sweep, and says in what it differs."""
+        """Raises OutputError if the folder holds another sweep, with the difference."""
         import zarr
 
         there = json.loads(str(zarr.open_group(self.path, mode="r").attrs["identity"]))
@@ -213,27 +213,27 @@ class SweepStore:
 
 
 def open_dataset(path: Path) -> xr.Dataset:
-    """A sweep's dataset, read where it is used. Raises OutputError where there is none."""
+    """Open a sweep's dataset, which is read lazily. Raises OutputError if there is none."""
     try:
         dataset = xr.open_zarr(path, consolidated=False, chunks=None)
-        # Zarr has them in no order
+        # Zarr does not keep their order
         return dataset[[name for name in variables(True) if name in dataset]]
     except (OSError, KeyError, ValueError) as error:
         raise OutputError(f"{path} is no sweep's dataset: {_reason(error)}") from error
 
 
 def swept_keys(dataset: xr.Dataset) -> list[str]:
-    """Keys that a dataset was swept over, in the design's order."""
+    """Return the swept keys of a dataset, in the design's order."""
     return list(json.loads(json.loads(dataset.attrs["identity"])["design"])["values"])
 
 
 def _rows_a_chunk(design: Design) -> int:
-    """How many places of the first dimension are in one chunk."""
+    """Return the number of rows of the first dimension in one chunk."""
     return min(design.shape[0], max(1, CHUNK_POINTS // max(1, math.prod(design.shape[1:]))))
 
 
 def _is_course(variable: Variable) -> bool:
-    """Whether a variable has many numbers a point, over time."""
+    """Whether a variable has many numbers over time for each point."""
     return bool(set(variable.dims) & set(COURSES))
 
 
@@ -246,7 +246,7 @@ def _type(variable: Variable) -> np.dtype[Any]:
 
 
 def _column(values: Sequence[Any]) -> NDArray[Any]:
-    """Values of one key as a coordinate: numbers, or texts where one is a text or a vector."""
+    """Return the values of one key as a coordinate: numbers, or texts where one is a text or a vector."""
     if all(isinstance(value, int | float) for value in values):
         return np.array(values, dtype=float)
     words = [" ".join(f"{part:.12g}" for part in value) if isinstance(value, tuple) else str(value) for value in values]

@@ -28,13 +28,13 @@ def read_design(
     table: Path | None = None,
     seed: int = 0,
 ) -> tuple[Design, dict[str, Value | None]]:
-    """The design and the keys that all points share, from texts such as `stimulus.am_frequency_Hz=50:300:6`.
+    """Parse the design and the shared keys from texts such as `stimulus.am_frequency_Hz=50:300:6`.
 
-    A shared key that is None is taken out of the scene.
+    A shared key with value None is removed from the scene.
 
     settings: KEY=VALUES, see FORMS, or DRAWN_FORMS with random_points or sobol_points
-    table: CSV file whose head names keys, a row a point; settings then hold what all points share
-    Raises SceneError for a text of another form, an empty range, a key twice, several kinds of design at once.
+    table: CSV file whose head names keys, a row a point; settings then hold the shared keys
+    Raises SceneError for an invalid text, an empty range, a repeated key, several kinds of design at once.
     """
     kinds = [random_points is not None, sobol_points is not None, table is not None]
     if sum(kinds) > 1:
@@ -68,7 +68,7 @@ def read_design(
 
 
 def _values(key: str, text: str, drawn: bool) -> list[Value] | Range | Value:
-    """What a text means: several values, a range to draw from, or one value."""
+    """Parse a text: several values, a range to draw from, or one value."""
     parts = text.split(":")
     logarithmic = len(parts) > 2 and parts[-1] == "log"
     numbers = parts[:-1] if logarithmic else parts
@@ -105,7 +105,7 @@ def _range(key: str, text: str, parts: list[str], logarithmic: bool, drawn: bool
 
 
 def _number(word: str) -> Value:
-    """A number where the text is one, numbers with spaces between as a vector, else the text."""
+    """Parse a number, numbers separated by spaces as a vector, else return the text."""
     try:
         parts = tuple(float(part) for part in word.split())
     except ValueError:
@@ -114,7 +114,7 @@ def _number(word: str) -> Value:
 
 
 def _read_table(path: Path, fixed: dict[str, Value | None]) -> Design:
-    """The points of a CSV file. Raises SceneError where it can't be read or isn't a table."""
+    """Read the points of a CSV file. Raises SceneError if it cannot be read or is no table."""
     try:
         with regular(path).open(newline="", encoding="utf-8-sig") as file:
             rows = [row for row in csv.reader(file, skipinitialspace=True) if any(cell.strip() for cell in row)]

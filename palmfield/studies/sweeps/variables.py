@@ -1,4 +1,4 @@
-"""What a sweep keeps of each point: variables with dimensions, units and descriptions.
+"""Variables that a sweep stores for each point, with dimensions, units and descriptions.
 
 They are as in `palmfield.outputs.schema`. The dimensions here come after those of the design.
 """
@@ -84,7 +84,7 @@ ERRORS: dict[str, Variable] = {
     ),
     "displacement_error_missing": Variable(("skin",), "str", "", "why there is no estimate"),
 }
-"""Of a sweep that was asked for errors."""
+"""Variables of a sweep with estimates of errors."""
 RECORDS: dict[str, Variable] = {
     "substep": Variable((), "float64", "s", "substep of the skins; normal_displacement is resampled where it differs"),
     "wall_time": Variable((), "float64", "s", "time that the point took"),
@@ -93,9 +93,9 @@ RECORDS: dict[str, Variable] = {
 }
 """About the computing."""
 COURSES = ("time", "step_time")
-"""Dimensions along which there are many numbers a point."""
+"""Dimensions along which each point has many numbers."""
 
 
 def variables(errors: bool) -> dict[str, Variable]:
-    """All variables of a sweep, with estimates of errors or without."""
+    """Return all variables of a sweep, with estimates of errors or without."""
     return VARIABLES | (ERRORS if errors else {}) | RECORDS

@@ -1,4 +1,4 @@
-"""What a sweep watches of running worlds: motion of all vertices, highest ARP, forces and sensors of each."""
+"""Results that a sweep observes in running worlds: motion of all vertices, highest ARP, forces and sensors of each."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,13 +16,13 @@ NORMAL = list(CHANNELS).index("normal_displacement_m")
 
 
 class Watched:
-    """Watches the worlds of a simulation, or the one that it is, from its start on.
+    """Observes the worlds of a simulation, or its single world, from the start.
 
-    simulation: at rest, or as it stands; steps: of MuJoCo's that follow
+    simulation: at rest, or in its present state; steps: number of MuJoCo steps that follow
     times: ends of the substeps, from the run's start [s], shape (t,)
     motion: by skin, normal displacement [m] and velocity [m/s] in each world, shape (w, t, 2, S)
     arp: highest ARP at these times [Pa], shape (w, skins, t); peak_arp: of all times, shape (w, skins)
-    loudest: its moments by world and skin, None in silence
+    loudest: the loudest moments by world and skin, None in silence
     forces: mean force of the sound on each skin's body in each step [N], world axes, shape (steps, w, skins, 3)
     sensors: normal displacement at all skins' sensors at the beginning of each step [m], shape (steps, w, sensors)
     """
@@ -44,7 +44,7 @@ class Watched:
         self.loudest: list[list[LoudestMoment | None]] = [[None] * len(model.skins) for _ in self.runtimes]
         self.forces: Float = np.zeros((steps, count, len(model.skins), 3))
         self.sensors: Float = np.zeros((steps, count, len(names)))
-        # The highest ARP of a world's unit drive on a skin, with the numbers of pose and drive for which it holds
+        # Highest ARP of the unit drive of a world on a skin, with the numbers of the pose and drive that it belongs to
         self._units: dict[tuple[int, int], tuple[tuple[int, int], float]] = {}
         self._steps, self.begun_s = 0, simulation.time
         operators = tuple(skin.layer.surface_operator for skin in model.skins)
@@ -53,14 +53,14 @@ class Watched:
             self._begin(number)
 
     def step(self) -> None:
-        """One step of MuJoCo's has ended."""
+        """Record one step of MuJoCo."""
         forces = np.reshape(self.simulation.forces, (len(self.runtimes), -1, 3))
         self.forces[self._steps] = forces[:, self._bodies]
         self.sensors[self._steps] = np.reshape(self.simulation.sensors, (len(self.runtimes), -1))[:, self._places]
         self._steps += 1
 
     def _begin(self, world: int) -> None:
-        """Motion and sound before the first step."""
+        """Record motion and sound before the first step."""
         runtime = self.runtimes[world]
         for skin, (stepper, numbers) in enumerate(runtime.skin_states()):
             if at_rest(runtime.state, skin):
@@ -72,16 +72,16 @@ class Watched:
         self._hear(world, posed, emitted_at(course, np.array([0])), np.array([self.begun_s]), slice(0, 1))
 
     def _rows(self, count: int) -> slice:
-        """Of the arrays over time: the substeps of the present step."""
+        """Return the rows of the present step's substeps in the arrays over time."""
         return slice(1 + self._steps * count, 1 + (self._steps + 1) * count)
 
     def _observe(self, trace: StepTrace) -> None:
-        """Take the step of some worlds."""
+        """Record the step of some worlds."""
         rows = self._rows(len(trace.times))
         self.times[rows] = trace.times - self.begun_s
         for motion, watched in zip(self.motion, trace.motion, strict=True):
             for worlds, seen in watched:
-                # World by world, as whole rows: NumPy takes an index array number by number
+                # World by world, as whole rows: NumPy processes an index array number by number
                 for world, own in zip(worlds.tolist(), seen, strict=True):
                     motion[world, rows] = own
         if len(trace.worlds) == 1 or trace.levels.shape[2] != 1:
@@ -104,7 +104,7 @@ class Watched:
                 self._note(trace, i, skin, trace.times[last[i]], highest[i])
 
     def _unit(self, trace: StepTrace, i: int, skin: int) -> float:
-        """The highest ARP on a skin of the unit drive of the i-th world that took the step [Pa]; 0 in silence."""
+        """Return the highest ARP on a skin of the unit drive of the i-th world that was stepped [Pa]; 0 in silence."""
         world, posed, course = int(trace.worlds[i]), trace.posed[i], trace.course(i)
         if len(course.units) == 0:
             return 0.0
@@ -120,7 +120,7 @@ class Watched:
         self.loudest[int(trace.worlds[i])][skin] = moment
 
     def _hear(self, world: int, posed: PosedScene, emitted: Emitted, times: Float, rows: slice) -> None:
-        """Take what sounds in one world at some times [s]. rows: their places along time"""
+        """Record the sound of one world at some times [s]. rows: their indices along time"""
         radiation, one = self.runtimes[world].work.radiation, emitted.drives.ndim == 1
         for skin in range(len(self.motion)):
             peaks: NDArray[np.floating]

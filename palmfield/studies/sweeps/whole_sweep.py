@@ -1,4 +1,4 @@
-"""A whole sweep: what is computed, by whom, and how it goes on after it was cut off."""
+"""Run a whole sweep: points, workers, and continuation after an interruption."""
 
 import json
 import logging
@@ -45,13 +45,13 @@ from palmfield.threads import cores
 LOG = logging.getLogger("palmfield.studies")
 LARGE_BYTES = 2e9
 LONG_S = 3600.0
-"""A sweep beyond these asks before it goes on."""
+"""A sweep longer than this needs confirmation."""
 SURE_BATCHES = 2
 """Batches of each worker after which the rest is predicted: the first one makes the model."""
 SURE_S = 120.0
-"""Or this time, with at least one point done [s]."""
+"""Time after which the rest is predicted otherwise, with at least one point done [s]."""
 MOST_PER_GPU = 8
-"""Workers that share a GPU: while it computes for one, the Python of the others gets ready what comes next."""
+"""Workers that share a GPU: while it computes for one, Python prepares the next task of the others."""
 PICTURE = "sweep.png"
 EXTRA = ("dask", "distributed", "zarr")
 
@@ -60,9 +60,9 @@ Ask = Callable[[str], bool]
 
 @dataclass(frozen=True)
 class Sweep:
-    """What a sweep left behind.
+    """Result of a sweep.
 
-    out: its folder; files: paths by name; points, done: how many there are, and are there
+    out: its folder; files: paths by name; points, done: number of all points, and of those done
     failed: why points have failed, by their numbers in the design
     """
 
@@ -75,7 +75,7 @@ class Sweep:
 
     @property
     def dataset(self) -> xr.Dataset:
-        """The numbers of all points, opened when first asked for and read where it is used."""
+        """The numbers of all points, opened at first use and read lazily."""
         if not self._opened:
             self._opened.append(open_dataset(self.files["sweep.zarr"]))
         return self._opened[0]
@@ -104,18 +104,18 @@ def sweep(
 
     scene: a file; design: values by key for every combination of them, or one of `palmfield.studies.sweeps`: `grid`,
         `listed`, `random`, `sobol`. Keys are INSTANCE.KEY or PLUGIN.KEY, or one number of a vector, such as
-        "stimulus.focus_m[0]"; keys: values that all points share, None takes a key out of the scene
-    out: folder, made where missing; the same sweep that was cut off there goes on, and failed points are tried again
-    workers: processes on this machine, by default as many as cores and memory allow, at most 8 a GPU; 0 computes in
+        "stimulus.focus_m[0]"; keys: values that all points share, None removes a key from the scene
+    out: folder, made if missing; an interrupted sweep there continues, and failed points are tried again
+        workers: processes on this machine, by default as many as cores and memory allow, at most 8 a GPU; 0 computes in
         this process, without Dask
-    scheduler: address of a Dask cluster that runs already, in place of workers; it must see the scene's file
-    device, accuracy: see `palmfield.load`; duration_s: of each point [s], the scene's own by default
+    scheduler: address of a running Dask cluster, in place of workers; it must see the scene's file
+    device, accuracy: see `palmfield.load`; duration_s: of each point [s], that of the scene by default
     errors: whether each point's error is estimated, which takes longer than most runs; picture: whether one is drawn
     progress: whether a bar is drawn on a terminal's standard error
-    yes: whether a sweep goes on that takes more than 2 GB or an hour; without, `ask` is asked with a question
-    Ctrl-C, a full disk and lost workers leave what was done: the same call goes on. A point that fails is recorded.
-    Raises SceneError for keys and values that can't be, before anything runs; PalmfieldError for a cluster that can't
-    be reached; OutputError for a folder that can't be written or holds another sweep, and where `ask` says no.
+    yes: whether a sweep of more than 2 GB or an hour goes on; without it `ask` is called with a question Ctrl-C, a full
+    disk and lost workers keep the results so far: the same call continues. A point that fails is recorded.
+    Raises SceneError for invalid keys and values before anything runs; PalmfieldError for a cluster that cannot be
+    reached; OutputError for a folder that cannot be written or holds another sweep, and if `ask` refuses.
     """
     design = design if isinstance(design, Design) else grid(design)
     _check_arguments(scene, workers, scheduler)
@@ -143,12 +143,12 @@ def sweep(
     missing = [int(number) for number in np.flatnonzero(store.status.ravel() != DONE)]
     if len(missing) < design.count:
         LOG.info("going on: %d points are there", design.count - len(missing))
-    # A worker sees one GPU, whatever its number was
+    # A worker sees one GPU, always as number 0
     where = "cuda:0" if gpus else device
     task = Task(path, where, accuracy, view.duration_s, view.times, errors)
     points = _Points(missing, groups, design, known, most)
     if missing:
-        # A picture of fewer points beside these would lie
+        # An old picture of fewer points would be wrong
         (out / PICTURE).unlink(missing_ok=True)
         if scheduler is not None:
             results = _on_cluster(lambda: remote_cluster(scheduler), task, points)
@@ -182,9 +182,9 @@ def _check_arguments(scene: str | Path, workers: int | None, scheduler: str | No
 
 
 def _worker_count(workers: int | None, gpus: list[str], points: int, memory: int, on_gpu: int) -> int:
-    """How many processes compute: as asked for, or as many as there are cores and memory for, a few for each GPU.
+    """Return the number of processes: as requested, or by cores and memory, with a few for each GPU.
 
-    memory: that a worker takes, about, here and on its GPU; on_gpu: that is free on each of the GPUs [bytes]
+    memory: estimate for a worker, in host and GPU memory; on_gpu: free on each of the GPUs [bytes]
     """
     if workers is not None:
         return workers
@@ -199,13 +199,13 @@ def _worker_count(workers: int | None, gpus: list[str], points: int, memory: int
 
 
 def _memory_bytes(view: Overview, groups: Sequence[Group], most: int) -> int:
-    """About what a worker takes, with up to `most` points at once."""
+    """Estimate the memory of a worker with up to `most` points at once."""
     worlds = max((min(most, len(group.points)) for group in groups if group.shared is not None), default=1)
     return view.memory_bytes + (worlds - 1) * view.point_bytes + max(group.modes_bytes for group in groups)
 
 
 def _in_words(view: Overview, design: Design, size: int, memory_bytes: int, workers: int | None) -> str:
-    """What a sweep is, before it begins."""
+    """Describe a sweep before it begins."""
     counts = " x ".join(str(length) for length in design.shape)
     several = f" ({counts})" if len(design.shape) > 1 else ""
     memory = f"{memory_bytes / 1e9:.1f} GB of memory"
@@ -221,7 +221,7 @@ def _bytes(size: int) -> str:
 
 
 def _confirm(what: str, yes: bool, ask: Ask | None) -> None:
-    """Raises OutputError where something out of proportion is not wanted."""
+    """Raises OutputError if a very large sweep is not confirmed."""
     if yes or (ask is not None and ask(f"{what}. Go on?")):
         return
     raise OutputError(f"{what}: not gone on with; give --yes (yes=True), or fewer points")
@@ -257,9 +257,9 @@ def _attributes(
 
 @dataclass(frozen=True)
 class _Points:
-    """The points of a sweep: numbers of those that are missing, and by its number each one's group and keys.
+    """The points of a sweep: numbers of the missing ones, and group and keys of each by its number.
 
-    most: of them in a batch
+    most: points in a batch
     """
 
     missing: Sequence[int]
@@ -285,7 +285,7 @@ class _Points:
 
 
 def _here(task: Task, points: _Points) -> Generator[Results]:
-    """All points in this process, batch by batch."""
+    """Compute all points in this process, batch by batch."""
     for batch in points.batches(1):
         group = points.group(batch.points[0])
         results = run_batch(task, group.base, group.shared, [points.point(number) for number in batch.points])
@@ -293,7 +293,7 @@ def _here(task: Task, points: _Points) -> Generator[Results]:
 
 
 def _on_cluster(connect: Callable[[], Any], task: Task, points: _Points) -> Generator[Results]:
-    """All points on Dask workers, batch by batch as they are done."""
+    """Compute all points on Dask workers, and yield batches as they are done."""
     with connect() as client:
         there = slots(client, task.scene)
         yield from computed(client, task, there, points.batches(len(there)), points.group, points.point)
@@ -308,7 +308,7 @@ def _collect(
     yes: bool,
     ask: Ask | None,
 ) -> None:
-    """Write results as they come, with progress; asks once where the rest takes out of proportion long."""
+    """Write results as they come, with progress; asks once if the rest takes very long."""
     columns = (
         TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn()
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Hardware in the loop: where a hand is believed to be, what a board makes of it, and what the hand really gets."""
+"""Hardware in the loop: estimated place of a hand, output of a board for it, and the sound at the true hand."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""Where a system believes a hand to be: what its tracker has told by now, some time ago, and how it moves on."""
+"""Estimated place of a hand: the tracker's samples that have arrived, their latency, and their extrapolation."""
 
 import math
 from collections import deque
@@ -15,21 +15,21 @@ from palmfield.simulation.posed_scene import PosedScene
 from palmfield.studies.trial.course import Frames, SceneCourse
 
 LONGEST_AHEAD_S = 0.2
-"""A hand is not known farther ahead."""
+"""Longest extrapolation of a hand."""
 BEFORE_S = 0.5
-"""For so long a tracker was on before the trial begins."""
+"""Time for which a tracker runs before the trial begins."""
 MOST_AHEAD = 10_000
-"""So many of its samples at most are computed before the trial begins."""
+"""Largest number of its samples that are computed before the trial begins."""
 
 
 @dataclass(frozen=True)
 class Tracker:
-    """A tracker and what is made of its samples.
+    """A tracker and the treatment of its samples.
 
-    rate_Hz: samples a second, 0 for one whenever it is asked; latency_s: from a sample's moment until it is there [s]
+    rate_Hz: samples a second, 0 for one at each call; latency_s: from a sample's moment to its arrival [s]
     noise_m: of each coordinate, standard deviation [m]; seed: of the noise
-    ahead_s: by how much the hand is predicted beyond the last sample [s], 0 to take that as it is; None: to the middle
-        of the time in which the frame will sound
+    ahead_s: extrapolation beyond the last sample [s], 0 for none; None: to the middle of the time in which the frame
+        will sound
     """
 
     rate_Hz: float = 90.0
@@ -53,14 +53,14 @@ class Tracker:
 
 
 class Believed(NamedTuple):
-    """posed: the scene as the system thinks it is; seen_s: time of the last sample that it knows [s]"""
+    """posed: the scene as the system estimates it; seen_s: time of the last sample that has arrived [s]"""
 
     posed: PosedScene
     seen_s: float
 
 
 class Belief:
-    """A tracker that watches a scene's course."""
+    """A tracker that samples a scene's course."""
 
     def __init__(self, course: SceneCourse, tracker: Tracker) -> None:
         self.course, self.tracker = course, tracker
@@ -71,14 +71,14 @@ class Belief:
         self._tracked = np.array(stimuli + [True] * len(course.model.bodies))[:, None]
         self._next = -round(BEFORE_S * tracker.rate_Hz)
         self._last: tuple[float, Frames] | None = None
-        # What the tracker is going to see takes no time from the frames that are made of it
+        # Samples are computed in advance, so that they take no time from the making of frames
         count = min(MOST_AHEAD, math.floor(course.end_s * tracker.rate_Hz) - self._next + 1) if tracker.rate_Hz else 0
         self._coming = deque(self._seen((self._next + number) / tracker.rate_Hz) for number in range(count))
 
     def at(self, now_s: float, heard_s: float) -> Believed:
-        """What the system knows at a time of the trial [s], which must not fall.
+        """Return the system's estimate at a time of the trial [s], which must not decrease.
 
-        heard_s: the middle of the time in which the frame that is made now will sound [s]
+        heard_s: the middle of the time in which the frame made now will sound [s]
         """
         rate, known_s = self.tracker.rate_Hz, now_s - self.tracker.latency_s
         if rate == 0.0:
@@ -98,11 +98,11 @@ class Belief:
         return Believed(self.course.posed(sample_s, frames), sample_s)
 
     def _seen(self, time_s: float) -> Frames:
-        """A sample of the tracker at a time [s]. What can't move is known without a tracker."""
+        """Return a sample of the tracker at a time [s]. Fixed parts need no tracker."""
         frames = self.course.frames(time_s)
         if self.tracker.noise_m == 0.0:
             return frames
-        # The tracker errs by the same for all that hangs on the hand
+        # The error of the tracker is the same for all parts that move with the hand
         noise = self._tracked * self._draws.normal(0.0, self.tracker.noise_m, 3)
         return frames._replace(positions=frames.positions + noise)
 

@@ -1,4 +1,4 @@
-"""Where all of a scene is at any time of a trial, between MuJoCo's steps too."""
+"""Poses of a scene at any time of a trial, also between MuJoCo's steps."""
 
 import math
 from typing import NamedTuple
@@ -30,15 +30,15 @@ class Frames(NamedTuple):
 
 
 class SceneCourse:
-    """The scene's poses at MuJoCo's steps, and straight between two of them; before and after, the first and the last.
+    """Poses at MuJoCo's steps, linear between them; before and after, the first and the last.
 
-    model: of the scene; step_s: between poses [s]; end_s: time of the last one [s]; refused: why that comes early
+    model: of the scene; step_s: between poses [s]; end_s: time of the last one [s]; refused: reason of an early end
     """
 
     def __init__(self, view: Preview, duration_s: float, *, as_far_as_it_goes: bool = False) -> None:
-        """Steps a copy of the scene, with all but its skins. Raises what a module raises in a step.
+        """Step a copy of the scene without its skins. Raises the errors of modules in a step.
 
-        as_far_as_it_goes: a hand that reaches into the array, as one that was tracked may, ends the course instead
+        as_far_as_it_goes: a hand that reaches into the array, as a tracked one may, ends the course without an error
         """
         self.refused = ""
         self.step_s = view.runtime.spec.timestep_s
@@ -67,7 +67,7 @@ class SceneCourse:
         return len(self._rows) > 1
 
     def frames(self, time_s: float) -> Frames:
-        """Where the stimuli's frames and the bodies are at a time [s]."""
+        """Return the stimuli's frames and the bodies at a time [s]."""
         row, share = self._place(time_s)
         before = self._rows[row]
         if share == 0.0:
@@ -80,7 +80,7 @@ class SceneCourse:
         return Frames(positions, matrices(quaternions), quaternions)
 
     def posed(self, time_s: float, frames: Frames | None = None) -> PosedScene:
-        """The scene at a time [s], or with some frames elsewhere: as far as focuses need it, without obstacles."""
+        """Return the scene at a time [s], or with some frames elsewhere: without obstacles, which foci do not need."""
         row, _ = self._place(time_s)
         positions, rotations, _ = self.frames(time_s) if frames is None else frames
         of_stimuli = len(self.model.stimuli)
@@ -94,7 +94,7 @@ class SceneCourse:
         return PosedScene(outer, arrays, parts[:of_stimuli], bodies, skins)
 
     def _place(self, time_s: float) -> tuple[int, float]:
-        """The pose before a time [s], and how far on the way to the next one it is."""
+        """Return the pose before a time [s], and the fraction of the way to the next one."""
         at = min(max(time_s / self.step_s, 0.0), float(len(self._rows) - 1))
         nearest = round(at)
         if abs(at - nearest) < ON_STEP:

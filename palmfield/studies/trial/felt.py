@@ -1,4 +1,4 @@
-"""What a hand's skin does under the sound of a trial: the scene stepped with what the board emitted."""
+"""Motion of a hand's skin under the sound of a trial: the scene stepped with the output of the board."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -19,10 +19,10 @@ from palmfield.types import Complex, Float
 
 
 class PlayedEmission(Emission):
-    """What a board emitted, in place of what a scene's stimuli ask for."""
+    """Output of a board, in place of the drive of a scene's stimuli."""
 
     def __init__(self, model: HapticModel, emitted: Sequence[Emitted]) -> None:
-        """emitted: what sounds from when on, by rising times; silence before."""
+        """emitted: drives from rising times on; silence before."""
         super().__init__(model)
         self.holds = False
         self._times: Float = np.array([one.time_s for one in emitted])
@@ -30,7 +30,7 @@ class PlayedEmission(Emission):
         self._rows: Complex = np.array([nothing, *(one.amplitudes for one in emitted)])
 
     def sounding(self, times: Float) -> Complex:
-        """What sounds at some times [s], shape (k, N)."""
+        """Return the drives at some times [s], shape (k, N)."""
         return self._rows[np.searchsorted(self._times, times + 1e-9, "right")]
 
     def begin(self, posed: PosedScene, time_s: float) -> None:
@@ -60,7 +60,7 @@ class Felt(NamedTuple):
     """A skin over a trial, at the ends of MuJoCo's steps.
 
     times: [s], shape (k,); arp: largest ARP [Pa], shape (k,)
-    motion: displacement [m] and velocity [m/s] along the outward normal at the places that were asked for, (p, 2, k)
+    motion: displacement [m] and velocity [m/s] along the outward normal at the requested places, (p, 2, k)
     """
 
     times: Float
@@ -84,17 +84,17 @@ def felt(
     places: Float,
     skin: str | None = None,
 ) -> Felt:
-    """Step a scene with what a board emitted; skin: by name, None for the first.
+    """Step a scene with the output of a board; skin: by name, None for the first.
 
-    places: where motion is wanted, array frame at the beginning [m], shape (p, 3): the skin's nodes nearest to them
-    Ctrl-C ends it early with what there is by then. Errors as `palmfield.Simulation`.
+    places: of the motion, array frame at the beginning [m], shape (p, 3): the nearest nodes of the skin
+    Ctrl-C ends it early with the results so far. Errors as `palmfield.Simulation`.
     """
     sim = Simulation(scene, device="cpu", accuracy=accuracy, board=board, keys=keys)
     name = skin or sim.skins[0]
     number = sim.skins.index(name)
     choice = sim.runtime.model.skins[number].choice.name
     if choice == "reduced":
-        # A small model serves the scene's own sound alone; modes serve any
+        # A reduced model serves only the scene's own sound; modes serve any
         sim = Simulation(scene, device="cpu", accuracy=accuracy, board=board, keys={**keys, f"{name}.solver": "modal"})
     sim.steps.play({0: PlayedEmission(sim.runtime.model, emitted)})
     part = sim.skin(name)

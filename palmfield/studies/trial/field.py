@@ -22,16 +22,16 @@ from palmfield.studies.trial.sending import Heard
 from palmfield.types import Complex, Float
 
 GOOD_RAD = 1.0
-"""Phases that fit a focus worse than this on average make none."""
+"""Phases with a larger mean error than this form no focus."""
 HEARD = 0.3
-"""Pressures are compared where the level is at least this share of the loudest frame's."""
+"""Pressures are compared where the level is at least this share of the loudest frame."""
 
 
 class Pressures(NamedTuple):
     """|p| where the focus should be on the hand [Pa], at full level.
 
-    wanted: had the drive been for that place; late: by the drive for where the system thought it was; rounded: by what
-    the board made of that; heard: with transducers as they really are
+    wanted: drive for the true place; late: drive for the estimated place; rounded: the same after the board's rounding;
+    heard: the same with the true transducers
     """
 
     wanted: float
@@ -42,12 +42,12 @@ class Pressures(NamedTuple):
 
 @dataclass(frozen=True)
 class TrialMoment:
-    """What happens at a time of a trial [s].
+    """Results at a time of a trial [s].
 
-    true: where the focus should be on the hand [m], believed: where the system thought so, sounding: where that of the
-        sound is, NaN where there is none; array frame, shapes (3,)
-    age_s: since the sample from which the sound was made; frame: its number; level: of the drive, 0..1
-    pressures: at `true`, NaN where it is too silent to compare
+    true: place of the focus on the hand [m], believed: its place as the system estimates it, sounding: place of the
+        focus of the sound, NaN if there is none; array frame, shapes (3,)
+    age_s: since the sample of this sound; frame: its number; level: of the drive, 0..1
+    pressures: at `true`, NaN where the level is too low to compare
     """
 
     time_s: float
@@ -61,10 +61,10 @@ class TrialMoment:
 
 
 class TrueSound:
-    """The sound of a trial at its course.
+    """The sound of a trial along its course.
 
-    number: of the stimulus whose focus is followed; its first focus where it has several
-    flight: whether the time that sound takes to the hand counts
+    number: of the followed stimulus; its first focus if it has several
+    flight: whether flight time to the hand is included
     """
 
     def __init__(
@@ -76,10 +76,10 @@ class TrueSound:
         flight: bool = True,
         share: Callable[[float], float] = lambda due_s: 1.0,
     ) -> None:
-        """truth: what the transducers of the scene's only array really do; None: what the scene says of them
+        """truth: true properties of the transducers of the scene's only array; None: those in the scene
 
-        share: of all amplitudes, of a frame that is due at a time [s], by the driver's ramp
-        Raises SceneError for a truth where there are several arrays, and for one of another layout.
+        share: factor of all amplitudes of a frame due at a time [s], by the driver's ramp
+        Raises SceneError for a truth with several arrays, and for one of another layout.
         """
         self.course, self.number, self.flight, self.share = course, number, flight, share
         model = self.model = course.model
@@ -98,7 +98,7 @@ class TrueSound:
         self.true_arrays(model.arrays)
 
     def true_arrays(self, arrays: PhasedArray) -> PhasedArray:
-        """Arrays as they really are, where they stand now."""
+        """Return the arrays with their true properties, at their present places."""
         if self._truth is None:
             return arrays
         if self._arrays is None or self._arrays[0] is not arrays:
@@ -110,19 +110,19 @@ class TrueSound:
         return self._arrays[1]
 
     def flight_s(self, focus: Float) -> float:
-        """Time that sound takes from the middle of the transducers to a focus [s]."""
+        """Return the flight time from the middle of the transducers to a focus [s]."""
         if not self.flight:
             return 0.0
         return math.dist(focus.tolist(), self._middle) / self.speed_m_s
 
     def focus(self, posed_s: float, due_s: float) -> Float:
-        """Where the focus of a due time is on the hand at another time [s], array frame [m], shape (3,)."""
+        """Return where the focus of a due time is on the hand at another time [s], array frame [m], shape (3,)."""
         return focus_in(self.model, self.number, self.course.posed(posed_s), due_s)
 
     def ideal(self, time_s: float, due_s: float) -> Complex:
-        """The drive of a due time [s] for where the hand truly is at another, before any board's limits, shape (N,).
+        """Return the drive of a due time [s] for the true hand at another, without a board's limits, shape (N,).
 
-        Silence where that can't be made, as a live hand may be behind the array.
+        Silence if it cannot be made, for instance for a live hand behind the array.
         """
         try:
             return self.share(due_s) * self._exact.wanted(self.course.posed(time_s), due_s)
@@ -130,7 +130,7 @@ class TrueSound:
             return np.zeros(len(self.model.arrays), np.complex128)
 
     def moment(self, time_s: float, due_times: Sequence[float], heard: Heard, loudest: float) -> TrialMoment | None:
-        """What a hand gets at a time [s]; None before the first frame.
+        """Return the sound at the hand at a time [s]; None before the first frame.
 
         due_times: of all frames; loudest: level of the loudest of them, 0..1
         """
@@ -157,7 +157,7 @@ class TrueSound:
         return TrialMoment(time_s, true, believed, sounding, age_s, sent.number, level, Pressures(*pressures))
 
     def _sounding(self, arrays: PhasedArray, amplitudes: Complex, near: Float) -> Float:
-        """The focus to which the sound fits, if near the one that is meant; of several arrays that of the first."""
+        """Fit a focus to the sound, near the intended one; with several arrays that of the first."""
         last = self._fitted
         if last is not None and last[0] is amplitudes:
             return last[1]
@@ -172,7 +172,7 @@ class TrueSound:
 
 
 def focus_in(model: HapticModel, number: int, posed: PosedScene, due_s: float) -> Float:
-    """The focus of a stimulus, the first of several, for a due time [s] in a pose, array frame [m], shape (3,)."""
+    """Return the (first) focus of a stimulus for a due time [s] in a pose, array frame [m], shape (3,)."""
     part = model.stimuli[number]
     points, _ = frames_at(part.config, np.array([due_s]))
     focus: Float = np.atleast_2d(posed.focal_points(part, number).at(points[0]))[0]
@@ -180,17 +180,17 @@ def focus_in(model: HapticModel, number: int, posed: PosedScene, due_s: float) -
 
 
 def last_due(due_times: Sequence[float], time_s: float) -> float:
-    """The last of some rising times [s] that is not after another; the first one before that."""
+    """Return the last of some rising times [s] that is not after another; before the first one, the first."""
     return due_times[max(int(np.searchsorted(due_times, time_s + 1e-9, "right")) - 1, 0)]
 
 
 def same_level(truth: Calibration, known: Calibration | None) -> Calibration:
-    """A true calibration whose p0 is the known one: what is lost is lost for the focus, not for what p0 was thought."""
+    """Return a true calibration with the scene's p0, so that losses come from the focus, not from an error of p0."""
     return truth.model_copy(update={"p0": None if known is None else known.p0})
 
 
 def level_of(drive: Complex) -> float:
-    """Mean amplitude of the transducers that sound, 0 in silence."""
+    """Return the mean amplitude of the transducers that are on, 0 in silence."""
     size = np.abs(drive)
     on = size > 1e-9
     return float(size[on].mean()) if on.any() else 0.0

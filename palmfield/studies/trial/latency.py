@@ -1,4 +1,4 @@
-"""How long it takes from a tracker's sample to the sound that follows from it, measured by a loop on this machine."""
+"""Measure the time from a tracker's sample to the sound that follows from it, by a loop on this machine."""
 
 import subprocess
 import sys
@@ -22,20 +22,20 @@ from palmfield.studies.trial.sending import Heard
 from palmfield.types import Float
 
 LINE_SHARE = 0.95
-"""Of the frames that the line takes: where it is full a delay, once there, stays for good."""
+"""Used share of the line's frame rate: on a full line a delay, once present, never ends."""
 LEAD_S = 1.0
-"""For so long samples go on before and after."""
+"""Samples are sent for this time before and after the loop."""
 ALLOWED_S = 0.040
-"""From movement to touch, above which a lag is noticed (quoted by Hasegawa & Shinoda 2018)."""
+"""Time from movement to touch above which a lag is noticed (quoted by Hasegawa & Shinoda 2018)."""
 TRACKERS_OWN_S = 0.008, 0.011
 
 
 @dataclass(frozen=True)
 class Latency:
-    """From the moment at which a sample is sent until the board emits what was made of it, over the frames of a loop.
+    """Time from the sending of a sample until the board emits its frame, over the frames of a loop.
 
-    frames, dropped: sent, and due but not sent; samples: that came; p50_ms, p95_ms, largest_ms: of the latency
-    fit_ms: of fitting the hand to a sample, median; line_ms: of a frame on the line
+    frames, dropped: sent, and due but not sent; samples: received; p50_ms, p95_ms, largest_ms: of the latency
+    fit_ms: time to fit the hand to a sample, median; line_ms: of a frame on the line
     """
 
     board: str
@@ -80,7 +80,7 @@ def measure_latency(
 ) -> Latency:
     """Send the hand of a scene's motion from another process to a virtual board that follows it.
 
-    Samples bear the time at which they are sent, on the clock that both processes share. Raises SceneError for a scene
+    Samples have the time at which they are sent, on the clock that both processes share. Raises SceneError for a scene
     without a moved hand, DeviceError for a board without bytes.
     """
     if not 0.2 <= seconds <= 600.0:
@@ -137,7 +137,7 @@ def measure_latency(
 
 
 def latencies(played: LivePlayed, board: Board) -> Float:
-    """Of each frame that was emitted, from its sample's moment to its sound [s]."""
+    """Return the time from its sample to its sound for each emitted frame [s]."""
     heard = Heard(played.sent, board)
     result: dict[int, float] = {}
     for time_s in heard.times:
@@ -148,10 +148,10 @@ def latencies(played: LivePlayed, board: Board) -> Float:
 
 
 def scene_stream(view: Preview, rate_Hz: float, seconds: float) -> Stream:
-    """What a tracker without error, z up, would see of the hand that a scene moves, to and fro."""
+    """Return the samples of a tracker without error, z up, for the hand that a scene moves, to and fro."""
     scene = LiveScene(view)
     times = np.arange(0.0, seconds, 1.0 / rate_Hz)
-    # There and back, so that it goes on without a jump
+    # There and back, so that it repeats without a jump
     phase = times % (2.0 * view.duration_s)
     own = np.where(phase > view.duration_s, 2.0 * view.duration_s - phase, phase)
     stream = stream_of(scene.hand, scene.script, own)

@@ -1,4 +1,4 @@
-"""A board that follows a hand which a tracker tells of just now, and what is known of that hand afterwards."""
+"""A board that follows a tracked hand in real time, and the hand's motion recorded for later."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -28,16 +28,16 @@ from palmfield.transforms import Transform
 from palmfield.types import Float
 
 FIT_S = 5e-3
-"""What fitting the hand to a sample takes, about."""
+"""Approximate time to fit the hand to a sample."""
 
 
 @dataclass(frozen=True)
 class Live:
-    """Where a tracker's samples come in, and where the tracker stands.
+    """Source of a tracker's samples, and the place of the tracker.
 
-    host, port, by: of the socket, port 0 for any that is free; align: file of `palmfield track align`; None: the
-        tracker's origin is that of the scene, and `up` its axis that goes up
-    wait_s: for the first sample [s]; on_listening: told the address once it is listened at
+    host, port, by: of the socket, port 0 for any free one; align: file of `palmfield track align`; None: the tracker's
+        origin is that of the scene, and `up` its axis that points up
+    wait_s: for the first sample [s]; on_listening: called with the address once the socket listens
     """
 
     host: str = "127.0.0.1"
@@ -57,7 +57,7 @@ class Live:
         return Transform(np.zeros(3), turn.as_matrix())
 
     def keys(self, name: str, stream: Path, start_s: float) -> dict[str, object]:
-        """Keys that make a scene's motion, an instance by its name, what the tracker told."""
+        """Return keys that make an instance, by its name, follow the tracker's samples."""
         own: dict[str, object] = dict.fromkeys(("keyframes", "trajectory", "function"))
         own |= {"tracking": str(stream.resolve()), "start_s": start_s, "follow": "exact", "tracking_origin_m": None}
         own["tracking_up"] = None if self.align is not None else self.up
@@ -67,11 +67,11 @@ class Live:
 
 @dataclass(frozen=True)
 class LivePlayed:
-    """What was sent to a board that followed a hand.
+    """Frames sent to a board that followed a hand.
 
     motion: name of the scene's palmfield.motion; stream: the tracker's good samples, in its own space
     start_s: the tracker's time 0 in the trial's time [s]
-    notes: of the samples, with the first bad ones, of fitting the hand to them, and of frames that were silent
+    notes: on the samples, with the first bad ones, on the fit of the hand, and on silent frames
     times: when frames were due [s]
     """
 
@@ -94,17 +94,17 @@ def play_live(
     log: FrameLog | None = None,
     on_progress: Callable[[float], None] | None = None,
 ) -> LivePlayed:
-    """Follow a tracked hand with a board for some time, in real time.
+    """Let a board follow a tracked hand for some time, in real time.
 
-    tracker: its own latency, and by how much a sample is predicted, None: to the middle of a frame made of it at once
-    number: of the stimulus that is followed; port: of a board, by default a virtual one
-    While the hand is lost frames are silent. Ctrl-C ends it early. Raises SceneError where no hand is seen in time, or
-    one of the other side, DeviceError for an address or a port that can't be opened.
+    tracker: its own latency and the extrapolation of a sample, None: to the middle of a frame made of it at once
+    number: of the followed stimulus; port: of a board, by default a virtual one
+    While the hand is lost frames are silent. Ctrl-C ends it early. Raises SceneError if no hand is seen in time, or one
+    of the other side, DeviceError for an address or a port that cannot be opened.
     """
     scene = LiveScene(view)
     runtime = scene.runtime
     model, board = runtime.model, runtime.model.board
-    # A live hand's poses are not tied to MuJoCo's steps
+    # Poses of a live hand are independent of MuJoCo's steps
     limits = SoundLimits.of(model.spec.driver)
     times = frame_times(model.configs, duration_s, None, limits.ramp_times(board, duration_s), board.frame_time_s)
     period_s = float(np.median(np.diff(times))) if len(times) > 1 else board.frame_time_s
@@ -136,7 +136,7 @@ def play_live(
                 posed_of[:] = [(newest, scene.posed(newest.pose))]
             posed = posed_of[0][1]
             focus = focus_in(model, number, posed, due_s)
-            # On the tracker's clock, until it is known how that goes with this machine's
+            # On the tracker's clock, until its offset to this machine's clock is measured
             seen_s = newest.sample_s
             if follower.stale:
                 silenced += 1
@@ -145,7 +145,7 @@ def play_live(
             try:
                 data = frames.at(posed, due_s, share)
             except SceneError as error:
-                # A hand goes where it likes, behind the array too
+                # A live hand may also move behind the array
                 unreachable.append(str(error))
                 return silent(focus, seen_s)
             return MadeFrame(data, focus, seen_s, lambda: share * afterwards.wanted(posed, due_s), frames.sounds)

@@ -1,8 +1,8 @@
-"""A microphone's or vibrometer's recording, held against what a trial computes at its place.
+"""A recording of a microphone or vibrometer, compared with the result of a trial at its place.
 
 A CSV file: head lines `# quantity: pressure`, `# unit: Pa`, `# place_m: 0 0 0.15`, then `t,value` and its rows, t in
-seconds. pressure is the peak amplitude of the carrier at the place; displacement and velocity are the skin's along its
-outward normal, at its point nearest to the place as the trial begins. The place is in the array's frame.
+seconds. pressure is the peak amplitude of the carrier at the place; displacement and velocity are those of the skin
+along its outward normal, at its point nearest to the place as the trial begins. The place is in the array's frame.
 """
 
 from collections.abc import Sequence
@@ -27,10 +27,10 @@ UNITS: dict[Quantity, dict[str, float]] = {
     "displacement": {"m": 1.0, "mm": 1e-3, "um": 1e-6, "nm": 1e-9},
     "velocity": {"m/s": 1.0, "mm/s": 1e-3, "um/s": 1e-6},
 }
-"""What a value of 1 is in Pa, m and m/s."""
+"""Factors to Pa, m and m/s."""
 HEAD = ("quantity", "unit", "place_m")
 SHIFT = 0.25
-"""Of a recording's length: by so much its clock may differ from the trial's."""
+"""Largest difference between the clocks of recording and trial, as a share of the recording's length."""
 FEWEST = 16
 
 
@@ -47,12 +47,12 @@ class Recording:
 
 @dataclass(frozen=True)
 class Compared:
-    """A recording against what was computed at its place, aligned in time.
+    """A recording compared with the computed course at its place, aligned in time.
 
-    shift_s: by how much later the recording shows what is computed; overlap_s: for how long both are there
-    rms: of the difference, relative to the computed course's own; correlation: of both, less their means
-    ratio: recorded over computed amplitude, by least squares; band: where it would lie for every p0 of its range,
-        were all else right (ARP and motion go with the square of p0)
+    shift_s: delay of the recording against the computed course; overlap_s: time for which both exist
+    rms: of the difference, relative to that of the computed course; correlation: of both, without their means
+    ratio: recorded over computed amplitude, by least squares; band: range of the ratio for every p0 of its range if all
+        else is right (ARP and motion are quadratic in p0)
     """
 
     name: str
@@ -79,10 +79,10 @@ class Compared:
 
 
 def read_recording(path: str | Path) -> Recording:
-    """A recording from a file as the head of this module tells.
+    """Read a recording from a file, in the format of this module's description.
 
-    Raises SceneError, with the line, for a file that can't be read, a head that lacks something or has another unit,
-    text, numbers that are not finite, and times that don't rise.
+    Raises SceneError, with the line, for a file that cannot be read, a head that is incomplete or has another unit,
+    text, numbers that are not finite, and times that do not rise.
     """
     file = Path(path)
     try:
@@ -149,7 +149,7 @@ def _place(file: Path, text: str) -> tuple[float, float, float]:
 def compare(
     recording: Recording, moments: Sequence[TrialMoment], sound: TrueSound, heard: Heard, skin: Felt | None
 ) -> Compared:
-    """A recording against the same quantity of a trial. Raises SceneError for motion of a skin that was not stepped."""
+    """Compare a recording with the same quantity of a trial. Raises SceneError for motion of an unstepped skin."""
     if recording.quantity == "pressure":
         times = np.array([one.time_s for one in moments])
         values = _pressures(times, np.array(recording.place_m), sound, heard)
@@ -167,7 +167,7 @@ def compare(
 
 
 def _pressures(times: Float, place: Float, sound: TrueSound, heard: Heard) -> Float:
-    """|p| [Pa] at a place that keeps still, shape (k,)."""
+    """|p| [Pa] at a fixed place, shape (k,)."""
     values: Float = np.zeros(len(times))
     known: tuple[object, float] = (None, 0.0)
     flight_s = sound.flight_s(place)
@@ -188,8 +188,8 @@ def aligned(
 ) -> tuple[float, float, float, float, float]:
     """Shift [s], overlap [s], relative rms difference, correlation and ratio of a recorded course to a computed one.
 
-    The shift is where the correlation of both, less their means, is largest, within SHIFT of the recording's length.
-    Raises SceneError where they have too little in common, or one of them doesn't change.
+    The shift has the largest correlation of both, without their means, within SHIFT of the recording's length.
+    Raises SceneError if they overlap too little, or if one of them is constant.
     """
     step = max(float(np.median(np.diff(computed_times))), float(np.median(np.diff(times)))) / 4.0
     most = SHIFT * (times[-1] - times[0])

@@ -1,4 +1,4 @@
-"""A trial in numbers, in words and as a table."""
+"""Results of a trial: as numbers, as text and as a table."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -23,7 +23,7 @@ COLUMNS = (
 
 
 class Spread(NamedTuple):
-    """Of values over a trial; NaN where there are none."""
+    """Spread of values over a trial; NaN if there are none."""
 
     mean: float
     p95: float
@@ -31,7 +31,7 @@ class Spread(NamedTuple):
 
 
 class Share(NamedTuple):
-    """What is left of the pressure at the hand, 1 where nothing is lost; mean over the trial, and the least."""
+    """Remaining share of the pressure at the hand, 1 without loss; mean over the trial, and the least."""
 
     mean: float
     least: float
@@ -41,15 +41,15 @@ class Share(NamedTuple):
 class Numbers:
     """A trial in numbers.
 
-    lateral_mm, depth_mm, distance_mm: from where the focus should be on the hand to where it is: across the array's
-        axis, along it, and in all; without_focus: share of moments in which the sound makes none
-    age_ms: of the tracker's sample of which the sound at the hand was made
-    kept_late, kept_rounded, kept_calibration, kept: share of the pressure at the hand that is left by latency, of that
-        by what the board makes of it, of that by transducers that are not as the scene says, and by all; ARP goes with
-        their squares; kept_calibration is None where nothing is known of the real transducers
-    wanted_Pa: mean |p| at the hand without any loss, at full level
-    push_um, push_ideal_um: displacement of the skin where the focus should be as the trial begins, rms, and without any
-        loss; None where it was not stepped
+    lateral_mm, depth_mm, distance_mm: from the target of the focus on the hand to its place: across the array's axis,
+        along it, and in total; without_focus: share of moments at which the sound has no focus
+    age_ms: of the tracker's sample that the sound at the hand was made of
+    kept_late, kept_rounded, kept_calibration, kept: remaining share of the pressure at the hand after latency, then
+        after the board's rounding, then with the true transducers, and after all; ARP is quadratic in them;
+        kept_calibration is None without data on the true transducers
+    wanted_Pa: mean |p| at the hand without losses, at full level
+    push_um, push_ideal_um: rms displacement of the skin at the focus of the trial's beginning, and without losses; None
+        if it was not stepped
     """
 
     scene: str
@@ -111,7 +111,7 @@ def numbers_of(
     truth: Calibration | None,
     notes: Sequence[str] = (),
 ) -> Numbers:
-    """A trial's numbers; arguments as `palmfield.studies.trial.run.Trial` and `trial` have them."""
+    """Compute a trial's numbers; arguments as of `palmfield.studies.trial.run.Trial` and `trial`."""
     names, rows = table_of(moments, None)
     column = dict(zip(names, rows.T, strict=True))
     lateral, depth = 1e3 * column["lateral_error_m"], 1e3 * np.abs(column["depth_error_m"])
@@ -171,7 +171,7 @@ def _share(after: Float, before: Float) -> Share:
 
 
 def table_of(moments: Sequence[TrialMoment], skin: Felt | None) -> tuple[tuple[str, ...], Float]:
-    """Names of columns and the course in rows, shape (k, columns); the skin's are NaN where it was not stepped."""
+    """Return names of columns and the course in rows, shape (k, columns); NaN for a skin that was not stepped."""
     rows = []
     for one in moments:
         miss = one.sounding - one.true
@@ -187,7 +187,7 @@ def table_of(moments: Sequence[TrialMoment], skin: Felt | None) -> tuple[tuple[s
 
 
 def as_text(numbers: Numbers, compared: Compared | None) -> str:
-    """What a trial says, line by line."""
+    """Return the results of a trial, line by line."""
     n = numbers
     cut = f", ended by Ctrl-C at {n.ended_s:.3g} s" if n.interrupted else ""
     lines = [

@@ -42,16 +42,16 @@ from palmfield.whole_files import whole
 
 LOG = logging.getLogger(__name__)
 FINEST_S = 1e-3
-"""Between two moments at which the sound at the hand is computed, at most."""
+"""Largest step between two moments at which the sound at the hand is computed."""
 FILES = "sent.jsonl", "course.csv", "trial.json", "trial.png"
 
 
 @dataclass(frozen=True)
 class Trial:
-    """What a trial gives.
+    """Result of a trial.
 
-    numbers: of the whole; moments: of its course; sent: what went to the board; skin, skin_ideal: what the skin did,
-    and would have done without latency, rounding and calibration error, None where it wasn't asked for
+    numbers: of the whole; moments: of its course; sent: frames sent to the board; skin, skin_ideal: motion of the skin,
+    and without latency, rounding and calibration error, None if not requested
     compared: with a recording; files: written, by name; interrupted: whether Ctrl-C ended it early
     """
 
@@ -88,16 +88,16 @@ def trial(
     overwrite: bool = False,
     progress: bool = False,
 ) -> Trial:
-    """Close the loop over a scene, and say how far the sound is from the hand and what that costs.
+    """Close the loop over a scene, and report the distance of the sound from the hand and its cost.
 
     board, keys: as `palmfield.load` takes them; port: as `palmfield.studies.trial.sending.send`
     tracker: by default 90 Hz, 10 ms late, predicted to the middle of each frame
-    live: where a tracker's samples come in, instead of the scene's own motion; always in real time
-    truth: calibration file of what the transducers really do, where it is not what the scene says
-    skin: whether the skin is stepped; flight: whether the time that sound takes to the hand counts
-    out: folder for FILES, made where missing; None for none
-    Ctrl-C ends it early with what there is by then (`interrupted`). Raises SceneError for a bad scene, DeviceError
-    where its board can't play it or is lost, and on a port
+    live: source of a tracker's samples, instead of the scene's own motion; always in real time
+    truth: calibration file of the true transducers, if they differ from the scene
+    skin: whether the skin is stepped; flight: whether flight time to the hand is included
+    out: folder for FILES, made if missing; None for none
+    Ctrl-C ends it early with the results so far (`interrupted`). Raises SceneError for a bad scene, DeviceError where
+    its board can't play it or is lost, and on a port
     where it would be too loud at a head (key head_limit_dB), OutputError where the folder holds another trial.
     """
     if port is not None and port != VIRTUAL:
@@ -144,9 +144,9 @@ def trial(
 
 
 class _Done(NamedTuple):
-    """What was sent, over which course. times: when frames were due [s]; notes: of the tracker, in words
+    """Frames sent, and the course they were sent for. times: when frames were due [s]; notes: of the tracker, in words
 
-    keys: with which the scene moves as it did
+    keys: with which the scene repeats its motion
     """
 
     sound: TrueSound
@@ -166,7 +166,7 @@ def _scripted(
     log: FrameLog | None,
     told: "Told",
 ) -> _Done:
-    """Send a scene whose motion is known, to a system that knows what a tracker would have told."""
+    """Send a scene with given motion to a system that estimates it by a simulated tracker."""
     told("stepping the scene", None)
     course = SceneCourse(view, duration_s)
     board, limits = course.model.board, SoundLimits.of(course.model.spec.driver)
@@ -195,7 +195,7 @@ def _followed(
     folder: Path,
     told: "Told",
 ) -> _Done:
-    """Send a scene with the hand of a live tracker; then the scene moves as that has told it."""
+    """Send a scene with the hand of a live tracker; the scene then moves by its samples."""
     told("following the hand", duration_s)
     number = view.runtime.model.sounding
     played = play_live(
@@ -215,7 +215,7 @@ def _followed(
 
 
 def _share(model: HapticModel, duration_s: float) -> Callable[[float], float]:
-    """Of all amplitudes at a time of the trial [s], by the driver's ramp."""
+    """Return the driver's ramp factor of all amplitudes at a time of the trial [s]."""
     limits = SoundLimits.of(model.spec.driver)
     return lambda time_s: limits.share(model.board, time_s, duration_s)
 
@@ -223,7 +223,7 @@ def _share(model: HapticModel, duration_s: float) -> Callable[[float], float]:
 def _maker(
     course: SceneCourse, sound: TrueSound, belief: Belief, times: list[float], duration_s: float
 ) -> Callable[[float, float], MadeFrame]:
-    """What makes each frame of what is known when it is made."""
+    """Return the function that makes each frame from the estimate at its time."""
     frames, afterwards = (Frames(course.model, Emission(course.model)) for _ in range(2))
     exact = course.model.board.exact
     ends = np.append(times[1:], duration_s)
@@ -245,14 +245,14 @@ def _maker(
 
 
 def _moments(course: SceneCourse, duration_s: float) -> list[float]:
-    """Times at which the sound at the hand is computed [s]."""
+    """Return the times at which the sound at the hand is computed [s]."""
     parts = max(1, round(course.step_s / FINEST_S))
     step_s = course.step_s / parts
     return [step_s * n for n in range(int(duration_s / step_s + 1e-6))]
 
 
 def _due(course: SceneCourse, board: Board, duration_s: float) -> list[float]:
-    """When frames are due [s]; of a board without limits, whenever the sound is looked at."""
+    """Return when frames are due [s]; for a board without limits, the times at which the sound is computed."""
     if board.exact and course.moves:
         return _moments(course, duration_s)
     ramp = SoundLimits.of(course.model.spec.driver).ramp_times(board, duration_s)
@@ -263,7 +263,7 @@ def _due(course: SceneCourse, board: Board, duration_s: float) -> list[float]:
 def _course(
     sent: Sent, moments_s: list[float], times: list[float], heard: Heard, sound: TrueSound, told: "Told"
 ) -> list[TrialMoment]:
-    """The sound at the hand over the trial, as far as it went; Ctrl-C keeps what is computed by then."""
+    """Compute the sound at the hand over the trial so far; Ctrl-C keeps the computed part."""
     loudest = max((level_of(one.frame.wanted) for one in sent.frames), default=0.0)
     moments = []
     told("computing the sound at the hand", moments_s[-1] if moments_s else None)
@@ -291,9 +291,9 @@ def _skins(
     truth: Calibration | None,
     recording: Recording | None,
 ) -> tuple[Felt, Felt]:
-    """The skin under what was emitted by the array as it is, and under the sound for the hand's true place."""
+    """Step the skin under the emitted sound of the true array, and under the sound for the true place of the hand."""
     end_s = moments[-1].time_s
-    # Where the focus should be, and where something was recorded
+    # Target of the focus, and places of recordings
     places = np.array([moments[0].true, *([] if recording is None else [recording.place_m])])
     sound, times = done.sound, done.times
     grid = sorted({*times, *(one.time_s for one in moments)})
@@ -312,7 +312,7 @@ def _skins(
 
 
 def _folder(out: Path, overwrite: bool) -> Path:
-    """The folder, made. Raises OutputError where it holds another trial, or can't be made."""
+    """The folder, made. Raises OutputError if it holds another trial, or cannot be made."""
     there = [name for name in FILES if (out / name).exists()]
     if there and not overwrite:
         raise OutputError(f"{out} holds another trial ({there[0]}); give another folder, or --overwrite")
@@ -345,7 +345,7 @@ Told = Callable[[str | None, float | None], None]
 
 @contextmanager
 def _bar(show: bool) -> Iterator[Told]:
-    """Tells on a terminal's standard error what is done, and how far it is."""
+    """Report the present task and its progress on a terminal's standard error."""
     with bars(show) as bar:
         task = bar.add_task("opening the scene", total=None)
 

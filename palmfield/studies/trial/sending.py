@@ -1,7 +1,7 @@
-"""Frames made of what is known at the moment, sent to a board, and what it emits of them and when.
+"""Make frames from the present estimate, send them to a board, and reconstruct what it emits and when.
 
-This is the only place of a trial that sends. A frame is made just before its first byte goes out. To ports they are
-sent by a process of its own (`palmfield.drive.player`).
+This is the only place of a trial that sends. A frame is made just before its first byte goes out. A process of its own
+(`palmfield.drive.player`) sends them to ports.
 """
 
 import contextlib
@@ -23,33 +23,32 @@ from palmfield.realtime import undisturbed
 from palmfield.types import Complex, Float
 
 VIRTUAL = "virtual"
-"""Instead of a port: a virtual board that is paced in real time."""
+"""In place of a port: a virtual board that is paced in real time."""
 BEFORE_S = 0.1
-"""A frame is made so long before the first one that is sent, for practice."""
+"""Practice frames are made for this time before the first frame is sent."""
 PRACTICE = 4
-"""So many are made then."""
+"""Number of practice frames."""
 HANDING_S = 1.5e-3
-"""From when a frame is made until its first byte can be on the line, when nothing is in the way."""
+"""Time from the making of a frame until its first byte can be on an idle line."""
 REST = 0.2
-"""Of the time in which a frame was made, until the next one is begun. Linux stops threads with real-time priority, the
-player's among them, for 50 ms where they leave others less than 5 % of a second."""
+"""Pause before the next frame is begun, as a share of the time to make one. Linux stops threads with real-time
+priority, such as the player's, for 50 ms if they leave others less than 5 % of a second."""
 MAKING_SHARE = 0.9
 LAST_MADE = 50
-"""Frames are begun as early as that share of so many last ones took to be made."""
+"""Frames are begun early by this quantile of the times to make the last frames."""
 STALE_S = 1.0
-"""Where no frame comes for so long the board falls silent."""
+"""The board becomes silent if no frame comes for this time."""
 LAST_FRAMES = 4
-"""So many frames at most are on the line, in buffers or waiting for a sync before they sound."""
+"""Largest number of frames on the line, in buffers or waiting for a sync before they sound."""
 
 
 class MadeFrame:
     """A frame for a board.
 
-    data: its bytes, none for a board without a line; focus: that it is for, array frame [m], shape (3,)
-    seen_s: time of the last sample that it was made from [s]
-    sounds: whether anything is on in it
-    wanted: what is asked of the transducers before bytes, shape (N,); computed when it is first read, as no board
-        waits for it
+    data: its bytes, none for a board without a line; focus: its target, array frame [m], shape (3,)
+    seen_s: time of the last sample that it was made of [s]
+    sounds: whether any transducer is on
+    wanted: target drive of the transducers before bytes, shape (N,); computed at first use, since no board waits for it
     """
 
     def __init__(
@@ -61,19 +60,19 @@ class MadeFrame:
     @cached_property
     def wanted(self) -> Complex:
         assert self._want is not None
-        # What it was made from is large
+        # The data that it was made of are large
         want, self._want = self._want, None
         return want()
 
 
 Make = Callable[[float, float], MadeFrame]
-"""Makes, of what is known at one time, the frame that is to sound from another on, both in the trial's time [s]."""
+"""Makes the frame that sounds from one time on from the estimate at another, both in the trial's time [s]."""
 
 
 @dataclass(frozen=True)
 class SentFrame:
-    """number: among those that are due; due_s: when it should sound; made_s: when it was made; begun_s: when its first
-    byte went out, all of the trial's time [s]"""
+    """number: among the due frames; due_s: when it should sound; made_s: when it was made; begun_s: when its first byte
+    was sent, all in the trial's time [s]"""
 
     number: int
     due_s: float
@@ -84,12 +83,12 @@ class SentFrame:
 
 @dataclass
 class Sent:
-    """What a trial's sending gives.
+    """Result of the sending of a trial.
 
-    frames: those that went out; due: how many were due; emitted: what sounds from when on, in the trial's time [s]
-    late_s: worst delay of a frame's last byte on the line [s]; flags: what a virtual board noticed, in words
-    interrupted: whether Ctrl-C ended it early; end_s: until when it went [s]
-    zero_s: the trial's time 0 on the clock of who sends [s]; notes: of the sending, in words
+    frames: those sent; due: number of due frames; emitted: drives from their times on, in the trial's time [s]
+    late_s: worst delay of a frame's last byte on the line [s]; flags: errors that a virtual board reports, in words
+    interrupted: whether Ctrl-C ended it early; end_s: time of the end [s]
+    zero_s: the trial's time 0 on the sender's clock [s]; notes: on the sending, in words
     """
 
     frames: list[SentFrame] = field(default_factory=list)
@@ -108,7 +107,7 @@ class Sent:
         return self.due - len(self.frames)
 
     def add(self, frame: SentFrame, takes_s: float) -> None:
-        """One that went out. takes_s: its time on the line [s]"""
+        """Add a sent frame. takes_s: its time on the line [s]"""
         self.frames.append(frame)
         ends = frame.begun_s + takes_s
         self.late_s, self.end_s = max(self.late_s, ends - frame.due_s), ends
@@ -125,15 +124,15 @@ def send(
     limits: SoundLimits | None = None,
     on_progress: Callable[[float], None] | None = None,
 ) -> Sent:
-    """Make and send the frames that are due at some times [s], rising; the newest that is due wins.
+    """Make and send frames for rising due times [s]; of several due frames the newest is sent.
 
     port: of a board; VIRTUAL for a virtual one, paced in real time; None for a virtual twin that takes no time, so that
-        a trial is quick and repeats to the last digit
-    duration_s: how long the last frame goes on [s]; log: is closed; on_progress: told the trial's time [s]
-    limits: by which a player falls silent where so much sound is spent
-    What a real board emits is what its twin makes of the bytes at the times when they were on the line. Ctrl-C ends it
-    early, and the board is off in the end. Raises DeviceError where the port can't be opened or is lost, and for a port
-    where there is no POSIX.
+        a trial is fast and exactly repeatable
+    duration_s: duration of the last frame [s]; log: is closed; on_progress: called with the trial's time [s]
+    limits: of the sound energy, beyond which a player becomes silent
+    The emission of a real board is computed by its twin from the bytes and their times on the line. Ctrl-C ends it
+    early; the board is off at the end. Raises DeviceError if the port cannot be opened or is lost, and for a port on a
+    system without POSIX.
     """
     told = on_progress or (lambda time_s: None)
     if board.exact:
@@ -159,9 +158,9 @@ def send(
 
 
 def _not_early(board: Board, frames: list[SentFrame], emitted: list[Emitted]) -> list[Emitted]:
-    """What a virtual board emitted, none of it before its frame's last byte can have been there.
+    """Return the emission of a virtual board, no frame earlier than its last byte can have arrived.
 
-    A virtual board knows when it looked, and not when bytes came: where this machine is busy that is long before.
+    A virtual board records when it read bytes, not when they came: on a busy machine it may date them too early.
     """
     begin, takes_s = len(board.decode(board.start)), board.frame_time_s
     if len(emitted) < begin + len(frames):
@@ -174,7 +173,7 @@ def _not_early(board: Board, frames: list[SentFrame], emitted: list[Emitted]) ->
 
 
 def _play_exactly(times_s: Sequence[float], make: Make) -> Sent:
-    """What a board without limits and without a line emits: each frame at its time."""
+    """Return the emission of a board without limits and without a line: each frame at its time."""
     sent = Sent(due=len(times_s))
     for number, due_s in enumerate(times_s):
         frame = make(due_s, due_s)
@@ -184,7 +183,7 @@ def _play_exactly(times_s: Sequence[float], make: Make) -> Sent:
 
 
 class _Twin:
-    """A board's twin that is fed with what is on the line, at times since it was switched on."""
+    """A twin of a board that is fed with the bytes on the line, at times since it was switched on."""
 
     def __init__(self, board: Board, log: FrameLog | None = None) -> None:
         self.board, self.twin, self.log = board, board.wired_twin(), log
@@ -196,7 +195,7 @@ class _Twin:
             self.log.add(begins_s, data)
 
     def stop(self, begins_s: float, zero_s: float, sent: Sent) -> None:
-        """Silence it, and tell what was emitted in a trial whose time begins at `zero_s` of this twin's."""
+        """Silence it, and return the emission in a trial whose time begins at `zero_s` of this twin's."""
         self.feed(self.board.stop, begins_s)
         self.emitted += self.twin.until(self.twin.time_s + HELD_BACK_S)
         sent.emitted = [Emitted(one.time_s - zero_s, one.amplitudes) for one in self.emitted]
@@ -211,7 +210,7 @@ def _play_on_twin(
     log: FrameLog | None,
     told: Callable[[float], None],
 ) -> Sent:
-    """What a virtual board emits whose line takes the time that it takes, but makes nobody wait."""
+    """Return the emission of a virtual board whose line takes its real time, but without waiting."""
     line, takes_s = _line(board), board.frame_time_s
     sent, twin = Sent(due=len(times_s)), _Twin(board, log)
     twin.feed(board.start, 0.0)
@@ -252,7 +251,7 @@ def _play_on_port(
     limits: SoundLimits | None,
     told: Callable[[float], None],
 ) -> Sent:
-    """Make frames here, and have them sent by a player, which says when each was on the line."""
+    """Make frames here and send them by a player, which reports when each was on the line."""
     within = limits or SoundLimits()
     if log is not None:
         log.close()
@@ -290,9 +289,9 @@ def _make_and_give(
     given: list[tuple[int, float, MadeFrame]],
     told: Callable[[float], None],
 ) -> Sent:
-    """Make frames just before they are due, and give them to a player.
+    """Make frames just before they are due, and pass them to a player.
 
-    given: gets of each its number among those that are due, when it was made [s], and the frame
+    given: filled with each frame, its number among the due ones, and when it was made [s]
     """
     takes_s, making = player.board.frame_time_s, _practised(make, times_s)
     first_s = times_s[0] if len(times_s) else 0.0
@@ -321,7 +320,7 @@ def _make_and_give(
 
 
 class _Making:
-    """How long frames take to be made. took_s: median of the last ones; ahead_s: before its first byte one is begun"""
+    """Time to make frames. took_s: median of the last ones; ahead_s: lead of its beginning before its first byte"""
 
     took_s, ahead_s = 0.0, HANDING_S
 
@@ -340,7 +339,7 @@ class _Making:
 
 
 def _practised(make: Make, times_s: Sequence[float]) -> _Making:
-    """What is made for the first time takes long, and a board that is on waits for its frames."""
+    """Make practice frames: the first ones take long, and a board that is on would wait for them."""
     making = _Making()
     for number in range(PRACTICE if len(times_s) else 0):
         began = time.monotonic()
@@ -351,7 +350,7 @@ def _practised(make: Make, times_s: Sequence[float]) -> _Making:
 
 
 def _emit_by_twin(board: Board, sent: Sent, duration_s: float) -> None:
-    """What a real board emitted, by its twin that is told when bytes were on the line."""
+    """Return the emission of a real board, by its twin, from the times of the bytes on the line."""
     twin = _Twin(board)
     start_s = _line(board).time_s(len(board.start))
     zero = start_s - min([0.0, *(one.begun_s for one in sent.frames[:1])])
@@ -362,7 +361,7 @@ def _emit_by_twin(board: Board, sent: Sent, duration_s: float) -> None:
 
 
 class Heard:
-    """What sounds at any time of a trial, and the frame that it is of. times: from when on each sounds [s]"""
+    """Drive at any time of a trial, with its frame. times: from which each drive sounds [s]"""
 
     def __init__(self, sent: Sent, board: Board) -> None:
         self.times: Float = np.array([one.time_s for one in sent.emitted])
@@ -373,7 +372,7 @@ class Heard:
         self._of: dict[int, int] = {}
 
     def at(self, time_s: float) -> tuple[Emitted, SentFrame] | None:
-        """What sounds at a time [s] and the frame that it is of; None before the first frame."""
+        """Return the drive at a time [s] and its frame; None before the first frame."""
         number = int(np.searchsorted(self.times, time_s + 1e-9, "right")) - 1
         if number < 0:
             return None
@@ -383,9 +382,9 @@ class Heard:
         return None if frame < 0 else (self.emitted[number], self.frames[frame])
 
     def _frame_of(self, emitted: Emitted) -> int:
-        """Number of the frame that makes the board emit this, -1 for none: the last one begun by then that does.
+        """Return the number of the frame that causes this emission, -1 for none: the last match that was begun by then.
 
-        Where bytes were lost on the way none does, and it is the last one that could be in.
+        If bytes were lost no frame matches, and the result is the last one that could have arrived.
         """
         begun = int(np.searchsorted(self._begun, emitted.time_s + 1e-9, "right")) - 1
         for number in range(begun, max(begun - LAST_FRAMES, -1), -1):
@@ -395,7 +394,7 @@ class Heard:
         return min(in_by, begun)
 
     def _plays(self, number: int) -> Complex:
-        """What the board emits of a frame whose bytes all arrive."""
+        """Return the emission of a frame whose bytes all arrive."""
         if number not in self._played:
             frame = self.frames[number].frame
             board = self._board
