@@ -1,4 +1,4 @@
-"""What a focus does over time and on the skin, without scenes: schedules, shapes, paths along the surface, bursts.
+"""Focus and level over time and on the skin, independent of scenes: schedules, shapes, surface paths, bursts.
 
 from palmfield.stimulus import circle, drawn
 path = drawn(hand.surface, hand.landmarks["palm_centre"], [1.0, 0.0, 0.0], circle(0.03))

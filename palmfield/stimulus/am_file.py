@@ -15,10 +15,10 @@ COLUMNS: dict[str, Literal["period", "course"]] = {"turn": "period", "time_s": "
 
 @dataclass(frozen=True)
 class AmTable:
-    """What a file says, comparable.
+    """Contents of a file, comparable.
 
-    of: a period, which comes round, or a course, which goes on as it ends; moments: turns from 0 to below 1, or times
-    since the sound began [s], rising; values: of the waveform there, -1..1, straight lines between them
+    of: a period, which repeats, or a course, whose last value holds; moments: turns from 0 to below 1, or times since
+    the sound began [s], rising; values: of the waveform there, -1..1, linear in between
     """
 
     of: Literal["period", "course"]
@@ -26,16 +26,16 @@ class AmTable:
     values: tuple[float, ...]
 
     def __hash__(self) -> int:
-        # Configurations are hashed in every step, and thousands of numbers would take longer than the step
+        # Configurations are hashed in every step; hashing thousands of numbers would take longer than the step
         return hash((self.of, len(self.moments), self.values[:8]))
 
 
 def read_am_table(path: str | Path) -> AmTable:
-    """The waveform in a CSV or NPZ file with two columns: turn and w of one period, or time_s and w of a course.
+    """Read the waveform from a CSV or NPZ file with two columns: turn and w of one period, or time_s and w of a course.
 
-    Raises SceneError for a file that cannot be read, other columns, fewer than 2 rows or more than MOST_ROWS, and, with
-    line and column, for moments that don't rise or lie outside 0 <= turn < 1 or 0 <= time_s, and for w outside -1..1 or
-    -1 throughout.
+    Raises SceneError for a file that cannot be read, other columns, fewer than 2 rows or more than MOST_ROWS. With line
+    and column for moments that do not rise or lie outside 0 <= turn < 1 or 0 <= time_s, and for w outside -1..1 or -1
+    throughout.
     """
     file = Path(path)
     columns, places = read_table(file)

@@ -31,9 +31,9 @@ LEVELS = 255
 MM = 1e3
 STEP_MM = 0.025
 MOST_FOCI = 65536
-"""That a unit stores, of all entries together."""
+"""Largest number of foci that a unit stores, of all entries together."""
 FARTHEST = 2**17
-"""Steps from any of a unit's transducers to a focus, along each axis; one less towards plus."""
+"""Largest number of steps from any of a unit's transducers to a focus, along each axis; one less towards plus."""
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Triple = tuple[Number, Number, Number]
 
@@ -43,21 +43,21 @@ class _Plain(BaseModel):
 
 
 class ControlPoint(_Plain):
-    """A focus [mm], and by how many 256ths of a turn its sound is shifted against the other foci's."""
+    """A focus [mm], and the phase shift of its sound against the other foci in 256ths of a turn."""
 
     point: Annotated[Triple, Field(strict=False)]
     phase_offset: Annotated[int, Field(ge=0, le=255)] = 0
 
 
 class ControlPoints(_Plain):
-    """Foci at once, 1 to 8, and their common intensity, which the pulses make an amplitude of intensity / 255."""
+    """Simultaneous foci, 1 to 8, and their common intensity; the pulses give an amplitude of intensity / 255."""
 
     points: Annotated[list[ControlPoint], Field(min_length=1, max_length=8)]
     intensity: Annotated[int, Field(ge=0, le=LEVELS)] = LEVELS
 
 
 class FociStm(_Plain):
-    """The file as this module's description has it."""
+    """Contents of the file in this module's description."""
 
     autd3_foci_stm: Literal[1]
     divide: Annotated[int, Field(ge=1, le=65535)]
@@ -67,13 +67,13 @@ class FociStm(_Plain):
 
 
 def default_origin_mm() -> tuple[float, float, float]:
-    """Of one unit: its first transducer, seen from the middle of all 249 [mm]."""
+    """Origin of one unit: its first transducer, relative to the middle of all 249 [mm]."""
     x, y, z = (MM * layout("autd3").positions[0]).tolist()
     return x, y, z
 
 
 def read_foci_stm(path: str | Path) -> FociStm:
-    """The file's content. Raises SceneError, with the entry's place, for what can't be read or isn't allowed."""
+    """The file's content. Raises SceneError, with the entry's place, for an invalid file."""
     file = Path(path)
     try:
         stm = FociStm.model_validate(read_json(file))
@@ -92,7 +92,7 @@ def read_foci_stm(path: str | Path) -> FociStm:
 
 
 def _check(stm: FociStm) -> None:
-    """Raises SceneError for an STM that units don't take."""
+    """Raises SceneError for an STM that units do not accept."""
     if len(stm.points) < 2:
         raise SceneError(f"points has {len(stm.points)} entries; allowed: 2 at least, so give a focus that rests twice")
     count = sum(len(entry.points) for entry in stm.points)
@@ -115,9 +115,9 @@ def _check(stm: FociStm) -> None:
 
 
 def table_of_stm(stm: FociStm) -> FocusTable:
-    """Its foci in the array's frame, held; `loop` is left to key path_end.
+    """Return its foci in the array's frame, held; `loop` corresponds to key path_end.
 
-    Raises SceneError where foci at once differ in number or have phases of their own, which a stimulus finds itself.
+    Raises SceneError if simultaneous foci differ in number or have given phases, which a stimulus computes itself.
     """
     counts = [len(entry.points) for entry in stm.points]
     if min(counts) != max(counts):
@@ -141,11 +141,11 @@ def table_of_stm(stm: FociStm) -> FocusTable:
 def stm_of_table(
     table: FocusTable, origin_mm: tuple[float, float, float] | None = None, *, again: bool = False
 ) -> FociStm:
-    """A table in the array's frame for AUTD3 units; intensities are rounded to 1/255 of full amplitude.
+    """Convert a table in the array's frame for AUTD3 units; intensities are rounded to 1/255 of full amplitude.
 
-    origin_mm: of autd3's geometry, None for one unit's; again: whether it is played again and again
+    origin_mm: of autd3's geometry, None for that of one unit; again: whether it repeats
     Raises SceneError for a table in another frame, of straight lines, at a rate that is no whole part of 40 kHz, of
-    more foci than 8, with foci at once of different intensities, and of rows and places that units don't take.
+    more foci than 8, with simultaneous foci of different intensities, and of rows and places that units do not accept.
     """
     divide = CARRIER_HZ / table.rate_Hz
     refused = ""
@@ -187,7 +187,7 @@ def stm_of_table(
 
 
 def write_foci_stm(path: Path, stm: FociStm) -> None:
-    """Write the file, a line for each entry of points. Raises OutputError where it can't be written."""
+    """Write the file, a line for each entry of points. Raises OutputError if that fails."""
     content = stm.model_dump(mode="json")
     entries = ",\n  ".join(json.dumps(entry) for entry in content.pop("points"))
     head = json.dumps(content)[:-1]
@@ -199,12 +199,12 @@ def write_foci_stm(path: Path, stm: FociStm) -> None:
 
 
 def autd3_command(stm: FociStm, sound_speed_m_s: float) -> Any:
-    """autd3's own `FociStm`, to be sent by its client. Raises OutputError without the extra `autd3`."""
+    """Return autd3's own `FociStm`, to be sent by its client. Raises OutputError without the extra `autd3`."""
     try:
         from autd3 import commands, units, value
     except ImportError:
         raise OutputError("autd3 is not installed: pip install 'palmfield[autd3]'") from None
-    # Units refuse a loop that ends unless it begins with the table's first entry
+    # Units refuse a finite loop unless it begins with the first entry of the table
     loop, begin = value.LoopBehavior.Infinite, value.TransitionMode.Immediate
     if stm.loop == "once":
         loop, begin = value.LoopBehavior.Once, value.TransitionMode.SyncIdx
@@ -215,7 +215,7 @@ def autd3_command(stm: FociStm, sound_speed_m_s: float) -> Any:
 
 
 def control_points(stm: FociStm) -> list[Any]:
-    """autd3's own `ControlPoints`, which `FociStm` takes and which can be read again, as float32."""
+    """Return autd3's own `ControlPoints`, which `FociStm` takes and which can be read back, as float32."""
     from autd3 import value
 
     return [

@@ -11,7 +11,7 @@ from palmfield.types import Float
 
 MOST_BURSTS = 10_000_000
 TICK_s = 1e-9
-"""A jump less than this ahead counts as passed, so that t = k * period_s lies in burst k whatever the rounding."""
+"""A jump less than this ahead counts as passed, so that t = k * period_s lies in burst k for any rounding."""
 
 
 def burst(
@@ -25,7 +25,7 @@ def burst(
     """Level 0..1 at times [s], shape (n,): burst k = 0, 1, ... lasts from k period_s for length_s.
 
     rectangular: 1 within a burst; hann: (1 - cos(2 pi t / length_s)) / 2, t from the burst's beginning
-    count: number of bursts; None goes on for ever. Before time 0 the level is 0.
+    count: number of bursts; None for no end. Before time 0 the level is 0.
     Raises SceneError for another window, a length not in 0 < length_s <= period_s, or a count below 1.
     """
     if window not in ("rectangular", "hann"):
@@ -45,7 +45,7 @@ def burst(
 
 
 def onsets(start_s: float, end_s: float, *, length_s: float, period_s: float, count: int | None = None) -> Float:
-    """Times [s] in start_s < t <= end_s at which a rectangular `burst` jumps up or down, in order, shape (n,).
+    """Return times [s] in start_s < t <= end_s at which a rectangular `burst` jumps, in order, shape (n,).
 
     Bursts that touch (length_s = period_s) have no jump between them.
     Raises SceneError as `burst` does.

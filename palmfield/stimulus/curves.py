@@ -20,9 +20,9 @@ CIRCLE_POINTS = 256
 class PlanePath:
     """A polyline in a plane.
 
-    points: corners [m], shape (n, 2), float64; a closed path goes on from the last to the first, which isn't repeated
-    closed: whether it goes round; an open path goes there and back
-    lifted: which of the segments are pen lifts, moves that draw nothing, shape (n - 1,); None where there are none
+    points: corners [m], shape (n, 2), float64; a closed path continues from the last to the first
+    closed: whether it returns to its start; an open path goes there and back
+    lifted: which segments are pen lifts, moves that draw nothing, shape (n - 1,); None if there are none
     """
 
     points: Float
@@ -64,7 +64,7 @@ class PlanePath:
     def pen_down(self, arc_m: ArrayLike) -> NDArray[np.bool_]:
         """Whether the path draws at arc lengths [m], shape (k,); False on the straight moves between strokes.
 
-        Lifts have an arc length like all else: make them fast by going over them faster, with the sound off.
+        Lifts have an arc length like strokes: to make them fast, increase the speed there with the sound off.
         """
         arc = folded(arc_m, self.length_m, self.closed)
         if self.lifted is None:
@@ -74,7 +74,7 @@ class PlanePath:
 
 
 def folded(arc_m: ArrayLike, length_m: float, closed: bool) -> Float:
-    """Arc lengths brought into 0..length_m: round again if closed, else there and back. Shape (k,)."""
+    """Map arc lengths into 0..length_m: periodic if closed, else there and back. Shape (k,)."""
     arc = np.asarray(arc_m, dtype=np.float64).reshape(-1)
     if closed:
         return np.mod(arc, length_m)
@@ -83,7 +83,7 @@ def folded(arc_m: ArrayLike, length_m: float, closed: bool) -> Float:
 
 
 def line(length_m: float, direction_deg: float = 0.0) -> PlanePath:
-    """A straight line in a direction from x towards y; starts at its end behind. Raises SceneError for a bad length."""
+    """A straight line in a direction from x towards y; starts at its rear end. Raises SceneError for a bad length."""
     half = 0.5 * _size("line", length_m=length_m)[0]
     if not math.isfinite(direction_deg):
         raise SceneError(f"line: direction_deg = {direction_deg} is no direction; give degrees")
@@ -113,10 +113,10 @@ def zigzag(width_m: float, height_m: float, turns: int) -> PlanePath:
 
 
 def zigzag_about(length_m: float, width_m: float, stroke_m: float) -> tuple[Float, Float]:
-    """Corners of a zigzag about a way: how far along it each lies, and how far to its left, shape (k,) both [m].
+    """Corners of a zigzag about a line: distance along it, and to its left, shape (k,) both [m].
 
-    stroke_m: how far along the way a stroke across the whole width goes. It begins at the right edge; the last stroke
-    ends with the way. Raises SceneError for bad sizes.
+    stroke_m: distance along the line of one stroke across the whole width. It begins at the right edge; the last stroke
+    ends at the end of the line. Raises SceneError for bad sizes.
     """
     length, width, stroke = _size("zigzag", length_m=length_m, width_m=width_m, stroke_m=stroke_m)
     along = np.append(np.arange(0.0, length * (1.0 - 1e-9), stroke), length)
@@ -125,9 +125,9 @@ def zigzag_about(length_m: float, width_m: float, stroke_m: float) -> tuple[Floa
 
 
 def zigzagged(path: PlanePath, width_m: float, stroke_m: float) -> PlanePath:
-    """A zigzag of this width about an open path, as `zigzag_about` has it: straight strokes from edge to edge.
+    """A zigzag of this width about an open path, as `zigzag_about`: straight strokes from edge to edge.
 
-    Raises SceneError for bad sizes, and for a closed path, on which its two ends would not meet.
+    Raises SceneError for bad sizes, and for a closed path, on which the two ends would not meet.
     """
     if path.closed:
         raise SceneError("zigzag: the path is closed, and both ends of a zigzag about it would not meet; open it")
@@ -135,7 +135,7 @@ def zigzagged(path: PlanePath, width_m: float, stroke_m: float) -> PlanePath:
     segment = np.minimum(path.corner_arcs.searchsorted(along, "right") - 1, len(path.slopes) - 1)
     slopes = path.slopes[segment]
     sideways = np.stack([-slopes[:, 1], slopes[:, 0]], axis=1)
-    # The end is the path's own: at(length) is where an open path turns back
+    # The end is that of the path: at(length) is where an open path turns back
     return PlanePath(path.at(along) + left[:, None] * sideways, closed=False)
 
 
@@ -161,7 +161,7 @@ def z_shape(width_m: float, height_m: float) -> PlanePath:
 def lissajous(width_m: float, height_m: float, a: int, b: int, phase_deg: float) -> PlanePath:
     """x = width/2 sin(a u + phase), y = height/2 sin(b u), u = 0..2 pi; starts at u = 0, on the x axis.
 
-    a, b: whole numbers of 1 or more without a common divisor (with one, the curve would go over itself)
+    a, b: whole numbers of 1 or more without a common divisor (with one, the curve would repeat itself)
     Raises SceneError for bad sizes, counts and phase.
     """
     width, height = _size("lissajous", width_m=width_m, height_m=height_m)
@@ -170,7 +170,7 @@ def lissajous(width_m: float, height_m: float, a: int, b: int, phase_deg: float)
         raise SceneError(f"lissajous: a = {a} and b = {b} have a common divisor; divide both by {math.gcd(a, b)}")
     if not math.isfinite(phase_deg):
         raise SceneError(f"lissajous: phase_deg = {phase_deg} is not finite; give an angle in degrees")
-    # Points every quarter of an oscillation's 256th, so that crests lie within 2e-5 of the asked width and height
+    # Points every quarter of an oscillation's 256th, so that crests lie within 2e-5 of the requested width and height
     u = 2.0 * math.pi * np.arange(256 * max(a, b)) / (256 * max(a, b))
     points = np.stack([width * np.sin(a * u + math.radians(phase_deg)), height * np.sin(b * u)], axis=1)
     return PlanePath(0.5 * points, closed=True)
@@ -179,8 +179,8 @@ def lissajous(width_m: float, height_m: float, a: int, b: int, phase_deg: float)
 def letters(text: str, height_m: float) -> PlanePath:
     """Capitals and digits in single strokes; starts where the first letter's first stroke does.
 
-    Between strokes the pen is lifted and goes straight: `pen_down` gives where.
-    Raises SceneError for a bad height and for characters other than A-Z (small ones too), 0-9 and the blank.
+    Between strokes the pen is lifted and moves straight: see `pen_down`.
+    Raises SceneError for a bad height and for characters other than A-Z (lower case too), 0-9 and the blank.
     """
     (height,) = _size("letters", height_m=height_m)
     points: list[Float] = []

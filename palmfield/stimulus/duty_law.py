@@ -1,4 +1,4 @@
-"""Amplitude by pulse width: a rectangular wave of duty d sounds at its first harmonic, p = p_M sin(pi d).
+"""Amplitude by pulse width: the first harmonic of a rectangular wave of duty d is p = p_M sin(pi d).
 
 Hasegawa & Shinoda 2018, eq. 5 and 6.
 """
@@ -13,10 +13,10 @@ from palmfield.types import Float
 def relative_pressure(duty: ArrayLike, exponent: float = 2.0) -> Float:
     """p/p_M = sin(pi d)^(g/2).
 
-    duty: 0 to 1/2; beyond 1/2 the amplitude falls again
-    exponent: g. 2 is the rectangular wave's own law. Another value calibrates a device whose radiation pressure, which
-        is quadratic in the pressure that arrives, was found to go with sin(pi d)^g: 1.5 in Hasegawa & Shinoda 2018. It
-        describes transducer and driver, never the radiation pressure.
+    duty: 0 to 1/2; beyond 1/2 the amplitude decreases again
+    exponent: g. 2 is the law of the rectangular wave. Another value calibrates a device whose radiation pressure,
+        quadratic in the incident pressure, was measured as sin(pi d)^g: 1.5 in Hasegawa & Shinoda 2018. It describes
+        transducer and driver, never the radiation pressure.
     Raises DeviceError for a duty outside 0 to 1/2 and an exponent that is not positive.
     """
     d = _within(duty, 0.5, "duty")

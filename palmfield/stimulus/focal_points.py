@@ -1,4 +1,4 @@
-"""From what a stimulus asks for to places in the frame of the first array, while nothing moves."""
+"""Convert a stimulus's points to places in the frame of the first array, for a fixed pose."""
 
 from typing import NamedTuple
 
@@ -13,10 +13,10 @@ NO_OFFSETS: Float = np.zeros((0, 3))
 
 
 class SurfaceCourse(NamedTuple):
-    """A path along a surface as that surface stands now.
+    """A path along a surface in its present pose.
 
-    vertices [m], shape (v, 3), and faces, shape (f, 3), of the surface on which the path was drawn, in the body's frame
-    body: that frame seen from the first array
+    vertices [m], shape (v, 3), and faces, shape (f, 3), of the surface of the path, in the body's frame
+    body: that frame relative to the first array
     """
 
     path: SurfacePath
@@ -25,19 +25,19 @@ class SurfaceCourse(NamedTuple):
     body: Transform
 
     def positions(self, arcs: Float) -> Float:
-        """Places [m] at arc lengths from the path's start [m], shape (k,), seen from the first array, shape (k, 3)."""
+        """Places [m] at arc lengths from the path's start [m], shape (k,), in the first array's frame, shape (k, 3)."""
         return self.body.points(self.path.positions(arcs, self.vertices, self.faces))
 
 
 class FocalPoints(NamedTuple):
-    """Where the stimulus's points are while body, arrays and the stimulus's frame keep still.
+    """Places of the stimulus's points while body, arrays and the stimulus's frame do not move.
 
-    frame: the stimulus's frame seen from the first array
-    offsets: of several foci at once from the stimulus's point [m], shape (m, 3); (0, 3) for a single focus. Zeros for
-        those of a table, which has their places itself
-    on_surface: the surface on which the path runs; None for points in `frame`
-    arp: of several foci at once relative to the loudest, shape (m,); () where they are equally loud
-    table: foci over time, of which a point is the time since the table's beginning [s], then 0, 0
+    frame: the stimulus's frame relative to the first array
+    offsets: of several simultaneous foci from the stimulus's point [m], shape (m, 3); (0, 3) for a single focus. Zeros
+        for those of a table, which contains their places
+    on_surface: the surface of the path; None for points in `frame`
+    arp: of several simultaneous foci relative to the loudest, shape (m,); () if they are equally loud
+    table: foci over time; its points are the time since the table's beginning [s], then 0, 0
     """
 
     frame: Transform
@@ -47,7 +47,7 @@ class FocalPoints(NamedTuple):
     arp: tuple[float, ...] = ()
 
     def at(self, point: Float) -> Float:
-        """The focus [m], shape (3,), or several at once, shape (m, 3), for one of the stimulus's points, shape (3,).
+        """Return the focus [m], shape (3,), or several, shape (m, 3), for one of the stimulus's points, shape (3,).
 
         point: `palmfield.stimulus.schedule.Frame.focus`
         """
@@ -59,7 +59,7 @@ class FocalPoints(NamedTuple):
         return self.along(point[None])[0]
 
     def along(self, points: Float) -> Float:
-        """The focus, or the middle of several, for many of the stimulus's points, shapes (k, 3) [m]."""
+        """Return the focus, or the middle of several, for many of the stimulus's points, shapes (k, 3) [m]."""
         if self.on_surface is not None:
             path, vertices, faces, body = self.on_surface
             return body.points(path.positions(points[:, 0], vertices, faces))
@@ -68,7 +68,7 @@ class FocalPoints(NamedTuple):
         return self.frame.points(points)
 
     def loudness(self, point: Float) -> Float | None:
-        """Pressure of several foci at once relative to the loudest, shape (m,); None where they are equally loud."""
+        """Return the pressure of several foci relative to the loudest, shape (m,); None if they are equally loud."""
         if self.table is None or self.table.foci == 1:
             return np.sqrt(np.array(self.arp) / max(self.arp)) if self.arp else None
         pressures = np.sqrt(self.table.arp_of_each(point[:1])[0])

@@ -1,4 +1,4 @@
-"""Foci over time as a plain table: where each is and how loud, in which frame, and what lies between the rows.
+"""Foci over time as a plain table: place and level of each, frame, and interpolation between the rows.
 
 A CSV file with head lines that begin with #, then one line of column names, then numbers:
 
@@ -44,19 +44,20 @@ MOST_ROWS, MOST_FOCI = 1_000_000, 32
 HIGHEST_RATE_HZ = 40e3
 FULL_DUTY = 0.5
 OFF_SAMPLE = 0.02
-"""Of a sample: so far from a whole number of them a row's time may be, as times are written with few digits."""
+"""Largest deviation of a row's time from a whole number of samples, for times written with few digits."""
 SOONER_S = 1e-9
-"""A row that is nearer than this counts as reached, as ticks of `schedule` do."""
+"""A row that is closer than this counts as reached, like ticks of `schedule`."""
 
 
 @dataclass(frozen=True)
 class FocusTable:
     """Foci over time, comparable.
 
-    frame: in which they are told; rate_Hz: rows lie at whole numbers of samples of this rate
-    quantity: what the intensities are of: amplitude of the sound, ARP, or the pulses' duty relative to 1/2
+    frame: of the places; rate_Hz: rows lie at whole numbers of samples of this rate
+    quantity: of the intensities: amplitude of the sound, ARP, or the pulses' duty relative to 1/2
     between: rows are held until the next one, the last for one sample; or joined by straight lines, the last is the end
-    foci: how many at once; rows: float64 numbers as bytes: sample, then x, y, z [m] and intensity 0..1 of each focus
+    foci: number of simultaneous foci; rows: float64 numbers as bytes: sample, then x, y, z [m] and intensity 0..1 of
+    each focus
     """
 
     frame: TableFrame
@@ -81,27 +82,27 @@ class FocusTable:
 
     @cached_property
     def times(self) -> Float:
-        """Of the rows since the table's beginning [s], shape (n,)."""
+        """Times of the rows since the table's beginning [s], shape (n,)."""
         return self.samples / self.rate_Hz
 
     @cached_property
     def positions(self) -> Float:
-        """Of the foci in each row [m], shape (n, foci, 3)."""
+        """Positions of the foci in each row [m], shape (n, foci, 3)."""
         return np.ascontiguousarray(self._numbers[:, 1:].reshape(-1, self.foci, 4)[..., :3])
 
     @cached_property
     def intensities(self) -> Float:
-        """Of the foci in each row, 0..1, shape (n, foci)."""
+        """Intensities of the foci in each row, 0..1, shape (n, foci)."""
         return np.ascontiguousarray(self._numbers[:, 1:].reshape(-1, self.foci, 4)[..., 3])
 
     @cached_property
     def length_samples(self) -> int:
-        """How long it lasts, in samples."""
+        """Duration in samples."""
         return int(self.samples[-1]) + (1 if self.between == "held" else 0)
 
     @property
     def length_s(self) -> float:
-        """How long it lasts [s]."""
+        """Duration [s]."""
         return self.length_samples / self.rate_Hz
 
     def positions_at(self, since_s: Float) -> Float:
@@ -130,7 +131,7 @@ class FocusTable:
         return np.asarray((1.0 - share) * values[row] + share * values[row + 1])
 
     def without_repeats(self) -> "FocusTable":
-        """The same without held rows that repeat the one before, but for the last, which says how long it lasts."""
+        """Return the table without held rows that repeat the one before, except the last, which sets the duration."""
         if self.between != "held":
             return self
         changes = np.append(True, np.any(np.diff(self._numbers[:, 1:], axis=0) != 0.0, axis=1))
@@ -139,13 +140,13 @@ class FocusTable:
 
     @cached_property
     def has_levels(self) -> bool:
-        """Whether an intensity is neither 0 nor 1, or straight lines lead from one to another."""
+        """Whether an intensity is neither 0 nor 1, or straight lines join different ones."""
         values = np.unique(self.intensities)
         return bool(np.any((values > 0.0) & (values < 1.0))) or (self.between == "linear" and len(values) > 1)
 
     @cached_property
     def moved_m(self) -> float:
-        """How far the focus that moves farthest goes from the first row to the last [m]."""
+        """Largest distance of a focus between the first and the last row [m]."""
         return float(np.linalg.norm(np.diff(self.positions, axis=0), axis=2).sum(axis=0).max(initial=0.0))
 
 
@@ -160,12 +161,12 @@ def focus_table(
     between: Between = "held",
     named: Callable[[int, str], str] = lambda row, column: f"row {row + 1}, column {column}",
 ) -> FocusTable:
-    """A table from numbers.
+    """Make a table from numbers.
 
     times_s: of the rows [s], from 0, rising, shape (n,); positions: [m], shape (n, foci, 3)
-    intensities: 0..1, shape (n, foci); named: what a row (from 0) and a column are called in messages
-    Raises SceneError, with row and column, for times that are not 0, rise or lie on samples, for numbers that are not
-    finite, places farther than any focus, intensities outside 0..1, and for silence throughout.
+    intensities: 0..1, shape (n, foci); named: names of a row (from 0) and a column in messages
+    Raises SceneError, with row and column, for times that do not begin at 0, rise and lie on samples, for numbers that
+    are not finite, places beyond the range of a focus, intensities outside 0..1, and for silence throughout.
     """
     times, places = np.asarray(times_s, np.float64), np.asarray(positions, np.float64)
     loud = np.asarray(intensities, np.float64)
@@ -241,11 +242,10 @@ class _Head(NamedTuple):
 
 
 def read_focus_table(path: str | Path) -> FocusTable:
-    """The table in a CSV file, as this module's description has it.
+    """Read a table from a CSV file in the format of this module's description.
 
-    Raises SceneError, with line and column, for a file that can't be read, head lines that are missing, unknown or
-    have another value than allowed, columns that are not t and x, y, z, intensity of each focus, and what
-    `focus_table` raises.
+    Raises SceneError, with line and column, for a file that cannot be read, head lines that are missing, unknown or
+    have an invalid value, columns that are not t and x, y, z, intensity of each focus, and as `focus_table`.
     """
     file = Path(path)
     try:
@@ -264,7 +264,7 @@ def read_focus_table(path: str | Path) -> FocusTable:
     foci = (len(names) - 1) // 4
     order = [names.index(name) for name in _columns(foci)]
     own = table[:, order[1:]].reshape(len(table), foci, 4)
-    # Counted in decimals, so that 0.003 ms or 200 mm are the numbers that were meant
+    # Decimal arithmetic, so that 0.003 ms or 200 mm are the intended numbers
     times = _scaled(table[:, order[0]], head.second)
     return focus_table(
         times, _scaled(own[..., :3], head.metre), own[..., 3], rate_Hz=head.rate_Hz, frame=head.frame,
@@ -373,7 +373,7 @@ def _row(file: Path, number: int, line: str, names: Sequence[str]) -> list[float
 
 
 def focus_table_text(table: FocusTable) -> str:
-    """The table as `read_focus_table` reads it, in seconds and metres with all digits."""
+    """Return the table in the format of `read_focus_table`, in seconds and metres with all digits."""
     head = {
         "palmfield_stimulus": VERSION, "frame": table.frame, "rate_Hz": f"{table.rate_Hz!r}",
         "quantity": table.quantity, "units": "s, m", "between": table.between,
@@ -385,7 +385,7 @@ def focus_table_text(table: FocusTable) -> str:
 
 
 def write_focus_table(path: Path, table: FocusTable) -> None:
-    """Write a table as `focus_table_text`. Raises OutputError where it can't be written."""
+    """Write a table as `focus_table_text`. Raises OutputError if that fails."""
     try:
         with whole(path) as part:
             part.write_text(focus_table_text(table), encoding="utf-8")

@@ -13,13 +13,13 @@ from palmfield.types import Float
 
 
 def goes_smoothly(config: StimulusConfig) -> bool:
-    """Whether a stimulus is a focus in one place whose level jumps nowhere but at its beginning and end."""
+    """Whether a stimulus is a fixed focus whose level jumps only at its beginning and end."""
     still = config.path == "point" and config.control_rate_Hz == 0.0
     return still and config.burst_window == "none" and not level_jumps(config)
 
 
 class Levels:
-    """The levels of n stimuli; those of one kind are computed in one go. Paths, ticks and bursts are left out."""
+    """The levels of n stimuli; those of one kind are computed together. Paths, ticks and bursts are not supported."""
 
     def __init__(self, configs: Sequence[StimulusConfig]):
         envelopes = [envelope_of(config) for config in configs]
@@ -43,13 +43,13 @@ class Levels:
         return result
 
     def jump(self, start_s: float, end_s: float) -> NDArray[np.bool_]:
-        """Which of the stimuli begin or end after start_s, and by end_s [s], shape (n,)."""
+        """Return which of the stimuli begin or end after start_s, and by end_s [s], shape (n,)."""
         within = (self._edges > start_s + TICK_S) & (self._edges <= end_s + TICK_S)
         return np.logical_or.reduce(within, axis=1)
 
 
 def _kind(am: Modulation | None) -> tuple[object, ...]:
-    """Equal for modulations that differ in numbers alone."""
+    """Return a key that is equal for modulations that differ only in numbers."""
     return () if am is None else (am.quantity, am.waveform.name, am.waveform.table)
 
 

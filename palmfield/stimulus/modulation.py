@@ -1,7 +1,7 @@
-"""Amplitude modulation: the radiation pressure (ARP) of a waveform, its lines, and the drive that it takes.
+"""Amplitude modulation: the radiation pressure (ARP) of a waveform, its lines, and the drive for it.
 
-A quantity goes as 1 + m w with the depth m and the waveform w: the ARP itself, the amplitude of the sound, to whose
-square ARP goes, or the duty d of the pulses, with ARP as sin(pi d)^g.
+A quantity varies as 1 + m w with the depth m and the waveform w: the ARP itself, the amplitude of the sound (ARP is its
+square), or the duty d of the pulses, with ARP as sin(pi d)^g.
 """
 
 import math
@@ -20,26 +20,26 @@ from palmfield.stimulus.waveform import Samples, Waveform, period_s, samples, wa
 from palmfield.types import Float
 
 POWERS = {"duty": 0, "amplitude": 2, "arp": 1}
-"""With which the ARP goes with a quantity; 0 where it is no power."""
+"""Power of a quantity to which the ARP is proportional; 0 if it is no power law."""
 FULL_DUTY = 0.5
-"""Beyond it pulses grow softer again."""
+"""Beyond this duty pulses become softer again."""
 ROUNDING = 1e-9
 SILENT = 1e-9
-"""Of full drive: an amplitude below it is silence, whose pulses have no course."""
+"""Share of full drive: an amplitude below it is silence, whose pulses have no course."""
 HARMONIC = 0.1
-"""Share of the largest line in the ARP, each over its frequency, above which a harmonic is a main frequency: skin moves
-less the faster it is pushed. A square wave of 200 Hz so asks for 600 Hz; a layer for 1 kHz moves by 0.2 % otherwise."""
+"""Share of the largest line in the ARP, each over its frequency, above which a harmonic is a main frequency: the skin's
+response decreases with frequency. A square wave of 200 Hz thus needs 600 Hz; a layer for 1 kHz differs by 0.2 %."""
 MOST_HARMONICS = 8
 HIGHEST_HZ = 1000.0
-"""Above this skin hardly answers, nor does anybody feel it."""
+"""Above this the skin hardly responds, and nobody feels it."""
 COURSE_POWER = 0.99
 """Share of the power of a file's course below the highest of its main frequencies."""
 
 
 class Modulation(NamedTuple):
-    """AM of a stimulus; numbers, or columns of shape (n, 1) for n stimuli at once with one quantity and waveform.
+    """AM of a stimulus; numbers, or columns of shape (n, 1) for n stimuli with one quantity and waveform.
 
-    quantity: duty, amplitude or arp; power: with which the ARP goes with it, 0 for duty; depth: m
+    quantity: duty, amplitude or arp; power: of it to which the ARP is proportional, 0 for duty; depth: m
     peak_duty: duty at the loudest moment, and exponent: g, for duty
     """
 
@@ -52,7 +52,7 @@ class Modulation(NamedTuple):
 
 
 class ArpLines(NamedTuple):
-    """What the ARP of a modulation is made of, relative to that at the loudest moment; peak amplitudes of lines.
+    """Components of a modulation's ARP, relative to that at the loudest moment; peak amplitudes of lines.
 
     mean: over a period, or a file's course; first, second: at the modulation's frequency and its double, None for a
     file's course. Of bursts these are means over their whole period.
@@ -76,7 +76,7 @@ def arp_of_pulses(am: Modulation, share: Float) -> Float:
 
 @lru_cache(maxsize=256)
 def modulation_of(config: StimulusConfig) -> Modulation | None:
-    """The modulation that a stimulus's keys ask for, or None. Raises SceneError as `peak_amplitude`, for duty alone."""
+    """Return the modulation of a stimulus's keys, or None. Raises SceneError as `peak_amplitude`, for duty alone."""
     if config.modulation == "none":
         return None
     assert config.am_quantity is not None and config.am_depth is not None
@@ -94,7 +94,7 @@ def modulation_of(config: StimulusConfig) -> Modulation | None:
 def peak_amplitude(config: StimulusConfig) -> float:
     """Amplitude of each transducer at the loudest moment relative to full drive, where drive_amplitude sets the level.
 
-    Raises SceneError where am_normalisation takes more than full drive, with what would not.
+    Raises SceneError if am_normalisation needs more than full drive, with an allowed value.
     """
     amplitude = _amplitude(config)
     am = modulation_of(config)
@@ -117,7 +117,7 @@ def _amplitude(config: StimulusConfig) -> float:
 
 
 def _peak_duty(config: StimulusConfig, form: Waveform, exponent: float) -> float:
-    """Duty at the loudest moment; full for silence, which has none. Raises SceneError for more than full duty."""
+    """Return the duty at the loudest moment; full for silence. Raises SceneError for more than full duty."""
     amplitude, depth = _amplitude(config), config.am_depth or 0.0
     if amplitude < SILENT:
         return FULL_DUTY
@@ -133,7 +133,7 @@ def _peak_duty(config: StimulusConfig, form: Waveform, exponent: float) -> float
     period = samples(form)
 
     def mean_arp(peak: float) -> float:
-        """Of pulses with this amplitude at the loudest moment, relative to full drive."""
+        """Mean ARP of pulses with this amplitude at the loudest moment, relative to full drive."""
         duty = float(duty_cycle(peak, exponent))
         course = np.sin(np.pi * duty * (1.0 + depth * period.values) / growth) ** exponent
         return float(period.weights @ course)
@@ -143,7 +143,7 @@ def _peak_duty(config: StimulusConfig, form: Waveform, exponent: float) -> float
         raise _too_loud(config, f"pulses of more than duty {FULL_DUTY:g}, the most there is", math.sqrt(most))
     if amplitude**2 >= most:
         return FULL_DUTY
-    # At half the amplitude even the loudest moment has a quarter of the wanted ARP
+    # At half the amplitude even the loudest moment has a quarter of the target ARP
     peak = scipy.optimize.brentq(
         lambda peak: mean_arp(peak) - amplitude**2, 0.5 * amplitude, 1.0, xtol=ROUNDING * amplitude
     )
@@ -153,7 +153,7 @@ def _peak_duty(config: StimulusConfig, form: Waveform, exponent: float) -> float
 def _too_loud(config: StimulusConfig, takes: str, limit: float) -> SceneError:
     """limit: largest drive_amplitude that can be played"""
     of = {"carrier": "the carrier's", "mean": "that of steady sound with the same mean ARP"}[config.am_normalisation]
-    # Rounded down, so that what is advised is not refused
+    # Rounded down, so that the advised value is accepted
     advice = math.floor(1e4 * limit) / 1e4
     return SceneError(
         f"drive_amplitude {_amplitude(config):g} is {of} (am_normalisation "
@@ -166,7 +166,7 @@ def _too_loud(config: StimulusConfig, takes: str, limit: float) -> SceneError:
 
 
 def arp_lines(config: StimulusConfig) -> ArpLines | None:
-    """What the ARP of a stimulus's modulation is made of, without ramp, bursts of burst_window, and ends; or None."""
+    """Return the components of a modulation's ARP, without ramp, bursts of burst_window, and ends; or None."""
     am = modulation_of(config)
     if am is None:
         return None
@@ -184,7 +184,7 @@ def _mean(am: Modulation, period: Samples) -> float:
 
 def _lines(am: Modulation, period: Samples, frequencies: Sequence[float]) -> Float:
     """Peak amplitudes of lines [relative to the loudest moment's ARP], shape (k,)."""
-    # What the ARP differs by from its carrier's, so that the pause between bursts adds nothing
+    # Difference of the ARP from its carrier's, so that the pause between bursts contributes zero
     course = period.weights * (relative_arp(am, period.values) - relative_arp(am, np.zeros(1)))
     return np.array([2.0 * abs(course @ np.exp(-2j * np.pi * f * period.times)) for f in frequencies])
 
@@ -208,7 +208,7 @@ def am_frequencies(config: StimulusConfig) -> tuple[float, ...]:
 
 
 def _of_course(am: Modulation) -> tuple[float, ...]:
-    """The strongest line of a file's course, and the frequency below which most of its power lies [Hz]."""
+    """Return the strongest line of a file's course, and the frequency below which most of its power lies [Hz]."""
     course = samples(am.waveform)
     power = np.abs(np.fft.rfft(relative_arp(am, course.values))[1:]) ** 2
     frequencies = np.arange(1, len(power) + 1) / (2.0 * course.times[0] * len(course.times))
@@ -220,9 +220,9 @@ def _of_course(am: Modulation) -> tuple[float, ...]:
 
 
 def sharpest_s(config: StimulusConfig) -> float | None:
-    """Time since the sound's or a period's beginning at which the modulated ARP changes most suddenly [s], or None.
+    """Time since the sound's or a period's beginning at which the modulated ARP changes fastest [s], or None.
 
-    A jump of a rectangle, and else the quietest moment, where a full modulation has a cusp in the pressure.
+    A jump of a rectangle, else the quietest moment, where a full modulation has a cusp in the pressure.
     """
     am = modulation_of(config)
     if am is None:

@@ -1,4 +1,4 @@
-"""Keys of a stimulus with what the rest of the scene, or a file, adds to them."""
+"""Keys of a stimulus, completed from the rest of the scene or from a file."""
 
 from functools import lru_cache
 from typing import Any
@@ -12,7 +12,7 @@ from palmfield.stimulus.focus_table import FocusTable
 
 
 class ResolvedStimulus(StimulusConfig):
-    """A stimulus whose course needs no file and no surface any more."""
+    """A stimulus whose course no longer needs a file or a surface."""
 
     model_config = ConfigDict(ser_json_bytes="base64")
 
@@ -30,7 +30,7 @@ def resolved(
     duty_exponent: float = 2.0,
     focus_table: FocusTable | None = None,
 ) -> StimulusConfig:
-    """The keys with the length of a path through sites [m], a file's waveform or foci, and the device's exponent.
+    """Return the keys with the length of a path through sites [m], a file's waveform or foci, and duty exponent.
 
     The keys themselves where none of these matters.
     """

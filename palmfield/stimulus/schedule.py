@@ -1,4 +1,4 @@
-"""Where the focus is and how loud, as functions of time. A stimulus knows neither array nor hand."""
+"""Place and level of the focus as functions of time. A stimulus is independent of array and hand."""
 
 import math
 from collections.abc import Sequence
@@ -33,24 +33,24 @@ from palmfield.types import Float
 SPOT_M = 0.0103
 """Width of a usual focus, for the frequencies that a moving one excites."""
 TICK_S = 1e-12
-"""Times nearer to each other than this are one and the same."""
+"""Times closer to each other than this are the same."""
 KEPT = 4096
-"""Configurations: as many worlds, each with its own, don't drive one another out."""
+"""Cached configurations: enough for many worlds, each with its own."""
 TABLE_SAMPLES, MOST_TABLE_SAMPLES, TABLE_PLACES = 1024, 1 << 16, 8
-"""Of a table of foci, by which its frequencies are told: moments, and places that the foci pass."""
+"""Moments of a table of foci, and places on their paths, from which its frequencies are estimated."""
 MOST_TURNS = 1000
-"""Of a path until its level is as at the beginning, at most: what takes longer counts as the nearest that doesn't."""
+"""Largest number of turns of a path until its level repeats: longer times count as the nearest shorter one."""
 LM_SAMPLES = 512
-"""Of a turn of lateral modulation, at least, by which its harmonics are told."""
+"""Least number of samples in a turn of lateral modulation, for its harmonics."""
 
 
 @dataclass(frozen=True)
 class Frame:
-    """What is asked of the array at one moment.
+    """Command to the array at one moment.
 
     focus: position in the stimulus's frame [m]; for a path on the skin the arc length from its start, then 0, 0; for a
         table the time since its beginning [s], then 0, 0. Shape (3,)
-    arp_factor: radiation pressure relative to the loudest moment, 0..1 (the pressure goes with its square root)
+    arp_factor: radiation pressure relative to the loudest moment, 0..1 (its square root is that of the pressure)
     """
 
     focus: Float
@@ -59,7 +59,7 @@ class Frame:
 
 @lru_cache(maxsize=64)
 def plane_path(config: StimulusConfig) -> PlanePath | None:
-    """The path's shape about its centre; None for a point, and for sites, whose path only the surface knows.
+    """Return the path's shape about its centre; None for a point, and for sites, whose path depends on the surface.
 
     Raises SceneError for sizes that make no shape.
     """
@@ -89,7 +89,7 @@ def plane_path(config: StimulusConfig) -> PlanePath | None:
 
 
 def zigzag_stroke_m(config: StimulusConfig) -> float | None:
-    """How far along the path a stroke of the zigzag about it goes [m]; None without one."""
+    """Return the distance along the path of one stroke of the zigzag about it [m]; None without one."""
     if config.path_zigzag_width_m is None:
         return None
     return _given(config.path_speed_m_s) * config.path_zigzag_width_m / _given(config.path_zigzag_speed_m_s)
@@ -111,7 +111,7 @@ def table_of(config: StimulusConfig) -> FocusTable | None:
 
 
 def _end(config: StimulusConfig) -> str:
-    """What happens at the end of the path: path_end, but that a table is played once."""
+    """Return what happens at the end of the path: path_end, but a table is played once."""
     return "stop" if config.path == "file" and config.path_end == "back" else config.path_end
 
 
@@ -132,12 +132,12 @@ def is_closed(config: StimulusConfig) -> bool:
 
 
 def turn_m(config: StimulusConfig) -> float:
-    """Length of a turn [m]: there and back on an open path, unless path_end says otherwise."""
+    """Length of a turn [m]: there and back on an open path, unless path_end is otherwise."""
     return length_m(config) * (2.0 if not is_closed(config) and _end(config) == "back" else 1.0)
 
 
 def turn_rate_Hz(config: StimulusConfig) -> float | None:
-    """How often a second the path comes round, or would but for path_end; None for a point."""
+    """Turns of the path per second, without regard to path_end; None for a point."""
     if config.path == "point":
         return None
     if config.path == "file":
@@ -149,7 +149,7 @@ def turn_rate_Hz(config: StimulusConfig) -> float | None:
 
 
 def points_a_turn(config: StimulusConfig) -> int:
-    """Points at which the focus rests in a turn of its path, 0 where it moves on; of lm there and back."""
+    """Number of points at which the focus rests in a turn, 0 if it moves smoothly; of lm there and back."""
     if config.path == "lm" and config.path_step_m is not None:
         return 2 * round(_given(config.path_width_m) / config.path_step_m)
     if (table := table_of(config)) is not None:
@@ -164,7 +164,7 @@ def path_end_s(config: StimulusConfig) -> float | None:
 
 
 def silent_after_s(config: StimulusConfig) -> float | None:
-    """Time [s] after which there is no more sound, or None."""
+    """Time [s] after which the sound has ended, or None."""
     ends = [config.stop_s, path_end_s(config)]
     if config.burst_count is not None:
         assert config.burst_length_s and config.burst_period_s
@@ -173,9 +173,9 @@ def silent_after_s(config: StimulusConfig) -> float | None:
 
 
 def steady_stretch_s(config: StimulusConfig) -> tuple[float, float]:
-    """From when until when [s] the level is what modulation, bursts and path alone make it: neither ramp nor silence.
+    """Return the interval [s] in which modulation, bursts and path alone set the level: no ramp and no silence.
 
-    The end is inf where the sound goes on, and before the beginning where there is no such stretch.
+    The end is inf for sound without end, and before the beginning if there is no such interval.
     """
     begin, end = config.start_s + config.ramp_s, silent_after_s(config)
     if config.burst_count == 1 and config.burst_window != "rectangular":
@@ -184,16 +184,16 @@ def steady_stretch_s(config: StimulusConfig) -> tuple[float, float]:
 
 
 def repeats(config: StimulusConfig) -> bool:
-    """Whether the stimulus, once begun, comes round again until it stops.
+    """Whether the stimulus is periodic between its beginning and its end.
 
-    Bursts, a path that runs once, and a file's course don't.
+    Bursts, a path that runs once, and a file's course are not.
     """
     course = config.modulation == "am" and am_period_s(config) is None
     return config.burst_window == "none" and path_end_s(config) is None and not course
 
 
 def level_jumps(config: StimulusConfig) -> bool:
-    """Whether the level jumps again and again, as that of rectangular bursts or of a rectangular modulation does."""
+    """Whether the level jumps repeatedly, as with rectangular bursts or a rectangular modulation."""
     return config.burst_window == "rectangular" or _is_rectangle(config)
 
 
@@ -202,14 +202,14 @@ def _is_rectangle(config: StimulusConfig) -> bool:
 
 
 def frame_rates(config: StimulusConfig) -> list[float]:
-    """Rates [1/s] at which something is held: points of a stepped path, and control ticks; none if smooth."""
+    """Rates [1/s] of held values: points of a stepped path, and control ticks; none if smooth."""
     return [rate for rate, _ in _grids(config)]
 
 
 def frame_at(config: StimulusConfig, t: float) -> Frame:
     """Focus and level at time t [s].
 
-    A control tick holds both; a path point holds the focus only, so that the level goes on between points.
+    A control tick holds both; a path point holds only the focus, and the level varies between points.
     """
     focus, factor = frames_at(config, np.array([t]))
     return Frame(focus[0], float(factor[0]))
@@ -248,7 +248,7 @@ def frames_at(config: StimulusConfig, times: Float) -> tuple[Float, Float]:
         foci[:, 0] = arcs
         foci[:, 1:] = 0.0
     elif config.path == "circle":
-        # Exactly round; the polygon is for paths that are drawn.
+        # Exactly round; the polygon is for drawn paths.
         angle = (2.0 * math.pi / timing.length_m) * arcs
         foci[:, 0] += timing.radius_m * np.cos(angle)
         foci[:, 1] += timing.radius_m * np.sin(angle)
@@ -272,17 +272,16 @@ def factors_at(config: StimulusConfig, times: Float) -> Float:
 
 
 class Moments(NamedTuple):
-    """The moments of some equal steps at which a load is taken, in order, and the load's weights in each step.
+    """Moments of equal steps at which a load is evaluated, in order, and the load's weights in each step.
 
-    Where nothing jumps and nothing is held the load goes along a straight line through a step: its moments are the
-    step's two ends, shared with the steps beside it. A step in which focus or level jump, or are held, is cut into
-    parts at each jump and tick: its moments are the middles of these parts, and the load of the whole step is their
-    mean, weighted by the parts' lengths, so that its impulse is right.
+    Without jumps and held values the load is linear in a step: its moments are the step's two ends, shared with the
+    neighbouring steps. A step in which focus or level jump, or are held, is cut at each jump and tick. Its moments are
+    the middles of these parts, and its load is their mean, weighted by length, so that the impulse is exact.
 
     times: [s], shape (m,)
     first, last: weights of the moments' loads in the load at the beginning and the end of each step, shape (count, m)
-    linear: for each moment, whether a straight line through a whole step leads to it from the moment before
-    held_s: for each moment, the length of the part that it stands for [s]; 0 at the end of a straight line
+    linear: for each moment, whether the load is linear from the moment before over a whole step
+    held_s: for each moment, the length of its part [s]; 0 at the end of a straight line
     step_s: length of a step [s]
     """
 
@@ -297,9 +296,9 @@ class Moments(NamedTuple):
 def substep_moments(
     stimuli: Sequence[StimulusConfig], t0: float, step_s: float, count: int, *, hold: bool = False
 ) -> Moments:
-    """The moments of `count` steps of `step_s` [s] from time t0 [s] on, the same for several stimuli that add up.
+    """Return the moments of `count` steps of `step_s` [s] from time t0 [s] on, common to several stimuli that add up.
 
-    hold: take every step as held, so that each one's mean is asked for
+    hold: treat every step as held, so that the mean of each one is computed
     """
     end = t0 + count * step_s
     grids: list[tuple[float, float]] = []
@@ -323,7 +322,7 @@ def substep_moments(
 
 
 def _cut(t0: float, step_s: float, count: int, changes: list[float], ticks: list[float], hold: bool) -> Moments:
-    """`substep_moments` where something jumps or is held."""
+    """`substep_moments` with jumps or held values."""
     times: list[float] = []
     linear: list[bool] = []
     held_s: list[float] = []
@@ -367,7 +366,7 @@ def _cut(t0: float, step_s: float, count: int, changes: list[float], ticks: list
 
 @lru_cache(maxsize=64)
 def _straight(count: int) -> Moments:
-    """Moments of steps of length 1 from time 0 on without jumps; the arrays are shared, and can't be written."""
+    """Moments of steps of length 1 from time 0 on without jumps; the arrays are shared and read-only."""
     first, last = np.eye(count, count + 1), np.eye(count, count + 1, 1)
     linear = (False, *[True] * count)
     return Moments(_locked(np.arange(count + 1.0)), _locked(first), _locked(last), linear, (0.0,) * (count + 1), 1.0)
@@ -419,7 +418,7 @@ def _jumps(config: StimulusConfig, timing: "_Timing", start: float, end: float) 
 
 
 def edges_of(config: StimulusConfig) -> tuple[float, ...] | None:
-    """When a stimulus begins and ends [s], if neither focus nor level jump or are held otherwise; else None."""
+    """Beginning and end of a stimulus [s], if neither focus nor level jump or are held otherwise; else None."""
     _, timing = _timings.get(id(config)) or _timed(config)
     return timing.edges if timing.smooth and not timing.grids else None
 
@@ -434,9 +433,9 @@ def mean_arp_factor(config: StimulusConfig, start: float, end: float, count: int
 
 
 class Envelope(NamedTuple):
-    """What makes the level of a stimulus over time: numbers, or columns of shape (n, 1) for n stimuli at once.
+    """Parameters of a stimulus's level over time: numbers, or columns of shape (n, 1) for n stimuli.
 
-    start_s; ends: times after which there is no sound [s]; ramp_s: None without a ramp
+    start_s; ends: times after which the sound has ended [s]; ramp_s: None without a ramp
     am: None without modulation; burst: keys of `burst`, None without bursts
     """
 
@@ -448,7 +447,7 @@ class Envelope(NamedTuple):
 
 
 def envelope_of(config: StimulusConfig) -> Envelope:
-    """The level over time that a stimulus's keys ask for."""
+    """Return the level over time of a stimulus's keys."""
     bursts = None
     if config.burst_window != "none":
         assert config.burst_length_s and config.burst_period_s
@@ -469,16 +468,16 @@ def envelope_of(config: StimulusConfig) -> Envelope:
 
 @dataclass(frozen=True)
 class _Timing:
-    """What of a stimulus does not change with time.
+    """Constants of a stimulus.
 
-    focus: [m], shape (3,); start_s; ends: times after which there is no sound [s]; edges: start and ends; envelope
+    focus: [m], shape (3,); start_s; ends: times after which the sound has ended [s]; edges: start and ends; envelope
     control_rate, point_rate: rates at which all is held, and at which the focus is [1/s]; 0 for none
-    grids: (rate, time of the first tick) of what is held
+    grids: (rate, time of the first tick) of held values
     path: its shape in the plane, None for a point and for sites; on_skin: whether it is drawn on the surface
     length_m, turn_rate: of the path, 0 for a point; radius_m: of a circle
-    runs: how the arc goes on: once, round (again from the start), or back and forth
-    jump_rate: how often a second an open path jumps to its start, 0 for never; smooth: whether nothing jumps but at
-        the edges; steady: whether the level is 1 from the end of the ramp to the first end
+    runs: how the arc continues: once, round (again from the start), or back and forth
+    jump_rate: jumps of an open path to its start per second, 0 for none; smooth: whether there are jumps only at the
+        edges; steady: whether the level is 1 from the end of the ramp to the first end
     table: of foci over time; duty_exponent: of the device that plays it
     """
 
@@ -504,12 +503,12 @@ class _Timing:
 
 
 _timings: dict[int, tuple[StimulusConfig, _Timing]] = {}
-"""By the configuration's id, as one of 40 keys takes longer to hash than its moments to compute. It is held here, so
-that no other gets its id."""
+"""By the id of a configuration, since hashing its 40 keys takes longer than computing its moments. The cache holds the
+configuration, so that its id is not reused."""
 
 
 def _timed(config: StimulusConfig) -> tuple[StimulusConfig, _Timing]:
-    """The configuration and what of it does not change with time, kept."""
+    """Return the configuration and its constants, cached."""
     rate = turn_rate_Hz(config) or 0.0
     closed = is_closed(config)
     envelope = envelope_of(config)
@@ -550,7 +549,7 @@ def _point_rate(config: StimulusConfig) -> float:
 
 
 def _grids(config: StimulusConfig) -> list[tuple[float, float]]:
-    """(rate, time of the first tick) of what is held."""
+    """(rate, time of the first tick) of held values."""
     grids = [(_point_rate(config), config.start_s), (config.control_rate_Hz, 0.0)]
     return [(rate, first) for rate, first in grids if rate > 0]
 
@@ -567,7 +566,7 @@ def _since_table(timing: _Timing, table: FocusTable, times: Float) -> Float:
         since -= np.floor((since + 1e-9) / table.length_s) * table.length_s
         since = np.maximum(since, 0.0)
     if table.between == "held":
-        # The sample's number counts, so that a point has one time however often it comes round
+        # By the number of the sample, so that a point has the same time in every repetition
         since = np.floor((since + 1e-9) * table.rate_Hz) / table.rate_Hz
     return np.minimum(since, table.length_s)
 
@@ -578,7 +577,7 @@ def _arcs(timing: _Timing, times: Float) -> Float:
     if timing.runs == "once":
         return timing.length_m * np.minimum(np.maximum(turns, 0.0), 1.0)
     if timing.runs == "round":
-        # Rounding must not take the end of a turn for its beginning, where the two are apart.
+        # Rounding must not exchange the end of a turn and its beginning if the two differ.
         return timing.length_m * np.mod(turns + 1e-12, 1.0)
     return folded(2.0 * timing.length_m * turns, timing.length_m, closed=False)
 
@@ -593,7 +592,7 @@ def arp_factors(envelope: Envelope, times: Float) -> Float:
         level *= 0.5 - 0.5 * np.cos(math.pi * np.minimum(np.maximum(since / envelope.ramp_s, 0.0), 1.0))
     am = envelope.am
     if am is not None:
-        # `wave` and `relative_arp`, written out for the modulation that most scenes have in every step
+        # `wave` and `relative_arp` inlined for the modulation that most scenes evaluate in every step
         form = am.waveform
         values = np.sin(2 * math.pi * form.frequency_Hz * since) if form.name == "sine" else wave(form, since)
         share = (1 + am.depth * values) / (1 + am.depth * form.highest)
@@ -604,7 +603,7 @@ def arp_factors(envelope: Envelope, times: Float) -> Float:
 
 
 def _level_frequencies(config: StimulusConfig) -> list[float]:
-    """Of what the stimulus's level does, wherever its focus is: AM and bursts [Hz]."""
+    """Return frequencies of the stimulus's level, independent of the focus: AM and bursts [Hz]."""
     frequencies = list(am_frequencies(config))
     if config.burst_window != "none" and config.burst_period_s and config.burst_count != 1:
         frequencies.append(1.0 / config.burst_period_s)
@@ -612,10 +611,10 @@ def _level_frequencies(config: StimulusConfig) -> list[float]:
 
 
 def repeat_rate_Hz(config: StimulusConfig) -> float | None:
-    """How often a second a path and the level on it come round together; None for a point.
+    """Rate at which a path and the level on it repeat together [1/s]; None for a point.
 
-    A place of the skin feels the product of both, whose lines are sums and differences of theirs. A level of a file's
-    course, whose lines are no multiples of one, counts as if it were even.
+    A place of the skin is loaded by the product of both, whose lines are sums and differences of theirs. The level of a
+    file's course, whose lines are no multiples of one, counts as constant.
     """
     rate = turn_rate_Hz(config)
     if rate is None or (config.am_frequency_Hz is None and am_frequencies(config)):
@@ -626,7 +625,7 @@ def repeat_rate_Hz(config: StimulusConfig) -> float | None:
 
 
 def main_frequencies(config: StimulusConfig) -> list[float]:
-    """Frequencies [Hz] in which most of the skin's response lies: AM and its harmonics in the ARP; path harmonics.
+    """Frequencies [Hz] of most of the skin's response: AM and its harmonics in the ARP; path harmonics.
 
     Empty for a load that does not repeat.
     """
@@ -643,7 +642,7 @@ def main_frequencies(config: StimulusConfig) -> list[float]:
         if config.path == "circle":
             chosen = range(1, min(count, MOST_HARMONICS) + 1)
         elif count > MOST_HARMONICS:
-            # Of a long path each place of the skin feels single passages, of w / v.
+            # On a long path each place of the skin is loaded by single passages, of duration w / v.
             chosen = range(count // 4, count + 1, count // 4)
         frequencies += [rate * n for n in chosen if rate * n <= HIGHEST_HZ] or [HIGHEST_HZ]
     return sorted(set(frequencies))
@@ -651,14 +650,15 @@ def main_frequencies(config: StimulusConfig) -> list[float]:
 
 @lru_cache(maxsize=KEPT)
 def _table_frequencies(table: FocusTable) -> list[float]:
-    """The strongest line of what a table's foci do to places that they pass, and the frequency below which most lies.
+    """Return the strongest line of the load at places that a table's foci pass, and the frequency below which most
+    lies.
 
-    Each place feels spots of SPOT_M that come and go, as loud as they are then [Hz]; () for foci that rest.
+    Each place is loaded by passing spots of SPOT_M, with their present level [Hz]; () for fixed foci.
     """
     count = int(min(max(TABLE_SAMPLES, 4 * table.length_s * HIGHEST_HZ), MOST_TABLE_SAMPLES))
     times: Float = np.asarray((np.arange(count) + 0.5) * (table.length_s / count), np.float64)
     foci, loud = table.positions_at(times), table.arp_of_each(times)
-    # Not the ends, where a focus that moves begins and stops at once
+    # Without the ends, where a moving focus starts and stops abruptly
     rows = np.linspace(0, len(table.positions) - 1, TABLE_PLACES + 2)[1:-1]
     passed = table.positions[np.rint(rows).astype(int)].reshape(-1, 3)
     power = np.zeros(count // 2)
@@ -674,10 +674,10 @@ def _table_frequencies(table: FocusTable) -> list[float]:
 
 
 def _lm_frequencies(config: StimulusConfig, rate: float) -> list[float]:
-    """Frequencies of lateral modulation [Hz]: those of the focus's way to and fro, and twice the turns.
+    """Frequencies of lateral modulation [Hz]: those of the focus's motion to and fro, and twice the turns.
 
-    On a small line the ARP at a point follows the way where it changes along the line; under the middle, which the
-    focus passes twice a turn, its square.
+    On a small line the ARP at a point is proportional to the displacement of the focus, where it varies along the line.
+    Under the middle, which the focus passes twice a turn, it is quadratic.
     """
     points = points_a_turn(config)
     count = max(LM_SAMPLES, points * math.ceil(LM_SAMPLES / max(points, 1)))

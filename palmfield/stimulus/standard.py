@@ -1,4 +1,4 @@
-"""Standard stimuli: what experiments in mid-air have used, with source and published outcome, one file each.
+"""Standard stimuli: used in published mid-air experiments, with source and outcome, one file each.
 
 from palmfield.stimulus.standard import standard
 print(standard("lm_small_steps").published)
@@ -21,8 +21,8 @@ from palmfield.given_files import read_toml
 class StandardStimulus(BaseModel):
     """One stimulus. keys: of palmfield.stimulus, as Python has them
 
-    source: who used it; published: what came out; read: how much of the source was read for this file
-    assumed: what the source at hand doesn't say and this file chooses; duration_s: for which it is worth playing [s]
+    source: publication; published: its outcome; read: the part of the source that was read for this file
+    assumed: choices of this file that the source does not specify; duration_s: a sufficient duration [s]
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -46,11 +46,11 @@ class StandardStimulus(BaseModel):
         return StimulusConfig(**self.keys)
 
     def keys_for(self, instance: str) -> dict[str, object]:
-        """Its keys as `palmfield.load` and `--set` name them, of an instance of palmfield.stimulus."""
+        """Return its keys as `palmfield.load` and `--set` name them, for an instance of palmfield.stimulus."""
         return {f"{instance}.{key}": value for key, value in self.keys.items()}
 
     def texts(self) -> dict[str, str]:
-        """Its keys as MJCF has them: lists with blanks between."""
+        """Return its keys as in MJCF: lists with blanks between."""
         return {
             key: " ".join(f"{x:g}" for x in value) if isinstance(value, list) else str(value)
             for key, value in self.keys.items()
@@ -64,7 +64,7 @@ def names() -> tuple[str, ...]:
 
 
 def standard(name: str) -> StandardStimulus:
-    """The stimulus of a name. Raises SceneError for another one."""
+    """Return the stimulus of a name. Raises SceneError for another one."""
     if name not in names():
         known = ", ".join(names())
         raise SceneError(f"stimulus '{name}'{did_you_mean(name, names())} is unknown; allowed: {known}")
@@ -72,7 +72,7 @@ def standard(name: str) -> StandardStimulus:
 
 
 def read_stimulus(path: Path) -> StandardStimulus:
-    """A file of one stimulus. Raises SceneError for one that can't be read, and for keys that can't be."""
+    """Read a file of one stimulus. Raises SceneError if it cannot be read, and for invalid keys."""
     try:
         return StandardStimulus(name=path.stem, **read_toml(path))
     except (OSError, ValueError, TypeError) as error:

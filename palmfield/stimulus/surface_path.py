@@ -18,10 +18,10 @@ from palmfield.stimulus.curves import PlanePath, folded, zigzag_about
 from palmfield.types import Float, Int, Surface
 
 REACH_m = 0.02
-"""A start or waypoint further than this from the surface is taken for a mistake."""
+"""A start or waypoint further than this from the surface is considered an error."""
 
 TOUCH_m = 1e-9
-"""A path that comes this near to the edge of an open mesh ahead has reached it: far above rounding, far below skin."""
+"""A path that comes this close to the edge of an open mesh has reached it: far above rounding, far below skin."""
 
 ALONG = 1e-9
 """Sine of the angle to an edge below which a path runs along it and never reaches it."""
@@ -35,10 +35,10 @@ CLOSING_SHARE = 0.02
 class SurfacePath:
     """A path on a triangle mesh that follows the mesh when its vertices move.
 
-    Between two points in turn the path is straight and within one triangle, the first point's.
+    Between two consecutive points the path is straight and within one triangle, the first point's.
     faces: triangle of each point, shape (n,); barycentric: its place there, weights of the corners, shape (n, 3)
     arc_m: arc length from the start on the mesh on which the path was made [m], shape (n,)
-    closed: whether it goes round (the last point then lies on the first); an open path goes there and back
+    closed: whether it returns to its start (the last point then lies on the first); an open path goes there and back
     """
 
     faces: Int
@@ -54,7 +54,7 @@ class SurfacePath:
     def at(self, arc_m: ArrayLike, vertices: Float, mesh_faces: Int) -> tuple[Float, Float]:
         """Positions [m] and unit outward normals, shape (k, 3) each, at arc lengths [m], shape (k,), of any size.
 
-        vertices: where the mesh's vertices are now [m], shape (v, 3); mesh_faces: its triangles, shape (m, 3)
+        vertices: present places of the mesh's vertices [m], shape (v, 3); mesh_faces: its triangles, shape (m, 3)
         Normals are those of the vertices (weighted by angle), interpolated.
         """
         corners = mesh_faces[self.faces]
@@ -86,7 +86,7 @@ class SurfacePath:
         arc = folded(arc_m, self.arc_m[-1], self.closed)
         segment = np.minimum(np.maximum(self.arc_m.searchsorted(arc, "right") - 1, 0), len(self.arc_m) - 2)
         step = self.arc_m[segment + 1] - self.arc_m[segment]
-        # Between points that coincide the share is 0, whatever the rounding
+        # Between points that coincide the share is 0, for any rounding
         return segment, ((arc - self.arc_m[segment]) / np.maximum(step, 1e-300))[:, None]
 
 
@@ -102,7 +102,7 @@ class _Mesh:
 
 @dataclass(frozen=True)
 class _Place:
-    """A point of the mesh: face, position [m], and a unit tangent that stands for the plane path's x."""
+    """A point of the mesh: face, position [m], and a unit tangent, the image of the plane path's x."""
 
     face: int
     position: Float
@@ -110,15 +110,15 @@ class _Place:
 
 
 def drawn(surface: Surface, start_point: ArrayLike, direction: ArrayLike, path: PlanePath) -> SurfacePath:
-    """A plane path drawn on a surface, segment by segment along straight lines of the mesh.
+    """Draw a plane path on a surface, segment by segment along straight lines of the mesh.
 
-    start_point: where the origin of the path's plane comes to lie [m], shape (3,), moved to the nearest point of the
-        surface. From there the walk goes straight to the path's first point, and only then draws.
+    start_point: place of the origin of the path's plane [m], shape (3,), moved to the nearest point of the surface.
+        From there the walk goes straight to the path's first point, then draws.
     direction: the path's +x, shape (3,), of any length; projected to the tangent plane. +y is 90 degrees
         counter-clockwise from it, seen from outside.
-    An open path keeps its arc lengths. A closed one would not meet its start on curved skin: it turns less, evenly, by
-    what the skin's curvature turns it (Gauss-Bonnet), and what gap is left is drawn shut. Its `arc_m` is stretched
-    evenly to the plane path's length, from which the real one differs a little (see `_closed_walk`).
+    An open path keeps its arc lengths. A closed one would not meet its start on curved skin: its turning is reduced
+    evenly by the rotation due to the skin's curvature (Gauss-Bonnet), and the remaining gap is closed. Its `arc_m` is
+    scaled to the plane path's length, from which the real one differs a little (see `_closed_walk`).
     Raises SceneError for a start more than 20 mm off the surface, a direction along the normal, triangles without area,
     a path that runs off an open mesh or ends on its edge, to TOUCH_m (it names the arc length), and a closed one that
     misses its start by more than 2 % of its length, as on skin that is too curved for its size.
@@ -153,11 +153,11 @@ def drawn(surface: Surface, start_point: ArrayLike, direction: ArrayLike, path: 
 
 
 def through(surface: Surface, waypoints: ArrayLike) -> SurfacePath:
-    """The shortest way along a surface through points in turn, an open path.
+    """Return the shortest path along a surface through points in turn, an open path.
 
     waypoints: [m], shape (k, 3), at least two; each is moved to the nearest point of the surface
     Raises SceneError for another shape, a waypoint more than 20 mm off the surface, the same point twice in turn, and
-    points on parts of the mesh that don't hang together.
+    points on disconnected parts of the mesh.
     """
     points = np.asarray(waypoints, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2:
@@ -172,17 +172,17 @@ def through(surface: Surface, waypoints: ArrayLike) -> SurfacePath:
 
 
 def zigzag_through(surface: Surface, waypoints: ArrayLike, width_m: float, stroke_m: float) -> SurfacePath:
-    """A zigzag along a surface about the shortest way through points in turn, an open path.
+    """Return a zigzag along a surface about the shortest path through points in turn, an open path.
 
-    Its corners lie on both sides of that way, half of width_m along a straight line of the surface at right angles to
-    it, a stroke each stroke_m along it; strokes are the shortest ways from corner to corner. It begins on the right, as
-    seen from outside. Raises SceneError as `through`, for bad sizes, and where the surface ends within the width.
+    Its corners lie on both sides of that path, half of width_m along a straight line of the surface at right angles to
+    it, a stroke each stroke_m along it; strokes are the shortest paths from corner to corner. It begins on the right,
+    as seen from outside. Raises SceneError as `through`, for bad sizes, and if the surface ends within the width.
     """
     line = through(surface, waypoints)
     mesh = _mesh(surface)
     along, left = zigzag_about(line.length_m, width_m, stroke_m)
     corners = np.einsum("ni,nij->nj", line.barycentric, surface.vertices[surface.faces[line.faces]])
-    # Points of the way that coincide have no direction
+    # Coincident points of the path have no direction
     starts = np.flatnonzero(np.diff(line.arc_m) > TOUCH_m)
     places = []
     for arc, offset in zip(along, left, strict=True):
@@ -248,7 +248,7 @@ def _cross(a: Float, b: Float) -> Float:
 
 
 def _walk(mesh: _Mesh, start: _Place, legs: Float) -> tuple[Piece, _Place]:
-    """Walk straight along each leg [m], shape (n, 2), of a plane that is carried along in parallel."""
+    """Walk straight along each leg [m], shape (n, 2), of a plane that is transported in parallel."""
     face, position, x = start.face, start.position, start.x
     faces: list[int] = []
     points = [position]
@@ -279,7 +279,7 @@ def _walk(mesh: _Mesh, start: _Place, legs: Float) -> tuple[Piece, _Place]:
                 )
             edge = mesh.corners[face][corner - 1] - mesh.corners[face][corner - 2]
             edge = edge / math.sqrt(edge @ edge)
-            # Laid flat over the edge, a tangent keeps its parts along the edge and across it
+            # With the triangles laid flat, a tangent keeps its components along the edge and across it
             across, other = _cross(normal, edge), _cross(mesh.normals[beyond], edge)
             x = (x @ edge) * edge + (x @ across) * other
             x /= math.sqrt(x @ x)
@@ -289,17 +289,17 @@ def _walk(mesh: _Mesh, start: _Place, legs: Float) -> tuple[Piece, _Place]:
 
 
 def _exit(mesh: _Mesh, face: int, position: Float, ahead: Float, entered: int) -> tuple[int, float]:
-    """The corner opposite the edge through which a ray in a triangle leaves it, and how far off that is [m].
+    """Return the corner opposite the edge through which a ray leaves a triangle, and the distance to that edge [m].
 
-    A ray along an edge could go to and fro over it for ever: it does not leave where it entered, opposite `entered`.
-    An edge of the mesh is reached TOUCH_m before it, so that rounding does not decide whether a path that ends there is
-    let through, and never by a ray along it.
+    A ray along an edge could cross it again and again: it does not leave where it entered, opposite `entered`. An edge
+    of the mesh counts as reached TOUCH_m before it, so that the result for a path that ends there does not depend on
+    rounding; a ray along the edge never reaches it.
     """
     corners, normal = mesh.corners[face], mesh.normals[face]
     best, way = -1, math.inf
     for i in range(3):
         inward = _cross(normal, corners[i - 1] - corners[i - 2])
-        # Height above the edge opposite corner i, and how fast the ray comes nearer to it
+        # Height above the edge opposite corner i, and the speed at which the ray approaches it
         rate = -(ahead @ inward)
         height = (position - corners[i - 2]) @ inward
         least = 0.0
@@ -314,10 +314,10 @@ def _exit(mesh: _Mesh, face: int, position: Float, ahead: Float, entered: int) -
 
 
 def _closed_walk(mesh: _Mesh, start: _Place, legs: Float) -> tuple[Piece, _Place]:
-    """The walk along a closed path's legs that comes nearest to its start.
+    """Return the walk along a closed path's legs that ends closest to its start.
 
-    Each round turns the path evenly by the angle by which the last round's frame came back turned, and shifts it evenly
-    by the gap. Vertices turn a frame in jumps, so the gap needn't vanish.
+    Each round rotates the path evenly by the last round's rotation of the frame, and shifts it evenly by the gap.
+    Vertices rotate a frame in jumps, so the gap may remain.
     """
     lengths = np.linalg.norm(legs, axis=1)
     share = (np.cumsum(lengths) - 0.5 * lengths) / lengths.sum()

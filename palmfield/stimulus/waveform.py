@@ -13,13 +13,13 @@ from palmfield.stimulus.resolved import ResolvedStimulus
 from palmfield.types import Float
 
 EDGE_S = 1e-9
-"""A jump less than this ahead counts as passed, so that t = k / rate lies in period k whatever the rounding."""
+"""A jump less than this ahead counts as passed, so that t = k / rate lies in period k for any rounding."""
 SAMPLES, A_CYCLE = 4096, 16
-"""Of a waveform in `samples`, at least, and for each period of a burst's sine."""
+"""Least number of samples of a waveform in `samples`, and for each period of a burst's sine."""
 
 
 class Waveform(NamedTuple):
-    """A waveform: numbers, or columns of shape (n, 1) for n stimuli at once that differ in them alone.
+    """A waveform: numbers, or columns of shape (n, 1) for n stimuli that differ only in them.
 
     name: of key am_waveform; table: of a file
     highest: its largest value; duty: share of the period that a rectangle is up or a Hann pulse lasts
@@ -49,7 +49,7 @@ class Samples(NamedTuple):
 
 
 def waveform_of(config: StimulusConfig) -> Waveform:
-    """The waveform that the keys of a modulated stimulus ask for; one of a file needs a ResolvedStimulus."""
+    """Return the waveform of a modulated stimulus's keys; one from a file needs a ResolvedStimulus."""
     table = config.am_table if isinstance(config, ResolvedStimulus) else None
     frequency = config.am_frequency_Hz or 1.0
     length, period = config.am_burst_length_s or 1.0, config.am_burst_period_s or 1.0
@@ -67,7 +67,7 @@ def waveform_of(config: StimulusConfig) -> Waveform:
 
 
 def wave(form: Waveform, since: Float) -> Float:
-    """Values at times since the sound began [s], shape (m,), or (n, m) where the waveform is in columns."""
+    """Return values at times since the sound began [s], shape (m,), or (n, m) for a waveform in columns."""
     match form.name:
         case "sine":
             return np.asarray(np.sin(2 * math.pi * form.frequency_Hz * since))
@@ -91,14 +91,14 @@ def wave(form: Waveform, since: Float) -> Float:
 
 
 def period_s(config: StimulusConfig) -> float | None:
-    """Time after which the modulation is the same again [s]; None without one, and for a file's course."""
+    """Period of the modulation [s]; None without one, and for a file's course."""
     if config.modulation == "none" or config.am_frequency_Hz is None:
         return None
     return config.am_burst_period_s if config.am_waveform == "burst" else 1.0 / config.am_frequency_Hz
 
 
 def samples(form: Waveform) -> Samples:
-    """One period, or a file's course, in the middles of equal parts; what lies between bursts is one of them."""
+    """Return one period, or a file's course, in the middles of equal parts; the pause between bursts is one part."""
     match form.name:
         case "rectangle":
             period, duty = 1.0 / float(form.frequency_Hz), float(form.duty)

@@ -1,4 +1,4 @@
-"""A scene that runs while one looks at it in the browser, and turns its keys."""
+"""A scene that runs while its user looks at it in the browser and changes its keys."""
 
 import lazy_loader
 

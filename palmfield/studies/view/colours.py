@@ -1,4 +1,4 @@
-"""Colours of what the page shows: maps that colour-blind people tell apart, the same as in a run's pictures."""
+"""Colours of the page: maps that colour-blind people can distinguish, the same as in a run's pictures."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ from palmfield.types import Complex, Float32
 SILENT = (150, 150, 150)
 NICE = (1.0, 2.0, 5.0, 10.0)
 NOTHING = 1e-6
-"""In um, or Pa: what is left once a sound has ended, or a skin has come to rest; not to be seen in full colours."""
+"""In um, or Pa: residue after a sound has ended or a skin has come to rest, which does not get full colours."""
 
 
 def _table(name: str, low: float = 0.0, high: float = 1.0) -> NDArray[np.uint8]:
@@ -22,7 +22,7 @@ MOTION, PRESSURE, PHASE = _table("RdBu_r", 0.02, 0.98), _table("magma_r", 0.03, 
 
 
 AT_REST = (int(MOTION[128, 0]), int(MOTION[128, 1]), int(MOTION[128, 2]))
-"""Of bodies: the colour of skin that does not move."""
+"""Colour of bodies and of skin that does not move."""
 
 
 @dataclass(frozen=True)
@@ -37,30 +37,30 @@ class Scale:
     factor: float
 
     def colours(self, values: Float32) -> NDArray[np.uint8]:
-        """Of values in the SI unit, (n,) -> (n, 4)."""
+        """Return the colours of values in the SI unit, (n,) -> (n, 4)."""
         width = max(self.high - self.low, 1e-30)
         place = (self.factor * np.asarray(values) - self.low) / width
         return self.table[np.clip(np.round(255.0 * place), 0, 255).astype(np.uint8)]
 
     @property
     def legend(self) -> str:
-        """As HTML: a bar with its ends."""
+        """Return a bar with its ends, as HTML."""
         return _bar(self.title, self.table, f"{self.low:g}", f"{self.high:g} {self.unit}")
 
 
 def motion_scale(title: str, largest_m: float) -> Scale:
-    """For what goes both ways along the normal."""
+    """Return the scale for signed values along the normal."""
     top = rounded_up(1e6 * largest_m)
     return Scale(title, MOTION, -top, top, "um", 1e6)
 
 
 def size_scale(title: str, largest: float, unit: str, factor: float) -> Scale:
-    """For what is 0 or more."""
+    """Return the scale for values of 0 or more."""
     return Scale(title, PRESSURE, 0.0, rounded_up(factor * largest), unit, factor)
 
 
 def rounded_up(value: float) -> float:
-    """The next of 1, 2, 5, 10, 20, ... above; 1 for nothing, and for less than is ever seen (NOTHING)."""
+    """The next of 1, 2, 5, 10, 20, ... above; 1 for values too small to show (NOTHING)."""
     if not np.isfinite(value) or value < NOTHING:
         return 1.0
     ten = 10.0 ** np.floor(np.log10(value))
@@ -68,7 +68,7 @@ def rounded_up(value: float) -> float:
 
 
 def phase_colours(drive: Complex) -> NDArray[np.uint8]:
-    """Of transducers by their phase, greyer the softer they are beside the loudest, (N, 4)."""
+    """Return colours of transducers by their phase, greyer with lower amplitude relative to the loudest, (N, 4)."""
     size = np.abs(drive)
     share = (size / size.max() if size.max() > 0.0 else size)[:, None]
     turn = np.mod(np.angle(drive) / (2.0 * np.pi), 1.0)

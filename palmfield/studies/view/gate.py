@@ -1,8 +1,8 @@
-"""What stands before the page's own server: who may come in, on which address, with which token.
+"""Gate in front of the page's own server: it checks clients, address and token.
 
-This gate listens where the page is to be found, looks at the head of each connection, and passes on those that may come
-in. viser itself serves whoever connects, at a port of this machine that any script of any page can find by trying: so
-it is made by `only_for_gate` to serve this gate alone, which knows a secret.
+This gate listens at the page's address, reads the head of each connection, and forwards the allowed ones. viser itself
+serves every client, at a port of this machine that a script of any page can find by trial. So `only_for_gate` makes it
+serve only this gate, which has a secret.
 """
 
 import asyncio
@@ -21,23 +21,23 @@ from palmfield.errors import OutputError
 HEAD_BYTES = 32768
 """Longest head of a request."""
 HEAD_S = 10.0
-"""In which it must have come."""
+"""Longest time until it has arrived."""
 CHUNK = 1 << 16
 LOCAL = ("localhost", "127.0.0.1", "::1")
 PORTS = 20
-"""So many ports are tried where none is asked for."""
+"""Number of ports that are tried if none is requested."""
 ALIVE = "/alive"
-"""Path at which the server says that it is there, and nothing else."""
+"""Path at which the server reports only that it runs."""
 SECRET_HEADER = "X-Palmfield-Gate"
-"""Header of a request by which the server behind knows the gate."""
+"""Header of a request by which the server identifies the gate."""
 
 
 @contextlib.contextmanager
 def only_for_gate(secret: str, head: str) -> Iterator[None]:
-    """A viser server that starts in the block answers requests with a secret in SECRET_HEADER, and refuses all others.
+    """In this block a viser server starts that answers requests with a secret in SECRET_HEADER, and refuses all others.
 
     head: HTML that is added to the head of its page
-    Raises OutputError where the server that started was not made by the library that viser 1.1 makes it by.
+    Raises OutputError if the server was not made by the library that viser 1.1 uses.
     """
     import websockets.asyncio.server as library
 
@@ -94,7 +94,7 @@ class Head:
         for line in lines[1:]:
             name, colon, value = line.partition(":")
             if not colon or name.lower() in self.headers:
-                # A header twice could mean one thing here and another behind
+                # The server behind could read a repeated header differently
                 raise ValueError(line)
             self.headers[name.lower()] = value.strip()
 
@@ -106,7 +106,7 @@ class Head:
 
 
 class Refused(Exception):
-    """A connection that may not come in. status, words: of the answer; headers: more of it"""
+    """A connection that is not allowed. status, words: of the answer; headers: further ones"""
 
     def __init__(self, status: http.HTTPStatus, words: str, headers: str = "") -> None:
         super().__init__(words)
@@ -122,19 +122,19 @@ class Refused(Exception):
 
 
 def check(head: Head, token: str, cookie: str) -> None:
-    """Raises Refused for a request that may not come in, and to lead one with the token in its address to the page.
+    """Raises Refused for a request that is not allowed, and to redirect one with the token in its address to the page.
 
-    token: empty for a page that only this machine reaches, which then must be called by this machine's name
+    token: empty for a page that only this machine reaches, which requests must call by this machine's name
     cookie: name of the one that carries the token
     """
     host = head.headers.get("host", "")
     origin = head.headers.get("origin")
     if origin is not None and urlsplit(origin).netloc != host:
-        # Another site's script in this user's browser
+        # A script of another site in this user's browser
         raise Refused(http.HTTPStatus.FORBIDDEN, f"the page of {origin} may not use this one")
     if not token:
         if not is_loopback(urlsplit(f"//{host}").hostname or ""):
-            # A name that someone has made to mean this machine, which no address of its own can be
+            # A foreign name that resolves to this machine
             raise Refused(http.HTTPStatus.FORBIDDEN, f"this page is at {' or '.join(LOCAL)}, not at '{host}'")
         return
     target = urlsplit(head.target)
@@ -154,10 +154,10 @@ class Gate:
     """Listens in a thread of its own. port: at which"""
 
     def __init__(self, host: str, port: int | None, first: int, behind: int, token: str, secret: str) -> None:
-        """port: None for the first free one from `first` on; behind: port of this machine to which is passed on
-        secret: that the server there asks for
+        """port: None for the first free one from `first` on; behind: port of this machine to forward to
+        secret: that the server there expects
 
-        Raises OutputError for a place where nobody can listen.
+        Raises OutputError for an address at which it cannot listen.
         """
         self._behind, self._token, self._secret = behind, token, secret
         self._loop = asyncio.new_event_loop()
@@ -192,7 +192,7 @@ class Gate:
                 writer.write(refused.answer)
                 await writer.drain()
             else:
-                # What is behind answers one request a connection, or turns it into a websocket: one look is enough
+                # The server answers one request for each connection, or makes it a websocket: one check is enough
                 await self._pass_on(raw, reader, writer)
         writer.close()
 
@@ -202,7 +202,7 @@ class Gate:
         outside.write(request + end + f"{SECRET_HEADER}: {self._secret}\r\n".encode() + headers)
         both = [asyncio.ensure_future(_copy(reader, outside)), asyncio.ensure_future(_copy(inside, writer))]
         await asyncio.wait(both, return_when=asyncio.FIRST_COMPLETED)
-        # The end of either is the end of both, once what was on its way out is out
+        # If one side ends, both end, after the data in transit are sent
         await asyncio.wait(both, timeout=1.0)
         for one in both:
             one.cancel()

@@ -12,11 +12,11 @@ JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
 FLOAT, UINT8, UINT32 = 5126, 5121, 5125
 VERTEX_BUFFER, INDEX_BUFFER = 34962, 34963
 FAR_M = 10.0
-"""What a reader is told of where the vertices lie: the file's head is made once, before they are known."""
+"""Bounds of the vertices given to a reader: the file's head is made once, before the vertices are computed."""
 
 
 class GlbMesh:
-    """Triangles whose vertices move and change their colours. Its files differ in these numbers only."""
+    """Triangles whose vertices move and change their colours. Its files differ only in these numbers."""
 
     def __init__(self, faces: Int, vertices: int) -> None:
         """faces: shape (m, 3); vertices: how many"""
@@ -69,7 +69,7 @@ _LINEAR = np.round(255.0 * np.where(
 
 
 def linear(colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Colours as glTF has them at vertices, linear in light; opacity stays."""
+    """Return colours as glTF stores them at vertices, linear in light; opacity is unchanged."""
     result = _LINEAR[colours]
     result[:, 3] = colours[:, 3]
     return np.ascontiguousarray(result)

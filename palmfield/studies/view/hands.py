@@ -1,4 +1,4 @@
-"""Hands that a scene moves, put aside and turned from where its script has them."""
+"""Hands moved by a scene's script, with an additional shift and rotation."""
 
 from dataclasses import dataclass, replace
 
@@ -19,7 +19,7 @@ NO_HAND = "no palmfield.motion moves a hand in this scene"
 
 @dataclass(frozen=True)
 class Offset:
-    """By how much a hand is moved [m] and turned about its own axes (rotation vector [deg])."""
+    """Shift [m] of a hand and rotation about its own axes (rotation vector [deg])."""
 
     shift: Float
     turn_deg: Float
@@ -29,14 +29,14 @@ class Offset:
         return Offset(np.zeros(3), np.zeros(3))
 
     def put(self, pose: HandPose) -> HandPose:
-        """A pose of the script's, moved."""
+        """Return a scripted pose with this offset."""
         own = Rotation.from_quat(np.roll(pose.quaternion, -1))
         turned = own * Rotation.from_rotvec(self.turn_deg, degrees=True)
         return replace(pose, position=pose.position + self.shift, quaternion=np.roll(turned.as_quat(), 1))
 
 
 class Hands:
-    """The scripted hands of a scene, which stay where they were put when it is rebuilt.
+    """The scripted hands of a scene, whose offsets are kept when it is rebuilt.
 
     sliders: of all; offsets: by instance of palmfield.motion
     """
@@ -62,7 +62,7 @@ class Hands:
             self._lead(name)
 
     def turn(self, place: Place, value: float) -> None:
-        """A slider stands at a value, in its unit."""
+        """Set a slider to a value, in its unit."""
         _, named, axis = place
         name, _, kind = named.rpartition(".")
         assert axis is not None
@@ -74,7 +74,7 @@ class Hands:
 
     @property
     def values(self) -> dict[Place, float]:
-        """What the sliders stand at."""
+        """Values of the sliders."""
         found = {}
         for slider in self.sliders:
             _, named, axis = slider.place

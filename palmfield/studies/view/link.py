@@ -1,4 +1,4 @@
-"""The simulation's end of the talk with the process that shows: it starts that process, and never waits for it."""
+"""The simulation's end of the link to the page's process: it starts that process, and never waits for it."""
 
 import contextlib
 import queue
@@ -18,19 +18,19 @@ ENDS_WITHIN_S = 5.0
 class Link:
     """A page in a process of its own. Use as a context manager: that process ends with it.
 
-    A thread sends and another one receives, so that a page which hangs or is stopped holds nothing up.
+    Separate threads send and receive, so that a page which hangs or is stopped does not block the simulation.
 
     address: for the browser
     """
 
     def __init__(self, place: Address) -> None:
-        """place: where the page is to be found. Raises OutputError where it can't be shown there."""
-        # Spawned, not forked: the page gets neither Warp's state nor MuJoCo's
+        """place: where the page is to be found. Raises OutputError if it cannot be shown there."""
+        # Spawned, not forked: the page must not get the state of Warp or MuJoCo
         context = get_context("spawn")
         self._talk, talk = context.Pipe()
         self._process = context.Process(target=run_page, args=(talk, place), name="palmfield view", daemon=True)
         self._process.start()
-        # Else the pipe would not end with the page's process
+        # Otherwise the pipe would not end with the page's process
         talk.close()
         self._inbox: queue.SimpleQueue[FromPage | None] = queue.SimpleQueue()
         self._outbox: queue.SimpleQueue[FromSimulation] = queue.SimpleQueue()
@@ -67,7 +67,7 @@ class Link:
         return self._process.is_alive()
 
     def send(self, message: FromSimulation) -> None:
-        """Have a message sent, after those before it."""
+        """Queue a message to be sent after earlier ones."""
         self._outbox.put(message)
 
     def received(self, wait_s: float = 0.0) -> list[FromPage]:

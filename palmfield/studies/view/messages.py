@@ -1,8 +1,8 @@
-"""What the process that simulates and the one that shows tell one another.
+"""Messages between the process that simulates and the one that shows.
 
-The simulation sends SceneShown at its start and after each rebuilding, Told and Values when there is something to say,
-and Moment and Replay only when they were asked for, so that it never waits for who looks on. All positions are in the
-world [m]. All here is pickled between two processes of one program.
+The simulation sends SceneShown at its start and after each rebuild, Told and Values when needed. It sends Moment and
+Replay only on request, so that it never waits for the page. All positions are in the world [m]. All messages are
+pickled between two processes of one program.
 """
 
 from dataclasses import dataclass, field
@@ -15,15 +15,15 @@ from palmfield.types import Complex, Float32, Int
 
 Group = Literal["key", "pose"]
 Place = tuple[Group, str, int | None]
-"""A number that can be turned: of a key (INSTANCE.key) or of a hand's pose (INSTANCE.axis), and which of several."""
+"""A number that can be changed: of a key (INSTANCE.key) or of a hand's pose (INSTANCE.axis), with its index."""
 
 
 @dataclass(frozen=True)
 class Address:
-    """Where the page is to be found.
+    """Address of the page.
 
-    host: address to listen at; port: None for the first free one from 8080 on; token: that who comes must have, empty
-    for none; rate_Hz: pictures a second
+    host: address to listen at; port: None for the first free one from 8080 on; token: needed by clients, empty for
+    none; rate_Hz: pictures a second
     """
 
     host: str
@@ -37,9 +37,9 @@ class Address:
 
 @dataclass(frozen=True)
 class Slider:
-    """One number that can be turned.
+    """One number that can be changed.
 
-    folder: heading under which it stands; low, high, step, value: in `unit`, of which there are `scale` in the SI unit
+    folder: its heading; low, high, step, value: in `unit`, of which there are `scale` in the SI unit
     """
 
     place: Place
@@ -65,11 +65,11 @@ class Pose:
 
 @dataclass(frozen=True)
 class SceneShown:
-    """What stays the same until the scene is rebuilt.
+    """Parts that are constant until the scene is rebuilt.
 
     body_faces: of the closed bodies, (m, 3) each; skins: names; skin_faces: (f, 3) each; pose: the first
     transducer_directions: unit vectors, (N, 3); transducer_radius: [m]
-    no_pose: why the hand has no sliders, empty where it has; timestep_s: of MuJoCo's [s]
+    no_pose: why the hand has no sliders, empty if it has some; timestep_s: of MuJoCo [s]
     """
 
     name: str
@@ -89,11 +89,11 @@ class SceneShown:
 class Moment:
     """The scene now.
 
-    time_s: simulated time; speed: simulated seconds in a second, over the last part of one, 0 while paused
-    pose: None where nothing has moved since the last one that was sent
-    drive: what the transducers are told, (N,); foci: (m, 3), none in silence
-    solvers: what steps each skin; recording: folder, or empty
-    displacement, arp: of each skin along the outward normal [m] and [Pa], (S,), where they were asked for
+    time_s: simulated time; speed: simulated seconds per second, recently measured, 0 while paused
+    pose: None if no part has moved since the last one sent
+    drive: commanded drive of the transducers, (N,); foci: (m, 3), none in silence
+    solvers: stepper of each skin; recording: folder, or empty
+    displacement, arp: of each skin along the outward normal [m] and [Pa], (S,), if requested
     """
 
     time_s: float
@@ -110,8 +110,8 @@ class Moment:
 
 @dataclass(frozen=True)
 class Level:
-    """What an observer makes of a skin's last periods: level_dB above threshold, None where refused; why: in words;
-    lines: which lines of the motion or force the level is of, in words."""
+    """Level of a skin's last periods for an observer: level_dB above threshold, None if refused; why: in words;
+    lines: lines of the motion or force that the level is of, in words."""
 
     observer: str
     level_dB: float | None
@@ -132,8 +132,8 @@ class SkinReplay:
 
 @dataclass(frozen=True)
 class Replay:
-    """The last periods of all skins: times [s], (k,), of which the first is `begin_s` and the stretch lasts `length_s`;
-    what: that stretch in words"""
+    """The last periods of all skins: times [s], (k,), from `begin_s` on over `length_s`;
+    what: description of this stretch"""
 
     times: NDArray[np.float64]
     length_s: float
@@ -151,14 +151,14 @@ class Told:
 
 @dataclass(frozen=True)
 class Values:
-    """What the sliders stand at, in their units, by place."""
+    """Values of the sliders, in their units, by place."""
 
     values: dict[Place, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class End:
-    """There is nothing more to come."""
+    """End of the messages."""
 
 
 FromSimulation = SceneShown | Moment | Replay | Told | Values | End
@@ -169,7 +169,7 @@ FromSimulation = SceneShown | Moment | Replay | Told | Values | End
 
 @dataclass(frozen=True)
 class Ready:
-    """The page is there. address: for the browser; or failed: why not"""
+    """The page is available. address: for the browser; or failed: the reason"""
 
     address: str
     failed: str = ""
@@ -177,14 +177,14 @@ class Ready:
 
 @dataclass(frozen=True)
 class Ask:
-    """For the next Moment, with motion and ARP or without, or for the next Replay."""
+    """Request for the next Moment, with motion and ARP or without, or for the next Replay."""
 
     what: Literal["moment", "full moment", "replay"]
 
 
 @dataclass(frozen=True)
 class Turn:
-    """A slider stands at a value, in its unit."""
+    """A slider is set to a value, in its unit."""
 
     place: Place
     value: float
@@ -192,7 +192,7 @@ class Turn:
 
 @dataclass(frozen=True)
 class SetKey:
-    """A key by its text, INSTANCE.key=VALUE."""
+    """A key as text, INSTANCE.key=VALUE."""
 
     text: str
 
@@ -206,7 +206,7 @@ class Press:
 
 @dataclass(frozen=True)
 class Pace:
-    """At most so many simulated seconds in a second; inf for as fast as it goes."""
+    """Limit of simulated seconds per second; inf for no limit."""
 
     most: float
 

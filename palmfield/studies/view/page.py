@@ -1,4 +1,4 @@
-"""The page: what viser shows in the browser, and what it hands back."""
+"""The page: viser's display in the browser, and the messages that it returns."""
 
 import html
 import math
@@ -48,11 +48,11 @@ from palmfield.studies.view.messages import (
 from palmfield.types import Float32
 
 PORT = 8080
-"""First that is tried where none is asked for."""
+"""First port that is tried if none is requested."""
 LIFT_m = 3e-4
-"""By so much a skin is drawn above its body, that the two do not flicker."""
+"""Distance at which a skin is drawn above its body, so that the two do not flicker."""
 SEEN_m = 3e-3
-"""As far as the largest motion is magnified by itself."""
+"""Size to which the largest motion is magnified by default."""
 REPLAYS = ("motion, slowed down", "ARP, slowed down")
 STILL = ("RMS of the motion",)
 NOWS = ("motion now", "ARP now")
@@ -62,7 +62,7 @@ PACES = {
 }  # fmt: skip
 NOW_WORDS = "the state at each picture (what is faster than the pictures is seen at a slower pace only)"
 TURNS_IN_s = 2.0
-"""A slowed-down stretch takes about so long."""
+"""Approximate duration of a slowed-down stretch."""
 DISC_SIDES = 12
 HEAD = """
 <script>
@@ -97,13 +97,13 @@ addEventListener("load", () => {
 }
 </style>
 """.replace("ALIVE", ALIVE)
-"""What the page has besides viser's own: it says when the server is gone, which viser shows by a small sign only."""
+"""Additions to viser's page: a message when the server has ended, which viser shows only by a small sign."""
 AGAIN_s = 5.0
-"""What didn't come so long is asked for again: it may be that it could not be told then."""
+"""Data that do not come within this time are requested again, since the simulation may not have been ready."""
 
 
 class SkinNode:
-    """A skin in the page: three meshes, of which one is seen while the browser reads the others."""
+    """A skin in the page: three meshes, one visible while the browser reads the others."""
 
     def __init__(self, server: viser.ViserServer, name: str, faces: np.ndarray, pose: tuple[Float32, Float32]) -> None:
         self.faces, self.pose = faces, pose
@@ -115,7 +115,7 @@ class SkinNode:
         self._seen = 0
 
     def show(self, displacement: Float32, magnify: float, colours: np.ndarray) -> None:
-        """Another state of it, which is seen two pictures later. displacement: along the outward normal [m], (S,)"""
+        """Show another state; it is visible two pictures later. displacement: along the outward normal [m], (S,)"""
         last, self._seen = self._seen, (self._seen + 1) % len(self._nodes)
         self._nodes[self._seen].visible = True
         self._nodes[last].visible = False
@@ -134,25 +134,25 @@ class Page:
     """The page, in the process that shows it. address: for the browser"""
 
     def __init__(self, talk: Connection, place: Address) -> None:
-        """Raises OutputError where nobody can listen."""
+        """Raises OutputError if it cannot listen."""
         self._talk, self._lock, self._place = talk, Lock(), place
-        # Never at another address, and for the gate alone: viser asks nobody who he is
+        # Never at another address, and for the gate alone: viser does not check its clients
         secret = secrets.token_urlsafe(24)
         with only_for_gate(secret, HEAD):
             self._server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
         gate = Gate(place.host, place.port, PORT, self._server.get_port(), place.token, secret)
         host = "localhost" if place.host in LOCAL else place.host
         if host in ("0.0.0.0", "::"):
-            # All addresses of this machine: its name is one that others may know
+            # All addresses of this machine: clients may use its name
             host = socket.gethostname()
         host = f"[{host}]" if ":" in host else host
         self.address = f"http://{host}:{gate.port}/" + (f"?token={place.token}" if place.token else "")
-        # viser's button would make a public address, past the gate
+        # viser's button would make a public address that bypasses the gate
         self._server.gui.configure_theme(show_share_button=False, control_width="medium", dark_mode=False)
-        # Beside the scene, not over it
+        # Next to the scene, not over it
         self._server.gui.main_panel.dock_right()
         self._server.scene.set_up_direction("+z")
-        # A palm looks down, where viser's own lights leave it dark
+        # A palm faces down, where viser's own lights leave it dark
         self._server.scene.configure_default_lights(enabled=False)
         self._server.scene.add_light_ambient("/light/all", intensity=1.3)
         for number, lit_from in enumerate(((0.3, 0.5, 1.0), (1.0, 1.2, -0.6))):
@@ -178,7 +178,7 @@ class Page:
             self._talk.send(message)
 
     def run(self) -> None:
-        """Take what comes and draw, until the simulation has ended."""
+        """Process messages and draw until the simulation has ended."""
         period_s = 1.0 / self._place.rate_Hz
         due = time.monotonic()
         while True:
@@ -214,7 +214,7 @@ class Page:
                     self._put(self._sliders[place], value)
 
     def _put(self, handle: Any, value: float) -> None:
-        """A slider to a value that the scene has, which may be beyond its ends."""
+        """Set a slider to the scene's value, which may be outside its range."""
         handle.min, handle.max = min(handle.min, value), max(handle.max, value)
         if handle.value != value:
             handle.value = value
@@ -222,7 +222,7 @@ class Page:
     # -- what there is -------------------------------------------------------------------------------------------------
 
     def _begin(self, scene: SceneShown) -> None:
-        """Show a scene, the first one or one that was rebuilt."""
+        """Show a scene, the first one or a rebuilt one."""
         first = self._scene is None
         self._scene, self._replay, self._moment = scene, None, None
         self._asked_moment = self._asked_replay = -math.inf
@@ -257,7 +257,7 @@ class Page:
             self._add_sliders(scene)
 
     def _look(self, pose: Pose, directions: Float32) -> None:
-        """Put the camera beside the sound's way, so that skin and array are seen."""
+        """Put the camera to the side of the sound's path, so that skin and array are visible."""
         array = pose.transducers.mean(axis=0)
         skin = np.concatenate([points for points, _ in pose.skins]).mean(axis=0)
         axis = directions.mean(axis=0)
@@ -295,7 +295,7 @@ class Page:
         self._add_sliders(scene)
 
     def _add_sliders(self, scene: SceneShown) -> None:
-        """Those of a scene in place of those that were there; none is touched where they are the same."""
+        """Replace the sliders by those of a scene; no change if they are the same."""
         if self._sliders and set(self._sliders) == {slider.place for slider in scene.sliders}:
             return
         for folder in self._folders.values():
@@ -316,7 +316,7 @@ class Page:
         label = f"{slider.label} [{slider.unit}]" if slider.unit else slider.label
         low, high = min(slider.low, slider.value), max(slider.high, slider.value)
         handle = self._server.gui.add_slider(label, low, high, slider.step, slider.value)
-        # What the simulation says comes without a client, and need not be said again
+        # Changes by the simulation come without a client, and are not sent back
         handle.on_update(lambda event: self._say(Turn(slider.place, float(handle.value))) if event.client else None)
         self._sliders[slider.place] = handle
 
@@ -351,7 +351,7 @@ class Page:
             for node, own in zip(self._skins, moment.pose.skins, strict=True):
                 node.pose = own
             self._array.batched_positions = moment.pose.transducers
-        # viser takes the colours of such meshes as they are in light
+        # viser takes the colours of such meshes as linear in light
         colours = linear(phase_colours(moment.drive))[:, :3]
         if self._phases is None or not np.array_equal(colours, self._phases):
             self._phases = self._array.batched_colors = colours
@@ -378,7 +378,7 @@ class Page:
     # -- pictures ------------------------------------------------------------------------------------------------------
 
     def _draw(self) -> None:
-        """One picture, and ask for what the next ones need."""
+        """Draw one picture, and request the data for the next ones."""
         shown = self._shown.value
         now = time.monotonic()
         if now - self._asked_moment > AGAIN_s:
@@ -404,7 +404,7 @@ class Page:
         self._say_how(words, magnify)
 
     def _repeats(self) -> int:
-        """Pictures for which each state of a replay stays, so that a stretch of few states is slow enough."""
+        """Number of pictures for each state of a replay, so that a stretch of few states is slow enough."""
         assert self._replay is not None
         return max(1, round(TURNS_IN_s * self._place.rate_Hz / max(len(self._replay.times), 1)))
 
@@ -413,7 +413,7 @@ class Page:
         return max(float(np.abs(skin.displacement).max(initial=0.0)) for skin in self._replay.skins)
 
     def _state(self, shown: str) -> tuple[list[tuple[Float32, Float32]], Scale, str]:
-        """Of each skin its displacement, and what is seen as colour, with their scale and what that is in words."""
+        """Return each skin's displacement and coloured quantity, with their scale and its description."""
         nothing = Scale("", PRESSURE, 0.0, 1.0, "", 1.0)
         moment, replay = self._moment, self._replay
         if shown in NOWS:
@@ -468,7 +468,7 @@ def _most(values: Any) -> float:
 
 
 def magnified(largest_m: float) -> float:
-    """A round factor by which the largest motion is seen as about SEEN_m; 1 where nothing moves any more."""
+    """Return a round factor that magnifies the largest motion to about SEEN_m; 1 without motion."""
     return 1.0 if largest_m < 1e-6 * NOTHING else rounded_up(0.4 * SEEN_m / largest_m)
 
 
@@ -477,7 +477,7 @@ def _small(text: str) -> str:
 
 
 def _meter_row(name: str, level_dB: float | None, why: str, lines: str) -> str:
-    """A bar from 0 to 60 dB above threshold, or why there is none."""
+    """Return a bar from 0 to 60 dB above threshold, or the reason why there is none."""
     title = html.escape(f"{name}: {why}", quote=True)
     if level_dB is None:
         why = html.escape(why.removeprefix("refused: "))

@@ -1,4 +1,4 @@
-"""The process that shows: what it begins with, and how it ends."""
+"""The process of the page: its start and end."""
 
 import contextlib
 import importlib.util
@@ -11,22 +11,22 @@ from palmfield.errors import OutputError, PalmfieldError
 from palmfield.studies.view.messages import Address, Ready
 
 KINDER = 5
-"""By so much the page's process gives way to the simulation."""
+"""Increase of the page process's niceness relative to the simulation."""
 
 
 def need_viser() -> None:
-    """Raises OutputError where the library that shows is missing."""
+    """Raises OutputError if the library of the page is missing."""
     if importlib.util.find_spec("viser") is None:
         raise OutputError("a live view needs the package viser: pip install 'palmfield[view]'")
 
 
 def run_page(talk: Connection, place: Address) -> None:
-    """Show what comes, until the other end is closed or says so."""
+    """Show what arrives, until the other end is closed or requests the end."""
     # The terminal's Ctrl-C is for the simulation, which ends this process when its recording is safe
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with contextlib.suppress(OSError):
         os.nice(KINDER)
-    # viser greets and says goodbye there, with an address that is not the page's
+    # viser prints greetings there, with an address that is not the page's
     sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - for the rest of the process
     try:
         from palmfield.studies.view.page import Page
@@ -37,6 +37,6 @@ def run_page(talk: Connection, place: Address) -> None:
         return
     talk.send(Ready(page.address))
     page.run()
-    # Threads of viser's that wait for nobody would hold the process for seconds
+    # Waiting threads of viser would hold the process for seconds
     sys.stderr.flush()
     os._exit(0)

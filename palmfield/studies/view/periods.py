@@ -1,4 +1,4 @@
-"""The last periods of a running simulation: the skins' motion and the ARP at all substeps, and what is felt of them."""
+"""The last periods of a running simulation: the skins' motion and the ARP at all substeps, and the perceived levels."""
 
 from collections import deque
 from dataclasses import replace
@@ -20,17 +20,17 @@ from palmfield.studies.view.messages import Level, Replay, SkinReplay
 from palmfield.types import Float
 
 PERIODS = 2
-"""Of the lowest main frequency: fewer say nothing of a level."""
+"""Number of periods of the lowest main frequency: fewer do not determine a level."""
 SHORTEST_s, LONGEST_s = 4e-3, 0.25
 MOST_PICTURES = 24
 """Of a replay."""
 
 
 class Blocks:
-    """A sink for a recorder that keeps the last blocks, one of a MuJoCo step each, and hands all on."""
+    """A sink for a recorder that keeps the last blocks, one for each MuJoCo step, and forwards all."""
 
     def __init__(self, steps: int, on: Any = None) -> None:
-        """steps: how many are kept; on: another sink"""
+        """steps: number of blocks kept; on: another sink"""
         self.kept: deque[Arrays] = deque(maxlen=steps)
         self._on = on
 
@@ -42,7 +42,7 @@ class Blocks:
 
 
 class Periods:
-    """Watches a simulation for as many steps as tell what is felt, and for no longer: to watch takes time."""
+    """Observes a simulation for as many steps as a level needs, and no longer, since observation takes time."""
 
     def __init__(self, sim: Simulation) -> None:
         """Begins to watch."""
@@ -50,11 +50,11 @@ class Periods:
         self._blocks = Blocks(steps_watched(sim))
         self._recorder = recorder_of(sim, self._blocks)
         self._recorder.start()
-        # The state before the first step is no step
+        # The state before the first step is not a step
         self._blocks.kept.clear()
 
     def step(self) -> Replay | None:
-        """A step has ended; the replay once there are enough of them, and then nothing is watched any more."""
+        """Record a step; once there are enough, return the replay and stop the observation."""
         self._recorder.step()
         if len(self._blocks.kept) < (self._blocks.kept.maxlen or 0):
             return None
@@ -67,22 +67,22 @@ class Periods:
 
 
 def period_s(sim: Simulation) -> float | None:
-    """Of the sound's slowest main frequency [s]; None for one that doesn't repeat itself."""
+    """Period of the sound's slowest main frequency [s]; None if it does not repeat."""
     model = sim.runtime.model
     frequencies = main_frequencies(model.configs[model.sounding])
     return 1.0 / frequencies[0] if frequencies else None
 
 
 def steps_watched(sim: Simulation) -> int:
-    """How many of MuJoCo's steps a replay is made of."""
+    """Number of MuJoCo steps in a replay."""
     period, step_s = period_s(sim), sim.runtime.spec.timestep_s
-    # A sample more than the periods: a record of two periods reaches from the first sample to the last
+    # One sample more than the periods: a record of two periods includes its first and last sample
     wanted = SHORTEST_s if period is None else PERIODS * period + sim.runtime.model.step_s
     return max(1, ceil(min(max(wanted, SHORTEST_s), LONGEST_s) / step_s - 1e-6))
 
 
 def replay(sim: Simulation, blocks: list[Arrays], recorder: Recorder) -> Replay:
-    """What the steps of some blocks, one after the other, come to; recorder: that handed them on"""
+    """Return the replay of consecutive blocks; recorder: their source"""
     model = sim.runtime.model
     times: Float = np.concatenate([block["/"]["time"] for block in blocks])
     period = period_s(sim)
@@ -92,7 +92,7 @@ def replay(sim: Simulation, blocks: list[Arrays], recorder: Recorder) -> Replay:
     skins = []
     for number, part in enumerate(model.skins):
         own = [block[group("skin", part.spec.name)] for block in blocks]
-        # As floats of single precision all along: thousands of points, hundreds of times
+        # Single precision throughout: thousands of points, hundreds of times
         normals = part.nodes[1].astype(np.float32)
         normal = np.einsum("tsi,si->ts", np.concatenate([one["displacement"] for one in own]), normals)
         arp = np.concatenate([one["arp"] for one in own])
@@ -106,11 +106,11 @@ def replay(sim: Simulation, blocks: list[Arrays], recorder: Recorder) -> Replay:
 def _levels(
     sim: Simulation, skin: int, recorder: Recorder, times: Float, normal: np.ndarray, arp_peaks: np.ndarray
 ) -> tuple[Level, ...]:
-    """What each observer makes of a skin's motion, or why none does."""
+    """Return each observer's level of a skin's motion, or why there is none."""
     runtime = sim.runtime
     model, loudest = runtime.model, recorder.loudest[skin]
     if loudest is not None and arp_peaks.max() > 0.0:
-        # A recording may have been louder before
+        # A recording may contain an earlier, louder moment
         unit = runtime.work.radiation.on(loudest.posed, skin, "nodes", loudest.drive).arp
         loudest = replace(loudest, factor=float(arp_peaks.max() / unit.max())) if unit.max() > 0.0 else loudest
     told = felt_levels(

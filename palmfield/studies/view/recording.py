@@ -1,4 +1,4 @@
-"""Recordings: what a scene does while its keys stay the same, as a result folder like that of `palmfield run`."""
+"""Recordings: the run of a scene with constant keys, as a result folder like that of `palmfield run`."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -16,8 +16,8 @@ KEYS_FILE = "keys.json"
 
 
 class Recording:
-    """Writes what happens in each step to a folder, until `finish`, or until the process is killed: what is on the disk
-    by then `palmfield recover` assembles.
+    """Writes each step to a folder until `finish`, or until the process is killed: `palmfield recover` then assembles
+    the data on the disk.
 
     out: the folder
     """
@@ -28,25 +28,25 @@ class Recording:
         self._store = Store(out, known_before(sim), result_attributes(sim))
         self._blocks = Blocks(steps_watched(sim), self._store)
         self._recorder = recorder_of(sim, self._blocks)
-        # Recordings are made of one set of keys each, so that this says how to have it again
+        # Each recording has one set of keys, so that this command repeats it
         told: dict[str, Any] = {"scene": scene, "keys": dict(keys), "begun_s": sim.time}
         write_json(out / KEYS_FILE, told)
         self._recorder.start()
         self._blocks.kept.clear()
 
     def step(self) -> None:
-        """A step has ended. Raises OutputError where the disk is full."""
+        """Record a step. Raises OutputError if the disk is full."""
         self._recorder.step()
 
     def last_periods(self) -> Replay | None:
-        """Those before now; None in the first steps."""
+        """Return the periods before now; None in the first steps."""
         blocks = list(self._blocks.kept)
         return None if len(blocks) < (self._blocks.kept.maxlen or 0) else replay(self._sim, blocks, self._recorder)
 
     def finish(self, reason: str) -> Path:
-        """Write result.nc and summary.json; the folder. Raises OutputError where there is no room.
+        """Write result.nc and summary.json; returns the folder. Raises OutputError if the disk is full.
 
-        reason: why it ends
+        reason: of the end
         """
         self._recorder.stop()
         self._store.append(self._recorder.surfaces())
@@ -60,7 +60,7 @@ class Recording:
 
 
 def next_folder(out: Path) -> Path:
-    """The first of recording-001, recording-002, ... that is not there yet. Raises OutputError after 999."""
+    """The first of recording-001, recording-002, ... that does not exist. Raises OutputError after 999."""
     for number in range(1, 1000):
         folder = out / f"recording-{number:03d}"
         if not folder.exists():

@@ -1,4 +1,4 @@
-"""A scene run for a page: it steps as fast as is wanted, turns keys, records, and tells what there is to see."""
+"""Run a scene for a page: step it at the requested pace, change keys, record, and send the data to show."""
 
 import logging
 import math
@@ -43,22 +43,22 @@ LOG = logging.getLogger("palmfield.studies")
 RATE_Hz, GPU_RATE_Hz = 15.0, 30.0
 """Pictures a second by default."""
 QUIET_s = 0.3
-"""So long after the last turn of a slider a scene is rebuilt."""
+"""A scene is rebuilt this long after the last change of a slider."""
 IDLE_s = 0.02
 SPEED_OVER_s = 0.5
 UNWATCHED = 9
-"""Steps without being watched for each one that was, where the simulation goes as fast as it can."""
+"""Unobserved steps for each observed one, if the simulation runs at full speed."""
 NEXT_KEY = re.compile(r";\s*(?=[\w.]+\s*=)")
-"""Between several keys of one text: a semicolon before INSTANCE.key=."""
+"""Separator of several keys in one text: a semicolon before INSTANCE.key=."""
 NOT_FROM_A_PAGE = {"function", "hand", *(key for keys in FILES.values() for key in keys)}
-"""Keys by which whoever has the page's address could have files read and code run."""
+"""Keys with which a user of the page could read files and run code."""
 BEHIND_s = 0.2
-"""By more than this the clock doesn't try to catch up."""
+"""Largest delay that the clock makes up for."""
 
 
 @dataclass(frozen=True)
 class Wanted:
-    """How a scene is opened, each time it is. keys: those given beside the scene's own"""
+    """How a scene is opened each time. keys: those given in addition to the scene's own"""
 
     scene: Path
     device: str | None
@@ -66,7 +66,7 @@ class Wanted:
     board: str | None
 
     def open(self, keys: Mapping[str, object]) -> Simulation:
-        """Errors as `palmfield.Simulation`. What steps the skins is made here, not in the first step."""
+        """Errors as `palmfield.Simulation`. The steppers of the skins are made here, not in the first step."""
         sim = Simulation(self.scene, device=self.device, accuracy=self.accuracy, board=self.board, keys=keys)
         for lazy in sim.runtime.model.begin:
             _ = lazy.value
@@ -74,15 +74,15 @@ class Wanted:
 
 
 class ShownScene:
-    """A scene that is stepped and turned. Whoever runs it calls `take` with what the page sends, and `go_on`.
+    """A scene that is stepped and changed. The caller passes the page's messages to `take`, and calls `go_on`.
 
-    send: gets what the page is to know; sim: the simulation as it is now; keys: other than the scene's own
+    send: gets the messages for the page; sim: the present simulation; keys: other than the scene's own
     """
 
     def __init__(
         self, wanted: Wanted, keys: Mapping[str, object], out: Path, send: Callable[[FromSimulation], None]
     ) -> None:
-        """out: folder in which recordings are made, each in one of its own. Errors as `palmfield.Simulation`."""
+        """out: folder of recordings, each in a folder of its own. Errors as `palmfield.Simulation`."""
         self.wanted, self.keys, self.out, self.send = wanted, dict(keys), out, send
         self.playing, self.most_pace = True, 1.0
         self._turns: dict[Place, float] = {}
@@ -99,24 +99,24 @@ class ShownScene:
     def _attach(self) -> None:
         self._sight = MomentReader(self.sim)
         listed = (*stimulus_sliders(self.sim.runtime.spec.stimuli), *self._hands.sliders)
-        # One that was there keeps its ends: they follow from where it stood at first
+        # An existing slider keeps its ends, which follow from its first value
         self.sliders = {one.place: self.sliders.get(one.place, one) for one in listed}
         self._texts = stimulus_texts(self.sim.runtime)
         self._begin_clock()
         self._watch_soon()
 
     def _watch_soon(self) -> None:
-        """What was seen of the periods before holds no more."""
+        """Discard earlier periods."""
         self._unwatched: float = math.inf
         self._held_up = False
 
     def _begin_clock(self) -> None:
-        """Real time is counted from here."""
+        """Set the start of real time to now."""
         self._clock = time.monotonic(), self.sim.time
         self._measured, self._speed = self._clock, 0.0
 
     def show(self) -> None:
-        """Tell the page what there is, once it is there and after each rebuilding."""
+        """Send the scene to the page, once it is available and after each rebuild."""
         no_pose = "" if self._hands.sliders else NO_HAND
         self.send(
             scene_shown(self.sim, str(self.wanted.scene), self._sight.pose(), tuple(self.sliders.values()), no_pose)
@@ -131,7 +131,7 @@ class ShownScene:
     # -- what the page sends -------------------------------------------------------------------------------------------
 
     def take(self, message: FromPage) -> None:
-        """Do what the page asks for; what goes wrong is told there."""
+        """Do what the page requests; errors are reported there."""
         if isinstance(message, Ask):
             self._asked.add(message.what)
         elif isinstance(message, Turn):
@@ -155,7 +155,7 @@ class ShownScene:
 
     def _take_text(self, text: str) -> None:
         given: dict[str, object] = {}
-        # Keys that need one another must be set at once
+        # Keys that depend on each other must be set together
         for part in NEXT_KEY.split(text):
             name, equals, value = part.partition("=")
             if not equals or not name.strip():
@@ -184,7 +184,7 @@ class ShownScene:
             self.stop_recording("stopped in the live view")
 
     def _guarded(self, do: Callable[[], None]) -> bool:
-        """Do something, and tell the page what is wrong with it; whether it went well."""
+        """Do something, and report errors to the page; returns whether it succeeded."""
         try:
             do()
         except PalmfieldError as error:
@@ -192,7 +192,7 @@ class ShownScene:
             self.send(Told("error", str(error)))
             return False
         except Exception as error:
-            # Whoever looks on loses nothing by a fault of ours: the scene stands as it was, and can be turned back
+            # A fault of palmfield must not end the view: the scene is unchanged, and keys can be set back
             LOG.exception("the live view has a fault")
             self.send(Told("error", f"a fault of palmfield's, not yours: {type(error).__name__}: {error}"))
             return False
@@ -201,7 +201,7 @@ class ShownScene:
     # -- stepping ------------------------------------------------------------------------------------------------------
 
     def go_on(self) -> float:
-        """Make the next step if it is due, and answer what was asked; returns how long there is nothing to do [s]."""
+        """Make the next step if it is due, and answer requests; returns the idle time until the next one [s]."""
         if (self._turns or self._set) and self._due():
             self._change()
         wait_s = IDLE_s
@@ -215,7 +215,7 @@ class ShownScene:
         return min(max(wait_s, 0.0), IDLE_s)
 
     def _ahead_s(self) -> float:
-        """How long the simulation must wait for the clock [s]; the clock is set back where it runs away."""
+        """Return how long the simulation must wait for the clock [s]; the clock is reset if it is too far ahead."""
         if math.isinf(self.most_pace):
             return 0.0
         began_s, from_s = self._clock
@@ -233,7 +233,7 @@ class ShownScene:
             if not self._guarded(self._recording.step):
                 self.stop_recording("it could not be written any further")
         elif self._periods is not None and not self._guarded(self._watch):
-            # What can't be told is no reason to stand still
+            # A failed report must not stop the scene
             self._stop_watching()
             self._seen()
         now = time.monotonic()
@@ -255,11 +255,11 @@ class ShownScene:
 
     @property
     def watching(self) -> bool:
-        """Whether steps are being watched for a replay: whoever steps the simulation past this must not then."""
+        """Whether steps are being observed for a replay; the simulation must not be stepped otherwise then."""
         return self._periods is not None
 
     def _may_watch(self) -> bool:
-        """Whether steps may take longer now: there is time, or enough steps went by without, or nothing is known."""
+        """Whether steps may be observed: there is time, enough steps were unobserved, or there is no replay yet."""
         return self._held_up or self._unwatched >= UNWATCHED * steps_watched(self.sim)
 
     def _answer(self) -> None:
@@ -291,8 +291,7 @@ class ShownScene:
     # -- changes -------------------------------------------------------------------------------------------------------
 
     def _due(self) -> bool:
-        """Whether what was turned is to be taken now: at once where that is quick, else once nothing is turned any
-        more."""
+        """Whether changes are applied now: at once if that is fast, else after the last change."""
         return time.monotonic() - self._turned_at > QUIET_s or (self._quick() and not self._set)
 
     def _quick(self) -> bool:
@@ -329,7 +328,7 @@ class ShownScene:
         started = time.monotonic()
         keys = self.keys | {name: value or None for name, value in texts.items()}
         new = self.wanted.open(keys)
-        # Only now: until here nothing has changed, and a value that can't be leaves everything as it was
+        # Only now: until here the scene is unchanged, so that an invalid value has no effect
         self.stop_recording(f"then {told}")
         self._stop_watching()
         self.sim, self.keys = new, keys
@@ -348,7 +347,7 @@ class ShownScene:
         self.send(Told("info", "back to time 0"))
 
     def stop_recording(self, reason: str) -> None:
-        """Finish a recording if there is one, and say where it is."""
+        """Finish a recording if there is one, and report its folder."""
         if self._recording is None:
             return
         recording, self._recording = self._recording, None
@@ -378,17 +377,17 @@ def view(
 ) -> None:
     """Run a scene and show it in the browser; returns after Ctrl-C, SIGTERM or SIGHUP, with recordings finished.
 
-    out: folder in which recordings are made, out/view_SCENE by default
+    out: folder of recordings, out/view_SCENE by default
     device, accuracy, board, keys: as `palmfield.Simulation` takes them
-    modes: whether all skins move by modes that serve any sound, so that a slider acts at once; they take a minute or
-        two to make, once for a skin
-    host: address to listen at, this machine's own by default; any other one needs the token that is in the page's
-        address, which goes over the network as plain text; port: by default the first free one from 8080 on
-    rate_Hz: pictures a second, 15 by default, and 30 on a GPU
-    pace: at most so many simulated seconds in a second; inf for as fast as it goes
-    on_ready: gets the page's address
-    Raises SceneError or DeviceError as `palmfield.Simulation`, and OutputError where there is no page to be had or its
-    process ends before the view does.
+    modes: whether all skins move by modes for any sound, so that a slider acts at once; they take a minute or two to
+        make, once for a skin
+    host: address to listen at, this machine's own by default; any other one needs the token in the page's address,
+        which is sent over the network as plain text; port: by default the first free one from 8080 on
+        rate_Hz: pictures a second, 15 by default, and 30 on a GPU
+    pace: limit of simulated seconds per second; inf for no limit
+    on_ready: called with the page's address
+    Raises SceneError or DeviceError as `palmfield.Simulation`, and OutputError if the page is not available or its
+    process ends before the view.
     """
     need_viser()
     path = Path(scene)
@@ -424,7 +423,7 @@ def view(
 
 
 class Ending:
-    """Signals that end a view between two steps: in the middle of one, an exception could not pass through MuJoCo.
+    """Signals that end a view between two steps, since an exception could not pass through MuJoCo within one.
 
     asked: whether one has come
     """
@@ -432,14 +431,14 @@ class Ending:
     asked = False
 
     def note(self, number: int, frame: FrameType | None) -> None:
-        """The first signal is noted; the second one raises KeyboardInterrupt where the program stands."""
+        """Note the first signal; the second one raises KeyboardInterrupt at once."""
         if self.asked:
             raise KeyboardInterrupt
         self.asked = True
 
 
 def run_for(live: ShownScene, link: Link, end: Ending) -> None:
-    """Step a scene and do what its page asks for, until the page is gone or a signal asks for the end."""
+    """Step a scene and answer its page, until the page has ended or a signal requests the end."""
     wait_s = 0.0
     while not (link.gone or end.asked):
         for message in link.received(wait_s):

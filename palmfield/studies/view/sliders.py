@@ -1,4 +1,4 @@
-"""Which numbers of a scene can be turned, within what, and what key and text a turned one makes."""
+"""Numbers of a scene that can be changed, their ranges, and the key and text of a change."""
 
 from collections.abc import Iterable, Mapping
 
@@ -10,12 +10,12 @@ from palmfield.studies.view.messages import Place, Slider
 MM = ("mm", 1e3)
 AXES = "xyz"
 ASIDE_mm, NEARER_mm = 60.0, 120.0
-"""By so much a focus can be moved sideways, and along the array's axis."""
+"""Range of a focus sideways, and along the array's axis."""
 PLAIN = ("", 1.0)
 
 
 def stimulus_sliders(stimuli: Iterable[StimulusSpec]) -> tuple[Slider, ...]:
-    """Focus, modulation, path and level of each stimulus, as far as it has them."""
+    """Return sliders for focus, modulation, path and level of each stimulus, as far as it has them."""
     sliders: list[Slider] = []
     for stimulus in stimuli:
         sliders += _of(stimulus.name, stimulus.config)
@@ -43,7 +43,7 @@ def _of(name: str, config: StimulusConfig) -> list[Slider]:
         ("path_diameter_m", "diameter"), ("path_width_m", "width"), ("path_height_m", "height"),
     ):  # fmt: skip
         if getattr(config, key) is not None:
-            # The smallest step that a slider has is of 0.1 mm, whatever the path
+            # The smallest step of a slider is 0.1 mm, for any path
             most = 3e3 * getattr(config, key)
             found.append(one("Path", key, label, (min(1.0, most / 10), most, 0.1), MM))
     for key, label, unit in (("path_rate_Hz", "turns a second", "Hz"), ("path_speed_m_s", "speed", "m/s")):
@@ -62,12 +62,12 @@ def _of(name: str, config: StimulusConfig) -> list[Slider]:
 
 
 def value_of(slider: Slider, stimuli: Iterable[StimulusSpec]) -> float:
-    """What a slider of a key stands at, in its unit."""
+    """Return the value of a key's slider, in its unit."""
     _, name, axis = slider.place
     instance, _, key = name.rpartition(".")
     value = next(getattr(one.config, key) for one in stimuli if one.name == instance)
     if value is None:
-        # Of keys with a slider only the level may be left out
+        # Among keys with a slider only the level may be missing
         value = 1.0
     return float(slider.scale * (value if axis is None else value[axis]))
 
@@ -75,7 +75,7 @@ def value_of(slider: Slider, stimuli: Iterable[StimulusSpec]) -> float:
 def turned(
     sliders: Mapping[Place, Slider], turns: Mapping[Place, float], stimuli: Iterable[StimulusSpec]
 ) -> dict[str, str]:
-    """Texts of keys, by INSTANCE.key, once some sliders stand elsewhere. turns: values in the sliders' units"""
+    """Return texts of keys, by INSTANCE.key, for changed sliders. turns: values in the sliders' units"""
     listed = list(stimuli)
     texts = {}
     for group, name, _ in turns:
