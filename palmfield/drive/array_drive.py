@@ -1,4 +1,4 @@
-"""What an array is told to emit for a focus: the phases that bring the sound there together, and the level."""
+"""Drive of an array for a focus: phases that focus the sound there, and the level."""
 
 import math
 from collections.abc import Sequence
@@ -22,13 +22,13 @@ from palmfield.types import Air, Array, Complex, Float, Int
 Bool = NDArray[np.bool_]
 
 KEPT = 32
-"""Unit drives that are kept: a path that rests at few points comes back to each of them."""
+"""Number of cached unit drives: a path that rests at few points returns to each of them."""
 
 
 class SoundSource(Protocol):
     """The scene's arrays as one source, as `palmfield.acoustics.phased_array.PhasedArray` is.
 
-    array: all transducers, in the frame of the first array; parts: the arrays that they come from, in turn, each in its
+    array: all transducers, in the frame of the first array; parts: the arrays that they belong to, in turn, each in its
         own frame; impedance: rho c^2 [Pa], so that the ARP at a focus is |p|^2 over it
     """
 
@@ -46,28 +46,28 @@ class SoundSource(Protocol):
 
 
 class UnitDrive:
-    """What the transducers are told to emit for a focus at the loudest moment.
+    """Commanded drive of the transducers for a focus at the loudest moment.
 
-    amplitudes: complex, relative to full drive, shape (N,); level: amplitude asked of each transducer, 0..1
+    amplitudes: complex, relative to full drive, shape (N,); level: target amplitude of each transducer, 0..1
     conjugate: of the amplitudes; power: sum of |amplitude|^2; peak: largest |amplitude|
-    serial: its number; no other drive has it
+    serial: its unique number
     """
 
     def __init__(self, amplitudes: Complex, level: float):
         self.amplitudes, self.level, self.serial = amplitudes, level, next_serial()
-        amplitudes.flags.writeable = False  # what is kept for a unit drive holds as long as it is the same object
+        amplitudes.flags.writeable = False  # cached data of a unit drive are valid as long as it is the same object
         self.conjugate: Complex = amplitudes.conj()
         self.power = float((self.conjugate @ amplitudes).real)
         self.peak = float(np.maximum.reduce(np.abs(amplitudes)))
 
 
 class ArrayDrive:
-    """How one stimulus drives the transducers that it has, with the arrays in one relative pose.
+    """Drives the transducers of one stimulus, with the arrays in one relative pose.
 
     array: all transducers of the scene; chosen: those that this stimulus drives, shape (k,), rising
-    arp_peak_Pa: ARP at the focus at the loudest moment, where the stimulus sets it; drive_amplitude: of each
-        transducer, where the stimulus sets that (1 where it sets neither); board: what plays the drive
-    about, about_focus: of its errors, and of those that its foci make
+        arp_peak_Pa: ARP at the focus at the loudest moment, if the stimulus sets it; drive_amplitude: of each
+        transducer, if the stimulus sets that (1 if it sets neither); board: that plays the drive
+    about, about_focus: beginnings of its errors, and of those of its foci
     Amplitudes are over all N transducers, 0 for those that are not chosen.
     """
 
@@ -96,17 +96,17 @@ class ArrayDrive:
         self._known: dict[bytes, UnitDrive] = {}
         self._unchecked = True
         self._last: tuple[FocalPoints, bytes, UnitDrive] | None = None
-        # What palmfield.drive.transducer_response keeps for points that don't move
+        # Cache of palmfield.drive.transducer_response for fixed points
         self.delays: tuple[FocalPoints, tuple[Float, Int | None]] | None = None
 
     def unit_drive(self, point: Float, loudness: Float | None = None) -> UnitDrive:
-        """The drive for a focus at `point` (frame of the first array [m], shape (3,)) at the loudest moment.
+        """Return the drive for a focus at `point` (frame of the first array [m], shape (3,)) at the loudest moment.
 
-        Several points, shape (m, 3), become foci at once (`palmfield.drive.foci`): equally loud, or with pressures as
-        `loudness` has them, 0 to 1, shape (m,). A transducer that a point is behind stays silent. The last KEPT drives
-        are kept.
-        Raises SceneError for a focus that no transducer can make or a level that they cannot reach, DeviceError for
-        what the board cannot play.
+        Several points, shape (m, 3), become simultaneous foci (`palmfield.drive.foci`): equally loud, or with relative
+        pressures `loudness`, 0 to 1, shape (m,). A transducer behind which a point lies is silent. The last KEPT drives
+        are cached.
+        Raises SceneError for a focus that no transducer can make or a level that they cannot reach, DeviceError for a
+        drive that the board cannot play.
         """
         key = point.tobytes() if loudness is None else point.tobytes() + loudness.tobytes()
         known = self._known.get(key)
@@ -118,7 +118,7 @@ class ArrayDrive:
         return known
 
     def unit_drive_at(self, focal_points: FocalPoints, point: Float) -> UnitDrive:
-        """`unit_drive` for one of the stimulus's points, shape (3,), where it is now."""
+        """Return `unit_drive` for one of the stimulus's points, shape (3,), at its present place."""
         last, key = self._last, point.tobytes()
         if last is None or last[0] is not focal_points or last[1] != key:
             uneven = focal_points.table is not None or focal_points.arp
@@ -127,20 +127,20 @@ class ArrayDrive:
         return last[2]
 
     def level_at(self, focal_points: FocalPoints, point: Float) -> float:
-        """`unit_drive_at(...).level` of a board that takes a focus, without what the board makes of it."""
+        """Return `unit_drive_at(...).level` of a board that takes a focus, before the board's rounding."""
         loudness = focal_points.loudness(point)
         place = focal_points.at(point)
         if loudness is not None or place.ndim > 1:
             return self._asked(place, loudness)[2]
-        # Phases are the board's own
+        # The board computes the phases
         if not np.logical_or.reduce(self._rays(*place)[1] > 0.0):
             self._refuse(place)
         return self.amplitude if self.arp_peak_Pa is None else float(self._levels(place[None])[0])
 
     def _asked(self, point: Float, loudness: Float | None) -> tuple[Float, Complex, float]:
-        """The focus or foci that sound, what the transducers' sound needs there, and the level."""
+        """Return the active focus or foci, the matched amplitudes of the transducers for them, and the level."""
         if loudness is not None:
-            # A focus that is silent now is none, and one that is left alone is made as one
+            # A silent focus is left out, and a single remaining one is computed as one focus
             point, loudness = point[loudness > 0.0], loudness[loudness > 0.0]
             point = point if len(point) > 1 else point[0]
         if point.ndim == 1:
@@ -178,7 +178,7 @@ class ArrayDrive:
 
     @cached_property
     def correction(self) -> Complex | None:
-        """What makes up for the chosen transducers' gains, shape (n,): 0 for dead ones. None for nothing."""
+        """Return the correction for the chosen transducers' gains, shape (n,): 0 for dead ones. None for nothing."""
         gain = self.array.array.gain
         if not self.compensate or gain is None:
             return None
@@ -188,13 +188,13 @@ class ArrayDrive:
     def unit_drives(
         self, points: Float, focal_points: FocalPoints, group: Int | None = None, audible: Bool | None = None
     ) -> Complex:
-        """Amplitudes of `unit_drive` for many of the stimulus's points at once, shape (k, N).
+        """Return amplitudes of `unit_drive` for many of the stimulus's points, shape (k, N).
 
-        points: for each row one of the stimulus's points, shape (k, 3), or several, shape (k, d, 3), of which each
-            transducer takes the one that `group`, shape (N,), names
-        focal_points: where these points are
-        audible: which of the points will sound at all, shape (k, d): only these need be ones that the array can make
-        Errors as unit_drive.
+        points: for each row one of the stimulus's points, shape (k, 3), or several, shape (k, d, 3), from which
+            `group`, shape (N,), selects one for each transducer
+        focal_points: places of these points
+        audible: whether each point will sound, shape (k, d): only these must be within the array's range Errors as
+        unit_drive.
         """
         points = points.reshape(len(points), -1, 3)
         if len(focal_points.offsets) or self.board.line is not None or self.correction is not None:
@@ -219,22 +219,22 @@ class ArrayDrive:
         return self._over_all(drives)
 
     def played_levels(self, levels: Float, full: float) -> Float:
-        """Levels of a drive as the board plays them, of the same shape; full: amplitude of the drive at level 1, 0..1.
+        """Round levels of a drive as the board plays them, same shape; full: amplitude of the drive at level 1, 0..1.
 
-        Only for a board that rounds levels, which it does anew in each frame. Of several foci, whose transducers
-        differ, they stay as they are.
+        Only for a board that rounds levels in each frame. For several foci, whose transducers differ, they are
+        unchanged.
         """
         if full == 0.0:
             return levels
         return self.board.rounded(levels * full) / self.board.rounded(np.array(full))
 
     def focusing(self, foci: Float, some: Int) -> Complex:
-        """Drives exp(-i k d) of some of the chosen transducers for foci [m], shape (k, 3), each by itself, (k, n)."""
+        """Drives exp(-i k d) of some of the chosen transducers for foci [m], shape (k, 3), each separately, (k, n)."""
         offsets = foci[:, None, :] - self.places.T[some]
         return np.asarray(np.exp(-1j * self.wavenumber * np.sqrt(np.einsum("ijk,ijk->ij", offsets, offsets))))
 
     def flight_times(self, focus: Float) -> Float:
-        """Time that the sound of each chosen transducer takes to a point [s], shape (n,)."""
+        """Flight time from each chosen transducer to a point [s], shape (n,)."""
         return np.asarray(self._rays(*focus)[0] / self.sound_speed)
 
     # -- one focus ---------------------------------------------------------------------------------------------------
@@ -242,7 +242,7 @@ class ArrayDrive:
     def _rays(self, x: Float, y: Float, z: Float) -> tuple[Float, Float]:
         """Distance [m] from each transducer to a point, and the point's height over its face [m].
 
-        x, y, z: of the points [m], numbers, or shapes that fit (k, n) beside the transducers
+        x, y, z: of the points [m], numbers, or shapes that broadcast to (k, n) with the transducers
         """
         dx, dy, dz = x - self.places[0], y - self.places[1], z - self.places[2]
         distances = dx * dx
@@ -264,7 +264,7 @@ class ArrayDrive:
         return waves
 
     def _over_all(self, drives: Complex) -> Complex:
-        """Drives of the chosen transducers, shape (n,) or (k, n), among those of all."""
+        """Insert drives of the chosen transducers, shape (n,) or (k, n), into those of all."""
         if self.everything:
             return drives
         full = np.zeros((*drives.shape[:-1], self.count), np.complex128)
@@ -279,7 +279,7 @@ class ArrayDrive:
     # -- its level ---------------------------------------------------------------------------------------------------
 
     def _levels_at(self, foci: Float, audible: Bool | None) -> Float:
-        """`_levels` for foci of shape (k, d, 3); those that won't sound get 0. Shape (k, d)."""
+        """`_levels` for foci of shape (k, d, 3); silent ones get 0. Shape (k, d)."""
         if audible is None:
             return self._levels(foci.reshape(-1, 3)).reshape(foci.shape[:2])
         levels = np.zeros(foci.shape[:2])
@@ -287,9 +287,9 @@ class ArrayDrive:
         return levels
 
     def _levels(self, foci: Float) -> Float:
-        """Level at which single foci [m], shape (q, 3), have the ARP that is asked for, shape (q,).
+        """Level at which single foci [m], shape (q, 3), have the target ARP, shape (q,).
 
-        At its focus the sound of all transducers that face it is in phase but for their gains.
+        At its focus the sound of all transducers that face it is in phase, except for their gains.
         """
         distances, heights = self._rays(*foci.T[:, :, None])
         cosines = heights / np.maximum(distances, 1e-9)
@@ -302,12 +302,12 @@ class ArrayDrive:
 
     @cached_property
     def absorption_Np_m(self) -> float:
-        """Amplitude of the sound that is lost on its way [Np/m]."""
+        """Amplitude absorption of the sound in air [Np/m]."""
         return absorption_Np_m(self.array.air, self.array.array.frequency_Hz)
 
     @cached_property
     def _parts(self) -> list[tuple[Array, slice, Float | Complex]]:
-        """Arrays with transducers that are chosen, which of the chosen these are, and their gains."""
+        """Return arrays with chosen transducers, the indices of these among the chosen ones, and their gains."""
         result = []
         start = 0
         for part in self.array.parts:
@@ -320,7 +320,7 @@ class ArrayDrive:
         return result
 
     def _reached(self, full_Pa: Float, foci: Float) -> Float:
-        """Levels for the ARP that is asked for, from that at full drive [Pa], shapes (q,); foci: (q, 3) or (q, m, 3)"""
+        """Return levels for the target ARP, from that at full drive [Pa], shapes (q,); foci: (q, 3) or (q, m, 3)"""
         target = self.arp_peak_Pa
         assert target is not None
         if not np.logical_and.reduce(full_Pa >= target):
@@ -341,7 +341,7 @@ class ArrayDrive:
     # -- several foci at once, and boards ----------------------------------------------------------------------------
 
     def _several(self, foci: Float, loudness: Float | None) -> Complex:
-        """Phases for foci at once [m], shape (m, 3), of the chosen transducers, shape (n,); loudness: shape (m,)"""
+        """Return phases for several foci [m], shape (m, 3), of the chosen transducers, (n,); loudness: shape (m,)"""
         transfer, facing = self._towards(foci)
         if self._unchecked or np.add.reduce(facing) <= len(foci):
             self._check_several(foci, facing)
@@ -351,7 +351,7 @@ class ArrayDrive:
         return phases
 
     def leading_of(self, foci: Float, loudness: Float) -> Complex:
-        """What the phases of foci at once [m], shape (m, 3), begin with (`leading_vector`); loudness: shape (m,)"""
+        """Return the start phases of simultaneous foci [m], shape (m, 3) (`leading_vector`); loudness: shape (m,)"""
         return leading_vector(self._towards(foci)[0], loudness)
 
     def _towards(self, foci: Float) -> tuple[Complex, Bool]:
@@ -361,7 +361,7 @@ class ArrayDrive:
         return self._transfer(distances, heights)[:, facing], facing
 
     def _check_several(self, foci: Float, facing: Bool) -> None:
-        """Raises SceneError for foci at once that can't be: none faces them all, they are too many or coincide."""
+        """Raises SceneError for simultaneous foci that no transducer faces together, that are too many or coincide."""
         array = only(self.array.array, self.chosen)
         with naming(*self.about_focus):
             solve_foci(foci, only(array, facing) if np.any(facing) else array, self.array.air, iterations=0)
@@ -384,7 +384,7 @@ class ArrayDrive:
         return float(self._reached(np.array([full]), foci[None])[0])
 
     def _one_by_one(self, points: Float, focal_points: FocalPoints, group: Int | None, audible: Bool | None) -> Complex:
-        """`unit_drives` for what can't be computed for many points together; equal points are computed once."""
+        """`unit_drives` for drives that must be computed point by point; equal points are computed once."""
         rows, columns = points.shape[:2]
         drives = np.zeros((rows, self.count), np.complex128)
         takes = [slice(None)] if group is None else [(group == j).nonzero()[0] for j in range(columns)]
@@ -411,6 +411,6 @@ def in_mm(point: Sequence[float] | Float) -> str:
 
 
 def told_below(value: float, limit: float) -> str:
-    """A number below a limit in three digits, or in as many more as it takes to tell the two apart, as text."""
+    """Return a number below a limit with three digits, or as many as distinguish the two, as text."""
     told = (f"{value:.{digits}g}" for digits in range(3, 18))
     return next((text for text in told if float(text) < limit), f"{value!r}")

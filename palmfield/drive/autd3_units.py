@@ -1,4 +1,4 @@
-"""Real AUTD3 units as a transport: frames of board `autd3` go to them through their own client, autd3 0.12."""
+"""Real AUTD3 units as a transport: frames of board `autd3` are sent by their own client, autd3 0.12."""
 
 import asyncio
 import contextlib
@@ -25,7 +25,7 @@ WAYS = (
 class Autd3Units:
     """AUTD3 units in one row of the network. Each whole frame becomes one pattern, without silencer or modulation.
 
-    A frame is sent when all units have said that they have the one before it, so that none waits here.
+    A frame is sent when all units have acknowledged the one before, so that none waits here.
     name: as of `open_units`
     """
 
@@ -40,10 +40,10 @@ class Autd3Units:
         self._rest = b""
 
     def write(self, data: bytes) -> bool:
-        """Always True: every whole frame in `data` was taken by all units when this returns.
+        """Always True: on return all units have taken every whole frame in `data`.
 
-        The first bytes tell how many units there are. Raises DeviceError where these can't be opened, PortLost when
-        units are gone.
+        The number of units follows from the first bytes. Raises DeviceError if they cannot be opened, PortLost if units
+        are lost.
         """
         if self._client is None:
             if len(data) % FRAME_BYTES:
@@ -61,7 +61,7 @@ class Autd3Units:
         return True
 
     def pattern(self, frame: bytes) -> Any:
-        """The client's command for one frame: each unit's 249 phases, then its 249 intensities."""
+        """Return the client's command for one frame: each unit's 249 phases, then its 249 intensities."""
         both = np.frombuffer(frame, np.uint8).reshape(-1, 2, TRANSDUCERS)
         package = self._package
         phases = package.pattern.PhaseBuffer.from_array(np.ascontiguousarray(both[:, 0]))
@@ -75,7 +75,7 @@ class Autd3Units:
         return None
 
     def close(self) -> None:
-        """Silence the units by their client's own command, and free the link; a link that is lost is only freed."""
+        """Silence the units by their client's own command, and free the link; a lost link is only freed."""
         if self._loop.is_closed():
             return
         if self._client is not None:
@@ -122,7 +122,7 @@ class Autd3Units:
             raise PortLost(f"{self.name} is gone: {error}") from error
 
     def _run(self, call: Callable[..., Any], *arguments: object) -> Any:
-        # The client's calls want a loop that runs already
+        # The client's calls need a running event loop
         async def answer() -> Any:
             return await call(*arguments)
 
@@ -130,11 +130,11 @@ class Autd3Units:
 
 
 def open_units(name: str, target: str) -> Autd3Units:
-    """AUTD3 units on a way that WAYS lists; they are looked for when the first bytes tell how many there are.
+    """Open AUTD3 units on a link listed in WAYS; the search begins when the first bytes give their number.
 
-    name: for messages; target: what follows autd3: in WAYS
-    emulator: units that are not there, of AUTD3's own software, in this process
-    Raises DeviceError for another way, and where the extra isn't installed.
+    name: for messages; target: text after autd3: in WAYS
+    emulator: emulated units of AUTD3's own software, in this process
+    Raises DeviceError for another link, and if the extra is not installed.
     """
     way, number = _parts(target)
     if not way or (way in NUMBERED and number and not number.isdigit()):
@@ -143,7 +143,7 @@ def open_units(name: str, target: str) -> Autd3Units:
 
 
 def _parts(target: str) -> tuple[str, str]:
-    """A way and its number, which only some ways have."""
+    """Return a link and its number, which only some links have."""
     way, _, number = target.partition(":")
     return (way, number) if way in NUMBERED else (target, "")
 

@@ -1,4 +1,4 @@
-"""What a board is: its limits, its bytes, and its virtual twin that tells what comes out when."""
+"""A board: its limits, its bytes, and its virtual twin that computes the emission over time."""
 
 import math
 from abc import ABC, abstractmethod
@@ -16,19 +16,19 @@ from palmfield.types import Air, Complex, Float
 
 AmplitudeKind = Literal["continuous", "on_off", "pulse_width"]
 HELD_BACK_S = 0.1
-"""Longer than any board holds whole frames back before it plays them, and shorter than any watchdog."""
+"""Longer than any board delays whole frames before it plays them, and shorter than any watchdog."""
 GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 
 
 @dataclass(frozen=True)
 class Line:
-    """The way of bytes to a board. bytes_per_s: at which they go; baud: of a serial port, None where there is none."""
+    """The line to a board. bytes_per_s: its rate; baud: of a serial port, None without one."""
 
     bytes_per_s: float
     baud: int | None = None
 
     def time_s(self, count: int) -> float:
-        """Time that so many bytes take [s]."""
+        """Time of a number of bytes [s]."""
         return count / self.bytes_per_s
 
     def __str__(self) -> str:
@@ -41,26 +41,26 @@ def serial_line(baud: int) -> Line:
 
 
 class Emitted(NamedTuple):
-    """What a board emits from a moment on. time_s: on the clock of its line [s]; amplitudes: complex, shape (n,)"""
+    """Emission of a board from a moment on. time_s: on the clock of its line [s]; amplitudes: complex, shape (n,)"""
 
     time_s: float
     amplitudes: Complex
 
 
 def frames_in_words(emitted: Sequence[Emitted]) -> str:
-    """How many frames a board emits, and how many of them differ from the one before, the first one from silence."""
+    """Return the number of frames of a board, and how many differ from the one before, the first from silence."""
     before = [np.zeros_like(one.amplitudes) for one in emitted[:1]] + [one.amplitudes for one in emitted[:-1]]
     differ = sum(not np.array_equal(one.amplitudes, last) for one, last in zip(emitted, before, strict=True))
     return f"{len(emitted)} frames, of which {differ} differ from the one before"
 
 
 def rate_in_words(rate_Hz: float) -> str:
-    """Frames a second as all texts have them: to 0.1."""
+    """Return frames a second as in all texts: to 0.1."""
     return f"{rate_Hz:.1f}".removesuffix(".0")
 
 
 class Flag(NamedTuple):
-    """Something that a virtual board noticed. kind: overrun, dc or garbled; text: in words"""
+    """An error that a virtual board detected. kind: overrun, dc or garbled; text: in words"""
 
     time_s: float
     kind: str
@@ -68,10 +68,10 @@ class Flag(NamedTuple):
 
 
 class Twin(ABC):
-    """A board just switched on that takes bytes and tells what is emitted when. It raises on no bytes, but flags them.
+    """A board just switched on that reads bytes and computes what it emits. Invalid bytes are flagged, not raised.
 
-    count: transducers; byte_s: time that a byte takes on the line [s]
-    time_s: when the last byte was in [s]; flags: what was noticed
+    count: transducers; byte_s: time of a byte on the line [s]
+    time_s: arrival of the last byte [s]; flags: detected errors
     """
 
     def __init__(self, count: int, byte_s: float) -> None:
@@ -82,12 +82,12 @@ class Twin(ABC):
     @property
     @abstractmethod
     def emitted(self) -> Complex:
-        """What sounds now: complex amplitude of each transducer at the carrier, e^{-iwt}, shape (n,)."""
+        """Present emission: complex amplitude of each transducer at the carrier, e^{-iwt}, shape (n,)."""
 
     def feed(self, data: bytes, time_s: float | None = None) -> list[Emitted]:
-        """Take bytes from the line; returns what is emitted after each that changes it.
+        """Read bytes from the line; returns the emission after each byte that changes it.
 
-        time_s: when the first bit of the first byte comes [s]; None, and an earlier time, is right after the last byte
+        time_s: start of the first bit of the first byte [s]; None, and an earlier time, is right after the last byte
         """
         if time_s is not None:
             self.time_s = max(self.time_s, time_s)
@@ -95,10 +95,10 @@ class Twin(ABC):
 
     @abstractmethod
     def take(self, data: bytes) -> list[Emitted]:
-        """`feed` of bytes that follow one another; moves `time_s`."""
+        """`feed` of consecutive bytes; advances `time_s`."""
 
     def until(self, time_s: float) -> list[Emitted]:
-        """What changes by itself up to a time [s], without bytes: frames that a board holds back, a watchdog."""
+        """Return changes without bytes up to a time [s]: delayed frames, a watchdog."""
         return []
 
     def flag(self, kind: str, text: str) -> None:
@@ -106,7 +106,7 @@ class Twin(ABC):
 
 
 class RewiredTwin(Twin):
-    """The twin of a board whose transducers hang on other places than the layout's order has them."""
+    """The twin of a board with transducers wired in another order than the layout's."""
 
     def __init__(self, inner: Twin, places: tuple[int, ...]) -> None:
         super().__init__(inner.count, inner.byte_s)
@@ -174,7 +174,7 @@ class Board:
 
     @property
     def exact(self) -> bool:
-        """Whether it emits exactly what it is asked for."""
+        """Whether its emission equals the commanded drive exactly."""
         return self.line is None
 
     @property
@@ -184,7 +184,7 @@ class Board:
 
     @property
     def transducers(self) -> int:
-        """How many it drives."""
+        """Number of transducers."""
         return self.unit * self.units
 
     @property
@@ -206,11 +206,11 @@ class Board:
 
     @property
     def phase_loss(self) -> float:
-        """Expected share of the focal pressure that the rounding of phases leaves."""
+        """Expected share of the focal pressure after the rounding of phases."""
         return 1.0 if self.phase_steps is None else phase_loss(self.phase_steps)
 
     def sized(self, transducers: int) -> Self:
-        """This board with as many units as so many transducers take. Raises DeviceError where none fits."""
+        """Return this board with the number of units for so many transducers. Raises DeviceError if none fits."""
         units, rest = divmod(transducers, self.unit)
         if self.exact:
             return self
@@ -222,7 +222,7 @@ class Board:
         return replace(self, units=units)
 
     def with_keys(self, keys: Mapping[str, Any]) -> Self:
-        """This board with values for some of its `keys`. Raises DeviceError for one that it does not have."""
+        """Return this board with values for some of its `keys`. Raises DeviceError for a key that it does not have."""
         for key in keys:
             if key not in self.keys:
                 own = f"it takes {', '.join(self.keys)}" if self.keys else "it takes none besides board"
@@ -230,42 +230,42 @@ class Board:
         return replace(self, **keys)
 
     def rounded(self, levels: Float) -> Float:
-        """What is emitted of levels 0..1 that all transducers share, of the same shape."""
+        """Return the emission for levels 0..1 that all transducers share, of the same shape."""
         return levels
 
     def modulating(self, frequency_Hz: float) -> Self:
-        """This board with its own envelope at a rate [Hz]; only for one that `modulates`.
+        """Return this board with its own envelope at a rate [Hz]; only for one that `modulates`.
 
-        Raises DeviceError for a rate that it has not.
+        Raises DeviceError for a rate that it does not have.
         """
         raise DeviceError(f"board '{self.name}' makes no envelope of {frequency_Hz:g} Hz; allowed: one that modulates")
 
     def encode(self, amplitudes: ArrayLike) -> bytes:
-        """The bytes of one frame.
+        """Return the bytes of one frame.
 
         amplitudes: complex amplitude of each transducer relative to full drive, e^{-iwt}, shape (n,)
-        Raises DeviceError for another shape and for what the board can't play.
+        Raises DeviceError for another shape and for amplitudes that the board cannot play.
         """
         raise DeviceError(f"board '{self.name}' takes {self._takes()}, no amplitudes; allowed: another board")
 
     def encode_focus(self, focus: ArrayLike, level: float) -> bytes:
-        """The bytes of one frame of a board that takes a focus.
+        """Return the bytes of one frame of a board that takes a focus.
 
         focus: in the array frame [m], shape (3,); level: amplitude of all transducers, 0..1
-        Raises DeviceError for what the board can't play.
+        Raises DeviceError for a focus or level that the board cannot play.
         """
         raise DeviceError(f"board '{self.name}' takes {self._takes()}, no focus; allowed: amplitudes")
 
     def twin(self) -> Twin:
-        """A virtual board just switched on, transducers in byte order. Raises DeviceError for a board without bytes."""
+        """Return a board just switched on, transducers in byte order. Raises DeviceError for a board without bytes."""
         raise DeviceError(f"board '{self.name}' takes {self._takes()}, so that it has no virtual twin")
 
     def wired_twin(self) -> Twin:
-        """A `twin` whose transducers are in the layout's order, wherever the board has them."""
+        """Return a `twin` whose transducers are in the layout's order, for any wiring."""
         return RewiredTwin(self.twin(), self.places) if self.places else self.twin()
 
     def decode(self, data: bytes) -> list[Complex]:
-        """What a board just switched on emits after each change, shape (n,) each."""
+        """Return the emission of a board just switched on after each change, shape (n,) each."""
         twin = self.wired_twin() if self.places else self.twin()
         emitted = []
         for change in twin.take(data):
@@ -275,7 +275,7 @@ class Board:
         return emitted
 
     def played_focus(self, focus: ArrayLike, level: float) -> Complex:
-        """What is emitted when a board that takes a focus is asked for one, shape (n,)."""
+        """Return the emission of a board that takes a focus for one, shape (n,)."""
         return self.decode(self.encode_focus(focus, level))[-1]
 
     def _takes(self) -> str:
@@ -283,11 +283,11 @@ class Board:
 
 
 def play(board: Board, amplitudes: ArrayLike) -> Complex:
-    """What the board emits when asked for `amplitudes`.
+    """Return the emission of the board for the commanded `amplitudes`.
 
     amplitudes: complex amplitude of each transducer relative to full drive, e^{-iwt}, shape (n,), in the layout's order
-    Returns the same shape: unchanged where the board is exact, else through its bytes and its virtual twin.
-    Raises DeviceError for what the board cannot play.
+    Returns the same shape: unchanged if the board is exact, else through its bytes and its virtual twin.
+    Raises DeviceError for amplitudes that the board cannot play.
     """
     if board.line is None:
         return np.array(amplitudes, dtype=np.complex128)
@@ -301,7 +301,7 @@ FULL = 1.0 + 1e-6
 
 
 def commanded(board: Board, amplitudes: ArrayLike) -> Complex:
-    """Amplitudes in the board's byte order, shape (n,). Raises DeviceError for another shape, and above full drive."""
+    """Return amplitudes in board byte order, shape (n,). Raises DeviceError for another shape, and above full drive."""
     values = np.asarray(amplitudes, dtype=np.complex128)
     if values.shape != (board.unit * board.units,):
         raise DeviceError(f"a frame of {board.name} has shape {values.shape}; give ({board.transducers},)")
@@ -320,10 +320,10 @@ def commanded(board: Board, amplitudes: ArrayLike) -> Complex:
 
 
 def switched(board: Board, amplitudes: ArrayLike) -> tuple[Complex, np.ndarray]:
-    """Amplitudes of a board that has off and full only, and which transducers are on, shapes (n,).
+    """Return amplitudes of a board with off and full only, and which transducers are on, shapes (n,).
 
-    Raises DeviceError for an amplitude between, unless the board dithers: then as large a share of all transducers as
-    the amplitude is is on, always the same ones.
+    Raises DeviceError for an amplitude between, unless the board dithers: then a share of the transducers equal to the
+    amplitude is on, always the same ones.
     """
     values = commanded(board, amplitudes)
     magnitude = np.abs(values)
@@ -349,14 +349,14 @@ def thresholds(count: int) -> Float:
 
 
 REFERENCE_SPEED_m_s = sound_speed(Air())
-"""Of sound in the project's reference air, which boards that place a focus themselves reckon with."""
+"""Speed of sound in the project's reference air, used by boards that compute the focus themselves."""
 
 
 # -- what a board can't play -----------------------------------------------------------------------------------------
 
 
 def slow(board: Board, rate_Hz: float) -> bool:
-    """Whether the board takes fewer frames a second than that."""
+    """Whether the board takes fewer frames a second than this."""
     return rate_Hz > board.max_frame_rate_Hz * (1.0 + 1e-9)
 
 
@@ -373,12 +373,12 @@ def check(
 ) -> None:
     """Refuse a stimulus that the board cannot play.
 
-    frame_rate_Hz: drive frames a second that the stimulus needs, 0 when it stands still
-    points_per_turn: points on each turn of a closed path at that rate, None when there is no path
-    modulated: whether the amplitude takes values between 0 and full; modulation_Hz: how often a second, 0 if not known
-    element: what the scene calls the stimulus, for the message; instead: boards that may, for it too
-    plainly: how to ask for what an amplitude that is on or off can play, for it too
-    Raises DeviceError that says what the scene needs and what the board gives.
+    frame_rate_Hz: drive frames a second that the stimulus needs, 0 if it is fixed
+    points_per_turn: points on each turn of a closed path at that rate, None without a path
+    modulated: whether the amplitude takes values between 0 and full; modulation_Hz: its rate, 0 if unknown
+    element: name of the stimulus in the scene, for the message; instead: alternative boards, for it too
+    plainly: how to request a modulation that an on-off amplitude can play, for it too
+    Raises DeviceError with the needs of the scene and the limits of the board.
     """
     rate = max(frame_rate_Hz, 2.0 * modulation_Hz)
     needs_amplitude = modulated and not board.levels

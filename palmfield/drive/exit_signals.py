@@ -1,4 +1,4 @@
-"""Signals that would end a process without running `finally`, so that a board went on sounding."""
+"""Signals that would end a process without running `finally`, so that a board would continue to sound."""
 
 import contextlib
 import signal

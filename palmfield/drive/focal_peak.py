@@ -1,4 +1,4 @@
-"""Where the sound of a focus is loudest: nearer to the array than the focus itself."""
+"""Find where the sound of a focus is loudest: closer to the array than the focus itself."""
 
 from collections.abc import Callable
 
@@ -8,12 +8,12 @@ import scipy  # which loads its parts when they are used
 from palmfield.types import Complex, Float
 
 ALONG = np.linspace(0.55, 1.05, 101)
-"""Where the first look is, as shares of the way from the array's middle to the focus."""
+"""First search points, as shares of the distance from the array's middle to the focus."""
 CLOSE_M = 1e-5
 
 
 def loudest_point(pressure: Callable[[Float], Complex], middle: Float, focus: Float) -> Float:
-    """The maximum of |p| by a focus [m], shape (3,).
+    """Return the maximum of |p| near a focus [m], shape (3,).
 
     pressure: complex pressure at points [m], shape (n, 3) -> (n,); middle: of the transducers that sound [m]
     """

@@ -1,6 +1,6 @@
-"""Drives for several foci at once, each with a wanted loudness relative to the others.
+"""Drives for several simultaneous foci, each with a target loudness relative to the others.
 
-A drive makes the pressures p = H a at the foci, H the transfer matrix. All methods look for phases of p that the array
+A drive makes the pressures p = H a at the foci, H the transfer matrix. All methods search phases of p that the array
 can serve together; they differ in how, and in whether the transducers may be driven below full. What they find holds up
 to a phase common to all transducers: `in_gauge` fixes it, so that foci that move get a drive that moves with them.
 """
@@ -23,11 +23,11 @@ from palmfield.types import Air, Array, Complex, Float
 
 Method = Literal["naive", "gs", "gsw", "lbfgs", "tikhonov"]
 ITERATIONS: dict[Method, int] = {"naive": 0, "gs": 2, "gsw": 80, "lbfgs": 300, "tikhonov": 0}
-"""Iterations that each method may take by default; the first and last are direct."""
+"""Default limit of iterations of each method; the first and last are direct."""
 
 MOST_ITERATIONS = 100_000
 COINCIDENT_WAVELENGTHS = 0.01
-"""Foci nearer to each other than this cannot be told apart: their rows of the transfer matrix are parallel."""
+"""Foci closer to each other than this cannot be separated: their rows of the transfer matrix are parallel."""
 
 REGULARISATION = 0.01
 """Tikhonov parameter of method "tikhonov", relative to the mean squared row norm of the transfer matrix."""
@@ -38,12 +38,12 @@ FAINT = 0.01
 RELAXATION = 0.4
 """Power of the correction of the weights in "gsw".
 
-At 1, as published, half of all pairs of foci before 256 transducers swung for ever between one and the other being
-louder; at 0.6 it was one in fifty, at 0.4 none of 400. More foci settle at any of these, at 1 somewhat sooner.
+At 1, as published, half of all pairs of foci before 256 transducers oscillated for ever between one and the other being
+louder; at 0.6 it was one in fifty, at 0.4 none of 400. More foci converge at any of these values, at 1 slightly sooner.
 """
 
 FREE = 2
-"""Iterations of "gsw" that may turn the phases of the foci; the rest mend their weights alone. "gs" ends there.
+"""Iterations of "gsw" that may change the phases of the foci; the rest adjust only their weights. "gs" ends there.
 
 With all free, poses on either side of a separatrix end at different optima. Of 5,712 steps of 20 um of 2 to 5 foci "gs"
 with 50 turned the drive by more than 0.15 of itself in 52 (by 1.5 at most), with 2 in 22 (0.28), for at most 0.6 % of
@@ -53,18 +53,18 @@ of the other half (0.27), where its first phases alone have 12 (0.2); "naive" an
 """
 
 SHARPNESS = (10.0, 40.0, 160.0, 640.0)
-"""Sharpness of the soft minimum that "lbfgs" raises, stage by stage; at the last it is the minimum within ln(m)/640."""
+"""Sharpness of the soft minimum that "lbfgs" raises, by stage; at the last it is the minimum within ln(m)/640."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Foci:
-    """A drive for m foci and what it makes there.
+    """A drive for m foci and its pressures.
 
     drive: complex amplitudes, |a| <= 1, shape (n,); 0 where a transducer is dead
     pressure: complex peak pressure at the foci [Pa], shape (m,)
-    targets: wanted |pressure|, relative, shape (m,)
-    bound_Pa: |pressure| of a single focus at each place, which nothing at |a| <= 1 exceeds, shape (m,)
-    iterations: how many were made
+    targets: target |pressure|, relative, shape (m,)
+    bound_Pa: |pressure| of a single focus at each place, an upper bound at |a| <= 1, shape (m,)
+    iterations: their number
     residual: `misfit` before the first and after each iteration, shape (iterations + 1,); the last is that of `drive`
     """
 
@@ -82,7 +82,7 @@ class Foci:
 
     @property
     def uniformity(self) -> float:
-        """Smallest over largest |p|/target: 1 where every focus is as loud as wanted beside the others."""
+        """Smallest over largest |p|/target: 1 if every focus has its relative target loudness."""
         ratio = self.magnitude_Pa / self.targets
         return float(ratio.min() / ratio.max())
 
@@ -93,7 +93,7 @@ class Foci:
 
     @property
     def power(self) -> float:
-        """Mean |a|^2 over the transducers: 1 where all are driven fully."""
+        """Mean |a|^2 over the transducers: 1 if all are driven fully."""
         return float(np.mean(np.abs(self.drive) ** 2))
 
 
@@ -127,12 +127,12 @@ def solve_foci(
     iterations: int | None = None,
     seed: int = 0,
 ) -> Foci:
-    """Drive for several foci in front of an array. Dead and inverted transducers (array.gain) are allowed for.
+    """Solve a drive for several foci in front of an array. Dead and inverted transducers (array.gain) are allowed for.
 
     points: the foci [m], array frame, shape (m, 3)
-    amplitudes: wanted |p| of each relative to the others, shape (m,), positive; None is equal
+    amplitudes: target |p| of each relative to the others, shape (m,), positive; None is equal
     method: see `solve_transfer`
-    iterations: at most so many; None is ITERATIONS[method]
+    iterations: their largest number; None is ITERATIONS[method]
     seed: of the random phases of "naive"
     Raises PalmfieldError for points that are not finite or not (m, 3), SceneError for foci behind a transducer,
     coincident foci, more foci than live transducers, bad amplitudes, method or iterations.
@@ -162,15 +162,15 @@ def solve_transfer(
     iterations: int | None = None,
     seed: int = 0,
 ) -> Foci:
-    """As solve_foci, for a transfer matrix that is known already (also one computed in float32).
+    """As solve_foci, for a given transfer matrix (also one computed in float32).
 
     method:
-        "naive": the sum of the single foci under random phases, its amplitude set to 1 (Di Leonardo's "SR")
-        "gs": Gerchberg-Saxon between the foci's magnitudes and the drive's (Di Leonardo et al. 2007); more
-            iterations than FREE are somewhat louder, but foci that move may get drives that jump
-        "gsw": the same with weights that make the foci as loud as wanted (the same paper), phases kept after FREE
+        "naive": the sum of the single foci under random phases, its amplitude set to 1 (Di Leonardo's "SR") "gs":
+            Gerchberg-Saxon between the foci's magnitudes and the drive's (Di Leonardo et al. 2007); more iterations
+            than FREE are slightly louder, but drives of moving foci may jump
+        "gsw": the same with weights that give the foci their target loudness (the same paper), phases fixed after FREE
         "lbfgs": phases that raise the quietest focus, by L-BFGS on a soft minimum with its exact gradient;
-            not for foci that move: of steps of 20 um one in fifty made the drive jump
+            not for moving foci: one in fifty steps of 20 um made the drive jump
         "tikhonov": amplitudes and phases, by regularised least squares (after Long et al. 2014), scaled to max |a| = 1
     The first four drive every live transducer fully. All but the first begin with the phases of `reinforcing_phases`.
     The common phase of the drive is that of `in_gauge`.
@@ -209,10 +209,10 @@ def solve_transfer(
 
 
 def together(transfer: Complex, pressures: Float | None = None) -> Complex:
-    """Drive by "gsw" for foci at once, shape (n,), as `solve_transfer` without its checks.
+    """Drive by "gsw" for simultaneous foci, shape (n,), as `solve_transfer` without its checks.
 
-    transfer: complex pressure from each transducer at full drive [Pa], shape (m, n), known to be good
-    pressures: wanted of each relative to the others, above 0, shape (m,); None for foci as loud as one another
+    transfer: complex pressure from each transducer at full drive [Pa], shape (m, n), already checked
+    pressures: targets relative to the others, above 0, shape (m,); None for equally loud foci
     """
     targets = np.ones(len(transfer)) if pressures is None else pressures
     live = np.logical_or.reduce(transfer != 0.0, axis=0)
@@ -225,10 +225,10 @@ def together(transfer: Complex, pressures: Float | None = None) -> Complex:
 
 
 def in_gauge(matrix: Complex, drive: Complex) -> Complex:
-    """Turn a drive, shape (n,), so that its pressure at the first focus is real and positive, as a single focus has it.
+    """Rotate a drive, shape (n,), so that its pressure at the first focus is real and positive, as for a single focus.
 
     Where the first focus is FAINT, the first one that is not takes its place. Magnitudes do not depend on this phase,
-    but transducers that ring need it to follow from the present foci: eigenvectors have it from rounding.
+    but transducers that ring need it as a function of the present foci: in eigenvectors it depends on rounding.
     matrix: complex pressure at the foci from each transducer at full drive [Pa], shape (m, n)
     """
     pressure = matrix @ drive
@@ -272,7 +272,7 @@ def reinforcing_phases(matrix: Complex, targets: Float) -> Complex:
 
 
 def leading_vector(matrix: Complex, targets: Float) -> Complex:
-    """The eigenvector of `reinforcing_phases`, shape (m,), of norm 1: where two eigenvalues cross it is another one."""
+    """The eigenvector of `reinforcing_phases`, shape (m,), of norm 1: it jumps where two eigenvalues cross."""
     half = np.sqrt(targets / np.add.reduce(np.abs(matrix) ** 2, axis=1))
     scaled = matrix * half[:, None]
     leading: Complex = np.linalg.eigh(scaled @ scaled.conj().T)[1][:, -1]
@@ -306,7 +306,7 @@ def _gerchberg_saxon(
     pressure = matrix @ drive
     residual = [misfit(pressure, targets)]
     number = len(targets)
-    # `unit` and `misfit` written out: a scene whose foci move solves this in each of its steps
+    # `unit` and `misfit` inlined: a scene with moving foci solves this in each of its steps
     ratio = np.abs(pressure) / targets
     turned = pressure
     for iteration in range(count):
@@ -328,7 +328,7 @@ def _gerchberg_saxon(
 def soft_minimum(phases: Float, matrix: Complex, sharpness: float) -> tuple[float, Float]:
     """Minus the soft minimum of |H exp(i phases)| over the foci, and its gradient by the phases, shape (n,).
 
-    softmin(q) = -logsumexp(-s q)/s, with s the sharpness. matrix: rows already divided by what they are compared with.
+    softmin(q) = -logsumexp(-s q)/s, with s the sharpness. matrix: rows already divided by their reference.
     """
     waves = matrix * np.exp(1j * phases)
     pressure = waves.sum(axis=1)

@@ -1,4 +1,4 @@
-"""Where the focus is that some amplitudes make: the point to which their phases fit best."""
+"""Find the focus of given amplitudes: the point that fits their phases best."""
 
 from functools import lru_cache
 from typing import Any
@@ -13,7 +13,7 @@ NEAREST_M = 0.04
 COARSE, FINER = (25, 25, 24), (9, 9, 9)
 FINE_M = 4e-3
 MOST_ROUGH, FEWEST_ROUGH = 256, 32
-"""Of how many transducers, at most and at least, phases are looked at until a place is known to millimetres."""
+"""Largest and least number of transducers whose phases are used until the place is found to millimetres."""
 ROUNDS = 30
 CLOSE_M = 1e-8
 
@@ -21,12 +21,12 @@ CLOSE_M = 1e-8
 def fitted_focus(
     positions: Float, amplitudes: Complex, wavenumber: float, near: Float | None = None, *, anywhere: bool = True
 ) -> tuple[Float, float]:
-    """The focus [m], shape (3,), whose phases -k d fit best in the least-squares sense, and the rms of the rest [rad].
+    """Return the focus [m], shape (3,), whose phases -k d fit best by least squares, and the rms residual [rad].
 
-    positions: of the transducers [m], shape (n, 3), with the sound on the side of growing z; amplitudes: shape (n,),
-    e^{-iwt}; those that are off don't count; near: where to begin, None to look everywhere within 0.6 m
-    anywhere: whether to look everywhere too where nothing near fits, which takes some 20 ms
-    NaN where fewer than four transducers sound.
+    positions: of the transducers [m], shape (n, 3), with the sound on the side of positive z; amplitudes: shape (n,),
+    e^{-iwt}; those that are off do not count; near: start point, None to search everywhere within 0.6 m
+    anywhere: whether to search everywhere too if none fits nearby, which takes some 20 ms
+    NaN if fewer than four transducers sound.
     """
     on = np.abs(amplitudes) > 1e-9
     if on.sum() < 4:
@@ -45,9 +45,9 @@ def fitted_focus(
 
 
 def _coarse(places: Float, amplitudes: Complex, wavenumber: float) -> Float:
-    """The point of a grid, then of finer ones, where the sound of all transducers comes most in step."""
+    """Return the point of a grid, then of finer ones, with the largest coherent sum of all transducers."""
     sounding = np.flatnonzero(amplitudes)
-    # What doesn't change from frame to frame finds its grid ready
+    # The grid of a constant input is cached
     some = _spread(np.arange(len(places)))
     some = some if np.count_nonzero(amplitudes[some]) >= min(len(sounding), FEWEST_ROUGH) else _spread(sounding)
     places, wave = places[some], np.exp(1j * np.angle(amplitudes[some])) * (amplitudes[some] != 0.0)
@@ -63,12 +63,12 @@ def _coarse(places: Float, amplitudes: Complex, wavenumber: float) -> Float:
 
 
 def _spread(numbers: NDArray[np.signedinteger[Any]]) -> NDArray[np.signedinteger[Any]]:
-    """At most MOST_ROUGH of some numbers, evenly."""
+    """Select at most MOST_ROUGH of some numbers, evenly."""
     return numbers[np.unique(np.linspace(0, len(numbers) - 1, min(len(numbers), MOST_ROUGH)).astype(int))]
 
 
 def _region(places: Float) -> tuple[Float, Float]:
-    """Corners of the box in which a focus is looked for [m]."""
+    """Return corners of the search box for a focus [m]."""
     low, high = places.min(axis=0) - 0.05, places.max(axis=0) + 0.05
     low[2], high[2] = places[:, 2].max() + NEAREST_M, places[:, 2].max() + REACH_M
     return low, high
@@ -81,7 +81,7 @@ def _grid(low: Float, high: Float, counts: tuple[int, int, int]) -> Float:
 
 @lru_cache(maxsize=2)
 def _steering(places: bytes, wavenumber: float) -> tuple[Float, NDArray[np.complex64]]:
-    """The first grid, shape (n, 3), and by what each transducer's sound turns on its way there, shape (n, m)."""
+    """Return the first grid, shape (n, 3), and the phase of each transducer's sound on its way there, shape (n, m)."""
     whence = np.frombuffer(places).reshape(-1, 3)
     points = _grid(*_region(whence), COARSE)
     turns = np.empty((len(points), len(whence)), np.complex64)
@@ -92,7 +92,7 @@ def _steering(places: bytes, wavenumber: float) -> tuple[Float, NDArray[np.compl
 
 
 def _refined(places: Float, phases: Float, wavenumber: float, start: Float) -> tuple[Float, float]:
-    """Gauss-Newton steps from a point that is nearer than about half a wavelength aside."""
+    """Refine a point within about half a wavelength by Gauss-Newton steps."""
     point = np.array(start, float)
     rest = np.zeros(len(places))
     for _ in range(ROUNDS):

@@ -1,14 +1,13 @@
-"""Logs of what was sent to a board and when: text that can be read at any moment, and sent again.
+"""Logs of the data sent to a board with their times: text that can be read at any moment, and sent again.
 
 The first line is a JSON object: `palmfield_log` (1, the version), `board`, `keys` (of palmfield.driver), `transducers`,
 `array`, `layout_version` (the layout's name and version), `air` (temperature_C, humidity_percent, pressure_Pa),
-`limits` (keys of palmfield.driver about how loud and how long it may sound), `p0_Pa_m` and `p0_high_Pa_m` (of the first
-array, with the high end of what is known of it; null where it is the layout's), and, null where they are as the layout
-says: `positions_m`, where the first array's transducers are, `turns_rad`, the phase that each adds to what it is told,
-and `address`, the places of all transducers in the board's byte order. Each further line is a JSON object of one piece
-of bytes:
-`t`, when its first byte was given to the port [s, since the link was opened], `hex`, the bytes, and `cut` where a write
-timeout left it open how many went out.
+`limits` (keys of palmfield.driver about level and duration of sound), `p0_Pa_m` and `p0_high_Pa_m` (of the first array,
+with the upper end of its range; null for the layout's). Null for the layout's values are also: `positions_m`, places of
+the first array's transducers, `turns_rad`, the phase that each adds to its command, and `address`, the places of all
+transducers in the board's byte order. Each further line is a JSON object of one piece of bytes:
+`t`, when its first byte was given to the port [s, since the link was opened], `hex`, the bytes, and `cut` if, after a
+write timeout, the number of sent bytes is unknown.
 """
 
 import json
@@ -33,13 +32,13 @@ VERSION = 1
 
 @dataclass(frozen=True)
 class LogHead:
-    """For which board a log is.
+    """Description of the board of a log.
 
-    keys: of palmfield.driver besides `board`; array: name of the layout, csv for places of a file; limits: SAFETY_KEYS
-    of palmfield.driver that are set; p0_Pa_m, p0_high_Pa_m: of the array's transducers, and the high end of its range,
-    None for the layout's
-    Of the first array, None where it is as the layout says: turns_rad, phases that transducers add to what they are
-    told (polarity, delays) [rad], shape (n,); positions_m, where they are in the array frame, shape (n, 3)
+    keys: of palmfield.driver besides `board`; array: name of the layout, csv for places from a file; limits:
+    SAFETY_KEYS of palmfield.driver that are set; p0_Pa_m, p0_high_Pa_m: of the array's transducers, and the upper end
+    of its range, None for the layout's
+    Of the first array, None for the layout's: turns_rad, phases that transducers add to their command (polarity,
+    delays) [rad], shape (n,); positions_m, in the array frame, shape (n, 3)
     address: of all transducers, their places in the board's byte order; None for the layout's order
     """
 
@@ -56,7 +55,7 @@ class LogHead:
     address: Sequence[int] | None = None
 
     def measured(self, array: Array, places: Sequence[int] = ()) -> "LogHead":
-        """With what is known of the first array's transducers; places: as of `Board`."""
+        """Return the head with calibration data of the first array's transducers; places: as of `Board`."""
         plain, own = self._layout, list(places) or list(range(self.transducers))
         turns = None if array.gain is None else np.angle(array.gain).round(6).tolist()
         same = plain is not None and np.array_equal(array.positions, plain.positions)
@@ -66,12 +65,12 @@ class LogHead:
 
     @property
     def _layout(self) -> Array | None:
-        """The layout's array, None where places come from a file."""
+        """The layout's array, None if places come from a file."""
         return None if self.array == "csv" else layout(self.array)
 
     @property
     def _address(self) -> list[int]:
-        """Of all transducers as the layout has them."""
+        """Addresses of all transducers in the layout's order."""
         plain = self._layout
         if plain is None or plain.address is None or len(plain) != self.transducers:
             return list(range(self.transducers))
@@ -79,7 +78,7 @@ class LogHead:
 
     @property
     def elements(self) -> tuple[Float, Complex]:
-        """Where the first array's transducers are [m], shape (n, 3), and how each turns what it is told, shape (n,)."""
+        """Places of the first array's transducers [m], shape (n, 3), and the phase factor of each, shape (n,)."""
         plain = self._layout
         if self.positions_m is not None:
             places = np.array(self.positions_m, float)
@@ -97,7 +96,7 @@ class LogHead:
 
     @property
     def playable(self) -> Board:
-        """The board itself. Raises DeviceError for one that there is not."""
+        """The board itself. Raises DeviceError for an unknown one."""
         driver = DriverConfig.model_validate({"board": self.board, **self.keys})
         return board_of(driver, self.transducers, address=self._address if self.address is None else self.address)
 
@@ -111,10 +110,10 @@ class Piece(NamedTuple):
 
 
 class FrameLog:
-    """A log that is being written, line by line."""
+    """A log written line by line."""
 
     def __init__(self, path: str | Path, head: LogHead) -> None:
-        """Raises OutputError where the file can't be made."""
+        """Raises OutputError if the file cannot be made."""
         self.path = Path(path)
         try:
             self._file = self.path.open("w", encoding="utf-8", buffering=1)
@@ -125,7 +124,7 @@ class FrameLog:
         self._write(json.dumps({"palmfield_log": VERSION, **told}) + "\n")
 
     def add(self, time_s: float, data: bytes, *, whole: bool = True) -> None:
-        """Raises OutputError when the disk does not take it."""
+        """Raises OutputError if writing fails."""
         self._write(log_line(time_s, data, whole=whole))
 
     def _write(self, line: str) -> None:
@@ -142,9 +141,9 @@ class FrameLog:
 
 
 def read_log(path: str | Path) -> tuple[LogHead, list[Piece]]:
-    """What a log holds; its last line may be cut, as it is while it is written.
+    """Read a log; its last line may be incomplete, as it is during writing.
 
-    Raises SceneError for a file that can't be read, or is no log of this version.
+    Raises SceneError for a file that cannot be read, or is no log of this version.
     """
     file = Path(path)
     try:

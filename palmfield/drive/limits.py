@@ -1,4 +1,4 @@
-"""What a user allows: how sound begins and ends, and how long it may last."""
+"""Limits set by a user: ramps of the sound, and its duration."""
 
 import math
 from collections.abc import Sequence
@@ -32,11 +32,11 @@ class SoundLimits:
         return 0.5 - 0.5 * math.cos(math.pi * min(1.0, max(0.0, inside)))
 
     def share(self, board: Board, time_s: float, duration_s: float) -> float:
-        """`level_at` as far as the board has levels: 1 where it has none, and of one that is no real board."""
+        """`level_at` rounded to the board's levels: 1 if it has none, and for one that is no real board."""
         return self.level_at(time_s, duration_s) if board.levels and not board.exact else 1.0
 
     def ramp_times(self, board: Board, duration_s: float) -> list[float]:
-        """When frames are due besides, so that the ramps have as many steps as the board can take."""
+        """Return additional due times of frames, so that the ramps have as many steps as the board can take."""
         if self.ramp_s <= 0.0 or not board.levels:
             return []
         ramp_s = min(self.ramp_s, 0.5 * duration_s)
@@ -45,7 +45,7 @@ class SoundLimits:
         return rise + [duration_s - time_s for time_s in rise if time_s > 0.0]
 
     def in_words(self, board: Board) -> str:
-        """What of the ramp the board can do; empty without one."""
+        """Describe how the board plays the ramp; empty without one."""
         if self.ramp_s <= 0.0:
             return ""
         if not board.levels:
@@ -54,9 +54,9 @@ class SoundLimits:
         return f"sound rises and falls within {1e3 * min(self.ramp_s, 1e3):g} ms"
 
     def check(self, times_s: Sequence[float], sounds: Sequence[bool], duration_s: float) -> tuple[float, float]:
-        """How long frames sound [s], and the largest share of any WINDOW_S that they do.
+        """Return the duration of sound in frames [s], and its largest share of any WINDOW_S.
 
-        Raises DeviceError where that is more than is allowed.
+        Raises DeviceError if that exceeds the limits.
         """
         ends = [*times_s[1:], max(duration_s, times_s[-1])] if times_s else []
         stretches = [(a, b) for a, b, on in zip(times_s, ends, sounds, strict=True) if on and b > a]
@@ -76,12 +76,12 @@ class SoundLimits:
 
 
 def _duty(stretches: Sequence[tuple[float, float]], duration_s: float) -> float:
-    """Largest share of a window of WINDOW_S, or of the whole where that is shorter, that stretches cover."""
+    """Return the largest share of a window of WINDOW_S, or of a shorter total, that stretches cover."""
     window = min(WINDOW_S, duration_s)
     if not stretches or window <= 0.0:
         return 0.0
     most, first, whole = 0.0, 0, 0.0
-    # The largest cover begins where a stretch begins or ends where one ends; the latter is met by looking backwards
+    # The largest cover begins at the beginning of a stretch or ends at the end of one; the latter is found backwards
     for last, (_, end) in enumerate(stretches):
         whole += stretches[last][1] - stretches[last][0]
         while stretches[first][1] <= end - window:

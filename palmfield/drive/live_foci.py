@@ -1,4 +1,4 @@
-"""Foci that another program tells of over a socket while they sound: a line of JSON each."""
+"""Foci received from another program over a socket while they sound: a line of JSON each."""
 
 import json
 import math
@@ -12,7 +12,7 @@ from palmfield.types import Float
 
 KEYS = "focus_m", "level", "position_m", "quaternion"
 UNIT = 0.01
-"""A quaternion's length may differ from 1 by so much."""
+"""Allowed deviation of a quaternion's length from 1."""
 
 
 class LiveFocus(NamedTuple):
@@ -23,7 +23,7 @@ class LiveFocus(NamedTuple):
 
 
 class Came(NamedTuple):
-    """A focus that came. number: from 1 on; time_s: when, on time.monotonic() [s]"""
+    """A received focus. number: from 1 on; time_s: of arrival, on time.monotonic() [s]"""
 
     number: int
     focus: LiveFocus
@@ -31,11 +31,11 @@ class Came(NamedTuple):
 
 
 def read_focus(line: bytes, offset: Float) -> LiveFocus:
-    """The focus of a line of JSON with one object.
+    """Read the focus from a line of JSON with one object.
 
-    focus_m: three numbers, in the array's frame; or, beside position_m and quaternion (w first), which say where
-    something is in the array's frame, in the frame of that. level: 0 to 1, 1 where it isn't told.
-    offset: focus_m where there is a position without one [m], shape (3,)
+    focus_m: three numbers, in the array's frame; or, with position_m and quaternion (w first), which give a moving
+    frame in the array's frame, in that frame. level: 0 to 1, by default 1.
+    offset: focus_m for a position without one [m], shape (3,)
     Raises BadLine for anything else.
     """
     told = read_object(line)
@@ -71,23 +71,23 @@ def _numbers(told: dict[str, Any], key: str, count: int) -> Float:
 
 
 class FocusListener(LineListener):
-    """Takes foci from a socket and keeps the newest. A context manager."""
+    """Reads foci from a socket and keeps the newest. A context manager."""
 
     def __init__(self, offset: Float, host: str = "127.0.0.1", port: int = 0, by: By = "udp") -> None:
-        """offset: as of `read_focus`; port: 0 for any that is free. Raises DeviceError for a foreign address"""
+        """offset: as of `read_focus`; port: 0 for any free one. Raises DeviceError for a foreign address"""
         self._offset = offset
         self._newest: Came | None = None
         super().__init__(host, port, by)
 
     def next(self, after: int, timeout_s: float) -> Came | None:
-        """The newest focus, if that isn't the one of a number; waits for one so long [s], and is None then.
+        """Return the newest focus if its number differs from this one; waits for it at most this time [s], else None.
 
-        Raises DeviceError where none can come any more.
+        Raises DeviceError if none can arrive any more.
         """
         return self._newest if self.wait(after, timeout_s) else None
 
     def report(self) -> str:
-        """How many lines were taken and skipped, in words."""
+        """Return the numbers of used and skipped lines, in words."""
         return f"{self.taken} foci came, {sum(self.bad.values())} lines skipped{self.skipped()}"
 
     def take(self, line: bytes, came_s: float) -> None:

@@ -1,7 +1,7 @@
-"""What one stimulus's transducers emit while its focus moves, on a device, as launches for a captured graph.
+"""Emission of one stimulus's transducers with a moving focus, on a device, as launches for a captured graph.
 
-Where `palmfield.drive.transducer_response` computes drives with NumPy, here a few numbers for each moment go in, and
-kernels leave the drives where those of the sound field take them.
+`palmfield.drive.transducer_response` computes drives with NumPy; here a few numbers for each moment are the input, and
+kernels write the drives to the input of the sound field.
 """
 
 from typing import Any, NamedTuple
@@ -26,10 +26,10 @@ class PathStep(NamedTuple):
     """A focus that moves over a MuJoCo step. moments: of the step
 
     foci: at each moment, of each of d groups of transducers, and at the step's beginning, first array's frame [m],
-        shape (m d + 1, 3); group: to which each transducer belongs, shape (n,), None where there is one
+        shape (m d + 1, 3); group: of each transducer, shape (n,), None for a single one
     levels: of the pressure there relative to the loudest moment's, 0..1, shape (m d,); now: the same at the beginning
-    mean: of the ARP over the step, relative to the loudest moment's; weights: of the moments in the mean of what
-        transducers that ring emit, shape (m,)
+        mean: of the ARP over the step, relative to the loudest moment's; weights: of the moments in the mean emission
+        of transducers that ring, shape (m,)
     """
 
     moments: Moments
@@ -42,13 +42,13 @@ class PathStep(NamedTuple):
 
 
 class PathMemory(NamedTuple):
-    """Where kernels find the numbers of a step of w worlds on a device, and where they leave what they find.
+    """Input and output arrays of the kernels for a step of w worlds on a device.
 
     counts: foci and groups, int32, shape (w, 2); group: of each transducer, int32, shape (w, n)
-    foci: [m], vec3d, shape (w, f); wanted: levels, float64, shape (w, f + 1)
-    aims: what is asked for at the focus, vec2d, shape (w,), see `PathDrives.aim`
-    ring: weights of the pole for each moment, vec2d, shape (m, 5); pushes: which row of `force` takes it, -1 for none,
-        int32, shape (m,); begun, end: what is emitted, vec2d, shape (w, n)
+    foci: [m], vec3d, shape (w, f); wanted: target levels, float64, shape (w, f + 1)
+    aims: targets at the focus, vec2d, shape (w,), see `PathDrives.aim`
+    ring: weights of the pole for each moment, vec2d, shape (m, 5); pushes: its row of `force`, -1 for none, int32,
+        shape (m,); begun, end: emission, vec2d, shape (w, n)
     totals: pressure at the foci at full drive and number of transducers that face them, vec3d, shape (w, f)
     load, force, now: tables of drives, vec2, see `palmfield.acoustics.point_sound.DriveTable`
     """
@@ -69,7 +69,7 @@ class PathMemory(NamedTuple):
 
     @staticmethod
     def inputs(moments: int, foci: int, transducers: int, worlds: int = 1) -> dict[str, tuple[tuple[int, ...], Any]]:
-        """Shapes and types of what goes in, for a `SharedBlock`; moments, foci: how many at most."""
+        """Shapes and types of the input, for a `SharedBlock`; moments, foci: their largest numbers."""
         return {
             "path_counts": ((worlds, 2), wp.int32),
             "path_group": ((worlds, transducers), wp.int32),
@@ -83,15 +83,15 @@ class PathMemory(NamedTuple):
 
     @staticmethod
     def results(foci: int, transducers: int, worlds: int = 1) -> dict[str, tuple[tuple[int, ...], Any]]:
-        """Shapes and types of what comes out."""
+        """Shapes and types of the output."""
         return {"path_end": ((worlds, transducers), wp.vec2d), "path_totals": ((worlds, foci), wp.vec3d)}
 
 
 class PathDrives:
     """The transducers of one stimulus that drives all of them, on a device.
 
-    drive: how, with the arrays as they stand now; transducers: the same ones as the sound field takes them
-    pole: what they make of a drive, all alike; None where it sounds at once; rings: whether there is one
+    drive: with the present places of the arrays; transducers: the same ones as in the sound field
+    pole: their response, all alike; None without ring-up; rings: whether there is one
     aim: of `aim_of`
     """
 
@@ -121,7 +121,7 @@ class PathDrives:
         self.move(drive)
 
     def move(self, drive: ArrayDrive) -> None:
-        """Take new places of the same transducers."""
+        """Set new places of the same transducers."""
         self._places.put(drive.places.T)
         self._facing.put(drive.normals.T)
 
@@ -155,7 +155,7 @@ class PathDrives:
         ]
 
     def pushed(self, weights: Float) -> Float:
-        """Weights in the mean ARP of the rows of `PathMemory.force`; weights: of the moments, shape (m,)."""
+        """Weights of the rows of `PathMemory.force` in the mean ARP; weights: of the moments, shape (m,)."""
         return weights[weights > 0.0] if self.rings else np.ones(1)
 
     def ring(self, moments: Moments) -> Complex:
@@ -178,10 +178,10 @@ class PathDrives:
 
 
 def foci_made(totals: Float, levels: Float, quiet: Any, target: Any) -> NDArray[np.bool_]:
-    """In which worlds the transducers can make all foci that sound, shape (w,).
+    """In which worlds the transducers can make all active foci, shape (w,).
 
     totals: of PathMemory, as numbers, shape (w, f, 3), the focus at the step's beginning last; levels: of the pressure
-    at the others, (w, f - 1); quiet: whether nothing sounds at the last one, (w,); target: the first of `aim_of`, (w,)
+    at the others, (w, f - 1); quiet: whether the last one is silent, (w,); target: the first of `aim_of`, (w,)
     """
     real, imaginary, facing = totals.transpose(2, 0, 1)
     good = (facing > 0.0) & (real * real + imaginary * imaginary >= np.asarray(target)[:, None])
@@ -191,18 +191,18 @@ def foci_made(totals: Float, levels: Float, quiet: Any, target: Any) -> NDArray[
 
 
 def push_rows(weights: Float) -> Int:
-    """Of moments that push bodies with these weights, shape (m,), the row that each takes among them; -1 without."""
+    """Return the row of each moment among those with these weights that push bodies, shape (m,); -1 without."""
     counted = weights > 0.0
     return np.where(counted, np.add.accumulate(counted, dtype=np.int32) - 1, -1).astype(np.int32)
 
 
 def aim_of(drive: ArrayDrive) -> tuple[float, float]:
-    """ARP asked for at the focus times rho c^2 [Pa^2], 0 where the drive's amplitude is, and that amplitude."""
+    """Target ARP at the focus times rho c^2 [Pa^2], 0 if the drive's amplitude is given, and that amplitude."""
     return 0.0 if drive.arp_peak_Pa is None else drive.arp_peak_Pa * drive.array.impedance, drive.amplitude
 
 
 KEPT = 64
-"""Ways in which a step's moments follow on one another whose weights are kept."""
+"""Number of cached weights for different sequences of a step's moments."""
 
 
 def _pairs(values: Any, device: str) -> Any:

@@ -1,4 +1,4 @@
-"""When frames are due."""
+"""Due times of frames."""
 
 import bisect
 import math
@@ -10,10 +10,10 @@ from palmfield.errors import SceneError
 from palmfield.stimulus.schedule import frame_rates, jumps
 
 REFRESH_S = 0.1
-"""A frame that rests is sent again so often, so that a byte lost on the line does no lasting harm [s]."""
+"""A constant frame is repeated at this interval, so that a byte lost on the line does no lasting harm [s]."""
 MOST_FRAMES = 100_000_000
 ON_STEP = 1e-6
-"""Of a step: a moment that lies so near to the beginning of one counts as that."""
+"""Share of a step: a moment this close to the beginning of one counts as that."""
 
 
 class TimedFrame(NamedTuple):
@@ -35,11 +35,11 @@ def frame_times(
     besides: Sequence[float] = (),
     least_s: float = 0.0,
 ) -> list[float]:
-    """When frames are due [s]: at points of paths and control ticks, at jumps, and every REFRESH_S while all rests.
+    """Return due times of frames [s]: at points of paths and control ticks, at jumps, and every REFRESH_S otherwise.
 
-    step_s: of MuJoCo, where something moves: a pose is new where a step begins, so that frames that come less often
-        wait for the next one
-    besides: times at which frames are due as well where no other is within least_s [s]
+    step_s: of MuJoCo, if a part moves: a pose changes where a step begins, and less frequent frames wait for the next
+        one
+    besides: further due times, unless another is within least_s [s]
     Raises SceneError for a duration or a step that is not finite and above 0, and for more than MOST_FRAMES.
     """
     for name, value in (("duration_s", duration_s), ("step_s", 1.0 if step_s is None else step_s)):
@@ -58,7 +58,7 @@ def frame_times(
 
 
 def filled(due: list[float], besides: Sequence[float], least_s: float, duration_s: float) -> list[float]:
-    """Times with those besides that lie at least so far from all others [s]."""
+    """Add those of the further times that are at least this far from all others [s]."""
     result = list(due)
     for time_s in sorted(besides):
         at = bisect.bisect_left(result, time_s)

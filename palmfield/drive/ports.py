@@ -1,4 +1,4 @@
-"""Ports by their names: which transport is behind one."""
+"""Open a port by its name with the right transport."""
 
 import os
 import re
@@ -10,9 +10,9 @@ AUTD3 = "autd3:"
 
 
 def check_port(port: str) -> None:
-    """Refuse a device that isn't there, without opening it: that resets some boards. Raises DeviceError.
+    """Refuse a device that does not exist, without opening it, which would reset some boards. Raises DeviceError.
 
-    Of URLs, ways to AUTD3 units and Windows' ports nothing is known before they are opened.
+    URLs, links to AUTD3 units and Windows' ports cannot be checked before they are opened.
     """
     if os.name == "posix" and re.fullmatch(r"COM\d+", port, re.IGNORECASE):
         raise DeviceError(
@@ -24,11 +24,11 @@ def check_port(port: str) -> None:
 
 
 def open_port(port: str, baud: int | None) -> Transport:
-    """Open a port, for this process alone where the system supports that.
+    """Open a port, exclusively if the system supports that.
 
-    port: device (/dev/ttyUSB0, COM3), pyserial URL (loop://, socket://host:port), or a way to AUTD3 units (autd3:auto,
-        `palmfield.drive.autd3_units.WAYS`); baud: None where the board has none
-    Raises DeviceError when it cannot be opened; the message names the ports, or ways, that there are.
+    port: device (/dev/ttyUSB0, COM3), pyserial URL (loop://, socket://host:port), or a link to AUTD3 units (autd3:auto,
+        `palmfield.drive.autd3_units.WAYS`); baud: None for a board without one
+    Raises DeviceError if it cannot be opened; the message names the available ports, or links.
     """
     if not port.startswith(AUTD3):
         return open_serial(port, baud)

@@ -1,4 +1,4 @@
-"""Pulses for wanted amplitudes: their widths in ticks, their phases, and frames brought to the carrier's rate.
+"""Pulses for target amplitudes: their widths in ticks, their phases, and frames resampled to the carrier's rate.
 
 Hasegawa & Shinoda 2018, eq. 5 and 6. A device counts a carrier period in ticks: 640 of 25.6 MHz in that paper, 512 in
 AUTD3, of which half are used (duty 0 to 1/2).
@@ -33,19 +33,19 @@ def widths(amplitude: ArrayLike, ticks: int, exponent: float = 2.0) -> Int:
 def edge_phase(duty: ArrayLike, held: Edge) -> Float:
     """Phase of the first harmonic [rad] (later is positive) relative to a pulse about time 0.
 
-    With the leading edge at time 0 the pulse's middle comes pi d later; with the trailing edge, pi d earlier.
-    A drive whose amplitude changes at a held edge therefore turns its phase; take this off, as `pulses` does.
+    With the leading edge at time 0 the pulse's middle is pi d later; with the trailing edge, pi d earlier.
+    A drive whose amplitude changes at a held edge therefore changes its phase; subtract this, as `pulses` does.
     """
     return 2.0 * np.pi * EDGE_TURNS[held] * np.asarray(duty, float)
 
 
 def pulses(drive: ArrayLike, ticks: int, *, held: Edge = "centre", exponent: float = 2.0) -> tuple[Int, Int]:
-    """Start and width of each transducer's pulse in ticks, for a wanted complex amplitude.
+    """Return start and width of each transducer's pulse in ticks, for a target complex amplitude.
 
     drive: complex amplitudes, |a| <= 1, e^{-iwt}, shape (n,)
-    held: what a device without compensation keeps in place: "leading" starts every pulse where one of half a period
-        would start, so that smaller amplitudes come early; "trailing" the other way; "centre" compensates
-    Returns start in 0..ticks-1 and width in 0..ticks/2, shapes (n,), int32.
+    held: fixed part of the pulse without compensation: "leading" starts every pulse where one of half a period would
+        start, so that smaller amplitudes come early; "trailing" the other way; "centre" compensates Returns start in
+        0..ticks-1 and width in 0..ticks/2, shapes (n,), int32.
     Raises DeviceError for |a| > 1 or not finite, an odd or too small number of ticks, a bad exponent.
     """
     amplitude = np.asarray(drive, np.complex128)
@@ -76,7 +76,7 @@ def waveform(start: ArrayLike, width: ArrayLike, ticks: int) -> Float:
 def resample(
     frames: ArrayLike, frame_rate_Hz: float, *, carrier_Hz: float = 40e3, cutoff_Hz: float | None = None, span: int = 8
 ) -> NDArray[np.inexact]:
-    """Frames brought from the control rate to one value a carrier period by an FIR low-pass.
+    """Resample frames from the control rate to one value a carrier period by an FIR low-pass.
 
     Held frames make steps in the envelope, audible at the frame rate and its multiples; Hasegawa & Shinoda 2018 smooth
     the duty in this way (their filter is not printed; this one is a Kaiser-windowed sinc, about 60 dB).

@@ -1,4 +1,4 @@
-"""What transducers make of a drive that changes: their resonance.
+"""Response of transducers to a drive that changes: their resonance.
 
 A transducer near its resonance f0 of quality Q is one complex pole. Its oscillation x = Re(a e^{-iwt}), driven at the
 carrier w with the complex envelope u,
@@ -70,7 +70,7 @@ def envelope_response(frequency_Hz: ArrayLike, pole: Pole) -> Complex:
 def filter_frames(
     drives: ArrayLike, dt: float, pole: Pole, *, linear: bool = False, initial: ArrayLike | None = None
 ) -> Complex:
-    """What the transducers emit at the frames' times, exact to rounding for any dt.
+    """Emission of the transducers at the frames' times, exact to rounding for any dt.
 
     drives: complex amplitudes, shape (frames, n). Held: frame k holds from k dt to (k+1) dt. Linear: it is the value at
         k dt, with straight lines between

@@ -1,4 +1,4 @@
-"""What leaving out ring-up and flight time would cost: measured on samples of a scene's own drive.
+"""Errors of ignoring ring-up and flight time, measured on samples of a scene's own drive.
 
 Every jump of the drive counts: start, stop, path points, control ticks, and jumps and cusps of a modulation.
 """
@@ -17,24 +17,24 @@ from palmfield.stimulus.waveform import period_s
 from palmfield.types import Complex, Float, Int
 
 SAMPLES_A_DELAY = 16
-"""Samples in the time by which a ringing transducer is late, 0.2 ms for Q = 25."""
+"""Samples in the delay of a ringing transducer, 0.2 ms for Q = 25."""
 SHORTEST_S = 2e-6
 LEAST_WINDOW_S = 10e-3
 MOST_WINDOW_S = 100e-3
 SETTLED = 10
-"""Delays after which a pole has forgotten, to 5e-5, what was before."""
+"""Delays after which the initial state of a pole has decayed to 5e-5."""
 LOSS, FORGOTTEN = 0.1, 8
-"""Damping ratio of the oscillator that stands for a skin, and periods after which it has forgotten how it began."""
+"""Damping ratio of the oscillator that models a skin, and periods after which its initial state has decayed."""
 SLOWEST_Hz = 5.0
-"""Slower oscillators feel less of a ring-up, and would take long to forget."""
+"""Slower oscillators respond less to a ring-up, and their initial state decays slowly."""
 VALUES = 100_000
-"""Most drives that are sampled; a path that would need more is sampled on some of the transducers."""
+"""Largest number of sampled drives; a path that needs more is sampled on some of the transducers."""
 FEWEST = 16
 
 
 @dataclass(frozen=True)
 class ResponseError:
-    """Error of the pressure relative to the sound while it lasts: rms over the worst window, and the worst moment."""
+    """Error of the pressure relative to the sound: rms over the worst window, and the worst moment."""
 
     rms: float
     peak: float
@@ -44,9 +44,9 @@ class ResponseError:
 
 
 def windows(stimulus: StimulusConfig, delay_s: float) -> list[tuple[float, float]]:
-    """Stretches of time [s] that hold all that a stimulus does: start and ramp, one period, stop.
+    """Time intervals [s] that contain all phases of a stimulus: start and ramp, one period, stop.
 
-    delay_s: by how much the transducers are late; what rings needs a window of several of these
+    delay_s: of the transducers; ringing needs a window of several of these
     """
     least = max(LEAST_WINDOW_S, SETTLED * delay_s)
     start, steady = stimulus.start_s, stimulus.start_s + stimulus.ramp_s
@@ -71,7 +71,7 @@ def windows(stimulus: StimulusConfig, delay_s: float) -> list[tuple[float, float
 
 
 def shares(emitted: Complex, gain: Complex | None, distances: Float) -> Float:
-    """Part that each transducer has in the pressure at a focus, shape (n,).
+    """Share of each transducer in the pressure at a focus, shape (n,).
 
     emitted: its amplitude, shape (n,); gain: see Array, of the same transducers; distances: to the focus [m]
     """
@@ -88,22 +88,22 @@ def response_errors(
     rates: Complex,
     times_s: Float,
 ) -> tuple[ResponseError, ResponseError]:
-    """Errors of leaving out the transducers' ring-up, and of letting the sound of all arrive at once.
+    """Errors of ignoring the transducers' ring-up, and of ignoring differences in flight time.
 
-    The first: what a pole emits against the drive itself, later by the mean delay of all. The second: what the poles
-    emit, each later by its flight time against the mean, or all by the same.
+    The first: the emission of a pole against the drive itself, delayed by the mean delay of all. The second: the
+    emission of the poles, each delayed by its flight time against the mean, or all equally.
 
     along: from the stimulus's points, shape (k, 3), to foci in the frame of the first array [m]; several foci count as
         one in their middle
     focusing: from foci, shape (k, 3), and the numbers of some transducers to their drives, shape (k, n)
-    weights: parts of the transducers in the pressure where the sound goes first, see `shares`, shape (n,)
+    weights: shares of the transducers in the pressure at the first focus, see `shares`, shape (n,)
     rates: of their poles [1/s], shape (n,); times_s: flight times of their sound to there [s], shape (n,)
     """
     delay = float((1.0 / rates).real.mean())
     step = max(delay / SAMPLES_A_DELAY, SHORTEST_S)
     lag = max(1, round(delay / step))
     delays = (times_s - weights @ times_s) / step
-    # Sound that is early takes samples from after the window
+    # Early sound needs samples from after the window
     reach = math.ceil(np.abs(delays).max()) + 2
     inside = slice(SETTLED * lag, -reach)
     errors = []
@@ -128,10 +128,10 @@ def response_errors(
 def changes_of_motion(
     stimulus: StimulusConfig, rate: complex, spread_s: float, frequency_Hz: float
 ) -> tuple[float, float]:
-    """What ring-up, and flight times that differ, change of the largest displacement under a focus at rest, relative.
+    """Relative change of the largest displacement under a stationary focus due to ring-up and flight times.
 
-    The skin is taken as an oscillator with little loss: a held load that comes late or gradually pushes it as far as
-    one that comes at once, but for what is as quick as the oscillator.
+    The skin is a weakly damped oscillator. A steady load that starts late or gradually gives the same displacement as
+    an instant one, except for changes as fast as the oscillator.
 
     rate: of the transducers' pole [1/s]; spread_s: between the first and the last transducer's sound, even between them
     frequency_Hz: of the oscillator, in which most of the skin's response lies
@@ -149,7 +149,7 @@ def changes_of_motion(
         levels = np.sqrt(frames_at(stimulus, np.asarray(begin + (cells + 0.5) * step))[1])
         late = np.convolve(np.pad(levels, (spread - 1, 0), mode="edge"), np.full(spread, 1.0 / spread), mode="valid")
         rung = np.abs(_rung(levels.astype(complex), rate * step)) ** 2
-        # Each against what is as late as it: a mere delay changes no motion, but what a window holds of it
+        # Each against an equally delayed one: a pure delay changes only the part of the motion in a window
         pairs = (rung, np.abs(_later(levels, lag)) ** 2), (late**2, np.abs(_later(levels, max(1, spread // 2))) ** 2)
         sizes = [[float(np.abs(_oscillation(load, w * step))[before:].max()) for load in pair] for pair in pairs]
         if all(own > 0.0 for _, own in sizes):
@@ -159,9 +159,9 @@ def changes_of_motion(
 
 
 def _still(levels: Float, weights: Float, z: Complex, delays: Float, lag: int) -> tuple[Float, Float]:
-    """Errors of the pressure at a still focus over time, shapes (k,), relative to full level.
+    """Errors of the pressure at a stationary focus over time, shapes (k,), relative to full level.
 
-    There the transducers differ by their poles only, and their sounds add up.
+    There the transducers differ only by their poles, and their sounds add up.
     levels: of the drive, shape (k,); weights, z (rate times step), delays (in steps), shapes (n,)
     """
     ring_up, flight_time = np.zeros(len(levels)), np.zeros(len(levels), complex)
@@ -197,9 +197,9 @@ def _moving(drives: Complex, weights: Float, z: Complex, delays: Float, lag: int
 
 
 def _oscillation(load: Float, angle: float) -> Float:
-    """Displacement of an oscillator at rest at first, relative to that under a held load of 1, by the bilinear rule.
+    """Displacement of an oscillator initially at rest, relative to that under a steady load of 1, by the bilinear rule.
 
-    angle: by which it turns in a sample [rad]
+    angle: its phase advance per sample [rad]
     """
     c = 2.0 / angle
     end = c**2 + 2.0 * LOSS * c + 1.0
@@ -214,7 +214,7 @@ def _recursion(rows: Sequence[complex], loads: Complex | Float) -> Complex:
 
 
 def _rung(drive: Complex, z: complex) -> Complex:
-    """What a pole emits in the middle of each sample, the drive being held over it; settled at first. Exact."""
+    """Emission of a pole in the middle of each sample for a drive held over it; initially settled. Exact."""
     half = np.exp(-0.5 * z)
     loads = (1.0 - half**2) * drive
     loads[0] += half**2 * drive[0]

@@ -1,9 +1,9 @@
 """Drives that shape one beam: traps, vortices, plane waves. All are phases only, |a| = 1 (or 0).
 
-As `palmfield.acoustics.focus.focus` they say what to ask for, and take no account of dead or inverted transducers.
+Like `palmfield.acoustics.focus.focus` they give the commanded drive, and ignore dead or inverted transducers.
 
 Shapes that divide the array do so round the beam's axis: the line into the focus along the mean direction of the sound
-that arrives there. Under an off-axis focus the parts then still balance, which parts round the board's normal do not.
+that arrives there. Under an off-axis focus the parts then still balance, unlike parts round the board's normal.
 """
 
 import dataclasses
@@ -106,10 +106,10 @@ def plane_wave(array: Array, air: Air, direction: ArrayLike) -> Complex:
 
 
 def round_beam(array: Array, air: Air, point: ArrayLike) -> tuple[Float, Float]:
-    """Where each transducer stands round the beam's axis, seen from the focus, and how much it gives there.
+    """Return where each transducer is relative to the beam's axis, seen from the focus, and its pressure there.
 
     The axis is the mean direction of arrival, weighted by |p|. y is the frame's y as seen along the array's mean
-    normal, or, where that is along y itself, what a board's y becomes when it is turned about x to look there.
+    normal. If that is along y itself, it is a board's y after rotation about x to look there.
 
     Returns the sines of the angles from the axis, shape (n, 2), and |p| at the focus [Pa], shape (n,), both without
     `array.gain`. Raises SceneError when the axis does not lead out of the array.

@@ -1,7 +1,7 @@
-"""What the transducers make of the drive over time: their resonance, and the spread of the sound's flight time.
+"""Response of the transducers to the drive over time: their resonance, and the spread of flight times.
 
-The carrier is never stepped. Each transducer is one complex pole, stepped exactly under a held or linear drive; sound
-that is longer under way starts from an earlier drive. A delay common to all is left out: it shifts results in time.
+The carrier is never stepped. Each transducer is one complex pole, stepped exactly under a held or linear drive; a
+longer flight time starts from an earlier drive. A delay common to all is left out: it shifts results in time.
 
 `emitted_over` takes the transducers over one MuJoCo step.
 """
@@ -26,9 +26,9 @@ from palmfield.types import Complex, Float, Int
 DELAY_STEP_S = 20e-6
 """Flight times are rounded to this: 2 % of a turn of an envelope of 1 kHz."""
 SILENT = 1e-9
-"""Of full drive: what is emitted less than this is taken for nothing."""
+"""Share of full drive: a smaller emission counts as zero."""
 GRAIN_S = 1e-15
-"""Lengths of steps are rounded to this, so that those which differ by the rounding of clocks share their weights."""
+"""Lengths of steps are rounded to this, so that those which differ only by rounding of clocks share their weights."""
 KEPT = 64
 WHOLE: Float = np.ones((1, 1))
 
@@ -36,9 +36,9 @@ Weights = tuple[complex | Complex, complex | Complex, complex | Complex]
 
 
 class PoleStepper:
-    """Steps transducers exactly under a drive that goes along a straight line; immutable but for kept weights.
+    """Steps transducers exactly under a linear drive; immutable but for cached weights.
 
-    alike: whether one pole serves all transducers: then what they emit for one unit drive can be stepped as a number
+    alike: whether one pole serves all transducers: then the emission for one unit drive can be stepped as a number
     """
 
     def __init__(self, pole: Pole):
@@ -48,9 +48,9 @@ class PoleStepper:
         self._known: dict[int, Weights] = {}
 
     def weights(self, time_s: float) -> Weights:
-        """Weights of what was emitted before, and of the drive at the beginning and the end, over `time_s` [s].
+        """Return weights of the emission before, and of the drive at the beginning and the end, over `time_s` [s].
 
-        Numbers where all transducers are alike, else arrays of shape (N,).
+        Numbers if all transducers are alike, else arrays of shape (N,).
         """
         grains = round(time_s / GRAIN_S)
         known = self._known.get(grains)
@@ -67,11 +67,11 @@ class PoleStepper:
 
 @dataclass(frozen=True)
 class TransducerResponse:
-    """Whether ring-up and flight time are modelled, and what leaving them out would cost.
+    """Whether ring-up and flight time are modelled, and the errors of ignoring them.
 
-    ring_up, flight_time: errors of the pressure without ring-up, and with the sound of all transducers arriving at once
+    ring_up, flight_time: errors of the pressure without ring-up, and with equal flight times of all transducers
     spread_s: between the first and the last transducer's sound; pole: of all N transducers
-    delays_s: of each transducer against the middle [s] in the reference pose, shape (N,), zeros where left out
+    delays_s: of each transducer against the middle [s] in the reference pose, shape (N,), zeros if ignored
     """
 
     on: bool
@@ -101,10 +101,10 @@ def transducer_response(
     *,
     spread: bool = True,
 ) -> TransducerResponse:
-    """Decide what to model. ARP goes with the square of the pressure, so `auto` allows a quarter of the accuracy.
+    """Decide which effects to model. ARP is quadratic in the pressure, so `auto` allows a quarter of the accuracy.
 
-    focal_points: where the stimulus's points are in the reference pose; accuracy: asked of the skin's
-    displacement, relative; instances: of the arrays, as `drive.array.parts`; spread: whether flight times may differ
+    focal_points: of the stimulus in the reference pose; accuracy: target relative error of the skin's displacement;
+    instances: of the arrays, as `drive.array.parts`; spread: whether flight times may differ
     """
     counts = [len(part) for part in drive.array.parts]
     poles = [one.pole(count) for one, count in zip(instances, counts, strict=True)]
@@ -128,9 +128,9 @@ def transducer_response(
 
 
 def flight_delays(drive: ArrayDrive, focus: Float) -> Float:
-    """Flight time of each transducer's sound to a focus against the middle, in whole DELAY_STEP_S [s], shape (N,).
+    """Flight time from each transducer to a focus against the middle, in whole DELAY_STEP_S [s], shape (N,).
 
-    Of several foci, shape (m, 3), the first one counts. Transducers that aren't chosen get 0.
+    Of several foci, shape (m, 3), the first one counts. Transducers that are not chosen get 0.
     """
     times = drive.flight_times(focus if focus.ndim == 1 else focus[0])
     middle = 0.5 * (np.maximum.reduce(times) + np.minimum.reduce(times))
@@ -149,10 +149,11 @@ def commanded_drive(
     times: Float,
     focal_points: FocalPoints,
 ) -> Complex:
-    """Drive of each transducer whose sound arrives at some times [s], shape (k,) (less the common delay), (k, N).
+    """Return the drive of each transducer whose sound arrives at some times [s], shape (k,) (less the common delay),
+    (k, N).
 
     delays_s: of each transducer, in whole DELAY_STEP_S [s], shape (N,); None for none
-    Errors as `ArrayDrive.unit_drive`, for points that sound only.
+    Errors as `ArrayDrive.unit_drive`, only for active points.
     """
     lags, group = _delay_groups(delays_s)
     points, levels = _points_and_levels(stimulus, times, lags)
@@ -174,7 +175,7 @@ def _commanded(
     if not np.logical_or.reduce(audible, axis=None):
         return np.zeros((len(points), drive.count), np.complex128)
     drives = drive.unit_drives(points, focal_points, group, audible)
-    # Boards whose levels aren't rounded take no call here, which every step would make
+    # Boards with unrounded levels skip this call, which every step would make
     if drive.rounds_levels and not len(focal_points.offsets) and (drive.arp_peak_Pa is None or len(points) == 1):
         full = drive.amplitude if drive.arp_peak_Pa is None else drive.unit_drive_at(focal_points, points[0, 0]).level
         levels = drive.played_levels(levels, full)
@@ -186,7 +187,7 @@ NO_LAG: Float = np.zeros(1)
 
 
 def delays_now(stimulus: StimulusConfig, drive: ArrayDrive, focal_points: FocalPoints) -> tuple[Float, Int | None]:
-    """`_delay_groups` with the arrays and the stimulus's points where they are now; the last answer is kept."""
+    """`_delay_groups` with the present places of the arrays and the stimulus's points; the last result is cached."""
     known = drive.delays
     if known is None or known[0] is not focal_points:
         delays_s = flight_delays(drive, focal_points.at(first_point(stimulus)))
@@ -195,7 +196,7 @@ def delays_now(stimulus: StimulusConfig, drive: ArrayDrive, focal_points: FocalP
 
 
 def _delay_groups(delays_s: Float | None) -> tuple[Float, Int | None]:
-    """The delays that there are [s], shape (d,), and which of them each transducer has, shape (N,); None for one."""
+    """Return the distinct delays [s], shape (d,), and the index of each transducer's, shape (N,); None for one."""
     if delays_s is None or not np.logical_or.reduce(delays_s):
         return NO_LAG, None
     steps = np.rint(delays_s / DELAY_STEP_S)
@@ -206,11 +207,11 @@ def _delay_groups(delays_s: Float | None) -> tuple[Float, Int | None]:
 def ring(
     emitted: complex | Complex, commanded: Complex | Float, moments: Moments, stepper: PoleStepper
 ) -> tuple[Complex, complex | Complex]:
-    """Step transducers through all moments: what they emit at each, and at the end of the last step.
+    """Step transducers through all moments: returns their emission at each, and at the end of the last step.
 
-    emitted: at the beginning, shape (N,); commanded: drive at the moments, shape (m, N). Over a straight line the drive
-    goes from moment to moment; over a part for which it is held the moment is in the middle
-    Where all are alike and emit so much of one drive, a number and shape (m,) do.
+    emitted: at the beginning, shape (N,); commanded: drive at the moments, shape (m, N). It is linear from moment to
+    moment; in a held part the moment is in the middle
+    If all are alike and emit multiples of one drive, a number and shape (m,) are enough.
     """
     at_moments = np.empty(commanded.shape, np.complex128)
     decay, before, after = stepper.weights(moments.step_s) if True in moments.linear else (0.0, 0.0, 0.0)
@@ -235,19 +236,19 @@ def ring(
 
 
 class Batch(NamedTuple):
-    """Drives of several steps, whose fields are computed in one go. drives: shape (M, N)"""
+    """Drives of several steps, whose fields are computed together. drives: shape (M, N)"""
 
     serial: int
     drives: Complex
 
 
 class EmittedCourse(NamedTuple):
-    """What stimuli make the transducers emit at m moments: levels @ units.
+    """Emission of the transducers by stimuli at m moments: levels @ units.
 
-    units: drives, shape (k, N): none in silence, one that gets louder and softer, one of each of a few stimuli, or one
-        a moment (k = m > 1; the levels are the identity then)
-    levels: how much of each is emitted at each moment, complex, shape (m, k)
-    end: complex amplitudes at the end of the last step, shape (N,); where the response is off those at the beginning
+    units: drives, shape (k, N): none in silence, one whose level varies, one for each of a few stimuli, or one a moment
+        (k = m > 1; the levels are the identity then)
+    levels: emitted multiple of each at each moment, complex, shape (m, k)
+    end: complex amplitudes at the end of the last step, shape (N,); without response those at the beginning
     serial: equal for courses with the same patterns of ARP: that of the one unit, or at each moment
     batch, row: drives of this and other steps, None where there is no such batch, and the first of them that is a unit
     """
@@ -260,9 +261,9 @@ class EmittedCourse(NamedTuple):
     row: int = 0
 
     def weights(self, moments: Moments) -> tuple[Float, Float]:
-        """Weights of the patterns of ARP at the beginning and the end of each step of `moments`, shapes (s, p).
+        """Return weights of the patterns of ARP at the beginning and the end of each step of `moments`, shapes (s, p).
 
-        Patterns are that of one unit, which goes with |level|^2, or each moment's own; one of nothing in silence.
+        Patterns are that of one unit, proportional to |level|^2, or each moment's own; one zero pattern in silence.
         """
         if len(self.units) > 1:
             return moments.first, moments.last
@@ -271,7 +272,7 @@ class EmittedCourse(NamedTuple):
 
 
 def silence(moments: int, end: Complex) -> EmittedCourse:
-    """Nothing at some moments; end: as of EmittedCourse."""
+    """Silence at some moments; end: as of EmittedCourse."""
     return EmittedCourse(np.zeros((0, len(end)), np.complex128), np.zeros((moments, 0), np.complex128), end, 0)
 
 
@@ -281,13 +282,13 @@ def of_unit(unit: UnitDrive, levels: Complex | Float, end: Complex) -> EmittedCo
 
 
 def of_drives(drives: Complex, end: Complex) -> EmittedCourse:
-    """A drive of its own at each moment, shape (m, N); they must not change."""
+    """One drive for each moment, shape (m, N); they must not change."""
     return EmittedCourse(drives, _identity(len(drives)), end, next_serial())
 
 
 @lru_cache(maxsize=64)
 def _identity(size: int) -> Complex:
-    """Levels of as many drives as moments, which nobody writes, shape (m, m)."""
+    """Levels for one drive a moment, read-only, shape (m, m)."""
     identity = np.eye(size, dtype=np.complex128)
     identity.flags.writeable = False
     return identity
@@ -301,15 +302,14 @@ def emitted_over(
     focal_points: FocalPoints,
     moments: Moments,
 ) -> EmittedCourse:
-    """What the transducers emit at the moments of one MuJoCo step, or of any equal steps.
+    """Compute the emission of the transducers at the moments of one MuJoCo step, or of any equal steps.
 
-    emitted: complex amplitudes at the beginning, shape (N,); those of transducers that this stimulus doesn't drive
-        are left out. Not changed, and not looked at where the response is off
-    focal_points: where the stimulus's points are meanwhile
+    emitted: complex amplitudes at the beginning, shape (N,); those of transducers that this stimulus does not drive are
+        ignored. Not changed, and not read without response
+    focal_points: places of the stimulus's points meanwhile
     moments: `substep_moments` of this stimulus, or of all stimuli of a scene together
-    For a focus that keeps still the answer is levels of one unit drive wherever that is true to SILENT: no array of
-    shape (m, N) is made then, if all transducers are alike and their sound arrives at once. Errors as
-    `ArrayDrive.unit_drive`.
+    For a stationary focus the result is levels of one unit drive if that is true to SILENT: no array of shape (m, N) is
+    made then, if all transducers are alike and have equal flight times. Errors as `ArrayDrive.unit_drive`.
     """
     if response.on and not drive.everything:
         emitted = _own(emitted, drive)
@@ -337,7 +337,7 @@ def emitted_over(
 
 
 def _own(emitted: Complex, drive: ArrayDrive) -> Complex:
-    """What is emitted by the chosen transducers, 0 for all others."""
+    """Emission of the chosen transducers, 0 for all others."""
     own = np.zeros(emitted.shape, np.complex128)
     own[drive.chosen] = emitted[drive.chosen]
     return own
@@ -351,7 +351,7 @@ def _of_one_unit(
     emitted: Complex,
     moments: Moments,
 ) -> EmittedCourse:
-    """`emitted_over` for one focus whose level alone changes; levels: of the drive, shape (m, d)."""
+    """`emitted_over` for one focus with varying level; levels: of the drive, shape (m, d)."""
     if not response.on:
         return of_unit(unit, levels[:, 0], emitted)
     if group is None and response.stepper.alike:
@@ -372,7 +372,7 @@ def _of_one_unit(
 
 
 def _level_of(unit: UnitDrive, emitted: Complex) -> complex | None:
-    """How much of a unit drive is emitted, or None where something else is."""
+    """Return the emitted multiple of a unit drive, or None if the emission is not one."""
     level = complex(unit.conjugate @ emitted) / unit.power if unit.power > 0.0 else 0j
     rest = np.abs(emitted - level * unit.amplitudes)
     return level if np.maximum.reduce(rest) < SILENT else None
@@ -386,10 +386,10 @@ def emitted_now(
     focal_points: FocalPoints,
     time_s: float,
 ) -> EmittedCourse:
-    """What the transducers emit at the present time [s], as a course of one moment.
+    """Return the emission of the transducers at the present time [s], as a course of one moment.
 
-    emitted: complex amplitudes now, shape (N,), of the transducers' state. Where the response is off, what is
-    commanded sounds at once.
+    emitted: complex amplitudes now, shape (N,), of the transducers' state. Without response, the commanded drive sounds
+    at once.
     """
     if not response.on:
         return emitted_over(stimulus, drive, response, emitted, focal_points, instant(time_s))
@@ -402,12 +402,12 @@ def emitted_now(
         level = _level_of(unit, emitted)
         if level is not None:
             return of_unit(unit, np.array([level]), emitted)
-    # A copy, as what is emitted may be gathered in one array again and again, and fields are kept for their drive
+    # A copy, since the emission may be written to one array repeatedly, and fields are cached by their drive
     return of_drives(emitted[None].copy(), emitted)
 
 
 def present_drive(course: EmittedCourse) -> tuple[Complex | None, float]:
-    """The drive that sounds at a course's first moment, shape (N,), and the factor of its ARP; None in silence."""
+    """Return the drive at a course's first moment, shape (N,), and the factor of its ARP; None in silence."""
     if len(course.units) > 1:
         return rows(course)[0], 1.0
     factor = abs(course.levels[0, 0]) ** 2 if len(course.units) else 0.0
@@ -420,7 +420,7 @@ def instant(time_s: float) -> Moments:
 
 
 def combined(courses: Sequence[EmittedCourse]) -> EmittedCourse:
-    """The sum over stimuli that sound together, at the same moments; each drives transducers of its own.
+    """Sum over simultaneous stimuli, at the same moments; each drives transducers of its own.
 
     Levels of one unit drive are kept where the others are silent.
     """

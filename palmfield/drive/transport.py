@@ -1,4 +1,4 @@
-"""What carries bytes: serial ports and their URLs, pseudo-terminals, TCP sockets, and files. It knows no board."""
+"""Transports of bytes: serial ports and their URLs, pseudo-terminals, TCP sockets, and files. Independent of boards."""
 
 import contextlib
 import errno
@@ -17,16 +17,16 @@ from palmfield.errors import DeviceError, OutputError, unwritable
 WRITE_TIMEOUT_S = 0.25
 TIMEOUTS_BEFORE_LOST = 8
 VIRTUAL_BAUD = 115200
-"""Of a port whose board has no baud rate: sockets and pseudo-terminals take any."""
+"""Baud rate of a port whose board has none: sockets and pseudo-terminals accept any."""
 TAKEN_MARK = b"\x00pfVB\xff"
-"""Before each number that a virtual board sends back: bytes that it has taken so far, 8 bytes, lowest first."""
+"""Mark before each number that a virtual board sends back: bytes taken so far, 8 bytes, lowest first."""
 TAKEN_BYTES = len(TAKEN_MARK) + 8
 TOLD_WITHIN_S = 0.06
-"""A virtual board tells its number more often than that."""
+"""A virtual board reports its number more often than this."""
 FIRST_LOOKS, FIRST_PATIENCE = 50, 4.0
-"""How often a port listens for the first number, within so many times of `TOLD_WITHIN_S`."""
+"""Number of tries of a port to read the first number, each of `TOLD_WITHIN_S`."""
 
-# pyserial lets termios.error through, which is neither a SerialException nor an OSError and exists on POSIX only.
+# pyserial does not catch termios.error, which is neither a SerialException nor an OSError and exists on POSIX only.
 LOST: tuple[type[Exception], ...] = (serial.SerialException, OSError)
 if os.name == "posix":
     import termios
@@ -36,7 +36,7 @@ CANNOT_OPEN: tuple[type[Exception], ...] = (*LOST, ValueError)
 
 
 class PortLost(DeviceError):
-    """A port that was open is gone, or takes no bytes any more."""
+    """An open port was lost, or takes no more bytes."""
 
 
 class Transport(Protocol):
@@ -45,31 +45,31 @@ class Transport(Protocol):
     name: str
 
     def write(self, data: bytes) -> bool:
-        """Send all of some bytes; False when they did not get through in time, or not all of them.
+        """Send all of some bytes; False if they were not sent in time, or not completely.
 
-        Raises PortLost when the other end is gone, OutputError where a file takes no more.
+        Raises PortLost if the other end is lost, OutputError if a file takes no more.
         """
         ...
 
     def waiting(self) -> int:
-        """Bytes that were written and are known not to be on the line yet: the board may hold more back.
+        """Number of written bytes that are certainly not on the line yet: the board may delay more.
 
-        A pseudo-terminal reports 0 with bytes unread, unless a virtual board at its other end tells how many it took.
-        Raises PortLost when the other end is gone.
+        A pseudo-terminal reports 0 with bytes unread, unless a virtual board at its other end reports how many it took.
+        Raises PortLost if the other end is lost.
         """
         ...
 
     def flush(self) -> None:
-        """Return when all bytes are out. Raises PortLost when the other end is gone."""
+        """Return when all bytes are sent. Raises PortLost if the other end is lost."""
         ...
 
     def close(self) -> None:
-        """Free it; sends nothing. A file gets its name now."""
+        """Free it; sends no bytes. A file gets its name now."""
         ...
 
 
 class SerialTransport:
-    """A serial port, a pseudo-terminal or a URL of pyserial's (socket://HOST:PORT, loop://), open."""
+    """An open serial port, pseudo-terminal or pyserial URL (socket://HOST:PORT, loop://)."""
 
     def __init__(self, name: str, stream: serial.SerialBase) -> None:
         self.name = name
@@ -99,10 +99,10 @@ class SerialTransport:
         return True
 
     def offer(self, data: bytes) -> int:
-        """How many of some bytes the system takes at once; never waits, but for ports that have no descriptor.
+        """Return how many of some bytes the system takes at once; never waits, except for ports without a descriptor.
 
-        Never give it the rest of a frame: what took only a part is followed by a frame from its start. Raises PortLost
-        when the other end is gone.
+        Never pass it the rest of a frame: after a partly taken frame comes a frame from its start. Raises PortLost if
+        the other end is lost.
         """
         if self._fd is None:
             return len(data) if self.write(data) else 0
@@ -118,7 +118,7 @@ class SerialTransport:
 
     @property
     def tells(self) -> bool:
-        """Whether `waiting` knows of all bytes that are not on the line: a virtual board at the other end says it."""
+        """Whether `waiting` counts all bytes that are not on the line: a virtual board at the other end reports it."""
         return self._first_taken >= 0
 
     def waiting(self) -> int:
@@ -134,9 +134,9 @@ class SerialTransport:
             raise PortLost(f"{self.name} is gone: {reason(error)}") from error
 
     def hear_first(self) -> None:
-        """Wait until a virtual board has told its number, where there is one; before anything is written.
+        """Wait for the first number of a virtual board, if there is one; before any byte is written.
 
-        It looks several times: a machine that stands still for a moment keeps the board from telling, too.
+        It tries several times: on a machine that pauses the board is late too.
         """
         for _ in range(FIRST_LOOKS):
             if self.tells:
@@ -145,7 +145,7 @@ class SerialTransport:
             self.waiting()
 
     def _listen(self) -> None:
-        """What boards answer says nothing of frames; a virtual one tells what it took. Fails after an unplug."""
+        """Discard answers of real boards; a virtual one reports the bytes it took. Fails after an unplug."""
         if not self._stream.in_waiting:
             return
         if self._fd is None:
@@ -176,7 +176,7 @@ class SerialTransport:
         self._stream.close()
 
     def _end_socket(self) -> None:
-        """Closed with numbers of a virtual board unread, a socket would throw away what that has not read yet."""
+        """Closed with unread numbers of a virtual board, a socket would discard bytes that the board has not read."""
         connection = self._stream._socket
         if connection is None:
             return
@@ -189,10 +189,10 @@ class SerialTransport:
 
 
 class FileTransport:
-    """A file that gets the bytes which a board would: in `<path>.part` while open, in `path` after close."""
+    """A file with the bytes for a board: in `<path>.part` while open, in `path` after close."""
 
     def __init__(self, path: str | Path) -> None:
-        """Raises OutputError where the file can't be made."""
+        """Raises OutputError if the file cannot be made."""
         self.path = Path(path)
         self.name = str(path)
         self.part = self.path.with_name(self.path.name + ".part")
@@ -202,14 +202,14 @@ class FileTransport:
             raise unwritable(self.path, error) from error
 
     def write(self, data: bytes) -> bool:
-        """Always True; raises OutputError when the disk does not take it, or did not before."""
+        """Always True; raises OutputError if writing fails, or failed before."""
         if self._file.closed:
             raise OutputError(f"cannot write {self.path}: it is closed, or the disk took no more; choose another file")
         try:
             while data:
                 data = data[self._file.write(data) :]
         except OSError as error:
-            self._file.close()  # what lacks bytes keeps the name .part
+            self._file.close()  # an incomplete file keeps the name .part
             raise unwritable(self.path, error) from error
         return True
 
@@ -233,10 +233,10 @@ class FileTransport:
 
 
 def open_serial(port: str, baud: int | None) -> SerialTransport:
-    """Open a serial port or URL, for this process alone where the system supports that.
+    """Open a serial port or URL, exclusively if the system supports that.
 
-    port: device (/dev/ttyUSB0, COM3) or pyserial URL (loop://, socket://host:port); baud: None where the board has none
-    Raises DeviceError when it cannot be opened; the message names the ports there are.
+    port: device (/dev/ttyUSB0, COM3) or pyserial URL (loop://, socket://host:port); baud: None for a board without one
+    Raises DeviceError if it cannot be opened; the message names the available ports.
     """
     try:
         stream = serial.serial_for_url(
@@ -253,7 +253,7 @@ def may_be_virtual(port: str) -> bool:
 
 
 def reason(error: Exception) -> str:
-    """Why a port can't be opened or is lost, in words."""
+    """Return why a port cannot be opened or is lost, in words."""
     number = getattr(error, "errno", None)
     if number == errno.EACCES:
         return "permission denied (on Linux, add yourself to the group 'dialout' and log in again)"
@@ -263,7 +263,7 @@ def reason(error: Exception) -> str:
 
 
 def choices() -> str:
-    """Which serial ports there are, in words."""
+    """List the available serial ports, in words."""
     ports = sorted(port.device for port in comports())
     return (
         f"ports found: {', '.join(ports)}" if ports else "no serial port found: connect the board, or check its cable"

@@ -1,4 +1,4 @@
-"""A line of a serial port that other equipment is triggered by."""
+"""A line of a serial port that triggers other equipment."""
 
 import threading
 import time
@@ -10,17 +10,17 @@ from palmfield.errors import DeviceError
 
 
 class TriggerLine:
-    """A line that goes up at a moment and down again, or a byte that is sent then.
+    """Raises a line at a moment and lowers it again, or sends a byte then.
 
-    late_s: how late the last one was, by the host's clock [s]
+    late_s: delay of the last one, by the host's clock [s]
     """
 
     def __init__(
         self, port: str, line: Literal["dtr", "rts", "byte"], byte: int = 1, pulse_s: float = 0.005, opened: Any = None
     ) -> None:
-        """port: device or pyserial URL; pulse_s: how long the line stays up; opened: a pyserial port that is open
+        """port: device or pyserial URL; pulse_s: duration of the pulse; opened: a pyserial port that is open
 
-        Raises DeviceError where the port can't be opened.
+        Raises DeviceError if the port cannot be opened.
         """
         self.line, self.byte, self.pulse_s, self.late_s = line, byte, pulse_s, 0.0
         self._timers: list[threading.Timer] = []
@@ -32,7 +32,7 @@ class TriggerLine:
             raise DeviceError(f"trigger.port '{port}' can't be opened: {error}; give a serial port") from None
 
     def mark(self, text: str, when: float) -> None:
-        """Raise the line at a moment of time.monotonic, at once where it is past; returns at once. text: not sent"""
+        """Raise the line at a moment of time.monotonic, at once if it is past; returns at once. text: not sent"""
         timer = threading.Timer(max(0.0, when - time.monotonic()), self._pulse, (when,))
         timer.daemon = True
         self._timers = [*(one for one in self._timers if one.is_alive()), timer]
@@ -49,7 +49,7 @@ class TriggerLine:
         setattr(self._port, self.line, False)
 
     def close(self) -> None:
-        """Wait for pulses that are on their way, and free the port."""
+        """Wait for pending pulses, and free the port."""
         for timer in self._timers:
             timer.join(timeout=1.0)
         self._port.close()

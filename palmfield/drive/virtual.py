@@ -1,6 +1,6 @@
-"""A board that is not there: bytes come in by a pseudo-terminal or a TCP socket at the line's pace, and are emitted.
+"""A virtual board: it reads bytes from a pseudo-terminal or a TCP socket at the line's pace, and emits them.
 
-It holds what the real one holds and tells what sounded when; faults can be put into the line.
+It has the buffers of the real one and records the emission; faults can be added to the line.
 """
 
 import contextlib
@@ -20,15 +20,15 @@ from palmfield.realtime import realtime
 
 TICK_S = 0.5e-3
 TELLS_S = 4e-3
-"""It tells how many bytes it took as often where that changed, and ten times less often where it didn't [s]."""
+"""Interval of reports of the bytes taken, if changed, else ten times longer [s]."""
 assert 10 * TELLS_S < TOLD_WITHIN_S
 BURST_S = 20e-3
-"""Of the line's time that a thread which comes late may catch up with at once."""
+"""Largest delay of the line's time that a late thread makes up for at once."""
 
 
 @dataclass
 class Faults:
-    """Of the line, each a share of bytes. drop: that are lost; flip: of which one bit is turned; seed: of the draws"""
+    """Faults of the line, each a share of bytes. drop: lost; flip: with one wrong bit; seed: of the draws"""
 
     drop: float = 0.0
     flip: float = 0.0
@@ -42,7 +42,7 @@ class Faults:
         self.draws = Random(self.seed)
 
     def through(self, data: bytes) -> bytes:
-        """What of some bytes arrives."""
+        """Return the part of some bytes that arrives."""
         if self.drop == self.flip == 0.0:
             return data
         draw = self.draws.random
@@ -57,8 +57,8 @@ class VirtualBoard:
     """A board's virtual twin behind a port. Use as a context manager, or `unplug` it at the end.
 
     port: to open, a device or a pyserial URL; received: all bytes so far, as they arrived
-    emitted: what sounded from when on, on `clock`; flags: what the board noticed
-    Unlike a real board it answers: it tells how many bytes it has taken, as ports of real ones know what still waits.
+    emitted: emission over time, on `clock`; flags: errors that the board detected
+    Unlike a real board it reports how many bytes it has taken, as real ports report waiting bytes.
     """
 
     def __init__(
@@ -73,12 +73,12 @@ class VirtualBoard:
         realtime: bool = False,
         decodes: bool = True,
     ) -> None:
-        """tcp_port: 0 for any that is free; link: name of the pseudo-terminal that stays the same when it is plugged
-        in again; tells: whether it says how many bytes it has taken; realtime: whether
-        its thread asks for priority, as a real board takes bytes whatever the host does; decodes: whether bytes are
-        decoded as they come, or else when `decode` is called, so that nothing else is held up meanwhile
+        """tcp_port: 0 for any free one; link: name of the pseudo-terminal that is kept when it is plugged in again;
+        tells: whether it reports how many bytes it has taken; realtime: whether
+        its thread requests priority, as a real board takes bytes at any load of the host; decodes: whether bytes are
+        decoded as they come, or else when `decode` is called, to avoid delays
 
-        Raises DeviceError for a system without pseudo-terminals, and for a port that is taken.
+        Raises DeviceError for a system without pseudo-terminals, and for a port that is in use.
         """
         assert board.line is not None
         self.board, self.line, self.faults = board, board.line, faults or Faults()
@@ -107,7 +107,7 @@ class VirtualBoard:
         return self.twin.flags
 
     def stall(self, stalled: bool = True) -> None:
-        """Take no more bytes until told otherwise; what comes waits in the system's buffers."""
+        """Take no more bytes until reversed; they wait in the system's buffers."""
         if stalled:
             self._stalled.set()
         else:
@@ -118,21 +118,21 @@ class VirtualBoard:
         self._losing = count
 
     def settle(self, quiet_s: float = 0.1) -> None:
-        """Wait until nothing has come in for a while."""
+        """Wait until no bytes have come for a while."""
         seen = -1
         while seen != len(self.received):
             seen = len(self.received)
             time.sleep(quiet_s)
 
     def decode(self) -> None:
-        """Where bytes are not decoded as they come: find out now what sounded when, and what the board noticed."""
+        """If bytes are not decoded as they come: compute now the emission over time, and the detected errors."""
         for data, begin in self._undecoded:
             self.emitted += [*self.twin.until(begin), *self.twin.feed(data, begin)]
         self._undecoded.clear()
         self.emitted += self.twin.until(self.clock)
 
     def unplug(self) -> None:
-        """Take the port away; what the board emits goes on."""
+        """Remove the port; the board's emission continues."""
         if self._ended.is_set():
             return
         self._ended.set()
@@ -140,7 +140,7 @@ class VirtualBoard:
         self._close()
 
     def plug(self) -> None:
-        """Give the port back after `unplug`; what the board emits has gone on meanwhile."""
+        """Restore the port after `unplug`; the board's emission has continued meanwhile."""
         if not self._ended.is_set():
             return
         if self._by == "pty":
@@ -195,7 +195,7 @@ class VirtualBoard:
         self._server.close()
 
     def _available(self, most: int) -> bytes:
-        """Bytes that are there now, at most so many."""
+        """Return the available bytes, up to this number."""
         if self._slave >= 0:
             with contextlib.suppress(BlockingIOError, OSError):
                 return os.read(self._master, most)
@@ -227,8 +227,8 @@ class VirtualBoard:
         while not self._ended.is_set():
             time.sleep(TICK_S)
             now = self.clock
-            # What comes now came since the last look at the earliest: a line that idles saves up no time, and one that
-            # is full loses none of the byte that was on it then
+            # Bytes found now came after the last check: an idle line accumulates no time, and a full one loses none of
+            # the byte then in transit
             begin = max(self._free_s, before - self.line.time_s(1), now - BURST_S)
             before = now
             allowed = (now - begin) * self.line.bytes_per_s
@@ -244,7 +244,7 @@ class VirtualBoard:
                 self._tell()
 
     def _tell(self) -> None:
-        """Say how many bytes were taken; what nobody reads is left out."""
+        """Report how many bytes were taken; unread reports are dropped."""
         number = TAKEN_MARK + self._taken.to_bytes(8, "little")
         with contextlib.suppress(OSError):
             if self._slave >= 0:
@@ -253,7 +253,7 @@ class VirtualBoard:
                 self._peer.send(number)
 
     def _take(self, data: bytes, begin: float) -> None:
-        """Bytes that are on the line one after the other from `begin` on."""
+        """Take bytes that are consecutive on the line from `begin` on."""
         self._taken += len(data)
         self.received += data
         through = self.faults.through(data[self._losing :])

@@ -1,4 +1,4 @@
-"""Where a tracker stands to an array: from points that a fingertip touched and whose places on the array are known."""
+"""Pose of a tracker relative to an array, from points touched by a fingertip at given places of the array."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,13 +18,13 @@ from palmfield.whole_files import whole
 COLUMNS = tuple(f"{frame}_{axis}_m" for frame in ("array", "tracker") for axis in "xyz")
 FEWEST = 3
 LEAST_SPREAD_M = 0.02
-"""Of the points across the line that fits them best, from end to end; with less a turn about that line isn't told."""
+"""Least extent of the points across their best line, from end to end; below it the rotation is undetermined."""
 LARGEST_MISS_M = 0.02
-"""Points that fit worse are no touches of the places that are given."""
+"""Largest misfit of points: beyond it they are not touches of the given places."""
 TOUCH_SD_M = 1e-3
-"""Of a touch by axis, where there are too few points to tell."""
+"""Standard deviation of a touch by axis, if there are too few points to estimate it."""
 MIRRORED = 1.0 / 3.0
-"""Of what is left: axes that leave less with one swap or one turned about are those of a mirrored space."""
+"""Factor of the misfit: axes that reduce it by this with one swap or one reversal are those of a mirrored space."""
 ABOVE_M = 0.2
 Place = tuple[float, float, float]
 
@@ -32,10 +32,10 @@ Place = tuple[float, float, float]
 class Alignment(BaseModel):
     """A tracker's space in an array's frame: x_array = turn(x_tracker) + position_m.
 
-    position_m: the tracker's origin; quaternion: w first; points: how many were touched; rms_m: what is left
-    touch_sd_m: of one touch by axis, from what is left where there are 4 points or more, else TOUCH_SD_M
-    turn_sd_rad: of the turn about its least known axis; sd_m: of a place 0.2 m over the points' middle, all axes
-    off_plane_m: how far the points reach across the plane that fits them best, from end to end; None in older files
+    position_m: the tracker's origin; quaternion: w first; points: number of touches; rms_m: misfit
+    touch_sd_m: of one touch by axis, from the misfit of 4 points or more, else TOUCH_SD_M
+    turn_sd_rad: of the rotation about its least certain axis; sd_m: of a place 0.2 m over the points' middle, all axes
+    off_plane_m: extent of the points across the plane that fits them best, from end to end; None in older files
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -53,7 +53,7 @@ class Alignment(BaseModel):
 
     @property
     def transform(self) -> Transform:
-        """The tracker's space seen from the array."""
+        """The tracker's space relative to the array."""
         turn = Rotation.from_quat(self.quaternion, scalar_first=True).as_matrix()
         return Transform(np.array(self.position_m), turn)
 
@@ -77,14 +77,14 @@ class Alignment(BaseModel):
 
 @dataclass(frozen=True)
 class Touches:
-    """Places that were touched, in the array's frame and as the tracker has them [m], shapes (n, 3)."""
+    """Touched places, in the array's frame and in the tracker's [m], shapes (n, 3)."""
 
     array: Float
     tracker: Float
 
 
 def read_touches(path: str | Path) -> Touches:
-    """Touches from a CSV or NPZ table with COLUMNS. Raises SceneError for a file that is none."""
+    """Read touches from a CSV or NPZ table with COLUMNS. Raises SceneError for an invalid file."""
     file = Path(path)
     columns, _ = read_table(file)
     missing = [name for name in COLUMNS if name not in columns]
@@ -95,10 +95,10 @@ def read_touches(path: str | Path) -> Touches:
 
 
 def align(touches: Touches) -> Alignment:
-    """The turn and shift that bring the tracker's points to the array's, nearest in the mean square (Kabsch 1976).
+    """Fit the rotation and shift from the tracker's points to the array's, by least squares (Kabsch 1976).
 
     Raises SceneError for fewer than three points, points in a line, points that fit far better with two of the
-    tracker's axes swapped or one reversed, which needs points off one plane, and points that don't fit.
+    tracker's axes swapped or one reversed (detected only for points off one plane), and points that do not fit.
     """
     count = len(touches.array)
     if count < FEWEST:
@@ -121,7 +121,7 @@ def align(touches: Touches) -> Alignment:
             f"the points are {1e3 * rms:.1f} mm off their places (rms); allowed: {1e3 * LARGEST_MISS_M:g} mm: look at "
             "their order, and at the tracker's unit"
         )
-    # Three coordinates a point, of which six numbers are taken
+    # Three coordinates for each point, less six fitted numbers
     free = 3 * count - 6
     touch = TOUCH_SD_M if count == FEWEST else float(np.sqrt((rest**2).sum() / free))
     around = touches.array - middle
@@ -144,7 +144,7 @@ def align(touches: Touches) -> Alignment:
 
 
 def read_alignment(path: str | Path) -> Alignment:
-    """The alignment in a JSON file. Raises SceneError for a file that can't be read or holds something else."""
+    """Read the alignment from a JSON file. Raises SceneError for a file that cannot be read or has other content."""
     file = Path(path)
     try:
         made = Alignment.model_validate_json(read_bytes(file, MOST_SETTINGS_BYTES))
@@ -161,7 +161,7 @@ def read_alignment(path: str | Path) -> Alignment:
 
 
 def write_alignment(path: str | Path, alignment: Alignment) -> None:
-    """Write an alignment that `read_alignment` reads back. Raises OutputError where it can't be written."""
+    """Write an alignment that `read_alignment` reads back. Raises OutputError if that fails."""
     try:
         with whole(path) as part:
             part.write_text(alignment.model_dump_json(indent=1) + "\n", encoding="utf-8")
@@ -170,7 +170,7 @@ def write_alignment(path: str | Path, alignment: Alignment) -> None:
 
 
 def _refuse_mirrored(touches: Touches, rms: float) -> None:
-    """A turn makes any mirrored space of any other: of the changes that fit alike the one that leaves least turn."""
+    """A rotation turns any mirrored space into any other: of equally good changes, take that of least rotation."""
     around, seen = (points - points.mean(axis=0) for points in (touches.array, touches.tracker))
     fits = []
     for first, second in ((0, 1), (0, 2), (1, 2), (0, 0), (1, 1), (2, 2)):
@@ -188,7 +188,7 @@ def _refuse_mirrored(touches: Touches, rms: float) -> None:
 
 
 def _spread(points: Float) -> float:
-    """How far points reach across the line that fits them best, from end to end [m]."""
+    """Extent of points across the line that fits them best, from end to end [m]."""
     around = points - points.mean(axis=0)
     across = around @ np.linalg.svd(around, full_matrices=True)[2][1:].T
     return float(np.linalg.norm(np.ptp(across, axis=0)))

@@ -1,4 +1,4 @@
-"""The 26 hand joints of OpenXR (XR_EXT_hand_tracking), and where they are in an articulated hand."""
+"""The 26 hand joints of OpenXR (XR_EXT_hand_tracking), and their places in an articulated hand."""
 
 from dataclasses import dataclass
 
@@ -17,15 +17,15 @@ JOINTS = (
     *(f"{digit}_{place}" for digit in DIGITS[1:] for place in FINGER_PLACES),
 )
 """In the order of XrHandJointEXT. palm: middle of the middle finger's metacarpal; the others but the tips: the end
-nearer to the wrist of the bone that they name."""
+nearer to the wrist of the named bone."""
 ORIENTATION_VALID, POSITION_VALID, ORIENTATION_TRACKED, POSITION_TRACKED = 1, 2, 4, 8
 """Bits of XrSpaceLocationFlags."""
 PALM_JOINTS = tuple(n for n, name in enumerate(JOINTS) if name in ("palm", "wrist") or name.endswith("metacarpal"))
 KNUCKLES = tuple(JOINTS.index(f"{digit}_proximal") for digit in DIGITS[1:])
 FARTHEST_M = 10.0
-"""A tracker sees no hand farther away: what says so has another unit."""
+"""Largest distance of a hand from a tracker: beyond it the unit is wrong."""
 USUAL_M = (0.05, 0.4)
-"""From wrist to the tip of the middle finger of any hand."""
+"""Distance from the wrist to the tip of the middle finger of any hand."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class HandJoints:
 
 
 def hand_joints(hand: ArticulatedHand) -> HandJoints:
-    """The joints of a hand at rest. Fingers' tips are those of the skin."""
+    """The joints of a hand at rest. Tips of fingers are those of the skin."""
     skin = {part.name: part for part in hand.skeleton.skin}
     marks = hand.skeleton.landmarks
     middle = skin["middle_metacarpal"]

@@ -17,11 +17,11 @@ from palmfield.types import Float
 
 
 class Curve:
-    """A motion through poses: continuously differentiable, and standing still before the first and after the last.
+    """A motion through poses: continuously differentiable, and at rest before the first and after the last.
 
-    Positions and angles are monotone cubics (Fritsch & Carlson 1980), so they stay between two neighbouring keys.
-    Orientation is the cubic of Kim, Kim & Shin (1995, A general construction scheme for unit quaternion curves),
-    with the angular velocity at a key limited in the same way: keys that are equal are a rest.
+    Positions and angles are monotone cubics (Fritsch & Carlson 1980), so they remain between two neighbouring keys.
+    Orientation is the cubic of Kim, Kim & Shin (1995, A general construction scheme for unit quaternion curves), with
+    the angular velocity at a key limited in the same way: equal keys are a rest.
     span_s: first and last time [s]
     """
 
@@ -31,7 +31,7 @@ class Curve:
         """Checked values: times_s [s], shape (n,), rising, n >= 2; positions [m], shape (n, 3); quaternions, unit, w
         first, shape (n, 4); angles_deg [deg], shape (n, joints).
 
-        rest: begin and end at rest, for a speed without jumps; else as fast as the first and last two poses tell
+        rest: begin and end at rest, for a speed without jumps; else with the speed of the first and last two poses
         """
         self.span_s = float(times_s[0]), float(times_s[-1])
         self._joints = list(joints)
@@ -84,7 +84,7 @@ def _turns(times: Float, keys: Rotation, rest: bool) -> Float:
     speeds = (keys[:-1].inv() * keys[1:]).as_rotvec() / steps
     at_keys = np.zeros((len(times), 3))
     before, after = speeds[:-1], speeds[1:]
-    # Weighted harmonic mean of the speeds on either side, by length and direction, 0 where the turn goes back.
+    # Weighted harmonic mean of the speeds on either side, by length and direction, 0 if the rotation reverses.
     weight_before, weight_after = 2.0 * steps[1:] + steps[:-1], steps[1:] + 2.0 * steps[:-1]
     slow, fast = np.linalg.norm(before, axis=1, keepdims=True), np.linalg.norm(after, axis=1, keepdims=True)
     onward = (np.sum(before * after, axis=1, keepdims=True) > 0.0) & (np.minimum(slow, fast) > 1e-12)
@@ -108,7 +108,7 @@ def keyframes(
 
     times_s: rising [s], two or more, shape (n,)
     positions: of the hand frame [m], shape (n, 3); quaternions: its orientations, w first, any length, shape (n, 4)
-    poses: n; names as in `named_pose`, or angles [deg] by joint, of which the others are at rest
+    poses: n; names as in `named_pose`, or angles [deg] by joint, the others at rest
     Raises SceneError for times that do not rise, other numbers of keys, numbers that are not finite, a quaternion of
     length 0, an unknown pose or joint, and an angle out of its range.
     """

@@ -1,4 +1,4 @@
-"""Lines of JSON that come in over a socket, by UDP or TCP: the one door through which other programs reach a run."""
+"""Lines of JSON received over a socket, by UDP or TCP: the only input of a run from other programs."""
 
 import json
 import logging
@@ -17,24 +17,24 @@ LOG = logging.getLogger(__name__)
 By = Literal["udp", "tcp"]
 LONGEST_LINE = 65536
 LOOK_S = 0.02
-"""The sockets are looked at no less often, as long as this process runs."""
+"""Longest time between two checks of the sockets while this process runs."""
 STALE_S = 0.1
-"""What arrived longer ago is not used any more."""
+"""Data that arrived earlier than this are not used."""
 HELD_BACK, LINE_COSTS = 49152, 512
-"""After so many bytes that waited, the system of their sender may hold back more that are as old; and what a line takes
-of the system's memory besides. Linux blocks a sender that is not read from 94 kB on, or from 142 lines of 50 bytes."""
+"""Number of waiting bytes from which the sender's system may hold back more that are as old; and the system's memory
+for a line besides. Linux blocks a sender that is not read from 94 kB on, or from 142 lines of 50 bytes."""
 NEXT_SENDER_S = 1.0
-"""A UDP sender that has been silent for so long may be followed by another one."""
+"""A UDP sender that was silent for this time may be replaced by another one."""
 WAITING = 8
-"""TCP connections that may be open without a good line so far; one more closes the oldest."""
+"""Largest number of open TCP connections without a good line; one more closes the oldest."""
 FOREIGN = "garbled", "keys", "convention"
-"""Kinds of faults of a first line that ends its connection: that is no program which speaks to us."""
+"""Kinds of errors of a first line that end its connection: the sender uses another protocol."""
 TOLD, TOLD_LENGTH = 5, 300
-"""Bad lines of a kind that are reported in words, and characters of each."""
+"""Number of bad lines of a kind that are reported in words, and characters of each."""
 
 
 class BadLine(ValueError):
-    """A line that can't be used. kind: which fault, in a word or two, for counting"""
+    """An unusable line. kind: of its error, in a word or two, for counting"""
 
     def __init__(self, kind: str, text: str) -> None:
         super().__init__(f"{kind}: {text}")
@@ -53,7 +53,7 @@ def read_object(line: str | bytes) -> dict[str, Any]:
 
 
 class LineListener(ABC):
-    """Takes the lines of one sender in a thread of its own. A context manager; a subclass says what a line means.
+    """Reads the lines of one sender in a thread of its own. A context manager; a subclass defines what a line means.
 
     One sender has the door, from its first good line on: by TCP until its connection ends, by UDP until it has been
     silent for NEXT_SENDER_S. All others are refused. A connection whose first line is none of ours (an HTTP request of
@@ -64,7 +64,7 @@ class LineListener(ABC):
     """
 
     def __init__(self, host: str, port: int, by: By) -> None:
-        """port: 0 for any that is free. Raises DeviceError for an address that can't be listened at."""
+        """port: 0 for any free one. Raises DeviceError for an address at which it cannot listen."""
         if by not in ("udp", "tcp"):
             raise DeviceError(f"lines are listened to by '{by}'; allowed: udp, tcp")
         self.by, self.taken = by, 0
@@ -96,7 +96,7 @@ class LineListener(ABC):
         """
 
     def check(self) -> None:
-        """Raises DeviceError where the listening thread has failed, so that no line would be taken any more."""
+        """Raises DeviceError if the listening thread has failed, so that lines are no longer read."""
         if self._failed is not None:
             raise DeviceError(
                 f"no lines are received any more at {self.by} {self.host}:{self.port}: {type(self._failed).__name__}: "
@@ -111,14 +111,14 @@ class LineListener(ABC):
         return self.taken > after
 
     def skip(self, kind: str, text: str) -> None:
-        """Count a line that is not used."""
+        """Count a skipped line."""
         self.bad[kind] += 1
         if self.bad[kind] <= TOLD:
-            # Others' text may hold what a terminal obeys, or can't show
+            # Text from outside may contain control characters of a terminal, or characters that it cannot show
             self.told.append("".join(c if c.isprintable() else repr(c)[1:-1] for c in text[:TOLD_LENGTH]))
 
     def skipped(self) -> str:
-        """Of each kind how many lines were skipped, in brackets; empty where none was."""
+        """Return the number of skipped lines of each kind, in brackets; "" for none."""
         kinds = ", ".join(f"{count} {kind}" for kind, count in sorted(self.bad.items()))
         return f" ({kinds})" if kinds else ""
 
@@ -146,10 +146,10 @@ class LineListener(ABC):
             self._news.notify_all()
 
     def _listen(self) -> None:
-        """Look at all sockets again and again, and leave each of them empty."""
+        """Check all sockets repeatedly, and empty each of them."""
         begun_s = time.monotonic()
         while not self._ended.is_set():
-            # All was empty at some time after this: so long ago at most arrived what is found now
+            # All were empty at some time after this: a limit for the age of data found now
             since_s, begun_s = begun_s, time.monotonic()
             for key, _ in self._open.select(LOOK_S):
                 one = self._socket_of(key)
@@ -194,7 +194,7 @@ class LineListener(ABC):
             for other in others[: len(others) + 1 - WAITING]:
                 self._hang_up(other)
             peer.setblocking(False)
-            # A sender whose cable was pulled does not keep the door for ever
+            # A sender whose cable was pulled must not block others for ever
             peer.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
             for option, value in (("TCP_KEEPIDLE", 5), ("TCP_KEEPINTVL", 2), ("TCP_KEEPCNT", 3)):
                 if hasattr(socket, option):
@@ -204,7 +204,7 @@ class LineListener(ABC):
             self._read(peer, (name, rest), since_s)
 
     def _read(self, peer: socket.socket, of: tuple[str, bytearray], since_s: float) -> None:
-        """All that a connection has sent; what was cut off at its end is a line too."""
+        """Read all data of a connection; text cut off at its end counts as a line too."""
         name, rest = of
         waited = 0
         while not self._ended.is_set():
@@ -235,7 +235,7 @@ class LineListener(ABC):
             self._sender = ""
 
     def _line(self, name: str, line: bytes, since_s: float) -> bool:
-        """Take a line, if it may be taken; whether its sender may go on."""
+        """Process a line, if allowed; returns whether its sender may continue."""
         if not line.strip():
             return True
         now = time.monotonic()
@@ -243,7 +243,7 @@ class LineListener(ABC):
         if not has_door and self._sender and (self.by == "tcp" or now - self._sent_s <= NEXT_SENDER_S):
             self._refuse(name)
             return False
-        # Who looks at every moment knows when a line came; else it may be as old as the last look
+        # With frequent checks the arrival time is exact; else a line may be as old as the last check
         came_s = now if now - since_s <= 3.0 * LOOK_S else since_s
         if now - came_s > STALE_S:
             self.skip("stale", f"{line[:60]!r} waited here for up to {now - came_s:.2g} s; {STALE_S:g} s are allowed")

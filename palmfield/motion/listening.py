@@ -1,4 +1,4 @@
-"""A hand that a tracker tells of over a socket: lines of JSON by UDP or TCP, the bad ones counted and skipped."""
+"""A tracked hand received over a socket: lines of JSON by UDP or TCP; bad ones are counted and skipped."""
 
 import math
 from collections.abc import Callable
@@ -11,29 +11,29 @@ from palmfield.motion.tracking import Stream
 from palmfield.motion.wire import Sample, read_sample
 
 JUMP_S, SURE = 1.0, 10
-"""By less the tracker's clock and this machine's differ from one sample to another, or else the clock was set, if so
-many in a row agree: one sample with a time far ahead would make all later ones late."""
+"""Largest difference between the tracker's clock and this machine's from one sample to another. Beyond it the clock was
+set if this many in a row agree: one sample with a time far ahead would make all later ones late."""
 
 
 class Arrived(NamedTuple):
-    """A good sample. time_s: when it arrived, on the monotonic clock of this machine [s]"""
+    """A good sample. time_s: of arrival, on the monotonic clock of this machine [s]"""
 
     time_s: float
     sample: Sample
 
 
 class Listener(LineListener):
-    """Takes samples from a socket. Use as a context manager.
+    """Reads samples from a socket. Use as a context manager.
 
-    samples: good ones in the order in which they came, by rising times of the tracker
+    samples: good ones in the order of arrival, by rising times of the tracker
     """
 
     def __init__(
         self, host: str = "127.0.0.1", port: int = 0, by: By = "udp", on_sample: Callable[[Arrived], None] | None = None
     ) -> None:
-        """port: 0 for any that is free; on_sample: called in the listening thread with each good sample.
+        """port: 0 for any free one; on_sample: called in the listening thread with each good sample.
 
-        Raises DeviceError for an address that can't be listened at.
+        Raises DeviceError for an address at which it cannot listen.
         """
         self._on_sample = on_sample
         self.samples: list[Arrived] = []
@@ -52,11 +52,11 @@ class Listener(LineListener):
         )
 
     def offset_s(self) -> float:
-        """From the tracker's clock to this machine's [s]: by the samples that were under way the shortest."""
+        """Offset from the tracker's clock to this machine's [s], from the samples with the shortest transport."""
         return self._offset_s
 
     def report(self) -> str:
-        """How many samples were taken and skipped, in words."""
+        """Return the numbers of used and skipped samples, in words."""
         return f"{self.taken} samples taken, {sum(self.bad.values())} skipped{self.skipped()}"
 
     def take(self, line: bytes, came_s: float) -> None:
@@ -82,5 +82,5 @@ class Listener(LineListener):
 
 
 def _agree(one: Arrived, other: Arrived) -> bool:
-    """Whether as much time has passed between two samples by the tracker's clock as by this machine's, to JUMP_S."""
+    """Whether the times between two samples by the tracker's clock and by this machine's agree to JUMP_S."""
     return abs(other.sample.time_s - one.sample.time_s - (other.time_s - one.time_s)) < JUMP_S

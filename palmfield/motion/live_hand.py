@@ -1,4 +1,4 @@
-"""A hand of ours that follows one which a tracker tells of just now."""
+"""A simulated hand that follows a tracked hand in real time."""
 
 import threading
 import time
@@ -20,13 +20,13 @@ from palmfield.transforms import Transform
 from palmfield.types import Float
 
 PALM_SAMPLES = 5
-"""Samples with all joints of the palm from which its shape is taken."""
+"""Number of samples with all joints of the palm from which its shape is estimated."""
 PREDICT_S = 0.2
 
 
 class LivePose(NamedTuple):
-    """pose: in the world; arrived_s: when its sample came [s, monotonic clock]; sample_s: of which time of the tracker
-    it is [s], without what it was predicted by"""
+    """pose: in the world; arrived_s: arrival of its sample [s, monotonic clock]; sample_s: its time on the tracker's
+    clock [s], without extrapolation"""
 
     pose: HandPose
     arrived_s: float
@@ -34,10 +34,10 @@ class LivePose(NamedTuple):
 
 
 class LiveHand:
-    """Follows a tracker's samples in a thread of its own; the newest counts. Use as a context manager.
+    """Follows a tracker's samples in a thread of its own, by the newest sample. Use as a context manager.
 
-    listener: takes the samples; newest: the last pose, None before the palm's shape is known
-    fitted: how many samples a pose was made of, and fit_s: how long each took [s]
+    listener: reads the samples; newest: the last pose, None before the palm's shape is estimated
+    fitted: number of samples fitted, and fit_s: time for each [s]
     """
 
     def __init__(
@@ -50,9 +50,9 @@ class LiveHand:
         port: int = 0,
         by: By = "udp",
     ) -> None:
-        """to_world: the tracker's space in the world; ahead_s: by how much each sample is predicted [s]
+        """to_world: the tracker's space in the world; ahead_s: extrapolation of each sample [s]
 
-        Raises DeviceError for an address that can't be listened at.
+        Raises DeviceError for an address at which it cannot listen.
         """
         self._hand, self._to_world, self._ahead_s = hand, to_world, ahead_s
         self._turn = Rotation.from_matrix(to_world.rotation)
@@ -69,7 +69,7 @@ class LiveHand:
         self._thread.start()
 
     def wait(self, timeout_s: float) -> LivePose:
-        """The first pose. Raises SceneError where none comes in time, and for a hand of the other side."""
+        """The first pose. Raises SceneError if none comes in time, and for a hand of the other side."""
         end = time.monotonic() + timeout_s
         while time.monotonic() < end:
             self.check()
@@ -82,7 +82,7 @@ class LiveHand:
         )
 
     def check(self) -> None:
-        """Raise what the threads have met: SceneError for a hand of the other side, DeviceError where one failed."""
+        """Raise errors of the threads: SceneError for a hand of the other side, DeviceError if one failed."""
         self.listener.check()
         if self._error is not None:
             raise self._error

@@ -1,4 +1,4 @@
-"""Where a hand is at a moment, and what a motion is."""
+"""Pose of a hand at a moment, and the type of a motion."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ class HandPose:
     position: of the hand frame, the frame of the hand at rest (that of mocap body `hand_target` in
         `articulated_mjcf`) [m], shape (3,)
     quaternion: its orientation, w first, unit length, shape (4,)
-    angles_deg: joint angles by name [deg]; joints that are not named are at rest
+    angles_deg: joint angles by name [deg]; other joints are at rest
     """
 
     position: Float
@@ -27,14 +27,14 @@ class HandPose:
 
 
 PoseCourse = Callable[[float], HandPose]
-"""Time [s] to pose. Those that palmfield makes have `span_s`, first and last time, outside which they stand still."""
+"""Time [s] to pose. Those of palmfield have `span_s`, first and last time, outside which they are constant."""
 
 
 def checked_pose(pose: HandPose, where: str, hand: ArticulatedHand | None = None) -> HandPose:
-    """The pose with numbers as arrays and the quaternion at unit length.
+    """Return the pose with numbers as arrays and the quaternion at unit length.
 
     where: begins the message of errors. Raises SceneError for a wrong shape, a number that is not finite, a quaternion
-    of length 0, and, where the hand is given, an unknown joint or one out of its range.
+    of length 0, and, if the hand is given, an unknown joint or one out of its range.
     """
     position = numbers(pose.position, (3,), f"{where}: position")
     quaternion = unit_quaternions(pose.quaternion, (4,), f"{where}: quaternion")
@@ -52,7 +52,7 @@ def checked_pose(pose: HandPose, where: str, hand: ArticulatedHand | None = None
 
 
 def numbers(values: ArrayLike, shape: tuple[int, ...], what: str) -> Float:
-    """The values as float64. Raises SceneError, beginning with `what`, unless they are finite numbers of that shape."""
+    """The values as float64. Raises SceneError, beginning with `what`, unless they are finite and of that shape."""
     try:
         array = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError):

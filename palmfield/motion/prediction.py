@@ -1,4 +1,4 @@
-"""A tracking stream brought onto a clock, and ahead of it, by a Kalman filter."""
+"""Resample a tracking stream to a clock, with extrapolation, by a Kalman filter."""
 
 from dataclasses import dataclass
 
@@ -17,7 +17,7 @@ Bool = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Noise:
-    """What the filter takes tracker and hand for; from these follow its gains.
+    """Noise model of tracker and hand, which determines the filter's gains.
 
     position_m, angle_rad: error of one packet; accel_m_s2, accel_rad_s2: acceleration of a joint between packets, each
     as a standard deviation. At 90 packets a second the gains settle at 0.75 for position and 0.50 over the period for
@@ -36,10 +36,10 @@ class Resampled:
 
     stream: its times are clock + ahead_s
     report: of the packets that went in
-    age_s: by how far each joint was predicted from its last packet, held ones included, shape (clock, 26) [s];
-        inf before the first
-    held: shares of joint and clock time that were held because their last packet was too old
-    skipped: packets that came after a later one, or again, and were left out
+    age_s: extrapolation of each joint from its last packet, held ones included, shape (clock, 26) [s]; inf before the
+        first
+    held: share of joint and clock times that were held because their last packet was too old
+    skipped: packets that came after a later one or were repeated, and were left out
     """
 
     stream: Stream
@@ -50,7 +50,7 @@ class Resampled:
 
 
 class _Filter:
-    """Position or small turn of each joint, with its speed: a Kalman filter for constant speed between packets.
+    """Position or small rotation of each joint, with its speed: a Kalman filter for constant speed between packets.
 
     The covariance is the same for all axes of a joint. Bar-Shalom, Li & Kirubarajan (2001), Estimation with
     Applications to Tracking and Navigation, section 6.3.2: discrete white-noise acceleration.
@@ -62,12 +62,12 @@ class _Filter:
         self._p = np.zeros((n, 3))
 
     def start(self, which: Bool) -> None:
-        """Joints seen for the first time, or again after a gap."""
+        """Start joints seen for the first time, or again after a gap."""
         self.speed[which] = 0.0
         self._p[which] = self._noise2, 0.0, self._first_speed2
 
     def advance(self, which: Bool, dt: Float) -> tuple[Float, Float]:
-        """Gains for value and speed, shape (joints, 1) each, of a packet that is `dt` [s] after the last one."""
+        """Return gains for value and speed, shape (joints, 1) each, for a packet `dt` [s] after the last one."""
         p, cross, v = self._p[which].T
         q = self._acceleration2 * dt**2
         p, cross, v = p + 2.0 * dt * cross + dt**2 * v + q * dt**2 / 4.0, cross + dt * v + q * dt / 2.0, v + q
@@ -77,12 +77,12 @@ class _Filter:
 
 
 class Predictor:
-    """Joints as the packets so far tell, for any time ahead of the last one."""
+    """Predicts joints from the packets so far, for any time after the last one."""
 
     def __init__(self, noise: Noise, predict_s: float, n: int = len(JOINTS)) -> None:
         """predict_s: how long a joint without packets moves on at its speed before it is held [s]
 
-        n: of joints, or of whatever frames are followed
+        n: number of joints, or of other tracked frames
         """
         self._predict_s = predict_s
         self._place = _Filter(n, noise.position_m, noise.accel_m_s2, 1.0)
@@ -94,7 +94,7 @@ class Predictor:
         self._turned_s = np.full(n, -np.inf)
 
     def add(self, time_s: float, position: Float, quaternion: Float, radius: Float, flags: Int) -> None:
-        """Take in one packet, whose time is after that of the one before."""
+        """Add one packet, whose time is after that of the one before."""
         valid = (flags & POSITION_VALID) != 0
         new = valid & (time_s - self._placed_s > self._predict_s)
         known = valid & ~new
@@ -124,8 +124,8 @@ class Predictor:
         self._turned_s[valid] = time_s
 
     def frames(self, time_s: float) -> tuple[Float, Float]:
-        """Positions [m], shape (n, 3), and orientations (w, x, y, z), shape (n, 4), of the joints at a time [s]."""
-        # A joint that was never seen has been so since minus infinity, and its speed is 0
+        """Return positions [m], shape (n, 3), and orientations (w, x, y, z), shape (n, 4), at a time [s]."""
+        # A joint that was never seen has had a gap since minus infinity, and its speed is 0
         ahead = np.where(np.isfinite(self._placed_s), np.minimum(time_s - self._placed_s, self._predict_s), 0.0)
         ahead_turn = np.where(np.isfinite(self._turned_s), np.minimum(time_s - self._turned_s, self._predict_s), 0.0)
         positions = self._position + self._place.speed * ahead[:, None]
@@ -136,7 +136,7 @@ class Predictor:
         positions, turned = self.frames(time_s)
         age = time_s - self._placed_s
         known, known_turn = np.isfinite(self._placed_s), np.isfinite(self._turned_s)
-        # Seen by the tracker are only joints that need no prediction over a gap.
+        # The flag `tracked` is only for joints that need no extrapolation over a gap.
         fresh, fresh_turn = known & (age <= self._predict_s), known_turn & (time_s - self._turned_s <= self._predict_s)
         flags = POSITION_VALID * known + ORIENTATION_VALID * known_turn
         flags = flags + POSITION_TRACKED * fresh + ORIENTATION_TRACKED * fresh_turn
@@ -146,12 +146,11 @@ class Predictor:
 def resample(
     stream: Stream, clock_s: ArrayLike, ahead_s: float = 0.0, predict_s: float = 0.1, noise: Noise | None = None
 ) -> Resampled:
-    """What can be said at each time of a clock [s], shape (n,), rising, about the hand `ahead_s` [s] later.
+    """Predict the hand `ahead_s` [s] after each time of a clock [s], shape (n,), rising.
 
-    Only packets taken by then count; one that comes after a later one is left out, as the filter cannot go back. A
-    joint without packets moves on at its last speed until `predict_s` [s] after its last one, ahead_s included, and is
-    then held, flagged as valid but not as tracked; a packet after such a gap starts it anew. Before its first packet
-    it is not valid.
+    Only packets up to then count; one that comes after a later one is left out, as the filter cannot go back. A joint
+    without packets moves at its last speed until `predict_s` [s] after its last one, ahead_s included. Then it is held,
+    flagged as valid but not as tracked; a packet after such a gap restarts it. Before its first packet it is not valid.
     Raises SceneError for a wrong stream, a clock that does not rise, and negative times.
     """
     checked = checked_stream(stream, "tracking stream")

@@ -5,11 +5,11 @@ import numpy as np
 from palmfield.types import Float
 
 SMALL_RAD = 1e-3
-"""Below this a series is exact to rounding, and the quotient is not."""
+"""Below this a series is exact to rounding, unlike the quotient."""
 
 
 def product(a: Float, b: Float) -> Float:
-    """Rotations that turn by b first and by a then, shape (n, 4)."""
+    """Return rotations by b first and by a then, shape (n, 4)."""
     aw, ax, ay, az = a.T
     bw, bx, by, bz = b.T
     result = np.empty_like(b)
@@ -21,12 +21,12 @@ def product(a: Float, b: Float) -> Float:
 
 
 def inverse(q: Float) -> Float:
-    """The rotations back, shape (n, 4)."""
+    """Return the inverse rotations, shape (n, 4)."""
     return q * (1.0, -1.0, -1.0, -1.0)
 
 
 def unit(q: Float) -> Float:
-    """Of length 1, shape (n, 4)."""
+    """Scale to length 1, shape (n, 4)."""
     return q / np.sqrt(np.einsum("ij,ij->i", q, q))[:, None]
 
 

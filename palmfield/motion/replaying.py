@@ -1,4 +1,4 @@
-"""A recorded hand sent to whoever listens for a tracker, in real time."""
+"""Send a recorded hand in place of a tracker, in real time."""
 
 import socket
 import time
@@ -14,7 +14,7 @@ CONNECT_S = 5.0
 
 
 def address(text: str) -> tuple[str, int]:
-    """HOST:PORT, or PORT of this machine. Raises DeviceError for anything else."""
+    """Parse HOST:PORT, or PORT of this machine. Raises DeviceError for anything else."""
     host, colon, port = text.rpartition(":")
     if not port.isdigit() or int(port) > 65535 or (colon and not host):
         raise DeviceError(f"'{text}' is no address; give HOST:PORT, or PORT for this machine")
@@ -39,11 +39,11 @@ def replay(
     repeat: int = 1,
     stamp: bool = False,
 ) -> int:
-    """Send each packet when its time has come; returns how many were sent.
+    """Send each packet at its time; returns the number of packets sent.
 
-    speed: 2 for twice as fast; repeat: how often the recording is sent, one after the other
-    stamp: whether samples bear the time at which they are sent, on this machine's monotonic clock, and not their own
-    Raises DeviceError where nobody takes them, and for a speed or number out of range.
+    speed: 2 for twice as fast; repeat: number of times that the recording is sent
+    stamp: whether samples have the time of sending, on this machine's monotonic clock, instead of their own
+    Raises DeviceError if there is no receiver, and for a speed or number out of range.
     """
     if not 0.01 <= speed <= 100.0:
         raise DeviceError(f"speed has value {speed:g}; allowed: 0.01 to 100")
@@ -75,7 +75,7 @@ def replay(
 def _connected(to: tuple[str, int], by: By) -> socket.socket:
     if by == "tcp":
         peer = socket.create_connection(to, CONNECT_S)
-        # A sample doesn't wait until the last one is acknowledged
+        # Send a sample without waiting for the acknowledgement of the last one
         peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         return peer
     line = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)

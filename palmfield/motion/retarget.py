@@ -1,4 +1,4 @@
-"""A tracked hand's motion carried over to an articulated hand of other size."""
+"""Transfer a tracked hand's motion to an articulated hand of other size."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -21,7 +21,7 @@ from palmfield.types import Float
 Bool = NDArray[np.bool_]
 
 RIGID = PALM_JOINTS + KNUCKLES
-"""Joints that do not move against each other."""
+"""Joints that do not move relative to each other."""
 CHAINS = tuple(
     tuple(JOINTS.index(f"{digit}_{place}") for place in places)
     for digit in DIGITS
@@ -34,20 +34,20 @@ CHAINS = tuple(
 """Joints of each digit from its root, which is fixed in the palm, to its tip."""
 PALM_ROUNDS = 20
 TO_BEFORE_m_deg = 2e-5
-"""A degree from the frame before weighs as much as 0.02 mm: decides only what the joints' places leave open."""
+"""Weight of the frame before: a degree counts as 0.02 mm, which matters only for angles that the joints leave open."""
 FEWEST_PALM_JOINTS, LEAST_SPREAD_m = 4, 0.01
 
 
 @dataclass(frozen=True)
 class RetargetReport:
-    """How well the hand follows.
+    """Quality of the fit.
 
-    frames: that were fitted; skipped: those whose valid joints do not tell how the palm is turned
+    frames: fitted; skipped: those whose valid joints do not determine the palm's orientation
     scale_across, scale_along: size of our palm to the tracked one, across and along
-    tip_rms_m, tip_max_m: from our fingertips to where the tracked bones' directions with our bones' lengths put them,
-        both in the palm's frame, over valid tips [m]
-    palm_rms_m: from the tracked palm's joints to a palm that is rigid [m]
-    at_limit: share of joint and frame at the end of the joint's range
+    tip_rms_m, tip_max_m: distance of our fingertips from the targets, which have the tracked bones' directions with our
+        bones' lengths, both in the palm's frame, over valid tips [m]
+    palm_rms_m: deviation of the tracked palm's joints from a rigid palm [m]
+    at_limit: share of joints and frames at the end of the joint's range
     """
 
     frames: int
@@ -61,7 +61,7 @@ class RetargetReport:
 
 
 class Retargeted:
-    """A motion made of a tracking stream. report: how well it follows; span_s: first and last time [s]."""
+    """A motion made of a tracking stream. report: quality of the fit; span_s: first and last time [s]."""
 
     def __init__(self, curve: Curve, report: RetargetReport) -> None:
         self._curve = curve
@@ -74,13 +74,13 @@ class Retargeted:
 
 
 def retarget(hand: ArticulatedHand, stream: Stream) -> Retargeted:
-    """The motion of `hand` that follows a tracked hand of the same side.
+    """Return the motion of `hand` that follows a tracked hand of the same side.
 
-    Bones' lengths differ, so no hand can have all joints where the tracked ones are. Our wrist is where the tracked one
-    is; our palm is turned as the tracked palm, compared after scaling that one across and along to ours; and each
-    digit's joints and tip are fitted, within the joints' ranges, to where the tracked bones' directions with our bones'
-    lengths put them. The forearm continues the hand, as OpenXR's joints do not tell how the wrist is bent.
-    Orientations and radii are not used. Packets are put in order; between them, as `Curve`.
+    Bones' lengths differ, so no hand can match all tracked joints. Our wrist is at the tracked one. Our palm has the
+    orientation of the tracked palm, compared after scaling that one across and along to ours. Each digit's joints and
+    tip are fitted, within the joints' ranges, to the tracked bones' directions with our bones' lengths. The forearm
+    continues the hand, as OpenXR's joints do not contain the bend of the wrist. Orientations and radii are not used.
+    Packets are sorted; between them, as `Curve`.
     Raises SceneError for a wrong stream, one of the other side's hand, and one with fewer than two frames to fit.
     """
     packets = ordered(checked_stream(stream, "tracking stream"))
@@ -113,7 +113,7 @@ def retarget(hand: ArticulatedHand, stream: Stream) -> Retargeted:
 
 
 class Followed(NamedTuple):
-    """How a hand follows a packet.
+    """Fit of a hand to a packet.
 
     position [m], quaternion (w first), angles_deg: of all joints, shape (joints,)
     tip_misses: of the valid tips [m]; palm_misses: of the valid joints of the palm [m], shape (k, 3)
@@ -130,9 +130,9 @@ class Follower:
     """Fits a hand to one packet after another. names: of its joints; scales: of our palm to theirs, across and along"""
 
     def __init__(self, hand: ArticulatedHand, positions: Float, valid: Bool) -> None:
-        """positions: of packets that tell the palm's shape [m], shape (n, 26, 3); valid: which are known, (n, 26).
+        """positions: of packets for the palm's shape [m], shape (n, 26, 3); valid: flags, (n, 26).
 
-        Raises SceneError for a hand of the other side, and where no packet has all joints of the palm.
+        Raises SceneError for a hand of the other side, and if no packet has all joints of the palm.
         """
         ours = hand_joints(hand)
         rigid = np.array(RIGID)
@@ -145,11 +145,11 @@ class Follower:
         self.names = [joint.name for joint in hand.joints]
 
     def follow(self, positions: Float, valid: Bool) -> Followed:
-        """The pose for a packet, shapes (26, 3) [m] and (26,), which must fix the palm (`fixes_palm`)."""
+        """Return the pose for a packet, shapes (26, 3) [m] and (26,), which must fix the palm (`fixes_palm`)."""
         seen = valid[self._rigid]
         turn, shift = _rigid(self._palm[seen], positions[self._rigid][seen])
         palm_misses = self._palm[seen] @ turn.T + shift - positions[self._rigid][seen]
-        # Digits begin at the fitted palm: less noise than at knuckles by themselves, and there where one is lost.
+        # Digits begin at the fitted palm: less noise than at single knuckles, and defined if one is lost.
         joints, known = positions.copy(), valid.copy()
         joints[self._rigid], known[self._rigid] = self._palm @ turn.T + shift, True
         steps = np.diff(joints[self._chains], axis=1) @ turn
@@ -165,27 +165,27 @@ class Follower:
 
 
 def fixes_palm(positions: Float, valid: Bool) -> bool:
-    """Whether a packet, shapes (26, 3) [m] and (26,), tells how the palm is turned."""
+    """Whether a packet, shapes (26, 3) [m] and (26,), determines the palm's orientation."""
     rigid = np.array(RIGID)
     return _fixes_palm(positions[rigid][valid[rigid]])
 
 
 def _fixes_palm(points: Float) -> bool:
-    """Whether joints of the palm, shape (n, 3) [m], are enough to tell how it is turned."""
+    """Whether joints of the palm, shape (n, 3) [m], determine its orientation."""
     if len(points) < FEWEST_PALM_JOINTS:
         return False
     return bool(np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[1] > LEAST_SPREAD_m)
 
 
 def _rigid(start: Float, end: Float) -> tuple[Float, Float]:
-    """Rotation and shift that bring points to others, nearest in the mean square (Kabsch 1976)."""
+    """Fit rotation and shift from points to others, by least squares (Kabsch 1976)."""
     middle_start, middle_end = start.mean(axis=0), end.mean(axis=0)
     turn = Rotation.align_vectors(end - middle_end, start - middle_start)[0].as_matrix()
     return turn, middle_end - turn @ middle_start
 
 
 def _palm_of(positions: Float, valid: Bool) -> Float:
-    """The mean shape of the tracked palm's joints [m], shape (joints, 3), in the frame of one of the packets."""
+    """Return the mean shape of the tracked palm's joints [m], shape (joints, 3), in the frame of one of the packets."""
     fullest = int(np.argmax(np.count_nonzero(valid, axis=1)))
     shape, known = positions[fullest].copy(), valid[fullest]
     if not known.all():
@@ -204,14 +204,14 @@ def _palm_of(positions: Float, valid: Bool) -> Float:
 
 
 def _palm_in_our_frame(ours: Float, theirs: Float) -> tuple[Float, Float]:
-    """The tracked palm turned as ours, shape (joints, 3), and what it is scaled by to be like ours across and along.
+    """Return the tracked palm with our orientation, shape (joints, 3), and its scales to ours across and along.
 
     Scaling across holds for the height over the palm as well. Raises SceneError for a hand of the other side.
     """
     target, centred = ours - ours.mean(axis=0), theirs - theirs.mean(axis=0)
     turned, scales, miss = _turned_and_scaled(target, centred)
     mirrored = _turned_and_scaled(target * np.array([-1.0, 1.0, 1.0]), centred)[2]
-    # A palm that is nearly flat is about as like its mirror image, and must not be refused for its noise.
+    # A nearly flat palm also resembles its mirror image, and must not be refused for its noise.
     if mirrored < 0.5 * miss:
         raise SceneError(
             f"hand retargeting: the tracked palm is {1e3 * miss:.2g} mm from ours and {1e3 * mirrored:.2g} mm from its "
@@ -221,10 +221,10 @@ def _palm_in_our_frame(ours: Float, theirs: Float) -> tuple[Float, Float]:
 
 
 def _turned_and_scaled(target: Float, centred: Float) -> tuple[Float, Float, float]:
-    """`centred` turned to `target`, the scales across and along, and how far it is from it then in the rms [m]."""
+    """Return `centred` rotated to `target`, the scales across and along, and the remaining rms distance [m]."""
     scales = np.ones(2)
     for _ in range(PALM_ROUNDS):
-        # Turn theirs to ours made as small or large as theirs, then see which scales are left.
+        # Rotate theirs to ours scaled to their size, then find the remaining scales.
         turned = Rotation.align_vectors(target / scales[[0, 1, 0]], centred)[0].apply(centred)
         across, along = turned[:, [0, 2]], turned[:, 1]
         ratios = np.array(
@@ -247,7 +247,7 @@ class _Placed(NamedTuple):
 
 
 class _Fit:
-    """Joint angles of the digits of our hand, frame by frame."""
+    """Fits joint angles of the digits of our hand, frame by frame."""
 
     def __init__(self, hand: ArticulatedHand, joints: HandJoints) -> None:
         self._hand = hand
@@ -261,7 +261,7 @@ class _Fit:
         hinges = [hand.joints[n] for n in self._moving]
         self._axes = np.deg2rad(1.0) * np.array([joint.axis for joint in hinges])
         self._bones = np.array([joint.bone for joint in hinges])
-        # Of two joints of a bone the outer one, abduction, turns with the bone before it.
+        # Of two joints of a bone the outer one, abduction, rotates with the bone before it.
         outer = [joint.name.endswith("_abduction") for joint in hinges]
         self._turned_with = np.where(outer, [hand.bones[bone].parent for bone in self._bones], self._bones)
         self._digits = np.array([DIGITS.index(joint.name.split("_")[0]) for joint in hinges])
@@ -272,21 +272,21 @@ class _Fit:
         self._lengths = np.linalg.norm(np.diff(joints.positions[self._chains], axis=1), axis=2)
 
     def angles(self, steps: Float, valid: Bool, before: Float) -> tuple[Float, Float]:
-        """Angles of all joints [deg], shape (joints,), and the misses of the valid tips [m].
+        """Return angles of all joints [deg], shape (joints,), and the misses of the valid tips [m].
 
         steps: the tracked digits' bones in the palm's frame, from joint to joint, shape (5, 3, 3) [m]
-        valid: of which both ends are known, shape (5, 3); before: angles of the frame before [deg]
+        valid: whether both ends are valid, shape (5, 3); before: angles of the frame before [deg]
         """
         long = np.linalg.norm(steps, axis=2, keepdims=True)
         usable = valid & (long[:, :, 0] > 1e-4)
         onward = steps / np.where(usable[:, :, None], long, 1.0)
-        # A joint counts where all bones from the palm to it are known.
+        # A joint counts if all bones from the palm to it are valid.
         known = np.logical_and.accumulate(usable, axis=1)
         roots = self._joints.positions[self._chains[:, 0]]
         targets = roots[:, None] + np.cumsum(self._lengths[:, :, None] * onward, axis=1)
         start = np.clip(before[self._moving], self._low, self._high)
 
-        # The solver asks for misses and slopes of the same angles, one after the other
+        # The solver requests misses and slopes of the same angles in turn
         at = lru_cache(maxsize=1)(lambda angles: self._placed(np.frombuffer(angles)))
 
         def misses(x: Float) -> Float:
@@ -322,11 +322,11 @@ class _Fit:
         return _Placed(origins, rotations, joints)
 
     def _slopes(self, at: _Placed) -> Float:
-        """Of the joints' places by the angles [m/deg], shape (45, moving)."""
+        """Derivatives of the joints' places by the angles [m/deg], shape (45, moving)."""
         axes = np.einsum("nab,nb->na", at.rotations[self._turned_with], self._axes)
         arms = at.joints[self._digits] - at.origins[self._bones][:, None]
         count = len(self._moving)
         slopes = np.zeros((*at.joints.shape, count))
-        # Each hinge moves what lies beyond it on its own digit.
+        # Each hinge moves the parts beyond it on its own digit.
         slopes[self._digits, :, :, np.arange(count)] = self._beyond[:, :, None] * np.cross(axes[:, None], arms)
         return slopes.reshape(-1, count)

@@ -1,4 +1,4 @@
-"""The motion that a scene asks for, from whichever file or function."""
+"""The motion of a scene's keys, from a file or function."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -26,23 +26,23 @@ from palmfield.transforms import IDENTITY, Transform
 from palmfield.types import Float
 
 FARTHEST_m = 10.0
-"""No hand is so far from an array: who says so has another unit in mind."""
+"""Largest distance of a hand from an array: beyond it the unit is wrong."""
 KEY_FIELDS = ("time_s", "position_m", "quaternion", "turn_deg", "pose", "joints_deg")
 DEFAULT_HAND = "open_men_p50"
 
 
 @dataclass(frozen=True)
 class HandMotion:
-    """Where a hand is to be. hand: its joints, None for a hand in one piece; at: pose at a time of the scene [s]"""
+    """Motion of a hand. hand: its joints, None for a hand in one piece; at: pose at a time of the scene [s]"""
 
     hand: ArticulatedHand | None
     at: Callable[[float], HandPose]
 
 
 def motion_of(config: MotionConfig, array: Transform = IDENTITY) -> HandMotion:
-    """The motion of a scene's keys; array: frame of the scene's first array in the world.
+    """Return the motion of a scene's keys; array: frame of the scene's first array in the world.
 
-    Raises SceneError for files and functions that can't be read or found.
+    Raises SceneError for files and functions that cannot be read or found.
     """
     hand = None if config.hand is None else articulate(load_preset(config.hand))
     joints = hand or articulate(load_preset(DEFAULT_HAND))
@@ -63,7 +63,7 @@ def motion_of(config: MotionConfig, array: Transform = IDENTITY) -> HandMotion:
 def tracker_frame(config: MotionConfig, array: Transform) -> Transform:
     """The tracker's space in the world of a scene whose first array is at `array`.
 
-    Raises SceneError for an alignment that can't be read.
+    Raises SceneError for an alignment that cannot be read.
     """
     if config.tracking_alignment is not None:
         position, rotation = read_alignment(config.tracking_alignment).transform
@@ -73,7 +73,7 @@ def tracker_frame(config: MotionConfig, array: Transform) -> Transform:
 
 
 def _tracked(config: MotionConfig, array: Transform) -> Stream:
-    """The recorded stream in the scene's world; with ahead_s as a live system would have it that long before."""
+    """Return the recorded stream in the scene's world; with ahead_s as a live system would predict it."""
     assert config.tracking is not None
     stream = read_stream(config.tracking)
     frame = tracker_frame(config, array)
@@ -91,8 +91,8 @@ def _tracked(config: MotionConfig, array: Transform) -> Stream:
 
 
 def read_keyframes(path: Path, hand: ArticulatedHand, preset: str | None) -> Callable[[float], HandPose]:
-    """A TOML file of [[key]] tables: time_s, position_m, and what is not the default of quaternion (w, x, y, z) or
-    turn_deg (rotation vector), pose (by name) and joints_deg (angles that differ from it).
+    """Read a TOML file of [[key]] tables: time_s, position_m, and optional quaternion (w, x, y, z) or turn_deg
+    (rotation vector), pose (by name) and joints_deg (angles that differ from it).
 
     preset: an articulated hand's, whose skin must not cross itself at any key; None for a hand in one piece
     Raises SceneError with the number of the key and the field.

@@ -1,4 +1,4 @@
-"""A recorded stream of OpenXR's 26 hand joints: read, written, and judged."""
+"""A recorded stream of OpenXR's 26 hand joints: read, write, and assess it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -39,7 +39,7 @@ class Stream:
     positions: of JOINTS in the world [m], shape (n, 26, 3)
     quaternions: their orientations, w first (OpenXR itself puts it last), shape (n, 26, 4)
     radii: [m], shape (n, 26)
-    flags: XrSpaceLocationFlags, shape (n, 26); what is not flagged as valid counts as absent, whatever its numbers
+    flags: XrSpaceLocationFlags, shape (n, 26); joints not flagged as valid count as absent, with any numbers
     """
 
     times_s: Float
@@ -54,13 +54,13 @@ class Stream:
 
 @dataclass(frozen=True)
 class StreamReport:
-    """How good a stream is.
+    """Quality of a stream.
 
-    packets: how many; period_s: the usual time between two, the median [s]; jitter_s: standard deviation about it of
-        those that are no dropouts [s]
-    dropouts: how often packets or a hand in them are missing; longest_s: the longest time without [s]; lost: share of
-        the stream's time
-    reordered: packets that came after a later one; repeated: packets of a time that was there
+    packets: their number; period_s: the usual time between two, the median [s]; jitter_s: standard deviation about it,
+        without dropouts [s]
+    dropouts: number of gaps without packets or a hand in them; longest_s: the longest gap [s]; lost: share of the
+        stream's time
+    reordered: packets that came after a later one; repeated: packets with a time that had occurred
     invalid: share of joints without a valid position in the packets
     """
 
@@ -100,7 +100,7 @@ def stream_report(stream: Stream) -> StreamReport:
 
 
 def ordered(stream: Stream) -> Stream:
-    """The packets in the order of their times; of those of one time, the first that came."""
+    """Return the packets in the order of their times; of those of one time, the first that came."""
     _, order = np.unique(stream.times_s, return_index=True)
     return Stream(
         stream.times_s[order],
@@ -112,11 +112,11 @@ def ordered(stream: Stream) -> Stream:
 
 
 def checked_stream(stream: Stream, what: str, places: Sequence[str] | None = None) -> Stream:
-    """The stream with unit quaternions; joints that are not valid get a quaternion of 1, 0, 0, 0 and position 0.
+    """Return the stream with unit quaternions; invalid joints get a quaternion of 1, 0, 0, 0 and position 0.
 
-    what: begins the message of errors; places: what to call each packet in them. Raises SceneError for other shapes,
-    fewer than two packets of different times, times that are not finite, and joints flagged as valid whose numbers
-    are not finite, whose quaternion has length 0, or whose radius is not positive; and for what is no hand in metres.
+    what: begins the message of errors; places: name of each packet in them. Raises SceneError for other shapes, fewer
+    than two packets of different times, times that are not finite, and joints flagged as valid with numbers that are
+    not finite, a quaternion of length 0, or a radius that is not positive; and for data that are no hand in metres.
     """
     n, j = len(stream.times_s), len(JOINTS)
     names = places or [f"packet {k + 1}" for k in range(n)]
@@ -160,11 +160,11 @@ def checked_stream(stream: Stream, what: str, places: Sequence[str] | None = Non
 
 
 def read_stream(path: str | Path) -> Stream:
-    """A stream from a CSV or NPZ table, a row for each packet in the order in which they came.
+    """Read a stream from a CSV or NPZ table, a row for each packet in the order in which they came.
 
-    Columns (arrays of one length in an NPZ): time_s and, for each of JOINTS, JOINT_x_m, JOINT_y_m, JOINT_z_m,
-    JOINT_qw, JOINT_qx, JOINT_qy, JOINT_qz, JOINT_radius_m and JOINT_flags (XrSpaceLocationFlags as a whole number).
-    Every cell is a number; where a joint is not valid it may be nan. Other columns are refused.
+    Columns (arrays of one length in an NPZ): time_s and, for each of JOINTS, JOINT_x_m, JOINT_y_m, JOINT_z_m, JOINT_qw,
+    JOINT_qx, JOINT_qy, JOINT_qz, JOINT_radius_m and JOINT_flags (XrSpaceLocationFlags as a whole number). Every cell is
+    a number; it may be nan for an invalid joint. Other columns are refused.
     Raises SceneError as `read_trajectory` for the table and as `checked_stream` for its numbers.
     """
     file = Path(path)
@@ -207,7 +207,7 @@ def column_names() -> list[str]:
 
 
 def stream_of(hand: ArticulatedHand, motion: PoseCourse, times_s: ArrayLike) -> Stream:
-    """What a tracker without any error would see of a hand in motion, at times [s], shape (n,)."""
+    """Return the samples of a tracker without error for a hand in motion, at times [s], shape (n,)."""
     times = np.asarray(times_s, dtype=np.float64)
     joints = hand_joints(hand)
     positions, quaternions = [], []

@@ -23,7 +23,7 @@ QUATERNION = ("qw", "qx", "qy", "qz")
 
 
 def read_trajectory(path: str | Path, hand: ArticulatedHand) -> Curve:
-    """The motion in a CSV or NPZ table; between samples as `Curve`, outside them standing still.
+    """Read the motion from a CSV or NPZ table; between samples as `Curve`, outside them at rest.
 
     Columns (arrays of one length in an NPZ), in any order: time_s; x_m, y_m, z_m or x_mm, y_mm, z_mm; qw, qx, qy, qz
     of any length; and for the joints that leave their rest JOINT_deg or JOINT_rad. Two or more rows.
@@ -73,7 +73,7 @@ def _position(file: Path, axis: str, columns: dict[str, Float]) -> Float:
 
 
 def _angles(file: Path, hand: ArticulatedHand, columns: dict[str, Float], places: list[str]) -> Float:
-    """Angles of all joints [deg], shape (rows, joints), from the columns that are left."""
+    """Return angles of all joints [deg], shape (rows, joints), from the remaining columns."""
     joints = {joint.name: joint for joint in hand.joints}
     angles = np.tile([joint.rest_deg for joint in hand.joints], (len(places), 1))
     for column, values in columns.items():
@@ -109,7 +109,7 @@ def _doubled(file: Path, name: str, units: list[str]) -> SceneError:
 def write_trajectory(path: str | Path, hand: ArticulatedHand, times: ArrayLike, poses: Sequence[HandPose]) -> None:
     """Write poses at times [s], shape (n,), to a CSV or NPZ file that `read_trajectory` reads, all joints in degrees.
 
-    Raises SceneError for what `read_trajectory` would refuse, OutputError for a file that cannot be written.
+    Raises SceneError for data that `read_trajectory` would refuse, OutputError for a file that cannot be written.
     """
     seconds = rising(times, "hand trajectory")
     if len(poses) != len(seconds):
@@ -124,7 +124,7 @@ def write_trajectory(path: str | Path, hand: ArticulatedHand, times: ArrayLike, 
 
 
 class Scripted:
-    """A motion by a function; each of its answers is checked.
+    """A motion by a function; each of its results is checked.
 
     span_s: the function's own, or from -inf to inf
     """
@@ -136,7 +136,7 @@ class Scripted:
         self._hand = hand
 
     def __call__(self, time_s: float) -> HandPose:
-        """The pose at a time [s]. Raises SceneError, with the time, for what is not a pose or fails."""
+        """The pose at a time [s]. Raises SceneError, with the time, for a result that is not a pose and for errors."""
         time = min(max(float(time_s), self.span_s[0]), self.span_s[1])
         where = f"hand motion '{self._name}' at {time:g} s"
         try:
@@ -154,10 +154,10 @@ class Scripted:
 
 
 def from_callable(function: str | Callable[[float], HandPose], hand: ArticulatedHand | None = None) -> Scripted:
-    """The motion of a function of time [s] that gives a HandPose, or a tuple of its three parts.
+    """Return the motion of a function of time [s] that returns a HandPose, or a tuple of its three parts.
 
-    function: itself, or "package.module:function"; hand: whose joints and ranges its answers are checked against
-    Raises SceneError where the function is not found; its answers are checked when the motion is asked.
+    function: itself, or "package.module:function"; hand: whose joints and ranges apply to its results
+    Raises SceneError if the function is not found; its results are checked when the motion is evaluated.
     """
     if callable(function):
         return Scripted(function, getattr(function, "__name__", type(function).__name__), hand)

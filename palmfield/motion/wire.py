@@ -1,4 +1,4 @@
-"""Samples of a tracked hand as lines of JSON, as they go over a socket: by OpenXR's names or by LeapC's.
+"""Samples of a tracked hand as lines of JSON for a socket: by OpenXR's names or by LeapC's.
 
 openxr: {"convention": "openxr", "time_s": 1.25, "hand": "right", "joints": {"wrist": {"position": [x, y, z],
     "orientation": [x, y, z, w], "radius": 0.03}, ...}}, names as in XrHandJointEXT with or without XR_HAND_JOINT_ and
@@ -36,7 +36,7 @@ ALL_FLAGS = ORIENTATION_VALID | POSITION_VALID | ORIENTATION_TRACKED | POSITION_
 LEAP_DIGITS = {"thumb": "thumb", "index": "index", "middle": "middle", "ring": "ring", "pinky": "little"}
 LEAP_SCALE_M, LEAP_TICK_S = 1e-3, 1e-6
 RADIUS_M = 0.01
-"""Of a joint whose radius isn't told."""
+"""Radius of a joint if none is given."""
 
 
 class Sample(NamedTuple):
@@ -50,7 +50,7 @@ class Sample(NamedTuple):
 
 
 def read_sample(line: str | bytes) -> Sample:
-    """The sample in a line. Raises BadLine: garbled, convention, joints, numbers, lost or unit."""
+    """Read the sample in a line. Raises BadLine: garbled, convention, joints, numbers, lost or unit."""
     value = read_object(line)
     convention = value.get("convention")
     if convention not in CONVENTIONS:
@@ -83,7 +83,7 @@ def read_sample(line: str | bytes) -> Sample:
 
 
 def write_sample(sample: Sample, convention: Convention = "openxr", hand: str = "right") -> str:
-    """The line of a sample, without its end. A sample without any valid joint is that of a lost hand."""
+    """Return the line of a sample, without its end. A sample without any valid joint is that of a lost hand."""
     valid = (sample.flags & POSITION_VALID) != 0
     head: dict[str, Any] = {"convention": convention}
     if convention == "openxr":
@@ -192,7 +192,7 @@ def _time(value: dict[str, Any], convention: str) -> float:
 
 
 def _check_size(positions: Float, flags: Int) -> None:
-    """Refuse what is no hand in metres."""
+    """Refuse data that are no hand in metres."""
     valid = (flags & POSITION_VALID) != 0
     if not valid.any():
         raise BadLine("lost", "no joint has a position")

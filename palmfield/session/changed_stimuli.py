@@ -1,4 +1,4 @@
-"""A simulation that goes on with other keys of its stimuli, as it stands, where modes for any load move its skins."""
+"""Continue a simulation with other keys of its stimuli, if modes for any load move its skins."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -12,17 +12,17 @@ from palmfield.simulation.scene_reader import element_of
 from palmfield.simulation.state import WHOLE, at_rest, claim, stepper_of
 
 LEAST_SPOT = 0.8
-"""Of the spot for which a layer is meshed: a smaller one asks for finer elements."""
+"""Factor of the spot for which a layer is meshed: a smaller spot needs finer elements."""
 
 
 def change_stimuli(sim: Simulation, texts: Mapping[str, Mapping[str, str]]) -> bool:
-    """Give a running simulation's stimuli other keys, if its skins can go on; whether they can.
+    """Change the keys of a running simulation's stimuli if its skins allow it; returns whether they do.
 
     texts: of all keys of some stimuli, by instance and key
-    Where they can, time, poses and the skins' motion stay as they are, and the new keys hold from the next step on.
-    They can't where a skin is stepped by something that was made for one load, or as a whole; where a key names parts
-    of the scene; and where a new sound needs a finer mesh. Then nothing has changed. MuJoCo's own model keeps the old
-    texts. Raises SceneError or DeviceError, with nothing changed, for values that the scene can't have.
+    If so, time, poses and the skins' motion are unchanged, and the new keys hold from the next step on. Not allowed: a
+    skin with a stepper for one load or for the whole layer, a key that names parts of the scene, and a sound that needs
+    a finer mesh. Then the simulation is unchanged. MuJoCo's own model keeps the old texts. Raises SceneError or
+    DeviceError for invalid values; the simulation is unchanged.
     """
     runtime = sim.runtime
     known, state = runtime.model, runtime.state
@@ -46,7 +46,7 @@ def change_stimuli(sim: Simulation, texts: Mapping[str, Mapping[str, str]]) -> b
     runtime.exchange(model)
     for number, stepper in enumerate(steppers):
         if stepper is not None:
-            # The motion is as good as it was: the modes serve any load, and only the mark is of the old keys
+            # The motion is still valid: the modes serve any load, and only the mark depends on the old keys
             claim(model, state, number, stepper)
     return True
 

@@ -1,4 +1,4 @@
-"""How long a user may ask a scene to run, and how many steps that is."""
+"""Durations of a run, and their numbers of steps."""
 
 import numpy as np
 
@@ -16,7 +16,7 @@ def check_duration(duration_s: float) -> None:
 
 
 def step_count(duration_s: float, timestep_s: float) -> int:
-    """As many steps as come nearest to a duration, at least one."""
+    """Return the number of steps closest to a duration, at least one."""
     return max(1, round(duration_s / timestep_s))
 
 

@@ -1,4 +1,4 @@
-"""A scene whose hand is put where somebody tells it to be, and not where its script has it."""
+"""A scene whose hand is placed by the caller instead of its script."""
 
 import copy
 from collections.abc import Callable
@@ -17,9 +17,9 @@ from palmfield.simulation.posed_scene import PosedScene
 
 
 class LiveScene:
-    """A copy of a scene with the only articulated hand that it moves.
+    """A copy of a scene with its only articulated moving hand.
 
-    runtime: of the copy; hand: its joints; script: where the scene itself would have it; motion: name of its instance
+    runtime: of the copy; hand: its joints; script: the scene's own motion of the hand; motion: name of its instance
     """
 
     def __init__(self, view: Preview) -> None:
@@ -41,7 +41,7 @@ class LiveScene:
         self.script: Callable[[float], HandPose] = script.at
 
     def posed(self, pose: HandPose) -> PosedScene:
-        """The scene with the hand in a pose. Raises SceneError where it reaches into an array."""
+        """Return the scene with the hand in a pose. Raises SceneError if it reaches into an array."""
         self._module.motion = HandMotion(self.hand, lambda _: pose)
         self._module.place()
         mujoco.mj_kinematics(self._data.model, self._data)
@@ -49,7 +49,7 @@ class LiveScene:
 
 
 def scripts(data: mujoco.MjData) -> dict[str, MotionModule]:
-    """The modules that move bodies of some data by script, by instance; another `motion` of theirs holds at once."""
+    """Return the modules that move bodies of some data by script, by instance; a new `motion` of one acts at once."""
     world = world_of(data)
     assert world is not None
     names = {number: name for number, _, name in world.model.instances()}

@@ -1,4 +1,4 @@
-"""The moment of a run at which the ARP on a skin was highest, and the places that belong to it."""
+"""The moment of a run with the highest ARP on a skin, and its places."""
 
 from dataclasses import dataclass
 
@@ -13,10 +13,10 @@ from palmfield.types import Complex, Float
 
 @dataclass(frozen=True)
 class LoudestMoment:
-    """The moment of a run at which the ARP on a skin was highest.
+    """The moment of a run with the highest ARP on a skin.
 
-    time_s: when, by MuJoCo's clock [s]; posed: where everything was
-    drive: what all transducers emitted, relative to full drive, shape (N,); factor: of its ARP
+    time_s: by MuJoCo's clock [s]; posed: the pose then
+    drive: emission of all transducers, relative to full drive, shape (N,); factor: of its ARP
     """
 
     time_s: float
@@ -26,16 +26,16 @@ class LoudestMoment:
 
 
 def nearest_focus(foci: Float, nodes: Float) -> Float:
-    """The one of some points, shape (3,) or (k, 3), that is nearest to a skin's nodes, shape (S, 3); shape (3,)."""
+    """Return the point, of shape (3,) or (k, 3), that is nearest to a skin's nodes, shape (S, 3); shape (3,)."""
     places = np.atleast_2d(foci)
     nearest: Float = places[int(np.argmin([np.linalg.norm(nodes - place, axis=1).min() for place in places]))]
     return nearest
 
 
 def loudest_place(posed: PosedScene, skin: int, radiation: Radiation, drive: Complex) -> tuple[Float, Float]:
-    """Where the ARP on a skin is highest under a drive of all transducers (N,): a node and its outward normal.
+    """Return a node with the highest ARP on a skin under a drive of all transducers (N,), and its outward normal.
 
-    Both in the frame of the first array, shapes (3,) [m]; the first node's where no sound pushes any.
+    Both in the frame of the first array, shapes (3,) [m]; the first node in silence.
     """
     nodes, outwards = posed.skins[skin].nodes
     highest = int(radiation.on(posed, skin, "nodes", drive).arp.argmax())
@@ -43,7 +43,7 @@ def loudest_place(posed: PosedScene, skin: int, radiation: Radiation, drive: Com
 
 
 def place_under_focus(model: HapticModel, skin: int, loudest: LoudestMoment) -> Float:
-    """The place of the resting skin that is nearest to a focus at the loudest moment, body frame [m], shape (3,)."""
+    """Return the place of the resting skin nearest to a focus at the loudest moment, body frame [m], shape (3,)."""
     posed = loudest.posed.skins[skin]
     nodes = posed.nodes[0]
     foci = []

@@ -1,4 +1,4 @@
-"""Scenes of the last version in this one's words: what is renamed is rewritten, all else stays as it is."""
+"""Migrate scenes of the last version: renamed keys are rewritten, all else is unchanged."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -15,10 +15,10 @@ MOVED = {("palmfield.array", "compute"): "palmfield_device"}
 
 
 class Migrated(NamedTuple):
-    """A scene's file in this version's words.
+    """A scene's file in the terms of this version.
 
-    text: of the file; changes: what was changed, a sentence each, empty where nothing was
-    others: files that it includes and that have old words too
+    text: of the file; changes: a sentence each, empty if there are none
+    others: included files with old terms
     """
 
     text: bytes
@@ -27,9 +27,9 @@ class Migrated(NamedTuple):
 
 
 def migrated(path: Path) -> Migrated:
-    """A scene's file with keys and values that are renamed under their new names; comments and layout stay.
+    """Return a scene's file with renamed keys and values under their new names; comments and layout are unchanged.
 
-    Raises SceneError for a file that can't be read, or whose keys can't all be kept.
+    Raises SceneError for a file that cannot be read, or whose keys cannot all be kept.
     """
     if not path.is_file():
         raise SceneError(no_scene(path))
@@ -75,10 +75,10 @@ def migrated(path: Path) -> Migrated:
 
 
 def migrate(path: Path, out: Path | None = None, *, overwrite: bool = False) -> Migrated:
-    """Write a scene's file in this version's words; where nothing is old, nothing is written.
+    """Write a scene's file in the terms of this version; without old terms no file is written.
 
-    out: the file to write, the scene's own by default; overwrite: whether a file that is there may be replaced
-    Raises SceneError as `migrated`, OutputError where a file may not be replaced or can't be written.
+    out: the file to write, the scene's own by default; overwrite: whether an existing file may be replaced
+    Raises SceneError as `migrated`, OutputError if a file may not be replaced or cannot be written.
     """
     result = migrated(path)
     target = path if out is None else out
@@ -111,7 +111,7 @@ def _is_old(config: type[Config], element: Element) -> bool:
 
 
 def _renamed(config: type[Config], key: str, value: str) -> tuple[str, str]:
-    """A key and its value under their present names."""
+    """Return a key and its value under their present names."""
     use = config.renamed.get(key)
     if use in config.model_fields:
         key = str(use)
@@ -119,7 +119,7 @@ def _renamed(config: type[Config], key: str, value: str) -> tuple[str, str]:
 
 
 def _custom_text(data: bytes, elements: list[Element], name: str, value: str) -> Edit:
-    """A custom text that is new: in the <custom> that is there, or in one of its own before the plugins."""
+    """Return a new custom text: in the existing <custom>, or in a new one before the plugins."""
     quoted = value.replace("&", "&amp;").replace("<", "&lt;").replace('"', "&quot;")
     text = f'<text name="{name}" data="{quoted}"/>'.encode()
     custom = next((e for e in elements if e.tag == "custom"), None)

@@ -1,4 +1,4 @@
-"""MuJoCo's messages about a scene in words that say where it is and how to mend it."""
+"""Translate MuJoCo's messages about a scene: with place, error and remedy."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -14,9 +14,9 @@ AT = re.compile(r"\bElement(?: name)? '(?P<name>[^']*)'(?:, id -?\d+)?(?:, line 
 
 
 def in_words(message: str, scene: str, text: SceneText | None, plugins: Sequence[str]) -> str:
-    """One line: file and line where they are known, element, what is wrong, and what is allowed.
+    """Return one line: file and line if available, element, error, and allowed values.
 
-    message: MuJoCo's; scene: its name; text: its files, if it has any; plugins: names that palmfield registers
+    message: of MuJoCo; scene: its name; text: its files, if it has any; plugins: names that palmfield registers
     """
     said, name, line = _parts(message)
     element = None if text is None else _element(said, name, line, text)
@@ -33,9 +33,9 @@ def in_words(message: str, scene: str, text: SceneText | None, plugins: Sequence
 
 
 def _parts(message: str) -> tuple[str, str, int]:
-    """What MuJoCo says, of which element (its tag while it reads, its name while it compiles), and in which line.
+    """Return MuJoCo's message, its element (the tag while it reads, the name while it compiles), and its line.
 
-    Line 0 where it doesn't know, as in included files.
+    Line 0 if MuJoCo gives none, as in included files.
     """
     plain = " ".join(message.split())
     while plain.startswith(("XML Error: ", "Error: ")):
@@ -47,7 +47,7 @@ def _parts(message: str) -> tuple[str, str, int]:
 
 
 def _element(said: str, name: str, line: int, text: SceneText) -> Element | None:
-    """The element that MuJoCo means. It counts no lines in included files, so each is asked for by itself."""
+    """The element that MuJoCo means. It counts no lines in included files, so each is searched."""
     if line:
         return text.at(text.file, line, name)
     twice = re.search(r"repeated name '([^']*)' in plugin", said)
@@ -102,7 +102,7 @@ def _unknown_name(found: re.Match[str], element: Element | None, text: SceneText
     name = found[1]
     if element is None or text is None:
         return f"the scene has nothing named '{name}' ({found[2]}); give the name of one that it has"
-    # An element's own name may be that of what it refers to
+    # An element's own name may equal that of an element it refers to
     fitting = [key for key, value in element.attributes.items() if value == name]
     attribute = next((key for key in fitting if key != "name"), "".join(fitting[:1]))
     kind = element.attributes.get("objtype", "site") if attribute == "objname" else attribute.rstrip("0123456789")
@@ -173,7 +173,7 @@ FAULTS: tuple[tuple[str, Words], ...] = (
         lambda *_: "moves and has no mass; give the body a geom, an <inertial>, or no joint",
     ),
 )
-"""What MuJoCo says, and it in words with what is allowed."""
+"""MuJoCo's messages, and their translation with allowed values."""
 
 
 def _attribute_with(value: str, element: Element | None) -> str:
@@ -183,7 +183,7 @@ def _attribute_with(value: str, element: Element | None) -> str:
 
 @cache
 def _schema() -> dict[str, tuple[tuple[str, ...], tuple[str, ...]]]:
-    """Attributes and children of each of MuJoCo's elements, by tag; a tag used in several places has those of all."""
+    """Return attributes and children of each MuJoCo element, by tag; a tag used in several places has those of all."""
     known: dict[str, tuple[list[str], list[str]]] = {}
     holders: list[tuple[int, str]] = []
     tag = ""
@@ -205,17 +205,17 @@ def _schema() -> dict[str, tuple[tuple[str, ...], tuple[str, ...]]]:
     for tag in ("frame", "replicate"):
         known.setdefault(tag, ([], []))[1].extend(known["body"][1])
     for _, inside in known.values():
-        # These may stand anywhere
+        # These are allowed anywhere
         inside.extend(["include", "frame", "replicate"] if "geom" in inside else ["include"])
     unique = dict.fromkeys
     return {tag: (tuple(unique(own)), tuple(unique(inside))) for tag, (own, inside) in known.items()}
 
 
 def attributes(tag: str) -> tuple[str, ...]:
-    """Attributes that MuJoCo knows of an element."""
+    """Return the attributes that MuJoCo accepts in an element."""
     return _schema().get(tag, ((), ()))[0]
 
 
 def children(tag: str) -> tuple[str, ...]:
-    """Elements that MuJoCo knows inside an element."""
+    """Return the elements that MuJoCo accepts inside an element."""
     return _schema().get(tag, ((), ()))[1]

@@ -1,4 +1,4 @@
-"""MuJoCo's bodies, geoms and joints as plain arrays of a result, from which a USD scene's physics are made."""
+"""MuJoCo's bodies, geoms and joints as plain arrays of a result, for the physics of a USD scene."""
 
 from typing import Any
 
@@ -10,7 +10,7 @@ from palmfield.types import Float
 
 
 def mujoco_arrays(model: mujoco.MjModel) -> dict[str, NDArray[Any]]:
-    """What a model's bodies are, as variables of the group /mujoco/scene; what a model has none of is left out.
+    """Return a model's bodies as variables of the group /mujoco/scene, without variables that would be empty.
 
     Bodies without a name are called body_N, geoms geom_N, joints joint_N.
     """
@@ -63,7 +63,7 @@ def mujoco_arrays(model: mujoco.MjModel) -> dict[str, NDArray[Any]]:
 
 
 def body_poses(data: mujoco.MjData) -> Float:
-    """Where all bodies are in the world: positions [m] and unit quaternions, shape (bodies, 7)."""
+    """Return the poses of all bodies in the world: positions [m] and unit quaternions, shape (bodies, 7)."""
     return np.column_stack([data.xpos, data.xquat]).astype(np.float64)
 
 
@@ -72,7 +72,7 @@ def _names(model: mujoco.MjModel, kind: mujoco.mjtObj, otherwise: str, count: in
 
 
 def _colours(model: mujoco.MjModel) -> Float:
-    """Of geoms, with those of their materials where they have one, shape (geoms, 4)."""
+    """Return colours of geoms, with those of their materials if they have one, shape (geoms, 4)."""
     own = model.geom_rgba.astype(np.float64)
     chosen = model.geom_matid >= 0
     own[chosen] = model.mat_rgba[model.geom_matid[chosen]]

@@ -1,4 +1,4 @@
-"""From a scene file, an MjSpec or a compiled model to MuJoCo's model and data, with other values for its keys."""
+"""Make MuJoCo's model and data from a scene file, an MjSpec or a compiled model, with other values of keys."""
 
 import logging
 import re
@@ -44,14 +44,14 @@ def compiled(
     board: str | None = None,
     keys: Mapping[str, object] | None = None,
 ) -> tuple[str, mujoco.MjModel, mujoco.MjData]:
-    """A scene's name, MuJoCo's model, and fresh data at time 0 with hands where their motions have them.
+    """Return a scene's name, MuJoCo's model, and data at time 0 with hands placed by their motions.
 
-    source: MJCF file, MjSpec (left as it is), or a compiled model, whose keys stay as they are
-    device: where fields are computed (auto, cpu, cuda:N); accuracy: wanted relative error of the skin displacement, of
-        all skins; board: what plays the drive, with its layout and rate (`palmfield.session.other_board`)
+    source: MJCF file, MjSpec (not changed), or a compiled model, whose keys are fixed
+    device: where fields are computed (auto, cpu, cuda:N); accuracy: target relative error of the skin displacement, of
+        all skins; board: that plays the drive, with its layout and rate (`palmfield.session.other_board`)
     keys: other values for keys by INSTANCE.key, or PLUGIN.key for all instances of a plugin, such as
-        {"stimulus.focus_m": (0, 0, 0.19)}: numbers, text, sequences and arrays; None, "" or () takes a key out
-    Raises SceneError (or DeviceError) with a one-line message that names element, key, value and what is allowed.
+        {"stimulus.focus_m": (0, 0, 0.19)}: numbers, text, sequences and arrays; None, "" or () removes a key
+        Raises SceneError (or DeviceError) with a one-line message that names element, key, value and allowed values.
     """
     if device is not None and not re.fullmatch(r"auto|cpu|cuda:\d+", device):
         raise SceneError(f"device '{device}' is not known; allowed: auto, cpu or cuda:N")
@@ -83,7 +83,7 @@ def _compiled_with(
     board: str | None,
     keys: Mapping[str, object],
 ) -> mujoco.MjModel:
-    """The model of a scene, whose spec is left with these keys; see `compiled`."""
+    """Return the model of a scene; its spec keeps these keys; see `compiled`."""
     name, spec, folder, text = scene
     _check_plugins(spec, name)
     _check_sensors(spec, name)
@@ -121,9 +121,9 @@ def _compiled_with(
 
 @contextmanager
 def _kept(spec: mujoco.MjSpec) -> Iterator[None]:
-    """Give a spec its keys and device back at the end.
+    """Restore a spec's keys and device at the end.
 
-    A copy won't do: MuJoCo 4.0 leaves out of it each plugin that no element refers to, which most of palmfield's are.
+    A copy is not possible: MuJoCo 4.0 drops plugins without a referring element, as most of palmfield's are.
     """
     configs = [(plugin, dict(plugin.config)) for plugin in spec.plugins]
     devices = [text.data for text in spec.texts if text.name == DEVICE]
@@ -140,7 +140,7 @@ def _kept(spec: mujoco.MjSpec) -> Iterator[None]:
 
 
 def as_text(value: object) -> str:
-    """A key's value as MJCF has it: numbers in full, sequences and arrays with spaces between."""
+    """Return a key's value as in MJCF: numbers in full, sequences and arrays with spaces between."""
     if isinstance(value, bool | np.bool_):
         return str(bool(value)).lower()
     if isinstance(value, str):
@@ -157,9 +157,9 @@ def as_text(value: object) -> str:
 
 
 class Opened(NamedTuple):
-    """A scene that is read and not compiled.
+    """A scene that has been read but not compiled.
 
-    name: for messages; folder: that its files are relative to; text: its files, None where it came as an MjSpec
+    name: for messages; folder: that its files are relative to; text: its files, None for an MjSpec
     """
 
     name: str
@@ -169,7 +169,7 @@ class Opened(NamedTuple):
 
 
 def opened(source: str | Path | mujoco.MjSpec) -> Opened:
-    """The scene's spec and what is known of its files. Raises SceneError for what can't be read."""
+    """Read the scene's spec and its files. Raises SceneError if that fails."""
     if isinstance(source, mujoco.MjSpec):
         folder = Path(source.modelfiledir).resolve() if source.modelfiledir else None
         return Opened(source.modelname or "the spec", source, folder, None)
@@ -183,17 +183,17 @@ def opened(source: str | Path | mujoco.MjSpec) -> Opened:
         raise _without_objtype(sensor.where, sensor.attributes.get("name", ""), sensor.attributes.get("plugin", ""))
     try:
         return Opened(str(path), mujoco.MjSpec.from_file(str(path)), path.resolve().parent, text)
-    # MuJoCo's binding calls what it can't name, memory that has run out for one, a RuntimeError
+    # MuJoCo's binding raises RuntimeError for other errors, for instance a lack of memory
     except (ValueError, RuntimeError, MemoryError, mujoco.FatalError) as error:
         raise SceneError(in_words(str(error), str(path), text, list(configs()))) from None
 
 
 def no_scene(path: Path) -> str:
-    """That there is no such scene, and which one may be meant: beside it, or one that ships with palmfield."""
+    """Return the error for a missing scene, with similar names: in its folder, or among those of palmfield."""
     if path.is_dir():
         return f"scene {path} is a folder; allowed: the path of an MJCF file, for example {path / 'scene.xml'}"
     shipped = data_folder("mjcf") / "scenes"
-    # Without their suffix, which all have in common: it would bring any two short names near each other
+    # Without their common suffix, which would make any two short names similar
     places = {file.stem: str(file) for where in (shipped, path.parent) for file in sorted(where.glob("*.xml"))}
     near = did_you_mean(path.stem, places)
     for name, file in places.items():
@@ -210,7 +210,7 @@ def _check_plugins(spec: mujoco.MjSpec, name: str) -> None:
 
 
 def _check_names(text: SceneText) -> None:
-    """Refuse instances of palmfield's without a name, which neither keys nor results could name."""
+    """Refuse palmfield instances without a name, which neither keys nor results could refer to."""
     for one in text.elements:
         holder = one.within("plugin") if one.tag == "instance" else None
         plugin = "" if holder is None else holder.attributes.get("plugin", "")
@@ -222,7 +222,7 @@ def _check_names(text: SceneText) -> None:
 
 
 def _check_sensors(spec: mujoco.MjSpec, name: str) -> None:
-    """Refuse a plugin sensor without objtype, on which MuJoCo 4.0 crashes while it compiles."""
+    """Refuse a plugin sensor without objtype, on which MuJoCo 4.0 crashes in compilation."""
     for sensor in spec.sensors:
         plugged = sensor.type == mujoco.mjtSensor.mjSENS_PLUGIN
         if plugged and sensor.objtype == mujoco.mjtObj.mjOBJ_UNKNOWN:
@@ -249,12 +249,12 @@ def _without_objtype(scene: str, sensor: str, plugin: str) -> SceneError:
 
 
 def _changes(spec: mujoco.MjSpec, keys: Mapping[str, object]) -> dict[str, dict[str, object]]:
-    """Values by instance name. Raises SceneError for an instance or plugin that the scene has not, and unknown keys."""
+    """Return values by instance name. Raises SceneError for unknown instances, plugins and keys."""
     models = configs()
     result: dict[str, dict[str, object]] = {}
     given_as: dict[tuple[str, ...], str] = {}
     instances = {plugin.name for plugin in spec.plugins}
-    # What is said of one instance counts before what is said of all of its plugin
+    # A value for one instance overrides that for all of its plugin
     for given, value in sorted(keys.items(), key=lambda item: item[0].rpartition(".")[0] in instances):
         owner, _, key = given.rpartition(".")
         own = [plugin for plugin in spec.plugins if plugin.name == owner]
@@ -283,7 +283,7 @@ def _changes(spec: mujoco.MjSpec, keys: Mapping[str, object]) -> dict[str, dict[
 
 
 def _check_keys(plugin: mujoco.MjsPlugin, config: Mapping[str, str], scene: Opened) -> None:
-    """Refuse unknown keys, and keys without a value, which MuJoCo can't tell from keys that are not there."""
+    """Refuse unknown keys, and keys without a value, which MuJoCo does not distinguish from missing keys."""
     known = configs().get(plugin.plugin_name)
     if known is None:
         return
@@ -312,7 +312,7 @@ def _set_text(spec: mujoco.MjSpec, name: str, value: str) -> None:
 
 
 def fresh_data(model: mujoco.MjModel, name: str, text: SceneText | None = None) -> mujoco.MjData:
-    """Data at time 0 with hands where their motions have them.
+    """Return data at time 0 with hands placed by their motions.
 
     name, text: of the scene, for errors as `compiled` raises
     """
@@ -325,7 +325,7 @@ def fresh_data(model: mujoco.MjModel, name: str, text: SceneText | None = None) 
 
 
 def _explained(error: Exception, name: str, text: SceneText | None) -> BaseException:
-    """What a module's own error says, with the place of what it means, or MuJoCo's in words."""
+    """Return a module's own error with its place, or MuJoCo's error translated."""
     cause = take_compile_error()
     if isinstance(cause, PalmfieldError):
         place = _place(str(cause), name, text)
@@ -337,9 +337,9 @@ def _explained(error: Exception, name: str, text: SceneText | None) -> BaseExcep
 
 
 def _place(message: str, name: str, text: SceneText | None) -> str:
-    """File and line of what a message begins with: a key, its instance, or a setting of the whole scene.
+    """Return file and line of the beginning of a message: a key, its instance, or a setting of the whole scene.
 
-    The scene's name where it isn't known.
+    The scene's name if the line is unknown.
     """
     meant = re.match(r"plugin '([^']+)' instance '([^']*)'(?:: (?:unknown )?key '(\w+)')?", message)
     element = text.key(meant[1], meant[2], meant[3] or "") if meant and text is not None else None
@@ -353,7 +353,7 @@ def _place(message: str, name: str, text: SceneText | None) -> str:
 
 
 class Instance(NamedTuple):
-    """A plugin instance of a scene. keys: those that the scene sets, as texts"""
+    """A plugin instance of a scene. keys: those set in the scene, as texts"""
 
     name: str
     plugin: str
@@ -361,9 +361,9 @@ class Instance(NamedTuple):
 
 
 def instances_of(source: str | Path, keys: Mapping[str, object]) -> tuple[list[Instance], dict[str, dict[str, object]]]:
-    """A scene's plugin instances, and values of keys by instance, as `compiled` would take them; compiles nothing.
+    """Return a scene's plugin instances, and values of keys by instance as for `compiled`, without compilation.
 
-    Raises SceneError for a scene that can't be read, an instance or plugin that it has not, and unknown keys.
+    Raises SceneError for a scene that cannot be read, and for unknown instances, plugins and keys.
     """
     name, spec, _, _ = opened(source)
     _check_plugins(spec, name)

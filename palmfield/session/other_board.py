@@ -1,4 +1,4 @@
-"""A scene's keys for another board than the one that it names: the board, its layout, and the rate of its frames."""
+"""Change a scene's keys for another board: the board, its layout, and its frame rate."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -21,13 +21,13 @@ OF_ONE_LAYOUT = (
     "sites", "transducers", "calibration", "p0_Pa_m", "p0_low_Pa_m", "p0_high_Pa_m", "directivity", "piston_radius_m",
     "dead", "inverted", "quality",
 )  # fmt: skip
-"""Keys that belong to the transducers of one layout."""
+"""Keys that depend on the transducers of one layout."""
 OF_ONE_BOARD = ("board", "compensate", "duty_exponent", *SAFETY_KEYS)
 """Keys of palmfield.driver that every board has."""
 
 
 class PluginKeys(NamedTuple):
-    """A plugin instance and the keys that it is given, which are changed in place."""
+    """A plugin instance and its keys, which are changed in place."""
 
     name: str
     plugin: str
@@ -35,11 +35,10 @@ class PluginKeys(NamedTuple):
 
 
 def exchange_board(scene: str, plugins: Sequence[PluginKeys], name: str, timestep_s: float) -> list[str]:
-    """Give a scene another board; returns what that changes, in words.
+    """Give a scene another board; returns the changes, in words.
 
-    Arrays get the board's layout, without what is known of the old one's transducers; stimuli that change without steps
-    get the board's rate of frames. Raises DeviceError for a board that there is not, SceneError for a scene without
-    palmfield.driver.
+    Arrays get the board's layout, without calibration data of the old transducers; stimuli without steps get the
+    board's frame rate. Raises DeviceError for an unknown board, SceneError for a scene without palmfield.driver.
     """
     board = board_named(name)
     drivers = [plugin for plugin in plugins if plugin.plugin == DRIVER]
@@ -69,7 +68,7 @@ def exchange_board(scene: str, plugins: Sequence[PluginKeys], name: str, timeste
 
 
 def _in_array(stimulus: PluginKeys) -> bool:
-    """Whether a stimulus tells its focus in the frame of the array."""
+    """Whether a stimulus gives its focus in the frame of the array."""
     return stimulus.keys.get("frame", "array") == "array" and len(stimulus.keys.get("focus_m", "").split()) == 3
 
 
@@ -87,7 +86,7 @@ def _exchange_layout(array: PluginKeys, board: Board, focus: str | None) -> list
 
 
 def _size(name: str, focus: str | None) -> str:
-    """Count, aperture and p0 of a layout in words, and its ARP at a focus, or at its usual one, at full drive."""
+    """Return count, aperture and p0 of a layout in words, and its ARP at a focus, or the usual one, at full drive."""
     made = layout(name)
     wide, high = 1e3 * np.ptp(made.positions, axis=0)[:2]
     place = np.array(LAYOUTS[name].focus_m if focus is None else [float(x) for x in focus.split()])

@@ -1,4 +1,4 @@
-"""Where the phases between several foci of a stimulus turn at once, as two eigenvalues cross."""
+"""Detect jumps of the phases between several foci of a stimulus, where two eigenvalues cross."""
 
 import numpy as np
 
@@ -6,17 +6,17 @@ from palmfield.drive.array_drive import ArrayDrive
 from palmfield.types import Complex, Float
 
 MOVED_WAVELENGTHS = 1.0 / 16.0
-"""A focus that moves by more between two records may well get other phases; its turns are not counted."""
+"""A focus that moves by more between two records may get other phases; its jumps are not counted."""
 LOUDER = 1.0 / 16.0
-"""The same of the pressure of a focus relative to the loudest."""
+"""The same for the pressure of a focus relative to the loudest."""
 SAME = 0.7
-"""Least |v^H w| of the leading eigenvectors of two records that count as one and the same."""
+"""Least |v^H w| of the leading eigenvectors of two records that count as equal."""
 
 
 class PhaseTurns:
-    """Watches the leading eigenvector of a stimulus's foci from record to record.
+    """Follows the leading eigenvector of a stimulus's foci from record to record.
 
-    times: of the records at which it was another one than just before [s]
+    times: of the records at which it has jumped [s]
     """
 
     def __init__(self) -> None:
@@ -24,7 +24,7 @@ class PhaseTurns:
         self._last: tuple[Float, Float, Complex] | None = None
 
     def see(self, time_s: float, drive: ArrayDrive, foci: Float, loudness: Float | None) -> None:
-        """A record of foci that sound, array frame [m], shape (m, 3), loudness: as of `FocalPoints.loudness`."""
+        """Add a record of active foci, array frame [m], shape (m, 3), loudness: as of `FocalPoints.loudness`."""
         wanted = np.ones(len(foci)) if loudness is None else loudness
         foci, wanted, last = foci[wanted > 0.0], wanted[wanted > 0.0], self._last
         if len(foci) < 2:

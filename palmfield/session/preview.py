@@ -1,4 +1,4 @@
-"""A scene to be looked at and not stepped: its model and poses, without the matrices of its skins."""
+"""A scene for inspection only: its model and poses, without the matrices of its skins."""
 
 import copy
 from collections.abc import Iterable, Iterator, Mapping
@@ -18,9 +18,9 @@ from palmfield.simulation.posed_scene import PosedScene
 
 @dataclass(frozen=True)
 class Preview:
-    """A scene as plans, descriptions and players take it.
+    """A scene as plans, descriptions and players use it.
 
-    name: for messages; duration_s: of a run [s]; data: MuJoCo's, which must live as long as the runtime
+    name: for messages; duration_s: of a run [s]; data: of MuJoCo, which must live as long as the runtime
     """
 
     name: str
@@ -33,14 +33,14 @@ class Preview:
         return (posed for _, posed in self.moments(count))
 
     def moments(self, count: int) -> Iterator[tuple[float, PosedScene]]:
-        """The present time [s] and pose, and then, where a script moves something, `count` others over the run by it.
+        """Yield the present time [s] and pose, and then, if a script moves a part, `count` others over the run.
 
-        Poses in which a body reaches into an array are left out: a run says so itself.
+        Poses in which a body reaches into an array are left out: the run reports them.
         """
         yield float(self.data.time), self.runtime.posed
         if not any(skin.moves for skin in self.runtime.spec.skins):
             return
-        # Sampled on a copy, so that a simulation stays where it is.
+        # Sampled on a copy, so that the simulation does not change.
         data = copy.copy(self.data)
         world = world_of(data)
         assert world is not None
@@ -53,9 +53,9 @@ class Preview:
                 continue
 
     def posed_at(self, times: Iterable[float]) -> Iterator[tuple[float, SceneRuntime, PosedScene]]:
-        """Each of some rising times [s], the runtime that is there, and the pose of MuJoCo's step that it lies in.
+        """Yield each of some rising times [s], the runtime at it, and the pose of its MuJoCo step.
 
-        The scene is stepped on a copy, with all but its skins. Raises what a module raises in a step.
+        A copy of the scene without its skins is stepped. Raises the errors of modules in a step.
         """
         data = copy.copy(self.data)
         world = world_of(data)
@@ -85,7 +85,7 @@ def preview(
     board: str | None = None,
     keys: Mapping[str, object] | None = None,
 ) -> Preview:
-    """Open a scene, or take a simulation as it stands.
+    """Open a scene, or use a simulation in its present state.
 
     Arguments and errors as `palmfield.session.open_scene.compiled`; a simulation's keys can't be changed (SceneError).
     """

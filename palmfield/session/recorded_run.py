@@ -52,9 +52,9 @@ CONVENTIONS = {
 
 @dataclass(frozen=True)
 class Result:
-    """What a run left behind.
+    """Result of a run.
 
-    out: folder, None for a run that was kept in memory; files: paths written, by name
+    out: folder, None for a run in memory; files: paths written, by name
     summary: the numbers of summary.json
     """
 
@@ -66,7 +66,7 @@ class Result:
 
     @property
     def dataset(self) -> xr.DataTree:
-        """The result's groups (palmfield.outputs.schema), opened when first asked for and read where it is used."""
+        """The result's groups (palmfield.outputs.schema), opened at first use and read lazily."""
         if self._kept is not None:
             return self._kept
         if not self._opened:
@@ -75,10 +75,10 @@ class Result:
 
 
 class Estimates(NamedTuple):
-    """What is estimated of a run that went to its end, by the layer above.
+    """Estimates for a complete run, computed by the layer above.
 
     budgets: the error budget of each skin's motion, or why there is none
-    summary: all numbers, of what was recorded, the budgets, the result, and more numbers of the whole run
+    summary: all numbers, from the recording, the budgets, the result, and more numbers of the whole run
     """
 
     budgets: Callable[[Simulation, Recorder, Progress], dict[str, Any]]
@@ -95,14 +95,14 @@ def run_recorded(
     overwrite: bool,
     plots: Sequence[str] | None,
 ) -> Result:
-    """`palmfield.run`, with what estimates its errors."""
+    """`palmfield.run`, with a function that estimates its errors."""
     started = time.perf_counter()
     if duration_s is not None:
         check_duration(duration_s)
     if plots:
         checked_kinds(plots)
     if out is not None:
-        # Before anything is computed; the store looks again.
+        # Before any computation; the store checks again.
         refuse_occupied(Path(out), overwrite)
     sim = scene if isinstance(scene, Simulation) else Simulation(scene)
     duration = sim.duration_s if duration_s is None else duration_s
@@ -119,10 +119,10 @@ def run_recorded(
             try:
                 budgets = estimates.budgets(sim, recorder, bar)
             except KeyboardInterrupt as error:
-                cut = error  # only the estimate is missing: what was computed is whole
+                cut = error  # only the estimate is missing: the result is complete
         reason = "ran to its end" if stopped is None else f"{type(stopped).__name__}: {stopped}".rstrip(": ")
         with ExitStack() as opened:
-            # Ctrl-C waits until there is a result that it can carry
+            # Ctrl-C waits until there is a result to attach
             held = opened.enter_context(ExitStack())
             held.enter_context(interrupts_held())
             about = {"reason": reason} | ({"error_budget": json.dumps(budgets)} if budgets else {})
@@ -140,7 +140,7 @@ def run_recorded(
                     stopped = store.lost or OutputError(f"{out} is incomplete: {tree.attrs['reason']}")
                 try:
                     if out is not None:
-                        # Before what may take long or be interrupted, and again at the end.
+                        # Before a step that may take long or be interrupted, and again at the end.
                         write_json(files["summary.json"], result.summary)
                 except OutputError as error:
                     stopped = stopped or error
@@ -156,13 +156,13 @@ def run_recorded(
 
 
 def ending(tree: xr.DataTree) -> dict[str, Any]:
-    """Whether all of a run was written, and why it ended, as its result says."""
+    """Return whether all of a run was written, and why it ended, from its result."""
     return {"complete": bool(tree.attrs["complete"]), "reason": str(tree.attrs["reason"])}
 
 
 @contextmanager
 def _carried_by_errors(result: Result) -> Iterator[None]:
-    """Errors raised in the block, and Ctrl-C, get what a run has so far as their attribute `result`."""
+    """Errors raised in the block, and Ctrl-C, get the results so far as their attribute `result`."""
     try:
         yield
     except (KeyboardInterrupt, Exception) as error:
@@ -173,11 +173,11 @@ def _carried_by_errors(result: Result) -> Iterator[None]:
 
 
 def recover(out: str | Path, *, progress: bool = False) -> dict[str, Path]:
-    """Assemble what a killed run left, or complete the files of one that was cut off while drawing.
+    """Assemble the data of a killed run, or complete the files of one that was interrupted while drawing.
 
     progress: as of `run`
-    What a killed writing of a USD scene has left is said, and not removed: it may be wanted, or still be written.
-    Returns the files by name. Raises OutputError where there is nothing to recover or no room.
+    Remains of a killed USD export are reported and not removed: a user may need them, or they may still be written.
+    Returns the files by name. Raises OutputError if there is no data to recover or the disk is full.
     """
     out = Path(out)
     try:
@@ -201,9 +201,9 @@ def _recovered(out: Path, progress: bool) -> dict[str, Path]:
 
 
 def draw(tree: xr.DataTree, out: Path, bar: Progress, plots: Sequence[str] | None = None) -> dict[str, Path]:
-    """Write the pictures that are asked for, or the usual ones, and the USD scene, as far as the data allow.
+    """Write the requested pictures, or the default ones, and the USD scene, as far as the data allow.
 
-    What can't be drawn is said and left out.
+    Pictures that cannot be drawn are reported and left out.
     """
     files: dict[str, Path] = {}
     task = bar.add_task("drawing", total=len(PICTURES))
@@ -228,7 +228,7 @@ def draw(tree: xr.DataTree, out: Path, bar: Progress, plots: Sequence[str] | Non
 
 
 def _prepare(sim: Simulation, out: Path | None, overwrite: bool, bar: Progress) -> tuple[Store | MemoryStore, Recorder]:
-    """Everything that can fail before the first step."""
+    """Do everything that can fail before the first step."""
     started = time.perf_counter()
     sim.runtime.prepare(bar)
     static, attributes = known_before(sim), result_attributes(sim)
@@ -238,17 +238,17 @@ def _prepare(sim: Simulation, out: Path | None, overwrite: bool, bar: Progress) 
 
 
 def recorder_of(sim: Simulation, sink: Sink) -> Recorder:
-    """What writes a simulation's steps to a sink, from `start` to `stop`."""
+    """Return the recorder that writes a simulation's steps to a sink, from `start` to `stop`."""
     return Recorder(sim.runtime, world_with(sim.data), sink, lambda: body_poses(sim.data))
 
 
 def known_before(sim: Simulation) -> Block:
-    """What a result holds of a simulation before the first step."""
+    """Return the parts of a result that exist before the first step."""
     return static_arrays(sim.runtime.model, world_with(sim.data), sim.runtime, sim.model)
 
 
 def _simulate(sim: Simulation, recorder: Recorder, duration_s: float, bar: Progress) -> BaseException | None:
-    """Step to the end; returns what ended it early, or None."""
+    """Step to the end; returns the error that ended it early, or None."""
     started = time.perf_counter()
     steps = step_count(duration_s, sim.model.opt.timestep)
     task = bar.add_task(f"simulating {1e3 * duration_s:g} ms", total=steps)
@@ -275,7 +275,7 @@ def _spent(started: float) -> dict[str, Any]:
 
 
 def _shown_better(sim: Simulation) -> list[str]:
-    """MuJoCo's bodies of which the result has more than their geoms: those that carry skin, and the arrays' boards."""
+    """MuJoCo's bodies for which the result has more than their geoms: those with skin, and the arrays' boards."""
     binding = sim.runtime.binding
     numbers = [number for skin in binding.skins for number in (skin.body, *skin.bones)]
     numbers += [int(sim.model.site_bodyid[site]) for site in binding.array_sites]
@@ -283,7 +283,7 @@ def _shown_better(sim: Simulation) -> list[str]:
 
 
 def result_attributes(sim: Simulation) -> dict[str, dict[str, Any]]:
-    """Every setting, convention and version, as attributes of the result and its groups."""
+    """Return every setting, convention and version, as attributes of the result and its groups."""
     model = sim.runtime.model
     packages = ("palmfield", "warp-lang", "mujoco", "numpy", "scipy", "trimesh", "usd-core", "xarray")
     attributes: dict[str, dict[str, Any]] = {
@@ -301,7 +301,7 @@ def result_attributes(sim: Simulation) -> dict[str, dict[str, Any]]:
         attributes[group("array", array.name)] = {"config": array.config.model_dump_json()}
     for part in model.stimuli:
         arrays = [model.spec.arrays[number].name for number in part.spec.arrays]
-        # Ten thousand numbers of a file would be more than an attribute takes
+        # Ten thousand numbers from a file would exceed the size of an attribute
         keys = part.config.model_dump_json(exclude={"am_table", "focus_table"})
         attributes[group("stimulus", part.spec.name)] = {"config": keys, "arrays": arrays}
     attributes[group("mujoco", MUJOCO_SCENE)] = {
@@ -319,7 +319,7 @@ def result_attributes(sim: Simulation) -> dict[str, dict[str, Any]]:
             "arp_law": skin.spec.config.arp_law,
         }
         if skin.spec.config.arp_law == "alpha":
-            # p_rms^2 is |p|^2/2 of the peak amplitude, which the law's weight is of
+            # p_rms^2 is |p|^2/2 of the peak amplitude, to which the law's weight applies
             attributes[group("skin", name)]["arp_alpha"] = 2.0 * skin.spec.arp_law.pressure
         attributes[group("body", name)] = {"body": skin.carrier.name}
         attributes[group("surface", name)] = {"body": skin.carrier.name}

@@ -1,4 +1,4 @@
-"""What a running simulation writes: blocks of arrays, a MuJoCo step each, for a store."""
+"""Data written by a running simulation: blocks of arrays, one for each MuJoCo step, for a store."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
@@ -30,15 +30,15 @@ Block = dict[str, dict[str, NDArray[Any]]]
 
 
 class Sink(Protocol):
-    """Where blocks go: `palmfield.outputs.store.Store` or MemoryStore."""
+    """Target of blocks: `palmfield.outputs.store.Store` or MemoryStore."""
 
     def append(self, block: Arrays) -> None: ...
 
 
 class Emitted(NamedTuple):
-    """What sounds at some moments: one drive (N,) with factors of its ARP (m,), or as many drives as moments (m, N).
+    """Emission at some moments: one drive (N,) with factors of its ARP (m,), or as many drives as moments (m, N).
 
-    serial: of the one drive, 0 for many
+    serial: of the single drive, 0 for many
     """
 
     drives: Complex
@@ -47,14 +47,14 @@ class Emitted(NamedTuple):
 
 
 def emitted_at(course: EmittedCourse, moments: NDArray[np.int_]) -> Emitted:
-    """What sounds at some moments of a course, by their numbers (m,)."""
+    """Return the emission at some moments of a course, by their numbers (m,)."""
     if len(course.units) != 1:
         return Emitted(rows(course)[moments], np.ones(len(moments)), 0)
     return Emitted(course.units[0], np.abs(course.levels[moments, 0]) ** 2, course.serial)
 
 
 def emitted_at_ends(emission: Emission, trace: StepTrace, step_s: float) -> Emitted:
-    """What sounds at the ends of the substeps of one world's step, each of which takes step_s [s]."""
+    """Return the emission at the ends of the substeps of one world's step, each of which takes step_s [s]."""
     moments, course = trace.moments, trace.course(0)
     if not any(moments.held_s):
         return emitted_at(course, np.argmax(moments.last, axis=1))
@@ -66,12 +66,12 @@ def emitted_at_ends(emission: Emission, trace: StepTrace, step_s: float) -> Emit
 
 
 class Recorder:
-    """Watches a scene's steps and hands on what happens.
+    """Observes a scene's steps and writes their data.
 
-    loudest: by skin, the moment of the highest ARP on it so far, None where no sound pushed it
-    peak_drive: largest amplitude that each transducer was told so far, relative to full drive, shape (N,)
-    begun_s: MuJoCo's clock when it started [s]
-    turns: of each stimulus, where the phases between its foci turned at once
+    loudest: by skin, the moment of the highest ARP on it so far, None without sound on it
+    peak_drive: largest commanded amplitude of each transducer so far, relative to full drive, shape (N,)
+    begun_s: MuJoCo's clock at the start [s]
+    turns: for each stimulus, the times at which the phases between its foci jumped
     """
 
     def __init__(self, runtime: SceneRuntime, world: World, sink: Sink, body_poses: Callable[[], Float]):
@@ -91,7 +91,7 @@ class Recorder:
         ]
 
     def start(self) -> None:
-        """Note the state before the first step, and watch those that follow."""
+        """Record the state before the first step, and observe the following steps."""
         work, posed = self.runtime.work, self.runtime.posed
         now_s = self.begun_s = self.world.time
         work.observe = tuple(skin.surface_vectors for skin in self.model.skins)
@@ -114,7 +114,7 @@ class Recorder:
         self._trace = trace
 
     def step(self) -> None:
-        """One MuJoCo step has ended: hand on what happened in it."""
+        """Write the data of one completed MuJoCo step."""
         trace, self._trace = self._trace, None
         if trace is None:
             return
@@ -138,7 +138,7 @@ class Recorder:
         self.sink.append(block)
 
     def _add_pressed(self, block: Block, skin: SkinModel, posed: PosedScene) -> None:
-        """ARP on the faces of a skin's body; a GPU adds up forces without it."""
+        """Add ARP on the faces of a skin's body; a GPU adds up forces without it."""
         if self.runtime.steps.backend.whole:
             return
         faces = len(skin.closed_surface[1])
@@ -187,7 +187,7 @@ class Recorder:
         return block
 
     def _sound(self, posed: PosedScene, number: int, emitted: Emitted, times: Float) -> SurfaceSound:
-        """ARP and amplitude at a skin's surface nodes, shapes (t, S); keeps the loudest moment."""
+        """Return ARP and amplitude at a skin's surface nodes, shapes (t, S); keeps the loudest moment."""
         radiation = self.runtime.work.radiation
         if emitted.drives.ndim == 1:
             unit, factors = (
@@ -220,7 +220,7 @@ class Recorder:
             block[group("stimulus", part.spec.name)] = {"foci": world, "sounding": sounding}
 
     def _add_drive(self, block: Block, times: Float, posed: PosedScene) -> None:
-        """Drive frames where they begin: what the transducers are told differs from the last one's."""
+        """Add drive frames where the commanded drive differs from the last one."""
         commanded = self.runtime.work.emission.commanded(posed, times)
         frames = []
         for i, drive in enumerate(commanded):
@@ -241,7 +241,7 @@ class Recorder:
     # -- at the end ----------------------------------------------------------------------------------------------
 
     def surfaces(self) -> Block:
-        """ARP and pressure on each skin and on the whole surface of its body at the skin's loudest moment."""
+        """Return ARP and pressure on each skin and on the whole surface of its body at the skin's loudest moment."""
         block: Block = {}
         radiation = self.runtime.work.radiation
         for number, (skin, moment) in enumerate(zip(self.model.skins, self.loudest, strict=True)):
@@ -273,7 +273,7 @@ class Recorder:
 
 
 def static_arrays(model: HapticModel, world: World, runtime: SceneRuntime, compiled: mujoco.MjModel) -> Block:
-    """What is known before the first step. compiled: MuJoCo's model of the scene"""
+    """Data available before the first step. compiled: MuJoCo's model of the scene"""
     block: Block = {group("mujoco", MUJOCO_SCENE): mujoco_arrays(compiled)}
     for array, part in zip(model.spec.arrays, model.arrays.parts, strict=True):
         block[group("array", array.name)] = _transducers(part)
@@ -301,7 +301,7 @@ def static_arrays(model: HapticModel, world: World, runtime: SceneRuntime, compi
 
 
 def _transducers(array: Array) -> dict[str, NDArray[Any]]:
-    """All that the sound of an array depends on but its drive, pose and air."""
+    """Return all inputs of an array's sound except its drive, pose and air."""
     gain = np.ones(len(array), np.complex128) if array.gain is None else array.gain
     told = {
         "transducer_position": array.positions,
@@ -317,7 +317,7 @@ def _transducers(array: Array) -> dict[str, NDArray[Any]]:
 
 
 def world_with(data: mujoco.MjData) -> World:
-    """The plugin modules of MuJoCo's data that hold a scene."""
+    """Return the plugin modules of MuJoCo's data that hold a scene."""
     world = world_of(data)
     assert world is not None
     return world

@@ -1,4 +1,4 @@
-"""Changes of single elements in a scene's file, byte for byte: comments and layout stay."""
+"""Change single elements of a scene's file; all other bytes, comments and layout are unchanged."""
 
 import re
 from collections.abc import Sequence
@@ -7,11 +7,11 @@ from typing import NamedTuple
 from palmfield.session.scene_text import Element
 
 TAG = re.compile(rb"""<(?:[^<>"']|"[^"]*"|'[^']*')*>""")
-"""An element's beginning; > may stand in a value."""
+"""The beginning of an element; > may be part of a value."""
 
 
 class Edit(NamedTuple):
-    """Bytes from start to end become others."""
+    """Bytes from start to end and their replacement."""
 
     start: int
     end: int
@@ -19,7 +19,7 @@ class Edit(NamedTuple):
 
 
 def with_attribute(data: bytes, element: Element, name: str, new: str) -> Edit:
-    """Another value for an element's attribute."""
+    """Set an element's attribute to another value."""
     tag = tag_of(data, element)
     found = re.compile(rb"\b" + name.encode() + rb"\s*=\s*([\"'])(.*?)\1", re.DOTALL).search(tag[0])
     assert found is not None
@@ -27,14 +27,14 @@ def with_attribute(data: bytes, element: Element, name: str, new: str) -> Edit:
 
 
 def tag_of(data: bytes, element: Element) -> re.Match[bytes]:
-    """An element's beginning in its file."""
+    """Return the beginning of an element in its file."""
     tag = TAG.match(data, element.offset)
     assert tag is not None
     return tag
 
 
 def without(data: bytes, element: Element) -> Edit:
-    """The element left out, with its line where it has that to itself."""
+    """Remove the element, with its line if that has no other content."""
     tag = tag_of(data, element)
     start, end = tag.start(), tag.end()
     if not tag[0].endswith(b"/>"):
@@ -47,7 +47,7 @@ def without(data: bytes, element: Element) -> Edit:
 
 
 def indent_of(data: bytes, element: Element) -> bytes:
-    """The new line and the spaces before an element that begins one; nothing before others."""
+    """Return the line break and the spaces before an element that begins a line; empty for others."""
     start = data.rfind(b"\n", 0, element.offset)
     before = data[start + 1 : element.offset]
     if before.strip():
@@ -56,7 +56,7 @@ def indent_of(data: bytes, element: Element) -> bytes:
 
 
 def edited(data: bytes, edits: Sequence[Edit]) -> bytes:
-    """The bytes of a file with edits that don't overlap."""
+    """Apply edits that do not overlap to the bytes of a file."""
     for edit in sorted(edits, reverse=True):
         data = data[: edit.start] + edit.new + data[edit.end :]
     return data

@@ -1,6 +1,6 @@
-"""A scene's files as text: their elements with file and line, and what is wrong with their XML, in words.
+"""A scene's files as text: their elements with file and line, and a description of XML errors.
 
-MuJoCo's model doesn't say where in a file something stands, and its parser's messages don't say how to mend it.
+MuJoCo's model has no positions in files, and messages of its parser suggest no remedy.
 """
 
 import contextlib
@@ -16,14 +16,14 @@ from palmfield.errors import SceneError, did_you_mean
 from palmfield.given_files import read_bytes, regular
 
 ROOTS = ("mujoco", "mujocoinclude", "robot")
-"""What MuJoCo takes as the outermost element: of a scene, of what it includes, and of a URDF file."""
+"""Tags that MuJoCo accepts as outermost element: of a scene, of an included file, and of a URDF file."""
 
 NAMES = ("name", "class", "file", "model", "prefix", "timestep")
-"""How attributes end that are names and may be any word, and the one that palmfield reads."""
+"""Endings of attributes that are names and may be any word, and the one that palmfield reads."""
 ASSETS = ("mesh", "hfield", "texture", "skin", "model", "flexcomp")
 """Elements whose attributes file, fileright, ... name files."""
 MOST_COPIES, MOST_ELEMENTS = 10_000, 1_000_000
-"""Of <replicate> in all, which take MuJoCo 7 s; and of a scene with all that it includes and attaches."""
+"""Limits: copies by <replicate>, which take MuJoCo 7 s; elements of a scene with all included and attached files."""
 SIZES = {
     "flexcomp": {"count": 100_000}, "composite": {"count": 100_000}, "user": {"dim": 100_000},
     "numeric": {"size": 10**6}, "texture": {"width": 20_000, "height": 120_000},
@@ -31,19 +31,19 @@ SIZES = {
     "size": {"nuserdata": 10**7, "nkey": 10**4, **{f"nuser_{kind}": 1000 for kind in
              ("body", "jnt", "geom", "site", "cam", "tendon", "actuator", "sensor")}},
 }  # fmt: skip
-"""The most that is allowed of attributes by which MuJoCo reserves memory or makes parts."""
+"""Upper limits of attributes by which MuJoCo reserves memory or makes parts."""
 OF_ALL_SENSORS = {"name", "class", "dim", "noise", "cutoff", "user", "needstage", "datatype", "nsample", "interp",
                   "delay", "interval", "plugin", "instance"}  # fmt: skip
 """Attributes that name no object."""
 AMPERSAND = "\x7f"
-"""Stands for an & while a file is read: one byte that XML allows and nobody writes."""
+"""Replaces an & while a file is read: one byte that XML allows and that is never used."""
 
 
 @dataclass
 class Element:
     """An element of a scene's files.
 
-    offset: bytes of the file before it; parent: that which holds it, across included files; None for a root
+    offset: bytes of the file before it; parent: its enclosing element, across included files; None for a root
     """
 
     tag: str
@@ -59,7 +59,7 @@ class Element:
         return f"{self.file}, line {self.line}"
 
     def within(self, tag: str) -> "Element | None":
-        """The nearest element of a tag that holds this one."""
+        """Return the nearest enclosing element of a tag."""
         holder = self.parent
         while holder is not None and holder.tag != tag:
             holder = holder.parent
@@ -67,16 +67,16 @@ class Element:
 
 
 class SceneText(NamedTuple):
-    """All elements of a scene's files, those of included files where they are included.
+    """All elements of a scene's files; those of included files at the place of inclusion.
 
-    file: the scene's own, as the user named it
+    file: of the scene, as the user named it
     """
 
     file: Path
     elements: tuple[Element, ...]
 
     def named(self, tag: str) -> list[str]:
-        """Names of all elements of a tag."""
+        """Return the names of all elements of a tag."""
         return [one.attributes["name"] for one in self.elements if one.tag == tag and one.attributes.get("name")]
 
     @property
@@ -85,18 +85,18 @@ class SceneText(NamedTuple):
         return list(dict.fromkeys(one.file for one in self.elements if one.file != self.file))
 
     def at(self, file: Path, line: int, word: str) -> Element | None:
-        """The element in a line of a file; where there are several, that with a word as its tag, or in an attribute."""
+        """Return the element in a line of a file; of several, the one with a word as its tag, or in an attribute."""
         here = [one for one in self.elements if one.file == file and one.line == line]
         with_word = [one for one in here if one.tag == word or (word and word in one.attributes.values())]
         return next(iter(with_word or here), None)
 
     def last(self, tag: str, name: str | None = None) -> Element | None:
-        """The last element of a tag, and of a name."""
+        """Return the last element of a tag, and of a name."""
         fitting = (one for one in reversed(self.elements) if one.tag == tag)
         return next((one for one in fitting if name is None or one.attributes.get("name") == name), None)
 
     def instance(self, plugin: str, name: str) -> Element | None:
-        """The element of a plugin's instance."""
+        """Return the element of a plugin's instance."""
         for one in self.elements:
             if one.tag == "instance" and one.attributes.get("name") == name:
                 holder = one.within("plugin")
@@ -105,25 +105,25 @@ class SceneText(NamedTuple):
         return None
 
     def key(self, plugin: str, name: str, key: str) -> Element | None:
-        """The element that gives a key of a plugin's instance, or that of the instance."""
+        """Return the element that gives a key of a plugin's instance, or that of the instance."""
         instance = self.instance(plugin, name)
         own = (one for one in self.elements if one.parent is instance and one.attributes.get("key") == key)
         return next(own, instance)
 
 
 def read_scene_text(path: Path) -> SceneText:
-    """Elements of a scene's file and of those that it includes; files that are not there are left to MuJoCo.
+    """Read the elements of a scene's file and of those that it includes; missing files are left to MuJoCo.
 
-    As MuJoCo does, it passes over what is wrong in comments and over ampersands that stand for themselves.
-    Raises SceneError, with file and line, for what is no XML.
+    Like MuJoCo, it ignores errors in comments and unescaped ampersands.
+    Raises SceneError, with file and line, for other invalid XML.
     """
     return _whole(path, ())[0]
 
 
 def _whole(path: Path, above: tuple[Path, ...]) -> tuple[SceneText, int]:
-    """A scene, or a model that it attaches, and how many elements it has with all that is attached.
+    """Read a scene, or a model that it attaches, and count its elements with all attached ones.
 
-    above: files that attach it, which it must not attach again: MuJoCo 4.0 would read them until the stack ends
+    above: files that attach it, which it must not attach again: MuJoCo 4.0 would overflow its stack
     """
     elements: list[Element] = []
     _read(path, path, None, elements, set(), set())
@@ -149,7 +149,7 @@ def _whole(path: Path, above: tuple[Path, ...]) -> tuple[SceneText, int]:
 
 
 def _files(element: Element, scene: Path, elements: list[Element]) -> list[Path]:
-    """Those that an element names and that are there. Raises SceneError for what is no regular file."""
+    """Return the existing files that an element names. Raises SceneError for a path that is no regular file."""
     if element.tag not in ASSETS:
         return []
     names = [value for name, value in element.attributes.items() if name.startswith("file") and value]
@@ -186,7 +186,7 @@ def _check_size(element: Element) -> None:
 
 
 def _check_copies(elements: list[Element]) -> None:
-    """Refuse more copies than MuJoCo can make, and sensors that it would double with each copy."""
+    """Refuse more copies than MuJoCo can make, and sensors that it would duplicate with each copy."""
     copies = 0.0
     for one in elements:
         count = 1.0
@@ -212,7 +212,7 @@ def _check_copies(elements: list[Element]) -> None:
 
 
 def _check_finite(element: Element) -> None:
-    """Refuse numbers that MuJoCo takes and nothing can be computed with; what palmfield reads is checked by itself."""
+    """Refuse numbers that are not finite, which MuJoCo accepts; palmfield checks its own keys separately."""
     for name, value in element.attributes.items():
         if name.endswith(NAMES) or element.tag in ("config", "text", "numeric") or not re.search(r"(?i)nan|inf", value):
             continue
@@ -229,19 +229,19 @@ def _check_finite(element: Element) -> None:
 def _read(
     path: Path, scene: Path, holder: Element | None, elements: list[Element], above: set[Path], known: set[Path]
 ) -> None:
-    """Add the elements of a file. holder: what includes it; above: files that are being read; known: that were read"""
+    """Add the elements of a file. holder: that includes it; above: files being read; known: already read"""
     for one in elements_of(path):
         if one.parent is None and one.tag not in ROOTS:
             raise SceneError(
                 f"{one.where}: the outermost element is <{one.tag}>{did_you_mean(one.tag, ROOTS)}; allowed: <mujoco>"
             )
         if one.parent is None and holder is not None:
-            # What is included stands in place of the element that includes it
+            # Included elements replace the element that includes them
             one.parent = holder.parent
         elements.append(one)
         if one.tag != "include" or not one.attributes.get("file"):
             continue
-        # MuJoCo takes names relative to the first file, or else to the one that includes.
+        # MuJoCo resolves names relative to the first file, or else to the including file.
         places = [folder / one.attributes["file"] for folder in (scene.parent, path.parent)]
         included = next((place for place in places if place.is_file()), None)
         if included is None:
@@ -256,7 +256,7 @@ def _read(
 
 
 def elements_of(path: Path) -> list[Element]:
-    """Elements of one file in the order of their beginnings. Raises SceneError for what is no XML."""
+    """Return the elements of one file in the order of their beginnings. Raises SceneError for invalid XML."""
     try:
         data = read_bytes(path)
     except OSError as error:
@@ -292,13 +292,13 @@ def elements_of(path: Path) -> list[Element]:
 
 
 def _as_mujoco_reads(data: bytes) -> bytes:
-    """XML without comments and without & that stands for itself; all else is where it was."""
+    """Return XML without comments and without unescaped &; all other text keeps its place."""
     bare = re.sub(rb"<!--.*?-->", lambda comment: re.sub(rb"[^\n]", b" ", comment[0]), data, flags=re.DOTALL)
     return re.sub(rb"&(?!#?\w+;)", AMPERSAND.encode(), bare)
 
 
 def _fault(error: Exception, open_elements: list[Element]) -> str:
-    """What is wrong with the XML, and how to mend it."""
+    """Describe an XML error and its remedy."""
     last = open_elements[-1] if open_elements else None
     code = getattr(error, "code", None)
     if code == expat.errors.codes[expat.errors.XML_ERROR_TAG_MISMATCH] and last is not None:
@@ -323,7 +323,7 @@ def _fault(error: Exception, open_elements: list[Element]) -> str:
 
 
 def sensors_without_objtype(text: SceneText) -> Iterator[Element]:
-    """Plugin sensors on which MuJoCo 4.0 crashes while it reads them."""
+    """Return plugin sensors on which MuJoCo 4.0 crashes while it reads them."""
     for one in text.elements:
         holder = one.parent
         if one.tag == "plugin" and holder is not None and holder.tag == "sensor" and not one.attributes.get("objtype"):

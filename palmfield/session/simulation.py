@@ -1,4 +1,4 @@
-"""One scene that is stepped: MuJoCo's model and data, and what sound and skin do in them."""
+"""A scene that is stepped: MuJoCo's model and data, with the states of sound and skin."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -21,7 +21,7 @@ from palmfield.simulation.step import Steps
 from palmfield.types import Complex, Float
 
 GATHERED = 64
-"""Steps that are computed in one go, at most."""
+"""Largest number of steps that are computed together."""
 
 
 class Simulation:
@@ -31,14 +31,13 @@ class Simulation:
     sim.run(0.1)
     print(sim.skin("palm").displacement)
 
-    With `worlds` it is many of them, stepped together, whose results have a leading axis:
+    With `worlds` there are several of them, stepped together, whose results have a leading axis:
     sim = palmfield.Simulation("scene.xml", worlds=2, keys={"stimulus.focus_m": [(0, 0, 0.19), (0, 0.01, 0.19)]})
 
-    model, data: MuJoCo's, for those who call mj_step themselves (then `palmfield.raise_errors(data)` raises what went
-        wrong inside a plugin); of several worlds the data of each, to set controls or forces there: only `step` steps
-        them
-    name: of the scene, for messages; path: its file, or None; worlds: how many, None without that axis
-    duration_s: how long `palmfield.run` runs it by default [s]
+    model, data: of MuJoCo, for callers of mj_step (then `palmfield.raise_errors(data)` raises errors inside a plugin);
+        of several worlds the data of each, to set controls or forces there: only `step` steps them
+    name: of the scene, for messages; path: its file, or None; worlds: their number, None without that axis
+    duration_s: default duration of `palmfield.run` [s]
     """
 
     def __init__(
@@ -52,12 +51,12 @@ class Simulation:
         worlds: int | None = None,
         poses: Mapping[str, ArrayLike] | None = None,
     ):
-        """See `palmfield.session.open_scene.compiled` for the arguments and what is raised.
+        """See `palmfield.session.open_scene.compiled` for the arguments and errors.
 
-        worlds: a number of them, which are stepped together; a key of a stimulus may then have one axis more than its
+        worlds: number of worlds, which are stepped together; a key of a stimulus may then have one axis more than its
             own, of that length, with a value for each
-        poses: by name of a mocap body, its position [m] and quaternion (w, x, y, z) in each step of MuJoCo's, shape
-            (worlds, steps, 7); after the last step it stays
+        poses: by name of a mocap body, its position [m] and quaternion (w, x, y, z) in each MuJoCo step, shape (worlds,
+            steps, 7); after the last step it is constant
         """
         given: dict[str, Any] = {"device": device, "accuracy": accuracy, "board": board, "keys": keys}
         if worlds is not None:
@@ -72,7 +71,7 @@ class Simulation:
 
     @classmethod
     def of_worlds(cls, name: str, scenes: SceneWorlds) -> "Simulation":
-        """One of worlds that are open already (`palmfield.session.worlds.open_worlds`)."""
+        """Return one of several open worlds (`palmfield.session.worlds.open_worlds`)."""
         made = object.__new__(cls)
         made._attach(name, scenes, None, len(scenes.data))
         return made
@@ -95,20 +94,20 @@ class Simulation:
 
     @property
     def runtimes(self) -> list[SceneRuntime]:
-        """What carries each world."""
+        """The runtime of each world."""
         self._scenes.settle()
         return self._scenes.runtimes
 
     @property
     def runtime(self) -> SceneRuntime:
-        """What carries the scene. Raises SceneError where there are `worlds`."""
+        """The runtime of the scene. Raises SceneError if there are `worlds`."""
         if self.worlds is not None:
             raise SceneError(f"{self.name} is open as {self.count} worlds; allowed here: a simulation without `worlds`")
         return self._scenes.runtimes[0]
 
     @property
     def steps(self) -> Steps:
-        """What steps sound and skins."""
+        """The steppers of sound and skins."""
         return self._scenes.steps
 
     # -- stepping ------------------------------------------------------------------------------------------------
@@ -119,16 +118,16 @@ class Simulation:
         return float(self._scenes.data[0].time)
 
     def step(self, count: int = 1) -> None:
-        """`count` of MuJoCo's steps. Raises what a plugin raised in them (SceneError, DeviceError), naming the world.
+        """Do `count` MuJoCo steps. Raises the errors of plugins (SceneError, DeviceError), naming the world.
 
-        Where no degree of freedom feels the sound and nothing reads its sensors in between, up to GATHERED steps are
-        computed in one go, with forces and sensors of the last alone: as `mj_step` gives them, to rounding.
-        Ctrl-C waits for the end of these, or of the step in which it comes: after the KeyboardInterrupt the state is
-        whole, that of an earlier time, and the simulation can go on. SceneError for a count that is no whole number of
-        0 or more.
+        If the sound acts on no degree of freedom and no sensor is read in between, up to GATHERED steps are computed
+        together, with forces and sensors of the last alone: as `mj_step` gives them, to rounding.
+        Ctrl-C waits for the end of these, or of the present step: after the KeyboardInterrupt the state is consistent,
+        at an earlier time, and the simulation can continue. SceneError for a count that is no whole number of 0 or
+        more.
         """
         check_steps(count)
-        # Made here, and not in the first step: it can take minutes, and Ctrl-C needn't wait for it
+        # Made here, not in the first step: it can take minutes, and Ctrl-C need not wait for it
         if not self._made:
             for lazies in dict.fromkeys(runtime.model.begin for runtime in self._scenes.runtimes):
                 for lazy in lazies:
@@ -140,20 +139,20 @@ class Simulation:
                 check()
 
     def run(self, duration_s: float) -> None:
-        """As many steps as come nearest to a duration [s], at least one; see `step`.
+        """Do the number of steps closest to a duration [s], at least one; see `step`.
 
-        Raises SceneError for one that is not > 0.
+        Raises SceneError for a duration that is not > 0.
         """
         check_duration(duration_s)
         self.step(step_count(duration_s, self.model.opt.timestep))
 
     def reset(self) -> None:
-        """Back to time 0, with everything at rest and hands where their motions begin."""
+        """Return to time 0, with everything at rest and hands at the beginning of their motions."""
         with interrupts_held():
             self._scenes.restart()
 
     def start_at(self, time_s: float) -> None:
-        """As `reset`, but at another time [s], with hands where their motions have them then; the skin is at rest.
+        """As `reset`, but at another time [s], with hands placed by their motions at that time; the skin is at rest.
 
         Raises SceneError for a time that is not 0 or more.
         """
@@ -162,14 +161,14 @@ class Simulation:
             self._scenes.restart(time_s)
 
     def copy(self) -> "Simulation":
-        """A second simulation in the same state, which goes on by itself; model and matrices are shared."""
+        """Return a second, independent simulation in the same state; model and matrices are shared."""
         twin = object.__new__(Simulation)
         with interrupts_held():
             twin._attach(self.name, self._scenes.copy(), self.path, self.worlds)
         return twin
 
     def __copy__(self) -> "Simulation":
-        """As `copy`: two simulations can't share MuJoCo's data."""
+        """As `copy`: two simulations cannot share MuJoCo's data."""
         return self.copy()
 
     def __deepcopy__(self, memo: dict[int, object]) -> "Simulation":
@@ -179,7 +178,7 @@ class Simulation:
     # -- what there is to see: with a leading axis where there are `worlds` ----------------------------------------
 
     def _of(self, values: Sequence[Any] | Float) -> Any:
-        """Values of the worlds in one array; of one without that axis."""
+        """Return values of the worlds in one array; for a single one without that axis."""
         return np.array(values[0] if self.worlds is None else values)
 
     @property
@@ -189,11 +188,11 @@ class Simulation:
 
     @property
     def bodies(self) -> tuple[str, ...]:
-        """Names of the bodies that the sound pushes, in the order of `forces`."""
+        """Names of the bodies on which the sound acts, in the order of `forces`."""
         return tuple(body.name for body in self._scenes.runtimes[0].model.bodies)
 
     def skin(self, name: str | None = None) -> Any:
-        """A skin by its instance name; the only one without. Raises SceneError for one that the scene has not.
+        """Return a skin by its instance name; the only one without. Raises SceneError for an unknown name.
 
         It is a `palmfield.session.Skin`, of worlds a `palmfield.session.WorldsSkin`.
         """
@@ -206,7 +205,7 @@ class Simulation:
 
     @property
     def drive(self) -> Complex:
-        """What the transducers are told now: complex amplitudes relative to full drive, e^{-iwt}, shape (N,).
+        """Commanded drive of the transducers: complex amplitudes relative to full drive, e^{-iwt}, shape (N,).
 
         N counts the transducers of all arrays, array after array.
         """
@@ -215,24 +214,24 @@ class Simulation:
 
     @property
     def emitted(self) -> Complex:
-        """What the transducers emit now, after their ring-up, shape (N,)."""
+        """Present emission of the transducers, after their ring-up, shape (N,)."""
         return self._of([_emitted(runtime) for runtime in self.runtimes])
 
     @property
     def forces(self) -> Float:
         """Mean force of the sound on each of `bodies` over the last step [N], world axes, shape (bodies, 3).
 
-        Before the first step, that over the step to come.
+        Before the first step, that over the coming step.
         """
         return self._of(self._scenes.forces)
 
     @property
     def sensors(self) -> Float:
-        """MuJoCo's sensordata: of the last step's beginning."""
+        """MuJoCo's sensordata at the beginning of the last step."""
         return self._of([one.sensordata for one in self._scenes.data])
 
     def sensor(self, name: str) -> Float:
-        """The numbers of one sensor by its name. Raises SceneError for one that the scene has not."""
+        """Return the numbers of one sensor by its name. Raises SceneError for an unknown name."""
         names = [self.model.sensor(number).name for number in range(self.model.nsensor)]
         if name not in names:
             raise SceneError(f"the scene has no sensor '{name}'; it has: {', '.join(names)}")
@@ -252,5 +251,5 @@ def load(
     board: str | None = None,
     keys: Mapping[str, object] | None = None,
 ) -> Simulation:
-    """Read and check a scene; see Simulation, whose arguments these are."""
+    """Read and check a scene; the arguments are those of Simulation."""
     return Simulation(path, device=device, accuracy=accuracy, board=board, keys=keys)

@@ -1,4 +1,4 @@
-"""One skin of a scene that is stepped, as a user sees it."""
+"""One skin of a stepped scene, for users."""
 
 from collections.abc import Sequence
 
@@ -14,7 +14,7 @@ from palmfield.types import Float, Float32, Int
 
 
 class Skin:
-    """One skin of a simulation, at the simulation's present time. Each array is computed when it is asked for."""
+    """One skin of a simulation, at the simulation's present time. Each array is computed on access."""
 
     def __init__(self, runtime: SceneRuntime, number: int):
         self._runtime, self._number = runtime, number
@@ -26,12 +26,12 @@ class Skin:
 
     @property
     def name(self) -> str:
-        """Of its plugin instance."""
+        """Name of its plugin instance."""
         return self._part.spec.name
 
     @property
     def solver(self) -> str:
-        """What steps it now, or will: a value of key `solver` but for "auto"."""
+        """Its present or future stepper: a value of key `solver` other than "auto"."""
         if at_rest(self._runtime.state, self._number):
             return self._part.choice.name
         return stepper_of(self._runtime.model, self._runtime.state, self._number)[0].name
@@ -53,7 +53,7 @@ class Skin:
 
     @property
     def position(self) -> Float:
-        """Where the body and its bones have taken the surface nodes, world [m], shape (S, 3); without displacement."""
+        """Positions of the surface nodes moved with body and bones, world [m], shape (S, 3); without displacement."""
         posed = self._runtime.posed
         return posed.array_frame.points(posed.skins[self._number].nodes[0])
 
@@ -93,7 +93,7 @@ class Skin:
 
 
 def chosen_name(names: Sequence[str], name: str | None) -> str:
-    """A skin's name; the only one without. Raises SceneError for one that is not among the names."""
+    """Return a skin's name; the only one without. Raises SceneError for an unknown name."""
     if name is None and len(names) == 1:
         return names[0]
     if name is None or name not in names:

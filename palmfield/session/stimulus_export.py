@@ -1,4 +1,4 @@
-"""What a scene's stimulus does over time, as a table of foci, or as an STM of AUTD3 units."""
+"""Export a scene's stimulus over time as a table of foci, or as an STM of AUTD3 units."""
 
 import math
 from collections.abc import Mapping
@@ -32,7 +32,7 @@ USUAL_RATE_HZ = 1000.0
 
 @dataclass(frozen=True)
 class Exported:
-    """A stimulus as a table. table: without what follows its last sound; warnings: on what a table can't say"""
+    """A stimulus as a table. table: ends with its last sound; warnings: on properties that a table cannot contain"""
 
     table: FocusTable
     stimulus: str
@@ -49,13 +49,13 @@ def exported(
     duration_s: float | None = None,
     keys: Mapping[str, object] | None = None,
 ) -> Exported:
-    """A stimulus's foci and levels as a table, each sample held.
+    """Sample a stimulus's foci and levels as a table, each sample held.
 
-    stimulus: instance name, where there are several; rate_Hz: of the samples, by default that at which it steps (its
+    stimulus: instance name, if there are several; rate_Hz: of the samples, by default that at which it steps (its
     table's, a path's points, control ticks), else USUAL_RATE_HZ; quantity: of the intensities, by default its table's,
-    else ARP; frame: array, or skin for the frame of its site; duration_s: the scene's by default
-    A table that a scene plays as it stands is exported as it is, straight lines and all.
-    Raises SceneError for a bad scene, a stimulus or frame that it has not, a rate or duration out of range.
+    else ARP; frame: array, or skin for the frame of its site; duration_s: the scene's by default A table that a scene
+    plays unchanged is exported unchanged, with its straight lines.
+    Raises SceneError for a bad scene, an unknown stimulus or frame, a rate or duration out of range.
     """
     view = preview(scene, keys=keys)
     model = view.runtime.model
@@ -102,8 +102,8 @@ def exported(
 def export_stimulus(result: Exported, path: Path, *, again: bool = False, overwrite: bool = False) -> None:
     """Write a table (.csv) or an STM of AUTD3 units (.json; again: without end).
 
-    Raises OutputError for another kind of file or one that may not be replaced, SceneError for a table that AUTD3
-    units can't play.
+    Raises OutputError for another kind of file or one that may not be replaced, SceneError for a table that AUTD3 units
+    cannot play.
     """
     if path.suffix.lower() not in (".csv", ".json"):
         raise OutputError(
@@ -142,7 +142,7 @@ def _warnings(part: StimulusModel, names: list[str]) -> tuple[str, ...]:
 
 
 def _places(view: Preview, number: int, times: Float, points: Float, frame: TableFrame) -> Float:
-    """Places of the foci at some times [m], shape (n, foci, 3), in the array's frame or the stimulus's own."""
+    """Return places of the foci at some times [m], shape (n, foci, 3), in the array's frame or the stimulus's own."""
     part = view.runtime.model.stimuli[number]
     if frame == "skin":
         own = FocalPoints(IDENTITY, part.offsets, None,

@@ -1,4 +1,4 @@
-"""A table of foci, or an STM of AUTD3 units, into a scene: a table beside it, and keys of a stimulus that play it."""
+"""Import a table of foci, or an STM of AUTD3 units, into a scene: writes the table and keys that play it."""
 
 import tempfile
 from dataclasses import dataclass, replace
@@ -23,12 +23,12 @@ REPLACED = (
     "path", "path_on", "on_skin", "focus_m", "foci_m", "foci_arp", "frame", "modulation", "burst_window",
     "burst_length_s", "burst_period_s", "burst_count", *PATH_KEYS, *AM_KEYS,
 )  # fmt: skip
-"""Keys that say where the focus is and how loud, which the table says now; the level, start and end are the scene's."""
+"""Keys for place and level of the focus, which the table replaces; level, start and end remain those of the scene."""
 
 
 @dataclass(frozen=True)
 class Imported:
-    """What an import has written. scene, table: the files; keys: of the stimulus, that are new; dropped: that went"""
+    """What an import has written. scene, table: the files; keys: new ones; dropped: removed ones"""
 
     scene: Path
     table: Path
@@ -41,7 +41,7 @@ class Imported:
 
 
 def read_stimulus(path: Path) -> tuple[FocusTable, bool]:
-    """The table in a CSV file, or made of an STM in a JSON file, and whether it is played again and again.
+    """Read the table from a CSV file, or convert an STM from a JSON file; returns also whether it repeats.
 
     Raises SceneError for another kind of file, and as `read_focus_table`, `read_foci_stm` and `table_of_stm`.
     """
@@ -67,13 +67,13 @@ def import_stimulus(
     repeat: bool = False,
     overwrite: bool = False,
 ) -> Imported:
-    """Write a scene whose stimulus plays a file, and the table that it plays beside it.
+    """Write a scene whose stimulus plays a file, and the table that it plays in the same folder.
 
-    out: the new scene, in the scene's folder, SCENE_FILE.xml by default; stimulus: instance name, where there are
-    several; site: in whose frame a table of frame `skin` is; repeat: whether it begins again at its end, as an STM
-    without end always does; overwrite: whether files that are there may be replaced
-    Raises SceneError for a bad file or scene, for an array that moves where a table is in the world's frame, and for
-    what the new scene would be refused for; OutputError where a file may not be replaced.
+    out: the new scene, in the scene's folder, SCENE_FILE.xml by default; stimulus: instance name, if there are several;
+    site: whose frame a table of frame `skin` uses; repeat: whether it restarts at its end, as an STM without end always
+    does; overwrite: whether existing files may be replaced
+    Raises SceneError for a bad file or scene, for a moving array with a table in the world's frame, and for any error
+    of the new scene; OutputError if a file may not be replaced.
     """
     if not scene.is_file():
         raise SceneError(no_scene(scene))
@@ -98,7 +98,7 @@ def import_stimulus(
     keys |= {"frame": site} if table.frame == "skin" and site is not None else {}
     data, dropped = _rewritten(scene, name, keys)
     with tempfile.TemporaryDirectory() as folder:
-        # The new scene is refused before any file is written
+        # The new scene is checked before any file is written
         trial = Path(folder) / "foci.csv"
         write_focus_table(trial, table)
         changes: dict[str, object] = {f"{name}.{key}": None for key in dropped if key not in keys}
@@ -124,7 +124,7 @@ def _instance(scene: Path, stimulus: str | None) -> str:
 
 
 def _site(scene: Path, site: str | None) -> str:
-    """The site in whose frame a table of frame `skin` is: the one that is named, or the only one on a skin's body."""
+    """Return the site of a table of frame `skin`: the named one, or the only one on a skin's body."""
     spec = opened(scene).spec
     bodies = {one.keys.get("body") for one in instances_of(scene, {})[0] if one.plugin == SKIN}
     sites = [one.name for one in spec.sites if one.parent.name in bodies]
@@ -141,7 +141,7 @@ def _site(scene: Path, site: str | None) -> str:
 
 
 def _in_array(table: FocusTable, scene: Path, stimulus: str) -> FocusTable:
-    """A table in the world's frame in that of the first array that the stimulus drives."""
+    """Transform a table from the world's frame to that of the first array that the stimulus drives."""
     listed = instances_of(scene, {})[0]
     named = next(one.keys.get("arrays", "") for one in listed if one.name == stimulus).split()
     array = next(one for one in listed if one.plugin == ARRAY and (not named or one.name == named[0]))
@@ -166,7 +166,7 @@ def _in_array(table: FocusTable, scene: Path, stimulus: str) -> FocusTable:
 
 
 def _rewritten(scene: Path, stimulus: str, keys: dict[str, str]) -> tuple[bytes, tuple[str, ...]]:
-    """The scene's file with other keys of a stimulus, and the names of those that went."""
+    """Return the scene's file with other keys of a stimulus, and the names of the removed ones."""
     data, elements = scene.read_bytes(), elements_of(scene)
     instance = next((e for e in elements if e.tag == "instance" and _is(e, stimulus)), None)
     if instance is None:

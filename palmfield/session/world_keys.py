@@ -1,4 +1,4 @@
-"""Keys whose values differ between the worlds of a simulation: which they are, and each world's own."""
+"""Keys whose values differ between the worlds of a simulation, and the values of each world."""
 
 import functools
 from collections.abc import Mapping, Sequence
@@ -17,19 +17,19 @@ BY_PLUGIN: dict[str, type[Config]] = {config.plugin: config for config in CONFIG
 BOUND = ("arrays", "frame", "path_on", "on_skin", "path_sites")
 """Keys of a stimulus that name parts of the scene."""
 OF_TABLES = ("modulation", "am_file", "am_frequency_Hz", "path", "path_file")
-"""Keys that say which waveform and which foci are read, and whether they may be."""
+"""Keys that select the waveform and foci to read, and whether reading is allowed."""
 SHARED = {
     "palmfield.array": "all worlds share the arrays",
     "palmfield.skin": "all worlds share the skin's mesh and matrices",
     "palmfield.driver": "all worlds share the board",
     "palmfield.motion": "poses that differ are given by `poses`",
 }
-"""Why a plugin's keys can't differ."""
+"""Why the keys of a plugin cannot differ."""
 
 
 @dataclass(frozen=True)
 class WorldKeys:
-    """A simulation's keys. common: what the model is made with, of keys that differ the first world's values
+    """A simulation's keys. common: keys of the model, with the first world's values for keys that differ;
     differing: by instance and key, a value for each world"""
 
     common: dict[str, object]
@@ -37,10 +37,10 @@ class WorldKeys:
 
 
 def split_keys(keys: Mapping[str, object], worlds: int, plugins: Mapping[str, str]) -> WorldKeys:
-    """Tell keys with one value from those with one for each world, by one axis more than the key itself has.
+    """Separate keys with one value from those with one for each world, by one axis more than the key itself has.
 
     keys: as `palmfield.session.open_scene.compiled`; plugins: name of the plugin, by instance of the scene
-    Raises SceneError for another number of values than worlds, another shape, and a key that can't differ.
+    Raises SceneError for another number of values than worlds, another shape, and a key that cannot differ.
     """
     common: dict[str, object] = dict(keys)
     differing: dict[str, dict[str, tuple[object, ...]]] = {}
@@ -49,7 +49,7 @@ def split_keys(keys: Mapping[str, object], worlds: int, plugins: Mapping[str, st
         plugin = plugins.get(owner, f"palmfield.{owner.removeprefix('palmfield.')}")
         config = BY_PLUGIN.get(plugin)
         if config is None or key not in config.model_fields or _depth(value) <= axes_of(config, key):
-            continue  # one value for all worlds, or what `compiled` says is unknown
+            continue  # one value for all worlds, or unknown, which `compiled` reports
         values = _by_world(given, value, worlds, config, key)
         if plugin != StimulusConfig.plugin:
             raise SceneError(
@@ -62,7 +62,7 @@ def split_keys(keys: Mapping[str, object], worlds: int, plugins: Mapping[str, st
             )
         common[given] = values[0]
         for instance in [owner] if owner in plugins else [name for name, one in plugins.items() if one == plugin]:
-            # What is said of one instance counts before what is said of all of its plugin
+            # A value for one instance overrides that for all of its plugin
             if instance == owner or f"{instance}.{key}" not in keys:
                 differing.setdefault(instance, {})[key] = values
     return WorldKeys(common, differing)
@@ -71,9 +71,9 @@ def split_keys(keys: Mapping[str, object], worlds: int, plugins: Mapping[str, st
 def world_specs(
     spec: SceneSpec, texts: Mapping[str, Mapping[str, str]], keys: WorldKeys, worlds: int
 ) -> list[SceneSpec]:
-    """What the scene says in each world; spec, and texts of its stimuli's keys by instance: those of the first world.
+    """Return the scene in each world; spec, and texts of its stimuli's keys by instance: those of the first world.
 
-    Raises SceneError, naming the world, for a value that a key can't have.
+    Raises SceneError, naming the world, for an invalid value of a key.
     """
     specs = []
     for world in range(worlds):
@@ -91,9 +91,9 @@ def world_specs(
 
 
 def with_texts(stimulus: StimulusSpec, texts: Mapping[str, str], element: str) -> StimulusSpec:
-    """A stimulus with other values for its keys, but for BOUND ones.
+    """Return a stimulus with other values for its keys, except BOUND ones.
 
-    texts: of all keys that it has; element: how messages name it. Raises SceneError for a value that a key can't have.
+    texts: of all keys that it has; element: how messages name it. Raises SceneError for an invalid value of a key.
     """
     config: Any = with_files_found(parse(StimulusConfig, dict(texts), element), STIMULUS_FILES, element)
     table, foci = stimulus.am_table, stimulus.focus_table
@@ -124,7 +124,7 @@ def _depth(value: object) -> int:
 
 
 def _by_world(given: str, value: Any, worlds: int, config: type[Config], key: str) -> tuple[object, ...]:
-    """One value for each world. Raises SceneError for another shape."""
+    """Return one value for each world. Raises SceneError for another shape."""
     axes, length = axes_of(config, key), _schema(config, key).get("maxItems")
     longs = {len(part) for part in value} if axes and _depth(value) > 1 else set()
     if len(value) == worlds and _depth(value) == axes + 1 and (length is None or longs == {length}):
@@ -138,5 +138,5 @@ def _by_world(given: str, value: Any, worlds: int, config: type[Config], key: st
 
 
 def _told(shape: tuple[object, ...]) -> str:
-    """A shape as text, also with letters for any number."""
+    """Return a shape as text, also with letters for any number."""
     return f"({', '.join(map(str, shape))}{',' * (len(shape) == 1)})"

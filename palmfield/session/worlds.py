@@ -1,4 +1,4 @@
-"""Several worlds of one scene, which differ in what their stimuli do and where hands are, stepped together."""
+"""Several worlds of one scene, with different stimuli and hand positions, stepped together."""
 
 from collections.abc import Callable, Mapping
 
@@ -31,13 +31,13 @@ def open_worlds(
     base: Mapping[str, object] | None = None,
     shared: Shared | None = None,
 ) -> tuple[str, SceneWorlds]:
-    """A scene's name for messages, and its worlds, ready to step.
+    """Return a scene's name for messages, and its worlds, ready to step.
 
     scene, device, accuracy, board, keys, worlds, poses: as of `palmfield.Simulation`
-    base: keys with which MuJoCo's model is made, in place of the first world's; then all of `keys` differ
-    shared: layers and solvers that these worlds share with others which are not stepped with them
-    Errors are those of `palmfield.session.open_scene.compiled`. SceneError too for another number of worlds, keys or
-    poses of another shape and keys that can't differ.
+    base: keys of MuJoCo's model, in place of the first world's; then all of `keys` differ
+    shared: layers and solvers that these worlds share with others that are stepped separately Errors are those of
+    `palmfield.session.open_scene.compiled`. SceneError too for another number of worlds, keys or poses of another shape
+    and keys that cannot differ.
     """
     check_count(worlds)
     plugins = _plugins(scene)
@@ -64,7 +64,7 @@ def open_worlds(
 
 
 class WorldsSkin:
-    """One skin in all worlds at their present time. Each array is computed when it is asked for.
+    """One skin in all worlds at their present time. Each array is computed on access.
 
     The skin at rest is the same in all worlds: `rest_position`, `rest_normal` and `faces` are as `Skin` has them.
     """
@@ -80,12 +80,12 @@ class WorldsSkin:
 
     @property
     def name(self) -> str:
-        """Of its plugin instance."""
+        """Name of its plugin instance."""
         return self._skins[0].name
 
     @property
     def solver(self) -> tuple[str, ...]:
-        """What steps it now in each world, or will."""
+        """Its present or future stepper in each world."""
         return tuple(skin.solver for skin in self._skins)
 
     @property
@@ -105,7 +105,7 @@ class WorldsSkin:
 
     @property
     def position(self) -> Float:
-        """Where body and bones have taken the surface nodes, world [m], (worlds, S, 3); without displacement."""
+        """Positions of the surface nodes moved with body and bones, world [m], (worlds, S, 3); without displacement."""
         return np.array([skin.position for skin in self._skins])
 
     @property
@@ -151,7 +151,7 @@ def _plugins(scene: Source) -> dict[str, str]:
 
 
 def _mocap(model: mujoco.MjModel, body: str) -> int:
-    """Number of a mocap body. Raises SceneError for another."""
+    """Return the number of a mocap body. Raises SceneError for an unknown name."""
     number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, body)
     mocap = -1 if number < 0 else int(model.body_mocapid[number])
     if mocap < 0:
@@ -163,7 +163,7 @@ def _mocap(model: mujoco.MjModel, body: str) -> int:
 
 
 def _poses(body: str, given: ArrayLike, worlds: int) -> Float:
-    """Poses as float64. Raises SceneError for another shape, numbers that are not finite, and no unit quaternion."""
+    """Poses as float64. Raises SceneError for another shape, and for numbers or quaternions that are not valid."""
     poses = np.array(given, dtype=np.float64)
     if poses.ndim != 3 or poses.shape[0] != worlds or poses.shape[2] != 7 or poses.shape[1] == 0:
         raise SceneError(

@@ -23,7 +23,7 @@ BOARDS = _registered()
 
 
 def board_named(name: str) -> Board:
-    """The board of that name. Raises DeviceError where there is none."""
+    """Return the board of a name. Raises DeviceError for an unknown one."""
     if name not in BOARDS:
         near = did_you_mean(name, BOARDS)
         raise DeviceError(f"board '{name}' is not known{near}; allowed: {', '.join(BOARDS)}")
@@ -31,7 +31,7 @@ def board_named(name: str) -> Board:
 
 
 def playable_board(name: str) -> Board:
-    """The board of that name, which takes bytes. Raises DeviceError for others, with those that do."""
+    """Return the board of a name, if it takes bytes. Raises DeviceError for others, naming those that do."""
     takes_bytes = [board.name for board in BOARDS.values() if not board.exact]
     if name not in takes_bytes:
         near = did_you_mean(name, takes_bytes)
@@ -40,9 +40,9 @@ def playable_board(name: str) -> Board:
 
 
 def boards_for(frame_rate_Hz: float, modulated: bool, *, several_foci: bool = False) -> list[str]:
-    """Boards of one array that take so many frames a second, and levels where those are asked for; ideal is the last.
+    """Return boards of one array that take so many frames a second, and levels if requested; ideal is the last.
 
-    several_foci: whether frames hold more foci than one
+    several_foci: whether frames contain several foci
     """
     able = [
         board.name for board in BOARDS.values()
@@ -55,11 +55,11 @@ def boards_for(frame_rate_Hz: float, modulated: bool, *, several_foci: bool = Fa
 def board_of(
     driver: DriverConfig, transducers: int, *, calibrated: bool = False, address: ArrayLike | None = None
 ) -> Board:
-    """The board of palmfield.driver's keys, with as many units as so many transducers take.
+    """Return the board of palmfield.driver's keys, with the number of units for so many transducers.
 
-    calibrated: whether what an array's transducers do was measured, so that a driver can make up for it
+    calibrated: whether the transducers of an array were measured, so that a driver can correct them
     address: place of each transducer in the board's byte order, shape (transducers,); None for the layout's order
-    Raises DeviceError where it can't drive so many, and for a key that it does not have.
+    Raises DeviceError if it cannot drive so many, and for a key that it does not have.
     """
     board = board_named(driver.board)
     shared = {"duty_exponent": driver.duty_exponent} if "duty_exponent" in board.keys else {}
@@ -67,7 +67,7 @@ def board_of(
     on = calibrated or not board.exact if driver.compensate is None else driver.compensate == "on"
     places = () if address is None else tuple(np.asarray(address).tolist())
     if len(places) != transducers or places == tuple(range(transducers)):
-        # Of several arrays none, or all, have addresses
+        # Either none or all of several arrays have addresses
         places = ()
     if places and board.takes == "focus":
         raise DeviceError(

@@ -1,8 +1,8 @@
-"""Packets of Hasegawa & Shinoda's 2018 units: where the focus is and how wide the pulses are, every 500 us.
+"""Packets of Hasegawa & Shinoda's 2018 units: place of the focus and pulse width, every 500 us.
 
-Units place the focus by themselves, so that a packet tells x, y, z (16 bits each, signed) and the pulse width (9 bits,
-0 to 320 ticks of a period's 640). What the paper leaves open is a key of the scene with the default of this file's
-`Autd2018`: header, footer, the order of bits and what the lowest bit of a coordinate is.
+Units compute the phases themselves: a packet contains x, y, z (16 bits each, signed) and the pulse width (9 bits, 0 to
+320 ticks of a period's 640). Values that the paper does not give are keys of the scene with the default of `Autd2018`
+here: header, footer, the order of bits and the lowest bit of a coordinate.
 """
 
 import math
@@ -29,19 +29,19 @@ FIELDS = (COORDINATE_BITS, COORDINATE_BITS, COORDINATE_BITS, WIDTH_BITS)
 PAYLOAD_BITS = sum(FIELDS)
 MOST = 2 ** (COORDINATE_BITS - 1) - 1
 CHILDREN = 3
-"""Units that each one passes packets on to."""
+"""Number of units to which each one passes packets."""
 LAYOUT_OF_UNITS = {1: "autd2018", 4: "autd2018_2x2"}
 
 
 @dataclass(frozen=True)
 class Autd2018(Board):
     """packet_header, packet_footer: bits, as text; packet_bit_order: of each field; packet_lsb_m: of a coordinate [m]
-    packet_baud: of the serial line to the first unit, which the paper doesn't tell; the default is the lowest usual
-        rate that carries 2,000 packets a second
+        packet_baud: of the serial line to the first unit, not given in the paper; the default is the lowest usual rate
+        that carries 2,000 packets a second
     duty_exponent, pwm_edge: see `palmfield.drive.pulse_width`
-    hop_delay_s: of each unit that a packet passes [s]; skew_s: largest difference that the sync leaves between units
+    hop_delay_s: of each unit that a packet passes [s]; skew_s: largest difference between units after the sync
     clock_drift_ppm: largest difference of units' clocks; sync: whether clocks are set every 500 us
-    board_sound_speed_m_s: with which units place the focus [m/s]
+    board_sound_speed_m_s: used by units to compute phases [m/s]
     """
 
     packet_header: str = "10100101"
@@ -70,7 +70,7 @@ class Autd2018(Board):
         return super().with_keys(keys).ready()
 
     def ready(self) -> "Autd2018":
-        """With the line and the bytes of silence that its keys make. Raises DeviceError for too slow a line."""
+        """Return this board with the line and silence bytes of its keys. Raises DeviceError for too slow a line."""
         off = self.packet((0, 0, 0, 0))
         line = serial_line(self.packet_baud)
         if line.bytes_per_s < PACKET_RATE_HZ * len(off):
@@ -81,7 +81,7 @@ class Autd2018(Board):
         return replace(self, line=line, start=off, stop=off)
 
     def packet(self, numbers: tuple[int, ...]) -> bytes:
-        """Bytes of one packet: header, fields and footer, filled up with 0 to whole bytes."""
+        """Return the bytes of one packet: header, fields and footer, filled up with 0 to whole bytes."""
         bits = self.packet_header
         for number, size in zip(numbers, FIELDS, strict=True):
             field = format(number & (2**size - 1), f"0{size}b")
@@ -91,7 +91,7 @@ class Autd2018(Board):
         return int(bits, 2).to_bytes(len(bits) // 8, "big")
 
     def numbers(self, packet: bytes) -> tuple[int, ...] | None:
-        """x, y, z and pulse width of a packet, as whole numbers; None for what is no packet."""
+        """Return x, y, z and pulse width of a packet, as whole numbers; None for an invalid packet."""
         bits = format(int.from_bytes(packet, "big"), f"0{8 * len(packet)}b")
         begin, end = len(self.packet_header), len(self.packet_header) + PAYLOAD_BITS
         if not bits.startswith(self.packet_header) or not bits[end:].startswith(self.packet_footer):
@@ -126,11 +126,11 @@ class Autd2018(Board):
 
     @cached_property
     def positions(self) -> Float:
-        """Of all transducers in the array frame [m], shape (n, 3)."""
+        """Positions of all transducers in the array frame [m], shape (n, 3)."""
         return layout(LAYOUT_OF_UNITS[self.units]).positions
 
     def unit_delays(self, since_sync_s: float) -> Float:
-        """How late each unit is [s], shape (units,): hops, skew, and what clocks have drifted."""
+        """Delay of each unit [s], shape (units,): hops, skew, and clock drift."""
         unit = np.arange(self.units)
         depth = np.array([_depth(number) for number in range(self.units)])
         spread = np.modf(GOLDEN * unit)[0]
@@ -138,14 +138,14 @@ class Autd2018(Board):
         return self.hop_delay_s * depth + self.skew_s * spread + drift * since_sync_s
 
     def focused(self, focus: Float, width: int, since_sync_s: float = 0.0) -> Complex:
-        """What units emit for a focus [m] and a pulse width in ticks, relative to full drive, shape (n,)."""
+        """Emission of units for a focus [m] and a pulse width in ticks, relative to full drive, shape (n,)."""
         ticks = np.rint(
             -HASEGAWA_TICKS * CARRIER_HZ * np.linalg.norm(focus - self.positions, axis=1) / self.board_sound_speed_m_s
         )
         duty = width / HASEGAWA_TICKS
         late = np.repeat(self.unit_delays(since_sync_s), TRANSDUCERS)
         phase = 2.0 * np.pi * (ticks / HASEGAWA_TICKS + CARRIER_HZ * late)
-        # A held edge turns the phase with the duty; half a period's pulse is where phases are counted from
+        # A held edge changes the phase with the duty; the reference phase is that of half a period's pulse
         phase = phase + edge_phase(duty, self.pwm_edge) - edge_phase(0.5, self.pwm_edge)
         return relative_pressure(duty, self.duty_exponent) * np.exp(1j * phase)
 
@@ -161,7 +161,7 @@ def _depth(unit: int) -> int:
 def duty_course(packet_widths: ArrayLike) -> Float:
     """Duty in each carrier period, shape (20 k,), for the pulse widths of k packets, in ticks.
 
-    Units smooth what comes at 2 kHz by an FIR low-pass; see `palmfield.drive.pulse_width.resample`.
+    Units smooth the 2 kHz input by an FIR low-pass; see `palmfield.drive.pulse_width.resample`.
     """
     duty = np.asarray(packet_widths, float) / HASEGAWA_TICKS
     return np.clip(resample(duty, PACKET_RATE_HZ, carrier_Hz=CARRIER_HZ), 0.0, 0.5).astype(np.float64)
@@ -184,7 +184,7 @@ class Autd2018Twin(Twin):
         return self.at(self.time_s)
 
     def at(self, time_s: float) -> Complex:
-        """What is emitted at a time [s] with the packet that counts now: without sync clocks drift meanwhile."""
+        """Return the emission at a time [s] with the present packet: without sync clocks drift meanwhile."""
         since_s = time_s % PERIOD_S if self.board.sync == "on" else time_s
         focus, width = self._state
         return self.board.focused(focus, width, since_s)

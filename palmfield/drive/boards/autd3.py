@@ -1,7 +1,7 @@
-"""Phase and intensity bytes of AUTD3 units, and the pulse widths that they stand for.
+"""Phase and intensity bytes of AUTD3 units, and the corresponding pulse widths.
 
-The bytes are those that AUTD3's own software calls a pattern, one unit's phases and then its intensities, unit after
-unit; `palmfield.drive.autd3_units` takes them to real units.
+The bytes are a pattern of AUTD3's own software, one unit's phases and then its intensities, unit after unit;
+`palmfield.drive.autd3_units` sends them to real units.
 """
 
 from dataclasses import dataclass, replace
@@ -36,18 +36,18 @@ def emitted_by(phase: ArrayLike, intensity: ArrayLike) -> Complex:
 
 
 LEVELS: Float = np.sin(np.pi * pulse_widths(np.arange(AUTD3_LEVELS + 1)) / AUTD3_TICKS)
-"""Amplitude that each intensity gives."""
+"""Amplitude for each intensity."""
 LOWEST = np.unique(LEVELS, return_index=True)[1]
 """Intensities that differ in their pulse, the lowest of each."""
 BETWEEN = 0.5 * (LEVELS[LOWEST][1:] + LEVELS[LOWEST][:-1])
-"""Amplitudes from which on the next of LOWEST is nearer."""
+"""Amplitudes above which the next of LOWEST is nearer."""
 
 
 @dataclass(frozen=True)
 class Autd3(Board):
     def encode(self, amplitudes: ArrayLike) -> bytes:
         """498 bytes a unit: 249 phases round(256 arg / 2 pi) mod 256, then 249 intensities, each the lowest of those
-        whose pulse comes nearest to the amplitude."""
+        with the pulse closest to the amplitude."""
         values = commanded(self, amplitudes)
         phase = phase_codes(np.exp(1j * np.angle(values)), STEPS)
         intensity = LOWEST[np.searchsorted(BETWEEN, np.abs(values))]
@@ -68,7 +68,7 @@ class Autd3(Board):
 
 
 class Autd3Twin(Twin):
-    """Units that take a whole frame at once and fall silent half a second after the last one. Silent at power-up.
+    """Units that take a whole frame at once and become silent half a second after the last one. Silent at power-up.
 
     Its silencer, which spreads a change over about ten periods, is off.
     """

@@ -45,7 +45,7 @@ class OpenMpd(Board):
 
 
 class OpenMpdTwin(Twin):
-    """Holds 32 frames back and plays one every four carrier periods; the last one goes on. Silent at power-up."""
+    """Delays 32 frames and plays one every four carrier periods; the last one continues. Silent at power-up."""
 
     def __init__(self) -> None:
         super().__init__(TRANSDUCERS, 1.0 / LINE.bytes_per_s)
@@ -65,7 +65,7 @@ class OpenMpdTwin(Twin):
             piece = data[position : position + FRAME_BYTES - len(self._frame)]
             first = next((n for n, byte in enumerate(piece) if byte >= FIRST and (n or self._frame)), None)
             if first is not None:
-                # A new frame begins before the last one is whole
+                # A new frame begins before the last one is complete
                 self.time_s = begin + (position + first) * self.byte_s
                 self.flag("garbled", f"a frame of {len(self._frame) + first} bytes is dropped")
                 self._frame.clear()

@@ -1,7 +1,7 @@
-"""Bytes of the SonicSurface board (256 emitters, 230400 baud, 50 % duty) and what the board emits when fed with them.
+"""Bytes of the SonicSurface board (256 emitters, 230400 baud, 50 % duty) and its emission for them.
 
 The protocol and the buffers follow the board's open firmware (upnalab/SonicSurface, `Distribute.vhd`, `PhaseLine.vhd`);
-the one-step lag of every eighth address is what a simulation of that firmware shows.
+the one-step lag of every eighth address was found by a simulation of that firmware.
 """
 
 import re
@@ -29,10 +29,10 @@ FRAME_BYTES = EMITTERS + 2
 FRAME_RATE_HZ = 1.0 / LINE.time_s(FRAME_BYTES)
 OFF_FRAME = bytes([START]) + bytes([OFF]) * EMITTERS + bytes([SWAP])
 OFF_SEQUENCE = 2 * (bytes([START_CLOCKS, PRIMARY]) + OFF_FRAME)
-"""Ends what a program may have left: stopped clocks, the other board selected, a cut frame, a full second buffer."""
+"""Resets the state left by a program: stopped clocks, the other board selected, a cut frame, a full second buffer."""
 
 LAG: Float = (np.arange(EMITTERS) % 8 == 3).astype(np.float64)
-"""Steps by which addresses come late."""
+"""Lag of each address in steps."""
 SECONDARY_LAG = 16.5
 CARRIER_HZ = 40e3
 PIECES = re.compile(rb"[\x96\x97\xc0\xc1\xfd\xfe]|[^\x96\x97\xc0\xc1\xfd\xfe]+")
@@ -40,13 +40,13 @@ PIECES = re.compile(rb"[\x96\x97\xc0\xc1\xfd\xfe]|[^\x96\x97\xc0\xc1\xfd\xfe]+")
 
 
 def data_bytes(amplitudes: Complex, on: NDArray[np.bool_], lag: Float) -> bytes:
-    """Data of one frame in address order: round(32 arg / 2 pi - lag) mod 32, and 32 for what is off."""
+    """Return data of one frame in address order: round(32 arg / 2 pi - lag) mod 32, and 32 for off."""
     step = np.rint(STEPS * np.angle(amplitudes) / (2 * np.pi) - lag).astype(np.int64)
     return np.where(on, step % STEPS, OFF).astype(np.uint8).tobytes()
 
 
 def stored(twin: Twin, back: NDArray[np.uint8], counter: int, piece: bytes) -> int:
-    """Put data into the hidden buffer, shape (256,), from address `counter` on; returns where the next goes."""
+    """Store data in the hidden buffer, shape (256,), from address `counter` on; returns the next address."""
     room = EMITTERS - counter
     values = np.frombuffer(piece[:room], dtype=np.uint8)
     back[counter : counter + len(values)] = np.where(values == OFF, OFF, values % OFF)
@@ -66,11 +66,11 @@ class SonicSurface(Board):
 
 
 class SonicSurfaceTwin(Twin):
-    """One SonicSurface as its firmware behaves: two buffers, a byte counter, and no reply.
+    """One SonicSurface with the behaviour of its firmware: two buffers, a byte counter, and no reply.
 
     Both buffers hold phase 0 at power-up, so all 256 emitters sound before the first frame. A swap *exchanges* the
-    buffers: after a short frame the addresses that it left out play what they had two frames before. Data beyond 256
-    bytes is flagged and dropped, as what the board does then is undefined.
+    buffers: after a short frame the missing addresses play their values of two frames before. Data beyond 256 bytes is
+    flagged and dropped, as the board's reaction is undefined.
     secondary: True for the second board of a pair, which takes the data after 193 and lags by 16.5 steps.
     """
 
@@ -114,7 +114,7 @@ class SonicSurfaceTwin(Twin):
         return changes
 
     def _clock(self, runs: bool) -> bool:
-        """Start or stop the clocks; whether that changes anything."""
+        """Zero while clocks are stopped: pins that are high then are a DC load, without sound."""
         was, self._clocks = self._clocks, runs
         if runs:
             self.pins_high[:] = False

@@ -1,6 +1,6 @@
-"""Two SonicSurface boards chained on one line, the second one facing the first from above.
+"""Two SonicSurface boards chained on one line, the second one above, facing the first.
 
-The second array's site is turned by half a turn about the first one's x axis (quat="0 1 0 0"). In the vendor's frame
+The second array's site is rotated by half a turn about the first one's x axis (quat="0 1 0 0"). In the vendor's frame
 its board has the mirrored map x' = -z, z' = -x, which in that site's frame is a quarter turn of the grid.
 """
 
@@ -32,7 +32,7 @@ FRAME_BYTES = 2 * (EMITTERS + 2) + 1
 
 
 def _downward() -> np.ndarray:
-    """For each address of the downward board the row of layout `sonicsurface` where it is, in its site's frame."""
+    """For each address of the downward board its row in layout `sonicsurface`, in its site's frame."""
     by_site = sonicsurface_order().reshape(16, 16)  # rows along +y, columns along +x
     # An address at (x, y) on the upward board is at (y, -x) on the downward one
     turned = by_site[:, ::-1].T
@@ -70,7 +70,7 @@ class SonicSurfacePair(Board):
 
 
 class PairTwin(Twin):
-    """A primary and a secondary board on one line: each sees all bytes."""
+    """A primary and a secondary board on one line: each receives all bytes."""
 
     def __init__(self) -> None:
         super().__init__(2 * EMITTERS, 1.0 / LINE.bytes_per_s)

@@ -1,6 +1,6 @@
 """The SonicSurface's second firmware, "FPGA tactile modulation": the one for haptics.
 
-It switches the emitters in turn, so that an envelope arises whose rate a byte sets. 150, 151, 192 and 193 are data.
+It switches the emitters in turn, which makes an envelope whose rate is set by a byte. 150, 151, 192 and 193 are data.
 """
 
 import re
@@ -19,17 +19,17 @@ STEPS = 16
 DUTY = 7 / 16
 UART_SLOW = 0.035
 LINE = Line(23040.0 * (1.0 - UART_SLOW), round(230400 * (1.0 - UART_SLOW)))
-"""Its receiver runs 3.5 % slow, so the port is opened at its own rate."""
+"""Its receiver is 3.5 % slow, so the port is opened at its own rate."""
 RATE = 160
 RATES = 32
 ENVELOPE_TOP_HZ = 1250.0
 DEFAULT_RATE = 10
-"""The firmware's own at power-up: an envelope of 113.6 Hz."""
+"""Default of the firmware at power-up: an envelope of 113.6 Hz."""
 OFF_FRAME = bytes([START]) + bytes([OFF]) * EMITTERS + bytes([SWAP])
 LEVEL = float(relative_pressure(DUTY))
 PIECES = re.compile(rb"[\xa0-\xbf\xfd\xfe]|[^\xa0-\xbf\xfd\xfe]+")
 CLOSE = 0.01
-"""An envelope within 1 % of what is asked for is the one that is asked for."""
+"""An envelope within 1 % of the requested rate is accepted."""
 
 
 def envelope_Hz(number: int) -> float:
@@ -38,7 +38,7 @@ def envelope_Hz(number: int) -> float:
 
 
 def envelope_byte(frequency_Hz: float) -> int:
-    """The byte that sets an envelope. Raises DeviceError where none comes within 1 % of the frequency [Hz]."""
+    """Return the byte that sets an envelope. Raises DeviceError if none is within 1 % of the frequency [Hz]."""
     rates = np.array([envelope_Hz(number) for number in range(RATES)])
     nearest = int(np.abs(np.log(rates / max(frequency_Hz, 1e-9))).argmin())
     if abs(rates[nearest] / max(frequency_Hz, 1e-9) - 1.0) > CLOSE:
@@ -54,7 +54,7 @@ def envelope_byte(frequency_Hz: float) -> int:
 @dataclass(frozen=True)
 class SonicSurfaceTactile(Board):
     def encode(self, amplitudes: ArrayLike) -> bytes:
-        """258 bytes, as of the primary firmware: data 2 round(16 arg / 2 pi), 32 for off."""
+        """258 bytes, as in the primary firmware: data 2 round(16 arg / 2 pi), 32 for off."""
         values, on = switched(self, amplitudes)
         step = np.rint(STEPS * np.angle(values) / (2 * np.pi)).astype(np.int64) % STEPS
         return bytes([START]) + np.where(on, 2 * step, OFF).astype(np.uint8).tobytes() + bytes([SWAP])
@@ -67,7 +67,7 @@ class SonicSurfaceTactile(Board):
 
 
 class TactileTwin(Twin):
-    """Amplitudes are those while an emitter's turn lasts. envelope_Hz: at which the turns come round [Hz]"""
+    """Amplitudes are those during an emitter's turn. envelope_Hz: rate of the turns [Hz]"""
 
     def __init__(self) -> None:
         super().__init__(EMITTERS, 1.0 / LINE.bytes_per_s)

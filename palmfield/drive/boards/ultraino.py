@@ -1,7 +1,7 @@
 """Ultraino's Arduino Mega boards: 64 signals each, as bits of ten ports in ten divisions of a carrier period.
 
 Wiring and commands follow the boards' open firmware and host (asiermarzo/Ultraino, `DriverMEGA.ino`, `ArduinoMEGA64`).
-Boards are chained: each takes the bytes whose lower nibble is 1 and passes others on with that nibble one less.
+Boards are chained: each takes the bytes whose lower nibble is 1 and forwards others with that nibble one less.
 """
 
 from dataclasses import dataclass, replace
@@ -23,22 +23,22 @@ SWITCH = 0x00
 COMMIT = 0x10
 DURATION = 0x30
 ONE_PERIOD_THEN_AGAIN = bytes([DURATION, DURATION, DURATION, DURATION | 0x40] + 4 * [DURATION])
-"""Durations 1 and 0, four bytes each with two bits in front: one pattern, again and again."""
+"""Durations 1 and 0, four bytes each with two bits in front: one pattern, repeated."""
 
 PORT_MAPPING: NDArray[np.int64] = np.array([
     51, 52, 53, 54, 28, 29, 30, 31, 47, 46, 45, 44, 43, 42, 41, 40, 56, 57, 58, 59, 48, 49, 72, 69, 39, 38, 37, 36, 35,
     34, 33, 32, 21, 23, 65, 63, 9, 11, 13, 15, 20, 22, 64, 66, 8, 10, 12, 14, 24, 25, 26, 27, 16, 17, 18, 19, 7, 6, 5,
     4, 3, 2, 1, 0,
 ])  # fmt: skip
-"""Of each signal its port, times 8, and its bit there."""
+"""Port of each signal, times 8, and its bit there."""
 PHASE_COMPENSATION: NDArray[np.int64] = np.zeros(SIGNALS, dtype=np.int64)
-"""Divisions by which each signal is sent later; zero in the host's present version."""
+"""Delay of each signal in divisions; zero in the host's present version."""
 TURNS = np.exp(2j * np.pi * np.arange(DIVISIONS) / DIVISIONS)
 FULL = TURNS[: DIVISIONS // 2].sum()
 
 
 def waveforms(amplitudes: Complex) -> NDArray[np.uint8]:
-    """Levels of each signal in each division, shape (n, 10): pulses whose middle keeps its place as they get narrow."""
+    """Levels of each signal in each division, shape (n, 10): pulses are narrowed about a fixed middle."""
     width = widths(np.minimum(np.abs(amplitudes), 1.0), DIVISIONS)
     slack = 0.5 * (DIVISIONS // 2 - width)
     start = np.rint(DIVISIONS * np.angle(amplitudes) / (2 * np.pi) + slack).astype(np.int64)
@@ -75,7 +75,7 @@ class Ultraino(Board):
     def sized(self, transducers: int) -> "Ultraino":
         sized = super().sized(transducers)
         off = sized.silence
-        # A frame cut off leaves the next one's data in the wrong place; two whole ones then fill both buffers
+        # An incomplete frame misplaces the next one's data; two whole ones then fill both buffers
         return replace(sized, start=3 * off, stop=3 * off, max_frame_rate_Hz=1.0 / LINE.time_s(len(off)))
 
     def rounded(self, levels: Float) -> Float:
@@ -86,7 +86,7 @@ class Ultraino(Board):
 
 
 class UltrainoTwin(Twin):
-    """Chained boards, each with two buffers of 32 patterns; the first pattern of the front one sounds.
+    """Chained boards, each with two buffers of 32 patterns; the first pattern of the front buffer is played.
 
     At power-up all signals are high in the first half of each period.
     """

@@ -1,1 +1,1 @@
-"""From a laboratory's readings to a calibration: one file for each kind of measurement (docs/calibration.md)."""
+"""Compute a calibration from a laboratory's readings: one file for each kind of measurement (docs/calibration.md)."""

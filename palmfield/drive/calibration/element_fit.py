@@ -1,11 +1,11 @@
-"""Polarity, phase and gain of each transducer, from sounding one at a time before a microphone at several places.
+"""Estimate polarity, phase and gain of each transducer, sounding one at a time before a microphone at several places.
 
 The pressure of transducer n at place m is G_n D(angle) e^{b1 s + b2 s^2} e^{ikr - beta r}/r with s = sin^2(angle). All
-of this is fitted at once by Gauss-Newton steps: the complex factors G_n, where the microphone really was, the speed of
-sound and its drift while all transducers sound in turn, and how the directivity differs from the layout's (b1, b2).
-What is thought of all but G enters as a prior,
-and so does that delays beside polarity are a few degrees, by sin(2 (arg G - common phase))/2, which polarity leaves as
-it is. Without that prior a wrong speed of sound would pass for delays that grow towards the rim.
+of this is fitted together by Gauss-Newton steps: the complex factors G_n, the true places of the microphone, the speed
+of sound and its drift during the measurement, and the deviation of the directivity from the layout's (b1, b2). All but
+G have priors,
+and so have delays other than polarity, of a few degrees, by sin(2 (arg G - common phase))/2, which does not depend on
+polarity. Without that prior a wrong speed of sound would appear as delays that grow towards the rim.
 """
 
 import math
@@ -24,32 +24,32 @@ from palmfield.errors import PalmfieldError
 from palmfield.types import Air, Array, Complex, Float
 
 DELAYS_RAD = math.radians(15.0)
-"""Standard deviation that delays beside polarity are thought to have: 5 to 15 degrees on boards of hobbyists."""
+"""Prior standard deviation of delays other than polarity: 5 to 15 degrees on boards of hobbyists."""
 DIRECTIVITY = 0.3
-"""Standard deviation of b1 and b2: pistons and measured tables differ by 0.2 of the amplitude at 30 degrees."""
+"""Prior standard deviation of b1 and b2: pistons and measured tables differ by 0.2 of the amplitude at 30 degrees."""
 DEAD = 0.25
-"""A transducer with less of the median's amplitude makes no sound that could be used."""
+"""A transducer with a lower share of the median's amplitude counts as dead."""
 STEPS = 60
 CONVERGED = 1e-7
 ODD, ODD_TIMES = 0.1, 6.0
-"""Share of its squared readings from which a transducer doesn't fit its place, at least, and times the median."""
+"""Least share of unexplained squared readings for a transducer to be misplaced, and least ratio to the median."""
 CHANCE = 0.05
 LEAST_SHARE = 1e-3
-"""Of a step that is not halved further."""
+"""Share of a step below which it is not halved further."""
 SAME = 0.1
-"""Change of the sum of squares, in units of their standard deviation, that means nothing."""
+"""Negligible change of the sum of squares, in units of their standard deviation."""
 
 
 @dataclass(frozen=True)
 class ElementFit:
-    """What the readings say of the transducers.
+    """Result of the fit to the readings.
 
-    elements: as a calibration takes them, by place, with addresses where signals hang on other places than the layout
-        says; swapped: those places; unfit: columns of the readings that are loud and fit no place, which are off
-    p0_Pa_m: mean amplitude of those that sound, and its standard error from the
+    elements: as in a calibration, by place, with addresses where signals are wired to other places than in the layout;
+        swapped: those places; unfit: columns of the readings that are loud and fit no place, which are off
+        p0_Pa_m: mean amplitude of those that sound, and its standard error from the
         scatter alone, without the microphone's own calibration
-    moved_m: of the microphone from where it was thought to be, shape (m, 3); sound_speed_m_s: as fitted
-    misfit: rms of what the model leaves, relative to the rms reading
+    moved_m: shift of the microphone from its nominal places, shape (m, 3); sound_speed_m_s: as fitted
+    misfit: rms of the residual, relative to the rms reading
     """
 
     elements: Elements
@@ -75,13 +75,13 @@ def fit_elements(
     """Fit all transducers at once.
 
     array: the layout; its p0 and gain are not used
-    at: where the microphone was thought to be, array frame [m], shape (m, 3), 3 places at least
-    readings: complex peak pressure of each transducer alone at full drive with phase 0 (a delay is +phase), shape
-        (m, n); NaN where there is none
-    place_sd_m, temperature_sd_K: standard deviations of the places, by axis, and of the air's temperature, of its mean
-        and of how much it drifts while all transducers sound in turn
-    Raises PalmfieldError for shapes that don't fit, readings that are infinite, a transducer without readings, fewer
-    than 3 places, places that are not in front of the array, and readings of which most fit no sound from their places.
+    at: nominal places of the microphone, array frame [m], shape (m, 3), 3 places at least
+    readings: complex peak pressure of each transducer alone at full drive with phase 0 (a delay is +phase), shape (m,
+        n); NaN if missing
+    place_sd_m, temperature_sd_K: standard deviations of the places, by axis, and of the air's temperature: its mean and
+        its drift while all transducers sound in turn
+    Raises PalmfieldError for shapes that do not fit, readings that are infinite, a transducer without readings, fewer
+    than 3 places, places that are not in front of the array, and if most readings fit no sound from their places.
     """
     places = np.asarray(check.points(np.asarray(at, float), np.float64), float)
     y = np.asarray(readings, np.complex128)
@@ -132,7 +132,7 @@ def fit_elements(
 
 
 class _Model:
-    """The model's pressures and their slopes; unknowns besides G_n: moves by axis, sound speed, b1 and b2, each /
+    """The model's pressures and their derivatives; unknowns besides G_n: moves by axis, sound speed, b1 and b2, each /
     sd."""
 
     def __init__(self, array: Array, air: Air, places: Float, place_sd_m: float, temperature_sd_K: float):
@@ -143,7 +143,7 @@ class _Model:
         self.absorption = absorption_Np_m(air, array.frequency_Hz)
         self.quintic = directivity_coefficients(array, self.turns / self.speed)[0]
         self.shape = len(places), len(array)
-        # Of a sweep over all transducers at one place, in their order, from its beginning to its end
+        # Position within a sweep over all transducers at one place, in their order, from its beginning to its end
         self.turn = np.arange(len(array)) / max(len(array) - 1, 1) - 0.5
         self.extra = 4 * len(places) + 4
 
@@ -153,7 +153,7 @@ class _Model:
         return bool((np.einsum("mnj,nj->mn", way, self.array.normals) > 0.0).all())
 
     def of(self, unknown: Float) -> tuple[Float, float, Float]:
-        """Moves [m], shape (m, 3), sound speed [m/s], and b1, b2."""
+        """Return moves [m], shape (m, 3), sound speed [m/s], and b1, b2."""
         moves = unknown[: 3 * len(self.places)].reshape(-1, 3) * self.place_sd_m
         return moves, self.speed + float(unknown[-3]) * self.speed_sd, unknown[-2:] * DIRECTIVITY
 
@@ -163,7 +163,7 @@ class _Model:
         return self.of(unknown)[1] + drifts[:, None] * self.turn
 
     def pressures(self, unknown: Float) -> tuple[Complex, list[tuple[slice, Complex]]]:
-        """Pressure of a unit G_n, shape (m, n), and for each unknown the rows where it acts and its relative slope."""
+        """Return the pressure of a unit G_n, shape (m, n), and for each unknown its rows and relative derivative."""
         moves, _, bend = self.of(unknown)
         speed = self.speeds(unknown)
         way = (self.places + moves)[:, None] - self.array.positions
@@ -187,7 +187,7 @@ class _Model:
 
 @dataclass(frozen=True)
 class _Found:
-    """The state in which the fit has settled, its covariance and what it leaves, relative to the rms reading."""
+    """Converged state of the fit, its covariance and residual, relative to the rms reading."""
 
     factor: Complex
     unknown: Float
@@ -203,7 +203,7 @@ def _unexplained(pressure: Complex, y: Complex) -> Float:
 
 
 def _odd(model: _Model, found: _Found, y: Complex, known: np.ndarray) -> np.ndarray:
-    """Which columns are loud and don't fit their places, shape (n,)."""
+    """Return which columns are loud and do not fit their places, shape (n,)."""
     pressure = model.pressures(found.unknown)[0] * known
     left = np.array([_unexplained(pressure[:, [n]], y[:, [n]])[0, 0] for n in range(y.shape[1])])
     loud = np.sqrt((np.abs(y) ** 2).sum(axis=0) / np.maximum((np.abs(pressure) ** 2).sum(axis=0), 1e-300))
@@ -214,9 +214,9 @@ def _odd(model: _Model, found: _Found, y: Complex, known: np.ndarray) -> np.ndar
 def _matched(
     model: _Model, found: _Found, y: Complex, known: np.ndarray, odd: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Places of the signals of all columns, a permutation, and which columns fit their place, shapes (n,).
+    """Return places of the signals of all columns, a permutation, and which columns fit their place, shapes (n,).
 
-    odd: columns to find other places for: those of one another, and of transducers that are silent
+    odd: columns to be placed elsewhere: at each other's places, or at those of silent transducers
     """
     place, fits = np.arange(y.shape[1]), np.ones(y.shape[1], bool)
     pressure = model.pressures(found.unknown)[0]
@@ -224,13 +224,13 @@ def _matched(
     left = np.array([_unexplained((pressure * known[:, [n]])[:, free], y[:, [n]])[0] for n in odd])
     row, column = linear_sum_assignment(left)
     best = left[row, column]
-    # Of as many places one fits noise of m readings as well as that with this probability
+    # Probability that one of as many places fits noise of m readings as well as that
     chance = len(free) * best ** (known[:, odd].sum(axis=0) - 1)
     good = (best < ODD) & (chance < CHANCE)
     fits[odd] = good
     taken = free[column[good]]
     place[odd[good]] = taken
-    # Who has no place keeps its own where that is free
+    # A column without a place keeps its own if that is free
     idle, vacant = np.setdiff1d(free, odd[good]), np.setdiff1d(free, taken)
     moved = np.setdiff1d(idle, vacant)
     place[moved] = np.setdiff1d(vacant, idle)
@@ -285,7 +285,7 @@ def _best_factors(pressure: Complex, y: Complex) -> Complex:
 
 
 def _cost(left: Complex, factor: Complex, unknown: Float, common: float, sigma: float) -> float:
-    """What a step must lower: readings that are not explained, and how far all is from what is thought."""
+    """Cost that a step must reduce: unexplained readings, and deviations from the priors."""
     delays = np.where(_alive(factor), 0.5 * np.sin(2.0 * (np.angle(factor) - common)) / DELAYS_RAD, 0.0)
     return float((np.abs(left) ** 2).sum()) / sigma**2 + float((unknown**2).sum() + (delays**2).sum())
 
@@ -357,7 +357,7 @@ def _result(model: _Model, found: _Found) -> ElementFit:
     polarity = np.where(np.abs(angle) < 0.5 * math.pi, 1, -1)
     phase = np.angle(polarity * np.exp(1j * angle))
     late = float(phase[alive].mean())
-    # Only differences of phases are known: what is common belongs to the recorder's trigger
+    # Only differences of phases are determined: a common phase belongs to the recorder's trigger
     square = np.maximum(size**2, 1e-300)
     both = np.hstack([np.diag(-factor.imag / square), np.diag(factor.real / square)])
     louder = np.hstack([np.diag(factor.real / np.sqrt(square)), np.diag(factor.imag / np.sqrt(square))])

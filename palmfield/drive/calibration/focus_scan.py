@@ -1,4 +1,4 @@
-"""Where the board really is, from pressures about foci that it was told to make."""
+"""Estimate the true pose of the board from pressures around its commanded foci."""
 
 import math
 
@@ -17,22 +17,22 @@ from palmfield.errors import PalmfieldError
 from palmfield.types import Air, Array, Float
 
 TURN_SD_RAD = math.radians(3.0)
-"""Standard deviation that the board's turns are thought to have, about each axis."""
+"""Prior standard deviation of the board's rotations about each axis."""
 OFFSET_SD_M = 10e-3
 WITHIN_M = 0.03
-"""The loudest reading of a focus lies this near to it, or something else is wrong [m]."""
+"""Largest distance of a focus's loudest reading from it; beyond it another error is present [m]."""
 
 
 def fit_pose(
     array: Array, air: Air, foci_m: ArrayLike, at: ArrayLike, pressures_Pa: ArrayLike, temperature_sd_K: float = 1.0
 ) -> Pose:
-    """Offset and turn of the board at which its foci would be where they were found, by least squares over amplitudes.
+    """Fit offset and rotation of the board that move its foci to the measured ones, by least squares over amplitudes.
 
-    array: with gains as known, in the frame that was meant for it
-    foci_m: that the board was told to make for each reading, in that frame [m], shape (k, 3)
-    at: where the microphone was, in the same frame [m], shape (k, 3); pressures_Pa: amplitudes, shape (k,)
-    temperature_sd_K: standard deviation of the air's temperature: where sound is faster, foci lie nearer
-    Turns are told where three foci or more are apart from one another, else only offsets (turn 0).
+    array: with calibrated gains, in its nominal frame
+    foci_m: commanded for each reading, in that frame [m], shape (k, 3)
+    at: places of the microphone, in the same frame [m], shape (k, 3); pressures_Pa: amplitudes, shape (k,)
+    temperature_sd_K: standard deviation of the air's temperature: faster sound moves foci closer Rotations are fitted
+    only for three separate foci or more, else only offsets (turn 0).
     Raises PalmfieldError for fewer than 8 readings, shapes that don't fit, readings below 0 or not finite, and for a
     loudest reading farther than WITHIN_M from its focus.
     """
@@ -75,7 +75,7 @@ def fit_pose(
     rest = left(found.x)
     noise = math.sqrt(float(rest @ rest) / max(len(rest) - len(found.x) - 1, 1))
     errors = np.sqrt(np.diag(np.linalg.inv(found.jac.T @ found.jac))) * max(noise, 1e-9)
-    # A focus moves along its distance by as much of it as the speed of sound is off
+    # The distance of a focus changes by the relative error of the speed of sound
     warmth = sound_speed_sd(air, temperature_sd_K) / sound_speed(air) * np.abs(foci).mean(axis=0)
     turns = found.x[3:] * TURN_SD_RAD if turning else np.zeros(3)
     turn_errors = errors[3:] * TURN_SD_RAD if turning else np.zeros(3)

@@ -16,16 +16,16 @@ from palmfield.types import Air, Array, Complex, Float
 LIMITS_HZ = 20e3, 80e3
 FEWEST = 8
 DELAY_SD_S = 6e-6
-"""Standard deviation that delays are thought to have from place to place: 2 mm of way [s]."""
+"""Prior standard deviation of delays from place to place: 2 mm of path [s]."""
 NOISE = 0.01
-"""Of readings, relative to a place's loudest: how much a delay is worth."""
+"""Noise of readings, relative to a place's loudest, which weights the delays."""
 
 
 @dataclass(frozen=True)
 class SweepFit:
-    """resonance_Hz and quality of all transducers together, with standard errors that hold the places' scatter.
+    """resonance_Hz and quality of all transducers together, with standard errors from the scatter over places.
 
-    misfit: rms of what is left, relative to the rms reading. Where transducers differ in resonance, quality comes out
+    misfit: rms residual, relative to the rms reading. If transducers differ in resonance, the quality is too
     low: it is that of their sum.
     """
 
@@ -39,12 +39,12 @@ class SweepFit:
 def fit_sweep(
     array: Array, air: Air, drive: ArrayLike, at: ArrayLike, frequencies_Hz: ArrayLike, pressures_Pa: ArrayLike
 ) -> SweepFit:
-    """One pole for all transducers, and a free factor for each place, by least squares over complex pressures.
+    """Fit one pole for all transducers, and a free factor for each place, by least squares over complex pressures.
 
     p(m, f) = C_m e^{i 2 pi f t_m} P(f; f0, Q) S_m(f): S_m is the sum over the transducers of the sound at that
-    frequency with the drive's phases, P = g/(g - i 2 pi (f - f0)), g = pi f0/Q, and t_m what the recorder and the place
-    add. Fitted place by place as well: errors are those of the mean over places, since what spoils one place
-    (echoes, interference) is another at the next.
+    frequency with the drive's phases, P = g/(g - i 2 pi (f - f0)), g = pi f0/Q, and t_m the delay of recorder and
+    place. Places are also fitted separately: errors are those of the mean over places, since disturbances (echoes,
+    interference) differ between places.
 
     drive: complex amplitudes, the same at all frequencies, shape (n,); at: the microphone's places, array frame [m],
     shape (m, 3), 8 at least; frequencies_Hz: shape (q,), 5 at least; pressures_Pa: complex (a delay is +phase), (m, q)
@@ -87,7 +87,7 @@ def _pole(sound: Complex, f: Float, seen: Complex, start: float) -> tuple[float,
         noise = rest(unknown) / scale / NOISE
         return np.concatenate([noise.real.ravel(), noise.imag.ravel(), unknown[2:]])
 
-    # Q from 5 to 200: what a transducer can have
+    # Q from 5 to 200: the range of real transducers
     low, high = [-50.0, math.log(5.0)], [50.0, math.log(200.0)]
     found = least_squares(
         left, [0.0, math.log(25.0)] + [0.0] * places, bounds=(low + [-np.inf] * places, high + [np.inf] * places)
@@ -97,12 +97,12 @@ def _pole(sound: Complex, f: Float, seen: Complex, start: float) -> tuple[float,
 
 
 def response_at(frequencies_Hz: Float, resonance_Hz: float, quality: float) -> Complex:
-    """What transducers of one resonance make of a steady carrier, relative to that at resonance, shape (q,)."""
+    """Response of transducers of one resonance to a steady carrier, relative to that at resonance, shape (q,)."""
     return envelope_response(frequencies_Hz - resonance_Hz, Pole(resonance_Hz, quality, resonance_Hz))[:, 0]
 
 
 def _left(sound: Complex, f: Float, seen: Complex, resonance: float, quality: float) -> Complex:
-    """What the model with its best factor for each place leaves, (m, q)."""
+    """Residual of the model with its best factor for each place, (m, q)."""
     model = sound * response_at(f, resonance, quality)
     factor = (model.conj() * seen).sum(axis=1) / (np.abs(model) ** 2).sum(axis=1)
     return np.asarray(seen - factor[:, None] * model)

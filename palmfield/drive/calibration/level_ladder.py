@@ -1,4 +1,4 @@
-"""How loud the sound is over the drive's level: exponent and saturation, from readings at rising levels."""
+"""Sound level over drive level: exponent and saturation, from readings at rising levels."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -8,15 +8,15 @@ from palmfield.errors import PalmfieldError
 from palmfield.types import Float
 
 MISSING = 0.05
-"""Where more than this share of the pressure is missing the sound isn't linear any more."""
+"""Missing share of the pressure above which the sound is no longer linear."""
 
 
 def fit_level(levels: ArrayLike, pressures_Pa: ArrayLike) -> Level:
-    """p = p1 a^exponent of the readings below saturation, and the level at which more than MISSING is missing.
+    """Fit p = p1 a^exponent to the readings below saturation, and the level at which more than MISSING is missing.
 
     Fitted in logarithms over levels up to a limit; the limit is lowered from full drive until none of the readings
     above
-    it that follow one another up to full drive would fit within MISSING. Forces are to be given as their square roots.
+    it that follow one another up to full drive would fit within MISSING. Forces are passed as their square roots.
 
     levels: of the drive, 0 < a <= 1, shape (n,), 5 different ones at least; pressures_Pa: amplitudes, shape (n,)
     Raises PalmfieldError for levels and readings out of these ranges, and where fewer than 4 levels are linear.

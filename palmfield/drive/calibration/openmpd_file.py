@@ -1,10 +1,10 @@
-"""The vendor's files of single OpenMPD boards (board_N.pat) as calibrations.
+"""Read the vendor's files of single OpenMPD boards (board_N.pat) as calibrations.
 
 Seven lines, as `GenerateBoardConfigurationFiles` of the vendor's driver writes them: hardware id, number of
 transducers, phase steps, positions (x, y, z) [m], place of each transducer in the byte stream, phase [deg], amplitude.
 The driver (`AsierInhoImpl_V2::discretizePhases`, sbg97/OpenMPD_Driver) subtracts a transducer's phase before it rounds,
-so that the phase is by how much the transducer is late, as `phase_rad` has it. A turned transducer has about 180 deg
-more. Nothing of this was tried on hardware.
+so the phase is the transducer's delay, like `phase_rad`. An inverted transducer has about 180 deg more. This was not
+tried on hardware.
 """
 
 import re
@@ -23,11 +23,11 @@ SAME_M = 1e-6
 
 
 def read_board_file(path: str | Path) -> Calibration:
-    """The calibration of layout openmpd that a board file says: addresses, polarities, phases, and positions where they
+    """Read the calibration of layout openmpd from a board file: addresses, polarities, phases, and positions if they
     differ from the layout's.
 
-    Raises SceneError, with the line, for a file that can't be read, another number of transducers, pins that are not 0
-    to 255 each once, phases beyond 360 degrees, and amplitudes other than 1, as the driver doesn't use them.
+    Raises SceneError, with the line, for a file that cannot be read, another number of transducers, pins that are not 0
+    to 255 each once, phases beyond 360 degrees, and amplitudes other than 1, which the driver does not use.
     """
     file, array = Path(path), layout("openmpd")
     try:

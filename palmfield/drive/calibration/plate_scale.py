@@ -1,4 +1,4 @@
-"""p0 from the force on a plate that lies on a scale, switched on and off at several distances."""
+"""Estimate p0 from the force on a plate on a scale, switched on and off at several distances."""
 
 import math
 from dataclasses import dataclass
@@ -13,16 +13,16 @@ from palmfield.errors import PalmfieldError
 from palmfield.types import Air, Array, Complex, Field, Float
 
 LAW = 0.1
-"""Share of the force that the local radiation-pressure law may be off on a plate of a few wavelengths [1]."""
+"""Relative error of the local radiation-pressure law for the force on a plate of a few wavelengths [1]."""
 PER_WAVELENGTH = 8
-"""Points of the plate in a wavelength, along each side."""
+"""Points of the plate per wavelength, along each side."""
 
 
 @dataclass(frozen=True)
 class PlateFit:
     """p0_Pa_m, its standard error from the scatter, and the ends of its 95 % interval with the law's own error.
 
-    fringe: amplitude of the force's course over distance, relative, from sound between plate and array
+    fringe: relative amplitude of the force's variation with distance, from sound between plate and array
     drift_N_s: of the scale [N/s]
     """
 
@@ -45,20 +45,19 @@ def fit_plate(
     forces_N: ArrayLike,
     level: float = 1.0,
 ) -> PlateFit:
-    """p0 at which the local law gives the forces that the scale showed.
+    """Fit p0 by the local law to the forces on the scale.
 
     F(t) = on p0^2 f(h) (1 + a cos 2kh + b sin 2kh) + draught(h) + drift t: f is the law's force for p0 = 1 on the plate
-    at distance h, a and b the fringes that the sound between plate and array makes, half a wavelength long, and draught
-    what
-    the scale shows at a distance with the array off. Solved by linear least squares in p0^2, p0^2 a, p0^2 b, draughts
-    and drift.
+    at distance h, a and b the fringes due to sound between plate and array, half a wavelength long, and draught the
+    reading at a distance with the array off. Solved by linear least squares in p0^2, p0^2 a, p0^2 b, draughts and
+    drift.
 
-    array: with its gains as known; drive: complex amplitudes, shape (n,), of transducers as wired
+    array: with calibrated gains; drive: complex amplitudes, shape (n,), of transducers as wired
     size_m: of the plate, which is centred on the array's axis and lies across it
     distances_m, times_s, on, forces_N: of each reading, shape (k,); on is 1 while the array sounds, else 0
-    level: pressure relative to full drive at which it sounds
+    level: its pressure relative to full drive
     Raises PalmfieldError for fewer than 4 distances or ones beyond half a wavelength of the others, readings of one
-    kind only at some distance, numbers that are not finite, and a plate that isn't pushed.
+    kind only at some distance, numbers that are not finite, and a plate without force.
     """
     h, t, sounding, force = (np.asarray(values, float) for values in (distances_m, times_s, on, forces_N))
     _check(h, t, sounding, force, size_m)

@@ -1,4 +1,4 @@
-"""A laboratory's readings as CSV files, and the calibration with what each of them says (docs/calibration.md)."""
+"""Read a laboratory's readings from CSV files, and add their results to the calibration (docs/calibration.md)."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -26,12 +26,12 @@ FOCUS_XYZ = ("focus_x_m", "focus_y_m", "focus_z_m")
 
 @dataclass(frozen=True)
 class Circumstances:
-    """What a laboratory says of a measurement besides its readings.
+    """Circumstances of a measurement besides its readings.
 
     source: who measured when, and with what; microphone_error: 95 % of its own calibration's error, relative
     place_sd_m, temperature_sd_K: standard deviations of the microphone's places, by axis, and of the temperature
-    focus_m: that the board was told to make, array frame [m]; plate_m: sides of the plate [m]
-    level: pressure relative to full drive at which it sounded
+    focus_m: commanded focus, array frame [m]; plate_m: sides of the plate [m]
+    level: its pressure relative to full drive
     """
 
     source: str
@@ -46,7 +46,7 @@ class Circumstances:
 
 @dataclass(frozen=True)
 class Measured:
-    """calibration: with what the readings say put in; told: what they say, a line each"""
+    """calibration: with the results of the readings; told: the results, a line each"""
 
     calibration: Calibration
     told: tuple[str, ...]
@@ -54,8 +54,8 @@ class Measured:
 
 @dataclass(frozen=True)
 class Measurement:
-    """A kind of measurement. about: what is done in the laboratory; columns: of its CSV file; put: readings into
-    calibration; optional: columns that its file may have besides"""
+    """A kind of measurement. about: procedure in the laboratory; columns: of its CSV file; put: readings into
+    calibration; optional: further allowed columns"""
 
     about: str
     columns: tuple[str, ...]
@@ -125,7 +125,7 @@ def put_elements(
 def put_level(
     file: Path, columns: dict[str, Float], calibration: Calibration, array: Array, under: Circumstances
 ) -> Measured:
-    """Rising levels: see `fit_level`. Forces count by their square roots."""
+    """Rising levels: see `fit_level`. Forces are converted to their square roots."""
     has = [name for name in ("pressure_Pa", "force_N") if name in columns]
     if len(has) != 1:
         raise SceneError(f"{file}: columns are {', '.join(columns)}; give level and either pressure_Pa or force_N")
@@ -219,7 +219,7 @@ def put_sweep(
 def put_warm_up(
     file: Path, columns: dict[str, Float], calibration: Calibration, array: Array, under: Circumstances
 ) -> Measured:
-    """The level since it was switched on: see `fit_warm_up`."""
+    """The level since the array was switched on: see `fit_warm_up`."""
     warm_up = fit_warm_up(columns["time_s"], columns["pressure_Pa"])
     within = warm_up.time_s * max(math.log(abs(warm_up.drop) / 0.01), 0.0)
     told = (
@@ -253,14 +253,14 @@ MEASUREMENTS: dict[str, Measurement] = {
         "the level since the array was switched on, until it stands still", ("time_s", "pressure_Pa"), put_warm_up
     ),
 }  # fmt: skip
-"""Kinds of measurements, in the order in which they help one another."""
+"""Kinds of measurements, in an order in which each uses the results of earlier ones."""
 
 
 def measured(kind: str, path: str | Path, calibration: Calibration, array: Array, under: Circumstances) -> Measured:
-    """The calibration with what a file of readings says.
+    """Return the calibration with the results of a file of readings.
 
     kind: a key of MEASUREMENTS; array: of the calibration's layout
-    Raises SceneError for a file that can't be read or lacks columns, PalmfieldError for readings that don't serve.
+    Raises SceneError for a file that cannot be read or lacks columns, PalmfieldError for unusable readings.
     """
     file, measurement = Path(path), MEASUREMENTS[kind]
     columns, _ = read_table(file)
@@ -298,7 +298,7 @@ def _whole(file: Path, columns: dict[str, Float], name: str, count: int) -> np.n
 
 
 def _check_version(file: Path, columns: dict[str, Float], name: str) -> None:
-    """Raises SceneError where transducers may be counted in the order of another version of the layout."""
+    """Raises SceneError if transducers may be numbered by another version of the layout."""
     now = LAYOUTS[name].version
     said = columns.get("layout_version", np.array([1.0]))
     if (said != now).any():

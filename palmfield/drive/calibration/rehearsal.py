@@ -1,4 +1,4 @@
-"""Readings of an imaginary board, to try a calibration with before there is one, and to see what it finds."""
+"""Simulated readings of an imaginary board, to test a calibration before there is hardware."""
 
 import math
 from dataclasses import replace
@@ -27,11 +27,11 @@ NOISE = 0.01
 
 
 def rehearse(array: Array, folder: Path, seed: int) -> list[Path]:
-    """Files of readings of each kind, and TRUTH, what they were made from; returns their paths.
+    """Write files of readings of each kind, and TRUTH, their true parameters; returns their paths.
 
-    Half of the transducers are turned, phases differ by 10 deg and gains by 8 % (sd), 2 % are silent; microphone places
-    are 1 mm off (sd), air 1 K, and 10 % of the sound comes back from a wall.
-    array: the layout; folder: made if it isn't there. Raises OutputError for a folder that holds something else.
+    Half of the transducers are inverted, phases differ by 10 deg and gains by 8 % (sd), 2 % are silent; microphone
+    places are 1 mm off (sd), air 1 K, and 10 % of the sound is reflected by a wall.
+    array: the layout; folder: made if missing. Raises OutputError for a folder with other content.
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise OutputError(f"{folder} is there already and not empty: choose another folder")
@@ -83,7 +83,7 @@ def _readings(array: Array, truth: Calibration, random: np.random.Generator) -> 
     at = np.column_stack([random.uniform(-wide, wide, (PLACES, 2)), random.uniform(1.5 * wide, 3.0 * wide, PLACES)])
     each = _one_by_one(array, raw, at + random.normal(0.0, 1e-3, at.shape), real, random)
     number, place = np.tile(np.arange(len(array)), PLACES), np.repeat(np.arange(PLACES), len(array))
-    # The driver knows the wiring by now, from the transducers one by one
+    # The driver has the wiring by now, from the measurement one by one
     aimed = compensate(moved, focus(array, told, FOCUS_M))
     scan = np.array(FOCUS_M) + random.uniform(-1.0, 1.0, (60, 3)) * [0.012, 0.012, 0.04]
     found = np.abs(pressure64(scan, moved, aimed, real)[0])

@@ -1,4 +1,4 @@
-"""How the sound gets softer while transducers and driver warm up."""
+"""Decrease of the sound level while transducers and driver warm up."""
 
 import numpy as np
 from numpy.typing import ArrayLike

@@ -1,4 +1,4 @@
-"""A process of its own that owns a board's port and sends frames on time, whatever the caller's process does.
+"""A process of its own that owns a board's port and sends frames on time, independent of the caller's process.
 
 from palmfield.drive.player import Player
 with Player(board, "/dev/ttyUSB0") as player:

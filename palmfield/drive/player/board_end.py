@@ -1,4 +1,4 @@
-"""The player's end of a port: it hands whole frames over, counts what is on its way, and silences the board."""
+"""The player's end of a port: it passes on whole frames, counts bytes in transit, and silences the board."""
 
 import os
 import time
@@ -15,17 +15,17 @@ from palmfield.errors import DeviceError
 
 now_s = time.monotonic
 RETRY_S = 20e-3
-"""After the system took only a part of a frame, or nothing [s]."""
+"""Delay after the system took only a part of a frame, or none [s]."""
 MOST_KEPT = 1_000_000
-"""Delays of so many frames are kept."""
+"""Largest number of frames whose delays are kept."""
 
 
 class PortStuck(PortLost):
-    """A port that is there and takes no bytes."""
+    """A port that exists and takes no bytes."""
 
 
 class _OnItsWay(NamedTuple):
-    """A frame that was handed over. end: bytes handed over with it; number: of its lateness"""
+    """A frame in transit. end: bytes written with it; number: of its lateness"""
 
     end: int
     due_s: float
@@ -33,15 +33,15 @@ class _OnItsWay(NamedTuple):
 
 
 class BoardEnd:
-    """An open port and what went through it.
+    """An open port and the frames sent through it.
 
-    frames: handed over whole; cut: of which the system took only a part; late_s: of each frame, how long after its time
-    its last byte is on the line [s]; write_late_s: how long after it was due the system had it [s]
-    told: of each frame with a number that number, when it was due, and its place in late_s
+    frames: written whole; cut: partly taken by the system; late_s: of each frame, delay of its last byte on the line
+    [s]; write_late_s: delay of its writing [s]
+    told: of each numbered frame that number, its due time, and its place in late_s
     """
 
     def __init__(self, job: Job) -> None:
-        """Raises DeviceError where the port can't be opened."""
+        """Raises DeviceError if the port cannot be opened."""
         self.job = job
         self.start, self.stop = bytes.fromhex(job.start), bytes.fromhex(job.stop)
         self.line = LineClock(1.0 / job.bytes_per_s)
@@ -63,7 +63,7 @@ class BoardEnd:
         return port
 
     def free_s(self, now: float) -> float:
-        """When the line is free. Raises PortLost when the port is gone, or has taken no bytes for long."""
+        """When the line is free. Raises PortLost if the port is lost, or has taken no bytes for long."""
         self._hear(now)
         if self.line.stuck_s(now) > self.job.lost_s and (self._refused_s is not None or self._on_its_way):
             raise self._stuck()
@@ -71,7 +71,7 @@ class BoardEnd:
 
     @property
     def retry_s(self) -> float:
-        """Not before this moment is the next frame handed over."""
+        """The next frame is not written before this moment."""
         return 0.0 if self._refused_s is None else self._refused_s + RETRY_S
 
     def _stuck(self) -> PortStuck:
@@ -82,15 +82,15 @@ class BoardEnd:
         out = self.line.hear(port.waiting(), now, self._refused_s is not None)
         while self._on_its_way and self._on_its_way[0].end <= out:
             frame = self._on_its_way.popleft()
-            # The own clock is finer, unless the line stood
+            # The own clock is finer, unless the line was blocked
             self.late_s[frame.number] = max(self.late_s[frame.number], now - TOLD_LATE_S - frame.due_s)
 
     def hand(self, data: bytes, due_s: float, planned_s: float, number: int = -1) -> bool:
-        """Hand over a frame; False where the system did not take all of it: then send a frame from its start.
+        """Write a frame; False if the system did not take all of it: then send a frame from its start.
 
-        due_s: when its last byte is wanted on the line; planned_s: when it was to be handed over, both on `now_s`
-        number: of a frame whose time on the line is asked for later, by `on_line`
-        Raises PortLost when the port is gone.
+        due_s: target time of its last byte on the line; planned_s: planned time of writing, both on `now_s`
+        number: of a frame whose time on the line `on_line` reports later
+        Raises PortLost if the port is lost.
         """
         began = now_s()
         if not self._offer(data, began):
@@ -105,7 +105,7 @@ class BoardEnd:
         return True
 
     def on_line(self) -> list[tuple[int, float]]:
-        """Of each numbered frame that number and when its last byte was on the line, on `now_s` [s]."""
+        """Return each numbered frame's number and when its last byte was on the line, on `now_s` [s]."""
         return [(number, due_s + self.late_s[row]) for number, due_s, row in self.told]
 
     def _offer(self, data: bytes, now: float) -> bool:
@@ -127,12 +127,12 @@ class BoardEnd:
         return self._port
 
     def send_start(self) -> None:
-        """What puts the board into a known, silent state. Raises PortLost."""
+        """Put the board into a defined, silent state. Raises PortLost."""
         self._send_whole(self.start)
         self.sounding = False
 
     def send_stop(self) -> None:
-        """Silence the board; returns when the bytes are out. Raises PortLost."""
+        """Silence the board; returns when the bytes are sent. Raises PortLost."""
         self._send_whole(self.stop)
         self.sounding = False
 
@@ -156,7 +156,7 @@ class BoardEnd:
     # -- after the port was lost ---------------------------------------------------------------------------------------
 
     def exists(self) -> bool:
-        """Whether the port is there: as a file, or, where none would come back as the same one, open."""
+        """Whether the port exists: as a file, or, if it cannot come back as the same one, open."""
         port = self.job.port
         return self._port is not None or (not (self.is_url or port.startswith("/dev/pts/")) and os.path.exists(port))
 
@@ -165,7 +165,7 @@ class BoardEnd:
         return "://" in self.job.port or self.job.port.startswith(AUTD3)
 
     def try_stop(self) -> bool:
-        """Silence the board by a port opened anew where it was lost; whether that went through."""
+        """Silence the board by reopening a lost port; returns whether that succeeded."""
         try:
             if self._port is None:
                 self._port = self._open()
@@ -189,7 +189,7 @@ class BoardEnd:
     # -- the log -------------------------------------------------------------------------------------------------------
 
     def write_log(self, most: int = 1) -> None:
-        """Write so many of the lines that wait. A full disk ends the log, not the sound."""
+        """Write this number of waiting lines. A full disk ends the log, not the sound."""
         while self._unwritten and most > 0:
             try:
                 os.write(self._log, self._unwritten.popleft().encode())

@@ -1,14 +1,14 @@
-"""How long sound may last: altogether, and as a share of any stretch of time."""
+"""Limits of the duration of sound: in total, and as a share of any stretch of time."""
 
 WINDOW_S = 10.0
-"""Over which a share of time with sound counts [s]."""
+"""Window of the largest share of time with sound [s]."""
 
 
 class SoundBudget:
-    """on_time_s: longest altogether, 0 for any; duty: largest share of time that it sounds, over about window_s
+    """on_time_s: longest total, 0 for any; duty: largest share of time with sound, over about window_s
 
-    Time that may sound is saved up at the rate `duty`, up to that share of the window, and used up by sound. Once it is
-    spent there is silence until half of it is back. said: why there may be no sound, in words
+    Allowed time accumulates at the rate `duty`, up to that share of the window, and is used up by sound. Once it is
+    spent there is silence until half of it is restored. said: why sound is not allowed, in words
     """
 
     def __init__(self, on_time_s: float = 0.0, duty: float = 1.0, window_s: float = WINDOW_S) -> None:

@@ -1,4 +1,4 @@
-"""The caller's side of a player: it starts the process, gives it frames, and hears how they went."""
+"""The caller's side of a player: it starts the process, passes frames to it, and receives their results."""
 
 import contextlib
 import os
@@ -24,19 +24,19 @@ from palmfield.errors import DeviceError
 STARTS_WITHIN_S = 30.0
 POSIX = os.name == "posix"
 PACKAGES = str(Path(__file__).parents[3])
-"""Where Python finds palmfield."""
+"""Path on which Python finds palmfield."""
 
 
 ENDS = ("SIGTERM", "SIGHUP", "SIGQUIT")
-"""They end a process without running `finally`; as SystemExit they do. SIGINT is KeyboardInterrupt already."""
+"""Signals that end a process without running `finally`; as SystemExit they do. SIGINT is KeyboardInterrupt already."""
 
 
 @contextlib.contextmanager
 def signals_to(alarm: socket.socket, silent_within_s: float) -> Iterator[None]:
-    """In the block numbers of signals go to a socket as they come, also while Python is busy elsewhere.
+    """In the block numbers of signals are written to a socket as they come, also while Python is busy.
 
-    alarm: never blocks; silent_within_s: time that the board takes to be silent before Ctrl-Z stops this process
-    Nothing is caught elsewhere than in the main thread, nor what the process ignores (as SIGHUP under nohup).
+    alarm: never blocks; silent_within_s: time until the board is silent before Ctrl-Z stops this process Signals are
+    caught only in the main thread, and not those that the process ignores (as SIGHUP under nohup).
     """
     if not in_main_thread():
         yield
@@ -46,7 +46,7 @@ def signals_to(alarm: socket.socket, silent_within_s: float) -> Iterator[None]:
         time.sleep(silent_within_s)
         signal.signal(number, signal.SIG_DFL)
         os.kill(os.getpid(), number)
-        # Here it goes on, after SIGCONT
+        # Continues here, after SIGCONT
         signal.signal(number, stop)
         with contextlib.suppress(OSError):
             alarm.send(bytes([signal.SIGCONT]))
@@ -65,9 +65,9 @@ class Player:
     In the main thread SIGTERM, SIGHUP and SIGQUIT become SystemExit meanwhile, and Ctrl-Z silences the board before it
     stops the program.
 
-    priority: that the process got, in words; silent: why live frames don't sound, empty where they do
-    begin_s: when its log begins, on time.monotonic() [s]; report: of what is played last, once this is closed
-    log_error: why the log ends early, once this is closed; empty where it doesn't
+    priority: of the process, in words; silent: why live frames are silent, empty if they are not
+    begin_s: beginning of its log, on time.monotonic() [s]; report: of the last play, once this is closed
+    log_error: why the log ends early, once this is closed; else empty
     """
 
     def __init__(
@@ -79,10 +79,10 @@ class Player:
         on_trouble: Callable[[str], None] | None = None,
         **settings: Any,
     ) -> None:
-        """port: device or pyserial URL; log: a file that lines of a log are added to
-        on_trouble: gets a sentence when the port is lost and the player tries to silence the board
+        """port: device or pyserial URL; log: file to which lines of a log are added
+        on_trouble: called with a sentence when the port is lost and the player tries to silence the board
         settings: other fields of `palmfield.drive.player.messages.Job`
-        Raises DeviceError for a board without bytes, for a port that can't be opened, and where there is no POSIX.
+        Raises DeviceError for a board without bytes, for a port that cannot be opened, and on a system without POSIX.
         """
         if not POSIX:
             raise DeviceError(
@@ -106,10 +106,10 @@ class Player:
         self._alarm, alarm = socket.socketpair()
         for end in (self._talk, self._alarm):
             end.setblocking(False)
-        # A packet goes out at once, and a long schedule in few pieces
+        # A packet is sent at once, and a long schedule in few pieces
         self._talk.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 20)
         paths = [PACKAGES, *filter(None, [os.environ.get("PYTHONPATH")])]
-        # A session of its own: the terminal's signals go to the caller alone, which says what they mean
+        # A session of its own: the terminal's signals reach only the caller, which interprets them
         self._process = subprocess.Popen(
             [sys.executable, "-m", "palmfield.drive.player.process", str(talk.fileno()), str(alarm.fileno())],
             pass_fds=(talk.fileno(), alarm.fileno()), stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
@@ -141,12 +141,12 @@ class Player:
     ) -> PlayReport:
         """Send frames so that they are emitted at their times; returns when all are over and the board is silent.
 
-        frames: (time of emission since the start [s], bytes), times rising; duration_s: how long the last one goes on
-            at least, since the start [s]
-        on_progress: gets the numbers of frames sent and skipped, some times a second
-        on_sound: gets the moment at which the first frame is emitted, on time.monotonic() [s], as soon as it is on its
-            way, which is mostly before
-        The newest frame that is due wins. Raises DeviceError when the board is lost or the player has died.
+        frames: (time of emission since the start [s], bytes), times rising; duration_s: least end of the last one,
+            since the start [s]
+        on_progress: called with the numbers of frames sent and skipped, some times a second
+        on_sound: called with the time of emission of the first frame, on time.monotonic() [s], as soon as it is in
+            transit, usually before
+        Of several due frames the newest is sent. Raises DeviceError if the board is lost or the player has died.
         """
         listed = list(frames)
         schedule = Schedule([one[0] for one in listed], [one[1] for one in listed], duration_s)
@@ -154,33 +154,33 @@ class Player:
         return _report(self._until("played", None, on_progress, on_sound)["played"])
 
     def send(self, steps: Sequence[bytes], level: float = 1.0, made_s: float | None = None, due_s: float = 0.0) -> None:
-        """Send a live frame, which sounds until a newer one comes, or fades out when none does for `stale_s`.
+        """Send a live frame, which sounds until a newer one comes, or fades out after `stale_s` without one.
 
-        steps: the same frame at rising levels up to its own, all of one length, for the ramp; just itself where the
-            board has no levels
-        level: of its sound, 0 for silence; made_s: when what it shows was known, on time.monotonic() [s], None for now
-        due_s: when its last byte is wanted on the line, on that clock, later than that of all before: it waits for it,
-            and of several the newest that is due wins; 0: as soon as it can
-        Raises DeviceError when the board is lost or the player has died.
+        steps: the same frame at rising levels up to its own, all of one length, for the ramp; only itself if the board
+            has no levels
+        level: of its sound, 0 for silence; made_s: time of its input data, on time.monotonic() [s], None for now
+            due_s: target time of its last byte on the line, on that clock, later than those of all before; of several
+            due frames the newest is sent; 0: as soon as possible
+        Raises DeviceError if the board is lost or the player has died.
         """
         made = time.monotonic() if made_s is None else made_s
         self._send(FRAME, LiveFrame(made, level, steps, due_s).packed())
         self._take_lines()
 
     def mute(self) -> None:
-        """Fade out what is live, until the next live frame."""
+        """Fade out live frames, until the next one."""
         self._send(MUTE)
         self._take_lines()
 
     @property
     def played(self) -> PlayReport:
-        """`report`, once this is closed. Raises DeviceError where the player's process ended without one."""
+        """Return `report`, once this is closed. Raises DeviceError where the player's process ended without one."""
         if self.report is None:
             raise DeviceError(f"it is not known what was played on {self.port}: the player's process ended unasked")
         return self.report
 
     def check(self) -> None:
-        """Raises DeviceError where the board is lost or the player has died since the last word from it."""
+        """Raises DeviceError if the board is lost or the player has died since its last message."""
         self._take_lines()
 
     # -- what the player says ------------------------------------------------------------------------------------------
@@ -203,7 +203,7 @@ class Player:
         on_progress: Callable[[int, int], None] | None = None,
         on_sound: Callable[[float], None] | None = None,
     ) -> dict[str, Any]:
-        """The first line with that key. Raises DeviceError when the player fails or ends before."""
+        """Return the first line with that key. Raises DeviceError when the player fails or ends before."""
         while ends_s is None or time.monotonic() < ends_s:
             select.select([self._talk], [], [], 0.1)
             for line in self._take_lines():
@@ -238,7 +238,7 @@ class Player:
         return lines
 
     def _raise_end(self, end: dict[str, Any]) -> None:
-        """Why the player has ended by itself. Nothing where the caller wanted that."""
+        """Raise the reason why the player has ended by itself. No error if the caller requested it."""
         if self._lost or not (end["lost"] or end["broken"] or end["why_on"] or end["ended"].startswith("the player")):
             return
         self._lost = True
@@ -251,7 +251,7 @@ class Player:
         raise DeviceError(f"{said}; {sounds}{why}")
 
     def _died(self) -> None:
-        """The process is gone without a word: the board is silenced from here. Raises DeviceError."""
+        """The process has ended without a message: the board is silenced from here. Raises DeviceError."""
         if self._lost:
             return
         self._lost = True
@@ -269,7 +269,7 @@ class Player:
     def close(self) -> None:
         """Silence the board and free the port; returns when that is done.
 
-        Raises DeviceError where the board could not be silenced and nobody was told yet.
+        Raises DeviceError if the board could not be silenced and no error was raised for it yet.
         """
         if self._closed:
             return
@@ -307,7 +307,7 @@ class Player:
 
 
 def _silence(board: Board, port: str) -> None:
-    """Raises DeviceError where that can't be done."""
+    """Raises DeviceError if that fails."""
     transport = open_port(port, None if board.line is None else board.line.baud)
     try:
         while board.stop and not transport.write(board.stop):

@@ -1,13 +1,13 @@
-"""When the line is free: by the bytes handed over and its rate, and by what the system says is still waiting."""
+"""Compute when the line is free: from the bytes written and its rate, and from the system's count of waiting bytes."""
 
 import math
 
 TOLD_LATE_S = 5e-3
-"""What is told of bytes that wait may be so old [s]."""
+"""Largest age of a reading of waiting bytes [s]."""
 LOOKS_S = 0.05
-"""What is told all that time is so [s]."""
+"""A late reading must persist this long before it is reported [s]."""
 BEHIND_S = 2e-3
-"""A line that is less behind counts as on time [s]."""
+"""A line with a smaller delay counts as on time [s]."""
 
 
 class LineClock:
@@ -22,11 +22,11 @@ class LineClock:
         self._since_s, self._least_s = -math.inf, math.inf
 
     def free_s(self, now_s: float) -> float:
-        """When the last byte handed over is on the line, or now."""
+        """When the last written byte is on the line, or now."""
         return max(self._free_s, now_s)
 
     def hand(self, count: int, now_s: float) -> float:
-        """Bytes handed over now; returns when the last of them is on the line."""
+        """Record bytes written now; returns when the last of them is on the line."""
         if self.handed == self._out:
             self._moved_s = now_s
         self.handed += count
@@ -34,7 +34,7 @@ class LineClock:
         return self._free_s
 
     def hear(self, waiting: int, now_s: float, refused: bool) -> int:
-        """What is told of bytes that are not on the line yet; returns how many have gone out so far.
+        """Record the number of bytes that are not on the line yet; returns how many have been sent so far.
 
         refused: whether the system takes no more bytes
         """
@@ -42,9 +42,9 @@ class LineClock:
         if out > self._out or not (waiting or refused):
             self._moved_s = now_s
         self._out = max(self._out, out)
-        # Bytes that a line with another rate than ours, or one that stands, has not taken yet
+        # Bytes that a line with another rate than ours, or a blocked one, has not taken yet
         self._free_s = max(self._free_s, now_s + waiting * self.byte_s - TOLD_LATE_S)
-        # A little that is always there is no old news: it would never be made up for
+        # A small constant count is not an old reading: it would never be made up for
         self._least_s = min(self._least_s, now_s + waiting * self.byte_s - self._free_s)
         if self._since_s == -math.inf:
             self._since_s = now_s
@@ -55,5 +55,5 @@ class LineClock:
         return self._out
 
     def stuck_s(self, now_s: float) -> float:
-        """For how long no byte has gone out, though some wait."""
+        """Time since the last byte was sent, while some wait."""
         return now_s - self._moved_s

@@ -1,4 +1,4 @@
-"""What the caller and its player tell each other over a socket.
+"""Messages between the caller and its player over a socket.
 
 To the player: a kind, a length and that many bytes. From it: JSON objects, one a line.
 """
@@ -15,22 +15,22 @@ from palmfield.drive.player.budget import WINDOW_S
 
 HEAD = struct.Struct("<cI")
 JOB, SCHEDULE, FRAME, MUTE, END = b"J", b"S", b"F", b"M", b"E"
-"""Kinds: what to open; frames with their times; a live frame; no more live frames for now; no more at all."""
+"""Kinds: parameters to open; frames with their times; a live frame; pause of live frames; end."""
 FRAME_HEAD = struct.Struct("<ddfH")
 SCHEDULE_HEAD = struct.Struct("<dI")
 
 
 @dataclass(frozen=True)
 class Job:
-    """What a player opens and how it plays. Bytes are in hexadecimal digits, times in seconds.
+    """Parameters of a player. Bytes are in hexadecimal digits, times in seconds.
 
-    start, stop: byte sequences, both of which silence the board; realtime: whether it asks for priority over all else
-    log: file that lines of a log are added to, empty for none; refresh_s: how often what rests is sent again
-    lost_s: how long a line may take no bytes; replug_s: how long it waits for a port that is gone, to silence the board
-    patience_s: how long it tries to silence a board whose port is there and takes nothing; 0 for as long as it is
+    start, stop: byte sequences, both of which silence the board; realtime: whether it requests the highest priority
+    log: file to which lines of a log are added, empty for none; refresh_s: interval of repetition of constant frames
+    lost_s: longest time without bytes taken by a line; replug_s: longest wait for a lost port, to silence the board
+    patience_s: longest time to silence a board whose port exists and takes no bytes; 0 for no limit
     stale_s: after which a live frame is old; ramp_s: time from silence to full and back, of live frames
-    on_time_s: longest that live frames may sound altogether, 0 for any; duty: largest share of time, over duty_window_s
-    tells_frames: whether it reports of each live frame when its last byte was on the line
+    on_time_s: longest total of sound of live frames, 0 for any; duty: largest share of time, over duty_window_s
+    tells_frames: whether it reports when the last byte of each live frame was on the line
     """
 
     port: str
@@ -60,7 +60,7 @@ class Job:
 
 
 class Schedule(NamedTuple):
-    """Frames and when each is emitted, its last byte on the line, since the start [s], rising; they end at duration_s.
+    """Frames and their times of emission (last byte on the line) since the start [s], rising; they end at duration_s.
 
     The last frame sounds until duration_s.
     """
@@ -91,9 +91,9 @@ class Schedule(NamedTuple):
 
 
 class LiveFrame(NamedTuple):
-    """A frame that is made while others sound.
+    """A frame made while others sound.
 
-    made_s: when what it shows was known, on time.monotonic() [s]; level: of its sound, 0 for silence
+    made_s: time of its input data, on time.monotonic() [s]; level: of its sound, 0 for silence
     steps: the same frame at rising levels up to its own, all of one length; just itself where there is none between
     due_s: when its last byte is wanted on the line, on that clock, later than that of all before; 0: as soon as it can
     """
@@ -120,7 +120,7 @@ def packed(kind: bytes, data: bytes = b"") -> bytes:
 
 
 class Inbox:
-    """Messages that come over a socket that never blocks. closed: whether the other side has closed it"""
+    """Messages from a socket that never blocks. closed: whether the other side has closed it"""
 
     def __init__(self, connection: socket.socket) -> None:
         self._socket = connection
@@ -128,7 +128,7 @@ class Inbox:
         self.closed = False
 
     def read(self) -> None:
-        """Take in all that is there."""
+        """Read all available data."""
         while not self.closed:
             try:
                 data = self._socket.recv(1 << 20)
@@ -140,7 +140,7 @@ class Inbox:
             self._bytes += data
 
     def messages(self) -> Iterator[tuple[bytes, bytes]]:
-        """Kind and bytes of each message that is whole."""
+        """Yield kind and bytes of each complete message."""
         while len(self._bytes) >= HEAD.size:
             kind, size = HEAD.unpack_from(self._bytes)
             if len(self._bytes) < HEAD.size + size:
@@ -150,7 +150,7 @@ class Inbox:
             yield kind, data
 
     def lines(self) -> Iterator[dict[str, Any]]:
-        """Each JSON object whose line is whole."""
+        """Yield the JSON object of each complete line."""
         while (end := self._bytes.find(b"\n")) >= 0:
             line = bytes(self._bytes[:end])
             del self._bytes[: end + 1]

@@ -1,8 +1,8 @@
-"""The player's process: `python -m palmfield.drive.player.process TALK ALARM`, numbers of two sockets of the caller's.
+"""The player's process: `python -m palmfield.drive.player.process TALK ALARM`, numbers of two sockets of the caller.
 
-It loads neither NumPy nor Warp nor MuJoCo. It plays what it is told to over the first socket. Over the second come
-numbers of the caller's signals, which the system writes there even while the caller is busy. The board is silenced when
-the caller says so, is gone or is stopped, and when a signal ends this process.
+It loads neither NumPy nor Warp nor MuJoCo. It plays the frames received over the first socket. The second carries
+numbers of the caller's signals, which the system writes even while the caller is busy. The board is silenced at the
+caller's request, if the caller ends or is stopped, and if a signal ends this process.
 """
 
 import contextlib
@@ -27,13 +27,13 @@ from palmfield.errors import PalmfieldError
 
 now_s = time.monotonic
 SPIN_S = 80e-6
-"""Waits end so much before a moment; the rest is spent looking at the clock."""
+"""Waits end this much before a moment; the rest is a busy loop on the clock."""
 LOOK_S = 0.02
-"""How long a wait is at most: then the caller is looked at."""
+"""Longest wait: then the caller is checked."""
 PARENT_S = 0.05
 PROGRESS_S = 0.1
 IDLE_S = 200e-6
-"""Time that a line of the log may take."""
+"""Time allowed to write a line of the log."""
 ENDS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
 STOPS, GOES_ON = int(getattr(signal, "SIGTSTP", 0)), int(getattr(signal, "SIGCONT", 0))
 
@@ -44,7 +44,7 @@ MCL_CURRENT, MCL_FUTURE = 1, 2
 
 
 def collect_no_garbage() -> None:
-    """No pause for reference cycles, of which a player makes none; wake up when a wait is over, not 50 us later."""
+    """Switch off garbage collection, which a player does not need; end waits on time, not 50 us later."""
     gc.collect()
     gc.freeze()
     gc.disable()
@@ -53,7 +53,7 @@ def collect_no_garbage() -> None:
 
 
 def take_priority() -> str:
-    """Ask for SCHED_FIFO and for memory that stays in RAM; returns what was got, in words, and why not all."""
+    """Request SCHED_FIFO and locked memory; returns the result in words, with reasons."""
     if not hasattr(os, "sched_setscheduler"):
         return "normal priority (this system has no SCHED_FIFO)"
     try:
@@ -70,9 +70,9 @@ def take_priority() -> str:
 
 
 class Caller:
-    """What the caller wants, by its messages, its signals, and whether it is there.
+    """The caller's requests, by its messages and signals, and whether it exists.
 
-    ended: why the player is to end, empty while it is not; signals: that asked for it; paused: is to be silent
+    ended: reason to end, empty without one; signals: that requested it; paused: must be silent
     """
 
     def __init__(self, talk: socket.socket, alarm: socket.socket) -> None:
@@ -92,7 +92,7 @@ class Caller:
         self.signals += by_signal
 
     def listen(self) -> list[tuple[bytes, bytes]]:
-        """Take in signals, and return the messages that have come."""
+        """Read signals, and return the messages that have come."""
         try:
             for number in self.alarm.recv(64):
                 self._signal(number)
@@ -111,7 +111,7 @@ class Caller:
             self._paused = number == STOPS
 
     def _look(self) -> None:
-        """A caller that has ended while children of its own hold the sockets, or that is stopped (SIGSTOP)."""
+        """Detect a caller that has ended while its children hold the sockets, or that is stopped (SIGSTOP)."""
         now = now_s()
         if now - self._looked_s < PARENT_S:
             return
@@ -123,12 +123,12 @@ class Caller:
             self._stopped = file.read().rpartition(b")")[2].split()[0] in (b"T", b"t")
 
     def wait(self, until_s: float) -> bool:
-        """Wait until a moment, a message, or LOOK_S; whether the moment has come."""
+        """Wait until a moment, a message, or LOOK_S; returns whether the moment has come."""
         rest = until_s - SPIN_S - now_s()
         if rest > 0.0:
             open_ones = [one for one in (self.talk, self.alarm) if one not in self._closed]
             for one in select.select(open_ones, [], [], min(rest, LOOK_S))[0]:
-                # What is closed is always ready
+                # A closed socket is always ready
                 with contextlib.suppress(OSError):
                     if not one.recv(1, socket.MSG_PEEK):
                         self._closed.add(one)
@@ -140,13 +140,13 @@ class Caller:
         return True
 
     def tell(self, **what: Any) -> None:
-        """Send a line; without waiting, as nobody may read it."""
+        """Send a line without waiting, since it may not be read."""
         with contextlib.suppress(OSError):
             self.talk.send(json.dumps(what).encode() + b"\n")
 
 
 class Session:
-    """A board and its caller, until one of them is gone."""
+    """A board and its caller, until one of them is lost."""
 
     def __init__(self, board: BoardEnd, caller: Caller, priority: str) -> None:
         self.board, self.caller, self.priority = board, caller, priority
@@ -169,14 +169,14 @@ class Session:
                 self._pause()
                 continue
             if self.source is None:
-                self.board.free_s(now_s())  # raises where the port is gone
+                self.board.free_s(now_s())  # raises if the port is lost
                 self.caller.wait(now_s() + LOOK_S)
                 continue
             self._step(self.source)
         self._fade()
 
     def _fade(self) -> None:
-        """What is live falls silent within its ramp, unless the caller asks again to end, or is stopped."""
+        """Fade live sound out within its ramp, unless the caller requests the end again, or is stopped."""
         source, signals = self.source, self.caller.signals
         if not isinstance(source, LiveSource) or source.ramp_s <= 0.0:
             return
@@ -238,7 +238,7 @@ class Session:
                 self.caller.tell(sounds_s=self._first_sound_s)
 
     def _pause(self) -> None:
-        """Silence while the caller is stopped, and then on from there."""
+        """Be silent while the caller is stopped, then continue."""
         began = now_s()
         if self.board.sounding:
             self.board.send_stop()
@@ -259,7 +259,7 @@ class Session:
         self.caller.tell(progress=[self.board.frames - self._frames_before, source.skipped])
 
     def report(self, source: Source | None) -> dict[str, Any]:
-        """Of all frames of a source, as `PlayReport` has it."""
+        """Report all frames of a source, as `PlayReport`."""
         late = self.board.late_s[self._frames_before :]
         handed = self.board.write_late_s[self._frames_before :]
         return {
@@ -280,9 +280,9 @@ class Session:
 
 
 def silence(board: BoardEnd, caller: Caller, lost: str) -> str:
-    """Silence the board, trying again as long as its port is there; returns why that failed, empty where it did not.
+    """Silence the board, retrying as long as its port exists; returns why that failed, or "".
 
-    lost: why the port was lost, empty where it was not
+    lost: why the port was lost, or ""
     """
     began, told, signals = now_s(), False, caller.signals
     gone_since: float | None = None
@@ -300,7 +300,7 @@ def silence(board: BoardEnd, caller: Caller, lost: str) -> str:
                 return f"the port has taken no bytes for {patience:g} s"
         else:
             gone_since = gone_since or now
-            # A URL has no file that would come back: it is opened anew
+            # A URL has no file that could come back: it is reopened
             if board.is_url and board.try_stop():
                 return ""
             if board.job.port.startswith("/dev/pts/"):
@@ -343,7 +343,7 @@ def main() -> int:
         if not isinstance(error, PortStuck):
             board.close_port()
     except PalmfieldError as error:
-        # Units that are opened by the first bytes, and are not there
+        # Units that are opened by the first bytes, and are missing
         board.close()
         caller.tell(failed=str(error))
         return 1
@@ -360,7 +360,7 @@ def main() -> int:
 
 
 def first_job(talk: socket.socket) -> Job:
-    """The first message. Raises EOFError where the caller is gone before."""
+    """The first message. Raises EOFError if the caller ends before."""
     inbox = Inbox(talk)
     talk.setblocking(False)
     while True:

@@ -4,20 +4,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 UNSENT_SHARE = 0.01
-"""Of due frames, above which not sending them is a fault that users are told of."""
+"""Share of unsent among due frames above which users are warned."""
 
 
 @dataclass(frozen=True)
 class PlayReport:
-    """frames: sent whole; skipped: not sent because a newer one was due too; cut: of which the system took only a part
+    """frames: sent whole; skipped: replaced by a newer due one; cut: partly taken by the system
 
-    late_s: worst delay of a frame's last byte on the line; late_p99_s, late_p50_s: which 99 and 50 % stay within
-    write_p99_s: which 99 % of delays stay within when frames are handed to the system; write_worst_s: the worst of them
-    seconds: that frames went out for; priority: that the player had, in words
+    late_s: worst delay of a frame's last byte on the line; late_p99_s, late_p50_s: 99 and 50 % quantiles of it
+    write_p99_s: 99 % quantile of the delay of writing to the system; write_worst_s: the worst delay
+    seconds: duration of the sending; priority: of the player, in words
     first_s, last_s: when the last bytes of the first and the last frame were on the line, on time.monotonic() [s]; None
-        where nothing was sent, and of a record
-    on_line: of live frames, where the player was asked to tell: their numbers, in the order in which they were given to
-        it, and when the last byte of each was on the line, on time.monotonic() [s]
+        without frames, and of a record
+    on_line: of live frames, if requested: their numbers, in the order given, and when the last byte of each was on the
+        line, on time.monotonic() [s]
     """
 
     frames: int
@@ -36,12 +36,12 @@ class PlayReport:
 
     @property
     def unsent(self) -> float:
-        """Share of the frames that were due."""
+        """Unsent share of the due frames."""
         return self.skipped / max(1, self.frames + self.skipped)
 
     @property
     def warning(self) -> str:
-        """What users are warned of; empty where more than UNSENT_SHARE of the frames went out."""
+        """Warning for users; empty if the unsent share is at most UNSENT_SHARE."""
         if self.unsent <= UNSENT_SHARE:
             return ""
         return (
@@ -51,6 +51,6 @@ class PlayReport:
 
 
 def quantile(values: Sequence[float], share: float) -> float:
-    """The value that such a share of some values stays within, 0 of none. Players do not load NumPy."""
+    """Return a quantile of some values, 0 of none. Players do not load NumPy."""
     ordered = sorted(values)
     return ordered[min(len(ordered) - 1, int(share * len(ordered)))] if ordered else 0.0

@@ -1,4 +1,4 @@
-"""What a player sends next and when: of a schedule, and of live frames. The newest frame that is due wins."""
+"""What a player sends next and when: of a schedule, and of live frames. The newest due frame wins."""
 
 import math
 from collections import deque
@@ -9,15 +9,15 @@ from palmfield.drive.player.budget import SoundBudget
 from palmfield.drive.player.messages import LiveFrame, Schedule
 
 CLOSE_S = 1e-6
-"""A line that is free within this of a frame's time is busy until then."""
+"""A line that is free within this of a frame's time counts as busy until then."""
 LIVE_AHEAD_S = 1e-3
-"""How long before the line is free a live frame is handed over, so that the line has no pause [s]."""
+"""A live frame is written this long before the line is free, so that the line has no pause [s]."""
 
 
 class NextFrame(NamedTuple):
-    """at_s: when to hand it over; due_s: when its last byte is wanted on the line; data: empty to look again then
+    """at_s: when to write it; due_s: target time of its last byte on the line; data: empty to choose again then
 
-    number: of the frame among all, from 0 on; -1 for what is sent again or by the way
+    number: of the frame among all, from 0 on; -1 for repeated or extra frames
     """
 
     at_s: float
@@ -27,22 +27,22 @@ class NextFrame(NamedTuple):
 
 
 class Source(Protocol):
-    """What is played. skipped: frames that were due and not sent, because a newer one was due too"""
+    """What is played. skipped: frames replaced by a newer due one"""
 
     skipped: int
 
     def choose(self, now_s: float, free_s: float) -> NextFrame | None:
-        """The frame to send next, with the line free at a time; None where all is sent and its time is over."""
+        """Return the next frame, with the line free at a time; None after the end."""
 
     def sent(self, now_s: float) -> None:
-        """The chosen one is on its way."""
+        """Record that the chosen one was sent."""
 
     def shift(self, by_s: float) -> None:
-        """It was paused for so long."""
+        """Shift the schedule by a pause of this length."""
 
 
 class ScheduleSource:
-    """Frames whose times are known. One frame may wait for the line while another is on it."""
+    """Frames with given times. One frame may wait for the line while another is on it."""
 
     def __init__(self, schedule: Schedule, byte_s: float, now_s: float) -> None:
         self.schedule, self.byte_s = schedule, byte_s
@@ -69,7 +69,7 @@ class ScheduleSource:
             number, begins, takes = number + 1, begins_next, takes_next
             self.skipped += 1
         self._next = number
-        # While the line is busy anyway a frame waits in the system's buffer, so that the line has no pause
+        # While the line is busy a frame waits in the system's buffer, so that the line has no pause
         at = begins if free_s < begins - CLOSE_S else free_s - takes
         return NextFrame(at, begins + takes, frames[number], number)
 
@@ -78,12 +78,12 @@ class ScheduleSource:
 
     def shift(self, by_s: float) -> None:
         self.start_s += by_s
-        # What sounded before the pause sounds again
+        # The sound before the pause is repeated
         self._next = max(0, self._next - 1)
 
 
 def on_the_line(schedule: Schedule, byte_s: float, free_s: float) -> Iterator[NextFrame]:
-    """The frames of a schedule that a line takes, each with `at_s`, when its first byte is on the line.
+    """Return the frames of a schedule that a line can take, each with `at_s`, when its first byte is on the line.
 
     byte_s: time of a byte on the line [s]; free_s: when the line is free [s], at which the schedule begins
     """
@@ -98,11 +98,11 @@ def on_the_line(schedule: Schedule, byte_s: float, free_s: float) -> Iterator[Ne
 
 
 class LiveSource:
-    """The newest of frames that come as they are made; old ones fade out. Between silence and full there is a ramp.
+    """The newest live frame; old ones fade out. Between silence and full there is a ramp.
 
-    Frames that are due at a time wait for it, and of these the newest that is due wins.
+    Frames with a due time wait for it, and of several due ones the newest is sent.
 
-    said: why it is silent, empty where it isn't; muted: by the caller
+    said: why it is silent, or ""; muted: by the caller
     """
 
     def __init__(
@@ -131,7 +131,7 @@ class LiveSource:
         self.silent = True
 
     def take(self, frame: LiveFrame) -> None:
-        """A newer frame than all before."""
+        """Take a frame newer than all before."""
         self.muted = False
         if frame.due_s > 0.0:
             self._waiting.append((self._taken, frame))
@@ -142,7 +142,7 @@ class LiveSource:
         self._taken += 1
 
     def fade(self) -> None:
-        """From now on nothing is shown any more, and what sounds falls silent."""
+        """Stop showing frames, and let the present sound fade out."""
         self.muted = True
         self.skipped += len(self._waiting)
         self._waiting.clear()
@@ -152,14 +152,14 @@ class LiveSource:
         self._number, self._newest, self._unsent = number, frame, True
 
     def _show_due(self, now_s: float, free_s: float) -> float:
-        """Show the frame that is to be handed over by now; returns when the next one that waits is [s]."""
+        """Show the frame that is to be written by now; returns the time of the next waiting one [s]."""
         while len(self._waiting) > 1 and self._begins_s(1) <= max(self._begins_s(0), free_s, now_s):
             self._waiting.popleft()
             self.skipped += 1
         if not self._waiting:
             return math.inf
         begins = self._begins_s(0)
-        # One frame waits in the system's buffer while another is on the line, as of a schedule
+        # One frame waits in the system's buffer while another is on the line, as in a schedule
         at = begins if free_s < begins - CLOSE_S else free_s - self._line_s(0)
         if at > now_s:
             return at
@@ -192,7 +192,7 @@ class LiveSource:
         due = frame.due_s if timed else (frame.made_s if self._unsent else now_s) + len(data) * self.byte_s
         at = now_s if timed else max(now_s, free_s - LIVE_AHEAD_S)
         if data == self._sent[0] and not self._unsent:
-            # While a ramp lasts and until the frame is old somebody looks again soon
+            # During a ramp and until the frame is old the next check is soon
             soon = now_s + min(0.01, max(1e-4, self.ramp_s / max(1, len(frame.steps))))
             at = max(at, self._sent[1] + self.refresh_s)
             if at > soon:
@@ -201,10 +201,10 @@ class LiveSource:
         return self._choice
 
     def _ramped(self, frame: LiveFrame, now_s: float) -> float:
-        """Share of its level that the newest frame has now: it rises and falls within the ramp's time."""
+        """Share of the newest frame's level now, which rises and falls within the ramp's time."""
         sounds = self._gain > 0.0 and frame.level > 0.0
         within = self.budget.allows(now_s, sounds)
-        # What is made for a later moment is old after that
+        # A frame for a later moment becomes old after that
         old = now_s - max(frame.made_s, frame.due_s) > self.stale_s
         self.said = "" if within else self.budget.said
         if old and not self.said:
