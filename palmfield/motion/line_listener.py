@@ -104,7 +104,7 @@ class LineListener(ABC):
             )
 
     def wait(self, after: int, timeout_s: float) -> bool:
-        """Wait until more than so many good lines have come; whether they have. Raises DeviceError as `check`."""
+        """Wait until more than so many good lines came; returns whether they did. Raises DeviceError as `check`."""
         with self._news:
             self._news.wait_for(lambda: self.taken > after or self._failed is not None, timeout_s)
         self.check()

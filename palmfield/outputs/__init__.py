@@ -1,4 +1,4 @@
-"""What a run leaves: result.nc (schema 2), summary.json, pictures and a USD scene.
+"""Results of a run: result.nc (schema 2), summary.json, pictures and a USD scene.
 
 from palmfield.outputs import instances, normal_component, open_result
 with open_result("out/palm") as result:

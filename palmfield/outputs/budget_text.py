@@ -5,19 +5,19 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 TextRow = tuple[str, str]
-"""Of a table: what, and its size."""
+"""Row of a table: quantity and size."""
 Part = tuple[str, float, float]
-"""Of a band: an input, and the factors at the low and high ends of its range."""
+"""Part of a band: an input, and the factors at the low and high ends of its range."""
 PARTS = {"mesh": "mesh", "step": "time step", "reduction": "reduction", "edge": "cut edge", "field": "field in float32"}
-"""Of the numerical error, by the beginning of its key in a skin's numbers."""
+"""Parts of the numerical error, by the beginning of their keys in a skin's numbers."""
 COARSE = 0.05
-"""Relative band above which a number is told by two digits."""
+"""Relative band above which a number is shown with two digits."""
 SHOWN = 5e-4
-"""Relative bias below which nothing is told of what is left out."""
+"""Relative bias below which ignored effects are not reported."""
 
 
 def budget_rows(skin: Mapping[str, Any]) -> list[TextRow]:
-    """What a skin's motion is worth: of its response under the focus, in three kinds that are not added up."""
+    """Uncertainty of a skin's motion: of its response under the focus, in three kinds that are not added up."""
     velocity = skin.get("reduction_velocity_error_relative")
     of_velocity = "" if velocity is None else f" ({100 * velocity:.2g} % of the velocity)"
     parts = [
@@ -40,19 +40,19 @@ def budget_rows(skin: Mapping[str, Any]) -> list[TextRow]:
 
 
 def figures(value: float, band: float) -> str:
-    """A number with no more digits than its relative band leaves: 2 above 5 %, 3 above 0.5 %, else 4."""
+    """Format a number with the digits that its relative band allows: 2 above 5 %, 3 above 0.5 %, else 4."""
     digits = 2 if band > COARSE else 3 if band > COARSE / 10 else 4
     text = f"{value:.{digits}g}"
     return f"{float(text):.0f}" if "e" in text and 1.0 <= abs(value) < 1e6 else text
 
 
 def widest(budget: Mapping[str, Any] | None) -> float:
-    """The widest bias of what a budget says was left out, its larger end, relative; 0 where none is known."""
+    """Return the widest bias of the effects that a budget ignores, its larger end, relative; 0 if none is estimated."""
     return max((_largest(one) for one in (budget or {}).get("left_out", ()) if one["low"] is not None), default=0.0)
 
 
 def input_parts(skin: Mapping[str, Any], without: Sequence[str] = ()) -> list[Part]:
-    """The inputs of a skin's motion that have a known range, with the factors on it. without: inputs by name"""
+    """Return the inputs of a skin's motion that have a given range, with the factors on it. without: inputs by name"""
     parts = {one["what"]: (one["low"], one["high"]) for one in _ranges(skin.get("error_budget") or {"inputs": ()})}
     if "p0_band_low" in skin:
         parts = {"p0": (skin["p0_band_low"], skin["p0_band_high"])} | parts
@@ -60,9 +60,9 @@ def input_parts(skin: Mapping[str, Any], without: Sequence[str] = ()) -> list[Pa
 
 
 def combined(parts: Sequence[Part]) -> tuple[float, float]:
-    """One band of several inputs, as factors: the root sum of squares of their logarithms, for each side by itself.
+    """Combine inputs into one band, as factors: root sum of squares of their logarithms, for each side separately.
 
-    It holds for inputs that are independent of each other, of which the motion is a product.
+    It holds for independent inputs, of which the motion is a product.
     """
     lows, highs = [low for _, low, _ in parts], [high for _, _, high in parts]
     low = 0.0 if min(lows, default=1.0) <= 0.0 else math.exp(-math.hypot(*(math.log(min(one, 1.0)) for one in lows)))
@@ -70,7 +70,7 @@ def combined(parts: Sequence[Part]) -> tuple[float, float]:
 
 
 def parts_text(parts: Sequence[Part], ends: Callable[[float, float], str] | None = None) -> str:
-    """The parts of a band by name. ends: their two factors in words"""
+    """List the parts of a band by name. ends: their two factors in words"""
     said = ends or (lambda low, high: f"x {low:.2g} to {high:.2g}")
     return ", ".join(f"{what} {said(low, high)}" for what, low, high in parts)
 
@@ -80,7 +80,7 @@ def _largest(bias: Mapping[str, Any]) -> float:
 
 
 def largest_left_out(budget: Mapping[str, Any] | None) -> str:
-    """The largest bias of what was left out, in words that follow a semicolon; nothing where none is worth showing."""
+    """Return the largest bias of ignored effects, as text after a semicolon; empty if none is significant."""
     told = _told(budget) if budget else []
     if not told:
         return ""
@@ -89,17 +89,17 @@ def largest_left_out(budget: Mapping[str, Any] | None) -> str:
 
 
 def _told(budget: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """What is left out and known to be worth telling."""
+    """Return the significant ignored effects."""
     return [one for one in budget["left_out"] if one["low"] is not None and _largest(one) > SHOWN]
 
 
 def _ranges(budget: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """Inputs that leave a range open which is known."""
+    """Return the inputs with a given range."""
     return [one for one in budget["inputs"] if one["low"] is not None and one["low"] < one["high"]]
 
 
 def bias_text(low: float, high: float) -> str:
-    """By how much the true value differs from the computed one, relative, in words."""
+    """Relative difference of the true value from the computed one, in words."""
     if low == high == 0.0:
         return "0 %"
     if low == -high:
@@ -109,7 +109,7 @@ def bias_text(low: float, high: float) -> str:
 
 
 def in_a_line(budget: Mapping[str, Any] | str | None) -> str:
-    """A budget's largest parts in one line, for pictures; nothing without a budget."""
+    """Return a budget's largest parts in one line, for pictures; empty without a budget."""
     if not isinstance(budget, Mapping):
         return ""
     parts = [f"numerical {figures(100 * budget['numerical']['displacement_error_relative'], 1.0)} %"]

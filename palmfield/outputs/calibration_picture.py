@@ -1,4 +1,4 @@
-"""The picture of a calibration: each transducer at its place, with phase, polarity and gain."""
+"""The picture of a calibration: each transducer with phase, polarity and gain."""
 
 import math
 from pathlib import Path
@@ -13,9 +13,9 @@ from palmfield.types import Array, Float
 
 
 def draw_calibration(calibration: Calibration, array: Array, path: Path) -> Path:
-    """PNG of two maps of the board, seen from where it sounds; returns its path.
+    """Draw a PNG of two maps of the board, seen from its front; returns its path.
 
-    array: the calibration's layout. Raises OutputError where the picture cannot be written.
+    array: the calibration's layout. Raises OutputError if the picture cannot be written.
     """
     elements = calibration.elements
     with style():
@@ -71,7 +71,7 @@ def _ends(values: Float) -> tuple[float, float]:
 
 
 def _marker(array: Array) -> float:
-    """Area of a marker [points^2] at which neighbours nearly touch in a map of 3.4 inches."""
+    """Return the area of a marker [points^2] at which neighbours nearly touch in a map of 3.4 inches."""
     extent = float(np.ptp(array.positions[:, :2], axis=0).max()) or 1.0
     pitch = extent / math.sqrt(len(array))
     return float(np.clip((0.8 * 72.0 * 3.0 * pitch / extent) ** 2, 2.0, 400.0))

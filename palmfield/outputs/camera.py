@@ -1,4 +1,4 @@
-"""Where the picture of a scene is taken from."""
+"""Camera of the picture of a scene."""
 
 from typing import NamedTuple
 
@@ -14,9 +14,9 @@ MARGIN = 0.05
 
 
 class Camera(NamedTuple):
-    """A pinhole camera: eye [m], unit axes in the world, and where points fall in the picture.
+    """A pinhole camera: eye [m], unit axes in the world, and projection to the picture.
 
-    focal: distance of the picture plane [pixels]; centre: pixel that lies straight ahead, (column, row)
+    focal: distance of the picture plane [pixels]; centre: principal point, (column, row)
     """
 
     eye: Float
@@ -36,16 +36,16 @@ class Camera(NamedTuple):
 def look_along_emission(
     points: Float, array_pose: Float, window: tuple[float, float, float, float], azimuth_deg: float = AZIMUTH_DEG
 ) -> Camera:
-    """Camera that sees the side of things which the array's sound reaches, with all points in a window of the picture.
+    """Return a camera that faces the sides reached by the array's sound, with all points in a window of the picture.
 
     points: [m] in the world, shape (n, 3); array_pose: shape (7,); window: left, top, width, height [pixels]
-    azimuth_deg: from where, round the array's z
-    It looks along the array's +z, slanted, so array and target lie beside each other. The world's z points up.
+    azimuth_deg: of the view, round the array's z
+    It looks along the array's +z, slanted, so that array and target are next to each other. The world's z points up.
     """
     x, y, z = axes(array_pose)
     azimuth, slant = np.radians(azimuth_deg), np.radians(SLANT_DEG)
     forward = np.cos(slant) * (np.cos(azimuth) * x + np.sin(azimuth) * y) + np.sin(slant) * z
-    # Where the camera looks straight up or down, the world's z gives no direction in the picture; the board's y does.
+    # If the camera looks straight up or down, the world's z has no direction in the picture; use the board's y.
     vertical = np.array([0.0, 0.0, 1.0]) if abs(forward[2]) < 0.95 else y
     right = np.cross(forward, vertical)
     right /= np.linalg.norm(right)
@@ -54,7 +54,7 @@ def look_along_emission(
     focal = 0.5 * height / np.tan(np.radians(FIELD_OF_VIEW_DEG) / 2)
     limits = (0.5 - MARGIN) * np.array([width, height]) / focal
     middle, distance = points.mean(axis=0), 1.0
-    # Each round backs off until the widest point touches the margin, then moves sideways to the middle of what is seen.
+    # Each round backs off until the widest point touches the margin, then centres the visible points.
     for _ in range(20):
         local = points - middle
         across, depth = np.column_stack([local @ right, local @ up]), local @ forward

@@ -1,4 +1,4 @@
-"""Pictures of a measured scan beside a computed one: maps of gain, delay and coherence; frequency and wavenumber."""
+"""Pictures of a measured and a computed scan: maps of gain, delay and coherence; frequency and wavenumber."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,7 +19,7 @@ SHOWN = {"displacement": (1e6, "displacement [um]"), "velocity": (1e3, "velocity
 
 
 def draw_agreement(measured: Scan, computed: Scan, numbers: Agreement, path: Path) -> Path:
-    """PNG of the loudest point's record and maps of level, gain, delay and coherence; returns its path."""
+    """Draw a PNG of the loudest point's record and maps of level, gain, delay and coherence; returns its path."""
     flat = 1e3 * on_plane(measured.points)
     loud = numbers.level >= 0.1
     with style():
@@ -60,7 +60,7 @@ def draw_agreement(measured: Scan, computed: Scan, numbers: Agreement, path: Pat
 
 
 def draw_wavenumbers(spectra: Sequence[FrequencyWavenumber], names: Sequence[str], path: Path) -> Path:
-    """PNG of amplitude over frequency and wavenumber, a panel for each; returns its path."""
+    """Draw a PNG of amplitude over frequency and wavenumber, a panel for each; returns its path."""
     with style():
         figure = Figure(figsize=(4.8 * len(spectra), 4.2), dpi=150, layout="constrained")
         axes = np.atleast_1d(figure.subplots(1, len(spectra), sharex=True, sharey=True))

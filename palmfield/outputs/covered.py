@@ -1,4 +1,4 @@
-"""How a body is drawn beneath its skins: sunk, so that it neither shows through them nor leaves a gap."""
+"""Lower a body beneath its skins for drawing, so that it neither shows through them nor leaves a gap."""
 
 from typing import NamedTuple
 
@@ -12,11 +12,11 @@ from trimesh.remesh import subdivide_to_size
 from palmfield.types import Float, Int
 
 COVERED_M = 4e-3
-"""A body's vertex nearer than this to the inside of a skin is covered by it: coarse skins cut corners."""
+"""Distance within which a skin covers a body's vertex on its inner side: coarse skins cut corners."""
 EDGE_M = 2e-3
-"""So close together are the points of the skin that distances are taken to."""
+"""Spacing of the skin's points to which distances are computed."""
 SUNK_M = 4e-3
-"""Depth of a covered vertex below the skin: more than the largest magnified push. It is less near the skin's rim."""
+"""Depth of a covered vertex below the skin: more than the largest magnified push. It decreases to the skin's rim."""
 SLOPE = 0.3
 
 
@@ -34,7 +34,7 @@ class Under(NamedTuple):
 
 
 def under(points: Float, skins: list[tuple[Float, Int, Float]]) -> Under:
-    """The vertices of a body that its skins cover, and how deep they are drawn.
+    """Return the vertices of a body that its skins cover, and the depths at which they are drawn.
 
     points: the body's at rest [m], (n, 3); skins: nodes [m] (s, 3), triangles (f, 3) and outward normals (s, 3) of each
     Depth grows from 0 at a skin's rim by SLOPE of the distance to it, up to SUNK_M, so that body and skin meet there.
@@ -44,7 +44,7 @@ def under(points: Float, skins: list[tuple[Float, Int, Float]]) -> Under:
     for number, (nodes, faces, normals) in enumerate(skins):
         over, rim = _dense(nodes, faces)
         away, nearest = cKDTree(over).query(points)
-        # A vertex nearest to the rim lies beside the skin
+        # A vertex nearest to the rim is outside the skin
         vertex = np.flatnonzero(free & (away < COVERED_M) & ~rim[nearest]).astype(np.int32)
         free[vertex] = False
         node = cKDTree(nodes).query(over[nearest[vertex]])[1].astype(np.int32)
@@ -56,7 +56,7 @@ def under(points: Float, skins: list[tuple[Float, Int, Float]]) -> Under:
 
 
 def sunk(surface: xr.Dataset, skins: list[xr.Dataset]) -> xr.Dataset:
-    """A body's surface whose rest positions lie below its skins where those cover it.
+    """Return a body's surface with rest positions lowered where skins cover it.
 
     surface: of `instances(result, "surface")`; skins: of `instances(result, "skin")`, on the same body
     """
@@ -70,12 +70,12 @@ def sunk(surface: xr.Dataset, skins: list[xr.Dataset]) -> xr.Dataset:
 
 
 def smooth_normals(points: Float, faces: Int) -> Float:
-    """Unit normals of vertices, shape (n, 3): the mean of those of the triangles round each, by their angles."""
+    """Unit normals of vertices, shape (n, 3): the mean of adjacent triangles' normals, weighted by angle."""
     return np.asarray(trimesh.Trimesh(points, faces, process=False).vertex_normals)
 
 
 def _dense(vertices: Float, faces: Int) -> tuple[Float, NDArray[np.bool_]]:
-    """Points all over a mesh, and which of them lie on its rim."""
+    """Return points all over a mesh, and which of them are on its rim."""
     points, corners = subdivide_to_size(vertices, faces, EDGE_M)
     points, which = np.unique(points.round(9), axis=0, return_inverse=True)
     corners = which.ravel()[corners]

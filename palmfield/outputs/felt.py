@@ -1,6 +1,6 @@
-"""What is felt of a skin: which level is shown, by which observer, with which band, and a run's verdict.
+"""Perceived level of a skin: the level shown, its observer and band, and a run's verdict.
 
-Tables, pictures, the live view and summary.json take all of it from here. Numbers are those of a skin in summary.json.
+Tables, pictures, the live view and summary.json use this module. Numbers are those of a skin in summary.json.
 """
 
 import math
@@ -13,13 +13,13 @@ from palmfield.perception.registry import ALL_OBSERVERS
 
 RULE = "first observer that applies, mid-air before contact"
 DB = 20.0 / math.log(10.0)
-"""Decibels of a factor's natural logarithm."""
+"""Decibels per natural logarithm of a factor."""
 
 
 def shown_level(skin: Mapping[str, Any], name: str) -> tuple[float | None, str]:
-    """The level of an observer [dB SL] that every output shows, and which lines of the motion or force it is of.
+    """Return the level of an observer [dB SL] that every output shows, and its lines of the motion or force.
 
-    All lines together; of an observer that has no level for several lines, that of the main line. None where refused.
+    All lines together; for an observer without a level for several lines, that of the main line. None where refused.
     """
     level, frequencies = skin.get(f"level_all_lines_{name}_dB_SL"), skin.get("line_frequencies_Hz", ())
     if level is not None and len(frequencies) > 1:
@@ -30,7 +30,7 @@ def shown_level(skin: Mapping[str, Any], name: str) -> tuple[float | None, str]:
 
 
 def strongest_line(skin: Mapping[str, Any], name: str) -> str:
-    """The strongest line of an observer's level in words; nothing where there is one line only."""
+    """Return the strongest line of an observer's level in words; empty if there is only one line."""
     frequency = skin.get(f"strongest_line_{name}_Hz")
     if frequency is None:
         return ""
@@ -38,14 +38,14 @@ def strongest_line(skin: Mapping[str, Any], name: str) -> str:
 
 
 def chosen_observer(skin: Mapping[str, Any]) -> str | None:
-    """The observer whose level stands for the skin, by RULE; None where all are refused or the run has no levels."""
+    """Return the observer used for the skin, by RULE; None if all are refused or the run has no levels."""
     return next((name for name in ALL_OBSERVERS if shown_level(skin, name)[0] is not None), None)
 
 
 def level_parts(skin: Mapping[str, Any], name: str) -> list[Part]:
-    """Factors that the inputs with a known range leave open in an observer's level, and its own spread, by name.
+    """Return factors of an observer's level from the ranges of inputs, and its own spread, by name.
 
-    An observer that goes by force depends on p0 alone.
+    An observer based on force depends on p0 alone.
     """
     parts = [one for one in input_parts(skin) if one[0] == "p0" or name != FORCE_OBSERVER.name]
     if spread := skin.get(f"level_{name}_spread_dB"):
@@ -54,13 +54,13 @@ def level_parts(skin: Mapping[str, Any], name: str) -> list[Part]:
 
 
 def level_band_dB(skin: Mapping[str, Any], name: str) -> tuple[float, float]:
-    """By how much all of `level_parts` together lower and raise a level [dB], as a negative and a positive number."""
+    """Return the lower and upper band of a level from all `level_parts` [dB], as a negative and a positive number."""
     low, high = combined(level_parts(skin, name))
     return (DB * math.log(low) if low > 0.0 else -math.inf), DB * math.log(high)
 
 
 def level_text(skin: Mapping[str, Any], name: str, level: float) -> str:
-    """A level with its band, in words; digits follow the band."""
+    """Format a level with its band; digits follow the band."""
     low, high = level_band_dB(skin, name)
     if low == high == 0.0:
         return f"{level:.1f} dB SL"
@@ -68,7 +68,7 @@ def level_text(skin: Mapping[str, Any], name: str, level: float) -> str:
 
 
 def band_text(skin: Mapping[str, Any], name: str) -> str:
-    """The parts of a level's band by name [dB]."""
+    """List the parts of a level's band by name [dB]."""
     return parts_text(level_parts(skin, name), lambda low, high: f"{_dB(low)} to {_dB(high)} dB")
 
 
@@ -77,10 +77,10 @@ def _dB(factor: float) -> str:
 
 
 def verdict(skin: Mapping[str, Any]) -> dict[str, Any]:
-    """Whether a skin's motion is felt: `felt` (yes, perhaps, no or not known) and `because`, in words.
+    """Return whether a skin's motion is felt: `felt` (yes, perhaps, no or not known) and `because`, in words.
 
-    yes: the whole band of the chosen observer's level lies above threshold; no: all of it lies below; perhaps: the band
-    holds the threshold, or the observer's own spread is not established.
+    yes: the whole band of the chosen observer's level is above threshold; no: all of it is below; perhaps: the band
+    contains the threshold, or the observer's own spread is not established.
     """
     name = chosen_observer(skin)
     if name is None:
@@ -104,7 +104,7 @@ def verdict(skin: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def first_line(summary: Mapping[str, Any]) -> str:
-    """The first line of a run: whether its accuracy was reached, where it wasn't, and the verdict of each skin."""
+    """Return the first line of a run: whether its accuracy was reached, where it was not, and each skin's verdict."""
     texts = []
     for skin in summary["skins"]:
         said = verdict(skin)

@@ -31,23 +31,23 @@ from palmfield.types import Float
 SHOWN = ("displacement", "velocity", "arp")
 FPS = 25
 SLOW = 200.0
-"""A second of film is 5 ms."""
+"""A second of film shows 5 ms."""
 SEEN_M = 2e-3
-"""As far as the largest motion is magnified, where no factor is given."""
+"""Size to which the largest motion is magnified by default."""
 QUALITY = (1, 3)
 DPI, DRAWN_FOR = 100, (800, 600)
-"""Text has its size at so many pixels an inch in a picture of that width and height, and grows with the picture."""
+"""Pixels per inch of text at this width and height of the picture; text scales with the picture."""
 POSES = 16
-"""Moments of the film whose poses the camera has to see."""
+"""Number of moments whose poses the camera must see."""
 NICE = (1.0, 2.0, 5.0)
 
 
 @dataclass(frozen=True)
 class Cut:
-    """What a film shows. start_s, end_s: of the run [s], None for its ends; slow: times slower than it was
+    """Contents of a film. start_s, end_s: of the run [s], None for its ends; slow: factor of slow motion
 
-    magnify: of the motion along the normal, None so that the largest is seen as SEEN_M
-    shown: what the colours are, one of SHOWN
+    magnify: of the motion along the normal, None to show the largest as SEEN_M
+    shown: quantity of the colours, one of SHOWN
     limits: of the colours, in their unit; size: width and height [pixels], even
     """
 
@@ -61,7 +61,7 @@ class Cut:
 
 
 class _Look(NamedTuple):
-    """What stays the same in all frames. around: by one skin of each body, its surface, sunk below its skins"""
+    """Data that all frames share. around: by one skin of each body, its surface, lowered below its skins"""
 
     skins: dict[str, xr.Dataset]
     around: dict[str, xr.Dataset]
@@ -75,12 +75,12 @@ class _Look(NamedTuple):
 def film(
     result: xr.DataTree, path: str | Path, cut: Cut | None = None, on_frame: Callable[[int, int], None] | None = None
 ) -> int:
-    """Write an MP4 (H.264) of a run's skins; returns how many frames it has.
+    """Write an MP4 (H.264) of a run's skins; returns its number of frames.
 
-    result: of `open_result`, with displacement of at least one skin; on_frame: gets the number done and of all
-    The camera stands where it sees all skins all the time. Ctrl-C ends the film early; what is done can be played.
-    Raises OutputError for times outside the run, numbers that are not possible, a result without motion, where PyAV is
-    missing (extra `video`), and where `path` can't be written.
+    result: of `open_result`, with displacement of at least one skin; on_frame: called with the numbers done and in all
+    The camera is placed to see all skins all the time. Ctrl-C ends the film early; the finished part can be played.
+    Raises OutputError for times outside the run, invalid numbers, a result without motion, if PyAV is missing (extra
+    `video`), and if `path` cannot be written.
     """
     told = cut or Cut()
     file = Path(path)
@@ -100,7 +100,7 @@ def film(
 
 
 def _times(result: xr.DataTree, cut: Cut) -> Float:
-    """The run's times of which there are frames [s]."""
+    """Return the times of frames [s]."""
     all_times: Float = np.asarray(result.coords["time"])
     if len(all_times) < 2:
         raise OutputError("the result holds fewer than two times; run for longer")
@@ -163,22 +163,22 @@ def _look(result: xr.DataTree, cut: Cut, times: Float) -> _Look:
 
 
 def _round(value: float) -> float:
-    """The next lower of 1, 2, 5, 10, 20, ..."""
+    """Round down to one of 1, 2, 5, 10, 20, ..."""
     ten = 10.0 ** np.floor(np.log10(value))
     return float(ten * max(step for step in NICE if step * ten <= value * (1.0 + 1e-9)))
 
 
 class _Frame:
-    """The canvas that is drawn on again for each frame."""
+    """The canvas that is redrawn for each frame."""
 
     def __init__(self, look: _Look, cut: Cut) -> None:
         self._look, self._cut = look, cut
         width, height = cut.size
         dpi = DPI * min(width / DRAWN_FOR[0], height / DRAWN_FOR[1])
-        # A canvas has whole pixels, cut off and not rounded
+        # A canvas has whole pixels, truncated and not rounded
         self._figure = Figure(figsize=((width + 0.01) / dpi, (height + 0.01) / dpi), dpi=dpi)
         self._canvas = FigureCanvasAgg(self._figure)
-        # Only what is written lies on it: to draw a picture through Matplotlib takes longer than to lay it under
+        # The canvas contains only text: to draw an image through Matplotlib takes longer than to compose it
         self._figure.patch.set_alpha(0.0)
         axes = self._figure.add_axes((0.0, 0.0, 1.0, 1.0), xlim=(0, width), ylim=(height, 0))
         axes.set_axis_off()
@@ -193,7 +193,7 @@ class _Frame:
         self._scale_bar: list[Any] = []
 
     def image(self, result: xr.DataTree, time_s: float) -> Any:
-        """The picture of a time, uint8, shape (height, width, 3)."""
+        """Return the picture of a time, uint8, shape (height, width, 3)."""
         look, cut = self._look, self._cut
         meshes, levels, parts = [], [], []
         groups, surfaces = instances(result, "body"), instances(result, "surface")
@@ -214,7 +214,7 @@ class _Frame:
             levels.append(np.clip((shown - low) / (high - low), 0.0, 1.0))
             if name in look.around:
                 faces = surfaces[name]["face"].values
-                # Shaded as at its true place: the sunk part's edge would darken the body beside the skin
+                # Shaded as at its true place: the lowered part's edge would darken the body next to the skin
                 normals = smooth_normals(in_world(surfaces[name], groups.get(name), time_s), faces)[faces.ravel()]
                 corners = in_world(look.around[name], groups.get(name), time_s)[faces.ravel()]
                 triangles = np.arange(len(corners)).reshape(-1, 3)
@@ -235,7 +235,7 @@ class _Frame:
         return (mixed + 0.5).astype(np.uint8)
 
     def _draw_scale(self, points: Float) -> None:
-        """A bar of a round length at the distance of the skin's middle."""
+        """Draw a bar of a round length at the distance of the skin's middle."""
         camera, middle = self._look.camera, points.mean(axis=0)
         ends = camera.project(np.stack([middle, middle + 0.01 * camera.right]))
         pixels_a_cm = float(np.linalg.norm(ends[1] - ends[0]))
@@ -249,7 +249,7 @@ class _Frame:
 
 @contextlib.contextmanager
 def _encoder(path: Path, size: tuple[int, int]) -> Iterator[Callable[[Any], None]]:
-    """Takes pictures, uint8, shape (height, width, 3), and writes them; a film that is cut off can be played."""
+    """Yield a function that writes pictures, uint8, shape (height, width, 3); an interrupted film can be played."""
     try:
         av = importlib.import_module("av")
     except ImportError:
@@ -257,7 +257,7 @@ def _encoder(path: Path, size: tuple[int, int]) -> Iterator[Callable[[Any], None
     temporary = path.with_name(f".{path.stem}.tmp.mp4")
     try:
         temporary.touch()
-        # Fragments, so that what is written can be read wherever it ends
+        # Fragments, so that a file is readable wherever it ends
         container = av.open(str(temporary), "w", options={"movflags": "frag_keyframe+empty_moov+default_base_moof"})
         stream = container.add_stream("libx264", rate=FPS)
         stream.width, stream.height = size

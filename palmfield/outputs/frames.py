@@ -1,4 +1,4 @@
-"""Where things of a result are in the world: poses of seven numbers, position [m] and unit quaternion (w, x, y, z)."""
+"""Poses of a result's objects in the world: seven numbers, position [m] and unit quaternion (w, x, y, z)."""
 
 import json
 from typing import NamedTuple
@@ -17,12 +17,12 @@ IDENTITY = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 
 
 def to_world(points: Float, pose: Float) -> Float:
-    """Points [m], shape (n, 3), of the frame at `pose` (shape (7,)), in the world."""
+    """Transform points [m], shape (n, 3), from the frame at `pose` (shape (7,)) to the world."""
     return _rotation(pose).apply(points) + pose[:3]
 
 
 def to_local(points: Float, pose: Float) -> Float:
-    """World points [m], shape (n, 3), in the frame at `pose` (shape (7,))."""
+    """Transform world points [m], shape (n, 3), to the frame at `pose` (shape (7,))."""
     return _rotation(pose).inv().apply(points - pose[:3])
 
 
@@ -32,22 +32,22 @@ def axes(pose: Float) -> Float:
 
 
 def nearest(times_s: Float, time_s: float) -> int:
-    """Place of the time that is nearest to `time_s` [s]."""
+    """Return the index of the time nearest to `time_s` [s]."""
     return int(np.abs(times_s - time_s).argmin())
 
 
 def drive_frames(starts_s: Float, times_s: Float) -> Int:
-    """Places of the drive frames that hold at times [s]: the last that have begun; the first before all."""
+    """Return indices of the drive frames that hold at times [s]: the last begun; the first before all."""
     return np.maximum(0, np.searchsorted(starts_s, times_s + 1e-9, "right") - 1).astype(np.int32)
 
 
 def drive_frame(array: xr.Dataset, time_s: float) -> int:
-    """Place along `frame_time` of an array's drive that holds at a time [s]."""
+    """Return the index along `frame_time` of an array's drive that holds at a time [s]."""
     return int(drive_frames(array["frame_time"].values, np.array([time_s]))[0])
 
 
 def check_time(option: str, time_s: float, first_s: float, last_s: float) -> None:
-    """Raises OutputError for a time that an option gives and that the record does not hold, with its ends [s]."""
+    """Raises OutputError for a time in an option outside the record, with its ends [s]."""
     if not first_s <= time_s <= last_s:
         raise OutputError(f"{option} has value {1e3 * time_s:g} ms; allowed: {1e3 * first_s:g} to {1e3 * last_s:g} ms")
 
@@ -55,8 +55,8 @@ def check_time(option: str, time_s: float, first_s: float, last_s: float) -> Non
 def poses_at(group: xr.Dataset | None, times_s: Float) -> Float:
     """Poses of an array or a body at the MuJoCo steps nearest to times [s], shape (n,) -> (n, 7).
 
-    group: one of `instances(result, "array")` or `instances(result, "body")`; the identity where it is None (the result
-    has none) or holds no steps
+    group: one of `instances(result, "array")` or `instances(result, "body")`; the identity if it is None (not in the
+    result) or has no steps
     """
     if group is None or not has_records(group, "pose"):
         return np.tile(IDENTITY, (len(times_s), 1))
@@ -65,15 +65,15 @@ def poses_at(group: xr.Dataset | None, times_s: Float) -> Float:
 
 
 def pose_at(group: xr.Dataset | None, time_s: float) -> Float:
-    """As `poses_at`, of one time, shape (7,)."""
+    """As `poses_at`, for one time, shape (7,)."""
     return poses_at(group, np.array([time_s]))[0]
 
 
 def posed(mesh: xr.Dataset, body: xr.Dataset | None, time_s: float) -> Float:
     """Vertices of a skin or a surface [m], shape (n, 3), in the body frame at the step nearest to a time [s].
 
-    mesh: one of `instances(result, "skin")` or `instances(result, "surface")`; body: of the same name
-    An articulated hand's vertices are blended linearly from its bones; any other body's are as at rest.
+    mesh: one of `instances(result, "skin")` or `instances(result, "surface")`; body: of the same name An articulated
+    hand's vertices are blended linearly from its bones; those of any other body are as at rest.
     """
     rest: Float = mesh["rest_position"].values
     if body is None or not has_records(body, "bone_pose") or "bone_index" not in mesh:
@@ -92,7 +92,7 @@ def in_world(mesh: xr.Dataset, body: xr.Dataset | None, time_s: float) -> Float:
 
 
 class Loudest(NamedTuple):
-    """When the ARP on a skin is largest. time_s: [s], 0 for a silent run; place: along `time`; arp_Pa: [Pa]"""
+    """Moment of the largest ARP on a skin. time_s: [s], 0 for a silent run; place: index along `time`; arp_Pa: [Pa]"""
 
     time_s: float
     place: int
@@ -100,7 +100,7 @@ class Loudest(NamedTuple):
 
 
 def loudest(skin: xr.Dataset) -> Loudest:
-    """When the ARP on a skin is largest; of a run cut off early, from its ARP over time."""
+    """Return the moment of the largest ARP on a skin; for an interrupted run, from its ARP over time."""
     times: Float = skin["time"].values if "time" in skin.coords else np.zeros(0)
     if has_records(skin, "loudest_arp"):
         time_s = float(skin["loudest_time"])
@@ -116,7 +116,7 @@ def loudest(skin: xr.Dataset) -> Loudest:
 
 
 def bodies(result: xr.DataTree) -> dict[str, list[str]]:
-    """Skins by the body that they are on, in the scene's order.
+    """Group skins by body, in the scene's order.
 
     A body is named by the attribute `body` of its skins' groups /body; a skin without one has a body of its own.
     """
@@ -129,14 +129,14 @@ def bodies(result: xr.DataTree) -> dict[str, list[str]]:
 
 
 def arrays_of(stimulus: xr.Dataset, arrays: list[str]) -> list[str]:
-    """Names of the arrays that a stimulus drives: those of its attribute `arrays`, else all."""
+    """Return names of the arrays that a stimulus drives: those of its attribute `arrays`, else all."""
     given = stimulus.attrs.get("arrays")
     chosen = json.loads(given) if isinstance(given, str) else given
     return arrays if chosen is None else [name for name in chosen if name in arrays]
 
 
 def foci_at(stimulus: xr.Dataset, index: int) -> Float:
-    """Focal points in the world [m], shape (m, 3), at a place along `time`; shape (0, 3) in silence."""
+    """Return focal points in the world [m], shape (m, 3), at an index along `time`; shape (0, 3) in silence."""
     if not has_records(stimulus, "foci") or not bool(stimulus["sounding"].isel(time=index)):
         return np.empty((0, 3))
     return stimulus["foci"].isel(time=index).values

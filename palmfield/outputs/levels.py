@@ -1,4 +1,4 @@
-"""Where on a skin how much is felt: levels above threshold at each vertex, of a run's result.
+"""Maps of the perceived level: levels above threshold at each vertex of a skin, from a run's result.
 
 from palmfield.outputs import open_result
 from palmfield.outputs.levels import level_maps
@@ -21,15 +21,15 @@ from palmfield.types import Float32
 
 
 def level_maps(result: xr.DataTree, skin: str | None = None, stimulus: str | None = None) -> xr.Dataset:
-    """Level above threshold by each contact observer at each vertex, of the steady part of a run.
+    """Return levels above threshold of each contact observer at each vertex, in the steady part of a run.
 
     result: of `open_result` or `tree`, of a run that began at 0 s; skin, stimulus: instances, the only ones by default.
-    The level is of all lines (`palmfield.perception.maps.felt_lines`), whose frequencies are an attribute.
-    Returns `level` [dB SL], dimensions (observer, vertex), NaN where an observer's table has none of the lines, -inf
-    where the vertex is at rest; attributes skin, stimulus and frequencies_Hz. Each vertex is taken by itself, without
-    summation over area. The observer that goes by force has no map: it knows nothing of the skin's motion.
-    Raises OutputError for an unknown instance, several of which none is named, a result without displacement, and one
-    that is shorter than two periods of the main frequency.
+    The level is of all lines (`palmfield.perception.maps.felt_lines`), whose frequencies are an attribute. Returns
+    `level` [dB SL], dimensions (observer, vertex), NaN if an observer's table has none of the lines, -inf for a vertex
+    at rest; attributes skin, stimulus and frequencies_Hz. Each vertex is treated separately, without summation over
+    area. The observer based on force has no map: it does not depend on the skin's motion.
+    Raises OutputError for an unknown instance, several without a name given, a result without displacement, and one
+    shorter than two periods of the main frequency.
     """
     chosen, sounding = _one(result, "skin", skin), _one(result, "stimulus", stimulus)
     data = instances(result, "skin")[chosen]
@@ -54,19 +54,19 @@ def level_maps(result: xr.DataTree, skin: str | None = None, stimulus: str | Non
 
 
 FLOOR_DB = -40.0
-"""Of levels over time: what lies lower, or is at rest, counts as this far below threshold [dB SL]."""
+"""Lower limit of levels over time: lower ones, and rest, are set to this [dB SL]."""
 WINDOW_PERIODS = 2
 
 
 class LevelCourse:
-    """Level above threshold at each vertex of a skin, by one observer, in one window of a run after the other.
+    """Level above threshold at each vertex of a skin, by one observer, in successive windows of a run.
 
-    frequencies_Hz: lines that count; window_s: length of each window, WINDOW_PERIODS of the lowest of them
-    Each window is taken as if it went on, and each vertex by itself. What is read of a run is one window at a time.
+    frequencies_Hz: lines that count; window_s: length of each window, WINDOW_PERIODS of the lowest of them Each window
+    is assumed to repeat, and each vertex is treated separately. A run is read one window at a time.
     """
 
     def __init__(self, skin: xr.Dataset, observer: str, frequencies_Hz: list[float]):
-        """skin: of `instances(result, "skin")`. Raises OutputError for a skin whose record has no line to go by."""
+        """skin: of `instances(result, "skin")`. Raises OutputError for a skin whose record has no usable line."""
         self._skin, self._observer = skin, OBSERVERS[observer]
         times = skin["time"].values.astype(float)
         self.frequencies_Hz = lines_in(times, frequencies_Hz)
@@ -80,7 +80,7 @@ class LevelCourse:
         self._ends = np.searchsorted(times, begins + self.window_s - 0.5 * step)
 
     def window_at(self, time_s: float) -> int:
-        """The window that a time [s] lies in; the last whole one for what is left at the end."""
+        """Return the window that contains a time [s]; the last whole one for the rest at the end."""
         begin = float(self._skin["time"].values[0])
         return min(self.count - 1, max(0, int((time_s - begin) / self.window_s + 1e-9)))
 
@@ -94,9 +94,9 @@ class LevelCourse:
 
 
 def level_course(result: xr.DataTree, skin: str, observer: str) -> LevelCourse:
-    """The course of the level on a skin, by the lines of all stimuli.
+    """Return the course of the level on a skin, by the lines of all stimuli.
 
-    Raises OutputError for an unknown observer, and for a run whose stimuli or record have no line to go by.
+    Raises OutputError for an unknown observer, and for a run without usable lines of its stimuli or record.
     """
     if observer not in OBSERVERS:
         known = list(OBSERVERS)
@@ -110,7 +110,7 @@ def level_course(result: xr.DataTree, skin: str, observer: str) -> LevelCourse:
     for name, stimulus in instances(result, "stimulus").items():
         config = keys_of(ResolvedStimulus, name, stimulus)
         felt = felt_lines(times, config)
-        # A path on which the level changes has lines that a short record cannot tell apart: none of them counts
+        # A path with varying level has lines that a short record cannot separate: none of them is used
         lines |= {*felt, *(main_frequencies(config) if felt or repeat_rate_Hz(config) == turn_rate_Hz(config) else ())}
     return LevelCourse(data, observer, sorted(lines))
 

@@ -12,9 +12,9 @@ PIECE_BYTES = 16_000_000
 
 
 def pieces(skin: xr.Dataset, name: str, times: slice = slice(None)) -> Iterator[tuple[slice, Float32]]:
-    """A variable along `time` read in pieces of 16 MB: places along the times that were chosen, and values there.
+    """Yield a variable along `time` in pieces of 16 MB: indices along the chosen times, and values there.
 
-    skin: one of `instances(result, "skin")`; times: which, with a positive step
+    skin: one of `instances(result, "skin")`; times: slice with a positive step
     """
     chosen = range(*times.indices(skin.sizes["time"]))
     row = skin[name].dtype.itemsize * int(np.prod(skin[name].shape[1:]))
@@ -37,8 +37,8 @@ def normal_pieces(
 def normal_component(skin: xr.Dataset, name: str = "displacement", times: slice = slice(None)) -> xr.DataArray:
     """Displacement [m] or velocity [m/s] along the outward normal at rest, shape (time, vertex), float32.
 
-    skin: one of `instances(result, "skin")`; name: `displacement` or `velocity`; times: which, all by default
-    A push is negative. The vectors are read in pieces, so that only the component is held.
+    skin: one of `instances(result, "skin")`; name: `displacement` or `velocity`; times: slice, all by default A push is
+    negative. The vectors are read in pieces, so that only the component is in memory.
     """
     chosen = skin["time"].isel(time=times)
     out = np.empty((len(chosen), skin.sizes["vertex"]), np.float32)
@@ -50,9 +50,9 @@ def normal_component(skin: xr.Dataset, name: str = "displacement", times: slice 
 
 
 class Extremes(NamedTuple):
-    """What a normal component does over time at every vertex, shapes (vertices,).
+    """Extremes of a normal component over time at every vertex, shapes (vertices,).
 
-    peak: largest magnitude; when: its place along `time`; mean, mean_square: over time
+    peak: largest magnitude; when: its index along `time`; mean, mean_square: over time
     """
 
     peak: Float

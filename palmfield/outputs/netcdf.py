@@ -1,7 +1,7 @@
-"""Results as netCDF files, made without ever letting HDF5 write to a disk.
+"""Write results as netCDF files without letting HDF5 write to a disk.
 
-HDF5 crashes the interpreter when its disk fills up. Small files are made in memory; large ones go through a file that
-keeps what it can't write, so that HDF5 never learns of it and this module can raise afterwards.
+HDF5 crashes the interpreter when its disk fills up. Small files are made in memory; large ones use a file object that
+keeps data it cannot write, so that HDF5 sees no error and this module can raise afterwards.
 """
 
 import io
@@ -21,15 +21,15 @@ from palmfield.outputs.schema import LABELS, PLACES, RECORDS, ROOT, Attributes, 
 from palmfield.types import json_value
 
 CHUNK_BYTES = 1_000_000
-"""Of a compressed chunk in the result. HDF5 keeps 1 MiB a variable: a chunk is filled before it is packed."""
+"""Size of a compressed chunk in the result. HDF5 keeps 1 MiB a variable: a chunk is filled before it is packed."""
 COMPRESSION: dict[str, Any] = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
 UNREADABLE = (OSError, ValueError, KeyError, RuntimeError, TypeError)
 
 
 class SpillingFile(io.RawIOBase):
-    """A file on disk that never fails to be written: what has no room there stays in memory, and `lost` says why.
+    """A file on disk whose writing never fails: data without room stay in memory, and `lost` gives the reason.
 
-    It is for little that follows a failure: whoever writes looks at `lost` and stops.
+    Few data may follow a failure: the writer must check `lost` and stop.
     """
 
     def __init__(self, path: Path) -> None:
@@ -105,12 +105,12 @@ class SpillingFile(io.RawIOBase):
 
 
 class ResultWriter:
-    """Writes groups, static variables, and the parts of record variables one after the other."""
+    """Writes groups, static variables, and the parts of record variables in succession."""
 
     def __init__(self, file: h5netcdf.File, lengths: dict[str, int], *, packed: bool) -> None:
         """lengths: of the record dimensions
 
-        packed: a result, whose records are compressed, and whose groups have the coordinates that are the root's
+        packed: a result, whose records are compressed, and whose groups contain the root's coordinates
         """
         self._file, self._lengths, self._packed = file, lengths, packed
         for dim, length in lengths.items():
@@ -118,7 +118,7 @@ class ResultWriter:
                 file.dimensions[dim] = length
 
     def groups(self, paths: Iterable[str], attributes: Attributes) -> None:
-        """Make groups in the schema's order, with their attributes; what netCDF can't hold becomes JSON text."""
+        """Make groups in the schema's order, with their attributes; values that netCDF cannot hold become JSON text."""
         for path in ordered([*paths, *attributes]):
             pairs = attributes.get(path, {})
             self._group(path).attrs.update({name: storable(value) for name, value in pairs.items()})
@@ -196,7 +196,7 @@ class ResultWriter:
 
 
 def image(arrays: Checked, attributes: Attributes) -> bytes:
-    """A netCDF file of some groups, as bytes; times hold their own lengths."""
+    """Return a netCDF file of some groups, as bytes; times have their own lengths."""
     memory = io.BytesIO()
     with h5netcdf.File(memory, "w") as file:
         writer = ResultWriter(file, lengths_of(arrays), packed=False)
@@ -207,7 +207,7 @@ def image(arrays: Checked, attributes: Attributes) -> bytes:
 
 
 def read_image(data: bytes, *, static: bool = True, records: bool = True) -> tuple[Checked, dict[str, dict[str, Any]]]:
-    """Arrays and attributes of a file that `image` made, with or without what goes along a record dimension.
+    """Read arrays and attributes of a file made by `image`, with or without those along a record dimension.
 
     Read with h5py: a netCDF file is an HDF5 file, and h5netcdf takes ten times as long to open one.
     """
@@ -216,7 +216,7 @@ def read_image(data: bytes, *, static: bool = True, records: bool = True) -> tup
     with h5py.File(io.BytesIO(data), "r") as file:
         for path, group in _groups(file, "/"):
             known = variables_of(path)
-            # netCDF keeps a number as an array of one
+            # netCDF stores a number as an array of one
             attributes[path] = {
                 name: value.item() if isinstance(value, np.ndarray) and value.size == 1 else value
                 for name, value in group.attrs.items()
@@ -231,14 +231,14 @@ def read_image(data: bytes, *, static: bool = True, records: bool = True) -> tup
 
 
 def read_lengths(data: bytes) -> dict[str, int]:
-    """How many records a file that `image` made has along each record dimension."""
+    """Return the number of records along each record dimension in a file made by `image`."""
     with h5py.File(io.BytesIO(data), "r") as file:
         return {dim: len(file[dim]) if dim in file else 0 for dim in RECORDS}
 
 
 @contextmanager
 def result_file(path: Path, lengths: dict[str, int]) -> Iterator[tuple[ResultWriter, SpillingFile]]:
-    """A new result file, and what it is written through. Raises OSError afterwards where there was no room for it."""
+    """Yield a new result file, and its writer. Raises OSError afterwards if the disk was full."""
     disk = SpillingFile(path)
     try:
         with h5netcdf.File(disk, "w") as file:
@@ -250,7 +250,7 @@ def result_file(path: Path, lengths: dict[str, int]) -> Iterator[tuple[ResultWri
 
 
 def read_attributes(path: Path) -> dict[str, Any] | None:
-    """Attributes of a file's root; None where it is damaged, half written, missing or no netCDF."""
+    """Return attributes of a file's root; None if it is damaged, incomplete, missing or no netCDF."""
     try:
         with h5netcdf.File(path, "r", decode_vlen_strings=True) as file:
             return dict(file.attrs) | {"_variables": tuple(file.variables)}
@@ -259,18 +259,18 @@ def read_attributes(path: Path) -> dict[str, Any] | None:
 
 
 def record_of(variable: Variable) -> str | None:
-    """The record dimension that a variable goes along, which is its first, or None."""
+    """Return the record dimension of a variable, which is its first, or None."""
     return variable.dims[0] if variable.dims and variable.dims[0] in RECORDS else None
 
 
 def lengths_of(arrays: Checked) -> dict[str, int]:
-    """How many records there are along each record dimension."""
+    """Return the number of records along each record dimension."""
     root = arrays.get("/", {})
     return {dim: len(root[dim]) if dim in root else 0 for dim in RECORDS}
 
 
 def joined(blocks: list[Checked]) -> Checked:
-    """One block of many: joined along each variable's record dimension, the last one kept where there is none."""
+    """Join many blocks along each variable's record dimension; of other variables the last is kept."""
     parts: dict[str, dict[str, list[NDArray[Any]]]] = {}
     for block in blocks:
         for path, variables in block.items():
@@ -288,14 +288,14 @@ def joined(blocks: list[Checked]) -> Checked:
 
 
 def storable(value: object) -> object:
-    """Value that netCDF can hold as an attribute; what it cannot becomes JSON text."""
+    """Return a value that netCDF can hold as an attribute; others become JSON text."""
     if isinstance(value, bool | np.bool_) or not isinstance(value, str | int | float | np.number):
         return json.dumps(value, default=json_value)
     return value
 
 
 def _groups(file: Any, path: str) -> Iterator[tuple[str, Any]]:
-    """The root and the groups of instances; the groups between them hold nothing."""
+    """Return the root and the groups of instances; the groups between them are empty."""
     if path == "/" or path.count("/") == 2:
         yield path, file
     for name, member in file.items():
@@ -304,7 +304,7 @@ def _groups(file: Any, path: str) -> Iterator[tuple[str, Any]]:
 
 
 def _without_values(dataset: Any) -> bool:
-    """Whether netCDF holds no variable here but the length of a dimension only."""
+    """Whether a netCDF entry is only the length of a dimension, without a variable."""
     return bytes(dataset.attrs.get("NAME", b"")).startswith(b"This is a netCDF dimension but not a netCDF variable")
 
 

@@ -22,21 +22,21 @@ from palmfield.types import Float
 DPI = 150
 NARROW = 1.5
 SIDE_LOBES = 0.5
-"""Power of the pressures' colours: a side lobe of -13 dB is 0.22 of the peak, and its ARP 0.05."""
+"""Exponent of the pressures' colours: a side lobe of -13 dB is 0.22 of the peak, and its ARP 0.05."""
 
 
 def plot_pressure(result: xr.DataTree, path: Path) -> None:
-    """`pressure_picture` as a PNG. Raises OutputError as it does, and where `path` cannot be written."""
+    """`pressure_picture` as a PNG. Raises OutputError as it does, and if `path` cannot be written."""
     with style():
         save(pressure_picture(result), path, DPI)
 
 
 def pressure_picture(result: xr.DataTree, names: list[str] | None = None, time_s: float | None = None) -> Figure:
-    """Peak pressure amplitude and ARP on each skin at its loudest instant, looking onto the array that it faces.
+    """Draw peak pressure amplitude and ARP on each skin at its loudest instant, looking onto the array that it faces.
 
     result: of `open_result` or `tree`, with a skin and loudest_pressure or arp, and an array. One row a skin.
-    names: of skins, None for all; time_s: another instant [s], of results that hold pressure or arp over time
-    Raises OutputError where none of these is there, and for a time outside the run.
+    names: of skins, None for all; time_s: another instant [s], of results with pressure or arp over time
+    Raises OutputError if none of these exists, and for a time outside the run.
     """
     shown = {name: skin for name, skin in instances(result, "skin").items() if names is None or name in names}
     instants = {name: loudest(skin) if time_s is None else _instant(skin, time_s) for name, skin in shown.items()}
@@ -67,10 +67,10 @@ def pressure_picture(result: xr.DataTree, names: list[str] | None = None, time_s
 
 
 def plot_displacement(result: xr.DataTree, path: Path) -> None:
-    """PNG of each skin's normal displacement at the vertex that moves most and two more, and its spectrum below.
+    """Draw a PNG of each skin's normal displacement at the vertex of largest motion and two more, and its spectrum.
 
     result: of `open_result` or `tree`, with displacement; one column a skin
-    Raises OutputError where there is no displacement, and where `path` cannot be written.
+    Raises OutputError if there is no displacement, and if `path` cannot be written.
     """
     skins = {name: skin for name, skin in instances(result, "skin").items() if has_records(skin, "displacement")}
     if not skins:
@@ -87,7 +87,7 @@ def plot_displacement(result: xr.DataTree, path: Path) -> None:
 
 
 def _instant(skin: xr.Dataset, time_s: float) -> Loudest:
-    """A time of a skin's record [s]. Raises OutputError for one outside it."""
+    """Return a time of a skin's record [s]. Raises OutputError for one outside it."""
     times: Float = skin["time"].values
     if not len(times):
         raise OutputError(f"--time has value {1e3 * time_s:g} ms; allowed: none, as nothing was recorded")
@@ -97,7 +97,7 @@ def _instant(skin: xr.Dataset, time_s: float) -> Loudest:
 
 
 def _pressures(skin: xr.Dataset, when: Loudest, over_time: bool) -> list[tuple[str, str, Float]]:
-    """Title, colours and values [Pa] of each panel of a skin; over_time: of its record, at the instant."""
+    """Return title, colours and values [Pa] of each panel of a skin; over_time: of its record, at the instant."""
     panels: list[tuple[str, str, Float]] = []
     for name, title, colours in (
         ("pressure", "Peak pressure", "magma"),
@@ -114,7 +114,7 @@ def _pressures(skin: xr.Dataset, when: Loudest, over_time: bool) -> list[tuple[s
 
 
 def _foci_of_skins(result: xr.DataTree) -> dict[str, dict[str, list[int]]]:
-    """For each skin and stimulus, the numbers of the focal points that are nearer to it than to any other skin."""
+    """Return for each skin and stimulus the numbers of the focal points that are nearest to this skin."""
     by_skin: dict[str, dict[str, list[int]]] = {name: {} for name in instances(result, "skin")}
     for key, stimulus in instances(result, "stimulus").items():
         if not has_records(stimulus, "foci"):
@@ -162,7 +162,7 @@ def _draw_skin(
 
 
 def _draw_foci(axes: Any, stimulus: xr.Dataset, view: SkinView, numbers: list[int]) -> None:
-    """The way of some focal points while they sound, and where they are when loudest."""
+    """Draw the path of some focal points while they sound, and their places when loudest."""
     foci = stimulus["foci"].values[:, numbers]
     way: Float = to_local(foci.reshape(-1, 3), view.pose).reshape(foci.shape)
     way[~stimulus["sounding"].values.astype(bool)] = np.nan
@@ -206,7 +206,7 @@ def _draw_spectra(axes: Any, time_s: Float, motion: Any) -> None:
     before = -np.inf
     lifted = False
     for at, height in sorted(peaks):
-        # Two lines of text side by side need a tenth of the axis.
+        # Two labels in one line need a tenth of the axis.
         lifted = not lifted and at - before < 0.1 * last
         before = at
         axes.annotate(

@@ -1,4 +1,4 @@
-"""The keys of a scene's instances, as a result holds them."""
+"""The keys of a scene's instances in a result."""
 
 from typing import TypeVar
 
@@ -11,7 +11,7 @@ T = TypeVar("T", bound=Config)
 
 
 def keys_of(model: type[T], name: str, group: xr.Dataset) -> T:
-    """The keys of an instance in a result. Raises OutputError where it has none that can be read."""
+    """Return the keys of an instance in a result. Raises OutputError if it has none that can be read."""
     try:
         return recorded(model, str(group.attrs.get("config", "")))
     except SceneError as error:

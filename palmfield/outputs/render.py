@@ -33,7 +33,7 @@ SAME_INSTANT_S = 1e-9
 BAND_ROWS = 16
 AZIMUTHS_DEG = (0, 30, -30, 60, -60, 90, -90, 120, -120, 150, -150, 180)
 BOARD_RIM_M = 0.008
-# magma from pale to dark, short of black: a silent palm looks like skin and shading stays visible everywhere.
+# magma from pale to dark, without black: a silent palm has the colour of skin and shading is visible everywhere.
 COLOURS = ListedColormap(colormaps["magma_r"](np.linspace(0.07, 0.82, 256)))
 
 
@@ -61,14 +61,14 @@ class Scene(NamedTuple):
 
 
 def render_scene(result: xr.DataTree, path: Path, size: tuple[int, int] = (960, 720)) -> None:
-    """PNG of the arrays and the bodies above them, coloured by the peak pressure amplitude at their loudest instants.
+    """Draw a PNG of the arrays and the bodies above them, coloured by peak pressure amplitude at the loudest instants.
 
     result: of `open_result` or `tree`, with arrays and a surface that has loudest_pressure
     size: width and height [pixels]
-    Everything stands as it did when the loudest of all skins was at its loudest. The camera looks along the emission of
-    the first array at a slant, so that the side which the sound reaches faces it and the array is seen from behind,
-    through its board; with several arrays, from where they hide least of the sound. Raises OutputError where there
-    is nothing to show and where `path` cannot be written.
+    Poses are those of the loudest instant of all skins. The camera looks along the emission of the first array at a
+    slant, so that the side which the sound reaches faces it and the array is seen from behind, through its board. With
+    several arrays, the direction is that in which they hide least of the sound. Raises OutputError if there is no data
+    to show and if `path` cannot be written.
     """
     scene = _scene(result)
     parts = [part for pose, positions in scene.arrays.values() for part in array_parts(positions, pose)]
@@ -132,7 +132,7 @@ def _scene(result: xr.DataTree) -> Scene:
 
 
 def _pressure(surface: xr.Dataset) -> Float:
-    """Of a surface at its loudest instant [Pa]; 0 where a run cut off early has none."""
+    """Return the pressure of a surface at its loudest instant [Pa]; 0 if an interrupted run has none."""
     if not has_records(surface, "loudest_pressure"):
         return np.zeros(surface.sizes["vertex"])
     return np.nan_to_num(surface["loudest_pressure"].values.astype(float))
@@ -141,14 +141,14 @@ def _pressure(surface: xr.Dataset) -> Float:
 def _camera(
     scene: Scene, painted: trimesh.Trimesh, level: Float, solids: Float, window: tuple[float, float, float, float]
 ) -> Camera:
-    """Camera on the emission of the first array; with several arrays, the azimuth from which most sound is seen.
+    """Return a camera on the emission of the first array; with several arrays, from the azimuth that shows most sound.
 
-    painted: what has a pressure, level: of each of its vertices, from 0 to 1; solids: all points to be seen [m]
+    painted: meshes with a pressure, level: of each vertex, from 0 to 1; solids: all points to be visible [m]
     """
     first = next(iter(scene.arrays.values()))[0]
     if len(scene.arrays) == 1:
         return look_along_emission(solids, first, window)
-    # Its corners take as much of the picture as the whole, and a hundredth of the time.
+    # Its corners fill as much of the picture as the whole, in a hundredth of the time.
     corners = solids[ConvexHull(solids).vertices]
     cameras = [look_along_emission(corners, first, window, AZIMUTH_DEG + turn) for turn in AZIMUTHS_DEG]
     loud = level > 0.3 * level.max(initial=0.0)
@@ -158,7 +158,7 @@ def _camera(
         facing = np.einsum("ni,ni->n", normals, camera.eye - points) > 0.0
         free = np.logical_and.reduce([~_behind(points, camera.eye, *array) for array in scene.arrays.values()])
         seen.append(float(weights[facing & free].sum()))
-    # A little more seen is not worth another view than in all other pictures.
+    # A slightly better view is not worth a direction that differs from all other pictures.
     return cameras[next(k for k, much in enumerate(seen) if much >= 0.9 * max(seen))]
 
 
@@ -186,7 +186,7 @@ def _caption(result: xr.DataTree, scene: Scene) -> str:
 
 
 def _draw_guides(picture: Axes, camera: Camera, scene: Scene, stimulus: xr.Dataset) -> None:
-    """Dashed lines from the corners of each array that a stimulus drives to each of its focal points."""
+    """Draw dashed lines from the corners of each array that a stimulus drives to each of its focal points."""
     if not has_records(stimulus, "foci"):
         return
     foci = foci_at(stimulus, nearest(stimulus["time"].values, scene.time_s))
@@ -203,7 +203,7 @@ def _draw_guides(picture: Axes, camera: Camera, scene: Scene, stimulus: xr.Datas
 
 
 def array_parts(positions: Float, pose: Float) -> list[Part]:
-    """Cases and grilles of the transducers, and the board behind them, in the world."""
+    """Return cases and grilles of the transducers, and the board behind them, in the world."""
     gap = float(cKDTree(positions).query(positions, k=2)[0][:, 1].min()) if len(positions) > 1 else 0.010
     radius, tall = 0.46 * gap, 0.7 * gap
     case = trimesh.creation.cylinder(radius, tall, sections=24)
@@ -245,9 +245,9 @@ def cast(
     colours: ListedColormap = COLOURS,
     quality: tuple[int, int] = (SUPERSAMPLING, AMBIENT_RAYS),
 ) -> Float:
-    """sRGB image, shape (height, width, 3), in [0, 1].
+    """Return an sRGB image, shape (height, width, 3), in [0, 1].
 
-    level: place in the colour map by vertex of what is painted, 0 to 1; quality: samples a pixel's side, rays of shade
+    level: place in the colour map by vertex of painted meshes, 0 to 1; quality: samples a pixel's side, rays of shade
     """
     meshes = [painted, *(part.mesh for part in parts)]
     offsets = np.cumsum([0, *(len(m.vertices) for m in meshes)])
@@ -267,7 +267,7 @@ def cast(
     corner = camera.forward - camera.centre[0] * right - camera.centre[1] * down
     key = _unit(-camera.forward + 1.0 * camera.right + 0.15 * camera.up)
     fill = _unit(-camera.forward - 1.3 * camera.right - 0.2 * camera.up)
-    # The CPU, wherever the run was: a picture takes about two seconds there, and looks the same everywhere.
+    # Always the CPU: a picture takes about two seconds there, and is the same on all machines.
     device = resolve("cpu")
     vectors: list[wp.array] = [wp.array(a, dtype=wp.vec3, device=device) for a in (points, normals, albedo)]
     corners: wp.array = wp.array(faces.ravel(), dtype=wp.int32, device=device)

@@ -1,4 +1,4 @@
-"""A picture of a safety sheet: levels over a head's ball and over the skins, with limits, and over the play."""
+"""A picture of a safety sheet: levels over a sphere for the head and over the skins, with limits, and over time."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,17 +13,17 @@ if TYPE_CHECKING:
     from matplotlib.tri import Triangulation
 
 SHOWN_DB = 40.0
-"""Below the loudest place: what is softer has the colour of that."""
+"""Range below the loudest place: lower levels have the colour of its end."""
 FAR = 4.0
-"""Of the median: edges longer than that join places with nothing between."""
+"""Factor of the median: longer edges join places across a gap."""
 
 
 @dataclass(frozen=True)
 class LevelMap:
-    """The highest level of a play at each place of a region, seen in a plane.
+    """The highest level of a play at each place of a region, projected to a plane.
 
     places_m: in the plane [m], shape (n, 2); levels_dB: shape (n,); loudest_m: the loudest place, shape (2,)
-    loudest_dB: the level there; limits_dB: by what they are; axes: what the plane's two directions are, in words
+    loudest_dB: the level there; limits_dB: by name; axes: names of the plane's two directions
     """
 
     name: str
@@ -44,7 +44,7 @@ class LevelCourse:
 
 
 def draw_levels(title: str, maps: Sequence[LevelMap], course: LevelCourse, path: Path) -> None:
-    """Draw maps side by side, and the course below them, into a PNG. Raises OutputError where it can't be written."""
+    """Draw maps next to each other, and the course below them, into a PNG. Raises OutputError if that fails."""
     from matplotlib.figure import Figure
 
     from palmfield.outputs.style import LINES, save
@@ -91,7 +91,7 @@ def draw_levels(title: str, maps: Sequence[LevelMap], course: LevelCourse, path:
 
 
 def _meshed(places: Float) -> "Triangulation":
-    """Triangles between places, shape (n, 2), none of them across what is no part of the region."""
+    """Return triangles between places, shape (n, 2), none of them across a gap in the region."""
     from matplotlib.tri import Triangulation
 
     mesh = Triangulation(*places.T)

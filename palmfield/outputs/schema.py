@@ -1,7 +1,7 @@
-"""Schema 2 of a result: which groups and variables there are, their dimensions, types, units, signs and frames.
+"""Schema 2 of a result: its groups and variables, with dimensions, types, units, signs and frames.
 
-A result is a tree. Its root holds the three time axes, and every instance of the scene has groups of its own, named
-KIND/INSTANCE: `/skin/palm`, `/array/left`. Later versions add variables; what is here stays as it is.
+A result is a tree. Its root has the three time axes, and every instance of the scene has groups of its own, named
+KIND/INSTANCE: `/skin/palm`, `/array/left`. Later versions add variables; existing ones do not change.
 """
 
 import re
@@ -19,7 +19,7 @@ SCHEMA_VERSION = 2
 CONVENTIONS = "CF-1.11"
 
 Arrays: TypeAlias = Mapping[str, Mapping[str, ArrayLike]]
-"""Plain arrays by group ("/" or the path that `group` gives) and variable."""
+"""Plain arrays by group ("/" or the path returned by `group`) and variable."""
 Checked: TypeAlias = dict[str, dict[str, NDArray[Any]]]
 """The same as arrays of the schema's types."""
 Attributes: TypeAlias = Mapping[str, Mapping[str, Any]]
@@ -27,7 +27,7 @@ Attributes: TypeAlias = Mapping[str, Mapping[str, Any]]
 
 
 class Variable(NamedTuple):
-    """What one variable of a result must look like.
+    """Required properties of one variable of a result.
 
     dims: dimensions; units: UDUNITS, empty for names; about: a name of a few words, and more behind ", ", ";" or ":"
     frame: the frame in which a vector, position or pose is given; sign: what a positive value means
@@ -42,19 +42,19 @@ class Variable(NamedTuple):
 
     @property
     def words(self) -> tuple[str, str]:
-        """The name and the rest of `about`."""
+        """Return the name and the rest of `about`."""
         parts = re.split(r"[,;:] (?![^(]*\))", self.about, maxsplit=1)
         return parts[0], parts[1] if len(parts) > 1 else ""
 
     @property
     def attributes(self) -> dict[str, str]:
-        """Those of the netCDF variable: long_name is short enough for an axis of a plot, comment says the rest."""
+        """Attributes of the netCDF variable: long_name is short enough for an axis of a plot, comment has the rest."""
         long_name, comment = self.words
         pairs = {
             "units": self.units, "long_name": long_name, "comment": comment, "frame": self.frame, "sign": self.sign,
         }  # fmt: skip
         filled = {name: text for name, text in pairs.items() if text}
-        # No unit holds for positions and quaternions at once, so generic readers get none that they could convert.
+        # Positions and quaternions have no common unit, so generic readers get none that they could convert.
         return filled | ({"component_units": "m m m 1 1 1 1"} if self.dims[-1:] == ("pose7",) else {})
 
 
@@ -65,7 +65,7 @@ _POSE = "maps the frame's own points to the outer frame: x_outer = R x + positio
 
 
 def _mesh(what: str) -> dict[str, Variable]:
-    """Variables that a skin and the surface of its body have in common."""
+    """Variables that a skin and the surface of its body share."""
     return {
         "rest_position": Variable(("vertex", "xyz"), "float64", "m", f"vertices at rest, of the {what}", _BODY),
         "face": Variable(
@@ -255,10 +255,10 @@ GROUPS: dict[str, dict[str, Variable]] = {
         "joint_reference": Variable(("joint",), "float64", "1", "position of the joint in body_frame: m or rad"),
     },
 }  # fmt: skip
-"""Variables by kind of group. What MuJoCo's model has none of is left out of /mujoco.
+"""Variables by kind of group. Variables of /mujoco that would be empty are left out.
 
-Variables along `bone` and `influence` are there for bodies with bones only, obstacles
-where there are some; a run cut off early lacks the loudest instant's."""
+Variables along `bone` and `influence` exist for bodies with bones only, obstacles
+if there are some; an interrupted run lacks those of the loudest instant."""
 LABELS: dict[str, tuple[tuple[str, ...], str]] = {
     "xyz": (("x", "y", "z"), "Cartesian component"),
     "corner": (("0", "1", "2"), "corner of a triangle"),
@@ -270,11 +270,11 @@ MUJOCO_SCENE = "scene"
 PLACES = "rest_position"
 """The coordinate of vertices."""
 RECORDS = ("time", "step_time", "frame_time")
-"""Dimensions along which a run grows."""
+"""Dimensions that grow during a run."""
 
 
 def group(kind: str, instance: str) -> str:
-    """Path of an instance's group, such as /skin/palm; what a group's name can't hold is percent-encoded.
+    """Return the path of an instance's group, such as /skin/palm; characters that are not allowed are percent-encoded.
 
     Raises OutputError for a kind that is not in GROUPS and for an instance without a name.
     """
@@ -285,7 +285,7 @@ def group(kind: str, instance: str) -> str:
 
 
 def kind_and_instance(path: str) -> tuple[str, str]:
-    """The kind and the instance's name of a group's path. Raises OutputError for a path that `group` does not give."""
+    """The kind and the instance's name of a group's path. Raises OutputError for a path that `group` cannot return."""
     parts = path.split("/")
     if len(parts) != 3 or parts[0] or parts[1] not in GROUPS or not parts[2]:
         allowed = ", ".join(f"/{kind}/NAME" for kind in GROUPS)
@@ -294,21 +294,21 @@ def kind_and_instance(path: str) -> tuple[str, str]:
 
 
 def ordered(paths: Iterable[str]) -> list[str]:
-    """Paths of groups without repeats, in the order of GROUPS; those of one kind stay in theirs, the scene's."""
+    """Return paths of groups without repeats, in the order of GROUPS, and within a kind in the scene's order."""
     kinds = list(GROUPS)
     return sorted(dict.fromkeys(paths), key=lambda path: -1 if path == "/" else kinds.index(kind_and_instance(path)[0]))
 
 
 def variables_of(path: str) -> dict[str, Variable]:
-    """The schema's variables of a group. Raises OutputError for a group that can't be."""
+    """Return the schema's variables of a group. Raises OutputError for an invalid group."""
     return ROOT if path == "/" else GROUPS[kind_and_instance(path)[0]]
 
 
 def check(arrays: Arrays, sizes: dict[tuple[str, str], int]) -> Checked:
-    """Hold arrays against the schema; returns them as arrays, not copied where they are already.
+    """Check arrays against the schema; returns them as arrays, copied only if necessary.
 
-    arrays: by group and variable. What goes along `time`, `step_time` or `frame_time` needs that time in the root ("/")
-    sizes: lengths by (group, dimension) that earlier arrays had; new ones are added, those along records are not
+    arrays: by group and variable. Arrays along `time`, `step_time` or `frame_time` need that time in the root ("/")
+    sizes: lengths by (group, dimension) of earlier arrays; new ones are added, except those along records
     Raises OutputError for unknown groups and variables, other types, and shapes that do not fit each other.
     """
     records = {name: len(np.atleast_1d(array)) for name, array in arrays.get("/", {}).items()}
@@ -355,7 +355,7 @@ def _check_one(
 
 
 def tree(arrays: Arrays, attributes: Attributes | None = None) -> xr.DataTree:
-    """A result in memory. Raises OutputError as `check` does.
+    """Return a result in memory. Raises OutputError as `check` does.
 
     arrays: by group and variable; attributes: of groups, "/" are the result's own
     """
@@ -383,17 +383,17 @@ def root_attributes() -> dict[str, Any]:
 
 
 def instances(result: xr.DataTree, kind: str) -> dict[str, xr.Dataset]:
-    """The groups of one kind by instance name, in the scene's order, each with the root's coordinates."""
+    """Return the groups of one kind by instance name, in the scene's order, each with the root's coordinates."""
     if kind not in result.children:
         return {}
     return {unquote(name): node.to_dataset() for name, node in result.children[kind].children.items()}
 
 
 def has_records(ds: xr.Dataset | xr.DataTree, *names: str) -> bool:
-    """Whether a group holds at least one value of each of these variables (a run cut off early may lack them)."""
+    """Whether a group has at least one value of each of these variables (an interrupted run may lack them)."""
     return all(name in ds and ds[name].size > 0 for name in names)
 
 
 def sensor_channels(names: Sequence[str], units: Sequence[str]) -> dict[str, NDArray[Any]]:
-    """The static variables of a group /sensors/NAME: names and units of its channels."""
+    """Return the static variables of a group /sensors/NAME: names and units of its channels."""
     return {"channel": np.array(names), "channel_units": np.array(units)}

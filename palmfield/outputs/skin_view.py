@@ -1,4 +1,4 @@
-"""A skin before the array that it faces, as one who looks onto that array sees it: flat, with values in colour."""
+"""A skin seen by a viewer who looks onto the array that it faces: flat, with values in colour."""
 
 from typing import Any, NamedTuple
 
@@ -16,7 +16,7 @@ DISTANCES_M = (0.010, 0.020)
 
 
 class SkinView(NamedTuple):
-    """A skin before an array when the sound on the skin is loudest.
+    """A skin relative to an array at the loudest moment on the skin.
 
     array: its name; pose: of the array, shape (7,); vertices: of the skin in the array's frame [m], shape (n, 3)
     """
@@ -28,7 +28,7 @@ class SkinView(NamedTuple):
 
 
 def view_of_skin(result: xr.DataTree, name: str, skin: xr.Dataset, when: Loudest | None = None) -> SkinView:
-    """A skin before the array in whose direction its normals point most; when: another instant than the loudest"""
+    """Return a skin relative to the array that its normals face most; when: another instant than the loudest"""
     when, body = when or loudest(skin), instances(result, "body").get(name)
     vertices = in_world(skin, body, when.time_s)
     corners = vertices[skin["face"].values]
@@ -50,12 +50,11 @@ def draw_patch(
     unit: str,
     gamma: float = 1.0,
 ) -> None:
-    """The patch in the array's x (to the right) and y (up) with a colour bar, as one who looks onto the array sees it.
+    """Draw the patch in the array's x (to the right) and y (up) with a colour bar, looking onto the array.
 
-    It is drawn as if it could be looked through: triangles nearer to the array cover the others, which the sound meets
-    later.
+    It is drawn as transparent: triangles nearer to the array, which the sound reaches first, cover the others.
     seen: vertices in the array's frame [m], shape (n, 3); values: shape (n,), in `unit`
-    gamma: colours go with this power of the value over its range; below 1 small values are told apart
+    gamma: exponent of the colours over the value's range; below 1 it enhances small values
     """
     order = np.argsort(-seen[faces].mean(axis=1)[:, 2])
     triangles = Triangulation(seen[:, 0] * 1e3, seen[:, 1] * 1e3, faces[order])

@@ -1,4 +1,4 @@
-"""The sound of a result's arrays in free air, computed again from its drives."""
+"""The sound of a result's arrays in free air, recomputed from its drives."""
 
 import numpy as np
 import xarray as xr
@@ -17,7 +17,7 @@ from palmfield.types import Air, Array, Complex, Float
 
 
 def driven_arrays(result: xr.DataTree) -> dict[str, xr.Dataset]:
-    """The arrays of which a result holds drives. Raises OutputError where there are none."""
+    """Return the arrays with drives in a result. Raises OutputError if there are none."""
     arrays = {
         name: array for name, array in instances(result, "array").items() if has_records(array, "drive_amplitude")
     }
@@ -27,7 +27,7 @@ def driven_arrays(result: xr.DataTree) -> dict[str, xr.Dataset]:
 
 
 def sounding_foci(result: xr.DataTree, time_s: float) -> Float:
-    """Focal points that sound at a time, in the world [m], shape (n, 3)."""
+    """Return active focal points at a time, in the world [m], shape (n, 3)."""
     found = [np.empty((0, 3))]
     for stimulus in instances(result, "stimulus").values():
         if has_records(stimulus, "foci"):
@@ -38,10 +38,9 @@ def sounding_foci(result: xr.DataTree, time_s: float) -> Float:
 def sound_at(arrays: dict[str, xr.Dataset], points: Float, time_s: float) -> Complex:
     """Complex amplitude [Pa] of the arrays' sound at points of the world [m], shape (n, 3) -> (n,), at a time [s].
 
-    arrays: of `driven_arrays`. With nothing in the way; amplitudes and phases are those of the drive, so that the
-    ringing of transducers is not in it. Transducers are those of the result: calibrated, tilted or one by one. Raises
-    OutputError for a result of an earlier version with layout sites or csv, or a calibration, which it doesn't tell in
-    full.
+    arrays: of `driven_arrays`. Without obstacles; amplitudes and phases are those of the drive, so that ring-up is not
+    included. Transducers are those of the result: calibrated, tilted or one by one. Raises OutputError for a result of
+    an earlier version with layout sites or csv, or a calibration, which it does not contain in full.
     """
     total: Complex = np.zeros(len(points), complex)
     for name, array in arrays.items():
@@ -62,7 +61,7 @@ def _sound(name: str, array: xr.Dataset, points: Float, time_s: float, index: in
 
 
 def _transducers(name: str, group: xr.Dataset, config: ArrayConfig) -> Array:
-    """An array's transducers in its own frame, as the result has them; from its keys if it is of an earlier version."""
+    """Return an array's transducers in its own frame, from the result; from its keys for an earlier version."""
     if "transducer_p0" in group:
         phase = np.exp(1j * group["transducer_phase"].values)
         table = None

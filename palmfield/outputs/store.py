@@ -1,8 +1,8 @@
 """Results on disk that survive Ctrl-C, kill -9 and a full disk.
 
 A run writes self-contained chunks into `.partial`; `finish` (or, after a kill, `recover`) joins them into `result.nc`.
-Each file in `.partial` is a netCDF file with the SHA-256 of its content behind it (which netCDF readers pass over), so
-that damage of any kind is seen. `netcdf.py` says how files are made without letting HDF5 write to the disk.
+Each file in `.partial` is a netCDF file followed by the SHA-256 of its content (which netCDF readers ignore), so that
+damage of any kind is detected. `netcdf.py` describes how files are made without letting HDF5 write to the disk.
 """
 
 import hashlib
@@ -45,7 +45,7 @@ from palmfield.types import json_value
 
 RESULT = "result.nc"
 DERIVED = ("summary.json", "pressure.png", "displacement.png", "scene.png", "scene.usdc", "scene.partial.usdc")
-"""Files that a run makes of its result."""
+"""Files that a run derives from its result."""
 FLUSH_BYTES = 8_000_000
 FLUSH_SECONDS = 2.0
 SEAL_BYTES = hashlib.sha256().digest_size
@@ -60,7 +60,7 @@ class _Waiting(NamedTuple):
 
 
 class _Blocks:
-    """What all stores ask of the blocks that they take."""
+    """Checks that all stores apply to blocks."""
 
     def __init__(self, static: Arrays) -> None:
         self._sizes: dict[tuple[str, str], int] = {}
@@ -69,7 +69,7 @@ class _Blocks:
         self.static = check(static, self._sizes)
 
     def taken(self, block: Arrays) -> Checked:
-        """A copy of a block that fits what came before it; see `Store.append` for what is refused."""
+        """Return a copy of a block that fits earlier blocks; see `Store.append` for errors."""
         sizes, last, known_names = dict(self._sizes), dict(self._last), dict(self._names)
         checked = check(block, sizes)
         for dim in RECORDS:
@@ -114,13 +114,13 @@ def refuse_occupied(out: Path, overwrite: bool) -> None:
 class Store:
     """Files of one run: `static` at once, blocks along `time`, `step_time` and `frame_time` as they come.
 
-    out: folder of the result, made where missing
-    static: arrays by group and variable that are known before the first step (outputs/schema.py)
+    out: folder of the result, made if missing
+    static: arrays by group and variable available before the first step (outputs/schema.py)
     attributes: of groups; those of "/" are the result's own: settings, versions
-    overwrite: whether a folder may hold another run's results; they are replaced by `finish`, not before
-    lost: why blocks are missing from what `finish` wrote, or None
-    Raises OutputError where `out` cannot be written, and where it holds an unfinished run or, without `overwrite`,
-    another run's results.
+    overwrite: whether another run's results in the folder may be replaced, by `finish`, not before
+    lost: why blocks are missing from the result of `finish`, or None
+    Raises OutputError if `out` cannot be written, and if it contains an unfinished run or, without `overwrite`, another
+    run's results.
     """
 
     def __init__(
@@ -150,12 +150,12 @@ class Store:
             raise unwritable(self.out, error) from error
 
     def append(self, block: Arrays) -> None:
-        """Take a block, which is copied; it is flushed to disk after 8 MB or 2 s.
+        """Append a block, which is copied; it is flushed to disk after 8 MB or 2 s.
 
         block: plain arrays by group and variable; those along `time`, `step_time` or `frame_time` come with these times
             in the root ("/"). Other variables (such as loudest_arp) replace earlier ones
-        All blocks must hold the same variables along a dimension, other dimensions keep their lengths, and times rise.
-        Raises OutputError where they do not, and where a flush fails.
+        All blocks must have the same variables along a dimension, other dimensions keep their lengths, and times rise.
+        Raises OutputError otherwise, and if a flush fails.
         """
         taken = self._blocks.taken(block)
         self._waiting.blocks.append(taken)
@@ -164,12 +164,12 @@ class Store:
             self._flush()
 
     def finish(self, attributes: Mapping[str, Any], complete: bool) -> Path:
-        """Join what was appended into out/result.nc and remove .partial; returns the result's path.
+        """Join all blocks into out/result.nc and remove .partial; returns the result's path.
 
-        attributes: more of the result; `reason` says why the run ended; `complete` becomes 1 or 0
-        Where the last blocks can't be flushed they are left out: the result says so, is incomplete, and `lost` is set.
-        Files that an earlier run made of its own result go with it. Raises OutputError where there is no room for the
-        result; .partial then stays for `palmfield recover`.
+        attributes: more of the result; `reason` describes why the run ended; `complete` becomes 1 or 0 If the last
+        blocks cannot be flushed they are left out: the result reports it, is incomplete, and `lost` is set. Files that
+        an earlier run derived from its own result are removed. Raises OutputError if the disk is full; .partial then
+        remains for `palmfield recover`.
         """
         try:
             self._flush()
@@ -199,14 +199,14 @@ class Store:
                 f"cannot write {path}: {error.strerror or error}; {count} earlier chunks are safe, "
                 f"free some space and run `palmfield recover {self.out}`"
             ) from error
-        # One assignment: Ctrl-C must not fall between counting a chunk and letting go of its blocks.
+        # One assignment: Ctrl-C must not fall between counting a chunk and releasing its blocks.
         self._waiting = _Waiting(count + 1, [])
         self._waiting_bytes = 0
         self._flushed_at = time.monotonic()
 
 
 class MemoryStore:
-    """As `Store`, for a run whose results stay in memory: nothing is ever `lost`."""
+    """As `Store`, for a run whose results stay in memory: `lost` is always None."""
 
     lost: OutputError | None = None
 
@@ -220,16 +220,16 @@ class MemoryStore:
         self._held.append(self._blocks.taken(block))
 
     def finish(self, attributes: Mapping[str, Any], complete: bool) -> xr.DataTree:
-        """The result as `open_result` gives it, all of it in memory."""
+        """Return the result like `open_result`, all of it in memory."""
         own = dict(self._attributes.get("/", {})) | dict(attributes) | {"complete": int(complete)}
         return tree(joined([self._blocks.static, *self._held]), self._attributes | {"/": own})
 
 
 def recover(out: Path) -> Path:
-    """Join what a killed run left in out/.partial into out/result.nc, marked as incomplete; returns its path.
+    """Join the data of a killed run in out/.partial into out/result.nc, marked as incomplete; returns its path.
 
-    Chunks that cannot be read are left out; the attributes `reason` and `unreadable_chunks` say how many.
-    Raises OutputError where there is nothing to recover or no room for the result.
+    Chunks that cannot be read are left out; the attributes `reason` and `unreadable_chunks` give their number.
+    Raises OutputError if there is no data to recover or the disk is full.
     """
     out = Path(out)
     partial = out / ".partial"
@@ -244,10 +244,10 @@ def recover(out: Path) -> Path:
 
 
 def open_result(path: str | Path) -> xr.DataTree:
-    """A result file, or that of a run's folder, opened lazily: arrays are read where they are used.
+    """Open a result file, or that of a run's folder, lazily: arrays are read on use.
 
     `tree["skin/palm"]["displacement"].isel(time=-1).values` reads one instant; times are plain seconds. Close it with
-    `.close()`, or use it in a `with`. Raises OutputError for a file that can't be read or has another schema.
+    `.close()`, or use it in a `with`. Raises OutputError for a file that cannot be read or has another schema.
     """
     path = Path(path)
     path = path / RESULT if path.is_dir() else path
@@ -276,7 +276,7 @@ def open_result(path: str | Path) -> xr.DataTree:
 def write_json(path: Path, obj: object) -> None:
     """Write JSON in one atomic step; NumPy scalars and arrays become numbers and lists.
 
-    Raises OutputError for what JSON cannot hold (NaN included) and where the file cannot be written.
+    Raises OutputError for values that JSON cannot hold (NaN included) and if the file cannot be written.
     """
     try:
         text = json.dumps(obj, indent=2, default=json_value, allow_nan=False)
@@ -288,7 +288,7 @@ def write_json(path: Path, obj: object) -> None:
 
 
 def write_whole(path: Path, data: bytes) -> None:
-    """Write a file in one atomic step. Raises OutputError where it cannot be written."""
+    """Write a file in one atomic step. Raises OutputError if that fails."""
     try:
         _write(path, data)
     except OSError as error:
@@ -313,7 +313,7 @@ def _write_sealed(path: Path, data: bytes) -> None:
 
 
 def _sealed(path: Path) -> bytes | None:
-    """Content of a file in .partial, or None where it is missing or not what was written."""
+    """Return the content of a file in .partial, or None if it is missing or damaged."""
     try:
         data = path.read_bytes()
     except OSError:
@@ -323,7 +323,7 @@ def _sealed(path: Path) -> bytes | None:
 
 
 def _static(partial: Path) -> tuple[Checked, dict[str, dict[str, Any]]]:
-    """What was known before the first step. Raises OutputError where it is gone, damaged or of another schema."""
+    """Return data from before the first step. Raises OutputError if they are missing, damaged or of another schema."""
     content = _sealed(partial / "static.nc")
     if content is None:
         raise OutputError(
@@ -376,7 +376,7 @@ def _assemble(out: Path, attributes: dict[str, Any], complete: bool) -> Path:
 def _join_chunks(
     path: Path, head: Checked, attributes: dict[str, dict[str, Any]], chunks: list[Path], lengths: dict[str, int]
 ) -> None:
-    """Write the result: what has no records, then the records of one chunk after the other."""
+    """Write the result: variables without records, then the records of one chunk after the other."""
     with interrupts_held() as check_interrupt, result_file(path, lengths) as (writer, disk):
         writer.labels()
         writer.groups(head, attributes)

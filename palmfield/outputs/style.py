@@ -38,16 +38,16 @@ LINES = ("-", "--", ":", "-.")
 
 
 LEAST_MM = 10.0
-"""Of axes of places: a focus or a hand at rest has no extent."""
+"""Least range of axes of places: a fixed focus or hand has no extent."""
 
 
 def style() -> Any:
-    """Context in which figures get palmfield's look; other figures of the process keep theirs."""
+    """Context in which figures get palmfield's look; other figures of the process are not affected."""
     return mpl.rc_context(RC)
 
 
 def same_scale(axes: Any, x: Float, y: Float) -> None:
-    """Limits of equal length on both axes about points [mm], NaN where there is none."""
+    """Return limits of equal length on both axes about points [mm], NaN for none."""
     known = np.isfinite(x) & np.isfinite(y)
     pairs = np.stack([x[known], y[known]]) if known.any() else np.zeros((2, 1))
     middle = 0.5 * (pairs.min(axis=1) + pairs.max(axis=1))
@@ -57,16 +57,16 @@ def same_scale(axes: Any, x: Float, y: Float) -> None:
 
 
 def signed_colours(low: float, high: float, left_out: float = 0.0) -> Float:
-    """Colours from blue by white to red, shape (256, 4), of which white is 0 wherever the ends lie.
+    """Colours from blue by white to red, shape (256, 4), with white at 0 for any ends.
 
-    left_out: part of the map at each end that is too dark to be used
+    left_out: part of the map at each end that is too dark to use
     """
     most = max(abs(low), abs(high))
     return np.asarray(mpl.colormaps["RdBu_r"](0.5 + (0.5 - left_out) * np.linspace(low, high, 256) / most))
 
 
 def beyond(values: Float, low: float, high: float) -> Any:
-    """Where a colour bar gets a point because values lie beyond its ends: "min", "max", "both" or "neither"."""
+    """Return at which ends a colour bar gets a point for values beyond them: "min", "max", "both" or "neither"."""
     slack = 1e-6 * (high - low)
     below, above = bool((values < low - slack).any()), bool((values > high + slack).any())
     return "both" if below and above else "min" if below else "max" if above else "neither"
@@ -78,8 +78,8 @@ FORMATS = ("png", "svg", "pdf")
 def save(figure: Figure, path: Path, dpi: int = 150) -> None:
     """Write a picture in one atomic step, in the format of its suffix (FORMATS); text of SVG and PDF stays text.
 
-    dpi: what a PNG says of its size; its pixels are those of the figure's own dpi
-    Raises OutputError for another format, and where it cannot be written.
+    dpi: resolution stored in a PNG; its pixels are those of the figure's own dpi
+    Raises OutputError for another format, and if it cannot be written.
     """
     path = Path(path)
     kind = path.suffix[1:].lower()

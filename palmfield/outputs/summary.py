@@ -1,4 +1,4 @@
-"""The numbers of a run as plain JSON: a list of skins, of arrays and of stimuli, and what holds for all."""
+"""The numbers of a run as plain JSON: lists of skins, of arrays and of stimuli, and common numbers."""
 
 import math
 from collections.abc import Mapping
@@ -24,13 +24,13 @@ def summary(
     stimuli: More | None = None,
     arrays: More | None = None,
 ) -> dict[str, Any]:
-    """Numbers of a result, units in the names; what a run cut off early lacks is left out.
+    """Return numbers of a result, units in the names; numbers that an interrupted run lacks are left out.
 
     result: of `open_result` or `tree`; extra: further entries, which come last
     skins, stimuli, arrays: further entries of their elements in the lists, by instance name
 
-    `skins` is a list, one element a skin (`skin_numbers`); `arrays` and `stimuli` likewise. The largest of PEAKS over
-    all skins and the sound level of the largest pressure stand beside the lists.
+    `skins` is a list, one element a skin (`skin_numbers`); so are `arrays` and `stimuli`. The largest of PEAKS over all
+    skins and the sound level of the largest pressure are next to the lists.
     """
     more_skins, more_stimuli, more_arrays = skins or {}, stimuli or {}, arrays or {}
     surfaces, forces = instances(result, "surface"), instances(result, "forces")
@@ -73,8 +73,8 @@ def skin_numbers(skin: xr.Dataset, surface: xr.Dataset | None, forces: xr.Datase
     skin, surface, forces: the groups of its name. peak_pressure_Pa is the largest pressure amplitude (peak, not rms) on
     its body's surface or on the skin at the loudest instant; peak_pressure_dB_SPL is its rms level over 20 µPa, None in
     silence. Displacement and velocity are those along the outward normal; rms_displacement_m (and ..._without_dc_m) are
-    over time at the vertex that moves most; displacement_per_arp_m_Pa is the largest of the first over that of the ARP,
-    and doesn't depend on how loud the transducers are. total_force_mean_N is the mean vector in the world.
+    over time at the vertex of largest motion; displacement_per_arp_m_Pa is the ratio of the maxima of displacement and
+    ARP, independent of the sound level. total_force_mean_N is the mean vector in the world.
     """
     out: dict[str, Any] = {"vertices": int(skin.sizes.get("vertex", 0))}
     meshes = [mesh for mesh in (surface, skin) if mesh is not None]

@@ -32,15 +32,15 @@ from palmfield.perception.registry import ALL_OBSERVERS
 from palmfield.terminal import columns, folded
 
 WIDTH = 110
-"""Columns of the table where the terminal is no narrower."""
+"""Width of the table in columns, unless the terminal is narrower."""
 
 
 def format_summary(summary: Mapping[str, Any], details: bool = False) -> str:
-    """The verdict of a run in one line, and a table of its numbers.
+    """Return the verdict of a run in one line, and a table of its numbers.
 
-    summary: of `palmfield.outputs.summary.summary`, with what `palmfield.estimate.summary` adds where it is there
-    details: whether all is in the table: drive, p0, solver, all observers and all parts of the error. Else 14 lines for
-    one skin: pressure, ARP, force, displacement, one level, error and time.
+    summary: of `palmfield.outputs.summary.summary`, with the additions of `palmfield.estimate.summary` if any
+    details: whether the table is complete: drive, p0, solver, all observers and all parts of the error. Else 14 lines
+    for one skin: pressure, ARP, force, displacement, one level, error and time.
     """
     skins = summary["skins"]
     level = max((one.get("drive_level", 0.0) for one in summary["stimuli"]), default=0.0)
@@ -48,7 +48,7 @@ def format_summary(summary: Mapping[str, Any], details: bool = False) -> str:
     grid = Table(*folded(("", "")), show_header=False)
     for number, skin in enumerate(skins):
         sound, motion = _sound(skin, level), _motion(skin) if details else _short(skin)
-        # With one skin, sound, drive and motion stand in the order in which one follows from the other.
+        # With one skin, sound, drive and motion are in causal order.
         rows = sound + drives + motion if len(skins) == 1 else [("SKIN", skin["name"]), *sound, *motion]
         if number == 0 and len(skins) > 1:
             rows = [*drives, *rows]
@@ -65,7 +65,7 @@ def format_summary(summary: Mapping[str, Any], details: bool = False) -> str:
 
 
 def _drives(summary: Mapping[str, Any]) -> list[TextRow]:
-    """How loud each stimulus is, and what is known of p0."""
+    """Return the level of each stimulus, and the uncertainty of p0."""
     stimuli = summary["stimuli"]
     return [
         ("drive" if len(stimuli) == 1 else f"drive, {one['name']}", of_full(one["drive_level"]))
@@ -75,7 +75,7 @@ def _drives(summary: Mapping[str, Any]) -> list[TextRow]:
 
 
 def _short(skin: Mapping[str, Any]) -> list[TextRow]:
-    """A skin's motion in the main table: displacement with its band, one level, and the error."""
+    """Return a skin's motion in the main table: displacement with its band, one level, and the error."""
     rows: list[TextRow] = []
     if "peak_displacement_m" in skin:
         rows.append(("peak skin displacement", _peak(skin)))
@@ -100,7 +100,7 @@ def _no_estimate(skin: Mapping[str, Any]) -> list[TextRow]:
 
 
 def _peak(skin: Mapping[str, Any]) -> str:
-    """The peak displacement with its one band over all inputs with a range, whose parts are named."""
+    """Return the peak displacement with its band over all inputs with a range, whose parts are named."""
     parts = input_parts(skin)
     (low, high), peak = combined(parts), 1e6 * skin["peak_displacement_m"]
     band = max((high - low) / 2.0, response_band(skin))
@@ -129,36 +129,36 @@ def _sound(skin: Mapping[str, Any], drive_level: float) -> list[TextRow]:
 
 
 def unknown_or(band: float, skin: Mapping[str, Any]) -> float:
-    """A band, or inf of a skin without an error budget, where it isn't all that is known."""
+    """Return a band, or inf for a skin without an error budget, if other uncertainties are unknown."""
     return band if "error_budget" in skin else math.inf
 
 
 def sound_band(skin: Mapping[str, Any]) -> float:
-    """Widest band of what is known of a skin's ARP, relative: of p0, and of what is left out of the sound."""
+    """Widest relative band of a skin's ARP: of p0, and of ignored effects on the sound."""
     return unknown_or(max(level_band(skin), widest(skin.get("error_budget"))), skin)
 
 
 def response_band(skin: Mapping[str, Any]) -> float:
-    """Widest band of what is known of a skin's motion per pascal of ARP, relative: of all but p0."""
+    """Widest relative band of a skin's motion per pascal of ARP: of all inputs but p0."""
     low, high = combined(input_parts(skin, ("p0",)))
     error = skin.get("displacement_error_relative", 0.0)
     return unknown_or(max(error, widest(skin.get("error_budget")), (high - low) / 2.0), skin)
 
 
 def of_full(level: float) -> str:
-    """A drive relative to full, in words."""
+    """Return a drive relative to full, in words."""
     return f"{level:.3f} of full" if level == 0.0 or level >= 1e-3 else f"{level:.2g} of full"
 
 
 def level_band(skin: Mapping[str, Any]) -> float:
-    """How far p0 leaves a skin's ARP and motion open, relative: half of the range; 0 where the scene sets the level."""
+    """Relative uncertainty of a skin's ARP and motion due to p0: half of the range; 0 if the scene sets the level."""
     if "p0_band_low" not in skin:
         return 0.0
     return float(skin["p0_band_high"] - skin["p0_band_low"]) / 2.0
 
 
 def array_rows(arrays: Sequence[Mapping[str, Any]]) -> list[TextRow]:
-    """What is known of how loud the arrays' transducers are: one row for each number that they have."""
+    """Return the level data of the arrays' transducers: one row for each number that they have."""
     rows: dict[str, list[str]] = {}
     for array in arrays:
         if "p0_Pa_m" in array:
@@ -170,7 +170,7 @@ def array_rows(arrays: Sequence[Mapping[str, Any]]) -> list[TextRow]:
 
 
 def _motion(skin: Mapping[str, Any]) -> list[TextRow]:
-    """A skin's motion with all details."""
+    """Return a skin's motion with all details."""
     error = skin.get("displacement_error_relative")
     numerical = "" if error is None else f" (numerical {figures(100 * error, 1.0)} %)"
     response = response_band(skin)
@@ -199,7 +199,7 @@ def _motion(skin: Mapping[str, Any]) -> list[TextRow]:
 
 
 def _levels(skin: Mapping[str, Any]) -> list[TextRow]:
-    """A row for each observer: its level with its band, which lines it is of, and why it applies or is refused."""
+    """Return a row for each observer: its level with its band, its lines, and why it applies or is refused."""
     rows = []
     for number, name in enumerate(ALL_OBSERVERS, start=1):
         if f"level_{name}_dB_SL" not in skin:
@@ -223,7 +223,7 @@ def _levels(skin: Mapping[str, Any]) -> list[TextRow]:
 
 
 def _spread(skin: Mapping[str, Any], name: str) -> list[str]:
-    """What an observer's own spread is of, in words; nothing where none is told."""
+    """Describe the source of an observer's own spread; empty if none is given."""
     spread, half = (skin.get(f"level_{name}_spread_{key}") for key in ("of", "dB"))
     if spread is None:
         return []
@@ -231,7 +231,7 @@ def _spread(skin: Mapping[str, Any], name: str) -> list[str]:
 
 
 def advice(skin: Mapping[str, Any]) -> str:
-    """What would lower the largest part of a skin's error."""
+    """Return a measure that would reduce the largest part of a skin's error."""
     parts = {
         "a smaller --accuracy makes the mesh finer": skin["mesh_error_relative"],
         "a smaller --accuracy or step_s shortens the step": skin["step_error_relative"],

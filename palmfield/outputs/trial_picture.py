@@ -1,4 +1,4 @@
-"""A picture of a trial: how far the sound is from the hand, what of its pressure is left, and both from above."""
+"""A picture of a trial: distance of the sound from the hand, remaining share of its pressure, and top view."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -19,8 +19,8 @@ LOSSES = (
 def draw_trial(names: Sequence[str], rows: Float, numbers: Mapping[str, Any], path: Path) -> None:
     """Draw a trial's course into a PNG.
 
-    names, rows: columns and their values, shape (k, columns), as course.csv has them; numbers: as trial.json has them
-    Raises OutputError where it can't be written.
+    names, rows: columns and their values, shape (k, columns), as in course.csv; numbers: as in trial.json
+    Raises OutputError if it cannot be written.
     """
     from matplotlib.figure import Figure
 

@@ -1,4 +1,4 @@
-"""What is asked of a picture, and what a result has of it."""
+"""Options of a picture, and the data of a result that they select."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
@@ -18,20 +18,20 @@ from palmfield.types import Float
 Quantity = Literal["displacement", "velocity"]
 IN_MICRO = 1e6
 UNITS: dict[Quantity, str] = {"displacement": "µm", "velocity": "µm/s"}
-"""Of a millionth of the quantity's SI unit."""
+"""Units of a millionth of the quantity's SI unit."""
 FAR_M = 0.01
-"""A place farther than this from the skin is none of it."""
+"""A place farther than this from the skin is not on it."""
 TOLD_M = 5e-4
-"""From here on a picture says how far from the place its vertex lies."""
+"""Distance from which a picture shows how far its vertex is from the place."""
 
 
 @dataclass(frozen=True)
 class Asked:
-    """What a picture is to show.
+    """Options of a picture.
 
-    time_s: None for the moment that says most; places: points in the world as the run begins [m], whose nearest vertex
-        is taken; limits: of the colours or the axis, in the unit that the picture shows
-    skin: which one, where there are several; quantity: of the skin's motion along its outward normal
+    time_s: None for the default moment of the kind; places: points in the world as the run begins [m], whose nearest
+        vertex is used; limits: of the colours or the axis, in the unit of the picture
+    skin: name, if there are several; quantity: of the skin's motion along its outward normal
     observer: of levels, by name; None for each that has a value
     """
 
@@ -48,9 +48,9 @@ Draw = Callable[[xr.DataTree, Asked], Figure]
 
 
 class Kind(NamedTuple):
-    """draw: raises OutputError or MeasurementError where the result doesn't hold what it needs; about: a sentence
+    """draw: raises OutputError or MeasurementError if the result lacks data for it; about: a sentence
 
-    heeds: what of `Asked` changes the picture, all where it isn't said; unit: of its limits
+    heeds: options of `Asked` that change the picture, by default all; unit: of its limits
     place: in lists, from sound (1 to 9) over maps of the skin (10 to 19) to courses in time (20 to 29)
     """
 
@@ -62,7 +62,7 @@ class Kind(NamedTuple):
 
     @classmethod
     def of_motion(cls, draw: Draw, about: str, *more: str, place: int, unit: str = "µm or µm/s") -> "Kind":
-        """A picture of a skin's motion; more: what it heeds besides what they all do."""
+        """A picture of a skin's motion; more: further options that it uses."""
         return cls(draw, about, frozenset({"places", "limits", "skin", "quantity", *more}), unit, place)
 
 
@@ -74,9 +74,9 @@ def asked_for(
     quantity: str,
     observer: str | None,
 ) -> Asked:
-    """What a command line asks for: times in ms, places "X,Y,Z" in mm, limits "LOW,HIGH".
+    """Parse options of a command line: times in ms, places "X,Y,Z" in mm, limits "LOW,HIGH".
 
-    Raises OutputError for another quantity, and for what isn't as many finite numbers.
+    Raises OutputError for another quantity, and for texts that are not that many finite numbers.
     """
     motion = next((known for known in UNITS if known == quantity), None)
     if motion is None:
@@ -108,7 +108,7 @@ def _numbers(option: str, text: str, count: int) -> list[float]:
 
 
 def chosen_names(result: xr.DataTree, asked: Asked) -> list[str]:
-    """Names of all skins, or of the one that is asked for. Raises OutputError for an unknown one."""
+    """Return names of all skins, or of the requested one. Raises OutputError for an unknown one."""
     skins = list(instances(result, "skin"))
     if asked.skin is None:
         return skins
@@ -119,9 +119,9 @@ def chosen_names(result: xr.DataTree, asked: Asked) -> list[str]:
 
 
 def chosen_skin(result: xr.DataTree, asked: Asked, variable: str) -> tuple[str, xr.Dataset]:
-    """Name and group of the skin that is asked for, which holds a variable over time.
+    """Return name and group of the requested skin, which has a variable over time.
 
-    Raises OutputError where there is none, where it isn't said which of several, and for an unknown name.
+    Raises OutputError if there is none, if there are several and none is named, and for an unknown name.
     """
     skins = instances(result, "skin")
     held = {name: skins[name] for name in chosen_names(result, asked) if has_records(skins[name], variable)}
@@ -131,7 +131,7 @@ def chosen_skin(result: xr.DataTree, asked: Asked, variable: str) -> tuple[str, 
 
 
 def chosen_time(skin: xr.Dataset, asked: Asked, otherwise: int) -> int:
-    """The place along `time` that is asked for. Raises OutputError for a time outside the run."""
+    """Return the requested index along `time`. Raises OutputError for a time outside the run."""
     times: Float = skin["time"].values
     if asked.time_s is None:
         return otherwise
@@ -140,7 +140,7 @@ def chosen_time(skin: xr.Dataset, asked: Asked, otherwise: int) -> int:
 
 
 def chosen_frame(result: xr.DataTree, array: xr.Dataset, asked: Asked) -> tuple[int, float]:
-    """Place along `frame_time` of the drive that holds at the time asked for, by default the loudest, and the time.
+    """Return the index along `frame_time` of the drive at the requested time, by default the loudest, and the time.
 
     Raises OutputError for a time outside the run.
     """
@@ -155,7 +155,7 @@ def chosen_frame(result: xr.DataTree, array: xr.Dataset, asked: Asked) -> tuple[
 
 
 def chosen_vertices(result: xr.DataTree, name: str, skin: xr.Dataset, asked: Asked) -> list[tuple[int, str]]:
-    """Vertices and what they are, in words: nearest to the places asked for, or where the skin moves most and beside.
+    """Return vertices and their descriptions: nearest to the requested places, or around the largest motion.
 
     Raises OutputError for a place that is not on the skin.
     """
@@ -182,7 +182,7 @@ def chosen_vertices(result: xr.DataTree, name: str, skin: xr.Dataset, asked: Ask
 
 
 def limits_of(asked: Asked, low: float, high: float) -> tuple[float, float]:
-    """The limits that are asked for, or the given ones, never empty."""
+    """Return the requested limits, or the given ones, never empty."""
     if asked.limits is not None:
         return asked.limits
     return low, high if high > low else low + 1e-9

@@ -1,4 +1,4 @@
-"""Pictures of a result into files, as many kinds as are asked for."""
+"""Draw requested kinds of pictures of a result into files."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,7 +14,7 @@ DPI = 300
 
 
 def checked_kinds(kinds: Sequence[str]) -> tuple[str, ...]:
-    """The kinds in their order, each once; all for none. Raises OutputError for an unknown one."""
+    """Return the kinds in order, each once; all for none. Raises OutputError for an unknown one."""
     for kind in kinds:
         if kind not in KINDS:
             raise OutputError(f"picture '{kind}'{did_you_mean(kind, KINDS)} is unknown; allowed: {', '.join(KINDS)}")
@@ -27,10 +27,9 @@ def draw_pictures(
     """Draw kinds of pictures of a result, each to OUT/KIND.SUFFIX at 300 dpi.
 
     kinds: of KINDS; none for all; suffix: one of FORMATS
-    Returns the files by kind, and why others could not be drawn: of all kinds what the result doesn't hold is left out;
-    of kinds that are named the first that can't be drawn raises its OutputError or MeasurementError.
-    Raises OutputError for an unknown kind or format, for what none of the kinds heeds, and where a file can't be
-    written.
+    Returns the files by kind, and why others could not be drawn. If all kinds are drawn, those without data are left
+    out; of named kinds the first that cannot be drawn raises its OutputError or MeasurementError.
+    Raises OutputError for an unknown kind or format, for options that no kind uses, and if a file cannot be written.
     """
     folder = Path(out)
     chosen = checked_kinds(kinds)

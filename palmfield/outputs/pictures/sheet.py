@@ -1,4 +1,4 @@
-"""One picture with a small one of each kind that a run can be drawn as."""
+"""One picture with a small one of each kind available for a run."""
 
 import textwrap
 from pathlib import Path
@@ -18,10 +18,10 @@ SMALL_DPI, DPI = 110, 150
 
 
 def draw_sheet(result: xr.DataTree, path: Path, asked: Asked | None = None) -> dict[str, str]:
-    """Draw a small picture of every kind, with its name and what it shows, into one PNG.
+    """Draw a small picture of every kind, with its name and description, into one PNG.
 
-    Returns why some could not be drawn, by kind; the sheet says so in their places. Raises OutputError where the file
-    can't be written.
+    Returns why some could not be drawn, by kind; the sheet shows the reason in their places. Raises OutputError if the
+    file cannot be written.
     """
     missing: dict[str, str] = {}
     try:

@@ -1,6 +1,6 @@
-"""Files of measured scans: read into and written from `palmfield.instruments.scan.Scan`.
+"""Files of measured scans: read and write `palmfield.instruments.scan.Scan`.
 
-By their ending, or a folder of Polytec's text files, which are read alone.
+The format follows from the suffix; a folder of Polytec's text files can only be read.
 """
 
 from pathlib import Path
@@ -16,14 +16,14 @@ from palmfield.outputs.scan_files.wide_csv import read_csv, write_csv
 
 READERS = {".csv": read_csv, ".uff": read_uff, ".unv": read_uff, ".mat": read_mat}
 LARGEST_M = 2.0
-"""No skin reaches farther."""
+"""Largest extent of a skin."""
 WRITERS = {".csv": write_csv, ".uff": write_uff, ".unv": write_uff, ".mat": write_mat}
 
 
 def read_scan(path: str | Path) -> Scan:
-    """A scan from a file, or a folder of Polytec's text files.
+    """Read a scan from a file, or a folder of Polytec's text files.
 
-    Raises MeasurementError for one that isn't there, of another kind, or with faults.
+    Raises MeasurementError for a missing one, another kind, or faults in it.
     """
     file = Path(path)
     if file.is_dir():

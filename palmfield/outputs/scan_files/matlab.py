@@ -21,11 +21,11 @@ KNOWN = ("time_s", "points_m", "sights", *VALUES)
 
 
 def read_mat(file: Path) -> Scan:
-    """A scan from a MATLAB file. Raises MeasurementError for one without these variables, or with others' shapes."""
+    """Read a scan from a MATLAB file. Raises MeasurementError for missing variables and other shapes."""
     try:
         found = _variables(file)
     except Exception as error:
-        # SciPy raises what it meets in a broken file, from ValueError to zlib's own errors
+        # SciPy passes on errors of a broken file, from ValueError to zlib's own errors
         raise MeasurementError(f"{file}: cannot be read: {error}; give a MATLAB file") from None
     there = [name for name in VALUES if name in found]
     if len(there) != 1:
@@ -52,12 +52,12 @@ def _variables(file: Path) -> dict[str, Any]:
         return dict(loadmat(regular(file), variable_names=KNOWN))
     except NotImplementedError:
         with h5py.File(file) as opened:
-            # MATLAB stores columns first, so that HDF5 sees its arrays turned over
+            # MATLAB stores columns first, so its arrays are transposed in HDF5
             return {name: np.asarray(opened[name]).T for name in KNOWN if name in opened}
 
 
 def write_mat(file: Path, scan: Scan) -> None:
-    """Write a scan so that `read_mat` reads it back unchanged. Raises OutputError where it can't be written."""
+    """Write a scan so that `read_mat` reads it back unchanged. Raises OutputError if that fails."""
     variables = {"time_s": scan.times_s[:, None], "points_m": scan.points, NAMES[scan.quantity]: scan.values}
     try:
         savemat(file, variables | ({} if scan.sights is None else {"sights": scan.sights}), appendmat=False)

@@ -1,4 +1,4 @@
-"""Scans as Polytec's software (PSV, VibSoft) exports time signals as text: a file for each point, in one folder.
+"""Scans in the text format of Polytec's software (PSV, VibSoft) for time signals: a file for each point, in one folder.
 
 Source File Name:   palm
 Point Index:        12
@@ -10,10 +10,10 @@ Time    Time Signal
 0       -0.000201617
 ...
 
-Tabs stand between names, values and columns. Polytec has published no description; this is what public programs say
-that read such files, and what they don't say is refused. In what length a point's place is written there none of them
-says, so that places come from `places.csv` in the same folder: columns point, x_m, y_m, z_m and, if the lines of sight
-are known, sight_x, sight_y, sight_z.
+Tabs separate names, values and columns. Polytec has published no description; the format is that of public programs
+that read such files, and all else is refused. None of them gives the unit of a point's place, so places come from
+`places.csv` in the same folder: columns point, x_m, y_m, z_m and, if the lines of sight are available, sight_x,
+sight_y, sight_z.
 """
 
 import re
@@ -45,9 +45,9 @@ class _Point(NamedTuple):
 
 
 def read_polytec(folder: Path) -> Scan:
-    """A scan from a folder of text files and its table of places.
+    """Read a scan from a folder of text files and its table of places.
 
-    Raises MeasurementError for what isn't recognised in a file, for files without a place, and for signals of different
+    Raises MeasurementError for unrecognised parts of a file, for files without a place, and for signals of different
     kinds or times.
     """
     files = sorted(folder.glob("*.txt"))
@@ -144,7 +144,7 @@ def _quantity(file: Path, signal: str) -> Quantity:
 
 
 def _table(file: Path, lines: list[str], first: int, quantity: Quantity) -> Float:
-    """Times [s] and values [m or m/s], shape (t, 2). first: number of the first of these lines in the file"""
+    """Return times [s] and values [m or m/s], shape (t, 2). first: number of the first of these lines in the file"""
     names, units = ([cell.strip() for cell in line.split("\t")] for line in (*lines[:2], "", "")[:2])
     if len(names) != 2 or names[0] != "Time" or len(units) != 2:
         raise MeasurementError(

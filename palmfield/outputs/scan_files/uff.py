@@ -1,7 +1,7 @@
-"""Scans as Universal File Format, which vibrometers' software reads and writes, by pyuff (extra [uff]).
+"""Scans as Universal File Format, used by vibrometer software, by pyuff (extra [uff]).
 
-Read are nodes (data sets 15 and 2411), units (164), and functions at nodes (58, and 58b in binary).
-Written are 164, 2411, trace lines (82), and 58 or 58b. A function's fourth line holds the beam: `sight x y z`.
+Reads nodes (data sets 15 and 2411), units (164), and functions at nodes (58, and 58b in binary).
+Writes 164, 2411, trace lines (82), and 58 or 58b. A function's fourth line holds the beam: `sight x y z`.
 """
 
 import math
@@ -22,9 +22,9 @@ SIGHT = "sight "
 ALONG_BEAM = (0, 3)
 LONGEST_LINE = 250
 DELIMITER, TAIL = b"    -1", 4096
-"""A line of these ends a data set; so many bytes of blank lines may follow the last one."""
+"""Length of the line that ends a data set; largest number of bytes of blank lines after the last one."""
 LONGEST_PATH = 80
-"""pyuff passes on files with any path; messages of it are cut at so many letters."""
+"""Length to which pyuff's messages are cut, since they contain paths."""
 
 
 def _pyuff() -> Any:
@@ -44,21 +44,21 @@ def _sets(file: Path) -> list[dict[str, Any]]:
     try:
         opened = pyuff.UFF(str(file))
         wanted = {15, 2411, 164, 58}
-        # pyuff raises plain Exceptions, and reads what it doesn't know as nothing
+        # pyuff raises plain Exceptions, and ignores data that it cannot read
         found = [opened.read_sets(n) for n, kind in enumerate(opened.get_set_types()) if int(kind) in wanted]
     except Exception as error:
         text = " ".join(str(error).split())[:LONGEST_PATH]
         raise MeasurementError(f"{file}: is not readable as UFF: {text or type(error).__name__}") from None
     if not found:
         raise MeasurementError(f"{file}: holds no data sets 15, 2411 or 58; give a UFF file of a scan")
-    # pyuff leaves out a set without an end, so that a point would be missing without a word
+    # pyuff drops a set without an end, so that a point would be missing without a message
     if not file.read_bytes()[-TAIL:].rstrip().endswith(DELIMITER):
         raise MeasurementError(f"{file}: ends within a data set: it was cut off; give the whole file")
     return [one for one in found if one]
 
 
 def _nodes(file: Path, sets: list[dict[str, Any]]) -> tuple[dict[int, Float], float]:
-    """Places of nodes [m] by number, and what a length of 1 in the file is [m]."""
+    """Return places of nodes [m] by number, and the file's unit of length [m]."""
     factors = [float(one["length"]) for one in sets if one["type"] == 164]
     metre = 1.0 / factors[-1] if factors else 1.0
     places: dict[int, Float] = {}
@@ -72,7 +72,7 @@ def _nodes(file: Path, sets: list[dict[str, Any]]) -> tuple[dict[int, Float], fl
 
 
 def read_uff(file: Path) -> Scan:
-    """The time responses of displacement or velocity in a file, as one scan.
+    """Read the time responses of displacement or velocity in a file, as one scan.
 
     Raises MeasurementError for files without them, with several quantities, different times or nodes without a place.
     """
@@ -106,7 +106,7 @@ def read_uff(file: Path) -> Scan:
         record = np.asarray(one["data"])
         if len(record) != len(times) or np.abs(np.asarray(one["x"]) - np.asarray(first["x"])).max() > 1e-9:
             raise MeasurementError(f"{file}: the times of node {node} are not those of node {int(first['rsp_node'])}")
-        # A direction of the node's axes; towards -3 is what moves away along z
+        # A direction of the node's axes; -3 means motion away along z
         unit = _unit(file, one, KINDS[int(one["ordinate_spec_data_type"])], metre if scaled else None)
         values.append((-unit if direction < 0 else unit) * record.real)
         points.append(places[node])
@@ -118,7 +118,7 @@ def read_uff(file: Path) -> Scan:
 
 
 def _unit(file: Path, function: dict[str, Any], quantity: Quantity, by_set: float | None) -> float:
-    """What a value of 1 is [m or m/s]: by its label where it has one, which data set 164 must not contradict."""
+    """Return the unit of values [m or m/s]: from its label if it has one, which data set 164 must not contradict."""
     time = str(function.get("abscissa_axis_units_lab") or "").strip()
     if time.lower() not in ("", "none", "s", "sec", "seconds"):
         raise MeasurementError(f"{file}: times carry the unit label '{time[:20]}'; allowed: s; export it in seconds")
@@ -169,7 +169,7 @@ def _geometry(points: Float) -> list[dict[str, Any]]:
 def write_uff(file: Path, scan: Scan, *, binary: bool = True) -> None:
     """Write a scan: units, nodes, trace lines, and a time response for each point, as 58b or, not binary, as 58.
 
-    Times are single precision in a header, which is 1e-6 of the step. Raises OutputError where it can't be written.
+    Times are single precision in a header, which is 1e-6 of the step. Raises OutputError if that fails.
     """
     step = 1.0 / scan.rate_Hz
     number = NUMBERS[scan.quantity]
@@ -193,7 +193,7 @@ def write_uff(file: Path, scan: Scan, *, binary: bool = True) -> None:
 def _write(file: Path, sets: list[dict[str, Any]]) -> None:
     pyuff = _pyuff()
     try:
-        # Found out before pyuff appends to the file, set by set
+        # Checked before pyuff appends to the file, set by set
         file.write_bytes(b"")
         pyuff.UFF(str(file)).write_sets(sets, mode="overwrite")
     except OSError as error:

@@ -28,7 +28,7 @@ SIGHTS = ("sight_x", "sight_y", "sight_z")
 
 
 def read_csv(file: Path) -> Scan:
-    """A scan from a CSV file. Raises MeasurementError with line and column for what is wrong in it."""
+    """Read a scan from a CSV file. Raises MeasurementError with line and column for errors in it."""
     head: dict[str, str] = {}
     rows: list[tuple[int, list[str]]] = []
     try:
@@ -108,7 +108,7 @@ def _number(file: Path, line: int, column: str, cell: str) -> float:
 
 
 def write_csv(file: Path, scan: Scan) -> None:
-    """Write a scan so that `read_csv` reads it back unchanged. Raises OutputError where it can't be written."""
+    """Write a scan so that `read_csv` reads it back unchanged. Raises OutputError if that fails."""
     unit = "m/s" if scan.quantity == "velocity" else "m"
     try:
         with file.open("w", newline="", encoding="utf-8") as text:

@@ -1,4 +1,4 @@
-"""Arrays of a run in USD: transducers where they are, with amplitude and phase of each over time."""
+"""Arrays of a run in USD: transducers at their places, with amplitude and phase of each over time."""
 
 import numpy as np
 import trimesh
@@ -20,11 +20,11 @@ CASE_COLOUR = (0.35, 0.37, 0.40)
 CORNERS = 16
 TURN = 2.0 * np.pi
 SILENT = 1e-3
-"""A transducer below this amplitude keeps the case's colour."""
+"""A transducer below this amplitude has the case's colour."""
 
 
 class ArrayWriter:
-    """Writes what changes of one array, from frame to frame.
+    """Writes changes of one array, frame by frame.
 
     The prim holds Transducers, a point instancer whose primvars drive_amplitude and drive_phase have a value for each,
     and Drive, discs before and behind each of them (first all before), coloured by its phase while it sounds.
@@ -75,7 +75,7 @@ class ArrayWriter:
         self._drive = made[0], made[1], Samples(indices_of(colour), integers)
 
     def write(self, clock: Clock, frames: slice) -> None:
-        """Write some frames, which come after those before."""
+        """Write some frames, later than those before."""
         codes, times = clock.codes[frames].tolist(), clock.times_s[frames]
         if self._poses is not None:
             for code, time_s in zip(codes, times.tolist(), strict=True):
@@ -102,18 +102,18 @@ def _numbers(palette: Palette, size: Float, phase: Float) -> Int:
 
 
 def _facing(directions: Float) -> Rotation | None:
-    """What turns z into each direction, shape (n, 3); None where all are z."""
+    """Return rotations of z to each direction, shape (n, 3); None if all are z."""
     axis = np.cross([0.0, 0.0, 1.0], directions)
     sine = np.linalg.norm(axis, axis=1)
     if sine.max() < 1e-9 and directions[:, 2].min() > 0.0:
         return None
-    # Straight back is half a turn about x
+    # The opposite direction is half a turn about x
     axis = np.where(sine[:, None] > 1e-9, axis / np.maximum(sine, 1e-9)[:, None], [1.0, 0.0, 0.0])
     return Rotation.from_rotvec(np.arctan2(sine, directions[:, 2])[:, None] * axis)
 
 
 def _discs(positions: Float, turns: Rotation | None, radius: float, above: float) -> Float:
-    """Corners of a disc at each transducer, so far above its face, shape (n * CORNERS, 3)."""
+    """Corners of a disc at each transducer, at this height above its face, shape (n * CORNERS, 3)."""
     angle = TURN * np.arange(CORNERS) / CORNERS
     ring = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), np.full(CORNERS, above)])
     if turns is None:

@@ -1,4 +1,4 @@
-"""Bodies of a run in USD: where they are, their surface, their bones, and the sound's force on them."""
+"""Bodies of a run in USD: their poses, their surface, their bones, and the sound's force on them."""
 
 from typing import Any
 
@@ -19,16 +19,16 @@ from palmfield.outputs.usd.skins import SkinWriter
 from palmfield.types import Float, Float32, Int
 
 SKIN_COLOUR = (0.70, 0.47, 0.36)
-"""Of bodies and their skins, where no quantity colours these."""
+"""Colour of bodies and their skins without a coloured quantity."""
 FORCE_ROUNDING = "up or down to 1/1000 of the moment's range, so that the sum over areas stays"
 FORCE_PART = 1000
-"""What presses on faces is rounded to this part of its range: it adds up to the force, even where it is a small one."""
+"""Rounding of the pressure on faces as a part of its range: the sum must equal the force, even a small one."""
 
 
 class BodyWriter:
-    """Writes what changes of one body, from frame to frame.
+    """Writes changes of one body, frame by frame.
 
-    skins: what writes each of its skins, by the name that the result has for it
+    skins: writers of its skins, by their names in the result
     """
 
     def __init__(
@@ -43,8 +43,8 @@ class BodyWriter:
     ):
         """Add the body's prims.
 
-        body, forces: groups of any of its skins; surfaces: of those that have one; skins: by name
-        colour: of the body, and of its skins where they have no colours over time
+        body, forces: groups of any of its skins; surfaces: of skins that have one; skins: by name
+        colour: of the body, and of its skins without colours over time
         """
         boned = body is not None and has_records(body, "bone_pose")
         moves = body is not None and has_records(body, "pose")
@@ -83,7 +83,7 @@ class BodyWriter:
         skins: list[xr.Dataset],
         colour: tuple[float, ...],
     ) -> list[tuple[UsdGeom.Mesh, xr.Dataset, slice]]:
-        """The body's closed surface with the ARP on it, and the same as it is drawn, below its skins."""
+        """The body's closed surface with the ARP on it, and the same as drawn, below its skins."""
         first, everything = surfaces[0], slice(None)
         points, faces = first["rest_position"].values, first["face"].values
         mesh = add_mesh(stage, f"{path}/Surface", points, faces, colour)
@@ -105,7 +105,7 @@ class BodyWriter:
             )
             self._pressed = first, rounded, Samples(primvar.GetAttr(), floats)
         mesh.CreatePurposeAttr(UsdGeom.Tokens.guide)
-        # Normals are those at the true place: the sunk part's edge would darken the body beside the skin
+        # Normals are those at the true place: the lowered part's edge would darken the body next to the skin
         normals = smooth_normals(points, faces)
         drawn = add_mesh(stage, f"{path}/Drawn", sunk(first, skins)["rest_position"].values, faces, colour, normals)
         return [(mesh, first, everything), (drawn, first, everything)]
@@ -124,7 +124,7 @@ class BodyWriter:
         return added
 
     def write(self, clock: Clock, frames: slice) -> None:
-        """Write some frames, which come after those before; skins are written by themselves."""
+        """Write some frames, later than those before; skins are written separately."""
         codes, times = clock.codes[frames].tolist(), clock.times_s[frames]
         for code, time_s in zip(codes, times.tolist(), strict=True):
             now = nearest(self._step_times, time_s) if len(self._poses) > 1 else 0
@@ -142,16 +142,16 @@ class BodyWriter:
             pressed, last = rows_at(surface["face_arp"], "step_time", steps), -1
             for code, step, row in zip(codes, steps.tolist(), pressed, strict=True):
                 if step != last:
-                    # To a part of the moment's own range, so that small forces are as exact as large ones
+                    # To a part of the moment's own range, so that small forces are as accurate as large ones
                     own = rounding(float(row.min()), float(row.max()), rounded.weights, FORCE_PART)
                     self._arp, last = own.of(row), step
                 samples.add(code, self._arp)
 
     def stand(self) -> None:
-        """Write where the body is, of a run without times."""
+        """Write the pose of the body for a run without times."""
         self._moves.add(0.0, self._poses[0])
 
 
 def steps_of(step_times: Float, times_s: Float) -> Int:
-    """The MuJoCo steps at whose ends, or before those, times [s] are, shape (n,); of the run's beginning the first."""
+    """Return the MuJoCo steps that contain times [s], shape (n,), or end at them; the first for the run's beginning."""
     return np.maximum(0, np.searchsorted(step_times, times_s - 1e-9) - 1).astype(np.int32)

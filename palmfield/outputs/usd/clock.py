@@ -1,4 +1,4 @@
-"""Which times of a run a USD scene has, and which time codes they are: a time code over codes per second is seconds."""
+"""Times of a run in a USD scene, and their time codes: a time code over codes per second is seconds."""
 
 from typing import Any, NamedTuple
 
@@ -11,11 +11,11 @@ from palmfield.outputs.usd.shown import Shown
 from palmfield.types import Float, Int
 
 DECIMALS = 6
-"""Of time codes: a millionth of a frame is far below the precision of the run's times."""
+"""Decimals of time codes: a millionth of a frame is far below the precision of the run's times."""
 
 
 class Clock(NamedTuple):
-    """places: which of the run's times there are; times_s: those [s], shape (n,); codes: theirs, shape (n,)
+    """places: indices of the included times of the run; times_s: those [s], shape (n,); codes: theirs, shape (n,)
 
     per_second: time codes a second of the run
     """
@@ -26,18 +26,18 @@ class Clock(NamedTuple):
     per_second: float
 
     def code(self, time_s: float) -> float:
-        """The time code of any time of the run [s]."""
+        """Return the time code of any time of the run [s]."""
         return round(time_s * self.per_second, DECIMALS)
 
 
 def rows_at(variable: xr.DataArray, dim: str, numbers: Int) -> NDArray[Any]:
-    """The rows of a variable along its dimension of records with these numbers, which rise; read in one go."""
+    """Return rows of a variable along its dimension of records by rising numbers; read together."""
     first = int(numbers[0])
     return np.asarray(variable.isel({dim: slice(first, int(numbers[-1]) + 1)}).values)[numbers - first]
 
 
 def clock_of(result: xr.DataTree, shown: Shown) -> Clock:
-    """The clock of a result; without times where it has none.
+    """Return the clock of a result; without times if it has none.
 
     Raises OutputError for times that are not within the run.
     """

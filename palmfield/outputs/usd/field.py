@@ -1,4 +1,4 @@
-"""The sound field of a run in USD: a slice through the focus, points where it is loud, or surfaces of one pressure."""
+"""The sound field of a run in USD: a slice through the focus, points of high pressure, or isosurfaces."""
 
 from typing import Any, NamedTuple
 
@@ -22,14 +22,14 @@ from palmfield.types import Float, Int
 SLICE_STEP_M = 1.5e-3
 """A sixth of a wavelength."""
 BESIDE_M = 0.05
-"""The slice goes so far beyond the foci to either side."""
+"""Distance of the slice's ends beyond the foci on either side."""
 BEGINS_M, BEYOND_M = 0.01, 0.04
-"""The slice goes from so far before the array to so far beyond the focus."""
+"""Distances of the slice's ends before the array and beyond the focus."""
 ROUND_M = 0.025
-"""So far round the foci goes the box in which points and surfaces are looked for."""
+"""Margin round the foci of the box in which points and surfaces are computed."""
 MOST_IN_BOX = 100_000
 REACH_M = 0.2
-"""Where nothing has a focus it is taken to be so far before the array."""
+"""Distance before the array assumed for a drive without a focus."""
 POINT_M = 1.2e-3
 
 
@@ -51,10 +51,10 @@ class _Grid(NamedTuple):
 
 
 def add_field(stage: Usd.Stage, result: xr.DataTree, shown: Shown, clock: Clock) -> Palette:
-    """The shapes of the field that are asked for, at their times; returns the palette that they share.
+    """Add the requested shapes of the field at their times; returns their common palette.
 
-    Peak amplitude of the incident sound, in free air, as of `palmfield.outputs.sound.sound_at`; it raises what that
-    raises, and OutputError for a result without drives and for times outside the run.
+    Peak amplitude of the incident sound, in free air, as of `palmfield.outputs.sound.sound_at`. Raises as that does,
+    and OutputError for a result without drives and for times outside the run.
     """
     arrays = driven_arrays(result)
     loud = {name: array["drive_amplitude"].values.sum(axis=1) for name, array in arrays.items()}
@@ -170,9 +170,9 @@ def _add_surface(
 
 
 def isosurface(values: Float, level: float) -> tuple[Float, Int]:
-    """Where values on a grid (a, b, c) have a level: points in steps of the grid, (p, 3), and triangles, (m, 3).
+    """Surface of a level of values on a grid (a, b, c): points in steps of the grid, (p, 3), and triangles, (m, 3).
 
-    Triangles are counter-clockwise as seen from where values are lower.
+    Triangles are counter-clockwise as seen from lower values.
     """
     if not values.min() < level < values.max():
         return np.zeros((0, 3)), np.zeros((0, 3), np.int32)
@@ -183,7 +183,7 @@ def isosurface(values: Float, level: float) -> tuple[Float, Int]:
 
 
 def _between(grid: _Grid, points: Float) -> Float:
-    """Points in steps of the box's grid in the world [m]."""
+    """Convert points in steps of the box's grid to the world [m]."""
     box = grid.box.reshape(*grid.sides, 3)
     origin = box[0, 0, 0]
     steps = np.stack([box[1, 0, 0] - origin, box[0, 1, 0] - origin, box[0, 0, 1] - origin])

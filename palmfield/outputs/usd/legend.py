@@ -1,4 +1,4 @@
-"""The legend of a scene's colours as geometry: a bar, ticks and their labels, beside what they are of."""
+"""The legend of a scene's colours as geometry: a bar, ticks and their labels, next to the coloured object."""
 
 from itertools import pairwise
 
@@ -20,7 +20,7 @@ INK = (0.02, 0.02, 0.02)
 TALL = 0.55
 """The bar's share of the picture's height."""
 WIDE = 0.06
-"""Of all, relative to the bar's height."""
+"""Width of the whole legend, relative to the bar's height."""
 TEXT = 0.05
 STEPS_A_LETTER = 14.0
 
@@ -28,7 +28,7 @@ STEPS_A_LETTER = 14.0
 def add_legend(
     stage: Usd.Stage, path: str, name: str, quantity: Quantity, palette: Palette, camera: Camera, depth_m: float
 ) -> None:
-    """The legend of a quantity in the right of the camera's picture, at a depth [m] before it.
+    """Add the legend of a quantity in the right part of the camera's picture, at a depth [m] before it.
 
     Its customData holds the same: quantity, low and high in the primvar's unit, ticks in that and in the shown unit.
     """
@@ -79,14 +79,14 @@ def _box(left: float, right: float, low: float, high: float) -> Float:
 
 
 def lettering(texts: list[tuple[float, float, str]]) -> tuple[Float, Int]:
-    """Texts at places as flat triangles, shapes (n, 2) and (m, 3)."""
+    """Return texts at places as flat triangles, shapes (n, 2) and (m, 3)."""
     points, faces, count = [], [], 0
     for x, y, text in texts:
         outline = TextPath((0.0, 0.0), text, size=1.0)
         rings = [ring for ring in map(np.asarray, outline.to_polygons()) if len(ring) > 3]
         dense = np.unique(np.concatenate([_dense(ring) for ring in rings]).round(6), axis=0)
         corners = dense[Delaunay(dense).simplices]
-        # A triangle belongs to a letter where an odd number of outlines goes round its middle
+        # A triangle is part of a letter if an odd number of outlines encloses its middle
         inside = np.zeros(len(corners), bool)
         for ring in rings:
             inside ^= Outline(ring).contains_points(corners.mean(axis=1))
@@ -98,7 +98,7 @@ def lettering(texts: list[tuple[float, float, str]]) -> tuple[Float, Int]:
 
 
 def _dense(ring: Float) -> Float:
-    """A closed outline with points no farther apart than a part of a letter."""
+    """Return a closed outline with a point spacing of at most a part of a letter."""
     parts = []
     for a, b in pairwise(ring):
         count = max(1, int(np.ceil(np.linalg.norm(b - a) * STEPS_A_LETTER)))

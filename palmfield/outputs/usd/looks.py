@@ -1,4 +1,4 @@
-"""What makes a USD scene look right anywhere: a material that reads the prims' own colours, lights and a camera."""
+"""Appearance of a USD scene in any viewer: a material that reads the prims' own colours, lights and a camera."""
 
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdShade
@@ -9,12 +9,12 @@ from palmfield.types import Float
 PICTURE = (960, 720)
 """Width and height of the camera's picture [pixels]."""
 LEGEND_SHARE = 0.80
-"""So much of its width is the scene's; the legend stands in the rest."""
+"""Share of its width for the scene; the legend uses the rest."""
 APERTURE = 36.0
 
 
 def add_material(stage: Usd.Stage) -> None:
-    """A UsdPreviewSurface whose colour is the primvar displayColor, for all of the scene."""
+    """Add a UsdPreviewSurface whose colour is the primvar displayColor, for all of the scene."""
     material = UsdShade.Material.Define(stage, "/Scene/Looks/DisplayColour")
     surface = UsdShade.Shader.Define(stage, "/Scene/Looks/DisplayColour/Surface")
     surface.CreateIdAttr("UsdPreviewSurface")
@@ -31,14 +31,14 @@ def add_material(stage: Usd.Stage) -> None:
 
 
 def add_lights(stage: Usd.Stage, camera: Camera) -> None:
-    """Even light from everywhere, and a lamp beside the camera."""
+    """Add even light from all directions, and a lamp next to the camera."""
     UsdGeom.Scope.Define(stage, "/Scene/Lights")
     dome = UsdLux.DomeLight.Define(stage, "/Scene/Lights/Dome")
     dome.CreateIntensityAttr(0.5)
-    # Blender takes a dome without a colour for no light
+    # Blender ignores a dome without a colour
     dome.CreateColorAttr(Gf.Vec3f(1.0, 1.0, 1.0))
     key = UsdLux.DistantLight.Define(stage, "/Scene/Lights/Key")
-    # Normalised, the lamp is as bright whatever its angle: renderers differ in what they make of the other kind
+    # Normalised, the lamp's brightness does not depend on its angle: renderers treat the other kind differently
     key.CreateNormalizeAttr(True)
     key.CreateIntensityAttr(0.35)
     key.CreateColorAttr(Gf.Vec3f(1.0, 1.0, 1.0))
@@ -48,7 +48,7 @@ def add_lights(stage: Usd.Stage, camera: Camera) -> None:
 
 
 def add_camera(stage: Usd.Stage, camera: Camera, reach_m: float) -> None:
-    """The camera of the run's pictures. reach_m: how far what it sees may be [m]"""
+    """Add the camera of the run's pictures. reach_m: largest distance of visible objects [m]"""
     UsdGeom.Scope.Define(stage, "/Scene/Cameras")
     seen = UsdGeom.Camera.Define(stage, "/Scene/Cameras/Main")
     width, height = PICTURE
@@ -62,7 +62,7 @@ def add_camera(stage: Usd.Stage, camera: Camera, reach_m: float) -> None:
 
 
 def _matrix(forward: Float, up: Float, place: Float) -> Gf.Matrix4d:
-    """Of what looks along its own -z, its y up, as USD's cameras and lights do."""
+    """Return the matrix of an object that looks along its own -z, its y up, like USD's cameras and lights."""
     right = np.cross(forward, up)
     right /= np.linalg.norm(right)
     rows = np.eye(4)

@@ -1,4 +1,4 @@
-"""Colours of a quantity: a palette that never changes, of which numbers over time say who has which."""
+"""Colours of a quantity: a constant palette, and numbers over time that index it."""
 
 from typing import Any, NamedTuple
 
@@ -15,7 +15,7 @@ COLOURS = 256
 
 
 class Palette(NamedTuple):
-    """low, high: the range that is mapped, in the primvar's unit; colours: sRGB, shape (256, 3); map: its name"""
+    """low, high: the mapped range, in the primvar's unit; colours: sRGB, shape (256, 3); map: its name"""
 
     low: float
     high: float
@@ -24,11 +24,11 @@ class Palette(NamedTuple):
 
     @property
     def at_rest(self) -> tuple[float, ...]:
-        """The colour of zero, or of the range's end nearest to it, in USD's linear RGB."""
+        """Return the colour of zero, or of the range's end nearest to it, in USD's linear RGB."""
         return tuple(linear_rgb(self.colours[int(self.numbers(np.zeros(1))[0])]).tolist())
 
     def numbers(self, values: NDArray[np.floating]) -> Int:
-        """The colour of each value; those outside the range have that of its nearer end."""
+        """Return the index of each value's colour; values outside the range have that of its nearer end."""
         share = (np.asarray(values, np.float64) - self.low) / (self.high - self.low)
         return np.rint(np.clip(share, 0.0, 1.0) * (COLOURS - 1)).astype(np.int32)
 
@@ -36,8 +36,7 @@ class Palette(NamedTuple):
 def palette_of(low: float, high: float, two_sided: bool, limits: tuple[float, float] | None) -> Palette:
     """The palette of a quantity whose values go from low to high.
 
-    two_sided: blue below zero, red above, as far on either side unless limits say otherwise; else from pale to dark,
-        from zero on
+    two_sided: blue below zero, red above, symmetric unless limits differ; else from pale to dark, from zero on
     """
     if limits is None:
         top = max(abs(low), abs(high)) or 1.0
@@ -48,12 +47,12 @@ def palette_of(low: float, high: float, two_sided: bool, limits: tuple[float, fl
 
 
 def cyclic_palette(period: float) -> Palette:
-    """Of phases from 0 to a period."""
+    """Return the palette of phases from 0 to a period."""
     return Palette(0.0, period, np.asarray(colormaps["twilight"](np.linspace(0.0, 1.0, COLOURS)))[:, :3], "twilight")
 
 
 def paint(prim: UsdGeom.Gprim, palette: Palette, interpolation: str, **said: Any) -> UsdGeom.Primvar:
-    """Give a prim a palette, which says what it shows; its numbers are the primvar's indices."""
+    """Give a prim a palette with its description; its numbers are the primvar's indices."""
     colour = prim.CreateDisplayColorPrimvar(interpolation)
     colour.Set(vectors(linear_rgb(palette.colours)))
     about(colour.GetAttr(), low=palette.low, high=palette.high, map=palette.map, **said)

@@ -1,4 +1,4 @@
-"""MuJoCo's scene in USD: bodies that move as they did, geoms, and UsdPhysics' rigid bodies, colliders and joints."""
+"""MuJoCo's scene in USD: bodies with recorded motion, geoms, and UsdPhysics' rigid bodies, colliders and joints."""
 
 import json
 from typing import Any
@@ -21,21 +21,21 @@ from palmfield.types import Float
 ROOT = "/Scene/MuJoCo"
 EARTH = "[0.0, 0.0, -9.81]"
 MOTION, RECORDED, SIMULATED = "motion", "recorded", "simulated"
-"""The variant set and its variants: bodies that follow the run, and bodies that a physics engine moves."""
+"""The variant set and its variants: bodies that follow the run, and bodies moved by a physics engine."""
 SQUARE = 1e-3
-"""Axes of joints on one body count as square to this cosine."""
+"""Axes of joints on one body are perpendicular up to this cosine."""
 DEGREES = 180.0 / np.pi
 D6_MOVES = ("transX", "transY", "transZ")
 D6_TURNS = ("rotX", "rotY", "rotZ")
 
 
 class PhysicsWriter:
-    """Writes where MuJoCo's bodies are, from frame to frame.
+    """Writes poses of MuJoCo's bodies, frame by frame.
 
-    Bodies stand beside one another under /Scene/MuJoCo/Bodies, in world coordinates, as UsdPhysics wants it of what
-    moves by itself. Geoms of bodies that the scene shows better (hands with skin, arrays) have the purpose guide.
-    Left out are equality constraints, tendons, actuators, contact pairs and excludes, and joints of one body whose axes
-    are not square to each other, which the prim's customData lists.
+    Bodies are siblings under /Scene/MuJoCo/Bodies, in world coordinates, as UsdPhysics requires for moving bodies.
+    Geoms of bodies that the scene shows better (hands with skin, arrays) have the purpose guide. Left out are equality
+    constraints, tendons, actuators, contact pairs and excludes, and joints of one body whose axes are not
+    perpendicular, which the prim's customData lists.
     """
 
     def __init__(self, stage: Usd.Stage, group: xr.Dataset):
@@ -43,7 +43,7 @@ class PhysicsWriter:
         self._stage = stage
         attributes, moves = group.attrs, has_records(group, "pose")
         self._step_times: Float = group["step_time"].values if moves else np.zeros(0)
-        # All of them are small, and asked for thousands of times
+        # All of them are small, and read thousands of times
         scene: dict[str, NDArray[Any]] = {str(name): one.values for name, one in group.data_vars.items()}
         self._scene = scene
         self._poses: Float | None = scene["pose"] if moves else None
@@ -73,7 +73,7 @@ class PhysicsWriter:
         self._add_variants(root)
 
     def write(self, clock: Clock, frames: slice) -> None:
-        """Write some frames, which come after those before."""
+        """Write some frames, later than those before."""
         if self._poses is None:
             return
         for code, time_s in zip(clock.codes[frames].tolist(), clock.times_s[frames].tolist(), strict=True):
@@ -82,7 +82,7 @@ class PhysicsWriter:
                 moves.add(code, now[number])
 
     def stand(self) -> None:
-        """Write where the bodies are while all joints are at their reference, of a run without steps."""
+        """Write poses of the bodies with all joints at their reference, for a run without steps."""
         scene = self._scene
         poses = np.zeros((len(scene["body_name"]), 7))
         poses[0, 3] = 1.0
@@ -133,14 +133,14 @@ class PhysicsWriter:
         if bool(scene["geom_collides"][number]):
             UsdPhysics.CollisionAPI.Apply(prim.GetPrim())
             if kind in ("mesh", "ellipsoid"):
-                # MuJoCo's meshes touch by their convex hulls
+                # MuJoCo's meshes collide by their convex hulls
                 UsdPhysics.MeshCollisionAPI.Apply(prim.GetPrim()).CreateApproximationAttr("convexHull")
             friction = float(scene["geom_friction"][number])
             binding = UsdShade.MaterialBindingAPI.Apply(prim.GetPrim())
             binding.Bind(self._material(friction), UsdShade.Tokens.weakerThanDescendants, "physics")
 
     def _shape(self, path: str, kind: str, size: Float, mesh: int) -> tuple[UsdGeom.Gprim, Float | None] | None:
-        """A geom's prim, and by how much it is scaled along its axes."""
+        """Return a geom's prim, and its scale along its axes."""
         stage = self._stage
         made: Any
         if kind == "sphere":
@@ -159,7 +159,7 @@ class PhysicsWriter:
         elif kind == "plane":
             made = UsdGeom.Plane.Define(stage, path)
             made.CreateAxisAttr(UsdGeom.Tokens.z)
-            # MuJoCo's 0 is endless, USD's planes are not
+            # MuJoCo's 0 means infinite, USD's planes are finite
             made.CreateWidthAttr(2.0 * float(size[0]) or 10.0)
             made.CreateLengthAttr(2.0 * float(size[1]) or 10.0)
         elif kind == "ellipsoid":
@@ -187,7 +187,7 @@ class PhysicsWriter:
     # -- joints ----------------------------------------------------------------------------------------------------
 
     def _add_joints(self) -> list[str]:
-        """Joints of all bodies; returns what UsdPhysics has no joint for."""
+        """Add joints of all bodies; returns those that UsdPhysics cannot represent."""
         scene, left_out = self._scene, []
         owners = scene["joint_body"] if "joint_body" in scene else np.zeros(0, np.int32)
         for body in range(1, len(scene["body_name"])):
@@ -220,7 +220,7 @@ class PhysicsWriter:
             made.CreateUpperLimitAttr(ends[1])
 
     def _add_several(self, body: int, joints: list[int], kinds: list[str]) -> bool:
-        """One joint of six degrees of freedom for slides and hinges about axes that are square to one another."""
+        """Add one joint of six degrees of freedom for slides and hinges about perpendicular axes."""
         scene = self._scene
         axes = scene["joint_axis"][joints]
         anchors = scene["joint_position"][joints]
@@ -263,7 +263,7 @@ class PhysicsWriter:
         return True
 
     def _ends(self, joint: int) -> tuple[float, float] | None:
-        """A joint's limits from its reference on, degrees for hinges; None where it has none."""
+        """Return a joint's limits relative to its reference, degrees for hinges; None if it has none."""
         scene = self._scene
         if not bool(scene["joint_limited"][joint]):
             return None
@@ -273,7 +273,7 @@ class PhysicsWriter:
         return float(ends[0]), float(ends[1])
 
     def _attach(self, schema: Any, body: int, anchor: Float, turn: Rotation, joints: list[int]) -> Any:
-        """A joint between a body and its parent. anchor, turn: of its frame, in the body's"""
+        """Add a joint between a body and its parent. anchor, turn: of its frame, in the body's"""
         scene = self._scene
         names = [str(scene["joint_name"][k]) for k in joints]
         prim_name = Sdf.Path(self._paths[body]).name
@@ -320,14 +320,14 @@ def _ball() -> tuple[Float, Any]:
 
 
 def _across(axis: Float) -> Float:
-    """Any unit vector square to an axis."""
+    """Return any unit vector perpendicular to an axis."""
     other = np.eye(3)[int(np.abs(axis).argmin())]
     found = np.cross(axis, other)
     return found / np.linalg.norm(found)
 
 
 def _onto_x(axis: Float) -> Rotation:
-    """The frame whose x is an axis, in the frame that the axis is given in."""
+    """Return the frame with an axis as x, in the frame of that axis."""
     x = axis / np.linalg.norm(axis)
     y = _across(x)
     return Rotation.from_matrix(np.column_stack([x, y, np.cross(x, y)]))

@@ -1,4 +1,4 @@
-"""Meshes, curves and primvars as all parts of a USD scene make them."""
+"""Meshes, curves and primvars for all parts of a USD scene."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -15,7 +15,7 @@ NAMESPACE = "palmfield"
 
 
 def about(thing: Any, **said: Any) -> None:
-    """Say something in the customData of a prim or an attribute: `palmfield:NAME` for each name."""
+    """Set customData of a prim or an attribute: `palmfield:NAME` for each name."""
     for name, value in said.items():
         if isinstance(value, list):
             value = (Vt.StringArray if value and isinstance(value[0], str) else Vt.DoubleArray)(value)
@@ -46,9 +46,9 @@ def add_mesh(
     colour: tuple[float, ...] | None,
     normals: ArrayLike | None = None,
 ) -> UsdGeom.Mesh:
-    """A mesh of polygons of one size, faces of shape (m, corners), in one colour or with none yet.
+    """Add a mesh of polygons of one size, faces of shape (m, corners), in one colour or without a colour.
 
-    normals: of vertices, which make a curved surface look smooth; flat faces without
+    normals: of vertices, for a smooth look of curved surfaces; flat faces without
     """
     mesh = UsdGeom.Mesh.Define(stage, path)
     placed, corners = vectors(points), np.asarray(faces, np.int32)
@@ -69,7 +69,7 @@ def add_mesh(
 def add_lines(
     stage: Usd.Stage, path: str, lines: list[Float], width_m: float, colour: tuple[float, ...]
 ) -> UsdGeom.BasisCurves:
-    """Polygonal lines, each of shape (n, 3), n >= 2 [m]."""
+    """Add polygonal lines, each of shape (n, 3), n >= 2 [m]."""
     curves = UsdGeom.BasisCurves.Define(stage, path)
     curves.CreateTypeAttr(UsdGeom.Tokens.linear)
     curves.CreateCurveVertexCountsAttr(integers(np.array([len(line) for line in lines])))
@@ -83,7 +83,7 @@ def add_lines(
 
 
 def rounding_told(rounded: Rounding) -> dict[str, Any]:
-    """What a primvar says of how its values are rounded."""
+    """Describe the rounding of a primvar's values."""
     return {
         "low": rounded.low, "high": rounded.high, "error_bound": rounded.bound, "quantisation_step": rounded.step,
         "quantisation": "to the nearest" if rounded.weights is None else "up or down, so that the sum over areas stays",
@@ -93,14 +93,14 @@ def rounding_told(rounded: Rounding) -> dict[str, Any]:
 def add_primvar(
     prim: Usd.Prim, name: str, unit: str, sign: str, said: Mapping[str, Any], interpolation: str = "vertex"
 ) -> UsdGeom.Primvar:
-    """A primvar of floats that says its unit, its sign and what else is told of it."""
+    """Add a primvar of floats with its unit, sign and further descriptions."""
     created = UsdGeom.PrimvarsAPI(prim).CreatePrimvar(name, Sdf.ValueTypeNames.FloatArray, interpolation)
     about(created.GetAttr(), units=unit, sign=sign, **said)
     return created
 
 
 class Moves:
-    """Translation and orientation of a prim over time; it stands where its pose does not change."""
+    """Translation and orientation of a prim over time, without samples while its pose is constant."""
 
     def __init__(self, prim: UsdGeom.Xformable):
         precise = UsdGeom.XformOp.PrecisionDouble
@@ -110,6 +110,6 @@ class Moves:
         )
 
     def add(self, code: float, pose: Float) -> None:
-        """A pose of seven numbers at a time code."""
+        """Add a pose of seven numbers at a time code."""
         for op, part in zip(self._ops, (pose[:3], pose[3:]), strict=True):
             op.add(code, part)

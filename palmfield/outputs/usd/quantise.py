@@ -1,4 +1,4 @@
-"""Values rounded to within 1/255 of their range: few distinct ones, which USD's crate files pack well."""
+"""Values rounded to within 1/255 of their range: few distinct ones, which USD's crate files compress well."""
 
 from typing import NamedTuple
 
@@ -8,15 +8,15 @@ from numpy.typing import NDArray
 from palmfield.types import Float, Float32
 
 PART = 255
-"""No value is off by more than this part of the range."""
+"""Largest error as a part of the range."""
 
 
 class Rounding(NamedTuple):
-    """How values of a known range are rounded to multiples of a step, so that 0 stays 0.
+    """Rounding of values of a given range to multiples of a step, so that 0 stays 0.
 
-    low, high: the range; bound: the largest error; weights: of each place, for values whose weighted sum has to stay
-    Where a sum has to stay, as a pressure's over areas is a force, each moment has a threshold of its own from which on
-    values go up: to the nearest, wide places with less than half a step would lose 2 % of a hand's force.
+    low, high: the range; bound: the largest error; weights: of each place, for values whose weighted sum must be kept
+    To keep a sum, such as a force from pressures over areas, each moment has its own threshold above which values are
+    rounded up. Rounding to the nearest, large areas with less than half a step would lose 2 % of a hand's force.
     """
 
     low: float
@@ -26,7 +26,7 @@ class Rounding(NamedTuple):
     weights: Float | None = None
 
     def of(self, values: NDArray[np.floating]) -> Float32:
-        """The rounded values of one moment, shape (n,)."""
+        """Return the rounded values of one moment, shape (n,)."""
         exact: Float = np.asarray(values, np.float64)
         if self.step == 0.0:
             return exact.astype(np.float32)
@@ -43,7 +43,7 @@ class Rounding(NamedTuple):
 
 
 def rounding(low: float, high: float, weights: Float | None = None, part: int = PART) -> Rounding:
-    """For values from low to high, to within a part of that; a range without extent is kept as it is."""
+    """Return the rounding of values from low to high, to within a part of that; an empty range is unchanged."""
     if not high > low:
         return Rounding(low, high, 0.0, 0.0)
     step = (high - low) / (part if weights is not None else (part + 1) // 2)

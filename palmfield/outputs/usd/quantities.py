@@ -1,4 +1,4 @@
-"""What a skin of a run has by vertex over time, as a USD scene shows it."""
+"""Quantities of a run's skin by vertex over time, as a USD scene shows them."""
 
 from typing import NamedTuple
 
@@ -9,13 +9,13 @@ from palmfield.types import Float32
 
 
 class Quantity(NamedTuple):
-    """A quantity of skin, the name of whose primvar is its key in QUANTITIES.
+    """A quantity of skin; the name of its primvar is its key in QUANTITIES.
 
-    variable: of the result's group /skin; "" for one that is derived from the displacement
-    along_normal: whether it is the component of that along the outward normal at rest
-    unit: of the primvar, SI; sign: what a positive value means; title: as legends name it
-    shown_unit, per_unit: of the legend, and how many of them make one of the primvar's
-    two_sided: whether colours go to both sides of zero; keeps_sum: whether its sum over areas has to stay
+    variable: of the result's group /skin; "" for one derived from the displacement
+    along_normal: whether it is the component along the outward normal at rest
+    unit: of the primvar, SI; sign: meaning of a positive value; title: in legends
+    shown_unit, per_unit: of the legend, and its number in one unit of the primvar
+    two_sided: whether values have both signs; keeps_sum: whether its sum over areas must be kept
     """
 
     variable: str
@@ -49,7 +49,7 @@ QUANTITIES: dict[str, Quantity] = {
 
 
 def values_at(skin: xr.Dataset, quantity: Quantity, times: slice) -> Float32:
-    """A recorded quantity at some of the run's times, shape (t, vertices), float32."""
+    """Return a recorded quantity at some of the run's times, shape (t, vertices), float32."""
     values = skin[quantity.variable].isel(time=times).values
     if not quantity.along_normal:
         return np.asarray(values, np.float32)

@@ -1,4 +1,4 @@
-"""An attribute over time: samples only where something changes."""
+"""An attribute over time: samples only at changes."""
 
 from collections.abc import Callable
 from typing import Any
@@ -14,7 +14,7 @@ Make = Callable[[NDArray[Any]], Any]
 class Samples:
     """Writes an attribute from time code to time code.
 
-    What never changes has a default value and no samples. What changes has a sample there and one at the code before:
+    A constant attribute has a default value and no samples. A change has a sample there and one at the code before:
     viewers interpolate between samples, and hold the old value until then.
     """
 
@@ -25,7 +25,7 @@ class Samples:
         self._begun = self._seen = 0.0
 
     def add(self, code: float, value: NDArray[Any]) -> None:
-        """The value at a time code, which is later than those before."""
+        """Add the value at a time code, which is later than those before."""
         if self._last is None:
             self._attribute.Set(self._make(value))
             self._begun = self._seen = code

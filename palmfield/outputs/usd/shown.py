@@ -1,4 +1,4 @@
-"""What a USD scene of a run shows."""
+"""Contents of a USD scene of a run."""
 
 from dataclasses import dataclass
 
@@ -12,16 +12,16 @@ MOST_FRAMES = 600
 
 @dataclass(frozen=True)
 class Shown:
-    """What a USD scene shows of a run.
+    """Contents of a USD scene of a run.
 
-    colour: which quantity the skins are coloured by, of `palmfield.outputs.usd.quantities.QUANTITIES`, or "none"
-    limits: of the colours, in the quantity's SI unit; None for the whole range of the run, of both signs alike
-    magnify: factor of the motion in the variant "magnified": None for one by which the largest motion is seen as about
-        2 mm, if its points take 8 MB or less; 0 for none at all
-    quantities: which are written as primvars, None for all that the result has
-    start_s, end_s: of the run [s], None for its ends; frames: at most so many time codes
-    field: shapes of the sound field, of FIELD_SHAPES; field_times_s: when [s], () for when the array is loudest
-    level_Pa: of the isosurface and from where on there are points, peak amplitude [Pa];
+    colour: quantity of the skins' colours, of `palmfield.outputs.usd.quantities.QUANTITIES`, or "none"
+        limits: of the colours, in the quantity's SI unit; None for the whole range of the run, of both signs alike
+        magnify: factor of the motion in the variant "magnified": None for a largest motion of about 2 mm, if its points
+        take 8 MB or less; 0 for none at all
+    quantities: written as primvars, None for all in the result
+    start_s, end_s: of the run [s], None for its ends; frames: largest number of time codes
+    field: shapes of the sound field, of FIELD_SHAPES; field_times_s: their times [s], () for the loudest
+    level_Pa: of the isosurface and lower limit of points, peak amplitude [Pa];
         None for half of the largest round the foci
     observer: of the level above threshold
     """
@@ -40,7 +40,7 @@ class Shown:
 
 
 def check_shown(shown: Shown) -> None:
-    """Raises OutputError for what no run can show."""
+    """Raises OutputError for options that are invalid for any run."""
     _one_of("colour", shown.colour, [*QUANTITIES, NO_COLOUR])
     for name in shown.quantities or ():
         _one_of("quantities", name, list(QUANTITIES))

@@ -11,10 +11,10 @@ from palmfield.types import Float, Float32, Int
 
 
 def identifiers(names: Iterable[str]) -> dict[str, str]:
-    """Names that USD allows for prims and joints, by the name that each stands for; no two are alike."""
+    """Return unique names that USD allows for prims and joints, by original name."""
     result: dict[str, str] = {}
     for name in names:
-        # Left to itself, USD takes a digit at the beginning away
+        # USD itself would remove a digit at the beginning
         base = Tf.MakeValidIdentifier(f"_{name}" if name[:1].isdigit() else name)
         taken = set(result.values())
         result[name] = next(n for k in range(len(taken) + 1) if (n := f"{base}_{k}" if k else base) not in taken)
@@ -22,7 +22,7 @@ def identifiers(names: Iterable[str]) -> dict[str, str]:
 
 
 def add_skeleton(stage: Usd.Stage, root: str, body: xr.Dataset) -> tuple[UsdSkel.Skeleton, UsdSkel.Animation]:
-    """Skeleton and animation, which does not move yet, under a UsdSkel root, whose frame is the body's.
+    """Add skeleton and animation, still without motion, under a UsdSkel root, whose frame is the body's.
 
     body: a result's group /body with bone_rest
     """

@@ -1,4 +1,4 @@
-"""The skins of a run in USD: what is at each vertex over time, their colours and their magnified motion."""
+"""The skins of a run in USD: quantities at each vertex over time, their colours and their magnified motion."""
 
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -21,14 +21,14 @@ from palmfield.types import Float, Float32, Int
 
 MOTION = "motion"
 REST, MAGNIFIED = "rest", "magnified"
-"""The variant set of each skin and its variants: points where they rest, and points moved by a factor."""
+"""The variant set of each skin and its variants: points at rest, and points moved by a factor."""
 
 
 def strip_order(points: Float) -> Int:
-    """Numbers of points [m], shape (n, 3), strip by strip, to and fro, shape (n,).
+    """Return numbers of points [m], shape (n, 3), strip by strip, to and fro, shape (n,).
 
-    Strips run along the longest axis of the points, as wide as points are apart. Of a wave on 71 x 71 points it takes
-    6 % less than a Hilbert curve, and 30 % less than any order.
+    Strips run along the longest axis of the points, with the width of the point spacing. A wave on 71 x 71 points takes
+    6 % less space than with a Hilbert curve, and 30 % less than unordered.
     """
     local = points - points.mean(axis=0)
     along, across = (local @ np.linalg.svd(local, full_matrices=False)[2][:2].T).T
@@ -38,7 +38,7 @@ def strip_order(points: Float) -> Int:
 
 
 def frame_blocks(skin: xr.Dataset | None, clock: Clock, most: int) -> Iterator[slice]:
-    """The frames in blocks of at most `most`, fewer where a skin's vectors would take more than a piece."""
+    """Yield the frames in blocks of at most `most`, fewer where a skin's vectors would exceed a piece."""
     row = 12 * (1 if skin is None else skin.sizes["vertex"])
     size = max(1, min(most, PIECE_BYTES // row))
     for start in range(0, len(clock.codes), size):
@@ -46,13 +46,13 @@ def frame_blocks(skin: xr.Dataset | None, clock: Clock, most: int) -> Iterator[s
 
 
 def result_times(clock: Clock, frames: slice) -> slice:
-    """Which of the result's times some frames are."""
+    """Return the indices of some frames among the result's times."""
     step = clock.places.step
     return slice(clock.places.start + frames.start * step, clock.places.start + (frames.stop - 1) * step + 1, step)
 
 
 def recorded_quantities(skin: xr.Dataset) -> dict[str, Quantity]:
-    """Those that a skin of a result has over time."""
+    """Return the quantities of a skin of a result over time."""
     return {name: q for name, q in QUANTITIES.items() if q.variable and has_records(skin, q.variable)}
 
 
@@ -67,7 +67,7 @@ def ranges_of(skin: xr.Dataset, clock: Clock, names: list[str]) -> dict[str, tup
 
 
 class _Track(NamedTuple):
-    """One quantity on its way into the file. colour: its palette and where its numbers go, if it is the colour"""
+    """One quantity during writing. colour: its palette and the target of its numbers, if it is the colour"""
 
     quantity: Quantity
     rounding: Rounding
@@ -83,13 +83,13 @@ class _Track(NamedTuple):
 
 
 class SkinWriter:
-    """Writes what changes of one skin, from frame to frame.
+    """Writes changes of one skin, frame by frame.
 
     mesh: of the skin, its vertices strip by strip; order: the result's number of each of them
     """
 
     def __init__(self, stage: Usd.Stage, path: str, skin: xr.Dataset, colour: tuple[float, ...]):
-        """colour: where it has no colours over time"""
+        """colour: without colours over time"""
         rest = skin["rest_position"].values
         self._stage, self._skin = stage, skin
         self.order: Int = strip_order(rest)
@@ -114,7 +114,7 @@ class SkinWriter:
         self._magnify: tuple[float, Any] | None = None
 
     def take(self, name: str, low: float, high: float, palette: Palette | None, **said: Any) -> None:
-        """Write a quantity, whose values go from low to high; with a palette it colours the skin, too."""
+        """Add a quantity, whose values go from low to high; with a palette it also colours the skin."""
         quantity = QUANTITIES[name]
         rounded = rounding(low, high, self._areas if quantity.keeps_sum else None)
         told = rounding_told(rounded) | said
@@ -126,14 +126,14 @@ class SkinWriter:
         self._tracks[name] = _Track(quantity, rounded, Samples(primvar.GetAttr(), floats), coloured)
 
     def take_levels(self, course: LevelCourse) -> None:
-        """Where the level above threshold comes from; `take` has been told of it."""
+        """Set the source of the level above threshold; `take` was called for it before."""
         self._levels = course
 
     def magnify(self, factor: float) -> None:
-        """Let the points move by a factor in the variant "magnified"; the variant "rest" is chosen."""
+        """Move the points by a factor in the variant "magnified"; the variant "rest" is selected."""
         about(self.mesh.GetPrim(), magnification=factor)
         variants = self.mesh.GetPrim().GetVariantSets().AddVariantSet(MOTION)
-        # What a prim says itself is stronger than what it says in a variant: it is said in the variants only
+        # A value on the prim overrides that in a variant: it is set in the variants only
         shape = self.mesh.GetPointsAttr(), self.mesh.GetExtentAttr(), self.mesh.GetNormalsAttr()
         kept = {attribute: attribute.Get() for attribute in shape}
         for attribute in kept:
@@ -143,13 +143,13 @@ class SkinWriter:
             variants.SetVariantSelection(name)
             with variants.GetVariantEditContext():
                 for attribute, value in kept.items():
-                    # Normals at rest are wrong for the magnified skin, whose viewer makes its own
+                    # Normals at rest are wrong for the magnified skin, whose viewer computes its own
                     if name == REST or attribute.GetName() != UsdGeom.Tokens.normals:
                         attribute.Set(value)
         self._magnify = factor, variants
 
     def write(self, clock: Clock, frames: slice) -> None:
-        """Write some frames, which come after those before."""
+        """Write some frames, later than those before."""
         times = result_times(clock, frames)
         columns = {name: values_at(self._skin, track.quantity, times)[:, self.order]
                    for name, track in self._tracks.items() if track.quantity.variable}  # fmt: skip

@@ -1,4 +1,4 @@
-"""The file of a USD scene while it grows: saved every few frames, readable after a kill, whole at the end."""
+"""The file of a USD scene during writing: saved every few frames, readable after a kill, complete at the end."""
 
 import os
 import re
@@ -15,12 +15,12 @@ SAVE_EVERY = 50
 
 
 def partial_of(path: Path) -> Path:
-    """Where what is written so far can be read while a scene is being written, and after that was killed."""
+    """Return where the scene so far can be read during writing, and after a kill."""
     return path.with_name(f"{path.stem}.partial.usdc")
 
 
 def left_scenes(folder: Path) -> list[tuple[Path, str]]:
-    """Files in a folder that a writing of a USD scene has left which was killed, or goes on, and what each is."""
+    """Return files in a folder of an interrupted or running USD export, and their descriptions."""
     readable = "what a USD scene that was cut off holds so far: it can be opened, or `palmfield usd` writes it whole"
     broken = "a part of a USD scene that was cut off: remove it if nothing writes there"
     hidden = [path for kind in ("tmp.usdc", "copy.usdc", "whole.usd[az]") for path in folder.glob(f".*.{kind}")]
@@ -31,14 +31,14 @@ def left_scenes(folder: Path) -> list[tuple[Path, str]]:
 
 
 class StageFile:
-    """A crate that grows and becomes the file of a name in the end.
+    """A crate that grows and gets its final name at the end.
 
-    USD saves into the file that it reads from: a kill within a saving leaves it unreadable, as one in twenty did in a
-    test. So what has been saved is copied, and the copy takes the place of the one before in one step.
+    USD saves into the file that it reads from: a kill during saving leaves it unreadable, as one in twenty did in a
+    test. So saved data are copied, and the copy replaces the one before in one step.
     """
 
     def __init__(self, path: Path):
-        """Raises OutputError for a name that ends in none of SUFFIXES and for a folder that can't be written."""
+        """Raises OutputError for a name that ends in none of SUFFIXES and for a folder that cannot be written."""
         self.path = path
         if path.suffix not in SUFFIXES:
             raise OutputError(f"cannot write {path}: name a file that ends in {', '.join(SUFFIXES)}")
@@ -54,7 +54,7 @@ class StageFile:
             raise unwritable_scene(path, error) from error
 
     def begin(self, per_second: float, fps: float) -> Usd.Prim:
-        """Units and axes; returns the root prim. per_second, fps: time codes a second of the run, and of a player."""
+        """Set units and axes; returns the root. per_second, fps: time codes a second of the run, and of a player."""
         stage = self.stage
         UsdGeom.SetStageMetersPerUnit(stage, 1.0)
         UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
@@ -66,7 +66,7 @@ class StageFile:
         return root
 
     def save(self, end_code: float | None) -> None:
-        """Save what there is up to a time code, let go of it, and let others read it."""
+        """Save all data up to a time code, free its memory, and make it readable."""
         if end_code is not None:
             self.stage.SetEndTimeCode(end_code)
         self.stage.Save()
@@ -74,7 +74,7 @@ class StageFile:
         os.replace(self._copied, partial_of(self.path))
 
     def finish(self) -> None:
-        """Put the whole scene in its place."""
+        """Move the complete scene to its place."""
         self.stage.Save()
         whole = self._growing
         if self.path.suffix == ".usda":
@@ -83,7 +83,7 @@ class StageFile:
                 raise OSError("USD could not save it")
         elif self.path.suffix == ".usdz":
             whole = self._whole
-            # The package names the layer in it, so that it has to have a name of its own
+            # The package contains the layer's name, so that it needs a name of its own
             inner = self._growing.with_name(f"{self.path.stem}.inner.usdc")
             os.replace(self._growing, inner)
             try:
@@ -94,14 +94,14 @@ class StageFile:
         os.replace(whole, self.path)
 
     def clear(self) -> None:
-        """Take away all but the file itself."""
+        """Remove all but the file itself."""
         if self._growing.parent.is_dir():
             for left in (self._growing, self._copied, self._whole, partial_of(self.path)):
                 left.unlink(missing_ok=True)
 
 
 def unwritable_scene(path: Path, error: Exception) -> OutputError:
-    """The cause in one line; USD's own errors are pages long and name the function, then the cause, in quotes."""
+    """Return the cause in one line; USD's own errors are pages long: function, then cause, in quotes."""
     if isinstance(error, OSError):
         cause = error.strerror or str(error)
     else:

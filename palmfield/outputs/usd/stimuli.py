@@ -1,4 +1,4 @@
-"""Stimuli of a run in USD: foci as crosses that move, and the ways that they go, as curves in the world."""
+"""Stimuli of a run in USD: foci as moving crosses, and their paths, as curves in the world."""
 
 import numpy as np
 import xarray as xr
@@ -21,10 +21,10 @@ CROSS = ARM_M * np.stack([sign * np.eye(3)[k] for k in range(3) for sign in (-1.
 
 
 class StimulusWriter:
-    """Writes what changes of one stimulus: where its foci are, and whether it sounds, as visibility.
+    """Writes changes of one stimulus: places of its foci, and whether it sounds, as visibility.
 
     The prim holds Foci, a cross of three lines at each focus, and Path, a line for each focus that moves. The attribute
-    palmfield:foci has the foci themselves [m].
+    palmfield:foci contains the foci [m].
     """
 
     def __init__(self, stage: Usd.Stage, path: str, stimulus: xr.Dataset, clock: Clock):
@@ -38,7 +38,7 @@ class StimulusWriter:
         foci = stimulus["foci"].isel(time=slice(whole.start, whole.stop, step)).values
         crosses = add_lines(stage, f"{path}/Foci", [line for focus in foci[0] for line in _cross(focus)], WIDTH_M,
                             FOCUS_COLOUR)  # fmt: skip
-        # Of the whole way, so that viewers that don't read it over time frame all of it
+        # Of the whole path, so that viewers that do not read it over time frame all of it
         low, high = foci.min(axis=(0, 1)) - ARM_M - WIDTH_M, foci.max(axis=(0, 1)) + ARM_M + WIDTH_M
         crosses.GetExtentAttr().Set(Vt.Vec3fArray([Gf.Vec3f(*low.tolist()), Gf.Vec3f(*high.tolist())]))
         ways = [way for way in np.moveaxis(foci, 1, 0) if np.ptp(way, axis=0).max() > RESTS_M]
@@ -53,7 +53,7 @@ class StimulusWriter:
         )
 
     def write(self, clock: Clock, frames: slice) -> None:
-        """Write some frames, which come after those before."""
+        """Write some frames, later than those before."""
         if not self._live:
             return
         times = result_times(clock, frames)

@@ -1,4 +1,4 @@
-"""Whether a USD file is sound: USD's own validators, and what they leave out."""
+"""Validate a USD file: USD's own validators, and further checks."""
 
 from collections.abc import Callable
 from functools import partial
@@ -11,11 +11,11 @@ from palmfield.errors import OutputError
 
 
 def validate_usd(path: Path) -> list[str]:
-    """What is wrong with a USD file: findings of USD's own validators and of checks that these leave out; [] is good.
+    """Return errors of a USD file: findings of USD's own validators and of further checks; [] if valid.
 
-    Every mesh must have a valid topology with indices in range; every primvar of meshes, points and instancers as many
-    values as its interpolation asks for, at each of its time samples, and indices that its values have. What variants
-    hide is looked at in each of them. Raises OutputError where the file cannot be opened.
+    Every mesh must have a valid topology with indices in range. Every primvar of meshes, points and instancers needs
+    the number of values of its interpolation, at each of its time samples, and indices within its values. Contents of
+    variants are checked in each of them. Raises OutputError if the file cannot be opened.
     """
     try:
         stage = Usd.Stage.Open(str(path))
@@ -37,7 +37,7 @@ def validate_usd(path: Path) -> list[str]:
 
 
 def _variants(stage: Usd.Stage) -> list[Callable[[], None]]:
-    """What chooses, without touching the file, the first variant of all sets, the second of all, and so on."""
+    """Yield selections, without changing the file, of the first variant of all sets, the second of all, and so on."""
     sets = [
         (prim.GetPath(), name, prim.GetVariantSets().GetVariantSet(name).GetVariantNames())
         for prim in stage.TraverseAll()

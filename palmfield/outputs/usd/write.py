@@ -1,4 +1,4 @@
-"""A result as a USD scene, from frame to frame, so that memory does not grow with the run."""
+"""Write a result as a USD scene, frame by frame, so that memory does not grow with the run."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -34,11 +34,11 @@ from palmfield.types import Float
 
 FPS = 30.0
 FIELD_LEGEND_SHARE = 0.17
-"""So much of the picture's width is the legend's of the field, where skins are coloured too."""
+"""Share of the picture's width for the field's legend, if skins are coloured too."""
 SEEN_M = 2e-3
-"""As far as the largest motion is magnified, where no factor is given."""
+"""Size to which the largest motion is magnified by default."""
 POINTS_BYTES = 8_000_000
-"""Magnified points that nobody asked for take this much at most."""
+"""Largest size of magnified points that were not requested."""
 
 
 class _Writer(Protocol):
@@ -53,7 +53,7 @@ class _Ranges(NamedTuple):
     missing: list[str]
 
     def whole(self, name: str) -> tuple[float, float] | None:
-        """Lowest and highest value of a quantity on any skin; None where no skin has it."""
+        """Return lowest and highest value of a quantity on any skin; None if no skin has it."""
         found = [ranges[name] for ranges in self.own.values() if name in ranges]
         return (min(low for low, _ in found), max(high for _, high in found)) if found else None
 
@@ -67,13 +67,13 @@ def write_usd(
 ) -> None:
     """Write a result as a USD scene: .usdc (crate), .usda (text) or .usdz (package), by the name's ending.
 
-    result: of `open_result` or `tree`; shown: what of it, see `Shown`; fps: frames a second that players are told,
-        whatever the run's own pace [1/s]; on_frame: gets the number of time codes done and of all
+    result: of `open_result` or `tree`; shown: contents, see `Shown`; fps: frames a second for players, independent of
+        the run's pace [1/s]; on_frame: called with the number of time codes done and of all
     Metres, kilograms, z up. A time code over timeCodesPerSecond is the run's time in seconds. docs/usd.md lists prims
-    and primvars. Every 50 frames what is there is saved and copied to NAME.partial.usdc, which a killed process leaves,
-    and which goes when the scene is whole.
-    Raises OutputError where `path` can't be written or has another ending, for numbers that are not possible, and for a
-    colour or a field that the result does not hold.
+    and primvars. Every 50 frames the scene so far is saved and copied to NAME.partial.usdc, which remains after a kill,
+    and is removed when the scene is complete.
+    Raises OutputError if `path` cannot be written or has another ending, for invalid numbers, and for a colour or a
+    field that the result does not contain.
     """
     told = shown or Shown()
     check_shown(told)
@@ -114,7 +114,7 @@ def _write(
     ]
     ranges = _ranges(result, shown, clock)
     palette = _palette(shown, ranges)
-    # Skin that does not move has its body's colour, so that no rim is seen where nothing happens
+    # Skin at rest has its body's colour, so that no rim is visible there
     standing = _add_bodies(stage, result, SKIN_COLOUR if palette is None else palette.at_rest)
     skin_writers = {name: writer for body in standing for name, writer in body.skins.items()}
     for name, skin_writer in skin_writers.items():
@@ -168,7 +168,7 @@ def _add_bodies(stage: Usd.Stage, result: xr.DataTree, colour: tuple[float, ...]
 
 
 def _ranges(result: xr.DataTree, shown: Shown, clock: Clock) -> _Ranges:
-    """Ranges of all that is written; what the result does not hold is left out, and said."""
+    """Return ranges of all written quantities; missing ones are left out, and reported."""
     ranges = _Ranges({}, {}, [])
     if len(clock.codes) == 0:
         return ranges
@@ -194,9 +194,9 @@ def _ranges(result: xr.DataTree, shown: Shown, clock: Clock) -> _Ranges:
 
 
 def _palette(shown: Shown, ranges: _Ranges) -> Palette | None:
-    """The palette of the colour that is asked for; None without one, and for a run without times.
+    """Return the palette of the requested colour; None without one, and for a run without times.
 
-    Raises OutputError where skins have no such quantity; the usual colour is left out then.
+    Raises OutputError if skins have no such quantity; the default colour is left out then.
     """
     whole = None if shown.colour == NO_COLOUR else ranges.whole(shown.colour)
     if whole is None:
@@ -232,7 +232,7 @@ def _take(
 
 
 def _magnification(shown: Shown, clock: Clock, ranges: _Ranges, skin: xr.Dataset) -> float:
-    """By how much a skin's motion is magnified, as much as that of the others; 0 for not at all."""
+    """Return the magnification of a skin's motion, the same as for the others; 0 for none."""
     if shown.magnify is not None:
         return shown.magnify if has_records(skin, "displacement") and len(clock.codes) else 0.0
     whole = ranges.whole("normal_displacement")
@@ -251,7 +251,7 @@ def _add_view(
     palette: Palette | None,
     field: Palette | None,
 ) -> None:
-    """Camera and lights, and the legend of what is coloured: of the skins, else of the field."""
+    """Add camera and lights, and the legend of the colours: of the skins, else of the field."""
     times = clock.times_s if len(clock.codes) else np.zeros(1)
     points = _points(result, [float(times[0]), float(times[len(times) // 2]), float(times[-1])])
     if len(points) == 0:
@@ -275,14 +275,14 @@ def _add_legends(
     if palette is not None:
         add_legend(stage, "/Scene/Legend", shown.colour, QUANTITIES[shown.colour], palette, camera, depth_m)
     if field is not None:
-        # On the left, where the skins' legend does not stand
+        # On the left, without the skins' legend
         shift = 0.0 if palette is None else LEGEND_SHARE * PICTURE[0]
         left = camera._replace(centre=camera.centre + np.array([shift, 0.0]))
         add_legend(stage, "/Scene/FieldLegend", "pressure", QUANTITIES["pressure"], field, left, depth_m)
 
 
 def _corners(root: Usd.Prim) -> Float:
-    """Corners of boxes round what lies under a prim, shape (n, 3)."""
+    """Return corners of boxes round the geometry under a prim, shape (n, 3)."""
     ends = np.concatenate(
         [np.array(UsdGeom.Boundable(one).GetExtentAttr().Get(), float)[None] for one in root.GetChildren()]
     )
@@ -291,7 +291,7 @@ def _corners(root: Usd.Prim) -> Float:
 
 
 def _points(result: xr.DataTree, times: list[float]) -> Float:
-    """Points of all bodies and arrays at some times, in the world [m], shape (n, 3)."""
+    """Return points of all bodies and arrays at some times, in the world [m], shape (n, 3)."""
     groups, surfaces = instances(result, "body"), instances(result, "surface")
     found = [np.empty((0, 3))]
     for time_s in dict.fromkeys(times):
@@ -303,7 +303,7 @@ def _points(result: xr.DataTree, times: list[float]) -> Float:
 
 
 def _say(stage: Usd.Stage, root: Usd.Prim, result: xr.DataTree, shown: Shown, clock: Clock, ranges: _Ranges) -> None:
-    """What the file is of, in the root layer's customLayerData."""
+    """Describe the file in the root layer's customLayerData."""
     said: dict[str, str | float] = {
         "scene": str(result.attrs.get("scene", "")),
         "colour": shown.colour,

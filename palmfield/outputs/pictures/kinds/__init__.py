@@ -1,4 +1,4 @@
-"""What `palmfield plot` can draw. Each file here has a `KINDS`, its pictures by name."""
+"""Pictures of `palmfield plot`. Each file here has a `KINDS`, its pictures by name."""
 
 from collections.abc import Sequence
 from importlib import import_module
@@ -25,7 +25,7 @@ OPTIONS = {
 
 
 def check_heeded(kinds: Sequence[str], asked: Asked) -> None:
-    """Raises OutputError where none of the kinds heeds what is asked, and for limits of kinds with several units."""
+    """Raises OutputError for options that no kind uses, and for limits of kinds with several units."""
     for name, option in OPTIONS.items():
         if getattr(asked, name) != getattr(Asked(), name) and not any(name in KINDS[kind].heeds for kind in kinds):
             able = [kind for kind, one in KINDS.items() if name in one.heeds]

@@ -19,7 +19,7 @@ LEAST_Hz = 1000.0
 
 
 def _motion(result: xr.DataTree, asked: Asked) -> tuple[Float, list[tuple[str, Float]]]:
-    """Times [s], and the name and normal motion [um or um/s] of each chosen place."""
+    """Return times [s], and the name and normal motion [um or um/s] of each chosen place."""
     name, skin = chosen_skin(result, asked, asked.quantity)
     chosen = chosen_vertices(result, name, skin, asked)
     motion = IN_MICRO * at_vertices(skin, [vertex for vertex, _ in chosen], asked.quantity).astype(float)
@@ -27,7 +27,7 @@ def _motion(result: xr.DataTree, asked: Asked) -> tuple[Float, list[tuple[str, F
 
 
 def course(result: xr.DataTree, asked: Asked) -> Figure:
-    """Normal displacement or velocity over time."""
+    """Draw normal displacement or velocity over time."""
     times, motion = _motion(result, asked)
     figure = Figure(figsize=(7.0, 3.4), layout="constrained")
     axes = figure.subplots()
@@ -44,7 +44,7 @@ def course(result: xr.DataTree, asked: Asked) -> Figure:
 
 
 def spectrum(result: xr.DataTree, asked: Asked) -> Figure:
-    """Single-sided amplitude spectra of the normal motion, Hann window, without its mean."""
+    """Draw single-sided amplitude spectra of the normal motion, Hann window, without its mean."""
     times, motion = _motion(result, asked)
     figure = Figure(figsize=(7.0, 3.4), layout="constrained")
     axes = figure.subplots()
@@ -65,7 +65,7 @@ def spectrum(result: xr.DataTree, asked: Asked) -> Figure:
 
 
 def spectrogram(result: xr.DataTree, asked: Asked) -> Figure:
-    """Power of the normal motion over time and frequency at one place, the first that is asked for."""
+    """Draw power of the normal motion over time and frequency at one place, the first requested one."""
     name, skin = chosen_skin(result, asked, asked.quantity)
     vertex, what = chosen_vertices(result, name, skin, asked)[0]
     values = at_vertices(skin, [vertex], asked.quantity)[:, 0].astype(float)
@@ -76,7 +76,7 @@ def spectrogram(result: xr.DataTree, asked: Asked) -> Figure:
         raise OutputError(f"a spectrogram of {len(times)} samples says nothing; run for longer, or record more often")
     hop = max(1, count // 16)
     transform = ShortTimeFFT(hann(count, sym=False), hop, 1.0 / step_s, scale_to="magnitude")
-    # Windows that reach over an end would take the record to begin or end with a jump
+    # Windows that reach beyond an end would see a jump there
     first, last = transform.lower_border_end[1], transform.upper_border_begin(len(values))[1]
     power = transform.spectrogram(values - values.mean(), p0=first, p1=last)
     level = 10.0 * np.log10(np.maximum(power / max(float(power.max()), 1e-300), 1e-30))

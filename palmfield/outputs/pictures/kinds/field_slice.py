@@ -14,20 +14,20 @@ SIDE_M = 0.12
 STEP_M = 0.0012
 """A seventh of a wavelength."""
 BEYOND_M = 0.08
-"""So far beyond the focus the slice goes."""
+"""Distance of the slice's end beyond the focus."""
 BEGINS_M = 0.01
-"""So far before the array it begins: nearer than that the far field of a transducer is none."""
+"""Distance of the slice's beginning before the array: closer to it the far field of a transducer is not valid."""
 REACH_M = 0.3
-"""Where nothing sounds, or nothing has a focus, the slice goes so far."""
+"""Length of the slice without sound or focus."""
 
 
 def field_slice(result: xr.DataTree, asked: Asked) -> Figure:
-    """Amplitude of the incident pressure in the x z plane of the first array that sounds, through the focus.
+    """Draw the amplitude of the incident pressure in the x z plane of the first active array, through the focus.
 
-    As the arrays would sound in free air, with nothing in the way; the amplitudes and phases are those of the drive, so
-    that the ringing of transducers is not in it. Transducers are those of the result: calibrated, tilted or one by one.
-    Raises OutputError for a result of an earlier version with layout sites or csv, or a calibration, which it doesn't
-    tell in full.
+    In free air, without obstacles; amplitudes and phases are those of the drive, so that ring-up is not included.
+    Transducers are those of the result: calibrated, tilted or one by one.
+    Raises OutputError for a result of an earlier version with layout sites or csv, or a calibration, which it does not
+    contain in full.
     """
     arrays = driven_arrays(result)
     loud = {name: array["drive_amplitude"].values.sum(axis=1) for name, array in arrays.items()}

@@ -35,17 +35,17 @@ from palmfield.types import Float
 
 SIZES = "cividis"
 LEAST_LEVEL_DB = -20.0
-"""Levels below are drawn as this: nobody feels them, and -inf has no colour."""
+"""Lower levels are drawn as this: they are not felt, and -inf has no colour."""
 MARKERS = "os^Dv"
 
 
 def pressure(result: xr.DataTree, asked: Asked) -> Figure:
-    """Peak pressure amplitude and ARP on each skin when loudest, or at a time, seen from the array that it faces."""
+    """Draw peak pressure amplitude and ARP on each skin when loudest, or at a time, seen from its array."""
     return pressure_picture(result, chosen_names(result, asked), asked.time_s)
 
 
 def motion_map(result: xr.DataTree, asked: Asked) -> Figure:
-    """Normal displacement or velocity of the skin at a time, by default when it moves most."""
+    """Draw normal displacement or velocity of the skin at a time, by default that of the largest motion."""
     name, skin = chosen_skin(result, asked, asked.quantity)
     found = extremes(skin, asked.quantity)
     index = chosen_time(skin, asked, int(found.when[found.peak.argmax()]))
@@ -64,7 +64,7 @@ def motion_map(result: xr.DataTree, asked: Asked) -> Figure:
 
 
 def rms_map(result: xr.DataTree, asked: Asked) -> Figure:
-    """Root mean square over the run of the normal displacement or velocity, the mean kept."""
+    """Draw the root mean square over the run of the normal displacement or velocity, including the mean."""
     name, skin = chosen_skin(result, asked, asked.quantity)
     values = IN_MICRO * np.sqrt(extremes(skin, asked.quantity).mean_square)
     unit = UNITS[asked.quantity]
@@ -75,7 +75,7 @@ def rms_map(result: xr.DataTree, asked: Asked) -> Figure:
 
 
 def level_map_of(result: xr.DataTree, asked: Asked) -> Figure:
-    """Level above the threshold of one observer, or of each in a panel of its own, by vertex, without summation."""
+    """Draw the level above the threshold of one observer, or a panel for each, by vertex, without summation."""
     name, skin = chosen_skin(result, asked, "displacement")
     if asked.observer is not None and asked.observer not in OBSERVERS:
         near = did_you_mean(asked.observer, OBSERVERS)
@@ -106,9 +106,9 @@ def level_map_of(result: xr.DataTree, asked: Asked) -> Figure:
 
 
 def _repeating(result: xr.DataTree, skin: xr.Dataset) -> tuple[slice, list[float]]:
-    """The records between ramp and silence, and the frequencies in which most of the response to the stimuli lies.
+    """Return the records between ramp and silence, and the frequencies of most of the response to the stimuli.
 
-    Raises OutputError where nothing repeats, or not for two periods.
+    Raises OutputError if the stimuli do not repeat, or not for two periods.
     """
     configs = [keys_of(ResolvedStimulus, name, one) for name, one in instances(result, "stimulus").items()]
     times: Float = skin["time"].values
@@ -124,12 +124,12 @@ def _repeating(result: xr.DataTree, skin: xr.Dataset) -> tuple[slice, list[float
 
 
 def _marked(result: xr.DataTree, name: str, skin: xr.Dataset, asked: Asked) -> list[tuple[int, str]]:
-    """Vertices and words of the places that are asked for."""
+    """Return vertices and descriptions of the requested places."""
     return chosen_vertices(result, name, skin, asked) if asked.places else []
 
 
 def _mark(axes: Any, vertices: Float, values: Float, unit: str, marks: list[tuple[int, str]]) -> None:
-    """Mark places on a map, with what is there in the legend below."""
+    """Mark places on a map, with their values in the legend below."""
     for number, (vertex, what) in enumerate(marks):
         axes.plot(
             *(1e3 * vertices[vertex, :2]), MARKERS[number % len(MARKERS)], ms=6, mfc="none", mec="black", mew=1.2,

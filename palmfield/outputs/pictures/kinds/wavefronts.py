@@ -1,4 +1,4 @@
-"""Space and time: how the skin's motion runs along a straight line over it."""
+"""Propagation of the skin's motion along a straight line, over space and time."""
 
 import numpy as np
 import xarray as xr
@@ -13,14 +13,14 @@ from palmfield.outputs.schema import instances
 from palmfield.outputs.style import beyond, signed_colours
 
 FEWEST = 8
-"""Vertices near the line that make a picture."""
+"""Least number of vertices near the line."""
 
 
 def wavefronts(result: xr.DataTree, asked: Asked) -> Figure:
-    """Normal motion along a line over the skin and over time; straight fronts are waves of one speed.
+    """Draw normal motion along a line over the skin and over time; straight fronts are waves of one speed.
 
-    The line goes through the first two places asked for, or along the longest way over the skin through the vertex
-    that moves most. Vertices within the spacing of the mesh of it are shown, by their place along it.
+    The line goes through the first two requested places, or along the greatest extent of the skin through the vertex of
+    largest motion. Vertices within the mesh spacing of the line are shown, by their place along it.
     """
     name, skin = chosen_skin(result, asked, asked.quantity)
     at_rest = in_world(skin, instances(result, "body").get(name), float(skin["time"].values[0]))
