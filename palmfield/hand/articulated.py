@@ -27,7 +27,7 @@ RANGES_deg = {
 """Active range of motion of adults [deg], typical values of clinical goniometry (from memory, to be checked);
 negative flexion is extension, negative deviation is radial."""
 THUMB_ABDUCTION_deg = 60.0
-"""Palmar abduction of the thumb out of the plane of the palm, at most; tables give 45 to 70."""
+"""Largest palmar abduction of the thumb out of the plane of the palm; tables give 45 to 70."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class HandBone:
 
 @dataclass(frozen=True)
 class HandJoint:
-    """A hinge that moves `bone` against its parent.
+    """A hinge that moves `bone` relative to its parent.
 
     pivot: a point on the axis [m], axis: unit vector, both in the hand frame in the rest pose
     rest_deg: angle of the rest pose; low_deg, high_deg: range
@@ -74,17 +74,17 @@ class ArticulatedHand:
 
     @cached_property
     def origins(self) -> Float:
-        """Of the bones in the rest pose [m], shape (bones, 3)."""
+        """Origins of the bones in the rest pose [m], shape (bones, 3)."""
         return np.array([bone.origin for bone in self.bones])
 
     @cached_property
     def pivots(self) -> Float:
-        """Of the joints in the rest pose [m], shape (joints, 3)."""
+        """Pivots of the joints in the rest pose [m], shape (joints, 3)."""
         return np.array([joint.pivot for joint in self.joints])
 
     @cached_property
     def axes(self) -> Float:
-        """Of the joints in the rest pose, shape (joints, 3)."""
+        """Axes of the joints in the rest pose, shape (joints, 3)."""
         return np.array([joint.axis for joint in self.joints])
 
     @cached_property
@@ -94,7 +94,7 @@ class ArticulatedHand:
 
     @cached_property
     def turns_from(self) -> list[tuple[int, int]]:
-        """Of each joint its bone, and the bone whose frame it turns from: the bone itself for the second of two."""
+        """For each joint its bone, and the bone of its reference frame: the bone itself for the second of two."""
         seen: set[int] = set()
         pairs = []
         for joint in self.joints:
@@ -107,9 +107,9 @@ def articulate(preset: HandPreset) -> ArticulatedHand:
     """Bones and joints of a preset: forearm, hand, and three bones to each digit; 2 wrist and 20 finger joints.
 
     Angles are anatomical: 0 is the flat hand with straight fingers, flexion is positive to the palm. Fingers' abduction
-    counts from the preset's own direction, positive away from the middle finger, the middle one's to the little finger;
-    so do both angles of the thumb's saddle joint, whose abduction is positive out of the palm. Wrist deviation is
-    positive to the little finger. Two joints of one place act as a universal joint, abduction outside.
+    is relative to the preset's own direction, positive away from the middle finger, the middle one's to the little
+    finger. So are both angles of the thumb's saddle joint, whose abduction is positive out of the palm. Wrist deviation
+    is positive to the little finger. Two joints of one place act as a universal joint, abduction outside.
     """
     skeleton = centred_skeleton(preset)
     ulnar = np.array([1.0 if preset.side == "right" else -1.0, 0.0, 0.0])
@@ -161,7 +161,7 @@ def _abduction(
 
 
 def checked_angles(hand: ArticulatedHand, angles_deg: Mapping[str, float]) -> Float:
-    """Angle of every joint [deg], shape (joints,), in the hand's order; joints that are not named stay at rest.
+    """Return the angle of every joint [deg], shape (joints,), in the hand's order; other joints are at rest.
 
     Raises SceneError for an unknown joint and for an angle that is not a number or outside its range.
     """
@@ -170,7 +170,7 @@ def checked_angles(hand: ArticulatedHand, angles_deg: Mapping[str, float]) -> Fl
         if name not in known:
             raise SceneError(f"hand pose: joint '{name}' is unknown; use some of: {', '.join(known)}")
         joint = known[name]
-        # Rounding in interpolation and servo models may leave a range by a hair.
+        # Rounding in interpolation and servo models may exceed a range slightly.
         if not joint.low_deg - 1e-6 <= angle <= joint.high_deg + 1e-6:
             raise SceneError(
                 f"hand pose: {name} is {angle:g} degrees; use {joint.low_deg:g} to {joint.high_deg:g} degrees"
@@ -179,20 +179,20 @@ def checked_angles(hand: ArticulatedHand, angles_deg: Mapping[str, float]) -> Fl
 
 
 def bone_poses(hand: ArticulatedHand, angles_deg: Mapping[str, float]) -> tuple[Float, Float]:
-    """Origins [m], shape (bones, 3), and rotations, shape (bones, 3, 3), of all bones in the root's frame.
+    """Return origins [m], shape (bones, 3), and rotations, shape (bones, 3, 3), of all bones in the root's frame.
 
-    The root, the forearm, stays where it is in the rest pose. Raises SceneError as `checked_angles`.
+    The root, the forearm, is as in the rest pose. Raises SceneError as `checked_angles`.
     """
     return poses_at(hand, checked_angles(hand, angles_deg))
 
 
 def poses_at(hand: ArticulatedHand, angles_deg: Float) -> tuple[Float, Float]:
-    """`bone_poses` for angles [deg] in the order of the joints, shape (joints,), whatever their range."""
+    """`bone_poses` for angles [deg] in the order of the joints, shape (joints,), without range checks."""
     turns = np.zeros((len(hand.joints), 4, 4))
     turns[:, :3, :3] = Rotation.from_rotvec(np.deg2rad(angles_deg - hand.rest_deg)[:, None] * hand.axes).as_matrix()
     turns[:, :3, 3] = hand.pivots - np.einsum("jab,jb->ja", turns[:, :3, :3], hand.pivots)
     turns[:, 3, 3] = 1.0
-    # A point x of the rest pose comes to moved[b] @ (x, 1)
+    # A point x of the rest pose moves to moved[b] @ (x, 1)
     moved = np.tile(np.eye(4), (len(hand.bones), 1, 1))
     for (bone, before), turn in zip(hand.turns_from, turns, strict=True):
         moved[bone] = moved[before] @ turn
@@ -201,7 +201,7 @@ def poses_at(hand: ArticulatedHand, angles_deg: Float) -> tuple[Float, Float]:
 
 
 def posed_landmark(hand: ArticulatedHand, name: str, positions: Float, rotations: Float) -> Float:
-    """Where a landmark of the skeleton is when the bones are at `positions` and `rotations` [m], shape (3,)."""
+    """Return the place of a landmark of the skeleton with the bones at `positions` and `rotations` [m], shape (3,)."""
     bone = bone_of_landmark(hand, name)
     return positions[bone] + rotations[bone] @ (hand.skeleton.landmarks[name] - hand.bones[bone].origin)
 

@@ -1,4 +1,4 @@
-"""The articulated hand as MJCF: bodies, joints, servos, capsules, and the skin that viewers show."""
+"""The articulated hand as MJCF: bodies, joints, servos, capsules, and the visual skin."""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
@@ -17,27 +17,27 @@ from palmfield.hand.visual_skin import EDGE_m, SkinBone, add_skin
 from palmfield.types import Float
 
 STIFFNESS_N_m = {"wrist": 10.0, "cmc": 0.8, "mcp": 0.5, "mp": 0.5, "pip": 0.3, "ip": 0.3, "dip": 0.2}
-"""Stiffness of the position servos by joint [N m / rad]: 10 mN on a fingertip, which is what an array can push with,
-bends a finger by less than 0.3 mm, and no joint alone swings faster than 30 Hz."""
+"""Stiffness of the position servos by joint [N m / rad]: 10 mN on a fingertip, the force of an array, bends a finger by
+less than 0.3 mm, and no single joint oscillates faster than 30 Hz."""
 ARMATURE_kg_m2 = 1e-5
-"""Added to each joint's inertia, about that of a whole finger: end joints of 5 g would swing within a step."""
+"""Added to each joint's inertia, about that of a whole finger: end joints of 5 g would oscillate within a step."""
 WELD_TIME_s = 0.01
 DIGITS_IN_FILE = 9
-"""Rounding adds up along a chain of bodies: to the nanometre, no fingertip is off by more than a few."""
+"""Rounding accumulates along a chain of bodies: with nanometres, errors of fingertips are a few nanometres."""
 CONTACT_PARTS = ("forearm", "thenar", "hypothenar")
 
 
 def articulated_mjcf(preset: HandPreset, skin: bool = True) -> str:
-    """MJCF text of the articulated hand, to be named by `<include file=.../>` or opened as it is.
+    """Return MJCF text of the articulated hand, for `<include file=.../>` or to open directly.
 
     Body `hand_target` is a mocap body at the hand frame's origin; a weld holds the free body `forearm` to it, so a
-    script may put the hand anywhere in any orientation: the weld is soft and solved with the constraints, has no
-    orientation at which angles of a gimbal lock, yields to forces, and lets the fingers feel the motion, which a hand
-    hung from the mocap body itself would not. Steps of up to 2 ms are stable. `hand` is the palm, in the hand frame.
-    Joints as in `articulate` (angles in degrees in the file, so no `<compiler angle="radian">` in what includes it),
-    with servos of the same names whose controls are angles [rad]; control 0 is the flat hand. Gravity is compensated.
-    Capsules, in group 3, touch other things and each other, but for neighbours that lie within each other. Viewers show
-    the skin, of triangles of 4 mm, with the weights of `palmfield.hand.skinning.skin_weights`, unless it is left out.
+    script may place the hand anywhere in any orientation. The weld is soft and solved with the constraints, has no
+    gimbal lock, yields to forces, and transmits the motion to the fingers, unlike a hand attached to the mocap body
+    itself. Steps of up to 2 ms are stable. `hand` is the palm, in the hand frame. Joints as in `articulate` (angles in
+    degrees in the file, so no `<compiler angle="radian">` in what includes it), with servos of the same names whose
+    controls are angles [rad]; control 0 is the flat hand. Gravity is compensated. Capsules, in group 3, collide with
+    other objects and each other, except neighbours that overlap. Viewers show the skin, of triangles of 4 mm, with the
+    weights of `palmfield.hand.skinning.skin_weights`, unless it is left out.
     """
     hand = articulate(preset)
     root = ET.Element("mujoco", model=f"articulated_{preset.name}")
@@ -99,7 +99,7 @@ def _geom(hand: ArticulatedHand, segment: SkinSegment, elements: list[ET.Element
 
 
 def _excluded(hand: ArticulatedHand) -> list[tuple[str, str]]:
-    """Pairs of bodies whose capsules lie within each other in every pose: at the webs and about the thumb's root."""
+    """Return pairs of bodies whose capsules overlap in every pose: at the webs and about the thumb's root."""
     first = [f"{digit}_proximal" for digit in DIGITS]
     pairs = [("hand", name) for name in first]
     pairs += list(pairwise(first))[1:]

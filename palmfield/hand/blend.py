@@ -6,7 +6,7 @@ from palmfield.types import Float, Int
 
 
 def bone_shifts(origins: Float, positions: Float, turns: Float) -> Float:
-    """Shift of each bone [m], shape (b, 3): x at rest comes to turns @ x + shift.
+    """Return the shift of each bone [m], shape (b, 3): x at rest moves to turns @ x + shift.
 
     origins: of the bones' frames at rest [m], positions: now, shapes (b, 3); turns: rotations, shape (b, 3, 3)
     """
@@ -14,7 +14,7 @@ def bone_shifts(origins: Float, positions: Float, turns: Float) -> Float:
 
 
 def blended(bones: Int, shares: Float, shifts: Float, turns: Float) -> tuple[Float, Float]:
-    """Shift [m], shape (n, 3), and matrix, shape (n, 3, 3), of each point from those of its bones.
+    """Return shift [m], shape (n, 3), and matrix, shape (n, 3, 3), of each point from those of its bones.
 
     bones: numbers, shape (n, k); shares: of each, shape (n, k); shifts, turns: of all bones, see `bone_shifts`
     """

@@ -1,4 +1,4 @@
-"""Which hand a mesh is, and where its palm looks, from its shape alone."""
+"""Determine the side of a hand and the direction of its palm from its shape alone."""
 
 from dataclasses import dataclass
 
@@ -11,20 +11,20 @@ from palmfield.types import Float, Int
 
 # A tip is farther from the wrist than all skin within this share of the longest way; two tips are as far apart.
 TIP_REACH_SHARE = 0.15
-# Shares of the fingers' length beyond their webs. A thumb this far out of the palm's middle plane leaves no doubt;
-# straight fingers lie up to STRAIGHT out of it on either side, bent ones CLEAR_LIFT more; a thumb leaves this much
-# nearer to the wrist than the next digit, and ends this much nearer.
+# Shares of the fingers' length beyond their webs. A thumb this far out of the palm's middle plane is certain; straight
+# fingers are up to STRAIGHT out of it on either side, bent ones CLEAR_LIFT more; a thumb starts this much nearer to the
+# wrist than the next digit, and ends this much nearer.
 CLEAR_LIFT, STRAIGHT, CLEAR_WEB, CLEAR_TIP = 0.15, 0.08, 0.3, 0.15
 LEAST_SURENESS = 0.5
-# Fingers are apart within this of the end of the length: of a forearm with its hand, of a hand.
+# Fingers are separate within this share of the end of the length: of a forearm with its hand, of a hand.
 PIECE_SHARES = (0.1, 0.25)
 
 
 @dataclass(frozen=True)
 class Chirality:
-    """side: "right", "left" or "unknown"; sureness: 0 to 1; palm: unit outward direction of the palm, a guess where the
-    side is unknown, shape (3,); tips: of the digits, thumb first, then from its neighbour on, shape (k, 3); middle: of
-    the skin between wrist and webs, shape (3,); reason: in words
+    """side: "right", "left" or "unknown"; sureness: 0 to 1; palm: unit outward direction of the palm, an estimate if
+    the side is unknown, shape (3,); tips: of the digits, thumb first, then from its neighbour on, shape (k, 3); middle:
+    of the skin between wrist and webs, shape (3,); reason: in words
     """
 
     side: str
@@ -36,15 +36,15 @@ class Chirality:
 
 
 def chirality(vertices: Float, faces: Int, named: str = "unknown") -> Chirality:
-    """Side of a closed hand's mesh, in any unit and position; unknown where the sureness is below 0.5.
+    """Return the side of a closed hand's mesh, in any unit and position; unknown if the sureness is below 0.5.
 
-    vertices: shape (n, 3); faces: shape (m, 3); named: "right" or "left" where the file says so, as by the names of its
-    joints: it holds where the shape alone is not sure of the palm but of the thumb
-    The way from the wrist along the skin hardly changes with the pose. Its five peaks are the tips, its passes between
-    them the webs; the thumb is the digit whose web and whose tip are nearest to the wrist. The palm is where the thumb
-    lies, and the tips of bent fingers, seen from the middle plane of the skin between wrist and webs. Sureness is how
-    clear thumb and palm are; thumb and fingers on different sides of that plane speak against each other. A right hand
-    has its thumb to the right, fingers up, seen on the palm.
+    vertices: shape (n, 3); faces: shape (m, 3); named: "right" or "left" if the file gives it, for instance by joint
+    names: it is used if the shape determines the thumb but not the palm
+    The distance from the wrist along the skin hardly depends on the pose. Its five maxima are the tips, its saddles
+    between them the webs; the thumb is the digit whose web and whose tip are nearest to the wrist. The palm is on the
+    side of the thumb, and of the tips of bent fingers, relative to the middle plane of the skin between wrist and webs.
+    Sureness is the clearness of thumb and palm; thumb and fingers on different sides of that plane contradict each
+    other. A right hand has its thumb to the right, fingers up, seen on the palm.
     """
     links = _links(vertices, faces)
     wrist = _wrist(vertices, links, plane_axes(vertices)[0])
@@ -65,21 +65,21 @@ def chirality(vertices: Float, faces: Int, named: str = "unknown") -> Chirality:
     digits = [_beyond(links, way, tip, reach) for tip, reach in zip(tips, web, strict=True)]
     on_palm = (way > low - length) & (way < low)
     on_palm[digits[thumb]] = False
-    weight = vertex_areas(vertices, faces)  # so that finer meshed sides count no more
+    weight = vertex_areas(vertices, faces)  # so that finer meshed sides have no more weight
     middle = np.average(vertices[on_palm], axis=0, weights=weight[on_palm])
     across, normal = _frame(
         vertices, on_palm, weight, vertices[passes[np.ix_(fingers, fingers)]].mean(axis=(0, 1)) - middle
     )
     if (vertices[passes[thumb, fingers]].mean(axis=0) - middle) @ across < 0.0:
         across, normal = -across, -normal
-    # `normal` looks out of the palm of a right hand and out of the back of a left one.
+    # `normal` points out of the palm of a right hand and out of the back of a left one.
     of_thumb = float((vertices[digits[thumb]].mean(axis=0) - middle) @ normal) / length
     of_tips = float(((vertices[tips[fingers]] - middle) @ normal).mean()) / length
     bent = np.sign(of_tips) * max(0.0, abs(of_tips) - STRAIGHT)
     evidence = float(np.clip(of_thumb / CLEAR_LIFT, -1.0, 1.0) + np.clip(bent / CLEAR_LIFT, -1.0, 1.0))
     web_offset = float(web[fingers].min() - web[thumb]) / length
     nearer = float(way[tips[fingers]].min() - way[tips[thumb]]) / length
-    # Low webs of a hand like a mitten say little of the thumb, and a bent thumb's tip little: together they are sure.
+    # Low webs of a hand like a mitten, or a bent thumb's tip, are weak evidence of the thumb: together they are strong.
     of_web, nearest = np.clip([web_offset / CLEAR_WEB, nearer / CLEAR_TIP], -1.0, 1.0)
     thumb_known = float(np.clip(of_web + nearest, 0.0, 1.0))
     sureness = min(1.0, abs(evidence)) * thumb_known
@@ -102,15 +102,15 @@ def chirality(vertices: Float, faces: Int, named: str = "unknown") -> Chirality:
 
 
 def way_from_wrist(vertices: Float, faces: Int) -> Float:
-    """Way of each vertex along the edges from the wrist's end, in the unit of the mesh, shape (n,)."""
+    """Return the distance of each vertex along the edges from the wrist's end, in the unit of the mesh, shape (n,)."""
     links = _links(vertices, faces)
     return _distance(links, _wrist(vertices, links, plane_axes(vertices)[0]))
 
 
 def fingertips(vertices: Float, faces: Int) -> Float:
-    """Tips of the digits that a mesh has, shape (k, 3), also where it has holes: five of a hand, of other things not.
+    """Return tips of a mesh's digits, shape (k, 3), also with holes: five for a hand, other numbers for other objects.
 
-    Of several bodies the one with the most vertices counts.
+    Of several bodies the one with the most vertices is used.
     """
     links = _links(vertices, faces)
     label = sparse.csgraph.connected_components(links, directed=False)[1]
@@ -128,7 +128,7 @@ def fingers_direction(vertices: Float, faces: Int) -> Float:
 
 
 def _frame(vertices: Float, chosen: np.ndarray, weight: Float, up: Float) -> tuple[Float, Float]:
-    """Unit vectors across the chosen skin, either way, and out of it: across x up."""
+    """Unit vectors across the chosen skin, sign unknown, and out of it: across x up."""
     up = up / np.linalg.norm(up)
     points = vertices[chosen] - np.average(vertices[chosen], axis=0, weights=weight[chosen])
     points = points - np.outer(points @ up, up)
@@ -137,10 +137,10 @@ def _frame(vertices: Float, chosen: np.ndarray, weight: Float, up: Float) -> tup
 
 
 def _webs(links: sparse.csr_array, way: Float, tips: Int) -> tuple[Float, Int]:
-    """Highest pass between each two tips: its way, shape (k, k), -1 on the diagonal, and its vertex."""
+    """Highest saddle between each two tips: its distance, shape (k, k), -1 on the diagonal, and its vertex."""
     pairs = links.tocoo()
     depth = way.max() - np.minimum(way[pairs.row], way[pairs.col])
-    # On a minimum spanning tree by depth the only path between two tips is the one that stays highest.
+    # On a minimum spanning tree by depth the only path between two tips is the one with the highest minimum.
     tiny = 1e-9 * float(way.max())
     tree = sparse.csgraph.minimum_spanning_tree(
         sparse.csr_array((depth + tiny, (pairs.row, pairs.col)), shape=links.shape)
@@ -173,12 +173,12 @@ def _links(vertices: Float, faces: Int) -> sparse.csr_array:
 
 
 def _distance(links: sparse.csr_array, sources: Int) -> Float:
-    """Way along the edges to the nearest of `sources` [m], shape (n,)."""
+    """Distance along the edges to the nearest of `sources` [m], shape (n,)."""
     return sparse.csgraph.dijkstra(links, directed=False, indices=sources, min_only=True)
 
 
 def _wrist(vertices: Float, links: sparse.csr_array, along: Float) -> Int:
-    """Vertices of that end of the length that is one piece where the other is several, or else is thicker."""
+    """Return vertices of the end of the length that is one piece while the other is several, or else is thicker."""
     height = vertices @ along
     low, high = height.min(), height.max()
     depth = 0.04 * (high - low)
@@ -196,7 +196,7 @@ def _wrist(vertices: Float, links: sparse.csr_array, along: Float) -> Int:
 
 
 def _tips(links: sparse.csr_array, way: Float) -> Int:
-    """Vertices that are farther from the wrist than all around them, the farthest first."""
+    """Return vertices farther from the wrist than all around them, the farthest first."""
     reach = TIP_REACH_SHARE * float(way.max())
     neighbours = links.indices
     highest = np.maximum.reduceat(way[neighbours], links.indptr[:-1])

@@ -20,8 +20,8 @@ class Obstacle(NamedTuple):
     geoms: tuple[tuple[str, tuple[Any, ...], tuple[float, ...], tuple[float, ...]], ...]
 
     def mesh(self) -> tuple[Float, Int]:
-        """Vertices [m], shape (n, 3), and faces, shape (m, 3), of all its geoms together."""
-        # Imported here: MuJoCo registers the plugins in every process, and few of them need it.
+        """Return vertices [m], shape (n, 3), and faces, shape (m, 3), of all its geoms together."""
+        # Imported here: MuJoCo registers the plugins in every process, and most do not need it.
         from trimesh.transformations import quaternion_matrix
 
         parts = []

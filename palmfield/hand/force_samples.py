@@ -1,4 +1,4 @@
-"""The triangles whose middles are the samples for the force on a body: as many as an accuracy asks for."""
+"""Triangles whose centroids are the samples for the force on a body, in the number that an accuracy needs."""
 
 from typing import NamedTuple
 
@@ -13,10 +13,10 @@ from palmfield.types import Float, Int
 A_FACE = 0.006
 CELLS_m = {0.0075: 3.5e-3, 0.013: 4.5e-3}
 """Below A_FACE faces are cut in four (0.0015), from it on each face is a sample, and from these on each cell of faces,
-by the spacing of cells. So large is the error of the force, root mean square over foci on the lit side of a shipped
-hand, and that of the torque over the force times the mean arm: scripts/bench/force_samples.py measures it,
+by the spacing of cells. Values are errors of the force, root mean square over foci on the lit side of a shipped hand,
+and of the torque over the force times the mean arm: scripts/bench/force_samples.py measures them,
 docs/bench/force_samples.md has the figures."""
-ROUNDS = 24  # of Lloyd's iteration: what cells get wrong averages out where they are about equal
+ROUNDS = 24  # of Lloyd's iteration: errors of cells average out if their sizes are about equal
 
 
 class SampleMesh(NamedTuple):
@@ -33,7 +33,7 @@ class SampleMesh(NamedTuple):
 
 
 def sample_mesh(vertices: Float, faces: Int, accuracy: float) -> SampleMesh:
-    """Samples for the force on a surface of short edges (`palmfield.hand.subdivide.EDGE_m`) to a relative error.
+    """Return samples for the force on a surface of short edges (`palmfield.hand.subdivide.EDGE_m`) to a relative error.
 
     vertices: [m], shape (v, 3); faces: shape (m, 3)
     """
@@ -49,14 +49,14 @@ def sample_mesh(vertices: Float, faces: Int, accuracy: float) -> SampleMesh:
     middles = vertices[faces].mean(axis=1)
     owner = _cells(middles, normals, areas, spacing_m)
     middles, mean_normals, sizes = _means(owner, areas, middles, normals)
-    # The middle of a cell lies below a curved surface, where the body's own faces would shade it
+    # The middle of a cell is below a curved surface, where the body's own faces would shade it
     corners = vertices[faces[closest_faces(build_mesh(vertices, faces), middles, 1.0)]]
     middles = np.einsum("nk,nkd->nd", barycentric(corners, middles), corners)
     return SampleMesh(*_triangles(middles, sizes * mean_normals), numbers, owner, areas)
 
 
 def _cells(points: Float, normals: Float, areas: Float, spacing_m: float) -> Int:
-    """The cell of each face, shape (n,): centres lie as in a honeycomb, on one side of a thin web each."""
+    """Return the cell of each face, shape (n,): centres form a honeycomb, on one side of a thin web each."""
     places = np.concatenate([points, spacing_m * normals], axis=1)
     count = min(max(round(float(areas.sum()) / (np.sqrt(0.75) * spacing_m**2)), 1), len(points))
     seeds, gap = [int(np.argmax(areas))], np.full(len(points), np.inf)
@@ -71,7 +71,7 @@ def _cells(points: Float, normals: Float, areas: Float, spacing_m: float) -> Int
 
 
 def _means(owner: Int, areas: Float, *values: Float) -> list[Float]:
-    """Means of values over the area of each owner's faces, shapes (c, k), and these areas, shape (c, 1)."""
+    """Return means of values over the area of each owner's faces, shapes (c, k), and these areas, shape (c, 1)."""
     sizes: Float = np.bincount(owner, areas).astype(np.float64)[:, None]
     sums = [np.stack([np.bincount(owner, areas * row) for row in value.T], axis=1) for value in values]
     return [*(one / np.maximum(sizes, 1e-30) for one in sums), sizes]

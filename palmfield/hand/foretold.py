@@ -1,4 +1,4 @@
-"""The skin layers that a scene would get at the palm and the fingertips of a user's mesh."""
+"""Predict the skin layers of a scene at the palm and the fingertips of a user's mesh."""
 
 from typing import Any
 
@@ -16,10 +16,10 @@ from palmfield.types import Float, Surface
 DEPTH_m = 0.02
 """Default of a skin's key depth_m."""
 OF_A_MESH = 0.45
-"""Share of the way through a body that a scene's layer takes of it, as a mesh has no bones."""
+"""Largest depth of a scene's layer as a share of the distance through the body, as a mesh has no bones."""
 PALM_RADIUS_m, TIP_RADIUS_m = 0.02, 0.008
 EDGE_SHARE = 0.25
-"""Edges of the elements that small patches of scenes have, as a share of their radius, whatever the accuracy."""
+"""Edge length of the elements of small patches in scenes, as a share of their radius, at any accuracy."""
 TIP_PIECE_m, PAD_FROM_TIP_m = 0.015, 0.009
 DIGITS = ("thumb", "index", "middle", "ring", "little")
 
@@ -28,8 +28,8 @@ def foretold_layers(surface: Surface, hand: Chirality, depth_m: float = DEPTH_m)
     """Layers under the middle of the palm and the pads of the digits' tips, as of a scene of shape mesh or rigged.
 
     surface: closed mesh [m]; hand: its `chirality`; depth_m: the scene's key [m]
-    Each with place ("palm", "thumb tip", ...), centre_mm, radius_mm, and least_mm, p10_mm and mean_mm of the depth that
-    the layer gets, or error where it folds. Digits have names where there are five tips, else numbers.
+    Each with place ("palm", "thumb tip", ...), centre_mm, radius_mm, and least_mm, p10_mm and mean_mm of the layer's
+    depth, or error if it folds. Digits have names if there are five tips, else numbers.
     """
     places = [("palm", _out_of(surface, hand.middle, hand.palm), PALM_RADIUS_m)]
     names = DIGITS if len(hand.tips) == len(DIGITS) else [f"digit {n}" for n in range(1, len(hand.tips) + 1)]
@@ -64,7 +64,7 @@ def _layer(surface: Surface, place: str, centre: Float, radius_m: float, depth_m
 
 
 def _out_of(surface: Surface, point: Float, out: Float) -> Float:
-    """Where a ray from a point within the body leaves it, shape (3,); the nearest vertex where it does not."""
+    """Return where a ray from a point within the body leaves it, shape (3,); else the nearest vertex."""
     reach = float(np.ptp(surface.vertices, axis=0).sum())
     way = float(exit_distances(surface.vertices, surface.faces, point[None], out[None], reach)[0])
     if np.isfinite(way):
@@ -73,7 +73,7 @@ def _out_of(surface: Surface, point: Float, out: Float) -> Float:
 
 
 def _pad(surface: Surface, hand: Chirality, tip: Float) -> Float:
-    """The middle of the pad behind a fingertip, shape (3,): on the palm's side, turned as the finger is bent."""
+    """Return the middle of the pad behind a fingertip, shape (3,): on the palm's side, rotated with the bent finger."""
     near = np.flatnonzero(np.linalg.norm(surface.vertices - tip, axis=1) < TIP_PIECE_m)
     links = adjacency(surface.faces, len(surface.vertices))[near][:, near]
     label = sparse.csgraph.connected_components(links, directed=False)[1]

@@ -1,8 +1,8 @@
-"""The shortest way between two places of a triangle mesh.
+"""Shortest path between two places of a triangle mesh.
 
-A graph with points on the edges finds which triangles it crosses (M. Lanthier, A. Maheshwari, J.-R. Sack, Algorithmica
-30, 527 (2001)); laid flat, they are a corridor in which the shortest way is found exactly (D. T. Lee, F. P. Preparata,
-Networks 14, 393 (1984), the funnel).
+A graph with points on the edges finds the triangles that it crosses (M. Lanthier, A. Maheshwari, J.-R. Sack,
+Algorithmica 30, 527 (2001)); laid flat, they are a corridor in which the shortest path is found exactly (D. T. Lee, F.
+P. Preparata, Networks 14, 393 (1984), the funnel).
 """
 
 import math
@@ -19,22 +19,22 @@ from palmfield.types import Float, Int, Surface
 
 EDGE_POINTS = 5
 FINE_EDGE_POINTS = 15
-"""Points of the graph on each edge: in the whole corridor, and in the triangles about the way found there."""
+"""Points of the graph on each edge: in the whole corridor, and in the triangles about the first path."""
 
 DETOUR = 1.25
-"""Corridor of the search: along edges a way is at most about 1.16 times as long as straight across the triangles."""
+"""Corridor of the search: along edges a path is at most about 1.16 times as long as straight across the triangles."""
 
 # A piece of path: the face of each straight segment, and the points, one more than segments.
 Piece = tuple[list[int], list[Float]]
 
 
 def shortest_way(surface: Surface, start: tuple[int, Float], end: tuple[int, Float], number: int) -> Piece:
-    """The shortest way between two places (face and position) of a surface."""
+    """Return the shortest path between two places (face and position) of a surface."""
     if start[0] == end[0]:
         return [start[0]], [start[1], end[1]]
     nearby = _corridor(surface, start, end, number)
     edges, _ = _crossings(surface, nearby, start, end, EDGE_POINTS)
-    # Moving the crossings cannot take the way to a vertex's other side; a finer graph does, where that is shorter
+    # Moving the crossings cannot take the path to a vertex's other side; a finer graph does if that is shorter
     about = np.flatnonzero(np.isin(surface.faces, edges).any(axis=1))
     edges, faces = _crossings(surface, about, start, end, FINE_EDGE_POINTS)
     left, right = _sides(surface, edges, faces[0])
@@ -43,7 +43,7 @@ def shortest_way(surface: Surface, start: tuple[int, Float], end: tuple[int, Flo
 
 
 def _corridor(surface: Surface, start: tuple[int, Float], end: tuple[int, Float], number: int) -> NDArray[np.int64]:
-    """Faces that the shortest way can cross, by distances along the edges."""
+    """Return faces that the shortest path can cross, by distances along the edges."""
     vertices, faces = surface.vertices, surface.faces
     edges, _ = unique_edges(faces)
     length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
@@ -69,7 +69,7 @@ def _corridor(surface: Surface, start: tuple[int, Float], end: tuple[int, Float]
 def _crossings(
     surface: Surface, nearby: NDArray[np.int64], start: tuple[int, Float], end: tuple[int, Float], count: int
 ) -> tuple[Int, list[int]]:
-    """Edges that the shortest way over `count` points an edge crosses, shape (n, 2), and the n + 1 faces between."""
+    """Edges that the shortest path over `count` points an edge crosses, shape (n, 2), and the n + 1 faces between."""
     faces = surface.faces[nearby]
     edges, which = np.unique(np.sort(directed_edges(faces), axis=1), axis=0, return_inverse=True)
     sides = which.reshape(3, -1).T
@@ -88,7 +88,7 @@ def _crossings(
         links.append(np.stack([np.full_like(sight, node), sight]))
         points = np.vstack([points, position])
     a, b = np.concatenate([link.reshape(2, -1) for link in links], axis=1)
-    # A start on an edge point is at distance zero, which a sparse graph would take for no link
+    # A start on an edge point is at distance zero, which a sparse graph would treat as no link
     length = np.maximum(np.linalg.norm(points[a] - points[b], axis=1), 1e-12)
     graph = sparse.csr_array((length, (a, b)), shape=(len(points), len(points)))
     first, last = len(points) - 2, len(points) - 1
@@ -104,7 +104,7 @@ def _crossings(
 
 
 def _sides(surface: Surface, edges: Int, first: int) -> tuple[list[int], list[int]]:
-    """Vertices of the crossed edges that lie to the left and to the right of the way, from its first face on."""
+    """Return vertices of the crossed edges to the left and to the right of the path, from its first face on."""
     face = surface.faces[first].tolist()
     one, other = edges[0].tolist()
     # In a face the corners go round counter-clockwise: one that leaves it has the edge's second corner on its left
@@ -120,7 +120,7 @@ def _sides(surface: Surface, edges: Int, first: int) -> tuple[list[int], list[in
 
 
 def _straightened(vertices: Float, left: list[int], right: list[int], start: Float, end: Float) -> list[Float]:
-    """Points at which the shortest way through a strip of triangles crosses its edges [m], shape (3,) each."""
+    """Return points at which the shortest path through a strip of triangles crosses its edges [m], shape (3,) each."""
     flat_left, flat_right, flat_start, flat_end = _laid_flat(vertices, left, right, start, end)
     gates = [(flat_start, flat_start), *zip(flat_left, flat_right, strict=True), (flat_end, flat_end)]
     corners = _funnel(gates)
@@ -139,7 +139,7 @@ def _straightened(vertices: Float, left: list[int], right: list[int], start: Flo
 def _laid_flat(
     vertices: Float, left: list[int], right: list[int], start: Float, end: Float
 ) -> tuple[list[complex], list[complex], complex, complex]:
-    """Both sides of a strip, start and end in its plane, as complex numbers."""
+    """Lay both sides of a strip, start and end, into its plane, as complex numbers."""
 
     def place(point: Float, low: int, high: int, at_l: complex, at_r: complex, beyond: float) -> complex:
         edge, there = vertices[high] - vertices[low], point - vertices[low]
@@ -161,18 +161,18 @@ def _laid_flat(
 
 
 def _turn(a: complex, b: complex, c: complex) -> float:
-    """Twice the area of a triangle, positive where c lies left of the way from a to b."""
+    """Twice the signed area of a triangle, positive if c is left of the line from a to b."""
     u, v = b - a, c - a
     return u.real * v.imag - u.imag * v.real
 
 
 def _same(a: complex, b: complex) -> bool:
-    """Whether two points [m] are one but for rounding; the turn between them then has no meaning."""
+    """Whether two points [m] coincide within rounding; the sign of the area is then undefined."""
     return abs(a - b) < 1e-12
 
 
 def _funnel(gates: list[tuple[complex, complex]]) -> list[tuple[int, complex]]:
-    """Corners of the shortest way through gates (left, right), each with its gate; the first and last are points."""
+    """Corners of the shortest path through gates (left, right), each with its gate; the first and last are points."""
     apex = left = right = gates[0][0]
     left_gate = right_gate = 0
     corners = [(0, apex)]
@@ -198,7 +198,7 @@ def _funnel(gates: list[tuple[complex, complex]]) -> list[tuple[int, complex]]:
 
 
 def _share(one: complex, other: complex, a: complex, b: complex) -> float:
-    """Where the line from a to b crosses a gate, 0..1; the end nearer to a where it runs along it."""
+    """Return where the line from a to b crosses a gate, 0..1; the end nearer to a if it runs along it."""
     before, after = _turn(a, b, one), _turn(a, b, other)
     if abs(before - after) < 1e-12 * abs(b - a) * abs(other - one):
         return float(abs(a - one) > abs(a - other))

@@ -19,15 +19,15 @@ TYPES = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: n
 COLUMNS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 TRIANGLES = 4
 MOST_VALUES = 10_000_000
-"""In an accessor: 3 corners for each of the faces that `palmfield.hand.meshfile` reads."""
+"""Largest number of values in an accessor: 3 corners for each of the faces that `palmfield.hand.meshfile` reads."""
 
 
 def read_gltf(file: Path, check: Callable[[int], None]) -> tuple[Float, Int, SkinRig | None]:
-    """Vertices in the scene's frame [m], shape (n, 3), faces, and the rig where the file has a skin.
+    """Read vertices in the scene's frame [m], shape (n, 3), faces, and the rig if the file has a skin.
 
-    check: is told how many faces the file has before any is read, and may refuse them
-    All meshes of the scene are joined. Skinned vertices are placed by their joints, as section 3.7.3.3 asks: where the
-    file's pose is not its bind pose, they are in the former.
+    check: called with the number of faces before any is read, and may refuse them
+    All meshes of the scene are joined. Skinned vertices are placed by their joints, as section 3.7.3.3 requires: in the
+    file's pose, if that differs from its bind pose.
     Raises SceneError for a file that is damaged, empty, compressed (Draco, meshopt), of lines or strips, or that has
     several skins.
     """
@@ -43,7 +43,7 @@ def read_gltf(file: Path, check: Callable[[int], None]) -> tuple[Float, Int, Ski
         return reader.read()
     except SceneError:
         raise
-    # pygltflib and NumPy let every kind of exception through on damaged files.
+    # pygltflib and NumPy pass on every kind of exception for damaged files.
     except Exception as error:
         reason = " ".join(str(error).split())[:120] or type(error).__name__
         raise SceneError(f"mesh {file} cannot be read as glTF ({reason}); export it again") from error
@@ -62,7 +62,7 @@ class _Reader:
         self.world: dict[int, Float] = {}
 
     def _buffer(self, uri: str | None) -> bytes:
-        """A buffer's bytes: in the file itself, in a text of its own, or in a file of the same folder or below."""
+        """Return a buffer's bytes: from the file itself, an embedded text, or a file of the same folder or below."""
         if uri is None or uri.startswith("data:"):
             data: bytes | None = self.scene.get_data_from_buffer_uri(uri)
             return data or b""
@@ -75,7 +75,7 @@ class _Reader:
         return read_bytes(place)
 
     def triangles(self) -> int:
-        """How many faces the scene's meshes have, by the counts of their accessors."""
+        """Return the number of faces of the scene's meshes, by the counts of their accessors."""
         number = 0
         for i in self._in_scene():
             if self.scene.nodes[i].mesh is not None:
@@ -134,7 +134,7 @@ class _Reader:
                 corners = corners.reshape(-1, 3)[:, ::-1]
             width = 0 if inverse is None else len(inverse)
             weight = np.zeros((len(points), width))
-            # A part without a skin hangs on the first joint.
+            # A part without a skin is attached to the first joint.
             weight[:, :1] = 1.0
             return points @ matrix[:3, :3].T + matrix[:3, 3], corners.reshape(-1, 3).astype(np.int32), weight
         weight = self._weights(primitive, len(points), len(inverse))
@@ -205,7 +205,7 @@ class _Reader:
 
     def _world(self, index: int) -> Float:
         if index not in self.world:
-            # A root for the time being, so that a ring of nodes ends here.
+            # A temporary root, so that a cycle of nodes ends here.
             self.world[index] = np.eye(4)
             node = self.scene.nodes[index]
             if node.matrix:

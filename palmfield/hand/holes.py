@@ -1,4 +1,4 @@
-"""Boundary loops of a mesh, and faces that close them."""
+"""Boundary loops of a mesh, and faces to close them."""
 
 from collections.abc import Collection, Iterable
 
@@ -10,7 +10,7 @@ from palmfield.hand.triangles import adjacency, face_normals, neighbour_mean, un
 from palmfield.types import Float, Int
 
 MOST_JAGGED = 600
-"""The triangulation of least area takes time by the cube of the loop's edges: some seconds for so many."""
+"""The triangulation of least area takes time by the cube of the loop's edges: some seconds for this number."""
 ROUNDS, HANGING_ROUNDS, LONGEST_SHARE, SLIVER_SHARE = 12, 20, 1.4, 0.2
 
 Pair = tuple[int, int]
@@ -18,7 +18,7 @@ Corners = tuple[int, int, int]
 
 
 def boundary_loops(faces: Int) -> list[Int]:
-    """Vertices of each boundary loop in order, whatever the faces' winding.
+    """Return vertices of each boundary loop in order, for any winding of the faces.
 
     Holes that touch in a vertex are loops of their own. Each edge must have one or two faces.
     """
@@ -30,7 +30,7 @@ def boundary_loops(faces: Int) -> list[Int]:
     loops = []
     for start in onward:
         path = [start]
-        # Each vertex has an even number of open edges, so that a walk ends only where it began.
+        # Each vertex has an even number of open edges, so that a walk ends only at its start.
         while onward[path[-1]]:
             here, following = path[-1], min(onward[path[-1]])
             onward[here].remove(following)
@@ -44,13 +44,13 @@ def boundary_loops(faces: Int) -> list[Int]:
 
 
 def least_area_faces(points: Float, barred: Collection[Pair] = ()) -> Int:
-    """Faces over a closed polygon in space with the smallest area of all triangulations, shape (k - 2, 3).
+    """Return faces over a closed polygon in space with the least area of all triangulations, shape (k - 2, 3).
 
-    points: of the polygon in order, shape (k, 3); barred: pairs of numbers, the lower first, that are to be no edge
-    Empty where the barred pairs leave no triangulation.
-    G. Barequet, M. Sharir, "Filling gaps in the boundary of a polyhedron", CAGD 12, 207 (1995), from short spans of
-    the polygon to long ones. What triangulates polygons of the plane (Earcut, ISC; GEOS, LGPL) fails on the shadow of
-    a polygon in space, which may cross itself.
+    points: of the polygon in order, shape (k, 3); barred: pairs of numbers, the lower first, that must not be edges
+    Empty if the barred pairs allow no triangulation.
+    G. Barequet, M. Sharir, "Filling gaps in the boundary of a polyhedron", CAGD 12, 207 (1995), from short spans of the
+    polygon to long ones. Triangulations of plane polygons (Earcut, ISC; GEOS, LGPL) fail on the projection of a polygon
+    in space, which may cross itself.
     """
     number = len(points)
     cost, via = np.zeros((number, number)), np.zeros((number, number), dtype=np.int32)
@@ -86,10 +86,10 @@ def plane_axes(points: Float) -> Float:
 def cap(points: Float, barred: Collection[Pair] = ()) -> tuple[Float, Int] | None:
     """Inner points, shape (k, 3), and faces that close a loop of n points in space, with edges about as long as its.
 
-    points: the loop in order, shape (n, 3); barred: pairs of its numbers, the lower first, that are to be no edge
-    Faces name its points 0 ... n - 1 and the inner ones from n on. A loop that is smooth seen along the normal of its
-    best plane is filled there; any other one by the triangulation of least area, made finer. None where the barred
-    pairs leave no triangulation, and for a loop of more than MOST_JAGGED edges that is not smooth.
+    points: the loop in order, shape (n, 3); barred: pairs of its numbers, the lower first, that are to be no edge Faces
+    name its points 0 ... n - 1 and the inner ones from n on. A loop that is smooth along the normal of its best plane
+    is filled there; any other one by the triangulation of least area, refined. None if the barred pairs allow no
+    triangulation, and for a loop of more than MOST_JAGGED edges that is not smooth.
     """
     flat = _flat_cap(points)
     if flat is not None and not _has_edge(flat[1], barred):
@@ -105,7 +105,7 @@ def _has_edge(faces: Int, pairs: Collection[Pair]) -> bool:
 
 
 def _flat_cap(points: Float) -> tuple[Float, Int] | None:
-    """Points of a grid in the loop's best plane, hung into the loop; None where an edge of the loop isn't kept."""
+    """Points of a grid in the loop's best plane, fitted to the loop; None if an edge of the loop is lost."""
     number, axes = len(points), plane_axes(points)
     flat = (points - points.mean(axis=0)) @ axes[:2].T
     step = float(np.linalg.norm(points - np.roll(points, -1, axis=0), axis=1).mean())
@@ -125,7 +125,7 @@ def _flat_cap(points: Float) -> tuple[Float, Int] | None:
 
 
 def _finer(points: Float, faces: Int, barred: Collection[Pair]) -> tuple[Float, Int]:
-    """A triangulation of a loop with its inner edges cut to the loop's mean length, and its points hung into it."""
+    """A triangulation of a loop with inner edges cut to the loop's mean length, and its points fitted to it."""
     step = float(np.linalg.norm(points - np.roll(points, -1, axis=0), axis=1).mean())
     patch = _Patch(points, faces, barred)
     for _ in range(ROUNDS):
@@ -149,7 +149,7 @@ class _Patch:
         return [(a, b) for a, b in self.across if a < b and (b, a) in self.across]
 
     def cut(self, longest: float) -> None:
-        """Halve inner edges that are longer, the longest first and each face once."""
+        """Halve longer inner edges, the longest first and each face once."""
         edges = np.array(self.inner_edges()).reshape(-1, 2)
         length = np.linalg.norm(self.points[edges[:, 0]] - self.points[edges[:, 1]], axis=1)
         done: set[Pair] = set()
@@ -169,7 +169,7 @@ class _Patch:
         self.points = np.concatenate([self.points, np.reshape(added, (-1, 3))])
 
     def flip(self) -> None:
-        """Turn inner edges until none has angles across it that add up to more than two right ones (Delaunay)."""
+        """Flip inner edges until none has opposite angles with a sum of more than two right ones (Delaunay)."""
         for _ in range(ROUNDS):
             turned = False
             for a, b in self.inner_edges():
@@ -184,7 +184,7 @@ class _Patch:
                 return
 
     def hang(self) -> None:
-        """Move inner points towards the mean of their neighbours; no face but slivers turns over."""
+        """Move inner points towards the mean of their neighbours; only slivers may flip their orientation."""
         faces = self.faces()
         links = adjacency(faces, len(self.points))
         for _ in range(HANGING_ROUNDS):
@@ -212,7 +212,7 @@ class _Patch:
 
 
 def _spanned(points: Float, inner: int, edges: Int) -> Float:
-    """Inner points of a membrane hung into the loop: each at the mean of its neighbours."""
+    """Return inner points of a membrane over the loop: each at the mean of its neighbours."""
     number = len(points) + inner
     if inner == 0:
         return np.zeros((0, 3))

@@ -1,4 +1,4 @@
-"""A tree for joints that a file has side by side, as WebXR and OpenXR list them: by their names, else by their skin."""
+"""Build a tree of joints from a flat list, as in WebXR and OpenXR: by their names, else by their skin."""
 
 import re
 from dataclasses import replace
@@ -19,15 +19,15 @@ RANK_WORDS = {
     "tip": 1000, "end": 1000, "nub": 1000,
 }  # fmt: skip
 HUB_WORDS = ("wrist", "hand", "palm")
-"""Of what fingers hang on, the first that a joint's name has."""
+"""Words for the parent of the fingers; the first in a joint's name is used."""
 SIDE_WORDS = {"left": "left", "l": "left", "right": "right", "r": "right"}
 MOST_SIBLINGS = 6
-"""A wrist with five digits and a palm; more joints that end where they begin are no tree of a hand."""
+"""Largest number of siblings: a wrist has five digits and a palm; more joints with one parent are no tree of a hand."""
 SKIN_POINTS, WRIST_SHARE = 8, 0.05
 
 
 def words(name: str) -> list[str]:
-    """Words and numbers of a joint's name in lower case: of "RightHandIndex1" right, hand, index, 1."""
+    """Split a joint's name into words and numbers in lower case: "RightHandIndex1" gives right, hand, index, 1."""
     apart = re.sub(r"([a-z])([A-Z])|([A-Z])([A-Z][a-z])", r"\1\3 \2\4", name)
     return re.findall(r"[a-z]+|\d+", apart.lower())
 
@@ -44,8 +44,8 @@ def named_side(names: tuple[str, ...]) -> str:
 def joined(rig: SkinRig, vertices: Float, way: Float) -> tuple[SkinRig, Int, str]:
     """The rig with its joints in a tree, which of them got another parent, and how: by "names", "skin", or "" for none.
 
-    Names are taken where they tell digit and rank, in the words of WebXR, OpenXR and most modelling programs. Without
-    them each joint hangs on its neighbour in the skin, back towards the wrist. A tree that holds together is left.
+    Names are used if they contain digit and rank, in the words of WebXR, OpenXR and most modelling programs. Without
+    them each joint is attached to its neighbour in the skin, towards the wrist. A connected tree is not changed.
 
     vertices: of the skin, shape (n, 3), in the unit of the joints; way: of each along the skin from the wrist, shape
         (n,)
@@ -64,7 +64,7 @@ def joined(rig: SkinRig, vertices: Float, way: Float) -> tuple[SkinRig, Int, str
 
 
 def _rank(name: str) -> tuple[str, int] | None:
-    """Digit and rank along it of a joint, the metacarpal first; None where the name has no digit or no rank."""
+    """Return digit and rank along it of a joint, the metacarpal first; None if the name has no digit or no rank."""
     parts = words(name)
     at = next((i for i, word in enumerate(parts) if word in DIGIT_WORDS), None)
     if at is None:
@@ -77,7 +77,7 @@ def _rank(name: str) -> tuple[str, int] | None:
 
 
 def _chains(names: tuple[str, ...]) -> list[list[int]]:
-    """Joints of each digit from the wrist on, as far as their names tell."""
+    """Return joints of each digit from the wrist on, as far as their names allow."""
     ranked: dict[str, list[tuple[int, int]]] = {}
     for joint, name in enumerate(names):
         if (found := _rank(name)) is not None:
@@ -90,7 +90,7 @@ def _distinct(digit: list[tuple[int, int]]) -> bool:
 
 
 def _related(parents: Int, a: int, b: int) -> bool:
-    """Whether one of two joints hangs on the other."""
+    """Whether one of two joints is an ancestor of the other."""
     return a in _above(parents, b) or b in _above(parents, a)
 
 
@@ -103,7 +103,7 @@ def _above(parents: Int, joint: int) -> list[int]:
 
 
 def _by_name(joints: Joints, chains: list[list[int]]) -> Int | None:
-    """Parents with each digit a chain that hangs on the wrist; None where no joint is the wrist's or ranks mislead."""
+    """Parents with each digit a chain from the wrist; None if no joint is the wrist's or ranks are inconsistent."""
     in_digit = {joint for chain in chains for joint in chain}
     others = [joint for joint in range(len(joints.names)) if joint not in in_digit]
     hubs = [joint for word in HUB_WORDS for joint in others if word in words(joints.names[joint])]
@@ -124,17 +124,17 @@ def _by_name(joints: Joints, chains: list[list[int]]) -> Int | None:
 
 
 def _crowded(parents: Int) -> bool:
-    """Whether more joints than a hand has digits end at one and the same joint, or at none."""
+    """Whether more joints than a hand has digits have the same parent, or none."""
     ends = np.setdiff1d(np.arange(len(parents)), parents)
     return bool(len(ends)) and int(np.unique(parents[ends], return_counts=True)[1].max()) > MOST_SIBLINGS
 
 
 def _by_skin(rig: SkinRig, vertices: Float, way: Float) -> Int:
-    """Parents by the skin: of the joints nearer to the wrist that with which a joint shares most skin.
+    """Choose parents by the skin: among joints nearer to the wrist the one that shares most skin with a joint.
 
-    The way from the wrist rises along a digit as the distance does, however bent that is, and hardly from one digit to
-    the next: shared skin counts by the square of that slope, from the middle of one's skin to that of the other. A
-    joint without skin hangs on the one that carries the skin about it. The root is the joint that has the wrist.
+    The distance from the wrist along the skin rises along a digit, however bent that is, and hardly from one digit to
+    the next. So shared skin is weighted by the square of that slope, between the middles of both joints' skins. A joint
+    without skin is attached to the joint that carries the skin about it. The root is the joint that has the wrist.
     """
     weights = rig.weights.toarray()
     total = weights.sum(axis=0)

@@ -1,4 +1,4 @@
-"""Regions of the skin: one label a vertex, after the parts of the hand that the surface was made of."""
+"""Regions of the skin: one label a vertex, by parts of the hand."""
 
 from itertools import pairwise
 
@@ -20,7 +20,7 @@ PADS = tuple(f"{a}_{b}_pad" for a, b in pairwise(DIGITS[1:]))
 PALM_AREAS = ("thenar", "hypothenar", *PADS, "palm_centre")
 
 WEB_REACH, FACING_TIPS = 1.0, 0.5
-"""How near to two fingers a web is, in their half-breadths, and the least y of its normals: sides face no tips."""
+"""Distance of a web from two fingers, in their half-breadths, and least y of its normals: sides face no tips."""
 
 
 def _of_digit(digit: str) -> tuple[str, ...]:
@@ -33,17 +33,17 @@ def _phalanges(digit: str) -> tuple[str, ...]:
 
 
 REGIONS = (*(name for digit in DIGITS for name in _of_digit(digit)), *PALM_AREAS, *WEBS, "dorsum", "forearm")
-"""Each phalanx on its palmar side and its back, the pulp being the palmar side of the last; areas of the palm, of which
-the pads lie below the roots of two fingers each; webs; the back of the hand; all beyond the wrist's crease."""
+"""Each phalanx on its palmar side and its back, the pulp being the palmar side of the last; areas of the palm, with
+pads below the roots of two fingers each; webs; the back of the hand; all beyond the wrist's crease."""
 
 
 def region_labels(hand: ArticulatedHand, surface: Surface) -> tuple[tuple[str, ...], Int]:
-    """Names of the regions, REGIONS, and the number of its region for each vertex, shape (n,).
+    """Return names of the regions, REGIONS, and the number of its region for each vertex, shape (n,).
 
     surface: skin of the hand in its rest pose, of any edge length
-    Joints part the phalanges as the bones that own the vertices do, see `skinning`; a finger begins at its crease,
-    as far beyond the knuckle as the preset's palm length has it at the middle finger, the thumb at its second joint.
-    Vertices that noise on a border has cut off from their region go to the one around them, so each is connected.
+    Joints separate the phalanges like the bones that own the vertices, see `skinning`. A finger begins at its crease,
+    at a distance from the knuckle given by the preset's palm length at the middle finger, the thumb at its second
+    joint. Vertices separated from their region by noise on a border get the region around them, so each is connected.
     """
     number = {name: n for n, name in enumerate(REGIONS)}
     points = surface.vertices
@@ -54,7 +54,7 @@ def region_labels(hand: ArticulatedHand, surface: Surface) -> tuple[tuple[str, .
     labels = np.full(len(points), number["palm_centre"], dtype=np.int32)
     for area in ("thenar", "hypothenar"):
         part = parts[area]
-        # The edge of the palm beside an area is its own.
+        # The edge of the palm next to an area is its own.
         edge = (np.abs(points[:, 0]) > np.abs(part.start[0])) & (points[:, 0] * part.start[0] > 0.0)
         edge &= points[:, 1] < part.end[1]
         labels[(_outline(part, points) < 0.0) | edge] = number[area]
@@ -122,7 +122,7 @@ def _beyond_crease(hand: ArticulatedHand, digit: str, proximal: SkinSegment, poi
 
 
 def _connected(labels: Int, surface: Surface) -> Int:
-    """Labels of which all but the largest piece of each region have gone to the regions around them."""
+    """Return labels in which all but the largest piece of each region have the labels of the regions around them."""
     links = adjacency(surface.faces, len(labels)).tocoo()
     same = labels[links.row] == labels[links.col]
     inside = sparse.coo_array((links.data[same], (links.row[same], links.col[same])), shape=links.shape)

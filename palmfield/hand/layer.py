@@ -20,13 +20,13 @@ LEAST_QUALITY = 0.05
 LEAST_RATIO = 0.05
 # Scaled Jacobian of a triangle whose least angle is 12.5 degrees.
 SOUND_TRIANGLE = 0.25
-# A thickness that rises by this along the surface lets the base rise at 35 degrees.
+# A thickness that rises by this along the surface makes the base rise at 35 degrees.
 STEEPEST_RISE = 0.7
 KEPT_COSINE = 0.9
-# A direction that sees a face at 84 degrees to its normal still makes a sound, if slanted, wedge there.
+# A direction at 84 degrees to a face's normal still gives a sound, if slanted, wedge there.
 LEAST_VISIBLE = 0.1
 MOST_MOVES = 20
-# Share of the median edge below which all distances count the same when directions are smoothed.
+# Share of the median edge below which all distances count equally when directions are smoothed.
 LEAST_DISTANCE = 1e-3
 # Full height of an equilateral corner gives 1.
 CORNER_SCALE = 2.0 / np.sqrt(3.0)
@@ -49,7 +49,7 @@ def most_visible_normals(vertices: Float, faces: Int) -> tuple[Float, Float]:
     """Unit normals, shape (n, 3), that maximise their smallest cosine to the faces around, and that cosine, shape (n,).
 
     Aubry & Lohner 2008, "On the most normal normal", doi 10.1002/cnm.1056; by steps towards the worst face from the
-    mean by angle. Where the cosine is not above 0, no direction sees all faces from outside.
+    mean by angle. If the cosine is not above 0, no direction sees all faces from outside.
     """
     unit, _ = face_normals(vertices, faces)
     normal = vertex_normals(vertices, faces)
@@ -70,9 +70,9 @@ def inward_directions(vertices: Float, faces: Int, smoothing_rounds: int = 5) ->
     """Unit directions into the body, shape (n, 3): minus the most visible normals, smoothed where that stays visible.
 
     Smoothing leaves at least KEPT_COSINE of the smallest cosine to the faces. It is done `smoothing_rounds` times with
-    the plain mean of the neighbours, which turns directions on creases and facets radial, and twice as often with
-    weights by the inverse squares of their distances: vertices that nearly coincide, as on raw marching cubes, then
-    get nearly the same direction and their wedges no twist.
+    the plain mean of the neighbours, which makes directions on creases and facets radial. It is done twice as often
+    with weights by the inverse squares of their distances: vertices that nearly coincide, as on raw marching cubes,
+    then get nearly the same direction and their wedges no twist.
     """
     unit, _ = face_normals(vertices, faces)
     normal, best = most_visible_normals(vertices, faces)
@@ -92,10 +92,10 @@ def inward_directions(vertices: Float, faces: Int, smoothing_rounds: int = 5) ->
 
 
 def unfolded(vertices: Float, faces: Int) -> Float:
-    """Positions [m], shape (n, 3), with which every vertex has a direction that sees all its faces from outside.
+    """Return positions [m], shape (n, 3), for which every vertex has a direction that sees all its faces from outside.
 
-    Where the best cosine is below LEAST_VISIBLE, as where a coarse mesh folds over at a finger web, it and its
-    neighbours go half way to the mean of their own neighbours, at most MOST_MOVES times; the other vertices stay.
+    If the best cosine is below LEAST_VISIBLE, as where a coarse mesh folds over at a finger web, it and its neighbours
+    move half way to the mean of their own neighbours, at most MOST_MOVES times; the other vertices are fixed.
     """
     links = adjacency(faces, len(vertices))
     points = vertices.copy()
@@ -113,7 +113,7 @@ def wedge_quality(vertices: Float, faces: Int, inward: Float, depth: Float) -> F
 
     Down the edge at a corner the Jacobian is quadratic; its three Bernstein coefficients (top, mixed, bottom) bound it
     (Johnen et al. 2013, doi 10.1016/j.jcp.2012.08.051). Top and bottom alone miss a wedge that has passed through a
-    point: there the bottom is turned by 180 degrees and its area is positive again.
+    point: its bottom is rotated by 180 degrees and its area is positive again.
     """
     bottom = vertices + depth[:, None] * inward
     quality = np.full(len(faces), np.inf)
@@ -142,7 +142,7 @@ def fit_thickness(vertices: Float, faces: Int, inward: Float, requested: Float, 
     again and again, and around it the thickness rises by at most STEEPEST_RISE of the way along the surface. A wedge is
     poor below LEAST_QUALITY; under a triangle whose own quality is below SOUND_TRIANGLE, below the same share of that.
 
-    Raises SceneError with the place where no thickness above 5 % of the asked one gives sound wedges.
+    Raises SceneError with the place if no thickness above 5 % of the requested one gives sound wedges.
     """
     edges, _ = unique_edges(faces)
     length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
@@ -168,8 +168,8 @@ def fit_thickness(vertices: Float, faces: Int, inward: Float, requested: Float, 
 
 
 def layer_volume(vertices: Float, faces: Int, inward: Float, depth: Float) -> float:
-    """Volume of the wedges [m3]; each is cut into three tetrahedra by the order of its vertices' numbers, and a folded
-    part counts as negative."""
+    """Return the volume of the wedges [m3]; each is cut into three tetrahedra by its vertices' numbers, and folded
+    parts are negative."""
     order = np.argsort(faces, axis=1)
     odd = (order[:, [0, 1]] > order[:, [1, 2]]).sum(axis=1) + (order[:, 0] > order[:, 2])
     ordered = np.take_along_axis(faces, order, axis=1)
@@ -246,7 +246,7 @@ def _neighbour_min(values: Float, faces: Int) -> Float:
 
 
 def _rising_gently(values: Float, edges: Int, rise: Float) -> Float:
-    """The largest values not above the given ones that differ by at most `rise` along each edge."""
+    """Return the largest values not above the given ones that differ by at most `rise` along each edge."""
     while True:
         out = values.copy()
         np.minimum.at(out, edges[:, 0], values[edges[:, 1]] + rise)

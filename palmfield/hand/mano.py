@@ -1,4 +1,4 @@
-"""A MANO model file, read by an unpickler that cannot run anything that the file names."""
+"""Read a MANO model file by an unpickler that cannot run code named in the file."""
 
 import pickle
 from pathlib import Path
@@ -20,29 +20,29 @@ NEEDED = ("v_template", "f", "weights", "kintree_table")
 
 
 class Record:
-    """Stands for an object of a foreign class: keeps what was stored in it and does nothing."""
+    """Replaces an object of a foreign class: keeps its stored data and does nothing."""
 
 
 class SparseRecord(Record):
-    """Stands for a sparse matrix or array of SciPy's; those that SciPy stores otherwise have records of their own."""
+    """Replaces a sparse matrix or array of SciPy's; those stored in another form have records of their own."""
 
     made = sparse.csc_array
 
 
 class RowRecord(SparseRecord):
-    """Stands for a csr_matrix or csr_array."""
+    """Replaces a csr_matrix or csr_array."""
 
     made = sparse.csr_array
 
 
 class PlacesRecord(SparseRecord):
-    """Stands for a coo_matrix or coo_array."""
+    """Replaces a coo_matrix or coo_array."""
 
     made = sparse.coo_array
 
 
 def read_mano(file: Path) -> tuple[Float, Int, SkinRig]:
-    """Template vertices [m], shape (n, 3), faces and rig (16 joints) of a MANO .pkl file.
+    """Read template vertices [m], shape (n, 3), faces and rig (16 joints) of a MANO .pkl file.
 
     Raises SceneError for a file that is no such pickle, that names anything but arrays of NumPy and Chumpy and sparse
     ones of SciPy (each refused by name before it is loaded), or that lacks a part.
@@ -52,7 +52,7 @@ def read_mano(file: Path) -> tuple[Float, Int, SkinRig]:
             model = _Unpickler(stream, encoding="latin1").load()
     except SceneError:
         raise
-    # A damaged pickle ends in nearly any exception of the unpickler and of NumPy.
+    # A damaged pickle causes nearly any exception of the unpickler and of NumPy.
     except Exception as error:
         reason = " ".join(str(error).split())[:120] or type(error).__name__
         raise SceneError(f"mesh {file} cannot be read as a MANO pickle ({reason}); download it again") from error
@@ -65,7 +65,7 @@ def read_mano(file: Path) -> tuple[Float, Int, SkinRig]:
         raise SceneError(f"mesh {file} is no MANO model: {', '.join(lacking)} missing; give MANO_RIGHT or MANO_LEFT")
     try:
         return _model(model)
-    except Exception as error:  # what is in a record may be anything, or nothing
+    except Exception as error:  # a record may contain any data, or none
         reason = " ".join(str(error).split())[:120] or type(error).__name__
         raise SceneError(f"mesh {file}: its arrays do not fit together ({reason}); download it again") from error
 
@@ -92,7 +92,7 @@ def _model(model: dict[str, Any]) -> tuple[Float, Int, SkinRig]:
 
 
 def _array(value: Any) -> np.ndarray:
-    """Plain array from an array, a sparse matrix or what Chumpy stores: an array `x`, or a selection `idxs` of `a`."""
+    """Plain array from an array, a sparse matrix or Chumpy data: an array `x`, or a selection `idxs` of `a`."""
     if isinstance(value, SparseRecord):
         parts = vars(value)
         shape = parts.get("_shape", parts.get("shape"))
@@ -100,7 +100,7 @@ def _array(value: Any) -> np.ndarray:
             places = parts["coords"] if "coords" in parts else (parts["row"], parts["col"])
             return value.made((parts["data"], places), shape=shape).toarray()
         matrix = value.made((parts["data"], parts["indices"], parts["indptr"]), shape=shape)
-        matrix.check_format(full_check=True)  # SciPy writes to wherever an index points
+        matrix.check_format(full_check=True)  # SciPy would write to any index without a check
         return matrix.toarray()
     if isinstance(value, Record):
         parts = vars(value)

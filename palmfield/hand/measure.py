@@ -1,4 +1,4 @@
-"""A hand's measures, taken from its mesh as one would with a tape."""
+"""Measures of a hand's mesh, as by a tape measure."""
 
 import numpy as np
 import trimesh
@@ -20,7 +20,7 @@ def measures(hand: HandSurface) -> dict[str, float]:
     length: wrist crease to the tip of the middle finger; breadth: across the hand at the heads of the metacarpals of
     index and little finger; hand_circumference: of a tape around these, thumb aside; wrist_circumference: around the
     wrist
-    Raises SceneError where a tape finds no closed line.
+    Raises SceneError if a tape finds no closed line.
     """
     vertices, faces, marks = hand.surface.vertices, hand.surface.faces, hand.landmarks
     index, little = marks["index_knuckle"], marks["little_knuckle"]
@@ -37,7 +37,7 @@ def measures(hand: HandSurface) -> dict[str, float]:
 
 
 def tape(hand: HandSurface, point: Float, normal: Float) -> float:
-    """Length [m] of a tight tape in a plane around the part of the hand that the point lies in: it bridges hollows."""
+    """Length [m] of a tight tape in a plane around the part of the hand that contains the point: it bridges hollows."""
     mesh = trimesh.Trimesh(hand.surface.vertices, hand.surface.faces, process=False)
     cut = trimesh.intersections.mesh_plane(mesh, normal, point)
     helper = np.eye(3)[int(np.argmin(np.abs(normal)))]

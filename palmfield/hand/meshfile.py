@@ -1,4 +1,4 @@
-"""A user's own mesh of a hand, read from its file, mended or refused before anything is computed on it."""
+"""Read a user's mesh of a hand from its file, and repair or refuse it before any computation."""
 
 import io
 import re
@@ -29,11 +29,10 @@ MOST_FACES, ENOUGH_FACES = 1_000_000, 50_000
 
 @dataclass(frozen=True)
 class Examined:
-    """A mesh after repair, in metres; it may be used where no finding is refused.
+    """A mesh after repair, in metres; it may be used if no finding is refused.
 
-    vertices: shape (n, 3); faces: shape (m, 3); unit: what the file's numbers meant; findings: places in metres;
-    rig: with weights at these vertices and joints in metres, or None; file_vertices, file_faces: how many were in the
-    file
+    vertices: shape (n, 3); faces: shape (m, 3); unit: of the file's numbers; findings: places in metres;
+    rig: with weights at these vertices and joints in metres, or None; file_vertices, file_faces: numbers in the file
     """
 
     vertices: Float
@@ -46,14 +45,14 @@ class Examined:
 
 
 def load_mesh(path: str | Path, unit: str) -> Surface:
-    """Closed surface from an OBJ, PLY, STL, glTF, GLB or MANO .pkl file, in metres, with outward normals.
+    """Read a closed surface from an OBJ, PLY, STL, glTF, GLB or MANO .pkl file, in metres, with outward normals.
 
-    unit: what one unit in the file means: "m", "dm", "cm", "mm" or "in"; "auto" takes metres for glTF and MANO, and
-    elsewhere the only unit that makes what has five fingertips a hand or forearm
-    Faults are mended as `palmfield.hand.repair.repair` says.
+    unit: of the file: "m", "dm", "cm", "mm" or "in"; "auto" takes metres for glTF and MANO, and otherwise the only unit
+    in which a mesh with five fingertips has the size of a hand or forearm
+    Faults are repaired as in `palmfield.hand.repair.repair`.
 
-    Raises SceneError for an unknown unit or format; a file that is missing, unreadable or empty; and what cannot be
-    mended: no size, coordinates that are not finite, holes, several bodies, or not 20 to 600 mm long.
+    Raises SceneError for an unknown unit or format; a file that is missing, unreadable or empty; and for a mesh that
+    cannot be repaired: no size, coordinates that are not finite, holes, several bodies, or not 20 to 600 mm long.
     """
     return _surface(_accepted(path, unit))
 
@@ -72,10 +71,10 @@ def load_rigged(path: str | Path, unit: str = "auto", longest_edge_m: float | No
 
 
 def examine(path: str | Path, unit: str = "auto", longest_edge_m: float | None = None) -> Examined:
-    """Read and mend a mesh, and say what was found; edges longer than longest_edge_m [m] are halved.
+    """Read and repair a mesh, and report the findings; edges longer than longest_edge_m [m] are halved.
 
-    Raises SceneError where there is no mesh to speak of: unknown unit or format, a missing, unreadable or empty file,
-    more than MOST_FACES faces, a size that no hand has.
+    Raises SceneError if there is no usable mesh: unknown unit or format, a missing, unreadable or empty file, more than
+    MOST_FACES faces, a size that no hand has.
     """
     file = Path(path)
     vertices, faces, by_format, rig = _read(file)
@@ -84,7 +83,7 @@ def examine(path: str | Path, unit: str = "auto", longest_edge_m: float | None =
     if extent == 0.0:
         raise SceneError(f"mesh {file}: all {len(vertices)} vertices lie in one point; export it again")
     mended = repair(vertices, faces)
-    # Without what is dropped: a crumb at a fingertip is no part of the hand's length
+    # Without dropped parts: a fragment at a fingertip does not count for the hand's length
     used = mended.vertices[np.unique(mended.faces)] if len(mended.faces) else finite
     length, breadth, _ = np.ptp(used @ plane_axes(used).T, axis=0)
     tips = DIGITS
@@ -112,7 +111,7 @@ def examine(path: str | Path, unit: str = "auto", longest_edge_m: float | None =
 
 
 def _in_a_tree(rig: SkinRig, mended: Repair) -> SkinRig:
-    """The rig with joints that were side by side in a tree, which is noted."""
+    """Return the rig with joints of a flat list in a tree, which is noted."""
     rig, moved, how = joined(rig, mended.vertices, way_from_wrist(mended.vertices, mended.faces))
     places, children = rig.joints.rest[moved, :3, 3], f"{len(moved)} joints stood side by side; each was hung on"
     if how == "names":
@@ -124,7 +123,7 @@ def _in_a_tree(rig: SkinRig, mended: Repair) -> SkinRig:
 
 
 def refusal(path: str | Path, findings: list[Finding]) -> str:
-    """One line on the first finding that was refused, with up to three places."""
+    """Return one line on the first refused finding, with up to three places."""
     worst = next(finding for finding in findings if finding.outcome == "refused")
     where = ", ".join(f"({p[0]:.1f}, {p[1]:.1f}, {p[2]:.1f})" for p in 1e3 * worst.places[:3])
     at = f", at {where}{' and elsewhere' if len(worst.places) > 3 else ''} mm" if where else ""
@@ -143,7 +142,7 @@ def _surface(examined: Examined) -> Surface:
 
 
 def _read(file: Path) -> tuple[Float, Int, str | None, SkinRig | None]:
-    """Vertices, faces, the unit that the format prescribes, and the rig."""
+    """Read vertices, faces, the unit that the format prescribes, and the rig."""
     suffix = file.suffix.lower()
     if suffix not in SUFFIXES:
         raise SceneError(
@@ -185,7 +184,7 @@ def _check_count(file: Path, count: int) -> None:
 
 
 def announced_faces(file: Path) -> int:
-    """How many faces a file says or seems to have, without reading them; 0 where only its reader can tell."""
+    """Declared or estimated number of faces of a file, without reading them; 0 if only its reader can count."""
     suffix, size = file.suffix.lower(), file.stat().st_size
     with file.open("rb") as stream:
         head = stream.read(4096)
@@ -197,7 +196,7 @@ def announced_faces(file: Path) -> int:
             if size == 84 + 50 * count:
                 return count
         if suffix in (".stl", ".obj"):
-            # A line a face; blocks end anywhere, so that a few faces in a million may be missed.
+            # A line a face; blocks are cut at any byte, so that a few faces in a million may be missed.
             mark = b"endfacet" if suffix == ".stl" else b"\nf "
             stream.seek(0)
             return sum(block.count(mark) for block in iter(partial(stream.read, 1 << 24), b""))
@@ -207,11 +206,11 @@ def announced_faces(file: Path) -> int:
 def _read_plain(file: Path) -> tuple[Float, Int]:
     try:
         mesh = trimesh.load_mesh(io.BytesIO(read_bytes(file)), file_type=file.suffix[1:].lower(), process=False)
-    # trimesh lets every kind of exception of its parsers through (ValueError, IndexError, struct.error, ...).
+    # trimesh passes on every kind of exception of its parsers (ValueError, IndexError, struct.error, ...).
     except Exception as error:
         reason = " ".join(str(error).split())[:120] or type(error).__name__
         if isinstance(error, ImportError):
-            # trimesh asks another package what text this is, once it is none that it knows
+            # trimesh uses another package to guess the encoding of an unknown text
             reason = f"it is no {file.suffix[1:].upper()} file, or its text is not UTF-8"
         raise SceneError(f"mesh {file} cannot be read ({reason}); export it again") from error
     vertices = np.asarray(getattr(mesh, "vertices", np.zeros((0, 3))), dtype=np.float64)

@@ -39,7 +39,7 @@ def barycentric(corners: Float, points: Float) -> Float:
 
 
 def over_plane(plane: Float, faces: Int, places: Float) -> tuple[Int, Float]:
-    """Corners of the triangle over each place of a plane, shape (n, 3), and their weights there, shape (n, 3).
+    """Return corners of the triangle over each place of a plane, shape (n, 3), and their weights there, shape (n, 3).
 
     plane: positions of the vertices in that plane [m], shape (v, 2); places: shape (n, 2)
     A place outside all triangles gets the nearest one.

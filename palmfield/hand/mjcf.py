@@ -16,21 +16,21 @@ from palmfield.types import Float
 STIFFNESS_N_m = 2000.0
 DENSITY_kg_m3 = 1100.0
 HEIGHT_m = 0.2
-# Smooth unions swell the palm by up to a quarter of their radius of 11 mm; plain geoms have no unions.
+# Smooth unions enlarge the palm by up to a quarter of their radius of 11 mm; plain geoms have no unions.
 PALM_SWELL_m = 0.002
 PARTS_OF_ONE_MASS = ("forearm", "carpus", "palm_body")
 DIGITS_IN_FILE = 6
 VIEW_GROUP = "3"
-"""Of geoms and sites, which viewers leave out until it is asked for: the skin is seen in their place."""
+"""Group of geoms and sites that viewers hide by default: the skin is shown in their place."""
 
 
 def hand_mjcf(preset: HandPreset) -> str:
-    """MJCF text with one body `hand`, in the hand frame, to be named by `<include file=.../>` or opened as it is.
+    """Return MJCF text with one body `hand`, in the hand frame, for `<include file=.../>` or to open directly.
 
     Viewers show its skin, of triangles of 4 mm; geoms and sites are in group 3. Geoms are capsules on bones with the
-    skin's mean radius (the palm's body: ellipsoids); they touch nothing. MuJoCo takes mass and inertia from them at
-    1100 kg/m3; parts that lie inside others weigh nothing. Slide joints hand_x, hand_y, hand_z carry position servos of
-    the same names (2 kN/m, critically damped); gravity is compensated.
+    skin's mean radius (the palm's body: ellipsoids), without contacts. MuJoCo computes mass and inertia from them at
+    1100 kg/m3; parts inside others have no mass. Slide joints hand_x, hand_y, hand_z carry position servos of the same
+    names (2 kN/m, critically damped); gravity is compensated.
     """
     skeleton = centred_skeleton(preset)
     root = ET.Element("mujoco", model=preset.name)
@@ -62,15 +62,15 @@ def hand_mjcf(preset: HandPreset) -> str:
 
 
 def skin_geom(segment: SkinSegment, origin: Float, digits: int, touches: bool) -> dict[str, str]:
-    """Attributes of the geom that stands for a part of the skin, in a frame at `origin` [m], shape (3,).
+    """Return attributes of the geom for a part of the skin, in a frame at `origin` [m], shape (3,).
 
-    A capsule, or an ellipsoid for the palm's body. `digits`: as `numbers_text`; touches: whether it takes contacts
+    A capsule, or an ellipsoid for the palm's body. `digits`: as `numbers_text`; touches: whether it has contacts
     """
     semi = 0.5 * (segment.semi_start + segment.semi_end) + (0.0 if segment.group else PALM_SWELL_m)
-    # The axis of the skin lies nearer to the back; the capsule is centred between back and palmar side.
+    # The axis of the skin is nearer to the back; the capsule is centred between back and palmar side.
     shift = 0.5 * (semi[1] - semi[2]) * segment.dorsal - origin
     height = 0.5 * (semi[1] + semi[2])
-    # Parts that lie inside others weigh nothing.
+    # Parts inside others have no mass.
     weighs = segment.group > 0 or segment.name in PARTS_OF_ONE_MASS
     geom = {"name": segment.name, "group": VIEW_GROUP}
     if not touches:

@@ -1,4 +1,4 @@
-"""Numbers and colours as palmfield's MJCF files have them."""
+"""Numbers and colours in palmfield's MJCF files."""
 
 from collections.abc import Sequence
 
@@ -10,5 +10,5 @@ SKIN_RGBA = "0.87 0.68 0.58 1"
 
 
 def numbers_text(numbers: Float | Sequence[float], digits: int) -> str:
-    """Numbers as MJCF has them, rounded to so many digits after the point."""
+    """Return numbers as in MJCF, rounded to this number of decimals."""
     return " ".join(f"{number + 0.0:.{digits}g}" for number in np.round(numbers, digits))

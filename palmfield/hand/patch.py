@@ -1,4 +1,4 @@
-"""From a closed surface to the patch of skin that is simulated: remeshed as asked, with sound thickness."""
+"""Cut the simulated patch of skin out of a closed surface: remeshed to given edge lengths, with sound thickness."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,17 +32,17 @@ def surface_patch(
     """Patch of a closed surface around `centre`, with a graded triangulation of its own and a layer under it.
 
     The patch is a height field over the plane across `facing`: it takes what is connected to the centre, within
-    `radius_m` in that plane, and no steeper than 75 degrees to it. Where the region ends before the radius, the rim
+    `radius_m` in that plane, and no steeper than 75 degrees to it. If the region ends before the radius, the rim
     follows its end; spikes and necks narrower than 1.5 `coarse_m` are cut off. Positions lie on the given triangles.
 
     surface: closed mesh [m]; depth: skin thickness at its vertices [m], shape (n,), or one number
     centre: [m], shape (3,), at most 5 mm off the surface; moved to the nearest point of the surface
     fine_m, coarse_m: edge lengths within `fine_radius_m` and at the radius [m]; linear between
-    fine_at: the place round which edges are fine [m], shape (3,), seen along `facing`; default the centre
+    fine_at: place of the fine edges [m], shape (3,), seen along `facing`; default the centre
     max_depth_m: largest thickness [m]
     axis: passed on to the patch; facing: outward direction, shape (3,), default the normal at the centre
-    max_fraction: largest thickness as a share of the way through the body along the inward direction. 0.45 leaves room
-        for a layer on the far side; use 1 where the far side is the rigid base itself.
+        max_fraction: largest thickness as a share of the distance through the body along the inward direction. 0.45
+        leaves room for a layer on the far side; use 1 if the far side is the rigid base itself.
 
     Patch.report: vertices, triangles, area_m2, angle_min_deg, edge_mean_m, quality_min (scaled Jacobian of the wedges),
     share_thinned (of vertices, by more than 0.1 %), depth_asked_{min,p10,mean}_m, depth_got_{min,p10,mean}_m, through_m

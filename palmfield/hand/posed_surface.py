@@ -1,4 +1,4 @@
-"""Points and faces of a skin where its bones have taken it, as a simulation's steps ask for them."""
+"""Points and faces of a skin moved by its bones, for each step of a simulation."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,14 +19,14 @@ from palmfield.hand.triangles import checked_mesh, face_normals
 from palmfield.types import Float, Int
 
 REACH_M = 0.05
-"""What is farther from the resting skin than this belongs to no point of it."""
+"""Largest distance of a point of the skin from the resting skin."""
 
 
 @dataclass(frozen=True)
 class SkinBinding:
     """Points of a resting skin with the bones that carry them.
 
-    bones: numbers, shape (n, 4); shares: of each, shape (n, 4), rows of sum 1; count: how many bones the skin has
+    bones: numbers, shape (n, 4); shares: of each, shape (n, 4), rows of sum 1; count: number of bones of the skin
     """
 
     bones: Int
@@ -35,7 +35,7 @@ class SkinBinding:
 
     @staticmethod
     def to(hand: SkinnedSurface, points: Float) -> "SkinBinding":
-        """Points on or near the resting hand's skin [m], shape (n, 3), go with the face that is nearest to each.
+        """Bind points on or near the resting hand's skin [m], shape (n, 3), to the face nearest to each.
 
         Raises SceneError for a point that is farther than REACH_M from the skin.
         """
@@ -68,9 +68,9 @@ def blend(
     points: Float,
     normals: Float,
 ) -> tuple[Float, Float]:
-    """Points of the resting skin [m] and their unit normals, both of shape (n, 3), where they are now.
+    """Return present points of the skin [m] and their unit normals, both of shape (n, 3).
 
-    Linear blend skinning in float64, for points; `SkinnedSurface.posed` does the whole skin by a kernel.
+    Linear blend skinning in float64, for points; `SkinnedSurface.posed` computes the whole skin by a kernel.
 
     bone_positions: of the bones' frames [m], shape (b, 3); bone_rotations: shape (b, 3, 3), in any common frame
     points, normals: at rest, in the order of the binding, both of shape (n, 3)
@@ -102,7 +102,7 @@ class FaceSamples(NamedTuple):
 
 
 def face_samples(vertices: Float, faces: Int) -> FaceSamples:
-    """Centroid, normal and area of each face; for the same faces again and again take a `FaceSampler`.
+    """Centroid, normal and area of each face; for repeated calls with the same faces use a `FaceSampler`.
 
     vertices: [m], shape (n, 3); faces: shape (m, 3)
     Raises PalmfieldError for other shapes, NaN, and faces of no vertex.

@@ -19,19 +19,19 @@ from palmfield.types import Float, Int, Surface
 POSE_NAMES = ("flat", "relaxed", "splay", "point", "pinch")
 SPLAY_deg = {"index_mcp_abduction": 10.0, "ring_mcp_abduction": 7.0, "little_mcp_abduction": 12.0}
 CURL_deg = {"mcp_flexion": 48.0, "pip_flexion": 75.0, "dip_flexion": 25.0}
-"""Fingers that do not point: as far in as keeps the palm's skin out of itself at the knuckles."""
+"""Flexion of fingers that do not point: the largest without self-intersection of the palm's skin at the knuckles."""
 PINCH_GAP_m = 0.002
-"""Between the pulps of thumb and index finger: skin that touches would be one surface through the other."""
+"""Gap between the pulps of thumb and index finger: skins in contact would intersect."""
 REPAIR_ROUNDS = 40
 MOST_REPAIR_m = 0.005
 
 
 def named_pose(hand: ArticulatedHand, name: str) -> dict[str, float]:
-    """Angles of every joint [deg] for one of POSE_NAMES.
+    """Return angles of every joint [deg] for one of POSE_NAMES.
 
     flat: straight fingers; relaxed: the preset's own pose; splay: flat with fingers spread; point: the index finger
-    straight, the others curled; pinch: pulps of thumb and index finger towards each other, about PINCH_GAP_m apart.
-    No preset's skin crosses itself in any of them, but for the large ones' webs in `point`, which can be repaired.
+    straight, the others curled; pinch: pulps of thumb and index finger towards each other, about PINCH_GAP_m apart. No
+    preset's skin crosses itself in any of them, except the large ones' webs in `point`, which can be repaired.
     Raises SceneError for an unknown name.
     """
     rest = {joint.name: joint.rest_deg for joint in hand.joints}
@@ -52,7 +52,7 @@ def named_pose(hand: ArticulatedHand, name: str) -> dict[str, float]:
 
 
 def _pinch(hand: ArticulatedHand, rest: dict[str, float]) -> dict[str, float]:
-    """Angles that bring the pulps together, with as little bending as that takes."""
+    """Find angles that bring the pulps together with the least bending."""
     moving = [
         n
         for n, joint in enumerate(hand.joints)
@@ -94,7 +94,7 @@ def _pinch(hand: ArticulatedHand, rest: dict[str, float]) -> dict[str, float]:
             [[1e3 * to_index], 2e3 * np.array(overlaps), 3.0 * (out_thumb + out_index), 0.02 * (x - start)]
         )
 
-    # Half-way in is off the bounds, as the method needs.
+    # Half-way in is away from the bounds, as the method needs.
     solution = scipy.optimize.least_squares(misses, 0.7 * start + 0.15 * (low + high), bounds=(low, high)).x
     return rest | {hand.joints[n].name: float(a) for n, a in zip(moving, solution, strict=True)}
 
@@ -112,7 +112,7 @@ def _nearest(a: Float, b: Float) -> float:
 
 @dataclass(frozen=True)
 class Repair:
-    """What was done to a posed skin that crossed itself.
+    """Repair of a posed skin that crossed itself.
 
     crossings: pairs of faces that crossed; places: the pairs of parts, with how many; moved: vertices that were moved;
     largest_m: by how much at most [m]
@@ -125,10 +125,10 @@ class Repair:
 
 
 def posed_surface(hand: SkinnedHand, angles_deg: Mapping[str, float], repair_m: float = 0.0) -> Surface:
-    """Skin in a pose, in the frame of the hand at rest; the forearm stays.
+    """Return the skin in a pose, in the frame of the hand at rest; the forearm is fixed.
 
-    Raises SceneError as `checked_angles`, and where the skin crosses itself, naming parts and places, unless moving
-    vertices by no more than `repair_m` [m] there mends it; `posed_and_repaired` tells what was moved.
+    Raises SceneError as `checked_angles`, and if the skin crosses itself, naming parts and places, unless moving
+    vertices by no more than `repair_m` [m] there repairs it; `posed_and_repaired` reports the moved vertices.
     """
     return posed_and_repaired(hand, angles_deg, repair_m)[0]
 
@@ -136,7 +136,7 @@ def posed_surface(hand: SkinnedHand, angles_deg: Mapping[str, float], repair_m: 
 def posed_and_repaired(
     hand: SkinnedHand, angles_deg: Mapping[str, float], repair_m: float
 ) -> tuple[Surface, Repair | None]:
-    """As `posed_surface`, with a report of the repair, None where none was needed."""
+    """As `posed_surface`, with a report of the repair, None if none was needed."""
     if not 0.0 <= repair_m <= MOST_REPAIR_m:
         raise SceneError(
             f"hand pose: repair_m is {repair_m:g}; give 0 to {MOST_REPAIR_m:g} m: more would be another hand"
@@ -159,7 +159,7 @@ def posed_and_repaired(
 
 
 def _pushed_apart(surface: Surface, pairs: Int, repair_m: float) -> Float:
-    """Vertices about crossing faces, drawn inwards and smoothed, nobody further than `repair_m`, until none crosses."""
+    """Move and smooth vertices about crossing faces inwards, by at most `repair_m`, until none crosses."""
     start = surface.vertices
     links = adjacency(surface.faces, len(start))
     vertices = start.copy()

@@ -12,8 +12,8 @@ from palmfield.given_files import read_toml
 DIGITS = ("thumb", "index", "middle", "ring", "little")
 Length = Annotated[float, Field(gt=0.0, lt=1.0)]
 LENGTHS_m, BREADTHS_m = (0.12, 0.26), (0.05, 0.12)
-"""Least and most of a hand's length and breadth that `sized` takes: children of five to beyond the 99th percentile of
-men (ANSUR II: 193.3 +- 9.9 and 88.3 +- 4.4 mm)."""
+"""Range of a hand's length and breadth for `sized`: children of five to beyond the 99th percentile of men (ANSUR II:
+193.3 +- 9.9 and 88.3 +- 4.4 mm)."""
 
 
 class Digit(BaseModel):
@@ -22,11 +22,11 @@ class Digit(BaseModel):
     bones_m: metacarpal, then phalanges from the knuckle out [m]; three numbers for the thumb, four for a finger
     tip_m: soft tip beyond the last bone [m]
     breadth_m: skin breadth at the base of the first phalanx, at each further joint and at the tip [m]
-    base_y_m: metacarpal base along y, against that of the middle finger [m]
-    arch_m: how far the knuckle (thumb: the metacarpal base) lies towards the palm, against the middle one [m]
+    base_y_m: metacarpal base along y, relative to that of the middle finger [m]
+    arch_m: offset of the knuckle (thumb: the metacarpal base) towards the palm, relative to the middle one [m]
     spread_deg: direction in the plane of the palm, positive to the little finger's side
     palmar_deg: direction out of that plane, positive to the palmar side
-    twist_deg: turn about the digit's own axis; positive turns the nail to the thumb's side
+    twist_deg: rotation about the digit's own axis; positive rotates the nail to the thumb's side
     flexion_deg: flexion at each joint from the knuckle on
     """
 
@@ -53,7 +53,7 @@ class Digit(BaseModel):
 
 
 class HandPreset(BaseModel):
-    """Measures and pose of a hand in metres and degrees, as on a right hand, of which a left one is the mirror image.
+    """Measures and pose of a right hand in metres and degrees; a left one is the mirror image.
 
     length_m: wrist crease to the tip of the middle finger; palm_length_m: wrist crease to the base of that finger
     breadth_m: across the knuckles of index and little finger; thickness_m: palm to back at the metacarpals
@@ -86,10 +86,10 @@ def sized(
     palm_length_m: float | None = None,
     wrist_circumference_m: float | None = None,
 ) -> HandPreset:
-    """A hand of other measures [m] in the same pose.
+    """Return a hand of other measures [m] in the same pose.
 
-    Bones, tips and the palm go with the length; breadths, the arch, thickness and wrist with the breadth: the two
-    hardly follow each other between people (correlation 0.57 in ANSUR II). A palm or wrist stays as given.
+    Bones, tips and the palm scale with the length; breadths, the arch, thickness and wrist with the breadth: the two
+    are only weakly correlated between people (0.57 in ANSUR II). A given palm or wrist is not scaled.
     Raises SceneError for a length outside LENGTHS_m and a breadth outside BREADTHS_m.
     """
     requested = {"length_m": (length_m, LENGTHS_m), "breadth_m": (breadth_m, BREADTHS_m)}
@@ -130,7 +130,7 @@ def mirrored(preset: HandPreset) -> HandPreset:
 
 
 class _Resized(BaseModel):
-    """A preset file that gives another hand's measures; see `sized`."""
+    """A preset file with another hand's measures; see `sized`."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
     name: str
@@ -148,9 +148,9 @@ def preset_names() -> list[str]:
 
 
 def load_preset(name_or_path: str | Path) -> HandPreset:
-    """Preset by its name, or from a user's TOML file (a path that ends in .toml).
+    """Load a preset by its name, or from a user's TOML file (a path that ends in .toml).
 
-    A file with `based_on` names another preset and gives measures that differ, see `sized`.
+    A file with `based_on` names another preset and contains only different measures, see `sized`.
     Raises SceneError for an unknown name, a missing or malformed file, and values out of range.
     """
     if str(name_or_path).endswith(".toml"):

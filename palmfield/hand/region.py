@@ -1,4 +1,4 @@
-"""The part of a surface around a point that is seen from one side, as a shape in the plane."""
+"""The part of a surface around a point that is visible from one side, as a shape in the plane."""
 
 from dataclasses import dataclass
 
@@ -13,12 +13,12 @@ from palmfield.types import Float, Int, Surface
 FACING_COSINE = float(np.cos(np.deg2rad(75.0)))
 LEAST_COSINE = 0.05
 BLOCK = 256
-"""Points whose distances to all of an outline are found at a time."""
+"""Number of points whose distances to all of an outline are computed together."""
 
 
 @dataclass(frozen=True)
 class Region:
-    """Faces seen along `facing`, with their shadow on the plane through `origin`.
+    """Faces visible along `facing`, with their projection to the plane through `origin`.
 
     frame: rows are the plane's two axes and the facing direction, shape (3, 3)
     vertices, faces: the faces kept, unclipped; index: their vertices' numbers in the whole surface
@@ -54,7 +54,7 @@ class Shape:
 def facing_region(surface: Surface, origin: Float, seed: int, facing: Float, radius_m: float) -> Region:
     """Faces within `radius_m` of `origin` (across `facing`), connected to face `seed`, no steeper than 75 degrees.
 
-    Raises SceneError where the seed itself is steeper.
+    Raises SceneError if the seed itself is steeper.
     """
     helper = np.eye(3)[np.argmin(np.abs(facing))]
     right = np.cross(helper, facing)
@@ -115,7 +115,7 @@ def _outline_distance(outline: Float, points: Float) -> Float:
     squared = np.maximum(np.einsum("ij,ij->i", along, along), 1e-30)
     slope = along[:, 0] / np.where(along[:, 1] == 0.0, np.inf, along[:, 1])
     out = np.empty(len(points))
-    # Coordinate by coordinate and in blocks that stay in a core's own cache
+    # Coordinate by coordinate and in blocks that fit a core's own cache
     for start in range(0, len(points), BLOCK):
         block = points[start : start + BLOCK]
         right, up = block[:, :1] - a[:, 0], block[:, 1:] - a[:, 1]
@@ -132,10 +132,10 @@ def _outline_distance(outline: Float, points: Float) -> Float:
 def trace_shape(region: Region, step_m: float, spike_m: float) -> Shape:
     """Boundary loops of the region, without spikes and necks narrower than 2 `spike_m`.
 
-    The first loop is the outer one, around the origin; others are holes in it. Loop points lie on the boundary to
-    within rounding, except where a spike was cut.
+    The first loop is the outer one, around the origin; others are holes in it. Loop points are on the boundary to
+    within rounding, except at a cut spike.
 
-    Raises SceneError where the part around the centre is narrower than 2 `spike_m`.
+    Raises SceneError if the part around the centre is narrower than 2 `spike_m`.
     """
     margin = 4.0 * step_m
     half = int(np.ceil((region.radius_m + margin) / step_m))

@@ -1,4 +1,4 @@
-"""A patch with other triangles: coarser where a solver needs no finer ones."""
+"""A patch with coarser triangles, for solvers that need no finer ones."""
 
 from dataclasses import replace
 
@@ -12,7 +12,7 @@ from palmfield.types import Float, Patch, Surface
 
 
 def is_height_field(patch: Patch) -> bool:
-    """Whether every vertex is seen from outside along the mean outward direction, no steeper than 75 degrees."""
+    """Whether every vertex is visible from outside along the mean outward direction, no steeper than 75 degrees."""
     return bool((-patch.inward @ outward(patch)).min() > FACING_COSINE)
 
 
@@ -26,9 +26,9 @@ def remeshed(patch: Patch, centre: Float, fine_m: float, coarse_m: float, fine_r
     """The patch with edges of fine_m within fine_radius_m of a place, growing to coarse_m at its far end [m].
 
     centre: x and y of that place in the patch's frame [m], shape (2,)
-    Vertices lie on the patch's triangles, with depth and inward direction interpolated; its outline stays but for
+    Vertices are on the patch's triangles, with depth and inward direction interpolated; its outline is kept except for
     spikes narrower than coarse_m.
-    Raises SceneError where the patch is narrower than about 1.5 coarse_m at that place, or steep there.
+    Raises SceneError if the patch is narrower than about 1.5 coarse_m at that place, or steep there.
     """
     facing = outward(patch)
     middles = patch.vertices[patch.faces].mean(axis=1)

@@ -1,4 +1,4 @@
-"""Faults of a mesh: mended where that is safe, otherwise named with their places."""
+"""Faults of a mesh: repaired if that is safe, otherwise reported with their places."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -19,13 +19,13 @@ from palmfield.hand.triangles import (
 )
 from palmfield.types import Float, Int
 
-# Vertices closer than this share of the extent are one: UV seams and STL repeat positions, bit for bit or rounded.
+# Vertices closer than this share of the extent are one: UV seams and STL repeat positions, exactly or rounded.
 MERGE_SHARE = 1e-6
-# A face is degenerate where its height is below this share of its longest side.
+# A face is degenerate if its height is below this share of its longest side.
 FLAT_SHARE = 1e-6
 SMALL_HOLE_EDGES = 6
 CRUMB_SHARE = FIN_SHARE = 0.01
-# A wrist lies in the last sixth of the length, is cut across it and is long around (ANSUR II: 0.85 of the length of
+# A wrist is in the last sixth of the length, is cut across it and has a long perimeter (ANSUR II: 0.85 of the length of
 # the hand; an elbow about half of that of the forearm with its hand).
 WRIST_END_SHARE, WRIST_COSINE, WRIST_AROUND_SHARE = 1.0 / 6.0, 0.6, 0.4
 MOST_PLACES, WITHIN_POINTS = 50, 100
@@ -34,7 +34,7 @@ NO_VOLUME = "it encloses no volume; give a closed hand, not a flat sheet"
 
 @dataclass(frozen=True)
 class Finding:
-    """One kind of fault: its name, how many, what became of it, where (in the mesh's unit, shape (k, 3)), and how."""
+    """One kind of fault: its name, count, outcome, places (in the mesh's unit, shape (k, 3)), and description."""
 
     name: str
     count: int
@@ -44,7 +44,7 @@ class Finding:
 
 
 class Repair:
-    """A mesh being mended, step by step; what could not be mended is refused and kept as it is.
+    """A mesh during repair, step by step; faults that cannot be repaired are refused and unchanged.
 
     vertices: shape (n, 3); faces: shape (m, 3); carry: makes values at `vertices` from values at the file's vertices,
     shape (n, n_file); findings: in the order of the steps
@@ -66,20 +66,20 @@ class Repair:
             self.findings.append(Finding(name, count, outcome, np.reshape(places, (-1, 3))[:MOST_PLACES], text))
 
     def keep(self, vertices: Int) -> None:
-        """Keep these vertices, which must be all that faces use, in this order."""
+        """Keep these vertices, which must include all that faces use, in this order."""
         new = np.full(len(self.vertices), -1, dtype=np.int32)
         new[vertices] = np.arange(len(vertices))
         self.vertices, self.carry, self.faces = self.vertices[vertices], self.carry[vertices], new[self.faces]
 
     def add(self, rows: sparse.csr_array, points: Float, faces: Int) -> None:
-        """Add vertices, whose values come from those present by `rows`, and faces."""
+        """Add vertices, whose values are computed from present ones by `rows`, and faces."""
         self.carry = sparse.csr_array(sparse.vstack([self.carry, rows @ self.carry]))
         self.vertices = np.concatenate([self.vertices, points])
         self.faces = np.concatenate([self.faces, faces]).astype(np.int32)
 
 
 def repair(vertices: Float, faces: Int) -> Repair:
-    """Mend a hand's mesh, as from a file; see `Repair`. It is sound where nothing was refused.
+    """Repair a hand's mesh, as from a file; see `Repair`. It is valid if no fault was refused.
 
     vertices: any unit, shape (n, 3); faces: shape (m, 3), int32, of existing vertices, m > 0
     """
@@ -123,7 +123,7 @@ def _drop_not_finite(mesh: Repair, finite: NDArray[np.bool_]) -> None:
 
 
 def _merge(mesh: Repair) -> None:
-    """One vertex for each position."""
+    """Merge vertices of equal position."""
     _, first, inverse = np.unique(mesh.vertices, axis=0, return_index=True, return_inverse=True)
     extent = float(np.ptp(mesh.vertices, axis=0).max())
     pairs = cKDTree(mesh.vertices[first]).query_pairs(MERGE_SHARE * extent, output_type="ndarray")
@@ -144,7 +144,7 @@ def _merge(mesh: Repair) -> None:
 
 
 def _drop_degenerate(mesh: Repair) -> None:
-    """Faces without area: dropped where two corners are one, else turned over their long side's neighbour."""
+    """Drop faces without area if two corners coincide, else flip them over their long side's neighbour."""
     faces = mesh.faces
     alike = (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2]) | (faces[:, 2] == faces[:, 0])
     places = [mesh.vertices[faces[alike]].mean(axis=1)]
@@ -180,7 +180,7 @@ def _drop_duplicates(mesh: Repair) -> None:
 
 
 def _drop_fins(mesh: Repair) -> None:
-    """Small sheets that hang on edges of more than two faces are removed; other such edges are refused."""
+    """Remove small sheets attached to edges of more than two faces; refuse other such edges."""
     edges, count = unique_edges(mesh.faces)
     bad = edges[count > 2]
     places = mesh.vertices[bad].mean(axis=1)
@@ -228,7 +228,7 @@ def _sheets(faces: Int, bad: Int) -> Int:
 
 
 def _split_pinched(mesh: Repair) -> None:
-    """A vertex without open edges at which fans of faces meet that share no edge becomes one for each fan."""
+    """Split a vertex without open edges at which fans of faces without a common edge meet, one for each fan."""
     faces = mesh.faces
     corner = np.arange(3 * len(faces)).reshape(-1, 3)
     start = np.concatenate([corner[:, 0], corner[:, 1], corner[:, 2]])
@@ -245,7 +245,7 @@ def _split_pinched(mesh: Repair) -> None:
     number, fan = sparse.csgraph.connected_components(links, directed=False)
     edges, count = unique_edges(faces)
     opened = np.isin(flat, edges[count == 1])
-    # At an open vertex all fans stay one: the faces that close its holes may join them.
+    # At an open vertex all fans remain one: the faces that close its holes may join them.
     joined = flat + number
     label = np.where(opened, joined, fan)
     _, first, part = np.unique(label, return_index=True, return_inverse=True)
@@ -280,7 +280,7 @@ def _drop_crumbs(mesh: Repair) -> None:
 
 
 def _within(vertices: Float, outer: Int, inner: Int) -> bool:
-    """Whether all of some of a body's vertices lie within another one, which may have holes and look either way."""
+    """Whether all of some of a body's vertices are inside another one, which may have holes and any winding."""
     used = np.unique(inner)
     some = vertices[used[:: max(1, len(used) // WITHIN_POINTS)]]
     return bool((np.abs(winding_numbers(vertices, outer, some)) > 0.5).all())
@@ -326,7 +326,7 @@ def _close(mesh: Repair) -> None:
 
 
 def _edges_between(faces: Int, loop: Int) -> set[tuple[int, int]]:
-    """Pairs of a loop's numbers, the lower first, that an edge of the mesh joins already, but for the loop's own."""
+    """Pairs of a loop's numbers, the lower first, already joined by an edge of the mesh, except the loop's own."""
     place = {vertex: number for number, vertex in enumerate(loop.tolist())}
     edges, count = unique_edges(faces)
     both = edges[np.isin(edges, loop).all(axis=1) & (count > 1)].tolist()
@@ -335,7 +335,7 @@ def _edges_between(faces: Int, loop: Int) -> set[tuple[int, int]]:
 
 
 def _check_closed(mesh: Repair) -> None:
-    """Faces that close a hole may run along an edge that has its two faces already."""
+    """Refuse faces that close a hole along an edge that already has two faces."""
     edges, count = unique_edges(mesh.faces)
     places = mesh.vertices[edges[count > 2]].mean(axis=1)
     text = "holes cannot be filled without an edge of more than two faces; fill them in the program that it is from"
@@ -355,7 +355,7 @@ def _is_wrist(vertices: Float, loop: Int) -> bool:
 
 
 def _turn_outward(mesh: Repair, own: int) -> None:
-    """Winding made alike and outward; of faces that were turned only the first `own`, its own, are told of."""
+    """Make the winding consistent and outward; of flipped faces only the first `own`, its own, are reported."""
     before = mesh.faces
     faces = consistent_winding(before)
     if len(np.unique(directed_edges(faces), axis=0)) < 3 * len(faces):
@@ -368,7 +368,7 @@ def _turn_outward(mesh: Repair, own: int) -> None:
         return
     if volume < 0.0:
         faces = np.ascontiguousarray(faces[:, ::-1])
-    # Turning changes the order of the corners but not the set of three directed edges.
+    # Flipping changes the order of the corners but not the set of three directed edges.
     turned = (_orientation(before) != _orientation(faces))[:own]
     places = mesh.vertices[faces[:own][turned]].mean(axis=1)
     if turned.mean() > 0.5:
@@ -380,7 +380,7 @@ def _turn_outward(mesh: Repair, own: int) -> None:
 
 
 def _orientation(faces: Int) -> np.ndarray:
-    """True where the corners, from the lowest number on, go upwards."""
+    """True if the corners, from the lowest number on, are ascending."""
     first = np.argmin(faces, axis=1)
     row = np.arange(len(faces))
     return faces[row, (first + 1) % 3] < faces[row, (first + 2) % 3]

@@ -1,4 +1,4 @@
-"""What a user's mesh is like: one card with its unit, size, side, faults and the skin layers that it bears."""
+"""Report card of a user's mesh: unit, size, side, faults and possible skin layers."""
 
 import json
 from dataclasses import dataclass
@@ -27,15 +27,15 @@ from palmfield.types import Float, Int, Surface
 VERDICTS = ("accepted", "accepted with doubts", "refused")
 HAND_SIZES = "hands are 130 to 260 mm long, forearms with a hand 360 to 560"
 THIN_SHARE, THIN_FACES = 0.025, 2000
-"""Half of a hand's skin has more than this share of its length below it; in how many faces that is looked at, about."""
+"""Half of a hand's skin has more than this share of its length below it; approximate number of sampled faces."""
 LAYERS_m = (0.001, 0.002, 0.003, 0.005)
 PALMAR_COSINE = 0.3
 
 
 @dataclass(frozen=True)
 class ReportCard:
-    """facts: as in the JSON file; mesh: what was read and mended; refusal: why it cannot be used, or None; doubts: why
-    it may be no hand, or one that is wrong in places
+    """facts: as in the JSON file; mesh: as read and repaired; refusal: why it cannot be used, or None; doubts: why it
+    may be no hand, or has errors in places
     """
 
     facts: dict[str, Any]
@@ -45,7 +45,7 @@ class ReportCard:
 
 
 def report_card(path: str | Path, unit: str = "auto") -> ReportCard:
-    """Examine a mesh as `palmfield hand` does; see `palmfield.hand.meshfile.examine` for what is mended and raised.
+    """Examine a mesh as `palmfield hand` does; see `palmfield.hand.meshfile.examine` for repairs and errors.
 
     facts: file, verdict (of VERDICTS), accepted (not refused), refusal, doubts (texts), unit, unit_source, size_mm,
     vertices, faces, joints, edges_mm (least, mean, most), least_angle_deg, self_intersections, findings (name, count,
@@ -98,7 +98,7 @@ def report_card(path: str | Path, unit: str = "auto") -> ReportCard:
 
 
 def _doubts(mesh: Examined, hand: Chirality, named: str) -> list[str]:
-    """Why a closed mesh may be no hand, or another one than it says."""
+    """Return why a closed mesh may be no hand, or another one than declared."""
     doubts = []
     if len(hand.tips) != DIGITS:
         doubts.append(f"fingertips: {len(hand.tips)}, not {DIGITS}")
@@ -122,7 +122,7 @@ def _doubts(mesh: Examined, hand: Chirality, named: str) -> list[str]:
 
 
 def _thickness(vertices: Float, faces: Int) -> float:
-    """How far it is through the body from half of its skin, by area, or less, straight in from the faces [m]."""
+    """Thickness of the body that half of its skin, by area, does not exceed, straight in from the faces [m]."""
     unit, area = face_normals(vertices, faces)
     chosen = np.arange(0, len(faces), -(-len(faces) // THIN_FACES))
     middle = vertices[faces[chosen]].mean(axis=1)
@@ -133,7 +133,7 @@ def _thickness(vertices: Float, faces: Int) -> float:
 
 
 def _folds(layers: list[dict[str, Any]], crossing: int) -> list[Finding]:
-    """A finding that refuses a mesh under which layers fold."""
+    """Return a finding that refuses a mesh under which layers fold."""
     errors = [layer["error"] for layer in layers if "error" in layer]
     mend = "part fingers that cross or touch in the program that it is from" if crossing else "smooth the skin there"
     text = f"{mend}: {errors[0]}" if errors else ""
@@ -159,7 +159,7 @@ def refused_facts(path: str | Path, unit: str, error: SceneError) -> dict[str, A
 
 
 def palmar_faces(vertices: Float, faces: Int, palm: Float) -> Int:
-    """Numbers of the largest connected part of the faces that look to the palm's side, shape (k,)."""
+    """Return the largest connected part of the faces that face the palm's side, shape (k,)."""
     unit, area = face_normals(vertices, faces)
     chosen = np.flatnonzero(unit @ palm > PALMAR_COSINE)
     label = face_components(faces[chosen])
@@ -168,7 +168,7 @@ def palmar_faces(vertices: Float, faces: Int, palm: Float) -> Int:
 
 
 def palmar_layers(vertices: Float, faces: Int, hand: Chirality) -> list[dict[str, Any]]:
-    """Skin layers of 1, 2, 3 and 5 mm under the palmar side: how thick and how sound they get.
+    """Return skin layers of 1, 2, 3 and 5 mm under the palmar side: their thickness and quality.
 
     Each with asked_mm, p10_share (10th percentile of thickness over asked), thinned_share (of the area, by more than
     0.1 %), least_quality (scaled Jacobian of the wedges) and volume_share (of the wedges over the thickness integral
@@ -227,7 +227,7 @@ def _shape_rows(facts: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def write_card(path: Path, facts: dict[str, Any]) -> None:
-    """The card as a JSON file. Raises OutputError where it cannot be written."""
+    """Write the card as a JSON file. Raises OutputError if that fails."""
     try:
         path.write_text(json.dumps(facts, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     except OSError as error:

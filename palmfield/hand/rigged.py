@@ -43,19 +43,19 @@ class SkinRig:
 
 
 def strongest(weights: sparse.csr_array) -> tuple[Float, Int]:
-    """The four largest weights of each row, brought to a sum of 1, and their columns, each shape (n, 4)."""
+    """Return the four largest weights of each row, scaled to a sum of 1, and their columns, each shape (n, 4)."""
     dense = weights.toarray()
     if dense.shape[1] < INFLUENCES:
         dense = np.pad(dense, ((0, 0), (0, INFLUENCES - dense.shape[1])))
     columns = np.argsort(-dense, axis=1, kind="stable")[:, :INFLUENCES]
     kept = np.take_along_axis(dense, columns, axis=1)
-    # A weight of zero names joint 0, so that no index lies beyond the joints.
+    # A weight of zero refers to joint 0, so that no index is out of range.
     columns = np.where(kept > 0.0, columns, 0)
     return kept / kept.sum(axis=1, keepdims=True), columns.astype(np.int32)
 
 
 def scaled(joints: Joints, metres: float) -> Joints:
-    """Joints whose positions are multiplied by `metres`; their axes are made unit vectors."""
+    """Return joints with positions multiplied by `metres`; their axes are made unit vectors."""
     rest = joints.rest.copy()
     rest[:, :3, 3] *= metres
     rest[:, :3, :3] /= np.linalg.norm(rest[:, :3, :3], axis=1, keepdims=True)
@@ -63,9 +63,9 @@ def scaled(joints: Joints, metres: float) -> Joints:
 
 
 def joint_of_body(body: str, joints: Joints) -> tuple[int, str]:
-    """Number of the joint that a scene's body of the name `[prefix]joint` stands for, and the prefix.
+    """Return the number of the joint for a scene's body of the name `[prefix]joint`, and the prefix.
 
-    Raises SceneError where the name ends with no joint's.
+    Raises SceneError if the name ends with no joint's.
     """
     matches = [name for name in joints.names if body.endswith(name)]
     if not matches:

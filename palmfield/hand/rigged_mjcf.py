@@ -1,4 +1,4 @@
-"""A user's rigged mesh as an MJCF tree of bodies on ball joints, whose skin a scene of shape `rigged` moves."""
+"""A user's rigged mesh as an MJCF tree of bodies on ball joints, which moves the skin of shape `rigged`."""
 
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
@@ -19,10 +19,10 @@ from palmfield.hand.visual_skin import SkinBone, add_skin
 from palmfield.types import Float, Int
 
 SWING_Hz = 25.0
-"""Each joint alone, with all that hangs on it, swings so fast; it is damped critically. 10 mN on a fingertip, which is
-what an array can push with, then move it by less than 0.5 mm, the yielding of the weld included."""
+"""Natural frequency of each single joint with all bodies beyond it; damping is critical. 10 mN on a fingertip, the
+force of an array, then move it by less than 0.5 mm, including the weld."""
 WELD_TIME_s = 0.02
-"""At half of it, a wrist bone that is lighter than the hand rings in steps of 2 ms."""
+"""At half of it, a wrist bone that is lighter than the hand oscillates in steps of 2 ms."""
 AXIS_SAMPLES, LEAST_RADIUS_m = 9, 1e-3
 TAKEN = ("world", "hand_target")
 
@@ -42,23 +42,23 @@ class _Capsule:
 
 
 def rigged_mjcf(mesh: RiggedMesh, name: str) -> str:
-    """MJCF text of a rigged mesh, to be named by `<include file=.../>` or opened as it is in any MuJoCo.
+    """Return MJCF text of a rigged mesh, for `<include file=.../>` or to open in any MuJoCo.
 
     A body for every joint, of its name, at its place and parallel to the file's axes; further joints without a parent
-    hang on the first one. That one is free, and a soft weld holds it to the mocap body `hand_target`, as in
-    `palmfield.hand.articulated_mjcf.articulated_mjcf`. A joint turns (a ball joint of its name, with a spring to the
-    file's pose that swings at SWING_Hz and critical damping) where it carries skin and so does one above it; all others
-    are rigid, having no mass to move. Capsules along the bones, to the next joints that carry skin, have the skin's
-    distance from the bone as radius, the median along it; all together have the mesh's volume times 1100 kg/m3 as mass.
-    They touch other things and each other, but for pairs that do in the file's pose. Gravity is compensated. Viewers
-    show the mesh as skin, and the capsules and sites, group 3, where they are asked for.
+    are attached to the first one. That one is free, and a soft weld holds it to the mocap body `hand_target`, as in
+    `palmfield.hand.articulated_mjcf.articulated_mjcf`. A joint rotates (a ball joint of its name, with a spring to the
+    file's pose of natural frequency SWING_Hz and critical damping) if it carries skin and so does one above it. All
+    others are rigid, since they have no mass. Capsules along the bones, to the next joints that carry skin, have the
+    skin's distance from the bone as radius, the median along it; all together have the mesh's volume times 1100 kg/m3
+    as mass. They collide with other objects and each other, except pairs that touch in the file's pose. Gravity is
+    compensated. Viewers show the mesh as skin, and on request the capsules and sites, group 3.
 
-    Sites: JOINT_tip, the farthest skin of each last joint; and, where `palmfield.hand.chirality` is sure which side the
-    palm is, JOINT_pad, the skin of each joint on that side. There, the first joint and hand_target are turned so that
-    palm and fingers look along -z and y, else they keep the file's axes. The lowest skin is 0.2 m up, the mesh's middle
-    over the origin.
+    Sites: JOINT_tip, the farthest skin of each last joint; and, if `palmfield.hand.chirality` is certain of the palm's
+    side, JOINT_pad, the skin of each joint on that side. In that case, the first joint and hand_target are rotated so
+    that palm and fingers point along -z and y, else they keep the file's axes. The lowest skin is 0.2 m up, the mesh's
+    middle over the origin.
 
-    Raises SceneError for two joints of one name, and for the names that MuJoCo and this file take for themselves.
+    Raises SceneError for two joints of one name, and for names reserved by MuJoCo or this file.
     """
     names = mesh.joints.names
     for joint in names:
@@ -120,7 +120,7 @@ def rigged_mjcf(mesh: RiggedMesh, name: str) -> str:
 
 
 def _one_root(parents: Int) -> Int:
-    """Parents where every root but the first hangs on the first."""
+    """Return parents in which every root but the first is attached to the first."""
     roots = np.flatnonzero(parents < 0)
     joined = parents.copy()
     joined[roots[1:]] = roots[0]
@@ -148,7 +148,7 @@ def _next_carrying(joint: int, parents: Int, carries: np.ndarray) -> list[int]:
 
 
 def _turn(mesh: RiggedMesh, side: Chirality) -> Float:
-    """Rotation from the file's axes to those of the hand frame, the identity where the palm's side is unknown."""
+    """Rotation from the file's axes to those of the hand frame, the identity if the palm's side is unknown."""
     if side.side == "unknown":
         return np.eye(3)
     z = -side.palm
@@ -166,8 +166,8 @@ def _volume(mesh: RiggedMesh) -> float:
 def _capsules(skin: Float, whole: cKDTree, origin: Float, beyond: Float) -> list[_Capsule]:
     """One capsule from a joint to each of the next ones, within the skin [m], shape (n, 3), that the joint carries.
 
-    whole: vertices of all skin; beyond: the next joints, shape (k, 3); where there is none farther than a millimetre,
-    the axis goes to the farthest skin
+    whole: vertices of all skin; beyond: the next joints, shape (k, 3); if none is farther than a millimetre, the axis
+    goes to the farthest skin
     """
     ends = beyond[np.linalg.norm(beyond - origin, axis=1) > 1e-3]
     last = not len(ends)
@@ -181,7 +181,7 @@ def _capsules(skin: Float, whole: cKDTree, origin: Float, beyond: Float) -> list
     capsules = []
     for k in np.unique(nearest):
         held = along[nearest == k, k]
-        # Between the joints, as far as the skin reaches; then on, where it reaches farther by more than the radius.
+        # Between the joints, as far as the skin reaches; then beyond, if it reaches farther by more than the radius.
         low, high = np.clip([held.min(), held.max()], 0.0, lengths[k])
         steps = np.linspace(low, high, AXIS_SAMPLES)[:, None] * axes[k]
         radius = max(float(np.median(whole.query(origin + steps)[0])), LEAST_RADIUS_m)
@@ -218,7 +218,7 @@ def _sites(skin: Float, origin: Float, capsules: list[_Capsule], side: Chirality
 
 
 def _add_springs_and_excludes(root: ET.Element) -> None:
-    """Stiffness and damping of all ball joints by the inertia that hangs on each; pairs that touch at rest let go."""
+    """Set stiffness and damping of all ball joints by the inertia beyond each; exclude pairs that touch at rest."""
     model = mujoco.MjModel.from_xml_string(ET.tostring(root, encoding="unicode"))
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -236,7 +236,7 @@ def _add_springs_and_excludes(root: ET.Element) -> None:
 
 
 def _subtrees(parents: Int) -> np.ndarray:
-    """Whether body j is body i or hangs on it, shape (bodies, bodies)."""
+    """Whether body j is body i or a descendant of it, shape (bodies, bodies)."""
     below = np.eye(len(parents), dtype=bool)
     for body in range(len(parents) - 1, 0, -1):
         below[parents[body]] |= below[body]

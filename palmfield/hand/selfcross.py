@@ -9,11 +9,11 @@ from palmfield.types import Float, Int
 
 
 def crossings(vertices: Float, faces: Int) -> Int:
-    """Pairs of faces that cross each other, shape (k, 2), sorted; none where the mesh is free of that.
+    """Return pairs of faces that cross each other, shape (k, 2), sorted; empty if there are none.
 
     vertices: [m], shape (n, 3); faces: shape (m, 3)
     Faces with an edge in common are neighbours and never count, so a strip folded flat onto itself along one edge is
-    not seen; faces in one plane that overlap are seen where an edge of one leaves the other's plane.
+    not detected. Faces in one plane that overlap are detected if an edge of one leaves the other's plane.
     """
     if len(faces) == 0:
         return np.zeros((0, 2), dtype=np.int32)

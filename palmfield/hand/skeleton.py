@@ -50,7 +50,7 @@ class Bone:
 
 @dataclass(frozen=True)
 class Skeleton:
-    """Everything that the surface, the depth to bone and the MJCF twin are made of."""
+    """Input of the surface, the depth to bone and the MJCF model."""
 
     skin: list[SkinSegment]
     bones: list[Bone]
@@ -113,7 +113,7 @@ def build_skeleton(preset: HandPreset) -> Skeleton:
 
 
 def _reflected(skeleton: Skeleton) -> Skeleton:
-    """The other hand: x turned round."""
+    """The other hand: x reversed."""
     return Skeleton(
         [replace(s, start=MIRROR * s.start, end=MIRROR * s.end, dorsal=MIRROR * s.dorsal) for s in skeleton.skin],
         [replace(b, start=MIRROR * b.start, end=MIRROR * b.end) for b in skeleton.bones],

@@ -1,4 +1,4 @@
-"""A skin that follows its bones: that of the articulated hand, and that of a user's rigged mesh."""
+"""A skin that follows its bones: of the articulated hand, and of a user's rigged mesh."""
 
 import threading
 from collections.abc import Callable, Sequence
@@ -25,20 +25,20 @@ from palmfield.hand.triangles import adjacency, unique_edges
 from palmfield.types import Float, Int, Surface
 
 KNUCKLE_BLEND, JOINT_BLEND = 1.5, 0.8
-"""Length over which one bone's motion passes into the next one's, in breadths of the digit at the joint. At the
-knuckles the palm is thick: its skin would fold into itself over less."""
+"""Length of the transition from one bone's motion to the next one's, in breadths of the digit at the joint. At the
+knuckles the palm is thick: its skin would fold into itself over a shorter length."""
 WRIST_BLEND_m, THUMB_ROOT_BLEND_m, THENAR_BLEND_m = 0.050, 0.030, 0.040
 SMOOTHING_m = 0.004
-"""Weights are smoothed along the skin, not through the air, over this length; it rounds the webs between fingers."""
+"""Length of smoothing of weights along the skin, not through the air; it rounds the webs between fingers."""
 BONES_PER_VERTEX = 4
 
 
 def skin_weights(hand: ArticulatedHand, surface: Surface) -> Float:
-    """Share of each bone in each vertex, shape (n, bones), at most four a vertex, rows of sum 1.
+    """Return the share of each bone in each vertex, shape (n, bones), at most four a vertex, rows of sum 1.
 
-    A vertex belongs to the digit whose skin it is nearest to; along a digit the share passes from bone to bone by a
-    straight ramp (KNUCKLE_BLEND, JOINT_BLEND), at the wrist and the thumb's root over their own lengths; then all is
-    diffused along the mesh. Every other vertex goes with the root or the hand, so none is without a bone.
+    A vertex belongs to the digit whose skin is nearest. Along a digit the share changes from bone to bone by a linear
+    ramp (KNUCKLE_BLEND, JOINT_BLEND), at the wrist and the thumb's root over their own lengths; then all is diffused
+    along the mesh. Every other vertex belongs to the root or the hand, so none is without a bone.
     """
     points = surface.vertices
     names = [bone.name for bone in hand.bones]
@@ -102,7 +102,7 @@ def _diffused(weights: Float, surface: Surface) -> Float:
     edges, _ = unique_edges(surface.faces)
     squared = float(np.mean(np.sum((surface.vertices[edges[:, 0]] - surface.vertices[edges[:, 1]]) ** 2, axis=1)))
     degree = sparse.diags_array(np.asarray(links.sum(axis=1)).ravel())
-    # The mean over neighbours less the value is a quarter of the squared edge times the Laplacian.
+    # The mean over neighbours minus the value is a quarter of the squared edge times the Laplacian.
     matrix = degree + 4.0 * SMOOTHING_m**2 / squared * (degree - links)
     with one_blas_thread:
         return splu(sparse.csc_array(matrix)).solve(degree @ weights)
@@ -111,10 +111,10 @@ def _diffused(weights: Float, surface: Surface) -> Float:
 class SkinnedSurface:
     """A skin that follows its bones, whose frames are parallel to the surface's in the rest pose.
 
-    bones: names and rest origins; surface: the skin in the rest pose; weights: share of each bone in each vertex,
-    shape (n, bones), at most four a vertex, rows of sum 1; origins: of the bones at rest [m], shape (bones, 3)
-    Poses may be asked for from several threads: each waits for the others. After `pose` the arrays `vertices` and
-    `normals` hold the posed skin on the device (Warp, vec3), until the next pose of whoever asks.
+    bones: names and rest origins; surface: the skin in the rest pose; weights: share of each bone in each vertex, shape
+    (n, bones), at most four a vertex, rows of sum 1; origins: of the bones at rest [m], shape (bones, 3) Several
+    threads may compute poses: each waits for the others. After `pose` the arrays `vertices` and `normals` contain the
+    posed skin on the device (Warp, vec3), until the next pose of any thread.
     """
 
     def __init__(self, bones: Sequence[HandBone], surface: Surface, weights: Float, device: str = "cpu") -> None:
@@ -132,7 +132,7 @@ class SkinnedSurface:
         self.vertices, self.normals = self._vertices.array, self._normals.array
 
     def posed(self, bone_positions: Float, bone_rotations: Float) -> Float:
-        """Vertices [m], shape (n, 3), where the bones' frames are at `bone_positions` [m], shape (bones, 3), and
+        """Return vertices [m], shape (n, 3), for the bones' frames at `bone_positions` [m], shape (bones, 3), and
         `bone_rotations`, shape (bones, 3, 3), in the order of `bones` and in any common frame.
 
         Linear blend skinning in float32. Raises SceneError for other shapes.
@@ -170,7 +170,7 @@ class SkinnedSurface:
         self._blend()
 
     def _fetch(self, *arrays: SharedArray) -> None:
-        """Bring what kernels have written to where NumPy sees it."""
+        """Copy results of kernels to NumPy's memory."""
         if self._device != "cpu":
             for array in arrays:
                 array.download()
@@ -218,7 +218,7 @@ class SkinnedHand(SkinnedSurface):
 
 @lru_cache(maxsize=2)
 def rigged_file(path: str, unit: str) -> RiggedMesh:
-    """A user's rigged mesh with edges up to EDGE_m, kept for the next call; raises SceneError as `load_rigged`."""
+    """A user's rigged mesh with edges up to EDGE_m, cached for the next call; raises SceneError as `load_rigged`."""
     from palmfield.hand.meshfile import load_rigged
 
     return load_rigged(path, unit, EDGE_m)

@@ -1,4 +1,4 @@
-"""Long edges halved, with no gap to faces that stay: each face is cut by which of its edges are."""
+"""Halve long edges without gaps to uncut faces: each face is cut according to its cut edges."""
 
 import numpy as np
 from scipy import sparse
@@ -9,8 +9,8 @@ from palmfield.types import Float, Int
 
 MOST_ROUNDS = 6
 EDGE_m = 4.3e-3
-"""Longest edge on which sound is looked at once a face: half of the wavelength of 40 kHz in air at 20 C, so that ARP,
-which goes with the pressure squared, is seen; on longer ones its phase turns by more than pi."""
+"""Longest edge for one sound sample a face: half of the wavelength of 40 kHz in air at 20 C, which resolves ARP,
+quadratic in the pressure; on longer ones its phase changes by more than pi."""
 
 
 def with_short_edges(vertices: Float, faces: Int, longest_m: float) -> tuple[Float, Int]:
@@ -20,14 +20,14 @@ def with_short_edges(vertices: Float, faces: Int, longest_m: float) -> tuple[Flo
 
 
 def short_edge_parents(vertices: Float, faces: Int, longest_m: float) -> Int:
-    """The face that each of the faces of `with_short_edges` was cut from, shape (m,)."""
+    """Return the original face of each face of `with_short_edges`, shape (m,)."""
     return np.asarray(subdivide_to_size(vertices, faces, longest_m, max_iter=20, return_index=True)[2], np.int32)
 
 
 def split_long_edges(vertices: Float, faces: Int, longest_m: float) -> tuple[sparse.csr_array, Int]:
     """Matrix that makes the new vertices (and any value at them) from the old, shape (n_new, n), and the new faces.
 
-    Edges longer than longest_m are halved again and again; positions lie on the old triangles, so nothing shrinks.
+    Edges longer than longest_m are halved repeatedly; positions are on the old triangles, so the shape is unchanged.
     """
     carry = sparse.csr_array(sparse.eye_array(len(vertices)))
     for _ in range(MOST_ROUNDS):
@@ -52,10 +52,10 @@ def split_long_edges(vertices: Float, faces: Int, longest_m: float) -> tuple[spa
 
 
 def _cut(faces: Int, middle: Int, points: Float) -> Int:
-    """Faces cut at the midpoints of their edges; middle: shape (m, 3), -1 where an edge stays."""
+    """Cut faces at the midpoints of their edges; middle: shape (m, 3), -1 for an uncut edge."""
     count = (middle >= 0).sum(axis=1)
     out = [faces[count == 0]]
-    # Each face is turned so that its only cut edge comes first, or its only uncut edge last.
+    # Each face is rotated so that its only cut edge comes first, or its only uncut edge last.
     turn = np.where(count == 1, np.argmax(middle >= 0, axis=1), np.where(count == 2, np.argmin(middle, axis=1) + 1, 0))
     order = (np.arange(3) + turn[:, None]) % 3
     corner, mid = np.take_along_axis(faces, order, axis=1), np.take_along_axis(middle, order, axis=1)
@@ -63,7 +63,7 @@ def _cut(faces: Int, middle: Int, points: Float) -> Int:
     out += [np.stack([a, ab, c], axis=1), np.stack([ab, b, c], axis=1)]
     (a, b, c), (ab, bc, _) = corner[count == 2].T, mid[count == 2].T
     out.append(np.stack([ab, b, bc], axis=1))
-    # What is left is four-sided; its shorter diagonal gives the better triangles.
+    # The rest is four-sided; its shorter diagonal gives the better triangles.
     to_c = np.linalg.norm(0.5 * (points[a] + points[b]) - points[c], axis=1)
     to_a = np.linalg.norm(0.5 * (points[b] + points[c]) - points[a], axis=1)
     short = to_c < to_a

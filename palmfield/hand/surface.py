@@ -62,10 +62,10 @@ class HandSurface:
 def hand_surface(preset: HandPreset, edge_m: float = 0.003) -> HandSurface:
     """Watertight skin mesh of a preset, with mean edge length close to `edge_m` [m].
 
-    The mesh is kept in the user's cache folder under a hash of the preset, the edge length and the generating code. A
-    damaged file there is made anew; a folder that cannot be written is done without.
+    The mesh is cached in the user's cache folder under a hash of the preset, the edge length and the generating code. A
+    damaged file there is replaced; a folder that cannot be written is ignored.
 
-    Raises SceneError for an edge length outside 1 to 4 mm (a coarser grid closes the gaps between fingers), and where
+    Raises SceneError for an edge length outside 1 to 4 mm (a coarser grid closes the gaps between fingers), and if
     digits of the preset touch.
     """
     if not 0.001 <= edge_m <= 0.004:
@@ -89,7 +89,7 @@ def hand_surface(preset: HandPreset, edge_m: float = 0.003) -> HandSurface:
 
 
 def mirrored_surface(surface: Surface) -> Surface:
-    """The other hand's, across x = 0."""
+    """Return the surface of the other hand, mirrored at x = 0."""
     faces = np.ascontiguousarray(surface.faces[:, ::-1])
     return Surface(surface.vertices * MIRROR, faces, surface.normals * MIRROR)
 
@@ -159,7 +159,7 @@ def _distance_and_gradient(segments: wp.array, points: Float) -> tuple[Float, Fl
 
 
 def _check_gaps(skeleton: Skeleton) -> None:
-    """Beyond the webs, the skin of no digit may reach into another's: the smooth union would fuse them."""
+    """Beyond the webs, the skins of digits must not overlap: the smooth union would fuse them."""
     free = [s for s in skeleton.skin if s.name.endswith(("_middle", "_distal"))]
     share = np.linspace(0.0, 1.0, 21)[:, None]
     for a, b in combinations(free, 2):
@@ -237,7 +237,7 @@ def _cache_path(preset: HandPreset, edge_m: float) -> Path:
 
 
 def _read_cache(path: Path) -> trimesh.Trimesh | None:
-    """The mesh in the cache, or None where there is none or it is damaged."""
+    """Return the mesh in the cache, or None if there is none or it is damaged."""
     try:
         data = path.read_bytes()
         if path.with_suffix(".sha256").read_text() != _checksum(path, data):
@@ -248,12 +248,12 @@ def _read_cache(path: Path) -> trimesh.Trimesh | None:
 
 
 def _checksum(path: Path, data: bytes) -> str:
-    """Of a cached mesh and of its name, which says of which hand it is."""
+    """Checksum of a cached mesh and of its name, which identifies the hand."""
     return hashlib.sha256(path.name.encode() + data).hexdigest()
 
 
 def _write_cache(path: Path, data: bytes) -> None:
-    """Write both files under another name first, so that a reader never meets half a file."""
+    """Write both files under another name first, so that a reader never sees an incomplete file."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         checksum = _checksum(path, data).encode()

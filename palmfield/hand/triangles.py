@@ -1,4 +1,4 @@
-"""Small facts about triangle meshes that several hand modules need. Arrays as in `types.Surface`."""
+"""Basic operations on triangle meshes for several hand modules. Arrays as in `types.Surface`."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -9,7 +9,7 @@ from palmfield.types import Float, Int
 
 
 def checked_mesh(vertices: ArrayLike, faces: ArrayLike) -> tuple[Float, Int]:
-    """Vertices [m], shape (n, 3), and faces, shape (m, 3). Raises PalmfieldError for others and for NaN."""
+    """Vertices [m], shape (n, 3), and faces, shape (m, 3). Raises PalmfieldError for other shapes and NaN."""
     places, triangles = np.asarray(vertices, dtype=float), np.asarray(faces)
     for name, one in (("vertices", places), ("faces", triangles)):
         if one.ndim != 2 or one.shape[1] != 3 or len(one) == 0:
@@ -66,7 +66,7 @@ def directed_edges(faces: Int) -> Int:
 
 
 def unique_edges(faces: Int) -> tuple[Int, NDArray[np.int64]]:
-    """Undirected edges, shape (e, 2), and by how many faces each is used, shape (e,)."""
+    """Undirected edges, shape (e, 2), and the number of faces of each, shape (e,)."""
     edges, count = np.unique(np.sort(directed_edges(faces), axis=1), axis=0, return_counts=True)
     return edges, count
 
@@ -97,16 +97,16 @@ def face_components(faces: Int) -> Int:
 
 
 def consistent_winding(faces: Int) -> Int:
-    """Faces turned so that neighbours run along their common edge in opposite directions.
+    """Flip faces so that neighbours run along their common edge in opposite directions.
 
-    The first face of each part stays. Meant for meshes whose every edge has two faces.
+    The first face of each part is unchanged. Meant for meshes whose every edge has two faces.
     """
     directed = directed_edges(faces)
     edges = np.sort(directed, axis=1)
     order = np.lexsort((edges[:, 1], edges[:, 0]))
     owner = np.tile(np.arange(len(faces)), 3)[order].reshape(-1, 2)
     forward = (directed[:, 0] < directed[:, 1])[order].reshape(-1, 2)
-    # 1 where the two faces agree already, 2 where one must be turned.
+    # 1 if the two faces agree already, 2 if one must be flipped.
     weight = np.where(forward[:, 0] != forward[:, 1], 1, 2)
     graph = sparse.coo_array((weight, owner.T), shape=(len(faces), len(faces)))
     links = sparse.csr_array(graph + graph.T)
@@ -131,8 +131,8 @@ def consistent_winding(faces: Int) -> Int:
 
 
 def winding_numbers(vertices: Float, faces: Int, points: Float) -> Float:
-    """How often a surface goes round each point, shape (k,): 1 or -1 within a closed one, 0 outside, between where the
-    surface has holes (van Oosterom & Strackee 1983; Jacobson et al. 2013, doi 10.1145/2461912.2461916).
+    """Winding number of a surface about each point, shape (k,): 1 or -1 inside a closed one, 0 outside, between for
+    surfaces with holes (van Oosterom & Strackee 1983; Jacobson et al. 2013, doi 10.1145/2461912.2461916).
 
     points: shape (k, 3)
     """

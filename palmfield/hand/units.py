@@ -1,4 +1,4 @@
-"""What one unit in a mesh file means: said by the user, by the format, or inferred from the size of a hand."""
+"""Unit of a mesh file: given by the user or the format, or inferred from the size of a hand."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ from palmfield.errors import SceneError
 METRES = {"m": 1.0, "dm": 0.1, "cm": 1e-2, "mm": 1e-3, "in": 0.0254}
 DIGITS = 5
 LEAST_EXTENT_m, GREATEST_EXTENT_m = 0.02, 0.6
-# From a child's hand to a big one with its wrist; forearm with hand: elbow to fingertip.
+# From a child's hand to a large one with its wrist; forearm with hand: elbow to fingertip.
 HAND_m, FOREARM_m = (0.13, 0.26), (0.36, 0.56)
 # Breadth over length: a hand is at least 0.3 broad, a forearm with its hand at most 0.4.
 LEAST_HAND_BREADTH, GREATEST_FOREARM_BREADTH = 0.3, 0.4
@@ -15,7 +15,7 @@ LEAST_HAND_BREADTH, GREATEST_FOREARM_BREADTH = 0.3, 0.4
 
 @dataclass(frozen=True)
 class Unit:
-    """name: key of METRES; metres: its length [m]; source: where it was taken from, for the report."""
+    """name: key of METRES; metres: its length [m]; source: of the choice, for the report."""
 
     name: str
     metres: float
@@ -25,15 +25,15 @@ class Unit:
 def choose_unit(
     requested: str, by_format: str | None, length: float, breadth: float, what: str, tips: int = DIGITS
 ) -> Unit:
-    """Unit of a file.
+    """Choose the unit of a file.
 
-    requested: a key of METRES, or "auto"; by_format: what the file's format prescribes, or None
+    requested: a key of METRES, or "auto"; by_format: unit prescribed by the file's format, or None
     length, breadth: longest and middle extent, in the file's unit; what: the file, for messages; tips: of digits found
-    With "auto" the format's unit is taken, and otherwise, of what has five fingertips, the only one with which these
-    are a hand (0.13 to 0.26 m long, broader than 0.3 of that) or a forearm with its hand (0.36 to 0.56 m, narrower than
+    With "auto" the format's unit is used. Otherwise, for a mesh with five fingertips, the only unit in which these are
+    a hand (0.13 to 0.26 m long, broader than 0.3 of that) or a forearm with its hand (0.36 to 0.56 m, narrower than
     0.4).
-    Raises SceneError for an unknown unit, where none or several fit or the tips are not five, and for a size outside 20
-    to 600 mm.
+    Raises SceneError for an unknown unit, if none or several fit or the tips are not five, and for a size outside 20 to
+    600 mm.
     """
     if requested != "auto" and requested not in METRES:
         raise SceneError(f"{what}: unit {requested!r} is unknown; use one of {', '.join(METRES)} or auto")

@@ -1,4 +1,4 @@
-"""A surface on bones as MuJoCo's <skin>, which viewers show in place of capsules; the physics doesn't know of it."""
+"""A surface on bones as MuJoCo's <skin>, which viewers show instead of capsules; the physics ignores it."""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
@@ -10,15 +10,15 @@ from palmfield.hand.mjcf_text import SKIN_RGBA, numbers_text
 from palmfield.types import Float, Surface
 
 EDGE_m = 0.004
-"""Of the triangles of the shipped hands' skins."""
+"""Edge length of the triangles of the shipped hands' skins."""
 DIGITS_OF_PLACE, DIGITS_OF_SHARE = 5, 3
-"""Places to 10 um, which is less than 4 mm triangles leave out."""
+"""Places are rounded to 10 um, less than the error of 4 mm triangles."""
 
 
 class SkinBone(NamedTuple):
     """A body that moves skin.
 
-    place: of its origin where the skin rests [m], shape (3,); shares: by vertex, shape (n,)
+    place: of its origin with the skin at rest [m], shape (3,); shares: by vertex, shape (n,)
     """
 
     body: str

@@ -21,11 +21,11 @@ from palmfield.hand.triangles import corner_angles, face_components, face_normal
 from palmfield.types import Float, Int, Patch, Surface
 
 THINNED = 0.999
-"""A vertex with less than this share of the thickness that was asked counts as thinned."""
+"""A vertex with less than this share of the requested thickness counts as thinned."""
 LEAST_UPRIGHT = 0.5
-"""A column that leans more than 60 degrees is made no longer for it."""
+"""The length correction of a column is limited to this cosine: 60 degrees."""
 PALMAR = (0.0, 0.0, -1.0)
-"""Where the palmar skin of a hand looks, in the hand frame."""
+"""Direction of the palmar skin of a hand, in the hand frame."""
 
 
 def hand_layer(
@@ -40,16 +40,16 @@ def hand_layer(
     """Layer of wedges under a closed surface, or under some of its faces, one wedge column a triangle.
 
     surface: closed mesh [m]; depth: skin thickness across the skin at its vertices [m], shape (n,), or one number; a
-        column that leans, as at creases, is longer by the mean cosine to the faces around
+        slanted column, as at creases, is longer by the mean cosine to the faces around
     faces: numbers of the faces that get a layer, shape (k,), as of `facing_faces`; None is all: the patch has no rim
     sheets: thicknesses of sub-layers as shares of the depth, in any unit, the first at the skin; for the report. The
         solvers take the same numbers as sheets of a `palmfield.skin.problem.Layer`
-    max_fraction: largest thickness as a share of the way through the body along the inward direction. Half of that way
-        is where layers from both sides meet; 0.45 leaves a tenth of it between them
+    max_fraction: largest thickness as a share of the distance through the body along the inward direction. At half of
+        it layers from both sides meet; 0.45 leaves a tenth of it between them
 
-    inward: unit directions into the body, shape (n, 3). None takes `layer.inward_directions` of the whole surface, so
-        that the layer at a rim is as inside it; where a coarse mesh folds over, as at some finger webs, a few vertices
-        are moved first (`layer.unfolded`)
+    inward: unit directions into the body, shape (n, 3). None uses `layer.inward_directions` of the whole surface, so
+        that the layer at a rim is as inside it; if a coarse mesh folds over, as at some finger webs, a few vertices are
+        moved first (`layer.unfolded`)
 
     Patch.report:
     vertices, triangles, area_m2, angle_min_deg, edge_mean_m; quality_min (scaled Jacobian of the wedges, a bound)
@@ -104,11 +104,11 @@ def hand_layer(
 
 
 def facing_faces(surface: Surface, direction: ArrayLike = PALMAR, least_cosine: float = 0.3) -> Int:
-    """Numbers of the faces that look along a unit direction, shape (k,): their largest connected part, holes filled.
+    """Return the faces that face a unit direction, shape (k,): their largest connected part, holes filled.
 
     direction: by default that of the palmar side in the hand frame; least_cosine: of the vertices' normals to it.
-    Vertices' normals leave a smoother rim than those of faces do.
-    Raises SceneError where no face does.
+    Vertices' normals give a smoother rim than those of faces.
+    Raises SceneError if no face does.
     """
     cosine = surface.normals @ np.asarray(direction, dtype=np.float64)
     seen = cosine[surface.faces].mean(axis=1) > least_cosine
