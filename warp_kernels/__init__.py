@@ -1,1 +1,1 @@
-"""Warp kernels and device functions. Imports warp and nothing of palmfield."""
+"""Warp kernels and device functions. Imports warp but not palmfield."""

@@ -1,4 +1,4 @@
-"""Acoustic radiation pressure (ARP) of sound on a surface that is rigid for it. The formula is here and nowhere else.
+"""Acoustic radiation pressure (ARP) of sound on an acoustically rigid surface. The formula is defined only here.
 
 With s = grad p/k, so that |s|^2/(rho c^2) = rho |u|^2, every law is a weighted sum of the squares of p, of s along the
 surface and of s across it, on points that are lit: into which the sound flows, Im(p* s).n < 0.
@@ -8,7 +8,7 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
-# In C, as `warp_kernels.transfer` puts it into a loop that LLVM must vectorise
+# In C, since `warp_kernels.transfer` uses it in a loop that LLVM must vectorise
 FORMULA = """p_re * n_im - p_im * n_re < 0.0f
     ? weights[0] * (p_re * p_re + p_im * p_im) - weights[1] * along2 + weights[2] * (n_re * n_re + n_im * n_im)
     : 0.0f"""
@@ -58,7 +58,7 @@ def arp(
 
 @wp.struct
 class SurfacePoints:
-    """What `surface_sound` takes, in one piece: a recorded launch packs each of its arguments anew.
+    """Arguments of `surface_sound` in one struct: a recorded launch packs each argument again.
 
     count: of drives; pressure [Pa], shape (m, n), gradient [Pa/m], shape (m, n, 3), of the first ones
     normals: unit, outward; per_wavenumber, weights: as `arp`
@@ -78,7 +78,7 @@ class SurfacePoints:
 
 @wp.kernel
 def surface_sound(at: SurfacePoints):
-    """ARP [Pa], |p| [Pa] and Im(p* grad p) [Pa2/m], along which the sound's energy flows, by point."""
+    """ARP [Pa], |p| [Pa] and Im(p* grad p) [Pa2/m], the direction of energy flow, by point."""
     i = wp.tid()
     for k in range(at.count[0]):
         p = at.pressure[k, i]
@@ -109,7 +109,7 @@ def arp_of_sums(
     weights: wp.vec3,
     result: wp.array2d(dtype=wp.float32),
 ):
-    """ARP [Pa] of levels (m, k) @ fields that were kept, pressure (k, n) and gradient (k, n, 3), shape (m, n)."""
+    """ARP [Pa] of levels (m, k) @ stored fields, pressure (k, n) and gradient (k, n, 3), shape (m, n)."""
     i = wp.tid()
     for m in range(levels.shape[0]):
         p = wp.vec2()

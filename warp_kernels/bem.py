@@ -2,10 +2,10 @@
 
 With R = y - x, d = |R| and k = 2 pi, the kernel n_y . grad_y exp(ikd)/(4 pi d) is
 n_y . R (ikd - 1) exp(ikd)/(4 pi d^3).
-Far triangles count with their centroid alone. What that lacks near a triangle is added from a sparse list: the
+Far triangles are represented by their centroid alone. The correction near a triangle is added from a sparse list: the
 static part is the triangle's solid angle (Van Oosterom & Strackee 1983, doi 10.1109/TBME.1983.325207), exact at any
-distance, and the bounded rest is summed over the points of a rule. The centroid's own term, which has no bound, is
-softened: d^2 is |R|^2 and a small square more, in the sum and in what the list takes off again.
+distance, and the bounded rest is summed over the points of a rule. The centroid's own term, which is unbounded, is
+softened: d^2 is |R|^2 plus a small square, in the sum and in the list's subtraction.
 """
 
 import functools
@@ -45,7 +45,7 @@ def far(width: int) -> wp.Kernel:
         moments: normal times area over 4 pi
         sine, cosine: polynomials in f^2 for sin(2 pi f)/f and cos(2 pi f), |f| <= 1/2, lowest power first
         softening: added to the square of the distance
-        parts: into how many the triangles are split, the second dimension of the launch
+        parts: number of parts of the triangles, the second dimension of the launch
         """
         block, part = wp.tid()
         first = block * width
@@ -100,7 +100,7 @@ def wave_factor(d: wp.float32):
 
 @wp.func
 def wave_rest(d: wp.float32):
-    """1 + (ikd - 1) exp(ikd), by its series where the difference would lose its digits."""
+    """1 + (ikd - 1) exp(ikd), by its series where the difference would lose digits."""
     x = TURN * d
     if x > 0.5:
         return wave_factor(d) + wp.vec2(1.0, 0.0)
@@ -130,7 +130,7 @@ def near_count(
     largest: float,
     count: wp.array(dtype=int),
 ):
-    """How many triangles have the point within their reach."""
+    """Number of triangles within whose reach the point is."""
     i = wp.tid()
     found = wp.int32(0)
     for j in wp.hash_grid_query(grid, points[i], largest):
@@ -155,11 +155,11 @@ def near_fill(
     column: wp.array(dtype=int),
     value: wp.array(dtype=wp.vec2),
 ):
-    """Columns and values of the sparse correction: the triangle's integral less the one-point sum's term.
+    """Columns and values of the sparse correction: the triangle's integral minus the one-point sum's term.
 
     rule: three barycentric coordinates and the weight of each point
     softening: as in `far`
-    own: the triangle on whose plane a point lies, or -1; its integral is 0, as the kernel vanishes in the plane
+    own: the triangle whose plane contains a point, or -1; its integral is 0, as the kernel vanishes in the plane
     """
     i = wp.tid()
     x = points[i]

@@ -16,9 +16,9 @@ wp.set_module_options(
 
 @wp.struct
 class Solve:
-    """Supernodes of a part, from the first to the one after the last, and what it works in.
+    """Supernodes of a part, from the first to the one after the last, and work arrays.
 
-    right: its right side, and what it takes from that of the trunk; solved: y; solution: x, shapes (n + WIDTH,)
+    right: its right side, and its change of that of the trunk; solved: y; solution: x, shapes (n + WIDTH,)
     work: as long as the widest supernode has unknowns
     """
 
@@ -42,7 +42,7 @@ def down(part: Solve):
         at = part.nodes.value[k]
         for group in range((size + WIDTH - 1) // WIDTH):
             total = lanes()
-            # Nothing stands above the diagonal
+            # All entries above the diagonal are zero
             for j in range(wp.min(size, (group + 1) * WIDTH)):
                 total += part.nodes.values[at + j] * part.right[begin + j]
             at += size
@@ -63,7 +63,7 @@ def down(part: Solve):
 
 @wp.func
 def up(part: Solve):
-    """Backward pass, when the solution of what lies below is known."""
+    """Backward pass, after the solution below is computed."""
     for back in range(part.last_node - part.first_node):
         k = part.last_node - 1 - back
         size = part.nodes.size[k]
@@ -107,7 +107,7 @@ def up(part: Solve):
 
 @wp.kernel
 def go_down(part: Solve):
-    """A branch's way to the trunk; its right side there begins with 0."""
+    """Forward pass of a branch to the trunk; its right side there begins with 0."""
     for row in range(part.last, part.right.shape[0]):
         part.right[row] = wp.float64(0.0)
     down(part)
@@ -115,7 +115,7 @@ def go_down(part: Solve):
 
 @wp.kernel
 def pass_trunk(part: Solve, one: wp.array(dtype=wp.float64), other: wp.array(dtype=wp.float64)):
-    """All of the trunk's way; one, other: right sides of the branches."""
+    """Both passes of the trunk; one, other: right sides of the branches."""
     for row in range(part.first, part.last):
         part.right[row] = part.right[row] + one[row] + other[row]
     down(part)
@@ -124,5 +124,5 @@ def pass_trunk(part: Solve, one: wp.array(dtype=wp.float64), other: wp.array(dty
 
 @wp.kernel
 def go_up(part: Solve):
-    """A branch's way up at the end."""
+    """Backward pass of a branch at the end."""
     up(part)

@@ -1,4 +1,4 @@
-"""Points of resting surfaces where bodies and bones have taken them; in float64, as faces are small beside the way."""
+"""Points of resting surfaces moved with bodies and bones; in float64, as faces are small relative to the motion."""
 
 import warp as wp
 

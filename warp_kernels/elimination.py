@@ -1,4 +1,4 @@
-"""Which numbers a sparse symmetric matrix's triangular factor has, before any of them is computed."""
+"""Structure of the triangular factor of a sparse symmetric matrix, before its values are computed."""
 
 import warp as wp
 
@@ -27,7 +27,7 @@ def elimination_tree(
             column = columns[at]
             while column != -1 and column < row:
                 following = above[column]
-                # Later ways are short
+                # Later paths are short
                 above[column] = row
                 if following == -1:
                     parent[column] = row

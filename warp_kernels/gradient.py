@@ -1,4 +1,4 @@
-"""Pressure of transducers and its gradient; see pressure.py, whose parts it shares.
+"""Pressure of transducers and its gradient; shares parts of pressure.py.
 
 All lengths are in units of 1/k here: rotations into the groups' frames are k times as long, and so are elements' x, y
 and z; absorption is per radian. Then the spreading and the phase of a wave need no factor.
@@ -32,12 +32,12 @@ from warp_kernels.pressure import (
 
 vec8 = wp.types.vector(length=8, dtype=wp.float32)
 MOST = 16
-"""Drives that `gradient` takes at once."""
+"""Largest number of drives in one call of `gradient`."""
 TILE = 16
-"""Transducers whose sound is kept for all drives, on the CPU: with the sums over them it fills half of the L1 cache."""
+"""Transducers whose sound is stored for all drives, on the CPU: with their sums it fills half of the L1 cache."""
 NUMBERS = 8 * WIDTH["cpu"]
 SCRATCH = (TILE + MOST) * NUMBERS
-"""Numbers that `gradient` takes on the CPU for itself."""
+"""Size of the work array of `gradient` on the CPU."""
 
 
 @wp.func_native(
@@ -47,7 +47,7 @@ SCRATCH = (TILE + MOST) * NUMBERS
 """
 )
 def keep(scratch: wp.array(dtype=wp.float32), slot: wp.int32, i: wp.int32, values: vec8):
-    """Put a transducer's sound at a point into the tile: LLVM doesn't vectorise Warp's own indexing."""
+    """Store a transducer's sound at a point in the tile: LLVM does not vectorise Warp's own indexing."""
     ...
 
 
@@ -87,7 +87,7 @@ def add_tile(
     low: wp.int32,
     high: wp.int32,
 ):
-    """Add what drives from `low` up to `high` make of the tile, `size` transducers from the first one, to their sums.
+    """Add the tile's sound of `size` transducers from the first one, for drives from `low` up to `high`, to their sums.
 
     In C, with vectors for half of a thread's points: eight sums stay in registers over a tile, and are rounded by less.
     """
@@ -101,8 +101,8 @@ def gradient(form: Form) -> Any:
     With r from transducer to point, d = |r|, q = z^2/d^2, D the directivity and S = 2 dD/dq, the gradient of
     exp(id - bd) D/d over exp(id - bd)/d is [(i - b - 1/d) D/d - q S/d^2] r + S z/d^2 along the axis.
 
-    On the CPU a thread does all drives: a transducer's sound at a point is computed once and multiplied by each drive's
-    amplitude. On a GPU each drive has threads of its own, dim (drives, threads).
+    On the CPU a thread computes all drives: a transducer's sound at a point is computed once and multiplied by each
+    drive's amplitude. On a GPU each drive has threads of its own, dim (drives, threads).
     """
     vec3, vec4, mat33 = form.vectors
     width = WIDTH["gpu" if form.gpu else "cpu"]
@@ -137,18 +137,18 @@ def gradient(form: Form) -> Any:
         normals: wp.array(dtype=wp.vec3),
         scratch: wp.array(dtype=wp.float32),
     ):
-        """By group: origin, rotation into its frame, and in `ranges` the first transducer that sounds, one past the
-        last, and the same of drives that sound there. By transducer: x, y, 0, z.
+        """By group: origin, rotation into its frame, and in `ranges` the first active transducer, one past the last,
+        and the same of drives active there. By transducer: x, y, 0, z.
 
-        drives: by drive and transducer, of which the first `count` are computed
-        shapes: the sound's directivity and slope; from an array a GPU keeps them in registers, but it loads a struct's
-        numbers again for each transducer
-        fall: p0 [Pa m] times the coefficients of the fall, one vector; adds: to what result and rows hold
+        drives: by drive and transducer, the first `count` are computed
+        shapes: the sound's directivity and slope; a GPU keeps an array in registers, but reloads a struct's numbers for
+        each transducer
+        fall: p0 [Pa m] times the coefficients of the fall, one vector; adds: to the values in result and rows
         result, rows: pressure [Pa] and gradient [Pa/m] as pairs, shapes (drives, points) and (drives, points, 3)
-        weights_re, weights_im: what is left of each transducer's sound at each point, which the form `shaded` reads,
+        weights_re, weights_im: remaining share of each transducer's sound at each point, read by the form `shaded`,
         shape (points / BLOCK, elements, BLOCK)
-        normals: unit, outward, of opaque surfaces at the points, which the form `faced` reads
-        scratch: SCRATCH numbers on the CPU, where a launch's threads run one after the other
+        normals: unit, outward, of opaque surfaces at the points, read by the form `faced`
+        scratch: SCRATCH numbers on the CPU, where threads of a launch run in sequence
         """
         own, block = wp.tid()
         first = block * width
@@ -227,7 +227,7 @@ def gradient(form: Form) -> Any:
                     gain = fall_of(sound, strength, d, inverse)
                     r_x = wp.float32(dx)
                     r_y = wp.float32(dy)
-                    r_z = wp.float32(1.0)  # what the flat form leaves out is put in for the sum
+                    r_z = wp.float32(1.0)  # add the terms that the flat form omits to the sum
                     if not flat:
                         r_z = wp.float32(dz)
                         gain = wp.where(dz > real(0.0), gain, wp.float32(0.0))
@@ -257,7 +257,7 @@ def gradient(form: Form) -> Any:
                         keep(scratch, slot, i, found)
                 if not gpu:
                     slot += 1
-                    # Always after the same ones, so that what is silent changes no rounding
+                    # In a fixed order, so that silent ones do not change the rounding
                     if (e + 1) % TILE == 0 or e == span[1] - 1:
                         add_tile(scratch, slot, drives, e + 1 - slot, begin, end)
                         slot = wp.int32(0)

@@ -27,13 +27,13 @@ BLOCK = 128
 """Threads of a GPU block."""
 
 READERS = wp.constant(128)
-"""Threads that keep the readings, after those of the elements."""
+"""Threads that store the readings, after those of the elements."""
 
 CPU_OPTIONS = {"cpu_compiler_flags": "-march=native -ffp-contract=fast"}
 
 
 def places(order: int, gpu: bool) -> int:
-    """Positions that an element takes up: its nodes on the CPU, padded to a power of two on a GPU."""
+    """Positions of an element: its nodes on the CPU, padded to a power of two on a GPU."""
     nodes = (order + 1) ** 3
     return 1 << (nodes - 1).bit_length() if gpu else nodes
 
@@ -335,7 +335,7 @@ def element_forces(order: int, real: Any, single: bool, gpu: bool) -> Any:
     done, slots, nodes, shares, v [m/s], displacement, velocity: see point_reading, for u is still what the last step
     left
     metric: shape (11, E Q): A [m^2] (9 rows), 1 / (w J) [1/m^3] and 1 / F[J] [1/m^3]
-    moduli: shape (3, E): G [Pa], K [Pa], and 1 where the pressure follows w, 0 where u
+    moduli: shape (3, E): G [Pa], K [Pa], and 1 if the pressure follows w, 0 if u
     derivative: D of the rule, (n, n); filter: top, top_weights and weights of the rule, (3 n,)
     force: internal force by component and position [N], shape (3, E Q)
     """

@@ -13,12 +13,12 @@ import warp as wp
 from warp_kernels.hexa import CPU_OPTIONS, LANES, point_reading
 
 NODE_BLOCK = 64
-"""Threads of a GPU block of nodes: a layer has few, which should lie on as many processors as there are."""
+"""Threads of a GPU block of nodes: small, so that the few nodes of a layer use many processors."""
 
 
 @functools.cache
 def geometry(real: Any) -> Any:
-    """Kernel of the metric (see hexa.element_forces) without its last row, which wants F; one thread a position.
+    """Kernel of the metric (see hexa.element_forces) without its last row, which needs F; one thread a position.
 
     x: node positions [m], shape (nodes,); conn: by position; slot: node of the element by position, n^3 and above for
     padding; element: element by position; at: position by element and node, shape (E, n^3); weights: of the rule, (n,)
@@ -52,7 +52,7 @@ def geometry(real: Any) -> Any:
         here = x[conn[position]]
         slope = mat33()
         for m in range(n):
-            # Differences before rounding: the body may lie far from the origin
+            # Differences before rounding: the body may be far from the origin
             a = x[conn[at[e, (m * n + j) * n + k]]] - here
             b = x[conn[at[e, (i * n + m) * n + k]]] - here
             c = x[conn[at[e, (i * n + j) * n + m]]] - here
@@ -176,8 +176,8 @@ def node_step(real: Any, moving: bool, one_law: bool, gpu: bool) -> Any:
     """Kernel of the step of every node: force summed in a fixed order, load, constraint, motion, copies.
 
     A thread takes LANES nodes on the CPU, one on a GPU. Arrays by node are padded to whole threads.
-    moving: whether the load is a Gaussian spot; else it lies in frames
-    one_law: whether everything relaxes alike; then copies are nodes
+    moving: whether the load is a Gaussian spot; else it is in frames
+    one_law: whether all elements have one law of relaxation; then copies are nodes
     starts, sources: by thread, rows of `sources`, in which every lane has a position to sum (one without force where
     it has fewer than its fellows), flat
     areas: outward area of the surface nodes, the first ones [m^2], shape (surface,); places: their x and y [m]
@@ -199,7 +199,7 @@ def node_step(real: Any, moving: bool, one_law: bool, gpu: bool) -> Any:
         "real": "double" if real is wp.float64 else "float",
         "moving": "true" if moving else "false",
         "one_law": "true" if one_law else "false",
-        # Forces that a GPU thread waits for at once; a node of a layer has 6 to 12
+        # Forces loaded together by a GPU thread; a node of a layer has 6 to 12
         "together": 8 if gpu else 1,
     }
 
@@ -302,7 +302,7 @@ def node_step(real: Any, moving: bool, one_law: bool, gpu: bool) -> Any:
 
 @functools.cache
 def reading(real: Any) -> Any:
-    """Kernel of hexa.point_reading alone, for the last step of all; one thread a point."""
+    """Kernel of hexa.point_reading alone, for the very last step; one thread a point."""
     vec3 = wp.types.vector(length=3, dtype=real)
     read = point_reading(real)
 
@@ -324,7 +324,7 @@ def reading(real: Any) -> Any:
 
 @functools.cache
 def power_step(real: Any) -> Any:
-    """Kernel of one power iteration in every element by itself: x <- M^-1 K x at length 1; one thread an element.
+    """Kernel of one power iteration in every single element: x <- M^-1 K x at length 1; one thread an element.
 
     at: positions of an element's nodes, shape (E, n^3); force: K x by component and position; mass: by position [kg]
     x: by position, of unit length in the element's mass; rate: x K x by element [1/s^2], from below the largest

@@ -1,7 +1,7 @@
-"""What is left of each transducer's sound behind bodies: Kirchhoff's integral over a screen, along its outline.
+"""Share of each transducer's sound behind bodies: Kirchhoff's integral over a screen, along its outline.
 
-The sound that a screen takes from the way between two points is an integral over the screen, and by Maggi and
-Rubinowicz one along its outline; at a straight edge it is Fresnel's. One source for the CPU and GPUs.
+The sound removed by a screen between two points is an integral over the screen, and by Maggi and Rubinowicz one along
+its outline; at a straight edge it is Fresnel's. One source for the CPU and GPUs.
 """
 
 import functools
@@ -14,9 +14,9 @@ from warp_kernels.point_sound import BLOCK
 from warp_kernels.pressure import CPU, inverse_root, quintic, vec6
 
 WIDTH = {"cpu": 16, "gpu": 1}
-"""Transducers that one thread takes together."""
+"""Number of transducers that one thread computes together."""
 NEIGHBOURS = 6
-"""Nodes among which a point lies."""
+"""Number of nodes for interpolation at a point."""
 LEAST_SQUARE = wp.constant(1.0e-9)
 BLUR_M2 = wp.constant(9.0e-6)
 FULL_TURN = wp.constant(6.283185307179586)
@@ -26,7 +26,7 @@ FULL_TURN = wp.constant(6.283185307179586)
 class Nodes:
     """Points at which weights are computed.
 
-    points: of the surface [m]; numbers: which of them are nodes; groups: in which group of views each is
+    points: of the surface [m]; numbers: those that are nodes; groups: group of views of each
     """
 
     points: wp.array(dtype=wp.vec3)
@@ -36,9 +36,9 @@ class Nodes:
 
 @wp.struct
 class Emitters:
-    """Transducers, board by board, each board's filled up to a multiple of the CPU's WIDTH.
+    """Transducers, board by board, each board's padded to a multiple of the CPU's WIDTH.
 
-    x, y, z: [m]; rows: where their weights go, -1 for those that fill up; boards: of each block of WIDTH
+    x, y, z: [m]; rows: targets of their weights, -1 for padding; boards: of each block of WIDTH
     """
 
     x: wp.array(dtype=wp.float32)
@@ -52,7 +52,7 @@ class Emitters:
 class Waves:
     """turns_per_m: one over the wavelength [1/m]; sine, cosine: as `pressure.Sound`
 
-    fades: detour, in wavelengths, over the last one of which what is bent fades away
+    fades: detour, in wavelengths, over the last one of which diffracted sound fades to zero
     """
 
     turns_per_m: wp.float32
@@ -80,13 +80,13 @@ def node_weights(gpu: bool) -> Any:
         boards: wp.int32,
         first: wp.int32,
     ):
-        """across: of `outline.look_across`; pieces: as `outline.list_pieces` leaves them
+        """across: of `outline.look_across`; pieces: output of `outline.list_pieces`
         real, imag: result, shape (nodes, rows); first: number of the first node
 
         With a from the node to a piece of length and direction t, u from the node to the transducer, d apart from the
-        line between: a piece takes u . (t x a) / (2 pi d^2) times 1 - (1 + cos psi)/2 exp(ik detour), psi the angle
-        by which the sound bends. The 1 is split, g(d) and 1 - g(d): all pieces together make of 1 - g how many layers
-        of bodies are in the way, blurred over 3 mm, of which one is enough; g belongs to where sound bends.
+        line between: a piece takes u . (t x a) / (2 pi d^2) times 1 - (1 + cos psi)/2 exp(ik detour), psi the
+        diffraction angle. The 1 is split into g(d) and 1 - g(d). Of 1 - g all pieces together give the number of layers
+        of bodies in the way, blurred over 3 mm and limited to one; g applies where sound is diffracted.
         """
         n, block = wp.tid()
         node = first + n
@@ -158,7 +158,7 @@ def node_weights(gpu: bool) -> Any:
                     ahead = t[0] * ux[i] + t[1] * uy[i] + t[2] * uz[i]
                     phase = half_turns * (rising + (slope - far[i] * ahead) * inverse)
                     phase = phase * phase
-                    # sin(x)/x without its zeros: the mean over a piece along which the phase turns
+                    # sin(x)/x without its zeros: the mean over a piece with varying phase
                     mean = bend / (wp.float32(1.0) + phase * (wp.float32(0.16666667) + phase * wp.float32(0.019444444)))
                     turns = detour * turns_per_m
                     mean = mean * wp.clamp(fades - turns, wp.float32(0.0), wp.float32(1.0))
@@ -188,7 +188,7 @@ def node_weights(gpu: bool) -> Any:
 
 @wp.kernel
 def find_clear(across: wp.array2d(dtype=wp.vec2), boards: wp.int32, clear: wp.array(dtype=wp.float32)):
-    """1 for each node where nothing is in the way to any board, else 0; dim: nodes. across: of `outline.look_across`"""
+    """1 for each node without obstacles towards any board, else 0; dim: nodes. across: of `outline.look_across`"""
     node = wp.tid()
     result = wp.float32(1.0)
     for board in range(boards):
@@ -204,7 +204,7 @@ def find_clear(across: wp.array2d(dtype=wp.vec2), boards: wp.int32, clear: wp.ar
 
 @functools.cache
 def spread(gpu: bool) -> Any:
-    """Kernel that gives weights at nodes to points among them; dim: points / BLOCK, on a GPU (rows, points)."""
+    """Kernel that interpolates weights from nodes to points; dim: points / BLOCK, on a GPU (rows, points)."""
     lanes = wp.types.vector(length=BLOCK, dtype=wp.float32)
 
     @wp.kernel(module="unique", module_options={"fast_math": True} if gpu else CPU, enable_backward=False)
@@ -218,10 +218,10 @@ def spread(gpu: bool) -> Any:
         clear: wp.array(dtype=wp.float32),
         first: wp.int32,
     ):
-        """neighbours, shares: (NEIGHBOURS, points), of which there are a multiple of BLOCK
+        """neighbours, shares: (NEIGHBOURS, points), whose number is a multiple of BLOCK
         node_real, node_imag: (nodes, rows), rows a multiple of BLOCK
         real, imag: result, shape (points / BLOCK, rows, BLOCK)
-        clear: 1 for each node where nothing is in the way; first: number of the first block of points
+        clear: 1 for each node without obstacles; first: number of the first block of points
         """
         if gpu:
             row, point = wp.tid()

@@ -13,7 +13,7 @@ def closest_face(
     reach: wp.float32,
     face: wp.array[wp.int32],
 ):
-    """Face nearest to each point, -1 where none lies within `reach`."""
+    """Face nearest to each point, -1 if none is within `reach`."""
     i = wp.tid()
     query = wp.mesh_query_point_no_sign(mesh, points[i], reach)
     face[i] = wp.where(query.result, query.face, -1)
@@ -29,9 +29,9 @@ def exit_face(
     least_cosine: wp.float32,
     face: wp.array[wp.int32],
 ):
-    """First face through which each ray leaves the body, -1 where there is none.
+    """First face through which each ray leaves the body, -1 if there is none.
 
-    Faces that the ray only grazes (a side wall that it runs along) and faces through which it enters are passed over.
+    Faces that the ray only touches (a side wall parallel to it) and faces through which it enters are skipped.
     """
     i = wp.tid()
     found = wp.int32(-1)

@@ -1,6 +1,6 @@
-"""Substeps of modes that move by themselves: each has a small state, which a substep multiplies by a small matrix.
+"""Substeps of independent modes: each has a small state, which a substep multiplies by a small matrix.
 
-On the CPU WIDTH modes lie side by side, so that one instruction does several of them.
+On the CPU WIDTH modes are adjacent, so that one instruction computes several of them.
 """
 
 import warp as wp

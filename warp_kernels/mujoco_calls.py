@@ -1,6 +1,6 @@
 """Loops over many mjData in C, on the CPU: calls of MuJoCo's functions, and numbers into and out of its arrays.
 
-Kernels here take addresses, of functions and of memory that others own, and know nothing of MuJoCo's structs.
+Kernels here take addresses, of functions and of foreign memory, and are independent of MuJoCo's structs.
 """
 
 import warp as wp
@@ -56,7 +56,7 @@ def call_each(function: wp.uint64, model: wp.uint64, datas: wp.array(dtype=wp.ui
 
 @wp.kernel
 def take(sources: wp.array(dtype=wp.uint64), offsets: wp.array(dtype=wp.int32), result: wp.array2d(dtype=wp.float64)):
-    """Float64 numbers at some offsets from addresses, shape (w, n); dim: the same."""
+    """Read float64 numbers at some offsets from addresses, shape (w, n); dim: the same."""
     w, i = wp.tid()
     result[w, i] = read(sources[w], offsets[i])
 

@@ -105,17 +105,17 @@ def march(
     state: wp.array(dtype=wp.float64),
     result: wp.array(dtype=wp.float64),
 ):
-    """y_j' = s_j y_j + F through all segments, a node a thread; u = sum r_j y_j and u' where a segment ends at an asked
-    time.
+    """y_j' = s_j y_j + F through all segments, a node a thread; u = sum r_j y_j and u' at segment ends that are
+    requested times.
 
     On a segment of length h the load is F = (f + d t / h) e^{-i rate t}, so
-    y(h) = e^{sh} y(0) + h (f p + d q) with x = -(i rate + s) h, c = e^{-i rate h}, p = (c - e^{sh}) / x and
-    q = (c - p) / x; where |x| < 0.001 their series in x are used.
+    y(h) = e^{sh} y(0) + h (f p + d q) with x = -(i rate + s) h, c = e^{-i rate h}, p = (c - e^{sh}) / x and q = (c - p)
+    / x; for |x| < 0.001 their series in x are used.
 
     group: set of poles of each node, (nodes,); counts: poles of each set, (groups,)
     poles: (groups, 2, width), real parts first; residues: (groups, 4, width), of normal and lateral motion
     kind: which of the durations a segment has, (segments,); decay: e^{sh}, (kinds, groups, 2, width)
-    drive: f, d, c and rate of each segment, (nodes, segments, 7); rows: asked time at its end or -1, (segments,)
+    drive: f, d, c and rate of each segment, (nodes, segments, 7); rows: requested time at its end or -1, (segments,)
     state: y, (nodes, 2, width); result: u and u', normal and lateral, complex, (asked, nodes, 8)
     """
     node = wp.tid()

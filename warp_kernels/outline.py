@@ -1,9 +1,9 @@
-"""The outline of bodies as a point sees them: pieces of closed lines, for the sound that bends round them.
+"""The outline of bodies as seen from a point: pieces of closed lines, for diffracted sound.
 
-An edge of a closed mesh is on an outline where of its two faces one looks towards the point and the other away. What
-lies below the skin round the point, behind an array's board or far beside the way of the sound is cut off by planes,
-and the cut closed by a cap. All lines are closed, and tell how many layers of bodies are in the way; sound bends only
-where nothing hides them, and not at a cap. A piece runs so that the body is to the left of who looks at it.
+An edge of a closed mesh is on an outline if one of its two faces faces the point and the other does not. Parts below
+the skin round the point, behind an array's board or far from the sound's path are cut off by planes, and the cut is
+closed by a cap. All lines are closed, and give the number of layers of bodies in the way; sound is diffracted only at
+visible lines, and not at a cap. A piece is oriented so that the body is to the left of the viewer.
 """
 
 import warp as wp
@@ -13,14 +13,14 @@ from warp_kernels.point_sound import GRAZING
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
 RUN = 64
-"""Edges and faces that one thread looks at."""
+"""Edges and faces that one thread processes."""
 PLANES = wp.constant(6)
-"""That cut off what does not matter: over the skin, before the board, and on four sides of the way between them."""
+"""Planes that cut off irrelevant parts: over the skin, before the board, and on four sides of the path between them."""
 AWAY = wp.constant(-0.3)
-"""Cosine to the board beyond which no sound presses on a skin, so that nothing need be looked at."""
+"""Cosine to the board beyond which sound does not act on a skin, so that no test is needed."""
 NOWHERE = wp.constant(1.0e9)
 LANES = 16
-"""Threads that share out the pieces of a view."""
+"""Threads that share the pieces of a view."""
 
 
 @wp.struct
@@ -43,9 +43,9 @@ class Mesh:
 
 @wp.struct
 class Views:
-    """From where bodies are looked at, one for each group of points and each board.
+    """Viewpoints of bodies, one for each group of points and each board.
 
-    eyes: [m]; planes: what is above all of them is kept, unit normals and heights along these [m], (views, PLANES)
+    eyes: [m]; planes: parts above all of them are kept, unit normals and heights along these [m], (views, PLANES)
     """
 
     eyes: wp.array(dtype=wp.vec3)
@@ -54,11 +54,11 @@ class Views:
 
 @wp.struct
 class Pieces:
-    """Pieces of outlines, in slots that have room for every run of edges and faces.
+    """Pieces of outlines, in slots with room for every run of edges and faces.
 
-    middles: [m], and 1 where sound bends, else 0; ways: from end to end [m]; both (views, slots)
-    counts: how many in each run, (views, runs); totals: in all, where sound bends, and others
-    listed: slots in use, of the former from the beginning, of the others from the end, (views, slots)
+    middles: [m], and 1 where sound is diffracted, else 0; ways: from end to end [m]; both (views, slots)
+    counts: number in each run, (views, runs); totals: in all, with diffraction, and others
+    listed: used slots, those with diffraction from the beginning, the others from the end, (views, slots)
     """
 
     middles: wp.array2d(dtype=wp.vec4)
@@ -106,12 +106,12 @@ def place_views(
     views: Views,
     first: wp.int32,
 ):
-    """Where groups of points look from; dim: (groups, boards), from group `first` on.
+    """Viewpoints of groups of points; dim: (groups, boards), from group `first` on.
 
     numbers: of the points of all groups; starts: first of each group, and one past the last
     boards: mean direction and height of each [m]
     clearance_m: of the plane over the highest point of the skin; lift_m: of the eye, which is above that plane
-    margin_m: how far beside the points and the board bodies are looked at
+    margin_m: distance from the points and the board within which bodies are processed
     """
     i, number = wp.tid()
     group = first + i
@@ -150,7 +150,7 @@ def place_views(
 
 @wp.kernel
 def face_planes(mesh: Mesh, first: wp.int32):
-    """Planes of the mesh's faces as it stands now; dim: faces, from number `first` on."""
+    """Planes of the mesh's faces in its present pose; dim: faces, from number `first` on."""
     face = first + wp.tid()
     corners = mesh.corners[face]
     a = mesh.points[corners[0]]
@@ -160,7 +160,7 @@ def face_planes(mesh: Mesh, first: wp.int32):
 
 @wp.kernel
 def run_balls(mesh: Mesh):
-    """Balls round what each run has, where the vertices are now; dim: runs."""
+    """Bounding spheres of each run, for the present vertices; dim: runs."""
     run = wp.tid()
     edges = mesh.edges.shape[0]
     runs_of_edges = (edges + RUN - 1) // RUN
@@ -185,7 +185,7 @@ def run_balls(mesh: Mesh):
 
 @wp.func
 def kept(a: wp.vec3, b: wp.vec3, plane: wp.vec4, span: wp.vec2):
-    """Of a span of the way from a to b what is above a plane; an empty span is (1, 0)."""
+    """Clip a span of the segment from a to b to the part above a plane; an empty span is (1, 0)."""
     first = above(a, plane)
     last = above(b, plane)
     result = span
@@ -214,10 +214,10 @@ def put(
     slot: wp.int32,
     stop: wp.int32,
 ):
-    """Write what is kept of the way from a to b in pieces from `slot` on; returns the slot after the last.
+    """Write the kept parts of the segment from a to b in pieces from `slot` on; returns the slot after the last.
 
-    Sound bends at a piece of an edge where nothing that is kept hides what is `beside_m` beside it.
-    but: plane in which the way lies, -1 for none; bends: whether it is an edge, not a cap
+    Sound is diffracted at a piece of an edge if no kept part hides the point `beside_m` next to it.
+    but: plane that contains the segment, -1 for none; bends: whether it is an edge, not a cap
     """
     next_slot = slot
     span = wp.vec2(0.0, 1.0)
@@ -253,7 +253,7 @@ def put(
 
 @wp.func
 def ends_on(f: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3):
-    """Where f, given at the corners, is 0 on a triangle: two ends in rows, f > 0 to the left as seen from outside."""
+    """Zero line of f, given at the corners, on a triangle: two ends in rows, f > 0 to the left as seen from outside."""
     leaves = wp.vec3()
     enters = wp.vec3()
     if f[0] > 0.0 and f[1] <= 0.0:
@@ -285,7 +285,7 @@ def find_pieces(
     """Pieces of each view's outline, in runs of edges, then of faces; dim: (views, runs), from view `first` on.
 
     slots: where each run's pieces begin, and one past the last
-    longest_m: of a piece; beside_m: how far beside a piece nothing may be in the way; farthest_m: of what is looked for
+    longest_m: of a piece; beside_m: distance next to a piece that must be free; farthest_m: range of the search
     """
     i, run = wp.tid()
     view = first + i
@@ -313,7 +313,7 @@ def find_pieces(
                     a = mesh.points[edge[1]]
                     b = mesh.points[edge[0]]
                 slot = put(mesh, views, view, a, b, -1, True, longest_m, beside_m, farthest_m, pieces, slot, stop)
-    # What lies above all planes is not cut
+    # Parts above all planes are not cut
     if lowest > -ball[3] and lowest < ball[3] and run >= runs_of_edges:
         start = (run - runs_of_edges) * RUN
         for j in range(start, wp.min(start + RUN, mesh.listed.shape[0])):
@@ -326,7 +326,7 @@ def find_pieces(
             for k in range(PLANES):
                 plane = views.planes[view, k]
                 heights = wp.vec3(above(a, plane), above(b, plane), above(c, plane))
-                # Seen from between the planes caps look away, and what is seen ends where a face looks at the eye
+                # Seen from between the planes caps face away, and the visible part ends where a face faces the eye
                 if towards and wp.max(heights) > 0.0 and wp.min(heights) <= 0.0:
                     ends = ends_on(heights, a, b, c)
                     begin = wp.vec3(ends[0, 0], ends[0, 1], ends[0, 2])
@@ -339,7 +339,7 @@ def find_pieces(
 
 @wp.kernel
 def list_pieces(pieces: Pieces, slots: wp.array(dtype=wp.int32), first: wp.int32):
-    """The slots that are in use, in order, those where sound bends from the list's beginning, the others from its end.
+    """List the used slots, in order, those with diffraction from the list's beginning, the others from its end.
 
     dim: views, from view `first` on; slots: as `find_pieces`
     """
@@ -372,11 +372,11 @@ def look_across(
     result: wp.array2d(dtype=wp.vec2),
     first: wp.int32,
 ):
-    """Whether pieces are in or beside the way to the board, and if not how often they go round it.
+    """Whether pieces are in or near the path to the board, and if not how often they enclose it.
 
-    dim: (nodes, boards, LANES), from node `first` on; numbers: which points are nodes; groups: of each the view's
+    dim: (nodes, boards, LANES), from node `first` on; numbers: points that are nodes; groups: view of each
     widest: clearance up to which a piece counts, in Fresnel's v
-    result: shape (nodes boards, LANES): more than 0 if there is such a piece; the share in going round the middle
+    result: shape (nodes boards, LANES): more than 0 if there is such a piece; the share in enclosing the middle
     """
     i, number, lane = wp.tid()
     node = first + i
@@ -394,7 +394,7 @@ def look_across(
         middle = wp.vec3(piece[0], piece[1], piece[2])
         towards = middle - point
         if piece[3] > 0.0:
-            # The transducer that it is nearest to the way of, about: where its way on meets the board, or the rim
+            # The transducer whose path is nearest, approximately: where its extension meets the board, or the rim
             share = wp.max(above(middle, views.planes[view, 1]) / above(point, views.planes[view, 1]), 0.0)
             on_board = towards / wp.max(1.0 - share, 0.02) + point - centre
             x = wp.dot(on_board, board.right[number])

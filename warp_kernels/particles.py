@@ -1,7 +1,7 @@
 """Total-Lagrangian particles: stress and pair forces, motion, pressure of a spot, displacement at points.
 
 A site is a particle's part in one material; away from the faces between materials, sites and particles are the same.
-Everything is gathered, nothing is added atomically, so repeated runs give the same bits.
+All sums are gathered, without atomic additions, so repeated runs give the same bits.
 """
 
 import warp as wp
@@ -33,7 +33,7 @@ def deviator(s: wp.mat33) -> wp.mat33:
 
 @wp.func
 def volume_change(h: wp.mat33) -> wp.float32:
-    """det(I + h) - 1 without taking 1 from a number near 1."""
+    """det(I + h) - 1 without subtracting 1 from a number near 1."""
     minors = (
         h[0, 0] * h[1, 1] - h[0, 1] * h[1, 0]
         + h[0, 0] * h[2, 2] - h[0, 2] * h[2, 0]
@@ -122,7 +122,7 @@ def site_forces(
             kirchhoff += deviator(pushed) * narrowing
     piola = kirchhoff * wp.transpose(inverse)
 
-    # Pairs that stray from the site's own gradient are pulled back: without it, modes of one spacing cost nothing.
+    # Pairs that deviate from the site's own gradient are pulled back: otherwise modes of one spacing have no energy.
     stiffness = hourglass * shear[m]
     w = h
     strays = wp.mat33()
@@ -208,7 +208,7 @@ def move(
     memory: wp.array[wp.vec3],
     relaxed: wp.array2d[wp.vec3],
 ):
-    """Leapfrog: velocity by the force now, displacement by that velocity; `memory`, the relaxing part's excess over
+    """Leapfrog: velocity by the present force, displacement by that velocity; `memory`, the relaxing part's excess over
     u."""
     i = wp.tid()
     total = net_force(i, site_start, count, incoming_count, incoming, slots, force)
@@ -217,7 +217,7 @@ def move(
     if face >= 0:
         outward = face_area[face]
         if follower != 0:
-            # Nanson: an area turns and stretches by the cofactor of the deformation gradient.
+            # Nanson: an area rotates and stretches by the cofactor of the deformation gradient.
             f = scaled_identity(1.0) + gradient[s]
             outward = wp.transpose(wp.inverse(f)) * outward * wp.determinant(f)
         total -= pressure[row, face] * outward

@@ -1,22 +1,22 @@
-"""What transducers are told and emit while a focus moves, in float64: phases, level and the pole of each transducer."""
+"""Commanded and emitted drive with a moving focus, in float64: phases, level and the pole of each transducer."""
 
 import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
 LANES = 32
-"""Parts of the sum over the transducers."""
+"""Number of parts of the sum over the transducers."""
 NEAREST_M = 1.0e-9
 
 
 @wp.struct
 class Focusing:
-    """What brings the sound of n transducers together at a focus.
+    """Data to focus the sound of n transducers.
 
     places, facing: position [m] and unit direction of each; gains: full drive's strength, complex [Pa m]
-    parts: which row of `shapes` is whose, shape (n,); shapes: directivity as polynomials in sin^2 of the angle, lowest
-        power first, shape (parts, c)
-    wavenumber: [1/m]; absorption_Np_m: amplitude lost on the way [Np/m]
+    parts: row of `shapes` of each, shape (n,); shapes: directivity as polynomials in sin^2 of the angle, lowest power
+        first, shape (parts, c)
+    wavenumber: [1/m]; absorption_Np_m: amplitude absorption [Np/m]
     """
 
     places: wp.array(dtype=wp.vec3d)
@@ -41,9 +41,9 @@ def focus_waves(
     waves: wp.array3d(dtype=wp.vec2d),
     strengths: wp.array3d(dtype=wp.vec2d),
 ):
-    """exp(-i k d) of each transducer that faces a focus, else 0, and what it gives there at full drive [Pa].
+    """exp(-i k d) of each transducer that faces a focus, else 0, and its pressure there at full drive [Pa].
 
-    foci: [m], shape (w, f), of which counts[w, 0] count; waves, strengths: complex, shape (w, f, n); dim: the same
+    foci: [m], shape (w, f), the first counts[w, 0] are used; waves, strengths: complex, shape (w, f, n); dim: the same
     """
     w, m, e = wp.tid()
     if m < counts[w, 0]:
@@ -74,7 +74,7 @@ def focus_sums(
     strengths: wp.array3d(dtype=wp.vec2d),
     sums: wp.array3d(dtype=wp.vec3d),
 ):
-    """In parts, the pressure at each focus at full drive [Pa], and how many transducers face it; dim: (w, f, LANES)."""
+    """In parts, pressure at each focus at full drive [Pa], number of transducers that face it; dim: (w, f, LANES)."""
     w, m, lane = wp.tid()
     if m < counts[w, 0]:
         total = wp.vec3d()
@@ -93,9 +93,9 @@ def focus_levels(
     levels: wp.array2d(dtype=wp.float64),
     totals: wp.array2d(dtype=wp.vec3d),
 ):
-    """Level of the drive for each focus, times what is wanted of it, 0 to 1; for the last one twice; dim: (w, f + 1).
+    """Level of the drive for each focus, times its target, 0 to 1; for the last one twice; dim: (w, f + 1).
 
-    aims: of each world the ARP at the focus times rho c^2 [Pa^2], 0 where the second number is the drive's amplitude
+    aims: of each world the ARP at the focus times rho c^2 [Pa^2], 0 if the second number is the drive's amplitude
     totals: the parts of each focus, `sums`, added up
     """
     w, m = wp.tid()
@@ -137,17 +137,17 @@ def ring_along(
     now: wp.array2d(dtype=wp.vec2),
     end: wp.array2d(dtype=wp.vec2d),
 ):
-    """What a transducer emits at the moments of a step, as a pole rings along the drives; dim: (w, n).
+    """Emission of a transducer at the moments of a step, as a pole driven by the drives; dim: (w, n).
 
-    The last of counts[w, 0] foci is where the step begins, the others are the moments', counts[w, 1] for each, of which
-    a transducer takes the one that `group` names. rings: 0 where what is commanded sounds at once
-    weights: for each moment those of what was emitted before, of the drives at the moment before and at this one, and,
-        for a part that is held, of what was emitted and of the drive, for half of it; complex, shape (m, 5)
-    pushes: which row of `force` takes each moment, -1 for none, shape (m,)
+    The last of counts[w, 0] foci is that of the step's beginning, the others are the moments', counts[w, 1] for each,
+    among which `group` selects a transducer's. rings: 0 if the commanded drive sounds at once
+    weights: for each moment those of the emission before, of the drives at the moment before and at this one, and, for
+        a held part, of the emission and of the drive, for half of it; complex, shape (m, 5)
+        pushes: row of `force` for each moment, -1 for none, shape (m,)
     scales: strength at full drive [Pa m]; order: each transducer's column in the tables of drives
-    begun, end: what it emits at the step's beginning and end, relative to full drive; nothing in the end without foci
-    load, force, now: the tables of the moments' drives; of the same for transducers that ring, else of the focus at the
-        beginning at the loudest moment's level; and of what sounds at the beginning [Pa m]
+    begun, end: its emission at the step's beginning and end, relative to full drive; zero at the end without foci
+        load, force, now: the tables of the moments' drives; of the same for transducers that ring, else of the focus at
+        the beginning at the loudest moment's level; and of the emission at the beginning [Pa m]
     """
     w, e = wp.tid()
     if counts[w, 0] == 0:

@@ -1,8 +1,7 @@
-"""Sound of several drives at once at points of a surface, for a device: fields in parts, then ARP with its shadow.
+"""Sound of several drives together at points of a surface, for a device: fields in parts, then ARP with its shadow.
 
-One thread takes one point, a few drives and a run of the transducers. What it finds goes into a place of its own, and
-who needs the sum adds the runs up in their order: so there is work for all of a GPU where points are few, and equal
-input gives equal bits.
+One thread computes one point, a few drives and a run of the transducers. Its result has its own place, and the sum adds
+the runs up in their order: so a GPU is busy with few points, and equal input gives equal bits.
 """
 
 import functools
@@ -29,7 +28,7 @@ wp.set_module_options({"enable_backward": False, "fast_math": True})
 PARTS = 8
 """Numbers of a field: real and imaginary pressure, then those of its gradient over k along x, y and z."""
 BLOCK = 16
-"""Points whose weights lie together, for each transducer in turn."""
+"""Points whose weights are adjacent, for each transducer in turn."""
 GRAZING = 1.0e-6
 
 
@@ -37,7 +36,7 @@ GRAZING = 1.0e-6
 class Waves:
     """Numbers shared by every pair of transducer and point.
 
-    turns_per_m: one over the wavelength [1/m]; absorption_Np_m: amplitude lost on the way [Np/m]
+    turns_per_m: one over the wavelength [1/m]; absorption_Np_m: amplitude absorption [Np/m]
     per_wavenumber: 1/k [m]
     """
 
@@ -72,14 +71,13 @@ def fields(rows: int, gpu: bool, shaded: bool = False) -> Any:
         weights_im: wp.array3d(dtype=wp.float32),
         result: wp.array4d(dtype=wp.float32),
     ):
-        """Of the transducers [first, stop) in runs of `size`; what the runs give begins at result[:, run].
+        """Sum over transducers [first, stop) in runs of `size`; results of the runs begin at result[:, run].
 
-        points, normals: of each world, (w, n); normals: unit, outward, of the opaque surfaces on which the points
-            lie; see `pressure.from_front`
+        points, normals: of each world, (w, n); normals: unit, outward, of the opaque surfaces of the points; see
+            `pressure.from_front`
         places, facing: position [m] and unit direction of each transducer, the fourth number is unused
         shapes: directivity and slope, see `pressure.Sound`
-        counts: how many drives there are in each world; drives: complex amplitude of each transducer [Pa m], shape
-            (w drives, n)
+        counts: number of drives in each world; drives: complex amplitude of each transducer [Pa m], shape (w drives, n)
         weights_re, weights_im: as `gradient.gradient`, read if `shaded`
         result: the numbers of a field, shape (w drives, runs, PARTS, points)
         """
@@ -92,7 +90,7 @@ def fields(rows: int, gpu: bool, shaded: bool = False) -> Any:
             normal = STEEPNESS * normals[world, i]
             in_directivity = shapes[0]
             in_slope = shapes[1]
-            # From a struct they would be loaded again for each transducer
+            # They would be reloaded from a struct for each transducer
             turns_per_m = waves.turns_per_m
             loss = waves.absorption_Np_m
             per_wavenumber = waves.per_wavenumber
@@ -107,7 +105,7 @@ def fields(rows: int, gpu: bool, shaded: bool = False) -> Any:
             z_re = lanes()
             z_im = lanes()
             for e in range(first + j * size, wp.min(first + (j + 1) * size, stop)):
-                # One drive is often that of another array; several are read where there is light only
+                # A single drive is often that of another array; several drives are read only for lit points
                 sounds = True
                 if rows == 1:
                     a = drives[row, e]
@@ -150,7 +148,7 @@ def fields(rows: int, gpu: bool, shaded: bool = False) -> Any:
                         gx = wp.vec2(along_re * x + axial_re * axis[0], along_im * x + axial_im * axis[0])
                         gy = wp.vec2(along_re * y + axial_re * axis[1], along_im * y + axial_im * axis[1])
                         gz = wp.vec2(along_re * z + axial_re * axis[2], along_im * z + axial_im * axis[2])
-                        # A sum at a time: each is one multiplication with addition
+                        # One sum after another: each is one multiplication with addition
                         for r in range(rows):
                             if rows > 1:
                                 a = drives[row + r, e]
@@ -187,7 +185,7 @@ def fields(rows: int, gpu: bool, shaded: bool = False) -> Any:
 
 @wp.func
 def reach_to_boards(point: wp.vec3, along: wp.vec3, boards: wp.array(dtype=wp.vec4), farthest_m: wp.float32):
-    """How far back along the sound a ray can meet something before the farthest board [m].
+    """Distance back along the sound within which a ray can hit an object before the farthest board [m].
 
     boards: mean direction of each and the height of its middle along it [m]
     """
@@ -218,10 +216,10 @@ def arp_of_sums(
 ):
     """ARP [Pa] of sums of drives, levels (w m, k), at points with unit outward normals, (w m, n); dim: the same.
 
-    counts: how many drives there are in each world, and how many sums, (w, 2); fields: of `fields`
+    counts: number of drives in each world, and of sums, (w, 2); fields: of `fields`
     weights: as `arp.radiation_pressure`
-    mesh: what casts shadows, 0 for none: dark where the way back along the sound meets it before the boards, see
-        `reach_to_boards`; clearance_m: how far above the surface a ray starts
+    mesh: that casts shadows, 0 for none: dark if the ray back along the sound hits it before the boards, see
+        `reach_to_boards`; clearance_m: height above the surface at which a ray starts
     """
     m, i = wp.tid()
     worlds = counts.shape[0]
@@ -259,7 +257,7 @@ def arp_of_sums(
         arp = radiation_pressure(p[0], p[1], n_re, n_im, wp.dot(t_re, t_re) + wp.dot(t_im, t_im), weights)
         if mesh != wp.uint64(0) and arp != 0.0:
             flux = p[0] * s_im - p[1] * s_re
-            # Divided by its largest part first: the squares of a faint sound's would be 0
+            # Divided by its largest part first: the squares of faint sound would underflow
             largest = wp.max(wp.max(wp.abs(flux[0]), wp.abs(flux[1])), wp.abs(flux[2]))
             along = wp.vec3()
             if largest > 0.0:

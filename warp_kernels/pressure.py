@@ -1,11 +1,11 @@
-"""Pressure of transducers that lie in planes; one source for the CPU and GPUs. gradient.py has its gradient.
+"""Pressure of planar transducers; one source for the CPU and GPUs. Its gradient is in gradient.py.
 
-Phasors go with e^{-i w t}. Transducers come in groups that share a plane and an axis: in the group's frame (x, y in the
-plane, z along the axis) they differ by x, y, strength and phase alone, and z^2, cos^2 of the angle off the axis and
-"behind the plane" cost nothing or nearly nothing a pair. Where they share only the axis each has a z as well.
+Phasors go with e^{-i w t}. Transducers are in groups that share a plane and an axis: in the group's frame (x, y in the
+plane, z along the axis) they differ only in x, y, strength and phase, so that z^2, cos^2 of the angle off the axis and
+"behind the plane" cost almost no time for a pair. If they share only the axis each has a z as well.
 
-One thread holds several points. On the CPU, where Warp runs scalar code per thread, LLVM vectorises the loop over them:
-16 fill one AVX-512 register. On a GPU 4 share the loads of a transducer.
+One thread computes several points. On the CPU, where Warp runs scalar code per thread, LLVM vectorises the loop over
+them: 16 fill one AVX-512 register. On a GPU 4 share the loads of a transducer.
 
 Choices are made when the kernels are built (`Form`), among them those of functions `angle_*` and `fall_*`.
 """
@@ -24,7 +24,7 @@ STEEPNESS = wp.constant(5.0)  # of `from_front` over the cosine: from 0 to 1 bet
 
 CPU = {
     "max_unroll": 1,  # LLVM vectorises loops, not what Warp has unrolled
-    # Contraction lets LLVM fuse multiply and add across Warp's function calls: a fifth faster, no less accurate
+    # Contraction lets LLVM fuse multiply and add across Warp's function calls: a fifth faster, with equal accuracy
     "cpu_compiler_flags": "-march=native -ffp-contract=fast",
 }
 GPU = {"fast_math": True}
@@ -35,7 +35,7 @@ class Sound:
     """Numbers shared by every pair of transducer and point; polynomials have the lowest power first.
 
     turns_per_m, turns32_per_m, wavenumber_rad_m: one over the wavelength [1/m], in both precisions, and 2 pi times that
-    absorption_Np_m: amplitude lost on the way [Np/m]
+    absorption_Np_m: amplitude absorption [Np/m]
     directivity: in q = cos^2 of the angle off the axis
     slope: twice the directivity's derivative in q, over k
     sine, cosine: sin(2 pi f)/f and cos(2 pi f) in f^2, for f within half a turn
@@ -89,7 +89,7 @@ def inverse_root(x: wp.float32) -> wp.float32: ...
 """
 )
 def row32(rows: wp.array(dtype=wp.vec4), i: wp.int32) -> wp.vec4:
-    """One load for four numbers, which Warp's own indexing does in four."""
+    """One load for four numbers, for which Warp's own indexing needs four."""
     ...
 
 
@@ -102,7 +102,7 @@ def row64(rows: wp.array(dtype=wp.vec4d), i: wp.int32):
 def from_front(height: wp.float32):
     """Share of a transducer's sound that reaches the front of an opaque surface: continuous, 1/2 at grazing incidence.
 
-    height: STEEPNESS times the cosine between the surface's outward normal and the way to the transducer
+    height: STEEPNESS times the cosine between the surface's outward normal and the direction to the transducer
     """
     return wp.min(wp.max(height + 0.5, 0.0), 1.0)
 
@@ -135,14 +135,14 @@ def angle_cpu32(sound: Sound, square: wp.float32, d: wp.float32, inverse: wp.flo
 
 @wp.func
 def angle_gpu32(sound: Sound, square: wp.float32, d: wp.float32, inverse: wp.float32, phase: wp.float32):
-    # Phase in radians here, and unreduced: the hardware's sine takes turns off by itself
+    # Phase in radians here, and unreduced: the hardware's sine reduces it
     angle = d * sound.wavenumber_rad_m + phase
     return wp.vec2(wp.cos(angle), wp.sin(angle))
 
 
 @wp.func
 def turns64(sound: Sound, square: wp.float64, d: wp.float32, inverse: wp.float32, phase: wp.float64):
-    """Phase within half a turn, from a distance that one Newton step has made good to float64."""
+    """Phase within half a turn, from a distance corrected to float64 by one Newton step."""
     rough = wp.float64(d)
     exact = rough + wp.float64(0.5) * wp.float64(inverse) * (square - rough * rough)
     turns = exact * sound.turns_per_m + phase
@@ -162,7 +162,7 @@ def angle_gpu64(sound: Sound, square: wp.float64, d: wp.float32, inverse: wp.flo
 
 @wp.func
 def fall_cubic(sound: Sound, strength: wp.vec4, d: wp.float32, inverse: wp.float32):
-    """Strength times exp(-absorption d)/d, the exponential as a cubic whose coefficients the strengths carry."""
+    """Strength times exp(-absorption d)/d, the exponential as a cubic whose coefficients are part of the strengths."""
     return strength[0] * inverse + (strength[1] + d * (strength[2] + d * strength[3]))
 
 
@@ -181,7 +181,7 @@ FALLS = {"quadratic": fall_quadratic, "cubic": fall_cubic, "exponential": fall_e
 
 @dataclass(frozen=True)
 class Form:
-    """Choices under which kernels are built.
+    """Options with which kernels are built.
 
     gpu: for a GPU rather than the CPU
     accurate: geometry and phase in float64, the rest in float32
@@ -189,7 +189,7 @@ class Form:
     smooth: directivity as a quartic and its slope as a cubic, instead of a quintic and a quartic
     flat: a group's transducers lie in a plane; else the fourth number of an element is its height over it
     shaded: each pair of transducer and point has a weight of its own (kernels with the gradient)
-    faced: points lie on opaque surfaces, which what is behind them doesn't reach (kernels with the gradient)
+    faced: points are on opaque surfaces, which sound from behind does not reach (kernels with the gradient)
     """
 
     gpu: bool
@@ -320,7 +320,7 @@ def sum_of_parts(parts: wp.array2d(dtype=wp.vec2), result: wp.array(dtype=wp.vec
 
 @functools.cache
 def emitted(accurate: bool) -> Any:
-    """Kernel that takes a drive for the kernels of the field, in mode accurate or fast."""
+    """Kernel that converts a drive for the kernels of the field, in mode accurate or fast."""
     vec4 = wp.vec4d if accurate else wp.vec4
     real = wp.float64 if accurate else wp.float32
 
@@ -333,7 +333,7 @@ def emitted(accurate: bool) -> Any:
         strengths: wp.array(dtype=wp.vec4),
     ):
         """drive: complex amplitudes by transducer; fall: p0 [Pa m] times the coefficients of the fall, one vector.
-        elements, strengths: get phases and amplitudes, see `pressure`
+        elements, strengths: filled with phases and amplitudes, see `pressure`
         """
         e = wp.tid()
         element = elements[e]

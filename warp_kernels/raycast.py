@@ -2,7 +2,7 @@
 
 import warp as wp
 
-# Nobody differentiates a picture, and unrolled loops with their adjoints take 20 s to compile.
+# Pictures need no adjoints, and unrolled loops with their adjoints take 20 s to compile.
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 
@@ -25,7 +25,7 @@ def cosine_direction(normal: wp.vec3, u: float, v: float) -> wp.vec3:
 
 @wp.func
 def openness(mesh: wp.uint64, point: wp.vec3, normal: wp.vec3, reach: float, rays: int, seed: int) -> float:
-    """Share of cosine-weighted rays of length `reach` [m] that meet nothing (ambient occlusion)."""
+    """Share of cosine-weighted rays of length `reach` [m] without a hit (ambient occlusion)."""
     state = wp.rand_init(11, seed)
     free = wp.float32(0.0)
     for ray in range(rays):
@@ -64,9 +64,9 @@ def render(
 ):
     """One linear RGB pixel a thread, from pixel `first` on.
 
-    mesh: everything; solid: what casts shadows
+    mesh: all objects; solid: those that cast shadows
     faces: vertex of each corner, shape (3 m,); normals: unit, by vertex; albedo: linear RGB, by vertex
-    level: place in the colour map in [0, 1] by vertex, negative where albedo counts; gloss: strength of the highlight
+    level: place in the colour map in [0, 1] by vertex, negative to use albedo; gloss: strength of the highlight
     veil: opacity by face, 1 is solid; lut: linear RGB, shape (256,)
     eye: camera [m]; corner: from it to the image's top left corner; right, down: sides of one pixel
     key, fill: unit directions towards the lights; sky: unit direction of the brighter half of the ambient light

@@ -21,9 +21,9 @@ def mean_load(
 ):
     """Weighted sum of ARPs, shape (w m, n) [Pa], times the area of each point [m2], shape (w, n); dim: the same.
 
-    counts[w, 1]: of m, how many there are; weights: shape (w, m)
+    counts[w, 1]: number used of m; weights: shape (w, m)
 
-    corners: of a convex hull that has all transducers in it; nothing presses where all of it is behind the surface
+    corners: of a convex hull that contains all transducers; the pressure is zero if all of it is behind the surface
     """
     w, i = wp.tid()
     nearest = wp.float32(-wp.inf)
@@ -50,7 +50,7 @@ def sums_of_runs(
     """Force [N] and torque about its part's origin [N m] of each run of points, shape (w, runs, 6)
 
     load: inward [N]; order: the points in runs, run i is order[starts[i]:starts[i + 1]]
-    parts: the part that each run pushes; origins: of the parts [m]
+    parts: the part that each run acts on; origins: of the parts [m]
     """
     w, run = wp.tid()
     origin = origins[w, parts[run]]
@@ -80,7 +80,7 @@ def sums_of_parts(
 
 @wp.kernel
 def sums_of_lanes(lanes: wp.array4d(dtype=wp.float64), result: wp.array3d(dtype=wp.float64)):
-    """What `sums_of_parts` found, added up, shape (w, parts, 6); dim: the same."""
+    """Add up the results of `sums_of_parts`, shape (w, parts, 6); dim: the same."""
     w, part, axis = wp.tid()
     total = wp.float64(0.0)
     for lane in range(LANES):

@@ -16,7 +16,7 @@ class Segment:
     semi_start, semi_end: half-widths at the ends: lateral, dorsal, palmar [m]
     dorsal: unit vector across the axis
     group: 0 palm, 1 thumb, 2..5 fingers
-    blend: radius of the smooth union with what came before in its group [m]
+    blend: radius of the smooth union with earlier segments of its group [m]
     """
 
     start: wp.vec3

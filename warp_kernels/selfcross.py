@@ -36,10 +36,10 @@ def crossing_faces(
     count: wp.array[wp.int32],
     pairs: wp.array2d[wp.int32],
 ):
-    """Pairs i < j of faces that cross; those that share an edge are neighbours and left out.
+    """Pairs i < j of faces that cross, without neighbours that share an edge.
 
-    Of two that share one corner the edges opposite to it are tested, else all edges of both.
-    margin: by which boxes are widened, for the mesh's are rounded; count: of all pairs, also beyond those kept
+    For two that share one corner the edges opposite to it are tested, else all edges of both.
+    margin: widening of the boxes, since the mesh's are rounded; count: of all pairs, also beyond those kept
     """
     i = wp.tid()
     low = wp.vec3(wp.inf, wp.inf, wp.inf)

@@ -1,4 +1,4 @@
-"""Which sources each point of a body sees, and the sound of just these."""
+"""Sources visible from each point of a body, and the sound of only these."""
 
 import warp as wp
 
@@ -7,9 +7,9 @@ wp.set_module_options({"enable_backward": False, "fast_math": True})
 
 @wp.func
 def sees(mesh: wp.uint64, point: wp.vec3, normal: wp.vec3, ray: wp.vec3, distance: wp.float32, clearance: wp.float32):
-    """Whether the source `ray` away is in front of the surface and nothing of the mesh lies between.
+    """Whether the source at `ray` is in front of the surface and the mesh does not hide it.
 
-    The ray starts `clearance` above the surface: the point may lie on a finer mesh of the same body, a little below.
+    The ray starts `clearance` above the surface: the point may be on a finer mesh of the same body, slightly below.
     """
     if wp.dot(ray, normal) <= 0.0:
         return False
@@ -39,10 +39,10 @@ def visibility(
 
 @wp.struct
 class Rays:
-    """What `lit_by_flux` takes, in one piece.
+    """Arguments of `lit_by_flux` in one struct.
 
-    mesh: what casts shadows; points [m]; flux: where the sound goes there, any length; reach: of each ray [m]
-    clearance: how far above the surface a ray starts [m]; lit: result
+    mesh: that casts shadows; points [m]; flux: direction of the sound there, any length; reach: of each ray [m]
+    clearance: height above the surface at which a ray starts [m]; lit: result
     """
 
     mesh: wp.uint64
@@ -55,10 +55,10 @@ class Rays:
 
 @wp.kernel
 def lit_by_flux(rays: Rays):
-    """1 where the way back along the sound meets nothing within its reach; 0 too where there is no sound."""
+    """1 if the ray back along the sound has no hit within its reach, else 0; 0 too in silence."""
     i = wp.tid()
     flux = rays.flux[i]
-    # Divided by its largest part first: the squares of a faint sound's would be 0
+    # Divided by its largest part first: the squares of faint sound would underflow
     largest = wp.max(wp.max(wp.abs(flux[0]), wp.abs(flux[1])), wp.abs(flux[2]))
     rays.lit[i] = wp.uint8(0)
     if largest > 0.0:

@@ -1,6 +1,6 @@
-"""Substeps of a skin's small model on a device, under pressure that other kernels have left there.
+"""Substeps of a skin's reduced model on a device, under pressure from other kernels.
 
-Sums are taken in parts, each in a place of its own, and added up in a fixed order: equal input gives equal bits.
+Sums are computed in parts, each in a place of its own, and added up in a fixed order: equal input gives equal bits.
 """
 
 import functools
@@ -11,7 +11,7 @@ import warp as wp
 wp.set_module_options({"enable_backward": False})
 
 ROWS = 4
-"""Patterns of pressure that a thread takes: what it reads of the matrix is shared."""
+"""Patterns of pressure for one thread, which share the numbers read from the matrix."""
 LANES = 32
 """Parts of a sum of squares."""
 
@@ -27,7 +27,7 @@ def pressure_products(
 ):
     """Patterns of pressure at some points times a matrix (p, c), in chunks of `size` points, (chunks, w rows, c).
 
-    counts[w, 1]: how many patterns there are; pressure: [Pa], shape (w m, q); points: numbers of those that count, (p,)
+    counts[w, 1]: number of patterns; pressure: [Pa], shape (w m, q); points: numbers of those used, (p,)
     dim: (w rows / ROWS, chunks, c)
     """
     block, chunk, column = wp.tid()
@@ -53,7 +53,7 @@ def mixed_products(
     parts: wp.array3d(dtype=wp.float32),
     result: wp.array3d(dtype=wp.float64),
 ):
-    """Weighted sums of patterns, weights (w, s, m), of what `pressure_products` found, (w, s, c); dim: the same."""
+    """Weighted sums of patterns, weights (w, s, m), of results of `pressure_products`, (w, s, c); dim: the same."""
     world, substep, column = wp.tid()
     first = world * (parts.shape[1] // counts.shape[0])
     total = wp.float64(0.0)
@@ -69,7 +69,7 @@ def mixed_products(
 
 @functools.cache
 def of_rows(rows: int) -> tuple[Any, Any]:
-    """Types of a mode's state of `rows` numbers, and of what carries it on."""
+    """Types of a mode's state of `rows` numbers, and of its matrices."""
     return wp.types.vector(length=rows, dtype=wp.float64), wp.types.matrix(shape=(rows, rows), dtype=wp.float64)
 
 
@@ -122,8 +122,8 @@ def modes_of_worlds(rows: int) -> Any:
     ):
         """A mode's state becomes advance @ state + inputs * force in each substep, in place, (worlds, rows, r).
 
-        pushes: of each world's pressure on the modes, (worlds, r); mixed: how much of it there is, (worlds, s)
-        seen: takes displacement and velocity after each substep, (worlds * s * 2, r); without rows, nothing
+        pushes: of each world's pressure on the modes, (worlds, r); mixed: its amount, (worlds, s)
+        seen: filled with displacement and velocity after each substep, (worlds * s * 2, r); unused without rows
         """
         world, mode = wp.tid()
         state = numbers()

@@ -14,7 +14,7 @@ def blend_bones(
     shifts: wp.array[wp.vec3],
     out: wp.array[wp.vec3],
 ):
-    """Each vertex goes with the weighted mean of up to four bones' motions; a bone takes x to rotation x + shift."""
+    """Each vertex moves by the weighted mean of up to four bones' motions; a bone takes x to rotation x + shift."""
     i = wp.tid()
     rotation = wp.mat33()
     shift = wp.vec3()

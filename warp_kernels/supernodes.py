@@ -1,4 +1,4 @@
-"""Substeps of a layer whose factorised matrix is kept as dense blocks of supernodes, in float64 on the CPU.
+"""Substeps of a layer with a factorised matrix stored as dense blocks of supernodes, in float64 on the CPU.
 
 A supernode is a run of unknowns that are eliminated together. Its block holds, of a matrix L D L^T, the inverse of its
 own part, S^-1, and B = L_below L_own^-1, so that a solve is two passes of products with dense blocks:
@@ -22,8 +22,8 @@ rows_of_group = wp.types.vector(length=ROWS, dtype=wp.float64)
 
 @wp.struct
 class Supernodes:
-    """column: first unknown; size: unknowns; below: groups of WIDTH rows below; value: where its block begins in
-    `values`; row: where its rows below begin in `rows`, whose padding is the unknown after the last."""
+    """column: first unknown; size: unknowns; below: groups of WIDTH rows below; value: beginning of its block in
+    `values`; row: beginning of its rows below in `rows`, whose padding is the unknown after the last."""
 
     column: wp.array(dtype=wp.int32)
     size: wp.array(dtype=wp.int32)
@@ -36,8 +36,8 @@ class Supernodes:
 
 @wp.struct
 class GroupedRows:
-    """A sparse matrix by groups of ROWS rows, each with the columns in which one of them holds a number. rows: their
-    numbers, padded by the place after the last; start: where each group's columns begin in `columns` and `values`."""
+    """A sparse matrix by groups of ROWS rows, each with the columns in which one of them has a number. rows: their
+    numbers, padded by the place after the last; start: beginning of each group's columns in `columns` and `values`."""
 
     rows: wp.array(dtype=wp.int32)
     start: wp.array(dtype=wp.int32)
@@ -47,7 +47,7 @@ class GroupedRows:
 
 @wp.struct
 class Substep:
-    """What all parts of a layer share in a substep. Places are numbered as the factor numbers them.
+    """Data that all parts of a layer share in a substep. Places are numbered as in the factor.
 
     weights, forces: of patterns of the load, (k,) and (k, n); matrix @ sums: what the old state adds to the right side
     solved: between the passes, (n,); solution, in_lanes: after them, the same memory twice
@@ -74,7 +74,7 @@ class Substep:
 class Part:
     """Places, supernodes and groups of rows of a part, each from the first to the one after the last.
 
-    right: its right side, and what it takes from that of the trunk, (n + 1,)
+    right: its right side, and its change of that of the trunk, (n + 1,)
     work, old: as long as the widest supernode has unknowns, and as a state has rows
     """
 
@@ -107,7 +107,7 @@ def multiply(part: Part, step: Substep):
     for group in range(part.first_group, part.last_group):
         begin = step.matrix.start[group]
         end = step.matrix.start[group + 1]
-        # Two sums, so that one product need not wait for the other
+        # Two sums, so that one product does not wait for the other
         even = rows_of_group()
         odd = rows_of_group()
         for pair in range((end - begin) // 2):
@@ -124,7 +124,7 @@ def multiply(part: Part, step: Substep):
 
 @wp.func
 def forward(part: Part, step: Substep):
-    """Forward pass: takes from the right side of what lies below, and fills `solved`."""
+    """Forward pass: subtracts from the right side below, and fills `solved`."""
     for k in range(part.first_node, part.last_node):
         size = step.nodes.size[k]
         begin = step.nodes.column[k]
@@ -151,7 +151,7 @@ def forward(part: Part, step: Substep):
 
 @wp.func
 def collect(parts: wp.array(dtype=wp.float64), part: Part):
-    """Add to the right side what another part takes from it, and leave 0 there."""
+    """Add another part's change to the right side, and set it to 0 there."""
     for row in range(part.first, part.last):
         part.right[row] = part.right[row] + parts[row]
         parts[row] = wp.float64(0.0)
@@ -159,7 +159,7 @@ def collect(parts: wp.array(dtype=wp.float64), part: Part):
 
 @wp.func
 def backward(part: Part, step: Substep):
-    """Backward pass, when the solution of what lies below is known."""
+    """Backward pass, after the solution below is computed."""
     for back in range(part.last_node - part.first_node):
         k = part.last_node - 1 - back
         size = step.nodes.size[k]
@@ -218,12 +218,12 @@ def begin_substeps(step: Substep):
     add_up(0, step.rows.shape[1], step)
 
 
-# A branch's way in one launch: two threads that come back from a launch wait for one another
+# Both passes of a branch in one launch: two threads that return from a launch wait for each other
 
 
 @wp.kernel
 def go_down(part: Part, step: Substep):
-    """A branch's way to the trunk."""
+    """Forward pass of a branch to the trunk."""
     weigh(part, step)
     multiply(part, step)
     forward(part, step)
@@ -231,7 +231,7 @@ def go_down(part: Part, step: Substep):
 
 @wp.kernel
 def turn_round(part: Part, step: Substep):
-    """A branch's way up, and down again in the next substep, for which the weights are by now."""
+    """Backward pass of a branch, and the forward pass of the next substep, whose weights are available."""
     backward(part, step)
     advance(part, step)
     weigh(part, step)
@@ -241,14 +241,14 @@ def turn_round(part: Part, step: Substep):
 
 @wp.kernel
 def go_up(part: Part, step: Substep):
-    """A branch's way up at the end."""
+    """Backward pass of a branch at the end."""
     backward(part, step)
     advance(part, step)
 
 
 @wp.kernel
 def pass_trunk(part: Part, one: wp.array(dtype=wp.float64), other: wp.array(dtype=wp.float64), step: Substep):
-    """All of the trunk's way; one, other: right sides of the branches."""
+    """Both passes of the trunk; one, other: right sides of the branches."""
     weigh(part, step)
     multiply(part, step)
     collect(one, part)

@@ -1,4 +1,4 @@
-"""The field of each transducer by itself at fixed points, and radiation pressure from products with it."""
+"""The field of each single transducer at fixed points, and radiation pressure from products with it."""
 
 import warp as wp
 
@@ -121,7 +121,7 @@ def arp_row(
     first: wp.int32,
     result: wp.array(dtype=wp.float32, ndim=2),
 ):
-    """In C, as Warp's indexing goes through strides, which LLVM can't vectorise: a tenth of the speed."""
+    """In C, as Warp's indexing uses strides, which LLVM cannot vectorise: a tenth of the speed."""
     ...
 
 
@@ -153,7 +153,7 @@ def arp_in_span(
 ):
     """ARP [Pa] of sums of a few fields, WIDTH points a thread.
 
-    fields: the numbers that `matrix` gives for each, shape (blocks, r, 8); shares: how much of each, shape (m, r)
+    fields: the numbers of `matrix` for each, shape (blocks, r, 8); shares: amplitude of each, shape (m, r)
     result: shape (m, blocks)
     """
     block = wp.tid()

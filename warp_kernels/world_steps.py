@@ -1,4 +1,4 @@
-"""Worlds of one scene on a device: from MuJoCo's frames to what carries points, and what is read of their skins."""
+"""Worlds of one scene on a device: MuJoCo's frames converted to motions of points, and readings of their skins."""
 
 import warp as wp
 
@@ -7,7 +7,7 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.func
 def seen_from_first(places: wp.array2d(dtype=wp.vec3d), world: wp.int32, row: wp.int32, turn: wp.mat33d):
-    """Where a row's origin is for the first one, whose axes are the columns of `turn`."""
+    """Origin of a row relative to the first one, whose axes are the columns of `turn`."""
     return wp.transpose(turn) * (places[world, row] - places[world, 0])
 
 
@@ -21,10 +21,10 @@ def place_parts(
     shifts: wp.array2d(dtype=wp.vec3d),
     origins: wp.array2d(dtype=wp.vec3d),
 ):
-    """Motions of bodies and bones as the first row's frame sees them; dim: (worlds, parts).
+    """Motions of bodies and bones relative to the first row's frame; dim: (worlds, parts).
 
     places [m], axes: MuJoCo's frames, shape (worlds, rows), the first array's in front; rows: of each part, shape (p,)
-    rest: each part's origin in the resting body [m]; origins: where it is now
+    rest: each part's origin in the resting body [m]; origins: its present place
     """
     w, i = wp.tid()
     first = axes[w, 0]
@@ -76,7 +76,7 @@ def heights(
 
 @wp.kernel
 def sums_of_squares(parts: wp.array4d(dtype=wp.float64), result: wp.array2d(dtype=wp.float64)):
-    """Sums over substeps and lanes of what `skin_steps.squares` found, shape (worlds, groups); dim: the same."""
+    """Sums over substeps and lanes of results of `skin_steps.squares`, shape (worlds, groups); dim: the same."""
     w, group = wp.tid()
     total = wp.float64(0.0)
     for substep in range(parts.shape[2]):

@@ -1,4 +1,4 @@
-"""A scene or a focus on a real board: what is sent, whether that is safe, and what bytes make a board do."""
+"""Play a scene or a focus on a real board: frames, safety, and decoding of bytes."""
 
 import lazy_loader
 

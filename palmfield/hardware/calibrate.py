@@ -1,4 +1,4 @@
-"""Calibrations as files: readings put in, what they hold told, and a rehearsal."""
+"""Calibrations as files: add readings, describe them, and rehearse."""
 
 import shlex
 from pathlib import Path
@@ -15,11 +15,11 @@ NEEDS_FOCUS = ("plate", "focus", "sweep")
 
 
 def add_readings(kind: str, readings: Path, board: Path, layout: str | None, circumstances: Circumstances) -> list[str]:
-    """Put readings into the calibration file `board`, which is made if it isn't there; returns what they say.
+    """Add readings to the calibration file `board`, which is made if missing; returns their results.
 
-    kind: a key of `MEASUREMENTS`; layout: of the array, needed where the file is new
-    Raises SceneError for files, layouts and sources that don't fit, PalmfieldError for readings that don't serve,
-    OutputError where the file can't be written; it then stays as it was.
+    kind: a key of `MEASUREMENTS`; layout: of the array, needed for a new file
+    Raises SceneError for files, layouts and sources that do not fit, PalmfieldError for unusable readings, OutputError
+    if the file cannot be written; it is then unchanged.
     """
     if not circumstances.source.strip():
         raise SceneError("the source is not told; say who measured when, and with what (--source TEXT)")
@@ -39,9 +39,9 @@ def add_readings(kind: str, readings: Path, board: Path, layout: str | None, cir
 
 
 def imported(file: Path, board: Path) -> list[str]:
-    """Write what a vendor's file of an OpenMPD board says as a calibration; returns what it holds.
+    """Convert a vendor's file of an OpenMPD board to a calibration; returns a description.
 
-    Raises SceneError for a file that doesn't fit and for a calibration that is there, OutputError as `add_readings`.
+    Raises SceneError for an invalid file and for an existing calibration, OutputError as `add_readings`.
     """
     if board.exists():
         raise SceneError(f"{board} is there already; give another file")
@@ -50,7 +50,7 @@ def imported(file: Path, board: Path) -> list[str]:
 
 
 def described(board: Path, png: Path | None) -> list[str]:
-    """What a calibration file holds, a line each, and what is missing; draws it where `png` is given."""
+    """Describe a calibration file line by line, with missing parts; draws it if `png` is given."""
     calibration = read_calibration(board)
     array = known_layout(calibration.layout)
     lines = [f"calibration of {calibration.layout}, {len(array)} transducers"]
@@ -83,7 +83,7 @@ def described(board: Path, png: Path | None) -> list[str]:
 
 
 def rehearsed(layout: str, folder: Path, seed: int) -> list[str]:
-    """Write a rehearsal's files; returns what was written and the commands to go on with."""
+    """Write a rehearsal's files; returns a list of them and the next commands."""
     lines = [f"wrote {path}" for path in rehearse(known_layout(layout), folder, seed)]
     lines.append(f"{TRUTH} says what the readings were made from. Now:")
     for kind in MEASUREMENTS:

@@ -1,4 +1,4 @@
-"""The foci that a file's bytes really make: through the board's virtual twin, fitted to what it emits."""
+"""Decode the foci of a file's bytes: run the board's virtual twin and fit foci to its emission."""
 
 import csv
 import math
@@ -24,15 +24,15 @@ from palmfield.whole_files import whole
 
 FREQUENCY_HZ = 40e3
 GOOD_RAD = 1.0
-"""Phases that fit a focus worse than this on average make none."""
+"""Phases with a larger mean error than this form no focus."""
 
 
 @dataclass(frozen=True)
 class DecodedFocus:
-    """What sounds from a moment on. time_s: of its emission; focus: in the array frame [m], NaN where there is none
+    """Emission from a moment on. time_s: of its emission; focus: in the array frame [m], NaN if there is none
 
-    misfit_rad: rms of what phases differ by from that focus; sounding: transducers that are on; level: their mean
-    amplitude relative to full drive
+    misfit_rad: rms difference of phases from that focus; sounding: transducers that are on; level: their mean amplitude
+    relative to full drive
     """
 
     time_s: float
@@ -44,7 +44,7 @@ class DecodedFocus:
 
 @dataclass(frozen=True)
 class Decoded:
-    """head: for which board; foci: by time; flags: what the virtual board noticed; frames: how many, in words"""
+    """head: of the board; foci: by time; flags: errors found by the virtual board; frames: their number, in words"""
 
     head: LogHead
     foci: list[DecodedFocus]
@@ -55,11 +55,11 @@ class Decoded:
 def pieces_of(
     path: str | Path, board: str | None, array: str | None = None, calibration: Path | None = None
 ) -> tuple[LogHead, list[Piece]]:
-    """What a log of `--log` holds, or a file of raw bytes, which needs a board's name; raw bytes follow one another.
+    """Read a log of `--log`, or a file of raw bytes, which needs a board's name; raw bytes are consecutive.
 
-    array: name of the layout or CSV file of transducers, None for the board's first one; calibration: file of what its
-        transducers do
-    Raises SceneError for a file that can't be read, and for raw bytes without a board, DeviceError for an unknown one.
+    array: name of the layout or CSV file of transducers, None for the board's first one; calibration: file of its
+        transducers
+    Raises SceneError for a file that cannot be read, and for raw bytes without a board, DeviceError for an unknown one.
     """
     if is_log(path):
         head, pieces = read_log(path)
@@ -92,9 +92,9 @@ def _measured(head: LogHead, calibration: Path | None) -> LogHead:
 def decode(
     path: str | Path, board: str | None = None, array: str | None = None, calibration: Path | None = None
 ) -> Decoded:
-    """The foci that a file's bytes make; arguments and errors as `pieces_of`.
+    """Decode the foci of a file's bytes; arguments and errors as `pieces_of`.
 
-    What transducers are known to add to their phases, by the log or by a calibration, is in the foci.
+    The phases that transducers add, by the log or by a calibration, are included in the foci.
     """
     head, pieces = pieces_of(path, board, array, calibration)
     twin = head.playable.wired_twin()
@@ -108,7 +108,7 @@ def decode(
     near: Float | None = None
     known: dict[bytes, tuple[Float, float]] = {}
     for one in emitted:
-        # Of several arrays the first one's focus is told: the others' places are the scene's
+        # For several arrays the first one's focus is reported: places of the others are defined by the scene
         own = one.amplitudes[: len(positions)] * turns
         key = own.tobytes()
         if key not in known:
@@ -127,7 +127,7 @@ def decode(
 
 
 def as_table(decoded: Decoded, most: int | None = None) -> str:
-    """Rows of time, focus, misfit and level; most: of them that are shown."""
+    """Return rows of time, focus, misfit and level; most: largest number of rows."""
     shown = decoded.foci if most is None else decoded.foci[:most]
     lines = [f"board {decoded.head.board}, layout {decoded.head.array}: {decoded.frames}"]
     lines.append("  time [ms]   x [mm]   y [mm]   z [mm]  misfit [deg]  on   level")
@@ -145,7 +145,7 @@ def as_table(decoded: Decoded, most: int | None = None) -> str:
 
 
 def write_csv(decoded: Decoded, path: Path) -> None:
-    """All rows, with units in the names of columns. Raises OutputError where it can't be written."""
+    """Write all rows, with units in the names of columns. Raises OutputError if that fails."""
     try:
         with whole(path) as part, part.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
@@ -157,9 +157,9 @@ def write_csv(decoded: Decoded, path: Path) -> None:
 
 
 def draw_foci(times_s: Sequence[float], foci: Float, path: Path) -> None:
-    """Draw foci [m], shape (n, 3), NaN where there is none, by their times [s], into a PNG.
+    """Draw foci [m], shape (n, 3), NaN if there is none, by their times [s], into a PNG.
 
-    Raises OutputError where it can't be written.
+    Raises OutputError if it cannot be written.
     """
     from matplotlib.figure import Figure
 

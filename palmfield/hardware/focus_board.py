@@ -1,4 +1,4 @@
-"""A board with one array and no scene: what makes it emit a focus."""
+"""A board with one array and without a scene, which emits a focus."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -23,12 +23,12 @@ from palmfield.types import Air, Array, Complex, Estimate, Float
 
 @dataclass(frozen=True)
 class FocusSound:
-    """How a focus that is played by itself sounds.
+    """Parameters of a focus that is played without a scene.
 
     level: amplitude of all transducers, 0..1; am_frequency_Hz: of a sine between silence and that level, 0 for none
-    p0_Pa_m: as of layouts, None for the layout's own; air: in which the sound travels
+    p0_Pa_m: as of layouts, None for the layout's own; air: of the sound field
     layout: of the array, or a CSV file of its transducers, None for the board's first one
-    calibration: of its transducers, a file as of key `calibration` of palmfield.array
+    calibration: of its transducers, a file as in key `calibration` of palmfield.array
     """
 
     level: float = 1.0
@@ -41,9 +41,9 @@ class FocusSound:
 
 @dataclass(frozen=True)
 class FocusBoard:
-    """A board, its array and how it sounds. p0: of the array's layout or calibration; said: what users are told first
+    """A board, its array and its sound. p0: of the array's layout or calibration; said: messages for the user
 
-    sound: without the modulation that the board makes by itself; layout: of the array
+    sound: without the modulation made by the board itself; layout: of the array
     """
 
     board: Board
@@ -55,25 +55,25 @@ class FocusBoard:
     said: tuple[str, ...]
 
     def unit(self, place: Float) -> Complex:
-        """Amplitudes of all transducers for a focus [m] at full level. Raises SceneError for one that can't be made."""
+        """Amplitudes of all transducers for a focus [m] at full level. Raises SceneError if it is impossible."""
         unit = focus(self.array, self.sound.air, place)
         return compensate(self.array, unit) if self.board.compensate else unit
 
     def frame(self, place: Float, unit: Complex, level: float) -> bytes:
-        """One frame of a focus [m], shape (3,), whose `unit` is known."""
+        """Return one frame of a focus [m], shape (3,), with a given `unit`."""
         board = self.board
         return board.encode_focus(place, level) if board.takes == "focus" else board.encode(level * unit)
 
     @property
     def band(self) -> tuple[float, float]:
-        """Factors on the square of the pressure at the ends of p0's range; a p0 that is given is taken as it is."""
+        """Factors on the square of the pressure at the ends of p0's range; a given p0 has no range."""
         if self.sound.p0_Pa_m is not None:
             return 1.0, 1.0
         return (self.p0.low / self.p0.value) ** 2, (self.p0.high / self.p0.value) ** 2
 
     @property
     def head(self) -> LogHead:
-        """Of a log of its frames."""
+        """Head of a log of its frames."""
         driver, loudness = self.driver, self.array.p0_Pa_m
         limits = driver.model_dump(include=set(SAFETY_KEYS), exclude_none=True, exclude_defaults=True)
         own, high = driver.of_board(self.board.keys), loudness * self.band[1] ** 0.5
@@ -85,23 +85,23 @@ class FocusBoard:
 
 
 def allowed_layouts(board: Board) -> str:
-    """Layouts of a board for messages, `csv` as a file of places."""
+    """List layouts of a board for messages, `csv` for a file of places."""
     return ", ".join("FILE.csv of its transducers" if name == "csv" else name for name in board.layouts)
 
 
 def array_named(name: str, p0_Pa_m: float | None = None) -> tuple[Array, Estimate]:
-    """The array of a layout, or of a CSV file of transducers, and its p0. Raises SceneError for neither."""
+    """The array of a layout, or of a CSV file of transducers, and its p0. Raises SceneError for other names."""
     if not name.lower().endswith(".csv"):
         return layout(name, p0_Pa_m), LAYOUTS[name].p0
     return read_transducers(name).array(ANY_P0.value if p0_Pa_m is None else p0_Pa_m), ANY_P0
 
 
 def focus_board(board: str, sound: FocusSound, keys: Mapping[str, object]) -> FocusBoard:
-    """A board of that name with its array.
+    """Return a board of that name with its array.
 
-    keys: of the board, as palmfield.driver has them
-    Raises SceneError for a board of several arrays and a level that there is not, DeviceError for an unknown board, a
-    layout that it does not drive, and a level or a modulation that it can't play.
+    keys: of the board, as in palmfield.driver
+    Raises SceneError for a board of several arrays and an invalid level, DeviceError for an unknown board, a layout
+    that it does not drive, and a level or a modulation that it cannot play.
     """
     chosen = playable_board(board)
     name = chosen.layouts[0] if sound.layout is None else sound.layout
@@ -124,7 +124,7 @@ def focus_board(board: str, sound: FocusSound, keys: Mapping[str, object]) -> Fo
     chosen = board_of(driver, len(array), calibrated=sound.calibration is not None, address=array.address)
     said = []
     if chosen.modulates:
-        # The board does that by itself, of any focus
+        # The board does that by itself, for any focus
         if sound.am_frequency_Hz > 0.0:
             chosen, sound = chosen.modulating(sound.am_frequency_Hz), replace(sound, am_frequency_Hz=0.0)
         else:

@@ -1,4 +1,4 @@
-"""Play foci that come in over a socket, on a real board."""
+"""Play foci received over a socket on a real board."""
 
 import contextlib
 import logging
@@ -27,16 +27,16 @@ from palmfield.types import Complex, Float
 LOG = logging.getLogger(__name__)
 LOOK_S = 0.05
 AHEAD_S = 3e-3
-"""By so much before its time a frame of a modulated focus is made."""
+"""A frame of a modulated focus is made this long before its time."""
 MOST_STEPS = 8
 """Of a ramp."""
 
 
 @dataclass(frozen=True)
 class LiveInput:
-    """Where foci come in. port: 0 for any that is free; on_listening: told the address
+    """Source of foci. port: 0 for any free one; on_listening: called with the address
 
-    offset_m: of the focus in the frame of what `position_m` tells, where a line has no focus_m
+    offset_m: of the focus in the frame given by `position_m`, if a line has no focus_m
     """
 
     host: str = "127.0.0.1"
@@ -55,13 +55,13 @@ def play_live(
     sound: FocusSound | None = None,
     keys: Mapping[str, object] | None = None,
 ) -> Performance:
-    """Play the newest of the foci that come in, until Ctrl-C or for some time; returns what happened, in words.
+    """Play the newest received focus, until Ctrl-C or for some time; returns a report, in words.
 
-    board, sound, keys: as of `palmfield.hardware.play.play_focus`; levels of lines multiply the sound's
-    A focus sounds until a newer one comes, and falls silent STALE_S after it came, within the driver's ramp. What can't
-    be played is counted, told and skipped, and what came before goes on.
-    Raises SceneError and DeviceError as `play_focus`, and DeviceError for an address that can't be listened at, and
-    where it may get louder at a head than key head_limit_dB allows, wherever the focus is.
+    board, sound, keys: as of `palmfield.hardware.play.play_focus`; levels of lines multiply the sound's A focus sounds
+    until a newer one comes, and fades out STALE_S after its arrival, within the driver's ramp. A focus that cannot be
+    played is counted, reported and skipped, and the one before continues.
+    Raises SceneError and DeviceError as `play_focus`. Raises DeviceError also for an address at which it cannot listen,
+    and if some focus may be louder at a head than key head_limit_dB allows.
     """
     target.check()
     if target.port is None:
@@ -101,7 +101,7 @@ def play_live(
 
 
 class _Live:
-    """Makes frames of the newest focus. came_s: of each frame that is the first of a focus when that came [s]"""
+    """Makes frames of the newest focus. came_s: arrival of the focus of each frame that is its first [s]"""
 
     def __init__(self, made: FocusBoard, limits: SoundLimits, listener: FocusListener, player: Player) -> None:
         self.made, self.listener, self.player = made, listener, player
@@ -146,14 +146,14 @@ class _Live:
                 muted = False
 
     def _unit(self, focus: LiveFocus) -> Complex | None:
-        """Amplitudes for a focus at full level, shape (N,); None, and it is told, where it can't be played."""
+        """Return amplitudes for a focus at full level, shape (N,); None, with a report, if it cannot be played."""
         far = too_far((float(focus.place[0]), float(focus.place[1]), float(focus.place[2])))
         if far is not None:
             self.listener.skip("place", f"focus at {_mm(focus.place)}, {far}")
             return None
         try:
             unit = self.made.unit(focus.place)
-            # Levels between off and full, and places that packets can't tell, are the board's to refuse
+            # The board refuses levels between off and full, and places outside the range of its packets
             self.made.frame(focus.place, unit, focus.level * self.made.sound.level)
         except PalmfieldError as error:
             self.listener.skip("place" if isinstance(error, SceneError) else "board", str(error))
@@ -175,13 +175,13 @@ def _mm(place: Float) -> str:
 
 
 def _most_at_head(made: FocusBoard) -> Heard:
-    """What is heard at a head's loudest place if the focus is there: foci that come live are not known before."""
+    """Return the sound at a head's loudest place with the focus there: live foci are not available in advance."""
     array, air = made.array, made.sound.air
     wavenumber = 2.0 * np.pi * array.frequency_Hz / sound_speed(air)
     loud = replace(array, gain=None if array.gain is None else np.abs(array.gain).astype(complex))
 
     def in_phase(points: Float) -> Complex:
-        """As loud as all transducers together can be at each of some points: if the focus were there."""
+        """Upper limit of the pressure of all transducers at each of some points: with the focus there."""
         result = np.zeros(len(points), np.complex128)
         for number, point in enumerate(points):
             distances = np.linalg.norm(point - array.positions, axis=1)

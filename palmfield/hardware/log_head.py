@@ -1,4 +1,4 @@
-"""What a log says of the scene whose bytes it holds."""
+"""Description in a log of the scene of its bytes."""
 
 from palmfield.config.driver import SAFETY_KEYS
 from palmfield.drive.frame_log import LogHead
@@ -6,7 +6,7 @@ from palmfield.simulation.model import HapticModel, array_instances
 
 
 def log_head(model: HapticModel) -> LogHead:
-    """The head of a log of a model's frames, with the limits that its driver sets."""
+    """Return the head of a log of a model's frames, with the limits that its driver sets."""
     spec, driver = model.spec, model.spec.driver
     own = driver.of_board(model.board.keys)
     limits = driver.model_dump(include=set(SAFETY_KEYS), exclude_none=True, exclude_defaults=True)

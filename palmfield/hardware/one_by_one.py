@@ -1,4 +1,4 @@
-"""Transducers that sound one after the other, for the microphone of a calibration (docs/calibration.md)."""
+"""Sound transducers one after the other, for the microphone of a calibration (docs/calibration.md)."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -28,13 +28,13 @@ def sound_one_by_one(
     pause_s: float = 0.2,
     progress: bool = False,
 ) -> Performance:
-    """Sound transducers of a board by themselves at full drive with phase 0, as they are wired; write when each did.
+    """Sound single transducers of a board at full drive with phase 0, as wired; write their times.
 
     times: CSV file of `element`, `from_s` and `to_s`, since the first frame, and `layout_version`
     elements: by number in the layout's order, each once; None for all of one unit
-    dwell_s, pause_s: how long each sounds, and the silence before it [s]
-    Raises DeviceError for a board that takes no amplitudes or is lost, SceneError for a transducer that it has not and
-    for times that are not above 0, OutputError where the table can't be written.
+    dwell_s, pause_s: duration of each, and the silence before it [s]
+    Raises DeviceError for a board that takes no amplitudes or is lost, SceneError for an unknown transducer and for
+    times that are not above 0, OutputError if the table cannot be written.
     """
     chosen = playable_board(board)
     if chosen.takes != "amplitudes":
@@ -76,6 +76,6 @@ def _frames(board: Board, numbers: Sequence[int], dwell_s: float, pause_s: float
 
 
 def _held(data: bytes, begin_s: float, length_s: float, *, sounds: bool) -> Iterator[TimedFrame]:
-    """One frame, again and again, so that a byte lost on the line does no lasting harm."""
+    """Repeat one frame, so that a byte lost on the line does no lasting harm."""
     for time_s in np.arange(begin_s, begin_s + length_s - 1e-9, REFRESH_S).tolist():
         yield TimedFrame(time_s, data, sounds)

@@ -38,16 +38,16 @@ LOG = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Target:
-    """Where bytes go. port: of a board, or None; record: file for the bytes instead; log: file of what was sent when"""
+    """Where bytes go. port: of a board, or None; record: file for the bytes instead; log: file of sent bytes"""
 
     port: str | None = None
     record: Path | None = None
     log: Path | None = None
 
     def check(self) -> None:
-        """Refuse what can't be opened or made before the frames are, which may take long.
+        """Check ports and files before frames are made, which may take long.
 
-        Raises DeviceError for a device that isn't there, OutputError for a folder that isn't.
+        Raises DeviceError for a missing device, OutputError for a missing folder.
         """
         if self.port is not None:
             check_port(self.port)
@@ -58,7 +58,7 @@ class Target:
 
 @dataclass(frozen=True)
 class Performance:
-    """What was played. text: in words; warning: what users are warned of, empty where there is nothing"""
+    """What was played. text: in words; warning: for users, empty for none"""
 
     text: str
     warning: str = ""
@@ -81,11 +81,11 @@ def play_focus(
     keys: Mapping[str, object] | None = None,
     progress: bool = False,
 ) -> Performance:
-    """Hold one focus (array frame [m]) for `duration_s`; returns what happened, in words.
+    """Hold one focus (array frame [m]) for `duration_s`; returns a report, in words.
 
-    keys: of the board, as palmfield.driver has them; progress: whether a bar is drawn on a terminal's standard error
+    keys: of the board, as in palmfield.driver; progress: whether a bar is drawn on a terminal's standard error
     Raises SceneError for a focus behind the array or too far for metres, DeviceError for an unknown or lost board, and
-    for a level or a modulation that it can't play.
+    for a level or a modulation that it cannot play.
     """
     target.check()
     if (far := too_far(point)) is not None:
@@ -140,10 +140,10 @@ def play_scene(
     keys: Mapping[str, object] | None = None,
     progress: bool = False,
 ) -> Performance:
-    """Play a scene's stimuli, with hands and arrays where its motions have them when each frame is emitted.
+    """Play a scene's stimuli, with hands and arrays placed by their motions at each frame's emission.
 
-    board: another one than the scene's, as `palmfield.load` takes it; keys: as there
-    Raises SceneError for a bad scene, DeviceError where the board cannot play it or is lost.
+    board: instead of the scene's, as `palmfield.load` takes it; keys: as there
+    Raises SceneError for a bad scene, DeviceError if the board cannot play it or is lost.
     """
     target.check()
     if board is not None:
@@ -171,7 +171,7 @@ def play_scene(
 
 
 def scene_frames(scene: Preview, duration_s: float) -> Iterator[TimedFrame]:
-    """The bytes of each frame of a scene, with all where it is when that frame is emitted, and the driver's ramp."""
+    """Return the bytes of each frame of a scene, with poses at its emission, and the driver's ramp."""
     model = scene.runtime.model
     moves = scene.moves
     limits = SoundLimits.of(model.spec.driver)
@@ -202,11 +202,11 @@ def send(
     limits: SoundLimits,
     progress: bool,
 ) -> Performance:
-    """Send frames, and wait until their time is over; returns what happened, in a sentence."""
+    """Send frames, and wait until their time is over; returns a report, in a sentence."""
     assert board.line is not None
     if target.record is None and target.port is None:
         raise DeviceError("neither a port nor a file is given; give the port of a board, or a file for the bytes")
-    # An error of the scene comes before any file, and what takes long is done before the first frame is due
+    # Errors of the scene come before any file, and slow preparations before the first frame is due
     ready: list[TimedFrame] = []
     with bars(progress) as bar:
         making = bar.add_task(f"making the frames of {duration_s:g} s", total=duration_s)
@@ -241,9 +241,9 @@ def play_on_port(
     head: LogHead | None = None,
     progress: bool = False,
 ) -> Performance:
-    """Play frames by a process of its own, `palmfield.drive.player`; returns what happened, in a sentence.
+    """Play frames by a process of its own, `palmfield.drive.player`; returns a report, in a sentence.
 
-    head: of the log. Raises DeviceError where the port can't be opened, or is lost.
+    head: of the log. Raises DeviceError if the port cannot be opened, or is lost.
     """
     if log is not None:
         assert head is not None
@@ -272,7 +272,7 @@ def play_on_port(
 
 
 def played_in_words(report: PlayReport, board: Board, port: str) -> str:
-    """How a player's frames went, with the board silent afterwards."""
+    """Report a player's frames, with the board silent afterwards."""
     return (
         f"played {report.frames} frames on {port} (skipped {report.skipped}, worst delay {1e3 * report.late_s:.0f} ms, "
         f"limit {board.frame_rate} frames/s; player at {report.priority}); the board is off"
@@ -280,7 +280,7 @@ def played_in_words(report: PlayReport, board: Board, port: str) -> str:
 
 
 def check_log(player: Player, log: Path | None, done: str = "") -> None:
-    """Raises OutputError where a closed player's log ends early, as it does on a full disk. done: what else there is"""
+    """Raises OutputError if a closed player's log ends early, for instance on a full disk. done: further results"""
     if player.log_error:
         raise OutputError(
             f"{done}the log {log} ends early: {player.log_error}; what is in it can be decoded, and the board was not "

@@ -1,4 +1,4 @@
-"""Bytes of a log or a record, sent to a port again within the limits that they were made under."""
+"""Send the bytes of a log or a record to a port again, within their original limits."""
 
 import logging
 from collections.abc import Mapping
@@ -33,11 +33,11 @@ def replay(
     keys: Mapping[str, str] | None = None,
     progress: bool = False,
 ) -> Performance:
-    """Send a file's bytes to a port, at their times, and silence the board; returns what happened, in a sentence.
+    """Send a file's bytes to a port, at their times, and silence the board; returns a report, in a sentence.
 
-    keys: of palmfield.driver about how loud and how long it may sound, beside or instead of those that the log has
-    What would sound longer, a larger share of the time, or louder at the head than they allow is refused before
-    anything is sent: DeviceError, also where the port can't be opened or is lost. Other errors as `pieces_of`.
+    keys: limits of palmfield.driver on level and duration, in addition to or instead of those of the log Raises
+    DeviceError before anything is sent if they allow less time, a smaller share of time or a lower level at the head.
+    Raises it also if the port cannot be opened or is lost. Other errors as `pieces_of`.
     """
     head, pieces = pieces_of(path, board)
     made = head.playable
@@ -50,7 +50,7 @@ def replay(
 
 
 def _driver(head: LogHead, keys: Mapping[str, str]) -> DriverConfig:
-    """The log's limits, and others in their place. Raises SceneError for a key that is no limit and for a bad value."""
+    """Return the log's limits, with replacements. Raises SceneError for a key that is no limit and for a bad value."""
     given = {name.removeprefix("driver."): value for name, value in keys.items()}
     for name in given:
         if name not in SAFETY_KEYS:
@@ -65,11 +65,11 @@ def _text(value: object) -> str:
 
 
 def check_limits(head: LogHead, board: Board, frames: list[tuple[float, bytes]], driver: DriverConfig) -> list[str]:
-    """What users are warned of, in words, before frames are sent.
+    """Return warnings for users, in words, before frames are sent.
 
-    Levels at the head are those of transducers where the log has them, with the phases that it knows and all equally
-    loud, at the high end of p0's range as far as the log has it. Raises DeviceError for what the driver's keys don't
-    allow, and for a limit at the head where the log doesn't know where its arrays stand.
+    Levels at the head are those of transducers in the log, with its phases and equal amplitudes, at the upper end of
+    p0's range if the log has it. Raises DeviceError for limits of the driver's keys that are exceeded, and for a limit
+    at the head if the log has no places of arrays.
     """
     emitted = _emitted(board, frames)
     if not emitted:
@@ -102,7 +102,7 @@ def check_limits(head: LogHead, board: Board, frames: list[tuple[float, bytes]],
 
 
 def _emitted(board: Board, frames: list[tuple[float, bytes]]) -> list[Emitted]:
-    """What a board makes of frames, by its twin."""
+    """Return the emission of a board for frames, by its twin."""
     assert board.line is not None
     twin = board.wired_twin()
     emitted: list[Emitted] = []
@@ -113,10 +113,10 @@ def _emitted(board: Board, frames: list[tuple[float, bytes]]) -> list[Emitted]:
 
 
 def _frames(board: Board, pieces: list[Piece]) -> tuple[list[tuple[float, bytes]], int]:
-    """Pieces as frames with the times of their emission, and how many were cut.
+    """Convert pieces to frames with the times of their emission, and the number of incomplete ones.
 
-    Of what isn't known to have gone out whole a frame may be half: the next one begins with its start. The start and
-    the stop sequence are the player's own.
+    A piece that may be incomplete may end in half a frame: the next one begins with its start. The start and the stop
+    sequence are sent by the player itself.
     """
     assert board.line is not None
     whole = [piece for piece in pieces if piece.whole]

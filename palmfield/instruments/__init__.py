@@ -1,4 +1,4 @@
-"""Virtual instruments: what a laboratory's device would read of a result, a Motion or a field.
+"""Virtual instruments: simulated readings of a result, a Motion or a field.
 
 from palmfield.instruments import Vibrometer, of_motion, vibrometer_record
 head = Vibrometer(incidence_deg=45, distance_m=0.5, highpass_Hz=50, highpass_order=2)

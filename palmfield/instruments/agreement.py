@@ -1,4 +1,4 @@
-"""How far a measured record and a computed one agree, point by point: gain, delay, difference, coherence."""
+"""Agreement of a measured and a computed record, point by point: gain, delay, difference, coherence."""
 
 import math
 from typing import NamedTuple
@@ -13,21 +13,21 @@ from palmfield.metrics.checks import above_zero, even_step, finite, trace
 from palmfield.types import Float
 
 AMBIGUOUS = 0.98
-"""Another delay whose correlation reaches this share of the best is told as an ambiguity."""
+"""Another delay whose correlation reaches this share of the best is reported as an ambiguity."""
 SEGMENTS = 8
-"""Half overlapping Hann windows of which a coherence is averaged; of noise alone it is about 1/5 then."""
+"""Number of half overlapping Hann windows for a coherence; of noise alone it is about 1/5 then."""
 FEWEST = 16
-"""Samples of such a window, at least."""
+"""Least number of samples of such a window."""
 
 
 class Agreement(NamedTuple):
     """Measured against computed, each of shape (n,).
 
-    gain: measured over computed amplitude, by least squares once the others are taken out; negative: turned round
-    delay_s: by how much later the measured record is; ambiguous: another delay fits nearly as well
-    l2: of measured - computed, over the measured record's own; l2_shape: the same with all others taken out
+    gain: measured over computed amplitude, by least squares after the others are removed; negative: inverted
+    delay_s: of the measured record; ambiguous: another delay fits nearly as well
+    l2: of measured - computed, over that of the measured record; l2_shape: the same with all others removed
     coherence: share of the measured power that is linear in the computed record, weighted by that power
-    offset: mean of the line that is fitted beside gain and delay, in the records' unit; drift: its rise over the record
+    offset: mean of the line that is fitted with gain and delay, in the records' unit; drift: its rise over the record
     level: rms of the measured record over that of the loudest point
     """
 
@@ -43,9 +43,9 @@ class Agreement(NamedTuple):
 
 
 def agreement(times_s: ArrayLike, measured: ArrayLike, computed: ArrayLike, *, most_delay_s: float) -> Agreement:
-    """Two records of the same points at the same, evenly spaced times, both of shape (t, n).
+    """Compare two records of the same points at the same, evenly spaced times, both of shape (t, n).
 
-    most_delay_s: delays are sought within plus and minus this [s]
+    most_delay_s: delays are searched within plus and minus this [s]
     Raises MeasurementError for other shapes, records too short for a coherence, and a point that has no motion in one.
     """
     times, theirs = trace(times_s, measured, 2 * FEWEST)
@@ -61,7 +61,7 @@ def agreement(times_s: ArrayLike, measured: ArrayLike, computed: ArrayLike, *, m
     step = even_step(times)
     delay, ambiguous = delays(_without_line(theirs), _without_line(ours), step, most_delay_s)
     late = shifted(ours, step, delay)
-    # Least squares of gain, offset and drift at once: the gain is that of what is left without lines (Frisch and Waugh)
+    # Least squares of gain, offset and drift together: the gain is that of records without lines (Frisch and Waugh)
     bare, moving = _without_line(theirs), _without_line(late)
     gain = (moving * bare).sum(axis=0) / np.maximum((moving * moving).sum(axis=0), np.finfo(float).tiny)
     line = theirs - gain * late - (bare - gain * moving)
@@ -74,7 +74,7 @@ def agreement(times_s: ArrayLike, measured: ArrayLike, computed: ArrayLike, *, m
 
 
 def _without_line(record: Float) -> Float:
-    """What is left of records, shape (t, n), without the straight line that fits each best."""
+    """Return records, shape (t, n), without the straight line that fits each best."""
     return np.asarray(detrend(record, axis=0))
 
 
@@ -100,7 +100,7 @@ def delays(measured: Float, computed: Float, step: float, most_s: float) -> tupl
 
 
 def shifted(record: Float, step: float, delay_s: Float) -> Float:
-    """A record later by delays, shape (n,), between samples by its spectrum; what comes in at its ends is 0."""
+    """Delay a record, shape (n,), between samples by its spectrum; values entering at its ends are 0."""
     length = next_fast_len(2 * len(record))
     turn = np.exp(-2j * np.pi * rfftfreq(length, step)[:, None] * delay_s)
     return np.asarray(irfft(rfft(record, length, axis=0) * turn, length, axis=0)[: len(record)])
@@ -109,7 +109,7 @@ def shifted(record: Float, step: float, delay_s: Float) -> Float:
 def coherence(measured: Float, computed: Float, rate_Hz: float) -> Float:
     """Mean of the magnitude-squared coherence, weighted by the measured power, shape (n,).
 
-    Welch's method, SEGMENTS Hann windows half over one another. Raises MeasurementError for records too short for them.
+    Welch's method, SEGMENTS Hann windows, half overlapping. Raises MeasurementError for records too short for them.
     """
     window = 2 * len(measured) // (SEGMENTS + 1)
     if window < FEWEST:

@@ -1,4 +1,4 @@
-"""A laser displacement meter, by triangulation: it reads how far along its beam the surface is."""
+"""A laser displacement meter, by triangulation: it reads the distance of the surface along its beam."""
 
 import math
 from typing import ClassVar
@@ -15,7 +15,7 @@ from palmfield.instruments.signal_chain import sampled
 from palmfield.instruments.surface_motion import SurfaceMotion
 
 NEAR_M = 1e-3
-"""A beam without a width may pass a point of the motion at this distance, or at that between points."""
+"""Largest distance of a beam without a width from a point of the motion, unless points are farther apart."""
 
 
 class DisplacementMeter(Settings):
@@ -36,11 +36,11 @@ class DisplacementMeter(Settings):
 
 
 def spot_weights(points_m: ArrayLike, at_m: ArrayLike, settings: DisplacementMeter) -> np.ndarray:
-    """Shares of points about a place in the spot's mean, shape (n,): a Gaussian of the light's intensity.
+    """Weights of points about a place in the spot's mean, shape (n,): a Gaussian of the light's intensity.
 
-    The points stand for equal areas. Without a spot only the nearest point counts.
-    Raises MeasurementError where less than four points lie within the spot, and without a spot where none is nearer
-    than they are to each other, or NEAR_M.
+    The points represent equal areas. Without a spot only the nearest point counts.
+    Raises MeasurementError if less than four points are within the spot, and without a spot if none is nearer than
+    their spacing, or NEAR_M.
     """
     points, at = np.asarray(points_m, dtype=float), np.asarray(at_m, dtype=float)
     if at.shape != (3,) or not np.isfinite(at).all():

@@ -1,6 +1,6 @@
-"""Force of radiation pressure on what weighs it: a plate in the field (a jig), a scale under a body.
+"""Measured force of radiation pressure: on a plate in the field (a jig), on a scale under a body.
 
-Pressures are acoustic radiation pressures (ARP) [Pa], positive where they push into the plate.
+Pressures are acoustic radiation pressures (ARP) [Pa], positive into the plate.
 """
 
 import math
@@ -21,9 +21,9 @@ from palmfield.types import Float
 ArpAt = Callable[[Float, Float], Float]
 """ARP [Pa] at places [m] with outward normals, both of shape (n, 3): shape (n,)."""
 LEAST = 4
-"""Places along an edge or a radius, at least, so that half of them still say something of the error."""
+"""Least number of places along an edge or a radius, so that half of them still give an error estimate."""
 SPLITS = 8
-"""A triangle of a mesh is cut into the square of so many, of which those count whose middle lies on the plate."""
+"""A triangle of a mesh is cut into the square of this number of parts; those with their middle on the plate count."""
 
 
 class Plate(Settings):
@@ -40,9 +40,9 @@ class Plate(Settings):
 
 
 class PlateForce(NamedTuple):
-    """Force into a plate, and the same from places twice as far apart [N].
+    """Force into a plate, and the same from places with twice the spacing [N].
 
-    Of a rule of second order a third of their difference is the error of the first.
+    For a rule of second order a third of their difference is the error of the first.
     """
 
     force_N: float
@@ -50,7 +50,7 @@ class PlateForce(NamedTuple):
 
     @property
     def change(self) -> float:
-        """Of the force with places twice as far apart, relative to it."""
+        """Relative change of the force with twice the spacing of places."""
         return abs(self.force_N - self.coarser_N) / abs(self.force_N) if self.force_N else math.inf
 
 
@@ -58,7 +58,7 @@ def plate_force(arp_at: ArpAt, plate: Plate) -> PlateForce:
     """Area integral of the ARP over a plate.
 
     arp_at: for example `palmfield.acoustics.arp.arp` of a field; for a plate narrower than some wavelengths the law
-        leaves out what its edges do to the sound.
+        ignores the effect of its edges on the sound.
     """
     fine, coarse = (_integral(arp_at, plate, coarser) for coarser in (1, 2))
     return PlateForce(fine, coarse)
@@ -106,12 +106,12 @@ def _axes(plate: Plate) -> tuple[Float, Float, Float]:
 
 
 def mesh_force(arp: ArrayLike, vertices: ArrayLike, faces: ArrayLike, plate: Plate) -> Float:
-    """Force against the plate's normal on the part of a mesh that lies before a plate [N], shape (...,).
+    """Force against the plate's normal on the part of a mesh before a plate [N], shape (...,).
 
     arp: [Pa] at the vertices, shape (..., v), as `arp` of a skin in a result; vertices: [m], (v, 3); faces: (f, 3),
     whose corners go round counter-clockwise as seen from outside
-    The ARP is linear between vertices; triangles are cut where the outline, seen along its normal, crosses them. What
-    presses on faces that turn away from the plate's normal, as those of a finger's back, pushes the other way.
+    The ARP is linear between vertices; triangles are cut where the outline, seen along its normal, crosses them.
+    Pressure on faces that face away from the plate's normal, such as those of a finger's back, has the opposite sign.
     """
     places, triangles = checked_mesh(vertices, faces)
     pressure, corners = np.asarray(arp, dtype=float), places[triangles]
@@ -133,7 +133,7 @@ def mesh_force(arp: ArrayLike, vertices: ArrayLike, faces: ArrayLike, plate: Pla
 
 
 def _cuts() -> Float:
-    """Shares of a triangle's corners in the middles of the equal triangles that it is cut into, shape (k, 3)."""
+    """Barycentric coordinates of the middles of the equal parts of a triangle, shape (k, 3)."""
     low, high = [], []
     for i in range(SPLITS):
         for j in range(SPLITS - i):
@@ -157,7 +157,7 @@ class Scale(Settings):
 
 
 def scale_reading(times_s: ArrayLike, force_N: ArrayLike, settings: Scale) -> Float:
-    """What a scale shows of a force over time, shape (t, 3), as `force` of /forces in a result: shape (t,) [N].
+    """Reading of a scale for a force over time, shape (t, 3), as `force` of /forces in a result: shape (t,) [N].
 
     The pole is exact for a force that is linear between samples. Raises MeasurementError for a direction of no length.
     """

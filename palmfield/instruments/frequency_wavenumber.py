@@ -25,7 +25,7 @@ class FrequencyWavenumber(NamedTuple):
 
 
 def on_plane(points_m: ArrayLike) -> Float:
-    """Points on the plane that lies best among them, about their middle [m], shape (n, 2)."""
+    """Project points to their best plane, about their middle [m], shape (n, 2)."""
     points = np.asarray(points_m, dtype=float)
     centred = points - points.mean(axis=0)
     axes = np.linalg.svd(centred, full_matrices=False)[2]
@@ -35,10 +35,10 @@ def on_plane(points_m: ArrayLike) -> Float:
 def frequency_wavenumber(
     times_s: ArrayLike, values: ArrayLike, points_m: ArrayLike, *, most_Hz: float | None = None
 ) -> FrequencyWavenumber:
-    """Of records of shape (t, n) at points of shape (n, 3), which are laid on a plane first.
+    """Spectrum of records of shape (t, n) at points of shape (n, 3), which are projected to a plane first.
 
     most_Hz: highest frequency; None: that below which 99.9 % of the power lies
-    Hann window over time. Wavenumbers end at pi over the points' pitch, where a grid begins to fold back.
+    Hann window over time. Wavenumbers end at pi over the points' pitch, where aliasing of a grid begins.
     """
     times, signal = trace(times_s, values, 16)
     if signal.ndim != 2 or np.shape(points_m) != (signal.shape[1], 3):

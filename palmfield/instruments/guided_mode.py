@@ -1,7 +1,7 @@
-"""The complex wavenumber of the wave that leads away from a small source, from a scan at one frequency, with its error.
+"""The complex wavenumber of the wave radiated by a small source, from a scan at one frequency, with its error.
 
-Phasors go with e^{-i w t}, wavenumbers k = w/c + i/L. All waves of a layer are fitted at once, as rings
-(`palmfield.instruments.ring_fit`): beside the guided one those that die near the source, and others that travel too.
+Phasors go with e^{-i w t}, wavenumbers k = w/c + i/L. All waves of a layer are fitted together, as rings
+(`palmfield.instruments.ring_fit`): the guided one, those that decay near the source, and other travelling ones.
 """
 
 import math
@@ -20,30 +20,30 @@ from palmfield.types import Complex, Float
 LEAST_WAVES = 2.0
 LEAST_POINTS_A_WAVE = 3.0
 SURE = 0.013
-"""A wavenumber is resolved where its stated error is below this: an error of 3 % is then more than twice as large."""
+"""A wavenumber is resolved if its stated error is below this: an error of 3 % is then more than twice as large."""
 TIED, NEXT = 10.0, 25.0
-"""Fits whose score is so close to the least count beside the best, and the one with a ring more where its is so close:
-a ring that fits noise alone raises the score by 22 to 30."""
+"""Score differences: of fits that count as the best, and for preferring one more ring. A ring that fits noise alone
+raises the score by 22 to 30."""
 MOST_LOSS = 0.5
-"""Im k / Re k: with more a wave loses 96 % of itself in a wavelength, and one is told from another by what is left."""
+"""Im k / Re k: beyond it a wave loses 96 % of itself in a wavelength, and only the rest distinguishes waves."""
 LASTING, HEARD = 0.25, 0.05
-"""A ring that carries HEARD of the motion and whose Im k is below LASTING of the strongest's stands for several waves
-alike, of which the fit knows too little: the losses of one material are more alike."""
+"""A ring that carries HEARD of the motion and whose Im k is below LASTING of the strongest's represents several similar
+waves that the fit cannot separate: the losses of one material are more similar."""
 HIDES = 0.03
-"""And where a wave that hides in the noise could not change it by more than this, to first order and at worst."""
+"""And if a wave hidden in the noise could not change it by more than this, to first order and at worst."""
 COUNTS = 0.2
-"""Other waves that carry at least this share of the motion that the strongest does are told too."""
+"""Other waves with at least this share of the strongest one's motion are reported too."""
 ALIKE, LEFT = 0.35, 0.05
-"""What the best fit leaves is no noise where neighbours are so far alike and it is so much of the motion."""
+"""The residual of the best fit is not noise if neighbours are this similar and it is this much of the motion."""
 FEWEST = 24
 
 
 class Wave(NamedTuple):
     """One wave of a scan.
 
-    wavenumber_rad_m: k, Re k = w/c, Im k = 1/L, or None where it is not resolved; reason: why it is not, else empty
-    estimate_rad_m: the best fit's, whether resolved or not
-    error: of it, relative to |k|: the standard deviation by noise and what another number of waves would change
+    wavenumber_rad_m: k, Re k = w/c, Im k = 1/L, or None if it is not resolved; reason: why it is not, else empty
+    estimate_rad_m: of the best fit, whether resolved or not
+    error: relative to |k|: the standard deviation by noise and the change by another number of waves
     motion: its rms at the points over the scan's; waves: wavelengths in the scan's width
     points_a_wave: of the scan's pitch
     """
@@ -58,12 +58,12 @@ class Wave(NamedTuple):
 
 
 class GuidedMode(NamedTuple):
-    """The travelling wave that carries most of the motion outside the source.
+    """The travelling wave with most of the motion outside the source.
 
     wavenumber_rad_m to points_a_wave: of it, as of `Wave`
-    others: other waves that travel and carry at least COUNTS of what it does, strongest first, each with its own error;
-        where one is nearly as strong neither is "the" guided mode
-    misfit: share of the motion that the fit leaves; rings: how many waves were fitted; source_m: where from, (2,)
+    others: other travelling waves with at least COUNTS of its motion, strongest first, each with its own error; if one
+        is nearly as strong neither is "the" guided mode
+    misfit: share of the motion left by the fit; rings: number of fitted waves; source_m: fitted source, (2,)
     """
 
     wavenumber_rad_m: complex | None
@@ -108,11 +108,11 @@ def guided_mode_fit(
     """Fit rings to complex amplitudes at points along a flat surface.
 
     amplitudes: shape (n,), e^{-i w t}; points_m: [m], shape (n, 2) or (n, 3), of which x and y count
-    source_m: where the source is thought to be [m], (2,); it is fitted within `ring_fit.REACH_M`
-    source_radius_m: points nearer than this are left out; 1.5 times the spot's full width at half maximum leaves 0.2 %
-        of its pressure outside
-    sights: lines of sight, shape (n, 3), z along the normal; None: only the normal motion is seen
-    The number of rings is the one with the least Bayesian information criterion.
+    source_m: expected place of the source [m], (2,); it is fitted within `ring_fit.REACH_M`
+        source_radius_m: nearer points are left out; 1.5 times the spot's full width at half maximum leaves 0.2 % of its
+        pressure outside
+    sights: lines of sight, shape (n, 3), z along the normal; None: only the normal motion is measured The number of
+    rings is the one with the least Bayesian information criterion.
     Raises MeasurementError for other shapes, fewer than FEWEST points outside the source, and silence.
     """
     values, flat, along = _checked(amplitudes, points_m, source_m, source_radius_m, sights)
@@ -139,7 +139,7 @@ def guided_mode_fit(
 def _wave(
     scanned: Scanned, fit: Rings, number: int, beside: list[Rings], width: float, spacing: float, whole: str
 ) -> Wave:
-    """One ring as a wave. whole: why none of the fit's is told, or empty."""
+    """Convert one ring to a wave. whole: why no wave is reported, or ""."""
     k = complex(fit.k[number])
     moved = max((float(np.abs(other.k - k).min()) / abs(k) for other in beside), default=0.0)
     error = math.hypot(float(fit.deviation[number]), moved)
@@ -171,7 +171,7 @@ def _wave(
 
 
 def _why_no_wave_is_told(fit: Rings, lead: int, flat: Float, last: bool) -> str:
-    """Why a fit says nothing of any wave, or empty. lead: its strongest travelling ring; last: none has more rings"""
+    """Return why a fit determines no wave, or "". lead: its strongest travelling ring; last: none has more rings"""
     if np.abs(fit.x[-2:]).max() > 0.98:
         return f"the source lies {1e3 * REACH_M:g} mm or more from where it is said to be"
     nearest = cKDTree(flat).query(flat, k=2)[1][:, 1]

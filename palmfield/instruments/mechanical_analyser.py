@@ -1,7 +1,7 @@
-"""A dynamic mechanical analyser: a disc between two plates is compressed, and its modulus read off.
+"""A dynamic mechanical analyser: a disc between two plates is compressed, and its modulus is measured.
 
-Plates that hold the faces of a disc make it stiffer than its material. What the analyser then shows is an apparent
-modulus; it goes by the shape factor S, loaded area over free area, a/(2 h) for radius a and height h.
+Plates that hold the faces of a disc make it stiffer than its material. The reading is an apparent modulus, which
+depends on the shape factor S, loaded area over free area, a/(2 h) for radius a and height h.
 """
 
 from typing import ClassVar, Literal
@@ -35,10 +35,10 @@ def apparent_modulus(shear_Pa: ArrayLike, bulk_Pa: ArrayLike, settings: Analyser
     """Mean pressure over mean strain of a disc [Pa], of complex moduli G and K in any convention, shapes (...,).
 
     Frictionless: Young's modulus, 9 K G / (3 K + G). Bonded: E plus the stiffness of the pressure that builds up
-    because the faces can't slide, p'' + p'/r = q^2 (p - K strain), q^2 = 12 G/(K h^2), with p = 0 at the side:
-    E + K I2(q a)/I0(q a) (Chalhoub & Kelly 1990, Int. J. Solids Struct. 26, 743; for K without end E (1 + 2 S^2),
-    Gent & Lindley 1959, Proc. Inst. Mech. Eng. 173, 111). The sides bulge as parabolas. Thin discs end at K + 4G/3, a
-    disc that can't widen. Inertia is left out: right while shear waves are longer than the disc is high.
+    because the faces cannot slide, p'' + p'/r = q^2 (p - K strain), q^2 = 12 G/(K h^2), with p = 0 at the side: E + K
+    I2(q a)/I0(q a) (Chalhoub & Kelly 1990, Int. J. Solids Struct. 26, 743; for K without end E (1 + 2 S^2), Gent &
+    Lindley 1959, Proc. Inst. Mech. Eng. 173, 111). The sides bulge as parabolas. Thin discs end at K + 4G/3, a disc
+    that cannot widen. Inertia is ignored: valid if shear waves are longer than the disc is high.
     """
     shear, bulk = np.asarray(shear_Pa, dtype=complex), np.asarray(bulk_Pa, dtype=complex)
     if not (
@@ -57,7 +57,7 @@ def apparent_modulus(shear_Pa: ArrayLike, bulk_Pa: ArrayLike, settings: Analyser
 
 
 def analyser_reading(material: Material, frequency_Hz: ArrayLike, settings: Analyser) -> Complex:
-    """The complex modulus that the analyser shows of a material [Pa], E' - iE'', e^{-i w t}; shape of frequency_Hz.
+    """Return the analyser's reading of a material [Pa], E' - iE'', e^{-i w t}; shape of frequency_Hz.
 
     Raises MeasurementError for frequencies that are below 0 or not finite.
     """
@@ -71,10 +71,10 @@ def analyser_reading(material: Material, frequency_Hz: ArrayLike, settings: Anal
 
 
 def shear_from_reading(apparent_Pa: ArrayLike, bulk_Pa: float, settings: Analyser) -> Complex:
-    """The shear modulus of a material of a known bulk modulus from what an analyser shows [Pa], shape of apparent_Pa.
+    """Return the shear modulus of a material of given bulk modulus from a reading [Pa], shape of apparent_Pa.
 
-    Newton's method from an incompressible disc. Raises MeasurementError where it doesn't settle, as for an apparent
-    modulus above the bulk modulus.
+    Newton's method from an incompressible disc. Raises MeasurementError if it does not converge, as for a modulus above
+    the bulk modulus.
     """
     shown = np.asarray(apparent_Pa, dtype=complex)
     factor = 1.0 if settings.faces == "frictionless" else 1.0 + 2.0 * settings.shape_factor**2

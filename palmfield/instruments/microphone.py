@@ -1,4 +1,4 @@
-"""A microphone that is moved through a sound field: its diaphragm averages, its face doubles, its band cuts off.
+"""A microphone moved through a sound field: average over the diaphragm, pressure rise at the face, bandwidth.
 
 Pressures are complex peak amplitudes of the carrier, e^{-i w t}.
 """
@@ -61,7 +61,7 @@ class Microphone(Settings):
 
 
 def diaphragm_points(settings: Microphone, rings: int = 6) -> tuple[Float, Float]:
-    """Places of a diaphragm about its middle [m], shape (m, 3), and their weights, which add up to 1, shape (m,).
+    """Places of a diaphragm about its middle [m], shape (m, 3), and their weights, with sum 1, shape (m,).
 
     Gauss-Legendre in the square of the radius and even angles: a plane wave's average is exact to 1e-6 up to k a = 6.
     Raises MeasurementError for a facing of no length.
@@ -89,12 +89,12 @@ def diaphragm_points(settings: Microphone, rings: int = 6) -> tuple[Float, Float
 def microphone_scan(
     pressure_at: PressureAt, places_m: ArrayLike, settings: Microphone, *, wavenumber: float | None = None
 ) -> xr.DataArray:
-    """The pressure that a microphone reads at places of its diaphragm's middle [Pa], complex, dimension (point,).
+    """Return a microphone's reading at places of its diaphragm's middle [Pa], complex, dimension (point,).
 
     pressure_at: the sound without the microphone, for example `palmfield.acoustics.pressure` at points
     wavenumber: of the sound [rad/m], which a face "cylinder" needs
-    The mean over the diaphragm, times `face_factor`, which is that of sound from ahead; for sound from the side
-    `angle_response` and `palmfield.instruments.microphone_body.face_rise` say what changes.
+    The mean over the diaphragm, times `face_factor`, for sound from ahead; for other directions see `angle_response`
+    and `palmfield.instruments.microphone_body.face_rise`.
     """
     places = np.asarray(places_m, dtype=float)
     if places.ndim != 2 or places.shape[1] != 3 or len(places) == 0 or not np.isfinite(places).all():
@@ -110,13 +110,12 @@ def microphone_scan(
 
 
 def angle_response(cosine: ArrayLike, diameter_m: float, wavenumber: float) -> Complex:
-    """What a microphone's body makes of sound from the side, relative to sound from straight ahead; shape of cosine.
+    """Response of a microphone's body to sound from the side, relative to sound from straight ahead; shape of cosine.
 
     The pressure on a rigid sphere of the microphone's diameter where it faces the head-on sound (exact,
-    `surface_pressure`), as a stand-in for the cylinder: at k a = 1.2, an eighth of an inch at 40 kHz, sound
-    from ahead is raised by 3.4 dB and from 50 degrees by 2.5. It goes with the mean over the diaphragm of
-    `microphone_scan`; sources are so weighted one by one, each by its own angle, so that the body counts as alone in
-    each one's sound.
+    `surface_pressure`), as a stand-in for the cylinder: at k a = 1.2, an eighth of an inch at 40 kHz, sound from ahead
+    is raised by 3.4 dB and from 50 degrees by 2.5. It multiplies the mean over the diaphragm of `microphone_scan`;
+    sources are weighted one by one, each by its own angle, so that the body is treated as alone in each one's sound.
 
     cosine: of the angle between the diaphragm's outward normal and the direction to the source, -1 to 1
     Raises MeasurementError for others, a diameter below 0 and a wavenumber that is not above 0.
@@ -136,7 +135,7 @@ def angle_response(cosine: ArrayLike, diameter_m: float, wavenumber: float) -> C
 
 
 def face_factor(settings: Microphone, wavenumber: float | None = None) -> float:
-    """By what the face raises the pressure of sound from ahead: 1 free, 2 where it doubles, between for a cylinder.
+    """Pressure rise of the face for sound from ahead: 1 free, 2 with doubling, between for a cylinder.
 
     wavenumber: [rad/m], which a cylinder needs. Raises MeasurementError without it, and as `face_rise`.
     """
@@ -148,10 +147,10 @@ def face_factor(settings: Microphone, wavenumber: float | None = None) -> float:
 
 
 def through_band(times_s: ArrayLike, envelope: ArrayLike, carrier_Hz: float, settings: Microphone) -> Complex:
-    """A carrier's complex envelope over time [Pa], shape (t, ...), as the microphone's band leaves it.
+    """Filter a carrier's complex envelope over time [Pa], shape (t, ...), by the microphone's band.
 
-    Each part of the envelope at f is one of the sound at carrier_Hz + f, and is multiplied by the response there.
-    The record counts as periodic; it must have even steps. Raises MeasurementError for others.
+    Each part of the envelope at f is one of the sound at carrier_Hz + f, and is multiplied by the response there. The
+    record is assumed periodic; it must have even steps. Raises MeasurementError for others.
     """
     times = np.asarray(times_s, dtype=float)
     values = np.asarray(envelope, dtype=complex)

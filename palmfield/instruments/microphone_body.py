@@ -1,4 +1,4 @@
-"""What a microphone's body does to the sound on its face: a rigid cylinder in a plane wave, by boundary elements."""
+"""Effect of a microphone's body on the sound at its face: a rigid cylinder in a plane wave, by boundary elements."""
 
 import math
 from functools import lru_cache
@@ -11,7 +11,7 @@ from palmfield.errors import MeasurementError
 from palmfield.types import Float, Int
 
 LENGTH_RADII = 6.0
-"""Of the cylinder. Another length changes the face's pressure by 0.2 dB, as sound from its back end comes round."""
+"""Of the cylinder. Another length changes the face's pressure by 0.2 dB, by sound diffracted round its back end."""
 EDGES_A_RADIUS = 5
 EDGES_A_WAVE = 8.0
 MOST_KA = 6.0
@@ -21,8 +21,8 @@ def face_rise(diameter_m: float, wavenumber: float, cosine: float = 1.0) -> comp
     """Mean pressure on the flat face of a rigid cylinder in a plane wave, over that of the wave at the face's middle.
 
     1 for sound much longer than the face; 1.57 (3.9 dB) from ahead at k a = 1.16, an eighth of an inch at 40 kHz; 2.15
-    from k a = 2 on, where the edge's sound adds to doubling. e^{-i w t}, so that a delay is +phase. Within 0.3 dB: 0.1
-    by the mesh (half its edges change so much), 0.2 by the cylinder's length. Takes a second or more, once for each.
+    from k a = 2 on, where edge diffraction adds to doubling. e^{-i w t}, so that a delay is +phase. Within 0.3 dB: 0.1
+    by the mesh (change with half its edges), 0.2 by the cylinder's length. Takes a second or more, once for each.
 
     diameter_m: of the face and the body; wavenumber: [rad/m]; cosine: of the angle between the face's outward normal
     and the direction to the source
@@ -53,7 +53,7 @@ def _face_rise(ka: float, cosine: float) -> complex:
 
 
 def cylinder(edges: int) -> tuple[Float, Int]:
-    """Vertices and outward faces of a cylinder of radius 1 whose face lies at z = 0 and looks along +z.
+    """Vertices and outward faces of a cylinder of radius 1 whose face is at z = 0 and points along +z.
 
     edges: of triangles from the face's middle to its rim
     """
@@ -75,7 +75,7 @@ def cylinder(edges: int) -> tuple[Float, Int]:
     for (one, many), (other, more) in pairwise(rings):
         n = m = 0
         while n < many or m < more:
-            # The ring whose next vertex comes first goes on
+            # Advance the ring whose next vertex comes first
             if m == more or (n < many and (n + 1) * more <= (m + 1) * many):
                 faces.append((one + n % many, other + m % more, one + (n + 1) % many))
                 n += 1

@@ -1,4 +1,4 @@
-"""Where a measured scan's points lie on a surface: a rigid motion from the scan's own frame to the surface's."""
+"""Register a measured scan to a surface: a rigid motion from the scan's own frame to the surface's."""
 
 from typing import NamedTuple
 
@@ -15,7 +15,7 @@ from palmfield.types import Float, Int
 
 ROUNDS = 60
 LEAST_DIRECTION = 1e-2
-"""A motion is not told by the surface where the points leave it by less than this share of what they move."""
+"""Share of the points' motion that must leave the surface for a motion to be determined by it."""
 SETTLED_M = 1e-9
 
 
@@ -24,8 +24,8 @@ class Registration(NamedTuple):
 
     transform: from the scan's frame to the surface's; residual_m: distance of each point from the surface, shape (n,)
     fiducials_m: distance of each fiducial from its partner, shape (k,), empty without them
-    undetermined: of three shifts and three turns, how many the surface does not tell; these stay as they were given
-    turns: how many of these turn the scan without shifting it, 1 on a plane
+    undetermined: of three shifts and three rotations, the number that the surface does not determine;
+    turns: how many of these rotate the scan without shifting it, 1 on a plane
     """
 
     transform: Transform
@@ -62,11 +62,11 @@ def by_fiducials(measured_m: ArrayLike, surface_m: ArrayLike) -> Transform:
 def to_surface(
     points_m: ArrayLike, vertices: Float, faces: Int, begin: Transform = IDENTITY
 ) -> tuple[Transform, int, int]:
-    """The rigid motion near `begin` that brings points onto a mesh; how many of six directions it does not tell, and
-    how many of these are turns.
+    """Return the rigid motion near `begin` that brings points onto a mesh; how many of six directions are undetermined,
+    and how many of these are rotations.
 
-    Least squares of the distances along the surface's normals, point to plane (Chen & Medioni 1992), until nothing
-    moves. Directions in which the points slide along the surface, on a plane two shifts and one turn, are left alone.
+    Least squares of the distances along the surface's normals, point to plane (Chen & Medioni 1992), until convergence.
+    Directions in which the points slide along the surface, on a plane two shifts and one rotation, are not changed.
     """
     points = np.asarray(points_m, dtype=float)
     corners = np.asarray(vertices, dtype=float)[np.asarray(faces)]
@@ -79,7 +79,7 @@ def to_surface(
         normals = across[found.triangle]
         gaps = np.einsum("ni,ni->n", at - found.nearest, normals)
         middle = at.mean(axis=0)
-        # Turns count by what they move the outermost points, so that all six columns are lengths
+        # Rotations are scaled by the motion of the outermost points, so that all six columns are lengths
         radius = max(float(np.linalg.norm(at - middle, axis=1).max()), 1e-9)
         columns = np.hstack([normals, np.cross(at - middle, normals) / radius]) / np.sqrt(len(at))
         left, sizes, right = np.linalg.svd(columns, full_matrices=False)
@@ -101,7 +101,7 @@ def registration(
     points_m: ArrayLike, vertices: Float, faces: Int, *, pairs: tuple[ArrayLike, ArrayLike] | None = None,
     surface: bool = True,
 ) -> Registration:  # fmt: skip
-    """A scan's place: by fiducials where there are pairs (measured, on the surface), then onto the surface."""
+    """Return a scan's place: by fiducials if there are pairs (measured, on the surface), then onto the surface."""
     begin = IDENTITY if pairs is None else by_fiducials(*pairs)
     transform, undetermined, turns = to_surface(points_m, vertices, faces, begin) if surface else (begin, 6, 3)
     residual = on_mesh(vertices, faces, transform.points(np.asarray(points_m, dtype=float))).distance_m

@@ -1,7 +1,7 @@
-"""Rings that lead away from a small source, fitted to complex amplitudes at points along a flat surface.
+"""Ring waves of a small source, fitted to complex amplitudes at points along a flat surface.
 
 Phasors go with e^{-i w t}, wavenumbers k = w/c + i/L. Each wave of a layer is a ring outside the source: H0(k r) in the
-motion along the normal, H1(k r) in the motion along the surface, away from the source. An oblique beam sees both.
+motion along the normal, H1(k r) in the motion along the surface, away from the source. An oblique beam measures both.
 """
 
 import math
@@ -14,28 +14,27 @@ from scipy.special import hankel1
 from palmfield.types import Complex, Float
 
 MOST_RINGS = 6
-"""Waves that are fitted at most."""
+"""Largest number of fitted waves."""
 REACH_M = 4e-3
-"""The source is sought within this of where it is said to be, each way."""
+"""The source is searched within this of its given place, along each axis."""
 STARTS, SPLITS = 3, 2
 WIDEST = 1.5
-"""Wavenumbers are sought up to this share of pi over the points' pitch: real and imaginary part."""
+"""Wavenumbers are searched up to this share of pi over the points' pitch: real and imaginary part."""
 LEAST_LOSS = 2e-3
 FLOOR = 2e-3
-"""Of the motion's rms: what a fit leaves counts as at least so much noise, so that scans without any, as a run gives
-them, are not taken for exact."""
+"""Share of the motion's rms: least assumed noise, so that scans without noise, as from a run, do not count as exact."""
 APART = 0.25
-"""Beginnings of one more ring lie apart by this share of the wavenumber."""
+"""Distance of start points of one more ring, as a share of the wavenumber."""
 HIDDEN_SPAN, HIDDEN_APART = (0.35, 2.2), 0.2
 NEAREST_M = 1e-4
-"""From the source: rings are infinite there."""
+"""Least distance from the source: rings are infinite there."""
 
 
 class Scanned(NamedTuple):
     """What is fitted.
 
-    values: amplitudes over their rms, shape (n,); flat: places about the source's supposed place [m], shape (n, 2)
-    along: parts of the beams along the surface over that along the normal, shape (n, 2), or None where they see none
+    values: amplitudes over their rms, shape (n,); flat: places about the source's nominal place [m], shape (n, 2)
+    along: parts of the beams along the surface over that along the normal, shape (n, 2), or None for none
     top: pi over the pitch [rad/m], the unit of wavenumbers within the fit
     """
 
@@ -50,7 +49,7 @@ class Rings(NamedTuple):
 
     k: wavenumbers [rad/m], shape (rings,); motion: rms of each ring at the points over that of the scan, shape (rings,)
     deviation: standard deviation of each wavenumber by noise, relative to |k|, shape (rings,)
-    misfit: rms of what is left over the scan's; left: what is left, shape (n,)
+    misfit: rms of the residual over the scan's; left: the residual, shape (n,)
     score: Bayesian information criterion, less is better; source: its place, shape (2,) [m]; x: the fit's own numbers
     """
 
@@ -65,7 +64,7 @@ class Rings(NamedTuple):
 
 
 class _Field(NamedTuple):
-    """columns: what rings of unit amplitude look like, shape (n, rings, 1 or 2), the second of motion along the surface
+    """columns: rings of unit amplitude, shape (n, rings, 1 or 2), the second of motion along the surface
 
     h0, h1: at k r, shape (n, rings); ways, r: from the source; towards: along . ways / r
     """
@@ -80,10 +79,10 @@ class _Field(NamedTuple):
 
 
 def ring_fits(scanned: Scanned) -> list[Rings]:
-    """Fits of 1, 2, ... rings, until two more have not lowered the score, or MOST_RINGS.
+    """Return fits of 1, 2, ... rings, until two more have not lowered the score, or MOST_RINGS.
 
-    Each takes the rings of the one before and one more, from the STARTS places at which one more leaves least, or with
-    two in place of one: where two waves are alike the fit of one fewer holds one between them.
+    Each starts from the rings of the one before with one more, at the STARTS places of least residual, or with two in
+    place of one: of two similar waves the fit with fewer rings has one between them.
     """
     fits: list[Rings] = []
     x = np.zeros(2)
@@ -100,10 +99,10 @@ def ring_fits(scanned: Scanned) -> list[Rings]:
 
 
 def hidden_change(scanned: Scanned, fit: Rings, number: int) -> float:
-    """By how much a wave that hides in the noise could change a ring's wavenumber at worst, relative to |k|.
+    """Return the largest change of a ring's wavenumber by a wave hidden in the noise, relative to |k|.
 
-    One more ring, seen along the normal, is put at wavenumbers round the ring's own, HIDDEN_APART from all of the fit,
-    with losses as the ring has; to first order the fit then moves by a shift and has another standard deviation. The
+    One more ring, seen along the normal, is added at wavenumbers round the ring's own, HIDDEN_APART from all of the
+    fit, with the ring's losses. To first order the fit then moves by a shift and has another standard deviation. The
     largest root of the sum of their squares.
     """
     k, source = _unpacked(scanned, fit.x)
@@ -131,7 +130,7 @@ def hidden_change(scanned: Scanned, fit: Rings, number: int) -> float:
 
 
 def _with(x: Float, more: list[complex], but: int | None = None) -> Float:
-    """The unknowns of a fit with more rings, but for one."""
+    """Return the unknowns of a fit with more rings, without one."""
     real, imaginary, source = np.split(x, [(len(x) - 2) // 2, len(x) - 2])
     if but is not None:
         real, imaginary = np.delete(real, but), np.delete(imaginary, but)
@@ -140,7 +139,7 @@ def _with(x: Float, more: list[complex], but: int | None = None) -> Float:
 
 
 def _split(scanned: Scanned, x: Float) -> list[Float]:
-    """Each ring in turn as two, nearer and farther in wavenumber; of these the SPLITS that leave least."""
+    """Split each ring in turn into two, nearer and farther in wavenumber; return the SPLITS with least residual."""
     begins = []
     for number in range((len(x) - 2) // 2):
         k = complex(x[number], x[(len(x) - 2) // 2 + number])
@@ -158,7 +157,7 @@ def _field(scanned: Scanned, k: Complex, source: Float) -> _Field:
     ways = scanned.flat - source
     r = np.maximum(np.linalg.norm(ways, axis=1), NEAREST_M)
     kr = np.outer(r, k)
-    # Every ring is of size 1 where its distance is the scan's middle one, so that columns are alike in size
+    # Every ring has size 1 at the scan's middle distance, so that columns are of similar size
     size = np.abs(hankel1(0, k * float(np.median(r))))
     h0, h1 = hankel1(0, kr) / size, hankel1(1, kr) / size
     if scanned.along is None:
@@ -168,7 +167,7 @@ def _field(scanned: Scanned, k: Complex, source: Float) -> _Field:
 
 
 def _projected(field: _Field, values: Complex) -> tuple[Complex, Complex, Complex]:
-    """An orthonormal basis of the rings' columns, their amplitudes by least squares, and what these leave."""
+    """Return an orthonormal basis of the rings' columns, their amplitudes by least squares, and the residual."""
     flat = field.columns.reshape(len(values), -1)
     basis, sizes, right = np.linalg.svd(flat, full_matrices=False)
     held = sizes > 1e-9 * sizes[0]
@@ -179,7 +178,7 @@ def _projected(field: _Field, values: Complex) -> tuple[Complex, Complex, Comple
 
 
 def _residual(scanned: Scanned, x: Float) -> tuple[Complex, Complex]:
-    """What the best amplitudes leave, shape (n,), and its derivatives, shape (n, len(x)).
+    """Return the residual of the best amplitudes, shape (n,), and its derivatives, shape (n, len(x)).
 
     Variable projection (Golub & Pereyra 1973) with Kaufman's derivative: amplitudes never enter as unknowns.
     """
@@ -207,7 +206,7 @@ def _real(values: Complex) -> Float:
 
 
 def _descend(scanned: Scanned, x: Float) -> tuple[float, Float]:
-    """Half the sum of squares that is left, and where."""
+    """Minimise half the sum of squared residuals; return it, and the place."""
     rings = (len(x) - 2) // 2
     low = np.concatenate([np.full(rings, -WIDEST), np.full(rings, LEAST_LOSS), [-1.0, -1.0]])
     high = np.concatenate([np.full(2 * rings, WIDEST), [1.0, 1.0]])
@@ -226,7 +225,7 @@ def _descend(scanned: Scanned, x: Float) -> tuple[float, Float]:
 
 
 def _beginnings(scanned: Scanned, x: Float) -> list[complex]:
-    """Wavenumbers, over scanned.top, of one more ring that would take most of what the rings so far leave."""
+    """Return wavenumbers, over scanned.top, of one more ring that would reduce the residual most."""
     grid = [complex(real, real * loss) for real in np.geomspace(0.03, 1.2, 18) for loss in (0.08, 0.25, 0.6, 1.2)]
     grid += [complex(-real, max(real, 0.15) * loss) for real in (0.07, 0.2, 0.4) for loss in (0.54, 0.8, 1.1)]
     k, source = _unpacked(scanned, x)

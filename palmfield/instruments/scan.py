@@ -1,4 +1,4 @@
-"""A scan: what a vibrometer, real or virtual, has recorded at the points of a grid."""
+"""A scan: records of a vibrometer, real or virtual, at the points of a grid."""
 
 from dataclasses import dataclass
 from typing import Literal, get_args
@@ -16,19 +16,19 @@ UNITS: dict[Quantity, dict[str, float]] = {
     "displacement": {"m": 1.0, "mm": 1e-3, "um": 1e-6, "nm": 1e-9},
     "velocity": {"m/s": 1.0, "mm/s": 1e-3, "um/s": 1e-6},
 }
-"""What a value of 1 is in m and m/s."""
+"""Factors to m and m/s."""
 
 
 @dataclass(frozen=True)
 class Scan:
     """Records of points, all with the same times.
 
-    quantity: what was read along the beams; times_s: evenly spaced, from the trigger [s], shape (t,)
+    quantity: measured along the beams; times_s: evenly spaced, from the trigger [s], shape (t,)
     points: [m], shape (n, 3), in a frame of the scan's own; values: [m or m/s], shape (t, n)
-    sights: unit vectors from the points to the head, shape (n, 3), or None where they are not known
+    sights: unit vectors from the points to the head, shape (n, 3), or None if not given
     name: for messages and pictures
-    Raises MeasurementError for other shapes, less than 16 samples, uneven times, numbers that are not finite, points
-    that lie in one place, and lines of sight without a length.
+    Raises MeasurementError for other shapes, less than 16 samples, uneven times, numbers that are not finite, points in
+    one place, and lines of sight without a length.
     """
 
     quantity: Quantity
@@ -87,7 +87,7 @@ class Scan:
 
 
 def _in_one_place(points: Float) -> tuple[int, int]:
-    """Numbers of the first two points that do, (0, 0) for none. points: [m], shape (n, 3)"""
+    """Return numbers of the first two coincident points, (0, 0) for none. points: [m], shape (n, 3)"""
     order = np.lexsort(points.T)
     same = np.flatnonzero((np.diff(points[order], axis=0) == 0.0).all(axis=1))
     if len(same) == 0:
@@ -97,7 +97,7 @@ def _in_one_place(points: Float) -> tuple[int, int]:
 
 
 def of_record(record: xr.DataArray, name: str = "palmfield") -> Scan:
-    """The scan that a virtual vibrometer's record is."""
+    """Convert the record of a virtual vibrometer to a scan."""
     points, sights = (
         np.column_stack([record[f"{prefix}{axis}"].values for axis in "xyz"]) for prefix in ("", "sight_")
     )

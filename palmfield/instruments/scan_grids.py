@@ -1,4 +1,4 @@
-"""Places that a scan goes through, on the plane z = 0 of its own frame."""
+"""Places of a scan, on the plane z = 0 of its own frame."""
 
 import math
 

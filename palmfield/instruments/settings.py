@@ -1,4 +1,4 @@
-"""What an instrument is set to: keys with their limits, from Python or from a table of a TOML file."""
+"""Settings of an instrument: keys with their limits, from Python or from a table of a TOML file."""
 
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, TypeVar
@@ -17,7 +17,7 @@ NonNegative = Annotated[float, Field(ge=0)]
 class Settings(BaseModel):
     """Base of the settings of instruments. A key that is unknown or out of its limits is a MeasurementError.
 
-    instrument: what messages call it, which is also its table in a TOML file
+    instrument: name in messages, and of its table in a TOML file
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)

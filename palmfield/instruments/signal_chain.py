@@ -1,4 +1,4 @@
-"""What the electronics of an instrument do to signals over time: filters, integration, sampling, noise.
+"""Electronics of an instrument: filters, integration, sampling, noise.
 
 Signals are float64 of shape (t, ...), evenly sampled, time along the first axis. All functions raise MeasurementError
 for other shapes, NaN, and rates and frequencies that are not above 0.
@@ -21,7 +21,7 @@ Phase = Literal["causal", "zero_phase"]
 ORDERS = (1, 12)
 ANTI_ALIAS_ORDER = 8
 ANTI_ALIAS_SHARE = 0.4
-"""Before sampling at a lower rate a zero-phase Butterworth low-pass stands at this share of that rate."""
+"""Cut-off of the zero-phase Butterworth low-pass before sampling at a lower rate, as a share of that rate."""
 
 
 def highpass(signal: ArrayLike, rate_Hz: float, cutoff_Hz: float, order: int, *, phase: Phase = "causal") -> Float:
@@ -71,11 +71,11 @@ def integrated(signal: ArrayLike, rate_Hz: float) -> Float:
 
 
 def sampled(times_s: ArrayLike, signal: ArrayLike, at_s: ArrayLike) -> Float:
-    """A signal at other, evenly spaced times, shape (len(at_s), ...): a cubic spline through its samples.
+    """Sample a signal at other, evenly spaced times, shape (len(at_s), ...), by a cubic spline.
 
-    Where the signal is sampled faster than `at_s`, a zero-phase Butterworth low-pass of order 8 at 0.4 of the new rate
-    comes first, so that nothing folds back. Before its first time the signal has its first value.
-    Raises MeasurementError for times after its last, which nothing is known of.
+    If the signal has a higher rate than `at_s`, a zero-phase Butterworth low-pass of order 8 at 0.4 of the new rate
+    comes first, to avoid aliasing. Before its first time the signal has its first value.
+    Raises MeasurementError for times after its last one.
     """
     times, values = trace(times_s, signal, 4)
     at, _ = trace(at_s, at_s, single=True)

@@ -1,4 +1,4 @@
-"""The moving surface that instruments look at: of a skin solver's Motion, or of a skin in a result file."""
+"""The moving surface measured by instruments: of a skin solver's Motion, or of a skin in a result file."""
 
 from typing import NamedTuple
 
@@ -13,9 +13,9 @@ from palmfield.skin.problem import Body, Motion, normals_on_face
 from palmfield.types import Float, Int
 
 CANDIDATES = 24
-"""Triangles whose centres are nearest to a place: the nearest triangle is sought among them."""
+"""Triangles whose centres are nearest to a place: the nearest triangle is searched among them."""
 MILLIMETRES = 1e3
-"""trimesh's tolerances are absolute and made for such numbers."""
+"""trimesh's tolerances are absolute and chosen for such numbers."""
 
 
 class SurfaceMotion(NamedTuple):
@@ -33,9 +33,9 @@ class SurfaceMotion(NamedTuple):
 
 
 class Places(NamedTuple):
-    """Where places lie on a mesh.
+    """Nearest places on a mesh.
 
-    triangle: which one, shape (n,); shares: of its three corners, shape (n, 3); distance_m: to the mesh, shape (n,)
+    triangle: its number, shape (n,); shares: of its three corners, shape (n, 3); distance_m: to the mesh, shape (n,)
     nearest: the places on the mesh [m], shape (n, 3)
     """
 
@@ -54,7 +54,7 @@ def of_motion(motion: Motion, body: Body) -> SurfaceMotion:
 
 
 def of_skin(skin: xr.Dataset, places_m: ArrayLike | None = None, off_m: float = 1e-3) -> SurfaceMotion:
-    """Motion of a skin of a result, in the resting body's frame: at its vertices, or between them at places.
+    """Return motion of a skin of a result, in the resting body's frame: at its vertices, or interpolated to places.
 
     skin: one of `palmfield.outputs.instances(result, "skin")`
     places_m: [m], shape (n, 3); the motion there is linear between the corners of the nearest triangle. None: vertices

@@ -19,11 +19,11 @@ from palmfield.instruments.surface_motion import SurfaceMotion
 from palmfield.types import Float
 
 MOVES = 0.01
-"""Share of its largest velocity from which on motion is not at rest."""
+"""Share of its largest velocity above which a surface counts as moving."""
 
 
 class Vibrometer(Settings):
-    """How a vibrometer stands and what it is set to. Raises MeasurementError for values out of their limits."""
+    """Pose and settings of a vibrometer. Raises MeasurementError for values out of their limits."""
 
     instrument: ClassVar[str] = "vibrometer"
     incidence_deg: float = Field(
@@ -89,10 +89,10 @@ def middle_beam(settings: Vibrometer) -> Float:
 
 
 def along_beam(motion: ArrayLike, sights: ArrayLike, settings: Vibrometer) -> Float:
-    """What a beam sees of vectors of shape (t, n, 3), by lines of sight of shape (n, 3): shape (t, n).
+    """Project vectors of shape (t, n, 3) to lines of sight of shape (n, 3): shape (t, n).
 
-    Where settings.as_normal, divided by the cosine of incidence_deg: what a surface without motion along itself moves
-    along its normal, seen by parallel beams. Motion along the surface enters with the tangent: 1 at 45 degrees.
+    With settings.as_normal, divided by the cosine of incidence_deg: the normal motion of a surface without motion along
+    itself, seen by parallel beams. Motion along the surface enters with the tangent: 1 at 45 degrees.
     """
     seen = np.einsum("tni,ni->tn", np.asarray(motion, dtype=float), np.asarray(sights, dtype=float))
     return np.asarray(seen / math.cos(math.radians(settings.incidence_deg)) if settings.as_normal else seen)
@@ -101,14 +101,14 @@ def along_beam(motion: ArrayLike, sights: ArrayLike, settings: Vibrometer) -> Fl
 def vibrometer_record(
     motion: SurfaceMotion, settings: Vibrometer, *, sights: ArrayLike | None = None, seed: int | None = None
 ) -> xr.DataArray:
-    """What the vibrometer records of each point, dimensions (time, point), in m/s or m by settings.reading.
+    """Return the vibrometer's record of each point, dimensions (time, point), in m/s or m by settings.reading.
 
-    In this order: velocity along the beam, low-pass against folding, sampling, noise, high-pass, low-pass, integration.
+    In this order: velocity along the beam, anti-aliasing low-pass, sampling, noise, high-pass, low-pass, integration.
     Time 0 is the trigger. sights: measured lines of sight, shape (n, 3), in place of those of the settings
-    seed: of the noise; None: another each time
+    seed: of the noise; None for a random one
     Coordinates: time [s]; x, y, z [m] and sight_x, sight_y, sight_z of each point.
-    Raises MeasurementError for points seen from behind, records that outlast the motion or hold under four samples, and
-    those that begin before it where it does not begin at rest.
+    Raises MeasurementError for points seen from behind, records that are longer than the motion or have under four
+    samples, and those that begin before it if it does not begin at rest.
     """
     beams = lines_of_sight(motion.points, settings) if sights is None else np.asarray(sights, dtype=float)
     if beams.shape != motion.points.shape:
@@ -131,14 +131,14 @@ def vibrometer_record(
 
 
 def _from_rest(times: Float, seen: Float) -> tuple[Float, Float]:
-    """With time 0, where runs and solvers are at rest, which they tell from one step on."""
+    """Add time 0, where runs and solvers are at rest; their first sample is one step later."""
     if not 0.0 < times[0] <= 1.5 * (times[1] - times[0]):
         return times, seen
     return np.append(0.0, times), np.concatenate([np.zeros_like(seen[:1]), seen])
 
 
 def _check_rest(times: Float, seen: Float, start: float) -> None:
-    """Of what was before the motion's first time nothing is known, unless it was rest."""
+    """Before the motion's first time there are no data, unless it was at rest."""
     if start >= times[0] - 1e-6 * (times[1] - times[0]):
         return
     first, most = float(np.abs(seen[0]).max()), float(np.abs(seen).max())

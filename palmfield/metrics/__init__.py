@@ -1,4 +1,4 @@
-"""Numbers made of signals, maps and snapshots: one function each, SI units, every choice an argument.
+"""Numbers from signals, maps and snapshots: one function each, SI units, every choice an argument.
 
 from palmfield.metrics import overshoot, settling_time, steady_value
 steady = steady_value(times, trace, (0.18, 0.2))

@@ -1,4 +1,4 @@
-"""What the metrics ask of the signals and maps that they are given."""
+"""Checks of the signals and maps passed to metrics."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,7 +10,7 @@ Mask = NDArray[np.bool_]
 
 
 def trace(times_s: ArrayLike, values: ArrayLike, least: int = 2, *, single: bool = False) -> tuple[Float, Float]:
-    """Times [s], shape (t,), rising, and values along them, shape (t, ...), as float64 arrays; (t,) for a single one.
+    """Return times [s], shape (t,), rising, and values, shape (t, ...), as float64 arrays; (t,) for a single one.
 
     Raises MeasurementError for fewer than `least` samples, other shapes, times that do not rise, NaN and infinity.
     """
@@ -27,7 +27,7 @@ def trace(times_s: ArrayLike, values: ArrayLike, least: int = 2, *, single: bool
 
 
 def even_step(times_s: Float) -> float:
-    """Step of evenly spaced times [s]. Raises MeasurementError where they are not."""
+    """Step of evenly spaced times [s]. Raises MeasurementError if they are uneven."""
     steps = np.diff(times_s)
     step = float((times_s[-1] - times_s[0]) / len(steps))
     if step <= 0.0 or np.abs(steps - step).max() > 1e-3 * step:
@@ -61,7 +61,7 @@ def mask(inside: ArrayLike, values: Float) -> Mask:
 
 
 def cell_areas(x_m: Float, y_m: Float) -> Float:
-    """Area that each place of a grid stands for [m^2], shape (m, n): half way to its neighbours, cut at the rim."""
+    """Area of each place of a grid [m^2], shape (m, n): half way to its neighbours, cut at the rim."""
     across = [np.diff(np.concatenate([p[:1], 0.5 * (p[1:] + p[:-1]), p[-1:]])) for p in (x_m, y_m)]
     return np.asarray(np.outer(*across))
 
@@ -73,13 +73,13 @@ def finite(what: str, values: Float) -> None:
 
 
 def share(what: str, value: float) -> None:
-    """Raise MeasurementError where a share is not between 0 and 1, both left out."""
+    """Raise MeasurementError if a share is not between 0 and 1, both excluded."""
     if not 0.0 < value < 1.0:
         raise MeasurementError(f"{what} is {value:g}; allowed: above 0 and below 1")
 
 
 def whole(what: str, value: float, least: int, most: int) -> int:
-    """The value as an int. Raises MeasurementError where it is no whole number from `least` to `most`."""
+    """The value as an int. Raises MeasurementError if it is no whole number from `least` to `most`."""
     if not least <= value <= most or value != int(value):
         raise MeasurementError(f"{what} is {value}; allowed: a whole number from {least} to {most}")
     return int(value)

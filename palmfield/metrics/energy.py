@@ -1,7 +1,7 @@
-"""Where a stimulus leaves its energy: energy density, focal energy ratio, residual energy, and likeness of two maps.
+"""Energy of a stimulus: energy density, focal energy ratio, residual energy, and similarity of two maps.
 
-Maps are on a grid, shape (m, n), at x (m,) and y (n,) [m], both rising. A strip is where a map's places lie within half
-the strip's width of a path. All raise MeasurementError for other shapes, NaN and infinity.
+Maps are on a grid, shape (m, n), at x (m,) and y (n,) [m], both rising. A strip consists of the places within half the
+strip's width of a path. All raise MeasurementError for other shapes, NaN and infinity.
 """
 
 import itertools
@@ -22,13 +22,13 @@ Over = Literal["outside", "total"]
 def energy_density(times_s: ArrayLike, normal_velocity: ArrayLike, window_s: Window = None) -> Float:
     """Mean over time of the square of the normal velocity [m^2/s^2]; values of shape (t, ...) give the shape behind t.
 
-    Times an area density of mass it would be twice a kinetic energy; ratios and likeness don't need it.
+    Multiplied by an area density of mass it would be twice a kinetic energy; ratios and similarity do not need it.
     """
     return np.asarray(rms_map(times_s, normal_velocity, window_s) ** 2)
 
 
 def strip(x_m: ArrayLike, y_m: ArrayLike, path_m: ArrayLike, width_m: float) -> Mask:
-    """Which places of a grid lie within half of width_m of a path, shape (m, n), bool.
+    """Return which places of a grid are within half of width_m of a path, shape (m, n), bool.
 
     x_m, y_m: places of the grid, rising [m], shapes (m,) and (n,)
     path_m: corners of the path [m], shape (k, 2), k >= 1
@@ -59,10 +59,10 @@ def focal_energy_ratio(
     *,
     over: Literal["outside", "total"] = "outside",
 ) -> float:
-    """Energy inside a strip over all that is outside it, or over the total; each place counts by its area.
+    """Energy inside a strip over all outside it, or over the total; each place is weighted by its area.
 
     density, x_m, y_m, inside: as of `average_residual_energy`; over: "outside" or "total"
-    Raises MeasurementError where there is no energy to divide by.
+    Raises MeasurementError if the divisor is zero.
     """
     values, x, y = grid(density, x_m, y_m)
     weighted = cell_areas(x, y) * values
@@ -111,8 +111,8 @@ def ssim(
     """Mean structural similarity of two maps on one even grid, shapes (m, n); 1 for equal ones.
 
     Wang, Bovik, Sheikh & Simoncelli 2004, IEEE Trans. Image Process. 13, 600, eq. 13: local means, variances and
-    covariance with Gaussian weights of `sigma` places in windows of 2 radius + 1; the mean is over windows that lie
-    inside the map.
+    covariance with Gaussian weights of `sigma` places in windows of 2 radius + 1; the mean is over windows inside the
+    map.
     normalised: each map divided by its own largest magnitude first; data_range: L of the paper
     Raises MeasurementError for maps smaller than a window, a sigma that is not above 0 and a radius below 0.
     """

@@ -16,7 +16,7 @@ Lobe = Literal["outermost", "central"]
 
 
 def area_above(values: ArrayLike, x_m: ArrayLike, y_m: ArrayLike, level: float) -> float:
-    """Area where a map reaches `level`, in the map's unit [m^2]; between the grid's places the map is linear.
+    """Area in which a map reaches `level`, in the map's unit [m^2]; between the grid's places the map is linear.
 
     values: shape (m, n) at x (m,) and y (n,) [m], both rising
     Raises MeasurementError for other shapes, and values or a level that are not finite.
@@ -39,7 +39,7 @@ def spot_diameter(
     values: shape (m, n) at x (m,) and y (n,) [m], both rising
     level_of_peak: share, above 0 and below 1
     of: "equal_area", diameter of the circle of the region's area; "widest", largest distance of two of its points
-    Raises MeasurementError for a map of zeros and for a region that reaches the map's rim, where its size is not known.
+    Raises MeasurementError for a map of zeros and for a region that reaches the map's rim, whose size is unknown.
     """
     share("level_of_peak", level_of_peak)
     field, x, y = grid(np.abs(np.asarray(values, dtype=float)), x_m, y_m)
@@ -66,7 +66,7 @@ def radial_profile(
     """Mean of a map over the angle, for rings about the origin, shape (k,); NaN for a ring without points.
 
     values: shape (n,) at points (n, 2) or (n, 3), of which x and y count [m]
-    radii_m: ends of the rings, rising, shape (k + 1,); weights: area of each point, shape (n,), else all count alike
+    radii_m: ends of the rings, rising, shape (k + 1,); weights: area of each point, shape (n,), else equal
     """
     field, points, edges = (np.asarray(part, dtype=float) for part in (values, points_m, radii_m))
     share_of = np.ones(np.shape(field)) if weights is None else np.asarray(weights, dtype=float)
@@ -84,12 +84,12 @@ def radial_profile(
 
 
 def level_depth(depth_m: ArrayLike, values: ArrayLike, reference_m: float, level: float = 0.5) -> float:
-    """Distance beyond `reference_m` at which a curve first falls to `level` of what it is at the reference [m].
+    """Distance beyond `reference_m` at which a curve first falls to `level` times its value at the reference [m].
 
     depth_m: distances from the array, rising [m], shape (n,); values: for example the pressure at the focus when it is
         put at each, shape (n,), linear between
-    The halved-pressure depth has level 0.5 and the reference at which the paper normalises (argument, as it is not
-    always printed). Raises MeasurementError where the reference lies off the curve, or the curve never falls so low.
+    The halved-pressure depth has level 0.5 and the paper's normalisation as reference (an argument, since it is not
+    always printed). Raises MeasurementError if the reference is off the curve, or the curve never falls so low.
     """
     depth, curve = np.asarray(depth_m, dtype=float), np.asarray(values, dtype=float)
     share("level", level)
@@ -114,13 +114,13 @@ def level_depth(depth_m: ArrayLike, values: ArrayLike, reference_m: float, level
 
 
 def half_width(at_m: ArrayLike, values: ArrayLike, level: float = 0.5, *, of: Lobe = "outermost") -> float:
-    """Distance from the largest value of a curve to where it falls below a share of it, mean of both sides [m].
+    """Distance from the largest value of a curve to its fall below a share of it, mean of both sides [m].
 
     at_m: places along a line, rising [m], shape (n,); values: 0 or above, shape (n,), linear between places
     of: "outermost", the last place on each side that still reaches the level: with fringes the width of their envelope;
         "central", the first place that no longer does: that of the fringe in the middle
-    Half the full width at half maximum of a curve with one hump. Raises MeasurementError for other shapes, a curve of
-    zeros, and one that still reaches the level at an end, where its width is not known.
+    Half the full width at half maximum of a curve with one maximum. Raises MeasurementError for other shapes, a curve
+    of zeros, and one that still reaches the level at an end, whose width is unknown.
     """
     share("level", level)
     places, curve = np.asarray(at_m, dtype=float), np.asarray(values, dtype=float)
@@ -153,7 +153,7 @@ def half_width(at_m: ArrayLike, values: ArrayLike, level: float = 0.5, *, of: Lo
 
 
 def _filled(field: Float, x: Float, y: Float, level: float) -> list[Float]:
-    """Rings round where a map reaches a level; holes go the other way round."""
+    """Return rings round regions where a map reaches a level; holes have the opposite orientation."""
     top = max(float(field.max()), level) + 1.0 + abs(level)
     rings: list[Float] = []
     for points, offsets in zip(

@@ -1,4 +1,4 @@
-"""Averages over time in a frame that goes round a circle with the focus."""
+"""Averages over time in a frame that rotates with the focus on a circle."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,7 +16,7 @@ def co_rotating_average(
     *,
     square: bool = False,
 ) -> Float:
-    """Mean over time in the frame that turns with a focus on a circle, shape (r, n).
+    """Mean over time in the frame that rotates with a focus on a circle, shape (r, n).
 
     values: at polar places, shape (t, r, n): r radii, n even angles 2 pi j/n in the resting frame; times_s: even
     turn_Hz: turns of the focus a second, counter-clockwise where above 0; it is at angle 0 at time 0
@@ -37,7 +37,7 @@ def co_rotating_average(
     count = maps.shape[2]
     orders = np.fft.rfftfreq(count, 1.0 / count)
     weight = np.where((orders == 0.0) | (2.0 * orders == count), 1.0, 2.0) / count
-    # Seen from the focus each order of a snapshot turns by itself
+    # In the focus's frame each order of a snapshot rotates by itself
     turn = np.exp(2j * np.pi * turn_Hz * np.outer(times, orders))
     back = np.exp(1j * np.outer(orders, angles))
     if not square:

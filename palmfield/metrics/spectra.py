@@ -24,7 +24,7 @@ def amplitude_spectrum(time_s: ArrayLike, signal: ArrayLike, *, taper: Taper = "
     time_s: evenly spaced [s], shape (n,), n >= 8; signal: shape (n,)
     taper: "hann", or "none", where a record that holds no whole periods leaks
     Returns frequencies [Hz] without 0 and amplitudes in the signal's unit, both shape (n // 2,): a sine of amplitude A
-    whose frequency falls on a bin gives A there. The weighted mean is taken off first, so that the window spreads no
+    whose frequency falls on a bin gives A there. The weighted mean is subtracted first, so that the window spreads no
     DC into the lowest bins.
     Raises MeasurementError for fewer than 8 samples, times that are not evenly spaced, and another taper.
     """
@@ -47,7 +47,7 @@ def amplitude_spectrum(time_s: ArrayLike, signal: ArrayLike, *, taper: Taper = "
 def harmonics(time_s: ArrayLike, signal: ArrayLike, fundamental_Hz: float, count: int = 4) -> Float:
     """Amplitudes of the lines at 1, 2, ... count times a frequency, in the signal's unit, shape (count,).
 
-    Least squares with a constant beside them, so that neither whole periods nor even times are needed.
+    Least squares with an additional constant, so that neither whole periods nor even times are needed.
     Raises MeasurementError for a record shorter than a period, and for lines above half the sampling rate.
     """
     above_zero("fundamental_Hz", fundamental_Hz)
@@ -75,7 +75,7 @@ def strongest_line(
     """Frequency [Hz] and amplitude of the largest bin of `amplitude_spectrum` in a band, ends within it.
 
     time_s, signal, taper: as of `amplitude_spectrum`; band_Hz: (lowest, highest) [Hz]
-    Raises MeasurementError as `amplitude_spectrum`, and where no bin lies in the band.
+    Raises MeasurementError as `amplitude_spectrum`, and if no bin is in the band.
     """
     frequency, amplitude = amplitude_spectrum(time_s, signal, taper=taper)
     chosen = _in_band(frequency, band_Hz)
@@ -107,8 +107,8 @@ def _in_band(frequency: Float, band_Hz: tuple[float, float]) -> np.ndarray:
 
 
 def spectral_peaks(frequency_Hz: Float, amplitude: Float, most: int = 4) -> list[tuple[float, float]]:
-    """Peaks at least 10 dB above what surrounds them and within 50 dB of the largest, largest first; a drift
-    that rises towards the first bin is none.
+    """Peaks at least 10 dB above their surroundings and within 50 dB of the largest, largest first; a drift that rises
+    towards the first bin does not count.
 
     Each is (frequency [Hz], amplitude) between the bins, from the ratio of the two highest bins of a Hann window
     (Grandke 1983, IEEE Trans. Instrum. Meas. 32, 350): within 0.01 bins and 0.1 % for a lone sine of five periods.

@@ -42,7 +42,7 @@ def within(times_s: ArrayLike, values: ArrayLike, window_s: Window, *, single: b
 def last_periods(times_s: ArrayLike, frequency_Hz: float, periods: int) -> tuple[float, float]:
     """The window of the last whole periods of a record, without the sample that begins the next one [s].
 
-    Raises MeasurementError where the record is shorter.
+    Raises MeasurementError if the record is shorter.
     """
     times, _ = trace(times_s, np.zeros(np.shape(times_s)))
     above_zero("frequency_Hz", frequency_Hz)
@@ -66,7 +66,7 @@ def mean_value(times_s: ArrayLike, values: ArrayLike, window_s: Window = None) -
 
 
 def steady_value(times_s: ArrayLike, values: ArrayLike, window_s: tuple[float, float]) -> float:
-    """What a step ends at: the mean over a window near the stimulus' end, in the signal's unit.
+    """Final value of a step: the mean over a window near the stimulus' end, in the signal's unit.
 
     times_s: rising [s], shape (t,); values: in any unit, shape (t,); window_s: as of `within`
     Raises MeasurementError as `within`.
@@ -92,7 +92,7 @@ def peak(
 
 
 def overshoot(times_s: ArrayLike, values: ArrayLike, steady: float, window_s: Window = None) -> float:
-    """How far a step goes beyond its steady value, relative to that value: (peak - steady)/steady; 0 where it doesn't.
+    """Overshoot of a step relative to its steady value: (peak - steady)/steady; 0 without overshoot.
 
     times_s, values, window_s: as of `mean_value`
     steady: in the signal's unit, not 0, for example by `steady_value`; the peak is on its side of 0
@@ -116,9 +116,9 @@ def settling_time(
     """Time from `start_s` until the signal stays within band * |steady| of the steady value [s].
 
     times_s, values: as of `mean_value`; steady: as of `overshoot`
-    band: share of the steady value, above 0 and below 1; the last crossing is placed linearly between two samples
-    end_s: up to where the signal is looked at, for example where the stimulus ends
-    Raises MeasurementError where the signal is still outside the band at the end.
+    band: share of the steady value, above 0 and below 1; the last crossing is interpolated linearly between two samples
+    end_s: end of the evaluated signal, for example of the stimulus
+    Raises MeasurementError if the signal is still outside the band at the end.
     """
     share("band", band)
     if not (np.isfinite(steady) and steady != 0.0):
@@ -139,11 +139,11 @@ def settling_time(
 
 
 def peak_to_peak(times_s: ArrayLike, values: ArrayLike, window_s: Window = None) -> float:
-    """Largest less smallest value, in the signal's unit.
+    """Largest minus smallest value, in the signal's unit.
 
     times_s, values: as of `mean_value`
-    window_s: None is the whole record from rest, onset and all; `last_periods` gives the steady part. The two differ:
-    a modulated load from rest moves the skin's mean too.
+    window_s: None is the whole record from rest, including the onset; `last_periods` gives the steady part. The two
+    differ: a modulated load from rest moves the skin's mean too.
     Raises MeasurementError as `within`.
     """
     return float(np.ptp(within(times_s, values, window_s)[1]))

@@ -1,4 +1,4 @@
-"""What a moving focus leaves behind it: the wake's length, its area, and the angle of its fronts.
+"""Wake of a moving focus: its length, its area, and the angle of its fronts.
 
 A snapshot is the normal velocity at one moment on a grid, shape (m, n), at x (m,) and y (n,) [m], both rising, with the
 focus at focus_x_m on y = 0 and running along +x. Thresholds are shares of the snapshot's largest magnitude. All raise
@@ -30,18 +30,18 @@ def wake_length(
     lateral_m: float | None = None,
     until: Until = "last_above",
 ) -> float:
-    """Distance behind the focus over which the largest magnitude across the way reaches a threshold [m].
+    """Distance behind the focus over which the largest magnitude across the path reaches a threshold [m].
 
     normal_velocity: a snapshot [m/s], shape (m, n), at x_m (m,) and y_m (n,) [m], both rising; the focus is at
         focus_x_m [m] on y = 0 and runs along +x
     threshold: share of the snapshot's largest magnitude, above 0 and below 1
-    lateral_m: full width of the strip about the way that is looked at; None is the whole snapshot
-    until: "last_above", to the farthest place that reaches it; "first_below", to where it first falls below
-    The envelope is linear between the places along x. Where it reaches the threshold up to the snapshot's end the
-    length ends there: a lower bound.
-    For a straight way on a grid. `wake_along_path` is for ways that turn, on the nodes of a skin: there the threshold
-    is a share of what lies behind the focus alone, and the length is told to the next place and not between two.
-    Raises MeasurementError for other shapes and shares, a snapshot of zeros, and one with nothing behind the focus.
+    lateral_m: full width of the strip about the path; None is the whole snapshot
+    until: "last_above", to the farthest place that reaches it; "first_below", to its first fall below The envelope is
+    linear between the places along x. If it reaches the threshold up to the snapshot's end, the length ends there: a
+    lower bound.
+    For a straight path on a grid. `wake_along_path` is for curved paths, on the nodes of a skin: there the threshold is
+    a share of the part behind the focus alone, and the length ends at a place, without interpolation.
+    Raises MeasurementError for other shapes and shares, a snapshot of zeros, and one without places behind the focus.
     """
     share("threshold", threshold)
     values, x, y = grid(normal_velocity, x_m, y_m)
@@ -61,14 +61,14 @@ def wake_length(
 def wake_along_path(
     arc_m: float, velocity: ArrayLike, places_m: ArrayLike, near: ArrayLike, threshold: float = 0.1
 ) -> tuple[float, Float, Float]:
-    """The wake along a curved way: its length [m], distances behind the focus [m] and the envelope there.
+    """The wake along a curved path: its length [m], distances behind the focus [m] and the envelope there.
 
     arc_m: how far the focus has gone; velocity: along the normals of nodes [m/s], shape (s,); places_m: arc lengths of
     places on the way, rising, shape (k,); near: which nodes are looked at for each place, shape (k, s), bool
     The envelope at a place is the largest magnitude of the nodes near it, over its largest value behind the focus. The
     wake reaches back to the first place at which it is below the threshold, without interpolation.
-    Not `wake_length` along another line: places on a curved way share nodes, so that an envelope between two of them
-    means nothing, and nodes ahead of the focus belong to other parts of the way. The scenarios' figures are of this.
+    It differs from `wake_length` along another line: places on a curved path share nodes, so an envelope between two of
+    them is undefined, and nodes ahead of the focus belong to other parts of it. The scenarios' figures are of this.
     """
     share("threshold", threshold)
     size, places = np.abs(np.asarray(velocity, dtype=float)), np.asarray(places_m, dtype=float)
@@ -106,14 +106,14 @@ def mach_angle(
     distances_m: tuple[float, float] = (0.02, 0.06),
     skip_m: float = 0.009,
 ) -> float:
-    """Half-angle between the fronts behind a focus and its way [deg].
+    """Half-angle between the fronts behind a focus and its path [deg].
 
     estimator: "ridge", at each place between the distances behind the focus the lateral place of the largest magnitude
         on each side; a line through the focus is fitted to each side by least absolute deviations, and the two angles
         are averaged. "slant_stack", `palmfield.skin.analytic.mach_half_angle` on the whole snapshot
     distances_m: nearest and farthest place behind the focus that the ridge takes
-    skip_m: strip about the way that the slant stack leaves out
-    Raises MeasurementError where less than three places lie between the distances.
+    skip_m: strip about the path that the slant stack leaves out
+    Raises MeasurementError if less than three places are between the distances.
     """
     values, x, y = grid(normal_velocity, x_m, y_m)
     _largest(values)
@@ -138,7 +138,7 @@ def mach_angle(
 
 
 def _slope(distance: Float, place: Float) -> float:
-    """The m that makes sum |place - m distance| least: the median of place/distance with weights distance."""
+    """The m that minimises sum |place - m distance|: the median of place/distance with weights distance."""
     ratio = place / distance
     order = np.argsort(ratio)
     weight = np.cumsum(distance[order])
@@ -146,7 +146,7 @@ def _slope(distance: Float, place: Float) -> float:
 
 
 def _reach(distance: Float, envelope: Float, level: float, until: str) -> float:
-    """Where an envelope over rising distances ends, linear between them."""
+    """Return the end of an envelope over rising distances, linear between them."""
     above = envelope >= level
     if until == "last_above":
         last = int(np.flatnonzero(above)[-1]) if above.any() else -1

@@ -1,4 +1,4 @@
-"""From force and motion to what is felt: level above threshold, by named observers.
+"""Perception of force and motion: level above threshold, by named observers.
 
 from palmfield.perception import OBSERVERS, level_dB_SL, line_amplitude
 amplitude = line_amplitude(times, displacement, 200.0)

@@ -1,4 +1,4 @@
-"""From a level above threshold to how often it is felt, and what a course in time does to the level.
+"""Probability of detection from a level above threshold, and the effect of a time course on the level.
 
 p = g + (1 - g - l) (1 - exp(-ln 2 E^b)), E the level as a ratio: at threshold, E = 1, it is felt in half of the cases.
 """
@@ -12,16 +12,16 @@ from palmfield.perception.psychometric import PsychometricFunction
 from palmfield.types import Float
 
 SLOPE = 2.0
-"""b of detection where nothing better is known: with it E^b is the energy that the levels sum."""
+"""Default b of detection: with it E^b is the energy that the levels sum."""
 
 
 def detection_probability(
     level_dB_SL: ArrayLike, *, slope: float = SLOPE, guess: float = 0.0, lapse: float = 0.0
 ) -> Float:
-    """Probability that something is felt, or of a right answer, of the shape of level_dB_SL [dB]; -inf is silence.
+    """Return the probability of detection, or of a right answer, of the shape of level_dB_SL [dB]; -inf is silence.
 
     slope: b; guess: rate of right answers by chance: 0 for the method of limits, 0.5 of two alternatives; lapse: rate
-    of lapses. Raises OutputError for a slope that is not above 0, and for rates that are none.
+    of lapses. Raises OutputError for a slope that is not above 0, and for invalid rates.
     """
     if not slope > 0.0:
         raise OutputError(f"slope {slope:g}; allowed: above 0")
@@ -30,7 +30,7 @@ def detection_probability(
 
 
 def summed_gain(envelope: ArrayLike, step_s: float, tau_s: float) -> float:
-    """How strong a vibration with an envelope is to a channel that sums its energy with a leak.
+    """Return the gain of a vibration with an envelope for a channel that sums its energy with a leak.
 
     Relative to a steady one of amplitude 1: the root of the largest of y, tau y' = envelope^2 - y, from y = 0.
 

@@ -1,8 +1,8 @@
-"""Which way a stimulus moved over the skin: an observer that compares the likelihoods of both directions.
+"""Direction of a stimulus's motion over the skin: an observer that compares the likelihoods of both directions.
 
-It knows what forward and reversed stimulus do to the skin, weighs the motion at each place by a threshold table,
-follows its level over time, and hears that under noise that is independent from place to place and moment to moment.
-Noise is its only free number: fit it where accuracy is known (`noise_for`) and then leave it.
+It is given the skin's motion under the forward and the reversed stimulus, weights the motion at each place by a
+threshold table, follows its level over time, and adds noise that is independent between places and moments. Noise is
+its only free number: fit it for a measured accuracy (`noise_for`) and then keep it.
 
 from palmfield.perception import OBSERVERS, direction_share, level_course, separation
 level = level_course(times, displacement, OBSERVERS["afferent_human"], integration_s=0.2)
@@ -22,12 +22,12 @@ from palmfield.perception.observers import Observer, threshold_m
 from palmfield.types import Float
 
 PADDED = 2
-"""Lengths of the record to which it is filled up by zeros before its spectrum is weighed, so that its end doesn't come
-back at its beginning."""
+"""Length of the record after zero padding, in its own lengths, before its spectrum is weighted, so that its end does
+not wrap to its beginning."""
 
 
 def weighted(times_s: ArrayLike, displacement_m: ArrayLike, observer: Observer) -> Float:
-    """Displacement over the threshold of each of its frequencies, shape (t, n); nothing outside the observer's table.
+    """Displacement over the threshold of each of its frequencies, shape (t, n); zero outside the observer's table.
 
     times_s: even [s], shape (t,); displacement_m: of n places along the normal [m], shape (t, n)
     Of a sine at one of the table's frequencies it is the sine in units of its threshold, which is a peak amplitude.
@@ -52,7 +52,7 @@ def weighted(times_s: ArrayLike, displacement_m: ArrayLike, observer: Observer) 
 def level_course(
     times_s: ArrayLike, displacement_m: ArrayLike, observer: Observer, *, integration_s: float = 0.0
 ) -> Float:
-    """How strong each place feels the motion over time, in units of threshold, shape (t, n).
+    """Perceived level of each place over time, in units of threshold, shape (t, n).
 
     The root of the running mean of the square of `weighted`, with a memory that fades by e in integration_s [s]; at 0
     the magnitude itself. Raises OutputError as `weighted`, and for a time below 0.
@@ -67,7 +67,7 @@ def level_course(
 
 
 def separation(forward: ArrayLike, reversed_: ArrayLike, step_s: float, step_m: float) -> float:
-    """How far the courses of both directions lie apart: the root of the integral over time and way of their squared
+    """Distance between the courses of both directions: the root of the integral over time and path of their squared
     difference, in the courses' unit times (s m)^1/2.
 
     forward, reversed_: courses, shape (t, n); step_s, step_m: between their samples. Raises OutputError for others.
@@ -85,7 +85,7 @@ def direction_share(apart: float, noise: float) -> float:
     """Expected share of right answers between two directions that are equally frequent, 0.5 to 1.
 
     apart: as of `separation`; noise: spectral density of the noise in the same unit, above 0
-    The likelihood ratio of two known courses in white noise: Phi(apart / (2 noise)). Raises OutputError for others.
+    The likelihood ratio of two given courses in white noise: Phi(apart / (2 noise)). Raises OutputError for others.
     """
     if not (noise > 0.0 and apart >= 0.0):
         raise OutputError(f"noise is {noise:g} and the separation {apart:g}; give noise above 0 and 0 or more")

@@ -1,6 +1,6 @@
-"""Level above the one threshold that was measured in mid-air: of the force of a focus on the palm under AM, at rest.
+"""Level above the only threshold measured in mid-air: of the force of a focus on the palm under AM, at rest.
 
-It goes by the acoustic radiation pressure (ARP) and knows nothing of the skin's motion.
+It is based on the acoustic radiation pressure (ARP) and independent of the skin's motion.
 """
 
 import math
@@ -15,7 +15,7 @@ from palmfield.stimulus.waveform import period_s
 from palmfield.types import Float, Float32, Int
 
 SAMPLES = 64
-"""Moments in a period of the modulation at which its purity is looked at."""
+"""Number of moments in a period of the modulation for its purity."""
 PUREST = 0.9
 """Least share of the line in a modulation's power that counts as a sine: pressure AM of depth 1 has 0.94, a square wave
 0.81."""
@@ -29,7 +29,7 @@ class ForceObserver:
     """A detection threshold of the radiation force's line at one frequency.
 
     frequency_Hz: [Hz]; threshold_N: peak amplitude of the line [N]; area_m2: of the disc round the highest ARP over
-        which the force is summed [m^2]; mean_N: of the force at which it was measured [N]
+        which the force is summed [m^2]; mean_N: of the force in the measurement [N]
     source, why, spread_dB, spread_of: as of `palmfield.perception.observers.Observer`
     """
 
@@ -75,11 +75,11 @@ def force_near_peak_N(vertices: Float, faces: Int, arp: Float | Float32, area_m2
     """Surface integral of the ARP over a disc about the vertex at which it is highest [N].
 
     vertices: [m], shape (n, 3); faces: shape (m, 3); arp: at the vertices [Pa], shape (n,), linear between them
-    area_m2: of the disc [m^2]; of a curved surface, what lies in the ball of the disc's radius
+    area_m2: of the disc [m^2]; of a curved surface, the part in the sphere of the disc's radius
     """
     radius = math.sqrt(area_m2 / math.pi)
     corners = vertices[faces] - vertices[int(np.argmax(arp))]
-    # Triangles of which no corner is within reach of the longest edge have no part in the ball
+    # Triangles with all corners farther than the radius and the longest edge have no part in the sphere
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     near = np.linalg.norm(corners, axis=2).min(axis=1) < radius + longest
     corners, at_corners = corners[near], np.asarray(arp, dtype=np.float64)[faces[near]]
@@ -92,7 +92,7 @@ def force_near_peak_N(vertices: Float, faces: Int, arp: Float | Float32, area_m2
 
 
 def why_refused(config: StimulusConfig) -> str | None:
-    """Why a stimulus is none that the observer was asked about, in words; None where it is one."""
+    """Return why a stimulus is outside the observer's experiment, in words; None if it is not."""
     if config.path != "point":
         return f"it was measured with a focus at rest, path is '{config.path}'"
     if config.foci_m:
@@ -114,10 +114,10 @@ def why_refused(config: StimulusConfig) -> str | None:
 
 
 def _share_of_line(config: StimulusConfig, frequency: float) -> float:
-    """Share of the line at a frequency [Hz] in the power of the ARP's modulation, once the ramp is over."""
+    """Share of the line at a frequency [Hz] in the power of the ARP's modulation, after the ramp."""
     begin = config.start_s + config.ramp_s
     if config.am_waveform == "burst" and config.am_burst_length_s is not None:
-        # Where a burst is loudest it is a sine, as it was in the measurement
+        # At its maximum a burst is a sine, as in the measurement
         begin = config.start_s + 0.5 * (config.am_burst_length_s - 1.0 / frequency)
     times = begin + np.arange(SAMPLES) / (SAMPLES * frequency)
     power = np.abs(np.fft.rfft(factors_at(config, times))[1:]) ** 2

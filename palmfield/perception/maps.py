@@ -1,4 +1,4 @@
-"""Where on the skin how much is felt: the level above threshold at each vertex."""
+"""Map of the perceived level on the skin: the level above threshold at each vertex."""
 
 from collections.abc import Sequence
 
@@ -11,7 +11,7 @@ from palmfield.stimulus.schedule import main_frequencies, repeat_rate_Hz, turn_r
 from palmfield.types import Float
 
 HIGHEST_FELT_HZ = 500.0
-"""Of a path's harmonics those up to here count: no observer's table reaches further."""
+"""Harmonics of a path up to here are used: no observer's table reaches further."""
 
 
 def level_map(
@@ -22,14 +22,14 @@ def level_map(
     *,
     periods: int | None = None,
 ) -> Float:
-    """Level above an observer's threshold at each place of the skin [dB SL], shape (m,); -inf where nothing moves.
+    """Level above an observer's threshold at each place of the skin [dB SL], shape (m,); -inf without motion.
 
-    NaN where all lines that move lie outside the observer's table.
+    NaN if all moving lines are outside the observer's table.
 
     times_s: rising [s], shape (n,); displacement_m: normal displacement of m places [m], shape (n, m)
     frequencies_Hz: lines of the motion that count, as of `felt_lines`
-    periods: of each line, as of `line_amplitudes`, which says what it raises
-    Each place is taken by itself: no summation over area.
+    periods: of each line, as of `line_amplitudes`, with its errors
+    Each place is treated separately: no summation over area.
     """
     if periods is None:
         lines = lines_of(np.asarray(times_s, dtype=np.float64), displacement_m, frequencies_Hz)
@@ -39,12 +39,12 @@ def level_map(
 
 
 def felt_lines(times: Float, config: StimulusConfig) -> list[float]:
-    """The lines [Hz] of which a level of the skin's motion is made: every level of all outputs goes by them.
+    """Return the lines [Hz] of a level of the skin's motion: all levels in outputs use them.
 
-    The stimulus's main frequencies that the record can resolve (`lines_in`), the lowest first. Then, where the record
-    holds two turns of a path, all harmonics of the turn up to HIGHEST_FELT_HZ; where the path's level changes as well,
-    of the two together (`repeat_rate_Hz`), among which are the lines of both and those beside them. Empty as of
-    `lines_in`, and where a record holds less than two such repeats.
+    The stimulus's main frequencies that the record can resolve (`lines_in`), the lowest first. Then, if the record has
+    two turns of a path, all harmonics of the turn up to HIGHEST_FELT_HZ. If the path's level changes as well, those of
+    the common repetition (`repeat_rate_Hz`), which include the lines of both and their combinations. Empty as of
+    `lines_in`, and if a record has less than two such repeats.
 
     times: evenly spaced [s], shape (t,); config: of the stimulus
     """
@@ -59,7 +59,7 @@ def felt_lines(times: Float, config: StimulusConfig) -> list[float]:
 
 
 def wanted_s(config: StimulusConfig) -> tuple[float, str]:
-    """How long a record has to be for `felt_lines` [s], and of what in words. Of a load that repeats."""
+    """Required length of a record for `felt_lines` [s], and its reason in words. For a load that repeats."""
     rate, lowest = repeat_rate_Hz(config), main_frequencies(config)[0]
     if rate is None or rate == turn_rate_Hz(config):
         return 2.0 / lowest, f"two periods of {lowest:g} Hz"
@@ -69,7 +69,7 @@ def wanted_s(config: StimulusConfig) -> tuple[float, str]:
 def lines_of(times: Float, displacement_m: ArrayLike, frequencies: Sequence[float]) -> Float:
     """Peak amplitudes of lines [m], shape (n, m), over whole periods at the record's end.
 
-    Harmonics of the lowest line are fitted over whole periods of that one, where none leaks into another.
+    Harmonics of the lowest line are fitted over whole periods of that one, which avoids leakage.
 
     times: [s], shape (t,); displacement_m: shape (t, m); frequencies: [Hz], shape (n,)
     """
@@ -85,8 +85,8 @@ def lines_of(times: Float, displacement_m: ArrayLike, frequencies: Sequence[floa
 
 
 def lines_in(times: Float, frequencies: list[float]) -> list[float]:
-    """The frequencies [Hz] of which a record has three samples a period or more, none where it is shorter than two
-    periods of the first.
+    """Return the frequencies [Hz] for which a record has at least three samples a period, none if it is shorter than
+    two periods of the first.
 
     times: evenly spaced [s], shape (t,)
     """

@@ -1,7 +1,7 @@
-"""From skin motion to level above threshold, by named contact observers; and the amplitude of lines in a motion.
+"""Level of skin motion above threshold, by named contact observers; and the amplitude of lines in a motion.
 
-The observers differ by up to 19 dB: give results for each, with its own spread, rather than for one. None of them was
-measured in mid-air; the one that was goes by force (`palmfield.perception.force_threshold`).
+The observers differ by up to 19 dB: report results for each, with its own spread. None of them was measured in mid-air;
+the only one that was is based on force (`palmfield.perception.force_threshold`).
 """
 
 from dataclasses import dataclass
@@ -13,15 +13,15 @@ from palmfield.errors import OutputError
 from palmfield.types import Float
 
 BLOCK = 512
-"""Courses that are fitted at a time: of long runs all together, in double precision, take gigabytes."""
+"""Number of courses fitted together: all of a long run, in double precision, would take gigabytes."""
 
 
 @dataclass(frozen=True)
 class AreaSummation:
-    """Thresholds fall by 3 dB for each doubling of the area that moves, between two areas and two frequencies.
+    """Thresholds decrease by 3 dB for each doubling of the moving area, between two areas and two frequencies.
 
-    low_Hz, high_Hz: [Hz]; low_m2, high_m2: beyond them the area counts as these [m^2]
-    contact_m2: the area for which the table of thresholds stands [m^2]
+    low_Hz, high_Hz: [Hz]; low_m2, high_m2: limits to which the area is clipped [m^2]
+    contact_m2: contact area of the table of thresholds [m^2]
     """
 
     low_Hz: float
@@ -39,34 +39,34 @@ class AreaSummation:
 
 @dataclass(frozen=True)
 class TemporalSummation:
-    """The squared motion is summed with a leak, so that short stimuli need more, from one frequency on.
+    """The squared motion is summed with a leak, so that short stimuli need a higher level, from one frequency on.
 
-    from_Hz: [Hz]; tau_s: time constant of the leak [s]; the table of thresholds stands for stimuli that last for many
+    from_Hz: [Hz]; tau_s: time constant of the leak [s]; the table of thresholds applies to stimuli of many tau_s
     """
 
     from_Hz: float
     tau_s: float
 
     def factor(self, f_Hz: ArrayLike, duration_s: float) -> Float:
-        """Threshold of a steady vibration that lasts so long over that of the table, of the shape of f_Hz [Hz]."""
+        """Threshold of a steady vibration of this duration over that of the table, of the shape of f_Hz [Hz]."""
         summed = np.asarray(f_Hz, dtype=np.float64) >= self.from_Hz
         return np.where(summed, 1.0 / np.sqrt(-np.expm1(-duration_s / self.tau_s)), 1.0)
 
 
 @dataclass(frozen=True)
 class Observer:
-    """Detection thresholds of one study, of a body that vibrates in contact with the skin.
+    """Detection thresholds of one study, for a body that vibrates in contact with the skin.
 
     frequency_Hz: rising [Hz], shape (n,); peak_m: peak displacement at threshold [m], shape (n,)
-    stated: what the source's table holds (quantity, peak or rms)
+    stated: quantity of the source's table (and peak or rms)
     percent_correct: share of correct answers at threshold [%], None where it is not established
-    source: where the values come from, and what they do and do not stand for
-    why: in one line, what a level of this observer stands for in mid-air
-    spread_dB: half-width of its own spread [dB], None where it is not established; spread_of: of what, in words
-    channels_from_Hz: frequencies from which on another channel of the skin is the most sensitive one [Hz]; levels of
-        channels are not added up, the highest counts
-    summation: how thresholds depend on area, None where the source at hand has no such law
-    temporal: how they depend on duration, None likewise
+    source: of the values, and their validity
+    why: in one line, meaning of a level of this observer in mid-air
+    spread_dB: half-width of its own spread [dB], None if not established; spread_of: its origin, in words
+        channels_from_Hz: frequencies from which on another channel of the skin is the most sensitive one [Hz]; levels
+        of channels are not added up, the highest counts
+    summation: dependence of thresholds on area, None if the source has no such law
+    temporal: their dependence on duration, None if the source has no such law
     """
 
     name: str
@@ -151,8 +151,8 @@ def threshold_m(
     """Peak displacement at threshold [m], interpolated on log-log axes.
 
     f_Hz: [Hz], any shape; the result has the same shape and is NaN outside the observer's table.
-    area_m2: that moves [m^2], summed over; None for the contact of the observer's own table
-    duration_s: for which the vibration is steady [s]; None for one that lasts
+    area_m2: moving area [m^2], summed over; None for the contact of the observer's own table
+    duration_s: of the steady vibration [s]; None for a long one
     Raises OutputError for an area or duration that is not above 0, or of an observer without a law for it.
     """
     frequency = np.asarray(f_Hz, dtype=np.float64)
@@ -200,14 +200,14 @@ def levels_dB_SL(
     area_m2: float | None = None,
     duration_s: float | None = None,
 ) -> Float:
-    """Sensation levels 20 log10 sqrt(sum (A_i / T(f_i))^2) [dB], shape (m,); 0 dB is just felt, -inf where nothing
-    moves, NaN (no value) where something does, but at frequencies alone for which the observer has no threshold.
+    """Sensation levels 20 log10 sqrt(sum (A_i / T(f_i))^2) [dB], shape (m,); 0 dB is just felt, -inf without motion,
+    NaN (no value) for motion only at frequencies without a threshold of the observer.
 
     frequencies: lines of the motion [Hz], shape (n,); peak_amplitudes_m: their peak amplitudes at m places [m], (n, m);
     a place whose amplitude is NaN has the level NaN
-    area_m2, duration_s: as of `threshold_m`, which says what it raises
+    area_m2, duration_s: as of `threshold_m`, with its errors
     The sum goes over the lines of one channel; the channel with the highest level counts.
-    DC and lines outside the observer's table are left out. Give lines (`line_amplitude`), not the bins of
+    DC and lines outside the observer's table are left out. Pass lines (`line_amplitude`), not the bins of
     a windowed spectrum: Hann's count every line 1.5 times.
     """
     frequency, amplitude = (np.asarray(one, dtype=np.float64) for one in (frequencies, peak_amplitudes_m))
@@ -245,7 +245,7 @@ def line_amplitudes(time: ArrayLike, x: ArrayLike, f: float, periods: int | None
         raise OutputError(f"frequency {f} Hz has no line; give one above 0")
     if not np.isfinite(times).all() or np.shape(x)[:1] != times.shape or np.ndim(x) != 2:
         raise OutputError(f"times of shape {times.shape} and courses of {np.shape(x)}: give finite (n,) and (n, m)")
-    # A record of n samples stands for n steps, so its length is one step more than from first to last sample.
+    # A record of n samples covers n steps, so its length is one step more than from first to last sample.
     step = (times[-1] - times[0]) / (len(times) - 1) if len(times) > 1 else 0.0
     held = int(np.floor((times[-1] - times[0] + step) * f + 1e-6))
     used = held if periods is None else periods

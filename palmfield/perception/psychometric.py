@@ -1,7 +1,7 @@
-"""Psychometric functions: how often something is felt at each level, fitted to answers by maximum likelihood.
+"""Psychometric functions: probability of detection at each level, fitted to answers by maximum likelihood.
 
-p(x) = g + (1 - g - l) F(x): g the rate of guesses that are right, l the rate of lapses, and F from 0 to 1, with
-F = 1/2 at the threshold. What a spread is depends on F:
+p(x) = g + (1 - g - l) F(x): g the rate of guesses that are right, l the rate of lapses, and F from 0 to 1, with F = 1/2
+at the threshold. The definition of spread depends on F:
 
 normal    F = Phi((x - threshold) / spread), spread: its standard deviation
 logistic  F = 1 / (1 + exp(-(x - threshold) / spread))
@@ -28,21 +28,21 @@ from palmfield.types import Float
 
 Shape = Literal["normal", "logistic", "weibull"]
 MOST_LAPSES = 0.1
-"""Lapses that a fit may find, at most: beyond, answers say little of the level."""
+"""Largest fitted rate of lapses: beyond it, answers contain little information on the level."""
 SURE = 1e-9
-"""Probabilities keep so far from 0 and 1, so that one answer against all odds has a likelihood."""
+"""Least distance of probabilities from 0 and 1, so that a single unlikely answer has a likelihood."""
 ROUNDS = 60
-"""Of scoring, at most."""
+"""Largest number of scoring rounds."""
 SETTLED = 1e-7
 LEAST_SPREAD, MOST_SPREAD = 1e-3, 10.0
-"""Of the range of levels: spreads that a fit may find."""
+"""Limits of the fitted spread as shares of the range of levels."""
 BEYOND = 1.0
-"""Of the range of levels: so far outside it a threshold may be found."""
+"""Largest distance of a fitted threshold outside the levels, as a share of their range."""
 ADAPTIVE_SHARE = 1.73
-"""Of the deviance that chi squared allows. In simulated staircases of 25 to 120 trials, 1 up 2 down, of steps of 4 and
-2 dB and spreads of 1 to 6 dB, 95 % of true thresholds' deviances lay below 4.5 to 7.5, not 3.84: this gives 6.6."""
+"""Factor of the deviance allowed by chi squared. In simulated staircases of 25 to 120 trials, 1 up 2 down, of steps of
+4 and 2 dB and spreads of 1 to 6 dB, 95 % of true thresholds' deviances were below 4.5 to 7.5, not 3.84: we use 6.6."""
 PROFILED, PROFILED_SPREADS = 601, 61
-"""Thresholds and spreads at which a profile is looked at."""
+"""Thresholds and spreads at which a profile is evaluated."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class PsychometricFunction:
 
 
 class _Form(NamedTuple):
-    """F and its slope against z = (x - threshold) / spread; of levels as `_scaled` has them."""
+    """F and its derivative by z = (x - threshold) / spread; of levels as `_scaled` returns them."""
 
     share: Callable[[Float, float | Float, float | Float], Float]
     slope: Callable[[Float], Float]
@@ -104,13 +104,13 @@ FORMS: dict[str, _Form] = {
 
 @dataclass(frozen=True)
 class Fit:
-    """A function that was fitted, and how well it is known.
+    """A fitted function, and its uncertainty.
 
-    function; threshold_interval, spread_interval: bootstrap percentiles of `confidence`, (low, high); of levels that
+    function; threshold_interval, spread_interval: bootstrap percentiles of `confidence`, (low, high); for levels that
     followed from answers the threshold's is that of the profile likelihood
-    trials, right: of all levels together; deviance: 2 (log likelihood of the shares seen - of the function)
-    deviance_share: share of the bootstrap's samples with a larger deviance: below 0.05 the function doesn't fit
-    settled: whether the threshold lies between the levels, and the spread inside its bounds
+    trials, right: of all levels together; deviance: 2 (log likelihood of the observed shares - of the function)
+    deviance_share: share of the bootstrap's samples with a larger deviance: below 0.05 the function does not fit
+    settled: whether the threshold is between the levels, and the spread inside its bounds
     """
 
     function: PsychometricFunction
@@ -151,15 +151,15 @@ def fit(
     """Fit a psychometric function to counts of answers, by maximum likelihood, with a parametric bootstrap.
 
     levels: different ones, shape (k,), 2 or more; trials, right: at each of them, whole numbers, shape (k,)
-    guess: known from the task, 1/n for n alternatives; lapse: known, or None to be found, at most MOST_LAPSES
-    spread: known, or None to be found; of few trials, or those of a staircase, it comes out too small
-    adaptive: whether the levels followed from the answers, as a staircase's do. Then, with the spread to be found, the
+    guess: given by the task, 1/n for n alternatives; lapse: given, or None to fit it, at most MOST_LAPSES
+    spread: given, or None to fit it; from few trials, or those of a staircase, it is too small
+    adaptive: whether the levels followed from the answers, as a staircase's do. Then, with a fitted spread, the
         threshold's interval is that of the profile likelihood: all thresholds at which some spread makes the answers
         nearly as likely. Deviances of `confidence` were too small a limit in simulations, see ADAPTIVE_SHARE.
-    samples: of the bootstrap, each answered anew by the fitted function at the same levels. It takes the levels as
-        chosen beforehand, which those of a staircase were not.
-    Raises OutputError for other shapes and counts, levels of one value, and answers that are all alike, which no
-    threshold can be told from.
+        samples: of the bootstrap, each with new answers of the fitted function at the same levels. It treats the levels
+        as chosen beforehand, unlike those of a staircase.
+    Raises OutputError for other shapes and counts, levels of one value, and answers that are all equal, which determine
+    no threshold.
     Source: F. A. Wichmann, N. J. Hill, Percept. Psychophys. 63, 1293 and 1314 (2001).
     """
     x, n, k = _counts(levels, trials, right, shape)
@@ -230,7 +230,7 @@ def _counts(levels: ArrayLike, trials: ArrayLike, right: ArrayLike, shape: str) 
 
 
 def counts(levels: ArrayLike, right: ArrayLike) -> tuple[Float, Float, Float]:
-    """Different levels, how many trials there were at each, and how many right, from single trials, shapes (t,)."""
+    """Count single trials: different levels, number of trials at each, and of right answers, shapes (t,)."""
     x, answers = np.asarray(levels, np.float64), np.asarray(right, np.float64)
     values, which = np.unique(np.round(x, 12), return_inverse=True)
     return values, np.bincount(which).astype(np.float64), np.bincount(which, answers).astype(np.float64)
@@ -247,7 +247,7 @@ def _check_rates(guess: float, lapse: float) -> None:
 
 
 def _scaled(shape: str, x: float | Float) -> Float:
-    """Levels as F takes them: of a Weibull function their logarithms."""
+    """Return levels as F uses them: logarithms for a Weibull function."""
     levels = np.asarray(x, np.float64)
     if shape != "weibull":
         return levels
@@ -255,7 +255,7 @@ def _scaled(shape: str, x: float | Float) -> Float:
 
 
 def _bounds(place: Float, lapse: float | None, spread: float | None) -> list[tuple[float, float]]:
-    """Of threshold, log spread and lapse; equal ones for what is known."""
+    """Bounds of threshold, log spread and lapse; equal ones for given values."""
     low, high = float(place.min()), float(place.max())
     wide = high - low
     rates = (0.0, MOST_LAPSES) if lapse is None else (lapse, lapse)
@@ -271,7 +271,7 @@ def _function(shape: Shape, values: Float, guess: float) -> PsychometricFunction
 
 
 def _probability(form: _Form, place: Float, values: Float, guess: float) -> Float:
-    """Of right answers, shape (m, k), for m sets of threshold, log spread and lapse, shape (m, 3)."""
+    """Probability of right answers, shape (m, k), for m sets of threshold, log spread and lapse, shape (m, 3)."""
     share = form.share(place, values[:, :1], np.exp(values[:, 1:2]))
     return np.clip(guess + (1.0 - guess - values[:, 2:]) * share, SURE, 1.0 - SURE)
 
@@ -288,7 +288,7 @@ def _deviance(form: _Form, place: Float, n: Float, right: Float, values: Float, 
 
 
 def _fit_one(form: _Form, place: Float, n: Float, k: Float, guess: float, bounds: list[tuple[float, float]]) -> Float:
-    """The likeliest threshold, log spread and lapse, shape (3,), from the two best of several beginnings."""
+    """Return the likeliest threshold, log spread and lapse, shape (3,), from the two best of several start points."""
     wide = float(np.ptp(place))
     low, high = np.array(bounds).T
     middles, spreads = np.meshgrid(
@@ -312,7 +312,7 @@ def _fit_many(
     form: _Form, place: Float, n: Float, right: Float, guess: float,
     bounds: list[tuple[float, float]], first: Float,
 ) -> Float:  # fmt: skip
-    """As `_fit_one` for many samples at once, right: shape (m, k); by Fisher scoring with damping, shape (m, 3)."""
+    """As `_fit_one` for many samples, right: shape (m, k); by Fisher scoring with damping, shape (m, 3)."""
     low, high = np.array(bounds).T
     free = np.flatnonzero(low < high)
     values = np.tile(first, (len(right), 1))

@@ -1,4 +1,4 @@
-"""What a scene needs to be modelled, what is left out, what that costs in error and time: before anything runs.
+"""Plan a scene before the run: modelled and ignored effects, expected error and time.
 
 `palmfield.plan` is public there.
 """

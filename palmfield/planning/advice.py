@@ -1,4 +1,4 @@
-"""What a user should know before the run, in words."""
+"""Advice for a user before the run, in words."""
 
 import math
 from dataclasses import replace
@@ -29,24 +29,24 @@ from palmfield.stimulus.schedule import frames_at, main_frequencies, turn_rate_H
 from palmfield.types import Float
 
 COURSE, POSES = 64, 16
-"""Points of a path, and poses of hands that scripts move, in which its distance from a skin is looked at."""
+"""Number of points of a path, and of poses of scripted hands, for distances from a skin."""
 SOUNDS, NODES = 16, 2000
-"""Points of a path, and of a skin, at most, in which the sound is looked at that comes from a focus far away."""
+"""Largest number of points of a path, and of a skin, for the sound of a distant focus."""
 HARDLY = 0.05
-"""Of the |p|^2 of a focus on it: skin that gets less hardly moves."""
+"""Share of the |p|^2 of a focus on it: skin with less hardly moves."""
 ROUNDED = 0.01
-"""Of its duration, by which MuJoCo's steps may change a run without a word."""
+"""Share of its duration by which MuJoCo's steps may change a run without a warning."""
 
 
 DENSITIES_kg_m3 = 500.0, 3000.0
 SHEAR_Pa = 50.0, 1e9
-"""Of what skin and phantoms are made of, from the softest gels to dry stratum corneum."""
+"""Range of skin and phantoms, from the softest gels to dry stratum corneum."""
 LEAST_POISSON = 0.3
 """Soft tissue, gels and rubbers keep their volume: 0.45 to 0.5."""
 
 
 def material_advice(model: HapticModel) -> list[str]:
-    """Warnings of the sheets of all skins."""
+    """Return warnings of the material sheets of all skins."""
     return [
         f"material '{sheet.material.name}' of skin '{skin.spec.name}' {said}"
         for skin in model.skins
@@ -116,7 +116,7 @@ def advice(view: Preview) -> list[str]:
 
 
 def _coarse(model: HapticModel, number: int) -> list[str]:
-    """Whether keys make a skin coarser than its accuracy takes."""
+    """Whether keys make a skin coarser than its accuracy needs."""
     skin, pinned = model.skins[number].spec, coarse_pins(model, number)
     if not pinned:
         return []
@@ -127,7 +127,7 @@ def _coarse(model: HapticModel, number: int) -> list[str]:
 
 
 def _dropped_response(model: HapticModel, number: int) -> list[str]:
-    """Whether ring-up or flight time are left out by key, and would change more than the accuracy."""
+    """Whether ring-up or flight time are switched off by key, with an effect larger than the accuracy."""
     skin, stimulus = model.skins[number], model.stimuli[stimulus_of(model, number)]
     wanted = skin.spec.config.accuracy
     return [
@@ -157,7 +157,7 @@ def _held_too_long(stimulus: StimulusModel) -> list[str]:
 
 
 def _far_focus(view: Preview, number: int) -> list[str]:
-    """Whether no focus comes near a skin, now or where scripts take it."""
+    """Whether no focus comes close to a skin, now or during scripted motion."""
     model = view.runtime.model
     skin = model.skins[number]
     numbers = range(len(model.stimuli))
@@ -191,8 +191,8 @@ def _far_focus(view: Preview, number: int) -> list[str]:
 def _share_of_focus(model: HapticModel, skin: int, stimulus: int, posed: PosedScene) -> float:
     """The highest |p|^2 on a skin, in free air, over that of a focus at the same place, for the points of a path.
 
-    Both at full drive of the same transducers, whatever level the stimulus sets and its board plays: a level that is
-    right for the focus may be out of reach at the skin.
+    Both at full drive of the same transducers, for any level of the stimulus and its board: a level that is right for
+    the focus may be out of reach at the skin.
     """
     nodes = posed.skins[skin].nodes[0]
     nodes = nodes[:: -(-len(nodes) // NODES)]
@@ -211,7 +211,7 @@ def _share_of_focus(model: HapticModel, skin: int, stimulus: int, posed: PosedSc
 
 
 def _silence(view: Preview, stimulus: StimulusModel) -> list[str]:
-    """Whether a stimulus makes no sound in the run, by its level or by its times."""
+    """Whether a stimulus is silent in the run, by its level or by its times."""
     config, name = stimulus.config, stimulus.spec.name
     begin, end = float(view.data.time), float(view.data.time) + view.duration_s
     if stimulus.silent:
@@ -231,7 +231,7 @@ def _silence(view: Preview, stimulus: StimulusModel) -> list[str]:
 
 
 def _rounded_duration(view: Preview) -> list[str]:
-    """Whether MuJoCo's steps make the run longer or shorter than it was meant."""
+    """Whether MuJoCo's steps make the run longer or shorter than intended."""
     step_s = view.runtime.model.spec.timestep_s
     steps = step_count(view.duration_s, step_s)
     if abs(steps * step_s - view.duration_s) <= ROUNDED * view.duration_s:
@@ -252,7 +252,7 @@ def _disabled_sensors(view: Preview) -> list[str]:
 
 
 def _course(stimulus: StimulusModel) -> Float:
-    """Some of a stimulus's points over one turn of its path, shape (k, 3)."""
+    """Return some of a stimulus's points over one turn of its path, shape (k, 3)."""
     config = stimulus.config
     rate = turn_rate_Hz(config)
     count = COURSE if rate else 1
@@ -261,7 +261,7 @@ def _course(stimulus: StimulusModel) -> Float:
 
 
 def _keys_without_effect(stimulus: StimulusModel) -> list[str]:
-    """Keys of a modulation that is off."""
+    """Return keys of a modulation that is off."""
     config = stimulus.spec.config
     given = [key for key in AM_KEYS if key in config.model_fields_set and getattr(config, key) is not None]
     if config.modulation != "none" or not given:
@@ -308,7 +308,7 @@ def _path_off_the_skin(model: HapticModel, stimulus: StimulusModel) -> list[str]
 
 
 def _own_mesh(skin: SkinModel, view: Preview) -> list[str]:
-    """What a solver with a mesh of its own costs on a CPU, and what a preview is worth."""
+    """Describe the cost of a solver with its own mesh on a CPU, and the value of a preview."""
     solver, device = skin.choice.name, view.runtime.model.spec.device
     own, result = skin.explicit, list[str]()
     if own is None:

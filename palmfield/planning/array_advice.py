@@ -1,4 +1,4 @@
-"""What a user should know of a scene's arrays before the run: numbers that look as if in another unit."""
+"""Advice on a scene's arrays before the run: numbers that seem to be in another unit."""
 
 import numpy as np
 
@@ -8,17 +8,17 @@ from palmfield.simulation.model import HapticModel, array_instances
 from palmfield.simulation.validate import pitch_m
 
 TOUCHING = 0.99
-"""Of two pistons' radii, below which their middles are doubted."""
+"""Share of two pistons' radii below which the distance of their centres is doubtful."""
 DRY_PERCENT = 1.0
-"""No room is drier: below it the humidity is taken for a share."""
+"""No room is drier: a lower humidity was probably given as a share."""
 MEDIAN_GAIN = 2.0
-"""Transducers whose middle one is so many times louder or softer than p0 have their level in the wrong place."""
+"""Factor of the median transducer's level relative to p0 beyond which the level is in the wrong key."""
 FAR_OFF_M = 0.05
-"""A board that a calibration moves farther was measured in another frame, or in another unit."""
+"""A calibration that moves a board farther was measured in another frame, or in another unit."""
 WIDE = 10.0
-"""Ends of a range whose ratio is more say that nothing was measured."""
+"""Ratio of a range's ends beyond which it is not a measurement."""
 UNLIKELY = 3.0
-"""So many times beyond what is known of any transducer a p0 is doubted."""
+"""Factor beyond the values of real transducers from which a p0 is doubtful."""
 
 
 def array_advice(model: HapticModel) -> list[str]:
@@ -27,7 +27,7 @@ def array_advice(model: HapticModel) -> list[str]:
 
 
 def _unlikely_p0(model: HapticModel) -> list[str]:
-    """Whether p0 is far from that of any transducer that is known: most likely it is in another unit."""
+    """Whether p0 is far from that of any real transducer: most likely it is in another unit."""
     result = []
     known = [ANY_P0, *(layout.p0 for layout in LAYOUTS.values())]
     least, most = min(one.low for one in known), max(one.high for one in known)
@@ -43,7 +43,7 @@ def _unlikely_p0(model: HapticModel) -> list[str]:
 
 
 def _crowded(model: HapticModel) -> list[str]:
-    """Whether transducers of an array stand in one another: places in another unit, or pistons of another size."""
+    """Whether transducers of an array overlap: places in another unit, or pistons of another size."""
     result = []
     for array, part in zip(model.spec.arrays, model.arrays.parts, strict=True):
         apart, wide = pitch_m(part.positions), 2.0 * part.piston_radius_m
@@ -66,7 +66,7 @@ def _dry(model: HapticModel) -> list[str]:
 
 
 def _calibrations(model: HapticModel) -> list[str]:
-    """Whether a laboratory's calibration says what no board is like: levels and places in another unit."""
+    """Whether a laboratory's calibration has values unlike any board: levels and places in another unit."""
     result = []
     for array, instance in zip(model.spec.arrays, array_instances(model.spec), strict=True):
         known = instance.calibration

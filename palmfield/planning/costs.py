@@ -1,4 +1,4 @@
-"""What a run costs: points of the field, boundary elements, the error estimate."""
+"""Cost of a run: points of the field, boundary elements, the error estimate."""
 
 from typing import NamedTuple
 
@@ -38,7 +38,7 @@ class Scattering(NamedTuple):
 
 
 def scatterings(view: Preview) -> list[Scattering]:
-    """What boundary elements cost, for each skin that asks for them."""
+    """Return the cost of boundary elements, for each skin that uses them."""
     model = view.runtime.model
     asking = [i for i, skin in enumerate(model.skins) if skin.spec.config.body_sound == "scattering"]
     result = []
@@ -56,7 +56,7 @@ def scatterings(view: Preview) -> list[Scattering]:
 
 
 def _can_move(view: Preview, skin: int) -> bool:
-    """Whether body or arrays have degrees of freedom or are moved as mocap bodies, or lie on a body that is."""
+    """Whether body or arrays have degrees of freedom or are moved as mocap bodies, or are part of such a body."""
     scene, binding = view.runtime.view.model, view.runtime.binding
     sites = [*binding.array_sites, *(site for own in binding.transducer_sites for site in own)]
     bodies = {binding.skins[skin].body, *(scene.site_body(site) for site in sites)}
@@ -64,7 +64,7 @@ def _can_move(view: Preview, skin: int) -> bool:
 
 
 def points_a_step(model: HapticModel) -> float:
-    """Points at which the field is computed in one of MuJoCo's steps."""
+    """Return the number of field points in one MuJoCo step."""
     skin = sum(6 * len(part.layer.mesh.surface_triangles6) + part.layer.mesh.surface_nodes for part in model.skins)
     configs = [stimulus.config for stimulus in model.stimuli]
     moving = any(config.path != "point" and not frame_rates(config) for config in configs)

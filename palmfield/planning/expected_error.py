@@ -1,4 +1,4 @@
-"""What error of the skin displacement a plan expects, from mesh, material and p0."""
+"""Expected error of the skin displacement in a plan, from mesh, material and p0."""
 
 from palmfield.estimate.array_inputs import p0_band, p0_known
 from palmfield.planning.pins import coarse_pins
@@ -23,7 +23,7 @@ def expected_errors(model: HapticModel) -> list[Row]:
 
 
 def _mesh_row(skin: SkinModel, pinned: list[str]) -> Row:
-    """What elements or particles cost in error. pinned: as of `coarse_pins`"""
+    """Return the row of the error due to elements or particles. pinned: as of `coarse_pins`"""
     wanted = f"{100 * skin.spec.config.accuracy:g} % wanted"
     if pinned:
         why = f"keys make it coarser than that takes: {', '.join(pinned)}; the run estimates what was reached"
@@ -39,7 +39,7 @@ def _mesh_row(skin: SkinModel, pinned: list[str]) -> Row:
 
 
 def _material_row(material: Material, ranges: bool, skin: str) -> Row:
-    """What is known of a material's numbers; the run solves for the ends of the ranges."""
+    """Return the row of a material's uncertainties; the run solves for the ends of the ranges."""
     entry = CATALOGUE.get(material.name)
     if not ranges or entry is None or not entry.ranges:
         return Row("material", "no range is known", f"{material.name}: {material.source}", skin)

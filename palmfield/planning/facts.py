@@ -1,4 +1,4 @@
-"""What several parts of a plan ask of a model."""
+"""Properties of a model for several parts of a plan."""
 
 import numpy as np
 
@@ -9,16 +9,16 @@ from palmfield.types import Complex, Float
 
 
 def first_drive(model: HapticModel, stimulus: int) -> Complex:
-    """What all transducers are told for a stimulus's first focus at the loudest moment, shape (N,)."""
+    """Return the commanded drive of all transducers for a stimulus's first focus at the loudest moment, shape (N,)."""
     drive = array_drives(model, model.arrays)[stimulus]
     return drive.unit_drive(model.stimuli[stimulus].first_focus).amplitudes
 
 
 def where_it_arrives(posed: PosedScene, skin: int, drive: Complex) -> tuple[Float, Float, float]:
-    """Where a drive of all transducers (N,) is loudest in free air on a skin that looks at them, wherever the focus is.
+    """Return the loudest place, in free air, of a drive of all transducers (N,) on a skin that faces them.
 
-    A node and its outward normal, array frame, shapes (3,) [m], with the peak pressure there [Pa]: 0 where no node
-    looks at the transducers. Nothing is solved for: shadows and scattering are left to the run.
+    A node and its outward normal, array frame, shapes (3,) [m], with the peak pressure there [Pa]: 0 if no node faces
+    the transducers. Shadows and scattering are not solved here; the run includes them.
     """
     nodes, outwards = posed.skins[skin].nodes
     loud = np.abs(drive)
@@ -30,5 +30,5 @@ def where_it_arrives(posed: PosedScene, skin: int, drive: Complex) -> tuple[Floa
 
 
 def force_samples(model: HapticModel) -> int:
-    """Places at which the sound pushes bodies; a disc is pushed at its skin's points."""
+    """Places at which the sound acts on bodies; for a disc, the points of its skin."""
     return sum(0 if body.surface is None else len(body.sample_mesh.corners) for body in model.bodies)

@@ -1,4 +1,4 @@
-"""Whether MuJoCo's geoms that no skin names stand between array and skin: sound goes through them without a word."""
+"""Detect MuJoCo geoms between array and skin that no skin names: the simulated sound passes through them."""
 
 from collections.abc import Iterable
 
@@ -10,19 +10,19 @@ from palmfield.session.preview import Preview
 from palmfield.types import Float
 
 POINTS, TRANSDUCERS = 8, 32
-"""Of the skin nearest to the focus, and of the array, between which ways are looked at."""
+"""Numbers of points of the skin nearest to the focus, and of the array, for the test rays."""
 BEGIN_M, END_M = 1e-3, 5e-3
-"""Ways begin so far above the skin and end so far before the transducers, whose board may have a geom."""
+"""Distances of the rays' ends above the skin and before the transducers, whose board may have a geom."""
 SHARE = 0.05
-"""Of the ways, from which on they are told."""
+"""Share of the rays from which a warning is given."""
 MOST_HITS = 64
-"""Geoms that one way may meet."""
+"""Largest number of geoms that one ray may hit."""
 
 
 def in_the_way(view: Preview) -> list[str]:
-    """A sentence for each skin and each body whose geoms the sound goes through, as the scene stands now.
+    """Return a sentence for each skin and each body whose geoms the sound passes through, in the present pose.
 
-    Bodies that carry skins or arrays, with all that hangs on them, and those that key `obstacles` names are left out.
+    Bodies with skins or arrays, their descendants, and those in key `obstacles` are left out.
     """
     model, data, runtime = view.data.model, view.data, view.runtime
     known = _known(view)
@@ -51,7 +51,7 @@ def in_the_way(view: Preview) -> list[str]:
 
 
 def _known(view: Preview) -> set[int]:
-    """Bodies that the skins know of: their own, the arrays', named obstacles, and what hangs on these."""
+    """Return bodies that the skins account for: their own, the arrays', named obstacles, and their descendants."""
     model, binding = view.data.model, view.runtime.binding
     sites = [*binding.array_sites, *(site for own in binding.transducer_sites for site in own)]
     named = {name for skin in view.runtime.spec.skins for name in skin.config.obstacles}
@@ -66,7 +66,7 @@ def _known(view: Preview) -> set[int]:
 
 
 def _ancestors(model: mujoco.MjModel, body: int) -> set[int]:
-    """A body and what it hangs on."""
+    """Return a body and its ancestors."""
     found = {body}
     while body != 0:
         body = int(model.body_parentid[body])
@@ -75,7 +75,7 @@ def _ancestors(model: mujoco.MjModel, body: int) -> set[int]:
 
 
 def _met(model: mujoco.MjModel, data: mujoco.MjData, begin: Float, end: Float, known: set[int]) -> Iterable[int]:
-    """Bodies that are not known whose geoms a way meets, each once; places in the world [m], shape (3,)."""
+    """Return other bodies whose geoms a ray hits, each once; places in the world [m], shape (3,)."""
     length = float(np.linalg.norm(end - begin)) - END_M
     way, gone, found = (end - begin) / np.linalg.norm(end - begin), 0.0, set()
     geom = np.zeros(1, np.int32)

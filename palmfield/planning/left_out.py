@@ -1,4 +1,4 @@
-"""What a plan says is left out, and what that costs in error."""
+"""Effects that a plan ignores, and their cost in error."""
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from palmfield.skin.from_config import cutoff_Hz
 
 
 def left_out(model: HapticModel) -> list[Row]:
-    """Rows of what is left out, and what that does to the displacement of each skin under the focus."""
+    """Return rows of ignored effects, and their influence on the displacement of each skin under the focus."""
     rows, posed = [], reference_scene(model)
     for number, skin in enumerate(model.skins):
         stimulus = stimulus_of(model, number)
@@ -27,7 +27,7 @@ def left_out(model: HapticModel) -> list[Row]:
 
 
 def besides(model: HapticModel) -> list[Row]:
-    """Rows of what else is not there: no figure of them is of a skin's displacement."""
+    """Return rows of further ignored effects, without a figure for a skin's displacement."""
     rows = []
     for skin in model.skins:
         if skin.spec.moves or skin.carrier.hand is not None:
@@ -66,7 +66,7 @@ def _inertia(skin: SkinModel) -> str:
 
 
 def _common_flight(model: HapticModel, stimulus: StimulusModel) -> Row:
-    """The time that all sound takes, by which results are early."""
+    """Common flight time of all sound, by which results are early."""
     arrays, focus = model.arrays, stimulus.first_focus
     distances = np.linalg.norm(arrays.array.positions[stimulus.transducers] - focus, axis=1)
     middle_s = 0.5 * (distances.min() + distances.max()) / sound_speed(arrays.air)

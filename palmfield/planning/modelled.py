@@ -1,4 +1,4 @@
-"""What a plan says is modelled, and how."""
+"""Effects that a plan models, and how."""
 
 from palmfield import cache
 from palmfield.acoustics.body_scattering import BODY_SOUNDS
@@ -19,9 +19,9 @@ from palmfield.stimulus.modulation import arp_lines
 
 
 def modelled(model: HapticModel, duration_s: float, felt: str) -> list[Row]:
-    """Rows of what is modelled in a run of this length [s], in the order of the pipeline.
+    """Return rows of modelled effects in a run of this length [s], in the order of the pipeline.
 
-    felt: what keeps `Simulation.step` from taking several steps in one go, empty for nothing
+    felt: what prevents `Simulation.step` from taking several steps together, or ""
     """
     skin_points = sum(6 * len(skin.layer.mesh.surface_triangles6) for skin in model.skins)
     surface = f"{skin_points} skin points"
@@ -79,7 +79,7 @@ def modelled(model: HapticModel, duration_s: float, felt: str) -> list[Row]:
 
 
 def _modulation(stimulus: StimulusModel, level: float) -> list[Row]:
-    """What the ARP of a modulated stimulus is made of; level: largest amplitude of its transducers, of full drive"""
+    """Describe the ARP of a modulated stimulus; level: largest amplitude of its transducers, of full drive"""
     config, lines = stimulus.config, arp_lines(stimulus.config)
     if lines is None:
         return []
@@ -138,7 +138,7 @@ def _layer(skin: SkinModel) -> list[Row]:
 
 
 def _solver(skin: SkinModel, still_m: float) -> Row:
-    """Which stepper steps a skin, and why; still_m: how far its body may move and count as still [m]."""
+    """Return the stepper of a skin, and why; still_m: largest motion of its body that counts as still [m]."""
     choice, config, name = skin.choice, skin.spec.config, skin.spec.name
     if skin.explicit is not None:
         preview, why = ", a preview" * skin.explicit.preview, f"{skin.explicit.steps}; {choice.why}"
@@ -168,7 +168,7 @@ def _solver(skin: SkinModel, still_m: float) -> Row:
 
 
 def _directivity(model: HapticModel) -> str:
-    """What the transducers are off their axes, in words."""
+    """Describe the directivity of the transducers, in words."""
     return " and ".join(form_of(group.array).words(group.array) for group in model.arrays.groups)
 
 

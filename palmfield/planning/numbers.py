@@ -12,7 +12,7 @@ from palmfield.stimulus.modulation import arp_lines
 
 
 def plan_numbers(view: Preview) -> dict[str, Any]:
-    """Of the run, and of each stimulus and skin by name.
+    """Return numbers of the run, and of each stimulus and skin by name.
 
     duration_s, steps (MuJoCo's), timestep_s, skin_step_s, transducers, device, board
     sending: of a board with bytes, as `palmfield.estimate.sending.Sending`

@@ -1,4 +1,4 @@
-"""Keys of a skin that pin what the plan would choose, and make it coarser than the wanted accuracy takes."""
+"""Keys of a skin that override choices of the plan, and make it coarser than the target accuracy needs."""
 
 from palmfield.estimate.array_inputs import stimulus_of
 from palmfield.simulation.model import HapticModel
@@ -7,11 +7,11 @@ from palmfield.skin.scene_layer import layer_sizes
 from palmfield.stimulus.schedule import main_frequencies
 
 SLACK = 1.05
-"""Pinned sizes up to so many times the chosen ones count as these."""
+"""Factor up to which given sizes count as equal to the chosen ones."""
 
 
 def coarse_pins(model: HapticModel, number: int) -> list[str]:
-    """Of a skin's keys element_m, step_s and max_frequency_Hz those that are coarser than its accuracy takes, in words.
+    """Describe keys element_m, step_s and max_frequency_Hz of a skin that are coarser than its accuracy needs.
 
     Elements and steps of explicit solvers follow rules of their own and are left out.
     """

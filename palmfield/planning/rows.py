@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 class Row:
     """One decision.
 
-    size: what it amounts to (resolution, error bound or cost); why: the reason, in words
-    instance: of which skin, stimulus or array it is, several with commas between; empty for the whole scene
+    size: resolution, error bound or cost; why: the reason, in words
+    instance: of the skin, stimulus or array, several with commas between; empty for the whole scene
     """
 
     what: str
@@ -19,7 +19,7 @@ class Row:
 
 
 def merged(rows: Sequence[Row]) -> tuple[Row, ...]:
-    """Rows that say the same of several instances as one."""
+    """Merge rows with equal text of several instances."""
     result: dict[tuple[str, str, str], Row] = {}
     for row in rows:
         key = row.what, row.size, row.why

@@ -1,4 +1,4 @@
-"""What a scene needs to be modelled, what is left out and why, and what it costs; decided before anything runs."""
+"""Decide before a run which effects of a scene are modelled or ignored and why, and the cost."""
 
 import io
 from collections.abc import Mapping, Sequence
@@ -26,11 +26,11 @@ __all__ = ["Plan", "Row", "plan", "warnings"]
 
 
 WIDTH = 130
-"""Columns of the tables where the terminal is no narrower."""
+"""Width of the tables in columns, unless the terminal is narrower."""
 
 
 def as_text(scene: str, parts: Mapping[str, Sequence[Row]], warnings: Sequence[str], seconds: float) -> str:
-    """The expected wall time [s], a table for each part, by its title, and the warnings."""
+    """Return the expected wall time [s], a table for each part, by its title, and the warnings."""
     stream = io.StringIO()
     console = Console(file=stream, width=terminal.columns(WIDTH))
     console.print(f"Plan for {scene}. Expected time on two CPU cores: {seconds:.0f} s", highlight=False)
@@ -54,8 +54,8 @@ def as_text(scene: str, parts: Mapping[str, Sequence[Row]], warnings: Sequence[s
 class Plan:
     """Decisions for a scene.
 
-    left_out: and what that does to the displacement of the skin under the focus, besides: what else is not modelled
-    error: what is expected of that displacement; seconds: expected wall time of `palmfield run` on two CPU cores,
+    left_out: ignored effects, with their influence on the displacement of the skin under the focus, besides: others
+        error: expected error of that displacement; seconds: expected wall time of `palmfield run` on two CPU cores,
         pictures included
     """
 
@@ -69,7 +69,7 @@ class Plan:
     numbers: Mapping[str, Any]
 
     def as_dict(self) -> dict[str, Any]:
-        """All of it as JSON has it, with units in the names; rows are texts, `numbers` as `planning.numbers`."""
+        """Return all of it as for JSON, with units in the names; rows are texts, `numbers` as `planning.numbers`."""
         rows = {"modelled": self.modelled, "left_out": self.left_out, "besides": self.besides}
         rows["expected_error"] = self.error
         return {
@@ -103,11 +103,11 @@ def plan(
     keys: Mapping[str, object] | None = None,
     duration_s: float | None = None,
 ) -> Plan:
-    """Decide what to model, from the scene's stimuli, surfaces and accuracy; simulates nothing.
+    """Decide what to model, from the scene's stimuli, surfaces and accuracy, without simulation.
 
     scene: a path, an MjSpec, a compiled model or a Simulation; duration_s: of the run [s], the scene's own by
         default; the other arguments as `palmfield.load`
-    Raises SceneError as `palmfield.load`, where a skin layer can't be made, and for a duration that is not > 0.
+    Raises SceneError as `palmfield.load`, if a skin layer cannot be made, and for a duration that is not > 0.
     """
     if duration_s is not None:
         check_duration(duration_s)
@@ -128,6 +128,6 @@ def plan(
 
 
 def warnings(scene: Source | Simulation, duration_s: float | None = None) -> list[str]:
-    """What a user should know before the run, in words; duration_s: of the run [s], the scene's own by default."""
+    """Return warnings before the run, in words; duration_s: of the run [s], the scene's own by default."""
     view = preview(scene)
     return advice(view if duration_s is None else replace(view, duration_s=duration_s))

@@ -1,6 +1,6 @@
-"""Whether sound can come to the skins, over the whole motion: patches that are hidden, turned away, edge-on, too far.
+"""Check whether sound reaches the skins over the whole motion: patches that are hidden, turned away, edge-on, too far.
 
-Straight ways from the transducers, at some moments: what a user should know before the run, at no cost to speak of.
+Uses straight rays from the transducers at some moments, as a cheap check before the run.
 """
 
 import math
@@ -18,31 +18,31 @@ from palmfield.stimulus.schedule import frames_at, turn_rate_Hz
 from palmfield.types import Float, Surface
 
 MOMENTS, COURSE = 32, 16
-"""Moments of a motion, and points of a path on bodies that keep still, that are looked at."""
+"""Number of moments of a motion, and of points of a path on fixed bodies, for the check."""
 POINTS = 48
-"""Of a patch, at most."""
+"""Largest number of points of a patch."""
 EDGE_ON = math.sin(math.radians(15.0))
-"""Mean cosine between the skin's normal and the ways to the transducers below which a patch is seen edge-on."""
+"""Mean cosine between the skin's normal and the rays to the transducers below which a patch is edge-on."""
 HIDDEN = 0.75
-"""Share of what faces the array that is seen, below which something hides it: the ARP is then about half or less."""
+"""Visible share of the part facing the array below which it counts as hidden: the ARP is about half or less."""
 CLEARANCE_M = 1e-3
-"""How far above the skin ways begin: smooth patches lie that far below the meshes of what they are part of."""
+"""Height above the skin at which rays begin: smooth patches lie that far below the meshes of their bodies."""
 KINDS = {
     "turned away": "skin '{skin}' is turned away from the array where stimulus '{stimulus}' focuses",
     "edge-on": "skin '{skin}' is edge-on to the array where stimulus '{stimulus}' focuses",
     "hidden": "the focus of stimulus '{stimulus}' on skin '{skin}' is hidden from the array by a body or an obstacle",
     "too far": "the focus of stimulus '{stimulus}' is out of reach of skin '{skin}'",
 }
-"""What is said of each kind of patch; `Sight.kind` tells them apart."""
+"""Messages for each kind of patch; `Sight.kind` selects one."""
 
 
 class Sight(NamedTuple):
-    """What a stimulus's transducers see of a skin around its focus, or of all its layer where that is far away.
+    """Visibility of a skin around its focus for a stimulus's transducers, or of all its layer if the focus is far away.
 
-    Of arrays on several sides of a body it is what the best one sees: the others send nothing round the body.
-    time_s: [s]; near: whether the focus comes near the skin; facing: share of the ways from its points to the
-    transducers that leave on the outer side; incidence: mean cosine of these ways to the normal, negative from behind
-    lit: share of the patch's area that is seen, transducers taken alike
+    For arrays on several sides of a body it is the best one's: the others send no sound round the body.
+    time_s: [s]; near: whether the focus comes close to the skin; facing: share of the rays from its points to the
+    transducers that leave on the outer side; incidence: mean cosine of these rays to the normal, negative from behind
+    lit: visible share of the patch's area, with equal transducers
     """
 
     time_s: float
@@ -53,7 +53,7 @@ class Sight(NamedTuple):
 
     @property
     def kind(self) -> str | None:
-        """Which of KINDS it is, if any."""
+        """Return its kind among KINDS, if any."""
         if not self.near:
             return "too far"
         if self.facing < 0.5:
@@ -64,7 +64,7 @@ class Sight(NamedTuple):
 
 
 def out_of_sight(view: Preview) -> list[str]:
-    """A sentence for each skin and each of KINDS that happens, with how often and the share of the patch that is lit.
+    """Return a sentence for each skin and each of KINDS that occurs, with its frequency and the visible share.
 
     A skin that no focus ever comes near is left out; one that it is far from is told of beyond half of the moments.
     """
@@ -88,9 +88,9 @@ def out_of_sight(view: Preview) -> list[str]:
 
 
 def _sights(view: Preview) -> list[list[list[Sight]]]:
-    """By skin and stimulus, at each moment of a motion between that one's start and stop.
+    """Visibility by skin and stimulus, at each moment of a motion between its start and stop.
 
-    Where nothing moves, at points of a turn of its path.
+    Without motion, at points of a turn of its path.
     """
     model = view.runtime.model
     result: list[list[list[Sight]]] = [[[] for _ in model.stimuli] for _ in model.skins]
@@ -110,7 +110,7 @@ def _sights(view: Preview) -> list[list[list[Sight]]]:
 
 
 def _sounding(stimulus: StimulusModel, time_s: float) -> Float:
-    """The time [s] if it lies between a stimulus's start and stop, shape (1,) or (0,)."""
+    """Return the time [s] if it is between a stimulus's start and stop, shape (1,) or (0,)."""
     config = stimulus.config
     on = config.start_s <= time_s < (math.inf if config.stop_s is None else config.stop_s)
     return np.full(int(on), time_s)
@@ -124,7 +124,7 @@ def _course(stimulus: StimulusModel) -> Float:
 
 
 def _everything(posed: PosedScene) -> Surface:
-    """All that can hide something, in one mesh in the array frame."""
+    """Return all objects that can hide something, in one mesh in the array frame."""
     parts = [(body.vertices_in_array, body.faces) for body in posed.bodies]
     parts += [skin.obstacles for skin in posed.skins if skin.obstacles is not None]
     firsts = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
@@ -148,7 +148,7 @@ def _sight(
     reach_m = max(layer.demand.spot_fwhm_m, 2.0 * layer.sizes.edge_coarse_m)
     distance = np.linalg.norm(points[:, None] - foci[None], axis=2).min(axis=1)
     near = bool(distance.min() <= reach_m)
-    # Elements may be larger than the spot: the nearest one then
+    # Elements may be larger than the spot: then the nearest one is used
     spot_m = max(layer.demand.spot_fwhm_m, float(np.partition(distance, 5)[5]))
     patch = np.flatnonzero(distance <= spot_m) if near else np.arange(len(points))
     patch = patch[:: -(-len(patch) // POINTS)]

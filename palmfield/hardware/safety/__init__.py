@@ -1,1 +1,1 @@
-"""How loud a scene is to people, and what of that may be played."""
+"""Sound exposure of people in a scene, and limits for playing."""

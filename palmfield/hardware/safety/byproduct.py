@@ -1,4 +1,4 @@
-"""How loud the audible sound may be that comes of ultrasound whose intensity changes."""
+"""Estimate the audible sound due to ultrasound of varying intensity."""
 
 import math
 from typing import NamedTuple
@@ -11,16 +11,16 @@ from palmfield.acoustics.exposure import a_weighting_dB, beam_share, demodulated
 from palmfield.types import Air, Complex, Float
 
 RATE_HZ, COUNT = 16384, 4096
-"""At which intensities are sampled, and how many there are: a quarter of a second, sound up to 8 kHz."""
+"""Sampling rate and number of samples of the intensity: a quarter of a second, sound up to 8 kHz."""
 LOWEST_HZ = 20.0
 ROUND_OFF = 1e-9
-"""Of the mean power: what changes by less is still."""
+"""Share of the mean power below which changes are ignored."""
 
 
 class Byproduct(NamedTuple):
     """A-weighted levels: of sound made in the air along the beam, of the force on the hand, and of both; -inf for none
 
-    strongest_Hz: of what is loudest, 0 in silence
+    strongest_Hz: of the loudest line, 0 in silence
     """
 
     air_dBA: float
@@ -35,7 +35,7 @@ class Byproduct(NamedTuple):
 
 
 def lines(values: Float) -> tuple[Float, Float]:
-    """Frequencies [Hz] and peak amplitudes of what samples at RATE_HZ consist of, (k,); their energy is kept."""
+    """Return frequencies [Hz] and peak amplitudes of the lines of samples at RATE_HZ, (k,); their energy is kept."""
     window = np.hanning(len(values) + 1)[:-1]
     spectrum = np.fft.rfft((values - values.mean()) * window)
     frequencies = np.fft.rfftfreq(len(values), 1.0 / RATE_HZ)
@@ -45,9 +45,9 @@ def lines(values: Float) -> tuple[Float, Float]:
 
 
 def rung(pressures: Complex, carrier_Hz: float, quality: float) -> Complex:
-    """What transducers of one resonance make of a pressure at RATE_HZ that changes in steps, shape (k,).
+    """Response of transducers of one resonance to a pressure at RATE_HZ that changes in steps, shape (k,).
 
-    One pole, as `palmfield.drive.transducer_response`: exact for what is held from sample to sample.
+    One pole, as `palmfield.drive.transducer_response`: exact for values held from sample to sample.
     """
     kept = math.exp(-math.pi * carrier_Hz / (quality * RATE_HZ))
     return np.asarray(lfilter([1.0 - kept], [1.0, -kept], pressures, zi=[kept * pressures[0]])[0])
@@ -56,9 +56,9 @@ def rung(pressures: Complex, carrier_Hz: float, quality: float) -> Complex:
 def byproduct(
     powers_W: Float, distance_m: float, air: Air, carrier_Hz: float, along_m: float | None = None
 ) -> Byproduct:
-    """Of ultrasound with this power at RATE_HZ, shape (k,), as if all of it came and went.
+    """Byproduct of ultrasound with this power at RATE_HZ, shape (k,), as if all of it were modulated.
 
-    The beam is as long as absorption lets it be, and a hand that stops all of it takes the force 2 P/c: both are upper
+    The beam is as long as absorption allows, and a hand that stops all of it takes the force 2 P/c: both are upper
     estimates. distance_m: of the listener from the beam; along_m: along it from its beginning, None for a beam that is
     a point
     """

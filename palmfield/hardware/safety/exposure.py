@@ -1,4 +1,4 @@
-"""How loud sound is where a person's head may be and where the hand is, over a play, and whether that is allowed."""
+"""Compute sound levels at a person's head and at the hand over a play, and check them against limits."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -16,9 +16,9 @@ from palmfield.types import Float
 Sound = NDArray[np.complexfloating[Any, Any]]
 
 SPACING_M = 10e-3
-"""Of the places in a head's ball that are looked at [m]; round the loudest ones it is looked closer."""
+"""Spacing of sample places in a head's sphere [m]; refined round the loudest ones."""
 CANDIDATES = 8
-"""So many of them: an interference pattern has many places that are nearly as loud."""
+"""Number of refined places: an interference pattern has many places that are nearly as loud."""
 CLOSER_M, CLOSER_SPACING_M, FINEST_SPACING_M = 12e-3, 2e-3, 0.5e-3
 
 
@@ -34,7 +34,7 @@ class Heard:
     """Sound at the loudest place of a region, in a free field.
 
     place: [m], shape (3,); peak_Pa: largest peak pressure; mean_square_Pa2: of its rms, over the play
-    band_dB: to the low and the high end of p0's range, from the levels here
+    band_dB: to the low and the high end of p0's range, relative to the levels here
     """
 
     place: Float
@@ -63,7 +63,7 @@ class Heard:
 
 
 def peaks_at(moments: Sequence[SoundMoment], points: Float) -> tuple[Float, NDArray[np.intp]]:
-    """The largest peak pressure at each of some points [Pa], and the number of the moment of that, shapes (n,)."""
+    """The largest peak pressure at each of some points [Pa], and the number of its moment, shapes (n,)."""
     peaks, which = np.zeros(len(points)), np.zeros(len(points), np.intp)
     for number, moment in enumerate(moments):
         magnitudes = np.abs(moment.pressure(points))
@@ -73,7 +73,7 @@ def peaks_at(moments: Sequence[SoundMoment], points: Float) -> tuple[Float, NDAr
 
 
 def loudest_in(moments: Sequence[SoundMoment], points: Float) -> Heard:
-    """What is heard at the loudest of some points, shape (n, 3)."""
+    """Return the sound at the loudest of some points, shape (n, 3)."""
     peaks, which = peaks_at(moments, points)
     best = int(peaks.argmax())
     if peaks[best] <= 0.0:
@@ -82,7 +82,7 @@ def loudest_in(moments: Sequence[SoundMoment], points: Float) -> Heard:
 
 
 def _apart(points: Float, peaks: Float) -> Float:
-    """The loudest points that lie CLOSER_M apart, CANDIDATES at most, shape (c, 3)."""
+    """Return the loudest points at least CLOSER_M apart, CANDIDATES at most, shape (c, 3)."""
     result: list[Float] = []
     for number in np.argsort(-peaks):
         if all(np.linalg.norm(points[number] - other) > CLOSER_M for other in result):
@@ -100,10 +100,10 @@ def _at(moments: Sequence[SoundMoment], place: Float, peak_Pa: float, which: int
 
 
 def at_head(moments: Sequence[SoundMoment], driver: DriverConfig, transducers: Float) -> Heard:
-    """What is heard at the loudest place of the ball that keys head_m and head_radius_m declare.
+    """Return the sound at the loudest place of the sphere given by keys head_m and head_radius_m.
 
     transducers: their places [m], shape (n, 3)
-    Raises SceneError where no head is declared, and where transducers are in the ball.
+    Raises SceneError if no head is given, and if transducers are in the sphere.
     """
     if driver.head_m is None:
         raise SceneError("no head is declared; give driver key head_m, the middle of a ball in which it may be [m]")
@@ -130,7 +130,7 @@ def at_head(moments: Sequence[SoundMoment], driver: DriverConfig, transducers: F
 
 
 def with_band(heard: Heard, factors: tuple[float, float] | None) -> Heard:
-    """factors: on the square of the pressure at that place, at the ends of p0's range; None where there are none"""
+    """factors: on the square of the pressure at that place, at the ends of p0's range; None for no range"""
     if factors is None or min(factors) <= 0.0:
         return heard
     low, high = (10.0 * math.log10(factor) for factor in factors)
@@ -138,9 +138,9 @@ def with_band(heard: Heard, factors: tuple[float, float] | None) -> Heard:
 
 
 def check_head(heard: Heard, driver: DriverConfig) -> list[str]:
-    """What users are warned of at the head, in words.
+    """Return warnings for users about the head, in words.
 
-    Raises DeviceError where the level, with p0 at the high end of its range, is above key head_limit_dB.
+    Raises DeviceError if the level, with p0 at the upper end of its range, is above key head_limit_dB.
     """
     if heard.peak_Pa <= 0.0:
         return []

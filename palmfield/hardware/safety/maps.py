@@ -1,4 +1,4 @@
-"""Levels over a head's ball and over skins, for the picture of a safety sheet."""
+"""Maps of levels over the sphere of a head and over skins, for the picture of a safety sheet."""
 
 from collections.abc import Sequence
 
@@ -11,9 +11,9 @@ from palmfield.outputs.safety_picture import LevelCourse, LevelMap
 from palmfield.types import Float
 
 GRID = 61
-"""Places across a head's ball."""
+"""Number of places across the sphere of a head."""
 COURSE_SPACING_M = 20e-3
-"""Of places in the ball of which the loudest is told at each moment, beside the loudest place of all [m]."""
+"""Spacing of places in the sphere whose loudest is recorded at each moment, next to the loudest of all [m]."""
 
 
 def levels_dB(peaks_Pa: Float) -> Float:
@@ -23,7 +23,7 @@ def levels_dB(peaks_Pa: Float) -> Float:
 
 
 def head_limits(driver: DriverConfig) -> dict[str, float]:
-    """Limits at a head [dB], by what they are."""
+    """Limits at a head [dB], by name."""
     own = {} if driver.head_limit_dB is None else {"head_limit_dB": driver.head_limit_dB}
     return {"public": PUBLIC_DB, "at work": OCCUPATIONAL_DB, **own}
 
@@ -49,7 +49,7 @@ def head_map(moments: Sequence[SoundMoment], driver: DriverConfig, heard: Heard,
 
 
 def skin_map(name: str, points: Float, peaks_Pa: Float, heard: Heard) -> LevelMap:
-    """A skin in the plane in which it is widest. points: where it is at its loudest moment [m], shape (n, 3)"""
+    """Map of a skin in the plane of its largest extent. points: at its loudest moment [m], shape (n, 3)"""
     middle = points.mean(axis=0)
     wide = np.linalg.svd(points - middle, full_matrices=False)[2][:2]
     places = (points - middle) @ wide.T

@@ -1,4 +1,4 @@
-"""The sound of a scene at moments of its play, as those who hear it need it."""
+"""The sound of a scene at moments of its play, for safety estimates."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from palmfield.session.preview import Preview
 from palmfield.types import Complex, Float
 
 MOMENTS = 96
-"""Of a play that are looked at: evenly, but for a shift that keeps out of step with what repeats."""
+"""Number of sampled moments of a play: even, with a shift that avoids synchrony with periods."""
 GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
 
@@ -21,7 +21,7 @@ def moments_of(count: int, duration_s: float) -> Float:
 
 
 def scene_drives(view: Preview, duration_s: float) -> list[tuple[PhasedArray, Complex]]:
-    """Arrays as they stand, and what their transducers are told, at `moments_of` a play."""
+    """Return arrays at their places, and the drive of their transducers, at `moments_of` a play."""
     times = moments_of(MOMENTS, duration_s)
     if view.moves:
         stepped = ((time_s, runtime.work.emission, posed) for time_s, runtime, posed in view.posed_at(times))
@@ -35,7 +35,7 @@ def scene_drives(view: Preview, duration_s: float) -> list[tuple[PhasedArray, Co
 
 
 def sound_of(drives: list[tuple[PhasedArray, Complex]]) -> list[SoundMoment]:
-    """The moments that are not silent."""
+    """Return the moments that are not silent."""
 
     def heard(arrays: PhasedArray, drive: Complex) -> SoundMoment:
         return SoundMoment(lambda points: arrays.field.pressure(points, drive).pressure, 1.0 / len(drives))
@@ -44,7 +44,7 @@ def sound_of(drives: list[tuple[PhasedArray, Complex]]) -> list[SoundMoment]:
 
 
 def scene_at_head(view: Preview, duration_s: float) -> Heard:
-    """What is heard at the head that the driver's keys declare, with what the ranges of p0 make of it.
+    """Return the sound at the head of the driver's keys, with the bands due to the ranges of p0.
 
     Errors as `palmfield.hardware.safety.exposure.at_head`.
     """
@@ -54,7 +54,7 @@ def scene_at_head(view: Preview, duration_s: float) -> Heard:
 
 
 def banded(view: Preview, drives: list[tuple[PhasedArray, Complex]], heard: Heard) -> Heard:
-    """With what the ranges of p0 make of it at the loudest moment."""
+    """Add the bands due to the ranges of p0 at the loudest moment."""
     if heard.peak_Pa <= 0.0:
         return heard
     loudness = [abs(arrays.pressure64(heard.place[None], drive)[0]) for arrays, drive in drives]

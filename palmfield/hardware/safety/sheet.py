@@ -1,4 +1,4 @@
-"""All numbers of a scene's safety sheet: sound at a head and at the hand, what is audible, limits, the board."""
+"""Compute all numbers of a scene's safety sheet: sound at a head and at the hand, audible sound, limits, the board."""
 
 import math
 from dataclasses import dataclass
@@ -21,12 +21,12 @@ from palmfield.simulation.radiation import Radiation
 from palmfield.types import Complex, Estimate, Float
 
 DEFAULT_HEAD_M = (0.0, -0.35, 0.45)
-"""Where a head is taken to be that nobody declares: of one who sits before an array that faces up, its frame [m]."""
+"""Default place of a head: of a person sitting before an array that faces up, its frame [m]."""
 
 
 @dataclass(frozen=True)
 class AtHand:
-    """What reaches a skin: its name, the incident sound at its loudest place, and the largest ARP there is [Pa]."""
+    """Sound at a skin: its name, the incident sound at its loudest place, and the largest ARP there [Pa]."""
 
     skin: str
     heard: Heard
@@ -35,10 +35,10 @@ class AtHand:
 
 @dataclass(frozen=True)
 class SafetySheet:
-    """What `palmfield safety` says of a scene; levels are of the sound as it is told, without ring-up.
+    """Safety sheet of a scene; levels are of the commanded sound, without ring-up.
 
-    head_declared: whether the scene says where a head is; head_said: what users are warned of there, in words
-    distance_m: of the head's ball from the beam, 0 where it is in it, and byproduct is None there
+    head_declared: whether the scene gives a head; head_said: warnings for users there, in words
+    distance_m: of the head's sphere from the beam, 0 if it is in it, and byproduct is None there
     sounding_share: of the moments; p0: of each array; moves: whether the scene's hands or arrays do
     maps, course: levels over the head and the skins, and over the play, for a picture
     """
@@ -75,9 +75,9 @@ class _Loudest:
 
 
 def safety_sheet(view: Preview, duration_s: float) -> SafetySheet:
-    """Numbers of a play of `duration_s` [s].
+    """Compute numbers of a play of `duration_s` [s].
 
-    Raises SceneError where transducers are within head_radius_m of the head, and what a module raises in a step.
+    Raises SceneError if transducers are within head_radius_m of the head, and errors of modules in a step.
     """
     model = view.runtime.model
     times = moments_of(MOMENTS, duration_s)
@@ -140,7 +140,7 @@ def _said(head: Heard, driver: DriverConfig) -> tuple[str, ...]:
 
 
 def _audible(view: Preview, driver: DriverConfig, loudest: _Loudest) -> tuple[float, Byproduct | None]:
-    """Distance of the head from the beam [m], and the by-product there with all as it is at the loudest moment."""
+    """Return the distance of the head from the beam [m], and the by-product there at the loudest moment."""
     if loudest.posed is None or loudest.place is None or loudest.drive is None:
         return math.inf, Byproduct(-math.inf, -math.inf, 0.0)
     posed, emission = loudest.posed, view.runtime.work.emission

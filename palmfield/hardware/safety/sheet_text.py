@@ -12,7 +12,7 @@ from palmfield.hardware.safety.sheet import SafetySheet
 
 
 def as_markdown(sheet: SafetySheet, picture: str | None = None) -> str:
-    """The page. picture: where that of its levels lies, from the page; None for none"""
+    """The page. picture: path of that of its levels, from the page; None for none"""
     driver, board, head = sheet.driver, sheet.board, sheet.head
     assert driver.head_m is not None
     where = ", ".join(f"{1e3 * x:.0f}" for x in driver.head_m)
@@ -82,7 +82,7 @@ def as_markdown(sheet: SafetySheet, picture: str | None = None) -> str:
 
 
 def _looked_at(sheet: SafetySheet) -> list[str]:
-    """Over what the loudest places were sought."""
+    """Describe the region of the search for the loudest places."""
     if sheet.moves:
         said = f"its hands and arrays are where its motion has them at each of the {MOMENTS} moments"
     else:
@@ -103,7 +103,7 @@ def _level(level_dB: float, heard: Heard) -> str:
 
 
 def _stepped(sound: Byproduct) -> bool:
-    """Whether the estimate ends where it is largest: lines of steps fall with 1/f, and what they sound like has f^2."""
+    """Whether the estimate is largest at its end: lines of steps decrease with 1/f, and the ear weights them by f^2."""
     return sound.strongest_Hz > 0.25 * RATE_HZ
 
 
