@@ -139,10 +139,10 @@ class Board:
     line: how bytes reach it, None for a board without bytes; max_frame_rate_Hz: frames a second, inf for any
     phase_steps: in a turn, None for any phase; amplitude, amplitude_steps: what amplitudes each transducer takes, and
         how many above 0
-    takes: whether a frame tells each transducer's amplitude, or where one focus is and how loud
+    takes: whether a frame contains each transducer's amplitude, or place and level of one focus
     start, stop: byte sequences before the first frame and after the last; both silence it
     when_host_dies, cannot_guarantee: in a sentence each
-    modulates: whether the board makes an envelope by itself, which the scene must ask for
+    modulates: whether the board makes an envelope by itself, which the scene must request
     keys: of palmfield.driver that it takes besides `board`
     dither: whether amplitudes are made of transducers that are on and off
     compensate: whether what is sent makes up for dead and inverted transducers and known phases

@@ -25,7 +25,7 @@ def record(
 
     frames: (time of emission since the start [s], bytes), times rising; duration_s: how long the last one goes on
     log: gets each piece with its time on the line; is closed
-    Raises OutputError where the file can't be made or the disk is full: then only its .part is there.
+    Raises OutputError if the file cannot be made or the disk is full: then only its .part exists.
     """
     assert board.line is not None
     file = FileTransport(path)

@@ -24,7 +24,7 @@ TAKEN_BYTES = len(TAKEN_MARK) + 8
 TOLD_WITHIN_S = 0.06
 """A virtual board reports its number more often than this."""
 FIRST_LOOKS, FIRST_PATIENCE = 50, 4.0
-"""Number of tries of a port to read the first number, each of `TOLD_WITHIN_S`."""
+"""Number of tries to read the first number, and their total time in units of `TOLD_WITHIN_S`."""
 
 # pyserial does not catch termios.error, which is neither a SerialException nor an OSError and exists on POSIX only.
 LOST: tuple[type[Exception], ...] = (serial.SerialException, OSError)

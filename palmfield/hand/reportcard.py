@@ -170,9 +170,9 @@ def palmar_faces(vertices: Float, faces: Int, palm: Float) -> Int:
 def palmar_layers(vertices: Float, faces: Int, hand: Chirality) -> list[dict[str, Any]]:
     """Return skin layers of 1, 2, 3 and 5 mm under the palmar side: their thickness and quality.
 
-    Each with asked_mm, p10_share (10th percentile of thickness over asked), thinned_share (of the area, by more than
-    0.1 %), least_quality (scaled Jacobian of the wedges) and volume_share (of the wedges over the thickness integral
-    with the surface's curvature), see `palmfield.hand.wholelayer.hand_layer`; or asked_mm and error, where it folds.
+    Each with asked_mm, p10_share (10th percentile of thickness over requested), thinned_share (of the area, by more
+    than 0.1 %), least_quality (scaled Jacobian of the wedges) and volume_share (of the wedges over the thickness
+    integral with the surface's curvature), see `palmfield.hand.wholelayer.hand_layer`; or asked_mm and error.
     """
     vertices = unfolded(vertices, faces)
     surface, inward = Surface(vertices, faces, vertex_normals(vertices, faces)), inward_directions(vertices, faces)

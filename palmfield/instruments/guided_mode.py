@@ -22,8 +22,8 @@ LEAST_POINTS_A_WAVE = 3.0
 SURE = 0.013
 """A wavenumber is resolved if its stated error is below this: an error of 3 % is then more than twice as large."""
 TIED, NEXT = 10.0, 25.0
-"""Score differences: of fits that count as the best, and for preferring one more ring. A ring that fits noise alone
-raises the score by 22 to 30."""
+"""Largest score difference from the best fit for other fits to count too, and for one with one more ring. A ring that
+fits noise alone raises the score by 22 to 30. A ring that fits noise alone raises the score by 22 to 30."""
 MOST_LOSS = 0.5
 """Im k / Re k: beyond it a wave loses 96 % of itself in a wavelength, and only the rest distinguishes waves."""
 LASTING, HEARD = 0.25, 0.05

@@ -52,7 +52,7 @@ class Listener(LineListener):
         )
 
     def offset_s(self) -> float:
-        """Offset from the tracker's clock to this machine's [s], from the samples with the shortest transport."""
+        """Offset from the tracker's clock to this machine's [s], from the sample with the shortest transport."""
         return self._offset_s
 
     def report(self) -> str:

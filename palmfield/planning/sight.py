@@ -66,7 +66,7 @@ class Sight(NamedTuple):
 def out_of_sight(view: Preview) -> list[str]:
     """Return a sentence for each skin and each of KINDS that occurs, with its frequency and the visible share.
 
-    A skin that no focus ever comes near is left out; one that it is far from is told of beyond half of the moments.
+    A skin without a close focus is left out; a skin far from it is reported beyond half of the moments.
     """
     result = []
     for skin, sights in enumerate(_sights(view)):

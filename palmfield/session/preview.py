@@ -87,7 +87,7 @@ def preview(
 ) -> Preview:
     """Open a scene, or use a simulation in its present state.
 
-    Arguments and errors as `palmfield.session.open_scene.compiled`; a simulation's keys can't be changed (SceneError).
+    Arguments and errors as `palmfield.session.open_scene.compiled`; keys of a simulation are fixed (SceneError).
     """
     if isinstance(scene, Simulation):
         if keys or any(value is not None for value in (device, accuracy, board)):

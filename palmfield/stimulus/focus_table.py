@@ -146,7 +146,7 @@ class FocusTable:
 
     @cached_property
     def moved_m(self) -> float:
-        """Largest distance of a focus between the first and the last row [m]."""
+        """Longest path length of a focus from the first row to the last [m]."""
         return float(np.linalg.norm(np.diff(self.positions, axis=0), axis=2).sum(axis=0).max(initial=0.0))
 
 

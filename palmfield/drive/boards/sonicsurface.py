@@ -87,7 +87,7 @@ class SonicSurfaceTwin(Twin):
 
     @property
     def emitted(self) -> Complex:
-        """Zero while clocks stand: pins that are high then are a DC load, and no sound."""
+        """Zero while clocks are stopped: pins that are high then are a DC load, without sound."""
         if not self._clocks:
             return np.zeros(EMITTERS, dtype=np.complex128)
         wave = np.exp(2j * np.pi * (self._front + self.lag) / STEPS)

@@ -33,8 +33,8 @@ def fit_pose(
     at: places of the microphone, in the same frame [m], shape (k, 3); pressures_Pa: amplitudes, shape (k,)
     temperature_sd_K: standard deviation of the air's temperature: faster sound moves foci closer Rotations are fitted
     only for three separate foci or more, else only offsets (turn 0).
-    Raises PalmfieldError for fewer than 8 readings, shapes that don't fit, readings below 0 or not finite, and for a
-    loudest reading farther than WITHIN_M from its focus.
+    Raises PalmfieldError for fewer than 8 readings, invalid shapes, readings below 0 or not finite, and for a loudest
+    reading farther than WITHIN_M from its focus.
     """
     told, where = check.points(np.asarray(foci_m, float), np.float64), check.points(np.asarray(at, float), np.float64)
     seen = np.asarray(pressures_Pa, float)

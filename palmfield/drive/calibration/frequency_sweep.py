@@ -48,8 +48,8 @@ def fit_sweep(
 
     drive: complex amplitudes, the same at all frequencies, shape (n,); at: the microphone's places, array frame [m],
     shape (m, 3), 8 at least; frequencies_Hz: shape (q,), 5 at least; pressures_Pa: complex (a delay is +phase), (m, q)
-    Raises PalmfieldError for fewer places or frequencies, shapes that don't fit, numbers that are not finite, and for a
-    resonance that comes out outside the sweep.
+    Raises PalmfieldError for fewer places or frequencies, invalid shapes, numbers that are not finite, and for a
+    resonance outside the sweep.
     """
     where = check.points(np.asarray(at, float), np.float64)
     f, seen = np.asarray(frequencies_Hz, float), np.asarray(pressures_Pa, np.complex128)

@@ -94,8 +94,8 @@ class LiveFrame(NamedTuple):
     """A frame made while others sound.
 
     made_s: time of its input data, on time.monotonic() [s]; level: of its sound, 0 for silence
-    steps: the same frame at rising levels up to its own, all of one length; just itself where there is none between
-    due_s: when its last byte is wanted on the line, on that clock, later than that of all before; 0: as soon as it can
+    steps: the same frame at rising levels up to its own, all of one length; only itself if there are none
+    due_s: target time of its last byte on the line, on that clock, later than all before; 0: as soon as possible
     """
 
     made_s: float

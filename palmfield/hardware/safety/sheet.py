@@ -35,7 +35,7 @@ class AtHand:
 
 @dataclass(frozen=True)
 class SafetySheet:
-    """Safety sheet of a scene; levels are of the commanded sound, without ring-up.
+    """Numbers of `palmfield safety` for a scene; levels are of the commanded sound, without ring-up.
 
     head_declared: whether the scene gives a head; head_said: warnings for users there, in words
     distance_m: of the head's sphere from the beam, 0 if it is in it, and byproduct is None there

@@ -47,7 +47,7 @@ def read_scan(path: str | Path) -> Scan:
 
 
 def write_scan(path: str | Path, scan: Scan) -> None:
-    """Write a scan. Raises OutputError for another kind of file, and where it can't be written."""
+    """Write a scan. Raises OutputError for another kind of file, and if writing fails."""
     file = Path(path)
     writer = WRITERS.get(file.suffix.lower())
     if writer is None:

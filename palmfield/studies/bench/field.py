@@ -146,7 +146,7 @@ def main(
 
 
 def check_writable(option: str, path: Path) -> None:
-    """Make the file's folder. Raises OutputError where the file can't be written."""
+    """Make the file's folder. Raises OutputError if the file cannot be written."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.is_dir():

@@ -54,7 +54,7 @@ class Measured:
 
 @dataclass(frozen=True)
 class PeerMethods:
-    """Methods of other programs, to be measured beside palmfield's own.
+    """Methods of other programs, measured together with palmfield's own.
 
     methods: as the METHODS of `module`, a Python module in `folder` that needs palmfield for problem and types only
     python: interpreter that has the programs; command: what makes this comparison, for the report's head

@@ -57,8 +57,8 @@ def compare(
     mode_Hz: a frequency at which the guided mode of both is fitted; source_m: its source on the skin [m], None: where
         ours moves most; source_radius_m: what is left out about it, 1.5 times the width of the spot
     out: folder for FILES; None writes no files
-    Raises MeasurementError for scans, settings and fiducials that don't fit, OutputError for the run and for a folder
-    that has such files already.
+    Raises MeasurementError for invalid scans, settings and fiducials, OutputError for the run and for a folder that has
+    such files already.
     """
     folder = None if out is None else Path(out)
     if folder is not None and not overwrite and any((folder / name).exists() for name in FILES):

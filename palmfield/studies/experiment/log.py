@@ -105,7 +105,7 @@ class LogWriter:
     """
 
     def __init__(self, path: Path, design: Design, scene: Path, participant: str, observer: str, board: str) -> None:
-        """Raises OutputError where the file can't be written, holds another experiment, or is being written."""
+        """Raises OutputError if the file cannot be written, belongs to another experiment, or is being written."""
         self.path, self.design, self.participant = path, design, participant
         head = {
             "palmfield_experiment": VERSION, "name": design.name, "digest": design.digest(observer),

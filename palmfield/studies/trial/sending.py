@@ -35,7 +35,7 @@ REST = 0.2
 priority, such as the player's, for 50 ms if they leave others less than 5 % of a second."""
 MAKING_SHARE = 0.9
 LAST_MADE = 50
-"""Frames are begun early by this quantile of the times to make the last frames."""
+"""Frames are begun early by this quantile of the times to make this many last frames."""
 STALE_S = 1.0
 """The board becomes silent if no frame comes for this time."""
 LAST_FRAMES = 4
