@@ -113,7 +113,7 @@ def wave_rest(d: wp.float32):
 
 @wp.func
 def solid_angle(a: wp.vec3, b: wp.vec3, c: wp.vec3):
-    """Of the triangle with these corners relative to the eye, positive where its normal points away from the eye."""
+    """Solid angle of a triangle with these corners relative to the eye, positive if its normal points away from it."""
     la = wp.length(a)
     lb = wp.length(b)
     lc = wp.length(c)

@@ -1,8 +1,8 @@
 """Drives for several simultaneous foci, each with a target loudness relative to the others.
 
 A drive makes the pressures p = H a at the foci, H the transfer matrix. All methods search phases of p that the array
-can serve together; they differ in how, and in whether the transducers may be driven below full. What they find holds up
-to a phase common to all transducers: `in_gauge` fixes it, so that foci that move get a drive that moves with them.
+can serve together; they differ in how, and in whether the transducers may be driven below full. The result is
+determined up to a phase common to all transducers: `in_gauge` fixes it, so that the drive moves with the foci.
 """
 
 import dataclasses
@@ -227,8 +227,8 @@ def together(transfer: Complex, pressures: Float | None = None) -> Complex:
 def in_gauge(matrix: Complex, drive: Complex) -> Complex:
     """Rotate a drive, shape (n,), so that its pressure at the first focus is real and positive, as for a single focus.
 
-    Where the first focus is FAINT, the first one that is not takes its place. Magnitudes do not depend on this phase,
-    but transducers that ring need it as a function of the present foci: in eigenvectors it depends on rounding.
+    If the first focus is FAINT, the first one that is not takes its place. Magnitudes do not depend on this phase, but
+    transducers that ring need it as a function of the present foci: in eigenvectors it depends on rounding.
     matrix: complex pressure at the foci from each transducer at full drive [Pa], shape (m, n)
     """
     pressure = matrix @ drive

@@ -40,7 +40,7 @@ class PortLost(DeviceError):
 
 
 class Transport(Protocol):
-    """Where bytes go. name: for messages"""
+    """Target of bytes. name: for messages"""
 
     name: str
 

@@ -109,7 +109,7 @@ def unfolded(vertices: Float, faces: Int) -> Float:
 
 
 def wedge_quality(vertices: Float, faces: Int, inward: Float, depth: Float) -> Float:
-    """Smallest scaled Jacobian of each extruded wedge, shape (m,): 1 is best, above 0 nothing is folded.
+    """Smallest scaled Jacobian of each extruded wedge, shape (m,): 1 is best, above 0 there is no fold.
 
     Down the edge at a corner the Jacobian is quadratic; its three Bernstein coefficients (top, mixed, bottom) bound it
     (Johnen et al. 2013, doi 10.1016/j.jcp.2012.08.051). Top and bottom alone miss a wedge that has passed through a
@@ -138,8 +138,8 @@ def wedge_quality(vertices: Float, faces: Int, inward: Float, depth: Float) -> F
 def fit_thickness(vertices: Float, faces: Int, inward: Float, requested: Float, limit: Float) -> tuple[Float, Float]:
     """Thickness [m], shape (n,), no more than `requested` and `limit`, and the wedges' quality, shape (m,).
 
-    The share that the limit leaves is min-filtered over neighbours. Where a wedge is inverted or poor it is cut by 0.9
-    again and again, and around it the thickness rises by at most STEEPEST_RISE of the way along the surface. A wedge is
+    The share that the limit leaves is min-filtered over neighbours. At an inverted or poor wedge it is repeatedly cut
+    by 0.9, and around it the thickness rises by at most STEEPEST_RISE of the distance along the surface. A wedge is
     poor below LEAST_QUALITY; under a triangle whose own quality is below SOUND_TRIANGLE, below the same share of that.
 
     Raises SceneError with the place if no thickness above 5 % of the requested one gives sound wedges.

@@ -1,4 +1,4 @@
-"""Where a mesh crosses itself."""
+"""Find where a mesh crosses itself."""
 
 import numpy as np
 import warp as wp

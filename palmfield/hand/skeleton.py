@@ -125,7 +125,7 @@ def _knuckles(preset: HandPreset, wrist_y: float) -> tuple[dict[str, Float], dic
     """Metacarpal heads and bases. Breadth fixes the heads across the hand, length fixes the middle one along it."""
     digits = preset.digits
     index, little = digits["index"], digits["little"]
-    # Where two equal parts meet, a smooth union of radius k adds k / 4 to either side; the palm adds a little.
+    # Between two equal parts, a smooth union of radius k adds k / 4 to either side; the palm adds slightly more.
     bulge = 0.30 * FINGER_BLEND_m
     first = bulge - 0.5 * (preset.breadth_m - index.breadth_m[0])
     last = 0.5 * (preset.breadth_m - little.breadth_m[0]) - bulge

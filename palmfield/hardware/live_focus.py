@@ -29,7 +29,7 @@ LOOK_S = 0.05
 AHEAD_S = 3e-3
 """A frame of a modulated focus is made this long before its time."""
 MOST_STEPS = 8
-"""Of a ramp."""
+"""Largest number of steps of a ramp."""
 
 
 @dataclass(frozen=True)

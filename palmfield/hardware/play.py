@@ -38,7 +38,7 @@ LOG = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Target:
-    """Where bytes go. port: of a board, or None; record: file for the bytes instead; log: file of sent bytes"""
+    """Target of bytes. port: of a board, or None; record: file for the bytes instead; log: file of sent bytes"""
 
     port: str | None = None
     record: Path | None = None
@@ -58,7 +58,7 @@ class Target:
 
 @dataclass(frozen=True)
 class Performance:
-    """What was played. text: in words; warning: for users, empty for none"""
+    """Report of a play. text: in words; warning: for users, empty for none"""
 
     text: str
     warning: str = ""
@@ -67,7 +67,7 @@ class Performance:
         return self.text
 
     def saying(self, *more: str) -> "Performance":
-        """With more lines."""
+        """Add further lines."""
         return replace(self, text="\n".join((self.text, *more)))
 
 

@@ -31,7 +31,7 @@ NEAREST_M = 1e-4
 
 
 class Scanned(NamedTuple):
-    """What is fitted.
+    """Data of a fit.
 
     values: amplitudes over their rms, shape (n,); flat: places about the source's nominal place [m], shape (n, 2)
     along: parts of the beams along the surface over that along the normal, shape (n, 2), or None for none

@@ -47,7 +47,7 @@ class Part(NamedTuple):
 
 
 class Scene(NamedTuple):
-    """What is seen. time_s: instant whose poses are shown; peak_Pa: end of the colour map
+    """Objects to be shown. time_s: instant whose poses are shown; peak_Pa: end of the colour map
 
     bodies: meshes in the world with the pressure by vertex [Pa]; arrays: pose, shape (7,), and transducers in the
     array's frame [m], shape (n, 3), by name; others: meshes in the world without pressure
@@ -163,7 +163,7 @@ def _camera(
 
 
 def _behind(points: Float, eye: Float, pose: Float, positions: Float) -> NDArray[np.bool_]:
-    """Which points [m], shape (n, 3), an array's board hides from an eye."""
+    """Return which points [m], shape (n, 3), an array's board hides from an eye."""
     here, there = to_local(points, pose), to_local(eye[None], pose)[0]
     way = there - here
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -125,12 +125,12 @@ class Fit:
 
     @property
     def threshold(self) -> float:
-        """Of the function."""
+        """Threshold of the function."""
         return self.function.threshold
 
     @property
     def spread(self) -> float:
-        """Of the function."""
+        """Spread of the function."""
         return self.function.spread
 
 

@@ -89,7 +89,7 @@ class Simulation:
 
     @property
     def count(self) -> int:
-        """Of worlds."""
+        """Number of worlds."""
         return len(self._scenes.data)
 
     @property

@@ -28,7 +28,7 @@ REPLACED = (
 
 @dataclass(frozen=True)
 class Imported:
-    """What an import has written. scene, table: the files; keys: new ones; dropped: removed ones"""
+    """Result of an import. scene, table: the files; keys: new ones; dropped: removed ones"""
 
     scene: Path
     table: Path

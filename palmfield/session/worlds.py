@@ -110,12 +110,12 @@ class WorldsSkin:
 
     @property
     def displacement(self) -> Float:
-        """Of the surface nodes, in the resting body's axes [m], shape (worlds, S, 3)."""
+        """Displacement of the surface nodes, in the resting body's axes [m], shape (worlds, S, 3)."""
         return np.array([skin.displacement for skin in self._skins])
 
     @property
     def velocity(self) -> Float:
-        """Of the surface nodes, in the resting body's axes [m/s], shape (worlds, S, 3)."""
+        """Velocity of the surface nodes, in the resting body's axes [m/s], shape (worlds, S, 3)."""
         return np.array([skin.velocity for skin in self._skins])
 
     @property

@@ -31,7 +31,7 @@ HARMONIC = 0.1
 response decreases with frequency. A square wave of 200 Hz thus needs 600 Hz; a layer for 1 kHz differs by 0.2 %."""
 MOST_HARMONICS = 8
 HIGHEST_HZ = 1000.0
-"""Above this the skin hardly responds, and nobody feels it."""
+"""Above this the skin hardly responds, and there is no sensation."""
 COURSE_POWER = 0.99
 """Share of the power of a file's course below the highest of its main frequencies."""
 

@@ -59,7 +59,7 @@ class StandardStimulus(BaseModel):
 
 @cache
 def names() -> tuple[str, ...]:
-    """Of all standard stimuli, sorted."""
+    """Names of all standard stimuli, sorted."""
     return tuple(sorted(path.stem for path in (folder("mjcf") / "stimuli").glob("*.toml")))
 
 

@@ -1,4 +1,4 @@
-"""How playing went."""
+"""Report of a play."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

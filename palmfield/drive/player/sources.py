@@ -1,4 +1,4 @@
-"""What a player sends next and when: of a schedule, and of live frames. The newest due frame wins."""
+"""Next frame of a player and its time: of a schedule, and of live frames. The newest due frame wins."""
 
 import math
 from collections import deque
@@ -27,7 +27,7 @@ class NextFrame(NamedTuple):
 
 
 class Source(Protocol):
-    """What is played. skipped: frames replaced by a newer due one"""
+    """Source of frames. skipped: frames replaced by a newer due one"""
 
     skipped: int
 

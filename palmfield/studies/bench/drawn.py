@@ -1,4 +1,4 @@
-"""What a benchmark draws after a scene's model is built: stimuli and poses that are new to its steppers."""
+"""Random stimuli and poses, drawn after a scene's model is built, that are new to its steppers."""
 
 from dataclasses import replace
 from typing import Any

@@ -229,7 +229,7 @@ def compared(job: Job) -> dict[str, Any]:
 
 
 def relative_errors(motions: list[Float], expected: list[Float], areas: list[Float]) -> tuple[float, float]:
-    """Of displacement and velocity, L2 over times and surfaces; motions of skins (t, 2, n), areas of nodes (n,)."""
+    """Errors of displacement and velocity, L2 over times and surfaces; motions (t, 2, n), areas of nodes (n,)."""
     squares = np.zeros((2, 2))
     for mine, theirs, area in zip(motions, expected, areas, strict=True):
         for row, values in enumerate((mine - theirs, theirs)):

@@ -38,7 +38,7 @@ class Trial(NamedTuple):
 
 
 class Log(NamedTuple):
-    """What a log holds."""
+    """Contents of a log."""
 
     head: Mapping[str, Any]
     design: Design

@@ -63,7 +63,7 @@ class Report:
 
     @property
     def design(self) -> Design:
-        """Of the log."""
+        """Design of the log."""
         return self.log.design
 
 

@@ -71,7 +71,7 @@ def groups_of(scene: Path, design: Design, keys: SceneKeys, device: str | None, 
         for number, point in points.items():
             differing = keys.differing(point)
             levels = {full: differing.pop(full) for full in list(differing) if full.rpartition(".")[2] in LEVEL}
-            # What sets the level, if not which one
+            # The keys that set the level; their values matter only for rounded levels
             kind = tuple(levels if exact else levels.items())
             by_load[tuple(differing.items()), kind].append(number)
         several = _many_loads(scene, points, own, keys, device, accuracy) if len(by_load) >= MANY_LOADS else None

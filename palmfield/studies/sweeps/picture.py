@@ -24,7 +24,7 @@ SPACED = 3.0
 
 
 class _Quantity(NamedTuple):
-    """What is drawn. name: of the variable; unit: on the axis; factor: from SI to it"""
+    """A drawn quantity. name: of the variable; unit: on the axis; factor: from SI to it"""
 
     name: str
     title: str

@@ -238,7 +238,7 @@ def _attributes(
         "solver": stepped or "each point has the layer and the solver of a run by itself",
         "conventions": json.dumps(CONVENTIONS),
         "versions": json.dumps({name: version(name) for name in packages} | {"python": platform.python_version()}),
-        # What must be the same for a sweep to go on
+        # Settings that must be the same for a sweep to continue
         "identity": {
             "design": design.as_json(),
             "scene (its file or one that it names)": view.scene_digest,

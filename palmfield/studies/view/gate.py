@@ -100,7 +100,7 @@ class Head:
 
     @property
     def cookies(self) -> dict[str, str]:
-        """By name."""
+        """Cookies by name."""
         pairs = (part.strip().partition("=") for part in self.headers.get("cookie", "").split(";"))
         return {name: value for name, _, value in pairs}
 

@@ -58,7 +58,7 @@ class Link:
 
     @property
     def pid(self) -> int | None:
-        """Of the page's process."""
+        """Id of the page's process."""
         return self._process.pid
 
     @property

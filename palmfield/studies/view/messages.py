@@ -55,7 +55,7 @@ class Slider:
 
 @dataclass(frozen=True)
 class Pose:
-    """Where things are. bodies: vertices, (v, 3) each; skins: surface nodes and outward normals, (S, 3) each
+    """Present places. bodies: vertices, (v, 3) each; skins: surface nodes and outward normals, (S, 3) each
     transducers: (N, 3)"""
 
     bodies: tuple[Float32, ...]

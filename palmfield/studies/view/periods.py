@@ -23,7 +23,7 @@ PERIODS = 2
 """Number of periods of the lowest main frequency: fewer do not determine a level."""
 SHORTEST_s, LONGEST_s = 4e-3, 0.25
 MOST_PICTURES = 24
-"""Of a replay."""
+"""Limits of a replay."""
 
 
 class Blocks:

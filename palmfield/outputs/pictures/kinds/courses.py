@@ -27,7 +27,7 @@ def _motion(result: xr.DataTree, asked: Asked) -> tuple[Float, list[tuple[str, F
 
 
 def course(result: xr.DataTree, asked: Asked) -> Figure:
-    """Draw normal displacement or velocity over time."""
+    """Normal displacement or velocity over time."""
     times, motion = _motion(result, asked)
     figure = Figure(figsize=(7.0, 3.4), layout="constrained")
     axes = figure.subplots()
@@ -44,7 +44,7 @@ def course(result: xr.DataTree, asked: Asked) -> Figure:
 
 
 def spectrum(result: xr.DataTree, asked: Asked) -> Figure:
-    """Draw single-sided amplitude spectra of the normal motion, Hann window, without its mean."""
+    """Single-sided amplitude spectra of the normal motion, Hann window, without its mean."""
     times, motion = _motion(result, asked)
     figure = Figure(figsize=(7.0, 3.4), layout="constrained")
     axes = figure.subplots()
@@ -65,7 +65,7 @@ def spectrum(result: xr.DataTree, asked: Asked) -> Figure:
 
 
 def spectrogram(result: xr.DataTree, asked: Asked) -> Figure:
-    """Draw power of the normal motion over time and frequency at one place, the first requested one."""
+    """Power of the normal motion over time and frequency at one place, the first that is asked for."""
     name, skin = chosen_skin(result, asked, asked.quantity)
     vertex, what = chosen_vertices(result, name, skin, asked)[0]
     values = at_vertices(skin, [vertex], asked.quantity)[:, 0].astype(float)

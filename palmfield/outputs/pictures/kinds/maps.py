@@ -40,12 +40,12 @@ MARKERS = "os^Dv"
 
 
 def pressure(result: xr.DataTree, asked: Asked) -> Figure:
-    """Draw peak pressure amplitude and ARP on each skin when loudest, or at a time, seen from its array."""
+    """Peak pressure amplitude and ARP on each skin when loudest, or at a time, seen from the array that it faces."""
     return pressure_picture(result, chosen_names(result, asked), asked.time_s)
 
 
 def motion_map(result: xr.DataTree, asked: Asked) -> Figure:
-    """Draw normal displacement or velocity of the skin at a time, by default that of the largest motion."""
+    """Normal displacement or velocity of the skin at a time, by default when it moves most."""
     name, skin = chosen_skin(result, asked, asked.quantity)
     found = extremes(skin, asked.quantity)
     index = chosen_time(skin, asked, int(found.when[found.peak.argmax()]))
@@ -64,7 +64,7 @@ def motion_map(result: xr.DataTree, asked: Asked) -> Figure:
 
 
 def rms_map(result: xr.DataTree, asked: Asked) -> Figure:
-    """Draw the root mean square over the run of the normal displacement or velocity, including the mean."""
+    """Root mean square over the run of the normal displacement or velocity, the mean kept."""
     name, skin = chosen_skin(result, asked, asked.quantity)
     values = IN_MICRO * np.sqrt(extremes(skin, asked.quantity).mean_square)
     unit = UNITS[asked.quantity]
@@ -75,7 +75,7 @@ def rms_map(result: xr.DataTree, asked: Asked) -> Figure:
 
 
 def level_map_of(result: xr.DataTree, asked: Asked) -> Figure:
-    """Draw the level above the threshold of one observer, or a panel for each, by vertex, without summation."""
+    """Level above the threshold of one observer, or of each in a panel of its own, by vertex, without summation."""
     name, skin = chosen_skin(result, asked, "displacement")
     if asked.observer is not None and asked.observer not in OBSERVERS:
         near = did_you_mean(asked.observer, OBSERVERS)
