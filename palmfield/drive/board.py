@@ -131,7 +131,7 @@ class RewiredTwin(Twin):
 
 @dataclass(frozen=True)
 class Board:
-    """What plays a drive: its limits, its bytes and their virtual twin. One file of `palmfield.drive.boards` each.
+    """A board: its limits, its bytes and their virtual twin. One file of `palmfield.drive.boards` each.
 
     description: in words; layouts: of the arrays that it drives, the one that `--board` gives first; empty for any
     unit, most_units: transducers of one unit, and how many units hang on one line; units: that there are

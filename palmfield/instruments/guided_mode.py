@@ -82,7 +82,7 @@ class GuidedMode(NamedTuple):
 def line_amplitudes(times_s: ArrayLike, values: ArrayLike, frequency_Hz: float, periods: int | None = None) -> Complex:
     """Complex amplitudes of records (t, n) at one frequency, e^{-i w t}, shape (n,), over their last whole periods.
 
-    Least squares with a constant and a slope beside the line. Raises MeasurementError for a record without a period.
+    Least squares with a constant, a slope and the line. Raises MeasurementError for a record without a period.
     """
     times, signal = trace(times_s, values, 8)
     above_zero("frequency_Hz", frequency_Hz)

@@ -49,7 +49,7 @@ def _explained(model: type[Settings], values: dict[str, Any], error: Any) -> str
 def read_settings(path: str | Path, model: type[Model]) -> Model:
     """Settings from the table of a TOML file that has the instrument's name.
 
-    Raises MeasurementError for a file that can't be read, is no TOML, lacks the table or has others, or has wrong keys.
+    Raises MeasurementError for a file that is unreadable, is no TOML, lacks the table or has others, or has wrong keys.
     """
     file = Path(path)
     try:

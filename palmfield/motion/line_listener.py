@@ -55,9 +55,9 @@ def read_object(line: str | bytes) -> dict[str, Any]:
 class LineListener(ABC):
     """Reads the lines of one sender in a thread of its own. A context manager; a subclass defines what a line means.
 
-    One sender has the door, from its first good line on: by TCP until its connection ends, by UDP until it has been
+    One sender is accepted, from its first good line on: by TCP until its connection ends, by UDP until it has been
     silent for NEXT_SENDER_S. All others are refused. A connection whose first line is none of ours (an HTTP request of
-    a web page) is closed. What waited for longer than STALE_S, while this process was stopped or starved, is skipped.
+    a web page) is closed. Lines that waited for over STALE_S, while this process was stopped or starved, is skipped.
 
     host, port, by: where it listens; taken: good lines so far
     bad: how many lines of each kind were skipped; told: the first of each kind in words

@@ -1,4 +1,4 @@
-"""What plays a drive. A board is a module of this package with a `BOARD`; key `board` of palmfield.driver names it."""
+"""Boards of a drive. A board is a module of this package with a `BOARD`; key `board` of palmfield.driver names it."""
 
 from dataclasses import replace
 from importlib import import_module

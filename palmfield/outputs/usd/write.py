@@ -46,7 +46,7 @@ class _Writer(Protocol):
 
 
 class _Ranges(NamedTuple):
-    """Of all skins. own: range by skin and quantity; courses: of the level by skin; missing: what has no values, why"""
+    """Ranges. own: range by skin and quantity; courses: of the level by skin; missing: what has no values, why"""
 
     own: dict[str, dict[str, tuple[float, float]]]
     courses: dict[str, LevelCourse]

@@ -71,7 +71,7 @@ class Link:
         self._outbox.put(message)
 
     def received(self, wait_s: float = 0.0) -> list[FromPage]:
-        """What has come since the last call; waits for the first so long [s]. `gone` is set once the page has ended."""
+        """Messages since the last call; waits for the first so long [s]. `gone` is set once the page has ended."""
         messages: list[FromPage] = []
         if not wait_s and self._inbox.empty():
             return messages
