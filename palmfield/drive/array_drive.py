@@ -193,7 +193,7 @@ class ArrayDrive:
         points: for each row one of the stimulus's points, shape (k, 3), or several, shape (k, d, 3), from which
             `group`, shape (N,), selects one for each transducer
         focal_points: places of these points
-        audible: whether each point will sound, shape (k, d): only these must be within the array's range Errors as
+        audible: whether each point will sound, shape (k, d): only these must be within the array's range. Errors as
         unit_drive.
         """
         points = points.reshape(len(points), -1, 3)

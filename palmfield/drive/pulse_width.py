@@ -44,7 +44,7 @@ def pulses(drive: ArrayLike, ticks: int, *, held: Edge = "centre", exponent: flo
 
     drive: complex amplitudes, |a| <= 1, e^{-iwt}, shape (n,)
     held: fixed part of the pulse without compensation: "leading" starts every pulse where one of half a period would
-        start, so that smaller amplitudes come early; "trailing" the other way; "centre" compensates Returns start in
+        start, so that smaller amplitudes come early; "trailing" the other way; "centre" compensates. Returns start in
         0..ticks-1 and width in 0..ticks/2, shapes (n,), int32.
     Raises DeviceError for |a| > 1 or not finite, an odd or too small number of ticks, a bad exponent.
     """

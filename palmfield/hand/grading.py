@@ -36,7 +36,7 @@ def graded_size(
 def triangulate(shape: Shape, size: Size, radius_m: float, centre_m: tuple[float, float] = MIDDLE) -> tuple[Float, Int]:
     """Points in the plane [m], shape (n, 2), and counter-clockwise faces, shape (m, 3).
 
-    radius_m: largest one of the shape about the origin; centre_m: of the initial rings of points Points on the boundary
+    radius_m: largest one of the shape about the origin; centre_m: of the first rings of points. Points on the boundary
     loops are fixed; the others move to the density-weighted centroid of their triangles (Chen & Holst 2011, doi
     10.1016/j.cma.2010.11.007) with a fresh Delaunay triangulation each round.
     """

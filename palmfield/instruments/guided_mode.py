@@ -23,7 +23,7 @@ SURE = 0.013
 """A wavenumber is resolved if its stated error is below this: an error of 3 % is then more than twice as large."""
 TIED, NEXT = 10.0, 25.0
 """Largest score difference from the best fit for other fits to count too, and for one with one more ring. A ring that
-fits noise alone raises the score by 22 to 30. A ring that fits noise alone raises the score by 22 to 30."""
+fits noise alone raises the score by 22 to 30."""
 MOST_LOSS = 0.5
 """Im k / Re k: beyond it a wave loses 96 % of itself in a wavelength, and only the rest distinguishes waves."""
 LASTING, HEARD = 0.25, 0.05
@@ -111,7 +111,7 @@ def guided_mode_fit(
     source_m: expected place of the source [m], (2,); it is fitted within `ring_fit.REACH_M`
         source_radius_m: nearer points are left out; 1.5 times the spot's full width at half maximum leaves 0.2 % of its
         pressure outside
-    sights: lines of sight, shape (n, 3), z along the normal; None: only the normal motion is measured The number of
+    sights: lines of sight, shape (n, 3), z along the normal; None: only the normal motion is measured. The number of
     rings is the one with the least Bayesian information criterion.
     Raises MeasurementError for other shapes, fewer than FEWEST points outside the source, and silence.
     """

@@ -11,7 +11,7 @@ from palmfield.errors import MeasurementError
 from palmfield.types import Float, Int
 
 LENGTH_RADII = 6.0
-"""Of a cylinder. Another length changes the face's pressure by 0.2 dB, by sound diffracted round its back end."""
+"""Length of the cylinder; another one changes the face's pressure by 0.2 dB, by sound diffracted round its end."""
 EDGES_A_RADIUS = 5
 EDGES_A_WAVE = 8.0
 MOST_KA = 6.0

@@ -36,7 +36,7 @@ def wake_length(
         focus_x_m [m] on y = 0 and runs along +x
     threshold: share of the snapshot's largest magnitude, above 0 and below 1
     lateral_m: full width of the strip about the path; None is the whole snapshot
-    until: "last_above", to the farthest place that reaches it; "first_below", to its first fall below The envelope is
+    until: "last_above", to the farthest place that reaches it; "first_below", to its first fall below. The envelope is
     linear between the places along x. If it reaches the threshold up to the snapshot's end, the length ends there: a
     lower bound.
     For a straight path on a grid. `wake_along_path` is for curved paths, on the nodes of a skin: there the threshold is

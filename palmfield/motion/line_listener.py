@@ -57,7 +57,7 @@ class LineListener(ABC):
 
     One sender is accepted, from its first good line on: by TCP until its connection ends, by UDP until it has been
     silent for NEXT_SENDER_S. All others are refused. A connection whose first line is none of ours (an HTTP request of
-    a web page) is closed. Lines that waited for over STALE_S, while this process was stopped or starved, is skipped.
+    a web page) is closed. Lines that waited for over STALE_S, while this process was stopped or starved, are skipped.
 
     host, port, by: where it listens; taken: good lines so far
     bad: how many lines of each kind were skipped; told: the first of each kind in words

@@ -72,7 +72,7 @@ def pose_at(group: xr.Dataset | None, time_s: float) -> Float:
 def posed(mesh: xr.Dataset, body: xr.Dataset | None, time_s: float) -> Float:
     """Vertices of a skin or a surface [m], shape (n, 3), in the body frame at the step nearest to a time [s].
 
-    mesh: one of `instances(result, "skin")` or `instances(result, "surface")`; body: of the same name An articulated
+    mesh: one of `instances(result, "skin")` or `instances(result, "surface")`; body: of the same name. An articulated
     hand's vertices are blended linearly from its bones; those of any other body are as at rest.
     """
     rest: Float = mesh["rest_position"].values

@@ -61,7 +61,7 @@ WINDOW_PERIODS = 2
 class LevelCourse:
     """Level above threshold at each vertex of a skin, by one observer, in successive windows of a run.
 
-    frequencies_Hz: lines that count; window_s: length of each window, WINDOW_PERIODS of the lowest of them Each window
+    frequencies_Hz: lines that count; window_s: length of each window, WINDOW_PERIODS of the lowest of them. Each window
     is assumed to repeat, and each vertex is treated separately. A run is read one window at a time.
     """
 

@@ -35,7 +35,7 @@ def open_worlds(
 
     scene, device, accuracy, board, keys, worlds, poses: as of `palmfield.Simulation`
     base: keys of MuJoCo's model, in place of the first world's; then all of `keys` differ
-    shared: layers and solvers that these worlds share with others that are stepped separately Errors are those of
+    shared: layers and solvers that these worlds share with others that are stepped separately. Errors are those of
     `palmfield.session.open_scene.compiled`. SceneError too for another number of worlds, keys or poses of another shape
     and keys that cannot differ.
     """
