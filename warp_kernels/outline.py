@@ -1,9 +1,9 @@
 """The outline of bodies as seen from a point: pieces of closed lines, for diffracted sound.
 
 An edge of a closed mesh is on an outline if one of its two faces faces the point and the other does not. Parts below
-the skin round the point, behind an array's board or far from the sound's path are cut off by planes, and the cut is
-closed by a cap. All lines are closed, and give the number of layers of bodies in the way; sound is diffracted only at
-visible lines, and not at a cap. A piece is oriented so that the body is to the left of the viewer.
+the skin round the point, behind an array's board or far from the path of the sound are cut off by planes, and the cut
+is closed by a cap. All lines are closed, and give the number of layers of bodies in the way; sound is diffracted only
+at visible lines, and not at a cap. A piece is oriented so that the body is to the left of the viewer.
 """
 
 import warp as wp
@@ -150,7 +150,7 @@ def place_views(
 
 @wp.kernel
 def face_planes(mesh: Mesh, first: wp.int32):
-    """Planes of the mesh's faces in its present pose; dim: faces, from number `first` on."""
+    """Planes of the faces of the mesh in its present pose; dim: faces, from number `first` on."""
     face = first + wp.tid()
     corners = mesh.corners[face]
     a = mesh.points[corners[0]]

@@ -26,7 +26,7 @@ KEPT = 32
 
 
 class SoundSource(Protocol):
-    """The scene's arrays as one source, as `palmfield.acoustics.phased_array.PhasedArray` is.
+    """The arrays of the scene as one source, as `palmfield.acoustics.phased_array.PhasedArray` is.
 
     array: all transducers, in the frame of the first array; parts: the arrays that they belong to, in turn, each in its
         own frame; impedance: rho c^2 [Pa], so that the ARP at a focus is |p|^2 over it
@@ -127,7 +127,7 @@ class ArrayDrive:
         return last[2]
 
     def level_at(self, focal_points: FocalPoints, point: Float) -> float:
-        """Return `unit_drive_at(...).level` of a board that takes a focus, before the board's rounding."""
+        """Return `unit_drive_at(...).level` of a board that takes a focus, before the rounding of the board."""
         loudness = focal_points.loudness(point)
         place = focal_points.at(point)
         if loudness is not None or place.ndim > 1:
@@ -193,8 +193,8 @@ class ArrayDrive:
         points: for each row one of the stimulus's points, shape (k, 3), or several, shape (k, d, 3), from which
             `group`, shape (N,), selects one for each transducer
         focal_points: places of these points
-        audible: whether each point will sound, shape (k, d): only these must be within the array's range. Errors as
-        unit_drive.
+        audible: whether each point will sound, shape (k, d): only these must be within the range of the array. Errors
+        as unit_drive.
         """
         points = points.reshape(len(points), -1, 3)
         if len(focal_points.offsets) or self.board.line is not None or self.correction is not None:

@@ -33,7 +33,7 @@ class Came(NamedTuple):
 def read_focus(line: bytes, offset: Float) -> LiveFocus:
     """Read the focus from a line of JSON with one object.
 
-    focus_m: three numbers, in the array's frame; or, with position_m and quaternion (w first), which give a moving
+    focus_m: three numbers, in the frame of the array; or, with position_m and quaternion (w first), which give a moving
     frame in the array's frame, in that frame. level: 0 to 1, by default 1.
     offset: focus_m for a position without one [m], shape (3,)
     Raises BadLine for anything else.

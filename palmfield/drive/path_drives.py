@@ -202,7 +202,7 @@ def aim_of(drive: ArrayDrive) -> tuple[float, float]:
 
 
 KEPT = 64
-"""Number of cached weights for different sequences of a step's moments."""
+"""Number of cached weights for different sequences of the moments of a step."""
 
 
 def _pairs(values: Any, device: str) -> Any:

@@ -3,7 +3,7 @@
 Like `palmfield.acoustics.focus.focus` they give the commanded drive, and ignore dead or inverted transducers.
 
 Shapes that divide the array do so round the beam's axis: the line into the focus along the mean direction of the sound
-that arrives there. Under an off-axis focus the parts then still balance, unlike parts round the board's normal.
+that arrives there. Under an off-axis focus the parts then still balance, unlike parts round the normal of the board.
 """
 
 import dataclasses
@@ -109,7 +109,7 @@ def round_beam(array: Array, air: Air, point: ArrayLike) -> tuple[Float, Float]:
     """Return where each transducer is relative to the beam's axis, seen from the focus, and its pressure there.
 
     The axis is the mean direction of arrival, weighted by |p|. y is the frame's y as seen along the array's mean
-    normal. If that is along y itself, it is a board's y after rotation about x to look there.
+    normal. If that is along y itself, it is the y of a board after rotation about x to look there.
 
     Returns the sines of the angles from the axis, shape (n, 2), and |p| at the focus [Pa], shape (n,), both without
     `array.gain`. Raises SceneError when the axis does not lead out of the array.

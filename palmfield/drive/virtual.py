@@ -23,7 +23,7 @@ TELLS_S = 4e-3
 """Interval of reports of the bytes taken, if changed, else ten times longer [s]."""
 assert 10 * TELLS_S < TOLD_WITHIN_S
 BURST_S = 20e-3
-"""Largest delay of the line's time that a late thread makes up for at once."""
+"""Largest delay on the line that a late thread makes up for at once."""
 
 
 @dataclass
@@ -140,7 +140,7 @@ class VirtualBoard:
         self._close()
 
     def plug(self) -> None:
-        """Restore the port after `unplug`; the board's emission has continued meanwhile."""
+        """Restore the port after `unplug`; the emission of the board has continued meanwhile."""
         if not self._ended.is_set():
             return
         if self._by == "pty":

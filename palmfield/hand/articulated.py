@@ -161,7 +161,7 @@ def _abduction(
 
 
 def checked_angles(hand: ArticulatedHand, angles_deg: Mapping[str, float]) -> Float:
-    """Return the angle of every joint [deg], shape (joints,), in the hand's order; other joints are at rest.
+    """Return the angle of every joint [deg], shape (joints,), in the order of the hand; other joints are at rest.
 
     Raises SceneError for an unknown joint and for an angle that is not a number or outside its range.
     """

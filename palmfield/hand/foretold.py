@@ -16,7 +16,7 @@ from palmfield.types import Float, Surface
 DEPTH_m = 0.02
 """Default of a skin's key depth_m."""
 OF_A_MESH = 0.45
-"""Largest depth of a scene's layer as a share of the distance through the body, as a mesh has no bones."""
+"""Largest depth of the layer of a scene as a share of the distance through the body, as a mesh has no bones."""
 PALM_RADIUS_m, TIP_RADIUS_m = 0.02, 0.008
 EDGE_SHARE = 0.25
 """Edge length of the elements of small patches in scenes, as a share of their radius, at any accuracy."""
@@ -27,7 +27,7 @@ DIGITS = ("thumb", "index", "middle", "ring", "little")
 def foretold_layers(surface: Surface, hand: Chirality, depth_m: float = DEPTH_m) -> list[dict[str, Any]]:
     """Layers under the middle of the palm and the pads of the digits' tips, as of a scene of shape mesh or rigged.
 
-    surface: closed mesh [m]; hand: its `chirality`; depth_m: the scene's key [m]
+    surface: closed mesh [m]; hand: its `chirality`; depth_m: the key of the scene [m]
     Each with place ("palm", "thumb tip", ...), centre_mm, radius_mm, and least_mm, p10_mm and mean_mm of the layer's
     depth, or error if it folds. Digits have names if there are five tips, else numbers.
     """

@@ -23,7 +23,7 @@ MOST_VALUES = 10_000_000
 
 
 def read_gltf(file: Path, check: Callable[[int], None]) -> tuple[Float, Int, SkinRig | None]:
-    """Read vertices in the scene's frame [m], shape (n, 3), faces, and the rig if the file has a skin.
+    """Read vertices in the frame of the scene [m], shape (n, 3), faces, and the rig if the file has a skin.
 
     check: called with the number of faces before any is read, and may refuse them
     All meshes of the scene are joined. Skinned vertices are placed by their joints, as section 3.7.3.3 requires: in the

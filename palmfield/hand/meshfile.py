@@ -83,7 +83,7 @@ def examine(path: str | Path, unit: str = "auto", longest_edge_m: float | None =
     if extent == 0.0:
         raise SceneError(f"mesh {file}: all {len(vertices)} vertices lie in one point; export it again")
     mended = repair(vertices, faces)
-    # Without dropped parts: a fragment at a fingertip does not count for the hand's length
+    # Without dropped parts: a fragment at a fingertip does not count for the length of the hand
     used = mended.vertices[np.unique(mended.faces)] if len(mended.faces) else finite
     length, breadth, _ = np.ptp(used @ plane_axes(used).T, axis=0)
     tips = DIGITS

@@ -27,7 +27,7 @@ from palmfield.types import Float, Int, Surface
 VERDICTS = ("accepted", "accepted with doubts", "refused")
 HAND_SIZES = "hands are 130 to 260 mm long, forearms with a hand 360 to 560"
 THIN_SHARE, THIN_FACES = 0.025, 2000
-"""Half of a hand's skin has more than this share of its length below it; approximate number of sampled faces."""
+"""Half of the skin of a hand has more than this share of its length below it; approximate number of sampled faces."""
 LAYERS_m = (0.001, 0.002, 0.003, 0.005)
 PALMAR_COSINE = 0.3
 

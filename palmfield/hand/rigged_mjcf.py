@@ -49,9 +49,9 @@ def rigged_mjcf(mesh: RiggedMesh, name: str) -> str:
     `palmfield.hand.articulated_mjcf.articulated_mjcf`. A joint rotates (a ball joint of its name, with a spring to the
     file's pose of natural frequency SWING_Hz and critical damping) if it carries skin and so does one above it. All
     others are rigid, since they have no mass. Capsules along the bones, to the next joints that carry skin, have the
-    skin's distance from the bone as radius, the median along it; all together have the mesh's volume times 1100 kg/m3
-    as mass. They collide with other objects and each other, except pairs that touch in the file's pose. Gravity is
-    compensated. Viewers show the mesh as skin, and on request the capsules and sites, group 3.
+    distance of the skin from the bone as radius, the median along it; all together have the mesh's volume times 1100
+    kg/m3 as mass. They collide with other objects and each other, except pairs that touch in the file's pose. Gravity
+    is compensated. Viewers show the mesh as skin, and on request the capsules and sites, group 3.
 
     Sites: JOINT_tip, the farthest skin of each last joint; and, if `palmfield.hand.chirality` is certain of the palm's
     side, JOINT_pad, the skin of each joint on that side. In that case, the first joint and hand_target are rotated so

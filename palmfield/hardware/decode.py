@@ -55,7 +55,7 @@ class Decoded:
 def pieces_of(
     path: str | Path, board: str | None, array: str | None = None, calibration: Path | None = None
 ) -> tuple[LogHead, list[Piece]]:
-    """Read a log of `--log`, or a file of raw bytes, which needs a board's name; raw bytes are consecutive.
+    """Read a log of `--log`, or a file of raw bytes, which needs the name of a board; raw bytes are consecutive.
 
     array: name of the layout or CSV file of transducers, None for the board's first one; calibration: file of its
         transducers

@@ -30,7 +30,7 @@ Place = tuple[float, float, float]
 
 
 class Alignment(BaseModel):
-    """A tracker's space in an array's frame: x_array = turn(x_tracker) + position_m.
+    """A tracker's space in the frame of an array: x_array = turn(x_tracker) + position_m.
 
     position_m: the tracker's origin; quaternion: w first; points: number of touches; rms_m: misfit
     touch_sd_m: of one touch by axis, from the misfit of 4 points or more, else TOUCH_SD_M

@@ -40,7 +40,7 @@ class HandMotion:
 
 
 def motion_of(config: MotionConfig, array: Transform = IDENTITY) -> HandMotion:
-    """Return the motion of a scene's keys; array: frame of the scene's first array in the world.
+    """Return the motion of the keys of a scene; array: frame of the scene's first array in the world.
 
     Raises SceneError for files and functions that cannot be read or found.
     """
@@ -73,7 +73,7 @@ def tracker_frame(config: MotionConfig, array: Transform) -> Transform:
 
 
 def _tracked(config: MotionConfig, array: Transform) -> Stream:
-    """Return the recorded stream in the scene's world; with ahead_s as a live system would predict it."""
+    """Return the recorded stream in the world of the scene; with ahead_s as a live system would predict it."""
     assert config.tracking is not None
     stream = read_stream(config.tracking)
     frame = tracker_frame(config, array)

@@ -1,4 +1,4 @@
-"""A hand's motion from a table in a file, and from a Python function."""
+"""The motion of a hand from a table in a file, and from a Python function."""
 
 import importlib
 import math

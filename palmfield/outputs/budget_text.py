@@ -9,7 +9,7 @@ TextRow = tuple[str, str]
 Part = tuple[str, float, float]
 """Part of a band: an input, and the factors at the low and high ends of its range."""
 PARTS = {"mesh": "mesh", "step": "time step", "reduction": "reduction", "edge": "cut edge", "field": "field in float32"}
-"""Parts of the numerical error, by the beginning of their keys in a skin's numbers."""
+"""Parts of the numerical error, by the beginning of their keys in the numbers of a skin."""
 COARSE = 0.05
 """Relative band above which a number is shown with two digits."""
 SHOWN = 5e-4
@@ -17,7 +17,7 @@ SHOWN = 5e-4
 
 
 def budget_rows(skin: Mapping[str, Any]) -> list[TextRow]:
-    """Uncertainty of a skin's motion: of its response under the focus, in three kinds that are not added up."""
+    """Uncertainty of the motion of a skin: of its response under the focus, in three kinds that are not added up."""
     velocity = skin.get("reduction_velocity_error_relative")
     of_velocity = "" if velocity is None else f" ({100 * velocity:.2g} % of the velocity)"
     parts = [

@@ -39,13 +39,13 @@ def look_along_emission(
     """Return a camera that faces the sides reached by the array's sound, with all points in a window of the picture.
 
     points: [m] in the world, shape (n, 3); array_pose: shape (7,); window: left, top, width, height [pixels]
-    azimuth_deg: of the view, round the array's z
+    azimuth_deg: of the view, round the z of the array
     It looks along the array's +z, slanted, so that array and target are next to each other. The world's z points up.
     """
     x, y, z = axes(array_pose)
     azimuth, slant = np.radians(azimuth_deg), np.radians(SLANT_DEG)
     forward = np.cos(slant) * (np.cos(azimuth) * x + np.sin(azimuth) * y) + np.sin(slant) * z
-    # If the camera looks straight up or down, the world's z has no direction in the picture; use the board's y.
+    # If the camera looks straight up or down, the world's z has no direction in the picture; use the y of the board.
     vertical = np.array([0.0, 0.0, 1.0]) if abs(forward[2]) < 0.95 else y
     right = np.cross(forward, vertical)
     right /= np.linalg.norm(right)

@@ -14,7 +14,7 @@ from palmfield.types import Float, Int
 COVERED_M = 4e-3
 """Distance within which a skin covers a body's vertex on its inner side: coarse skins cut corners."""
 EDGE_M = 2e-3
-"""Spacing of the skin's points to which distances are computed."""
+"""Spacing of the points of the skin to which distances are computed."""
 SUNK_M = 4e-3
 """Depth of a covered vertex below the skin: more than the largest magnified push. It decreases to the skin's rim."""
 SLOPE = 0.3

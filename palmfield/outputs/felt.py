@@ -1,4 +1,4 @@
-"""Perceived level of a skin: the level shown, its observer and band, and a run's verdict.
+"""Perceived level of a skin: the level shown, its observer and band, and the verdict of a run.
 
 Tables, pictures, the live view and summary.json use this module. Numbers are those of a skin in summary.json.
 """
@@ -77,7 +77,7 @@ def _dB(factor: float) -> str:
 
 
 def verdict(skin: Mapping[str, Any]) -> dict[str, Any]:
-    """Return whether a skin's motion is felt: `felt` (yes, perhaps, no or not known) and `because`, in words.
+    """Return whether the motion of a skin is felt: `felt` (yes, perhaps, no or not known) and `because`, in words.
 
     yes: the whole band of the chosen observer's level is above threshold; no: all of it is below; perhaps: the band
     contains the threshold, or the observer's own spread is not established.

@@ -75,7 +75,7 @@ class _Look(NamedTuple):
 def film(
     result: xr.DataTree, path: str | Path, cut: Cut | None = None, on_frame: Callable[[int, int], None] | None = None
 ) -> int:
-    """Write an MP4 (H.264) of a run's skins; returns its number of frames.
+    """Write an MP4 (H.264) of the skins of a run; returns its number of frames.
 
     result: of `open_result`, with displacement of at least one skin; on_frame: called with the numbers done and in all
     The camera is placed to see all skins all the time. Ctrl-C ends the film early; the finished part can be played.

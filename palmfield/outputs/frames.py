@@ -42,7 +42,7 @@ def drive_frames(starts_s: Float, times_s: Float) -> Int:
 
 
 def drive_frame(array: xr.Dataset, time_s: float) -> int:
-    """Return the index along `frame_time` of an array's drive that holds at a time [s]."""
+    """Return the index along `frame_time` of the drive of an array that holds at a time [s]."""
     return int(drive_frames(array["frame_time"].values, np.array([time_s]))[0])
 
 
@@ -116,7 +116,7 @@ def loudest(skin: xr.Dataset) -> Loudest:
 
 
 def bodies(result: xr.DataTree) -> dict[str, list[str]]:
-    """Group skins by body, in the scene's order.
+    """Group skins by body, in the order of the scene.
 
     A body is named by the attribute `body` of its skins' groups /body; a skin without one has a body of its own.
     """

@@ -1,4 +1,4 @@
-"""Maps of the perceived level: levels above threshold at each vertex of a skin, from a run's result.
+"""Maps of the perceived level: levels above threshold at each vertex of a skin, from the result of a run.
 
 from palmfield.outputs import open_result
 from palmfield.outputs.levels import level_maps
@@ -27,7 +27,7 @@ def level_maps(result: xr.DataTree, skin: str | None = None, stimulus: str | Non
     The level is of all lines (`palmfield.perception.maps.felt_lines`), whose frequencies are an attribute. Returns
     `level` [dB SL], dimensions (observer, vertex), NaN if an observer's table has none of the lines, -inf for a vertex
     at rest; attributes skin, stimulus and frequencies_Hz. Each vertex is treated separately, without summation over
-    area. The observer based on force has no map: it does not depend on the skin's motion.
+    area. The observer based on force has no map: it does not depend on the motion of the skin.
     Raises OutputError for an unknown instance, several without a name given, a result without displacement, and one
     shorter than two periods of the main frequency.
     """

@@ -87,7 +87,7 @@ def plot_displacement(result: xr.DataTree, path: Path) -> None:
 
 
 def _instant(skin: xr.Dataset, time_s: float) -> Loudest:
-    """Return a time of a skin's record [s]. Raises OutputError for one outside it."""
+    """Return a time of the record of a skin [s]. Raises OutputError for one outside it."""
     times: Float = skin["time"].values
     if not len(times):
         raise OutputError(f"--time has value {1e3 * time_s:g} ms; allowed: none, as nothing was recorded")

@@ -1,4 +1,4 @@
-"""The keys of a scene's instances in a result."""
+"""The keys of the instances of a scene in a result."""
 
 from typing import TypeVar
 

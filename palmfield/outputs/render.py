@@ -49,8 +49,8 @@ class Part(NamedTuple):
 class Scene(NamedTuple):
     """Objects to be shown. time_s: instant whose poses are shown; peak_Pa: end of the colour map
 
-    bodies: meshes in the world with the pressure by vertex [Pa]; arrays: pose, shape (7,), and transducers in the
-    array's frame [m], shape (n, 3), by name; others: meshes in the world without pressure
+    bodies: meshes in the world with the pressure by vertex [Pa]; arrays: pose, shape (7,), and transducers in the frame
+    of the array [m], shape (n, 3), by name; others: meshes in the world without pressure
     """
 
     time_s: float

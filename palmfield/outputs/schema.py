@@ -294,7 +294,7 @@ def kind_and_instance(path: str) -> tuple[str, str]:
 
 
 def ordered(paths: Iterable[str]) -> list[str]:
-    """Return paths of groups without repeats, in the order of GROUPS, and within a kind in the scene's order."""
+    """Return paths of groups without repeats, in the order of GROUPS, and within a kind in the order of the scene."""
     kinds = list(GROUPS)
     return sorted(dict.fromkeys(paths), key=lambda path: -1 if path == "/" else kinds.index(kind_and_instance(path)[0]))
 

@@ -18,7 +18,7 @@ DISTANCES_M = (0.010, 0.020)
 class SkinView(NamedTuple):
     """A skin relative to an array at the loudest moment on the skin.
 
-    array: its name; pose: of the array, shape (7,); vertices: of the skin in the array's frame [m], shape (n, 3)
+    array: its name; pose: of the array, shape (7,); vertices: of the skin in the frame of the array [m], shape (n, 3)
     """
 
     array: str
@@ -53,7 +53,7 @@ def draw_patch(
     """Draw the patch in the array's x (to the right) and y (up) with a colour bar, looking onto the array.
 
     It is drawn as transparent: triangles nearer to the array, which the sound reaches first, cover the others.
-    seen: vertices in the array's frame [m], shape (n, 3); values: shape (n,), in `unit`
+    seen: vertices in the frame of the array [m], shape (n, 3); values: shape (n,), in `unit`
     gamma: exponent of the colours over the value's range; below 1 it enhances small values
     """
     order = np.argsort(-seen[faces].mean(axis=1)[:, 2])

@@ -61,7 +61,7 @@ def _sound(name: str, array: xr.Dataset, points: Float, time_s: float, index: in
 
 
 def _transducers(name: str, group: xr.Dataset, config: ArrayConfig) -> Array:
-    """Return an array's transducers in its own frame, from the result; from its keys for an earlier version."""
+    """Return the transducers of an array in its own frame, from the result; from its keys for an earlier version."""
     if "transducer_p0" in group:
         phase = np.exp(1j * group["transducer_phase"].values)
         table = None

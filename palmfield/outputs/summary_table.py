@@ -75,7 +75,7 @@ def _drives(summary: Mapping[str, Any]) -> list[TextRow]:
 
 
 def _short(skin: Mapping[str, Any]) -> list[TextRow]:
-    """Return a skin's motion in the main table: displacement with its band, one level, and the error."""
+    """Return the motion of a skin in the main table: displacement with its band, one level, and the error."""
     rows: list[TextRow] = []
     if "peak_displacement_m" in skin:
         rows.append(("peak skin displacement", _peak(skin)))
@@ -170,7 +170,7 @@ def array_rows(arrays: Sequence[Mapping[str, Any]]) -> list[TextRow]:
 
 
 def _motion(skin: Mapping[str, Any]) -> list[TextRow]:
-    """Return a skin's motion with all details."""
+    """Return the motion of a skin with all details."""
     error = skin.get("displacement_error_relative")
     numerical = "" if error is None else f" (numerical {figures(100 * error, 1.0)} %)"
     response = response_band(skin)
@@ -231,7 +231,7 @@ def _spread(skin: Mapping[str, Any], name: str) -> list[str]:
 
 
 def advice(skin: Mapping[str, Any]) -> str:
-    """Return a measure that would reduce the largest part of a skin's error."""
+    """Return a measure that would reduce the largest part of the error of a skin."""
     parts = {
         "a smaller --accuracy makes the mesh finer": skin["mesh_error_relative"],
         "a smaller --accuracy or step_s shortens the step": skin["step_error_relative"],

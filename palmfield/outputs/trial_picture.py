@@ -17,7 +17,7 @@ LOSSES = (
 
 
 def draw_trial(names: Sequence[str], rows: Float, numbers: Mapping[str, Any], path: Path) -> None:
-    """Draw a trial's course into a PNG.
+    """Draw the course of a trial into a PNG.
 
     names, rows: columns and their values, shape (k, columns), as in course.csv; numbers: as in trial.json
     Raises OutputError if it cannot be written.

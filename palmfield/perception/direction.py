@@ -1,6 +1,6 @@
-"""Direction of a stimulus's motion over the skin: an observer that compares the likelihoods of both directions.
+"""Direction of the motion of a stimulus over the skin: an observer that compares the likelihoods of both directions.
 
-It is given the skin's motion under the forward and the reversed stimulus, weights the motion at each place by a
+It is given the motion of the skin under the forward and the reversed stimulus, weights the motion at each place by a
 threshold table, follows its level over time, and adds noise that is independent between places and moments. Noise is
 its only free number: fit it for a measured accuracy (`noise_for`) and then keep it.
 

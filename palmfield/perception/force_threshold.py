@@ -1,6 +1,6 @@
 """Level above the only threshold measured in mid-air: of the force of a focus on the palm under AM, at rest.
 
-It is based on the acoustic radiation pressure (ARP) and independent of the skin's motion.
+It is based on the acoustic radiation pressure (ARP) and independent of the motion of the skin.
 """
 
 import math

@@ -39,7 +39,7 @@ def level_map(
 
 
 def felt_lines(times: Float, config: StimulusConfig) -> list[float]:
-    """Return the lines [Hz] of a level of the skin's motion: all levels in outputs use them.
+    """Return the lines [Hz] of a level of the motion of the skin: all levels in outputs use them.
 
     The stimulus's main frequencies that the record can resolve (`lines_in`), the lowest first. Then, if the record has
     two turns of a path, all harmonics of the turn up to HIGHEST_FELT_HZ. If the path's level changes as well, those of

@@ -252,7 +252,7 @@ def _disabled_sensors(view: Preview) -> list[str]:
 
 
 def _course(stimulus: StimulusModel) -> Float:
-    """Return some of a stimulus's points over one turn of its path, shape (k, 3)."""
+    """Return some of the points of a stimulus over one turn of its path, shape (k, 3)."""
     config = stimulus.config
     rate = turn_rate_Hz(config)
     count = COURSE if rate else 1

@@ -1,4 +1,4 @@
-"""Advice on a scene's arrays before the run: numbers that seem to be in another unit."""
+"""Advice on the arrays of a scene before the run: numbers that seem to be in another unit."""
 
 import numpy as np
 

@@ -27,7 +27,7 @@ def left_out(model: HapticModel) -> list[Row]:
 
 
 def besides(model: HapticModel) -> list[Row]:
-    """Return rows of further ignored effects, without a figure for a skin's displacement."""
+    """Return rows of further ignored effects, without a figure for the displacement of a skin."""
     rows = []
     for skin in model.skins:
         if skin.spec.moves or skin.carrier.hand is not None:

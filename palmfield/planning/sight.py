@@ -117,7 +117,7 @@ def _sounding(stimulus: StimulusModel, time_s: float) -> Float:
 
 
 def _course(stimulus: StimulusModel) -> Float:
-    """Times of one turn of a stimulus's path [s], shape (k,)."""
+    """Times of one turn of the path of a stimulus [s], shape (k,)."""
     rate = turn_rate_Hz(stimulus.config)
     count = COURSE if rate else 1
     return np.asarray(stimulus.config.start_s + np.arange(count) / (count * (rate or 1.0)))

@@ -15,7 +15,7 @@ MOVED = {("palmfield.array", "compute"): "palmfield_device"}
 
 
 class Migrated(NamedTuple):
-    """A scene's file in the terms of this version.
+    """The file of a scene in the terms of this version.
 
     text: of the file; changes: a sentence each, empty if there are none
     others: included files with old terms
@@ -27,7 +27,7 @@ class Migrated(NamedTuple):
 
 
 def migrated(path: Path) -> Migrated:
-    """Return a scene's file with renamed keys and values under their new names; comments and layout are unchanged.
+    """Return the file of a scene with renamed keys and values under their new names; comments and layout are unchanged.
 
     Raises SceneError for a file that cannot be read, or whose keys cannot all be kept.
     """
@@ -75,7 +75,7 @@ def migrated(path: Path) -> Migrated:
 
 
 def migrate(path: Path, out: Path | None = None, *, overwrite: bool = False) -> Migrated:
-    """Write a scene's file in the terms of this version; without old terms no file is written.
+    """Write the file of a scene in the terms of this version; without old terms no file is written.
 
     out: the file to write, the scene's own by default; overwrite: whether an existing file may be replaced
     Raises SceneError as `migrated`, OutputError if a file may not be replaced or cannot be written.

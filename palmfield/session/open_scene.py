@@ -339,7 +339,7 @@ def _explained(error: Exception, name: str, text: SceneText | None) -> BaseExcep
 def _place(message: str, name: str, text: SceneText | None) -> str:
     """Return file and line of the beginning of a message: a key, its instance, or a setting of the whole scene.
 
-    The scene's name if the line is unknown.
+    The name of the scene if the line is unknown.
     """
     meant = re.match(r"plugin '([^']+)' instance '([^']*)'(?:: (?:unknown )?key '(\w+)')?", message)
     element = text.key(meant[1], meant[2], meant[3] or "") if meant and text is not None else None

@@ -1,4 +1,4 @@
-"""Change a scene's keys for another board: the board, its layout, and its frame rate."""
+"""Change the keys of a scene for another board: the board, its layout, and its frame rate."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple

@@ -14,7 +14,7 @@ SAME = 0.7
 
 
 class PhaseTurns:
-    """Follows the leading eigenvector of a stimulus's foci from record to record.
+    """Follows the leading eigenvector of the foci of a stimulus from record to record.
 
     times: of the records at which it has jumped [s]
     """

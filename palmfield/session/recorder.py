@@ -138,7 +138,7 @@ class Recorder:
         self.sink.append(block)
 
     def _add_pressed(self, block: Block, skin: SkinModel, posed: PosedScene) -> None:
-        """Add ARP on the faces of a skin's body; a GPU adds up forces without it."""
+        """Add ARP on the faces of the body of a skin; a GPU adds up forces without it."""
         if self.runtime.steps.backend.whole:
             return
         faces = len(skin.closed_surface[1])

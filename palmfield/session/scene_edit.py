@@ -1,4 +1,4 @@
-"""Change single elements of a scene's file; all other bytes, comments and layout are unchanged."""
+"""Change single elements of the file of a scene; all other bytes, comments and layout are unchanged."""
 
 import re
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""A scene's files as text: their elements with file and line, and a description of XML errors.
+"""The files of a scene as text: their elements with file and line, and a description of XML errors.
 
 MuJoCo's model has no positions in files, and messages of its parser suggest no remedy.
 """
@@ -41,7 +41,7 @@ AMPERSAND = "\x7f"
 
 @dataclass
 class Element:
-    """An element of a scene's files.
+    """An element of the files of a scene.
 
     offset: bytes of the file before it; parent: its enclosing element, across included files; None for a root
     """
@@ -67,7 +67,7 @@ class Element:
 
 
 class SceneText(NamedTuple):
-    """All elements of a scene's files; those of included files at the place of inclusion.
+    """All elements of the files of a scene; those of included files at the place of inclusion.
 
     file: of the scene, as the user named it
     """

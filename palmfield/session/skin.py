@@ -93,7 +93,7 @@ class Skin:
 
 
 def chosen_name(names: Sequence[str], name: str | None) -> str:
-    """Return a skin's name; the only one without. Raises SceneError for an unknown name."""
+    """Return the name of a skin; the only one without. Raises SceneError for an unknown name."""
     if name is None and len(names) == 1:
         return names[0]
     if name is None or name not in names:

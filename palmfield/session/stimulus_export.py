@@ -1,4 +1,4 @@
-"""Export a scene's stimulus over time as a table of foci, or as an STM of AUTD3 units."""
+"""Export the stimulus of a scene over time as a table of foci, or as an STM of AUTD3 units."""
 
 import math
 from collections.abc import Mapping

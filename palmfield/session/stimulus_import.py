@@ -124,7 +124,7 @@ def _instance(scene: Path, stimulus: str | None) -> str:
 
 
 def _site(scene: Path, site: str | None) -> str:
-    """Return the site of a table of frame `skin`: the named one, or the only one on a skin's body."""
+    """Return the site of a table of frame `skin`: the named one, or the only one on the body of a skin."""
     spec = opened(scene).spec
     bodies = {one.keys.get("body") for one in instances_of(scene, {})[0] if one.plugin == SKIN}
     sites = [one.name for one in spec.sites if one.parent.name in bodies]
@@ -166,7 +166,7 @@ def _in_array(table: FocusTable, scene: Path, stimulus: str) -> FocusTable:
 
 
 def _rewritten(scene: Path, stimulus: str, keys: dict[str, str]) -> tuple[bytes, tuple[str, ...]]:
-    """Return the scene's file with other keys of a stimulus, and the names of the removed ones."""
+    """Return the file of the scene with other keys of a stimulus, and the names of the removed ones."""
     data, elements = scene.read_bytes(), elements_of(scene)
     instance = next((e for e in elements if e.tag == "instance" and _is(e, stimulus)), None)
     if instance is None:

@@ -31,7 +31,7 @@ def open_worlds(
     base: Mapping[str, object] | None = None,
     shared: Shared | None = None,
 ) -> tuple[str, SceneWorlds]:
-    """Return a scene's name for messages, and its worlds, ready to step.
+    """Return the name of a scene for messages, and its worlds, ready to step.
 
     scene, device, accuracy, board, keys, worlds, poses: as of `palmfield.Simulation`
     base: keys of MuJoCo's model, in place of the first world's; then all of `keys` differ
@@ -130,7 +130,7 @@ class WorldsSkin:
 
 
 def stimulus_texts(runtime: SceneRuntime) -> dict[str, dict[str, str]]:
-    """The keys of a scene's stimuli as MuJoCo's model has them, by instance and key."""
+    """The keys of the stimuli of a scene as MuJoCo's model has them, by instance and key."""
     model = runtime.view.model
     instances = {name: number for number, _, name in model.instances()}
     return {part.name: model.values(instances[part.name], known_keys(StimulusConfig)) for part in runtime.spec.stimuli}

@@ -141,7 +141,7 @@ def table_of_stm(stm: FociStm) -> FocusTable:
 def stm_of_table(
     table: FocusTable, origin_mm: tuple[float, float, float] | None = None, *, again: bool = False
 ) -> FociStm:
-    """Convert a table in the array's frame for AUTD3 units; intensities are rounded to 1/255 of full amplitude.
+    """Convert a table in the frame of the array for AUTD3 units; intensities are rounded to 1/255 of full amplitude.
 
     origin_mm: of autd3's geometry, None for that of one unit; again: whether it repeats
     Raises SceneError for a table in another frame, of straight lines, at a rate that is no whole part of 40 kHz, of

@@ -1,4 +1,4 @@
-"""Convert a stimulus's points to places in the frame of the first array, for a fixed pose."""
+"""Convert the points of a stimulus to places in the frame of the first array, for a fixed pose."""
 
 from typing import NamedTuple
 
@@ -33,8 +33,8 @@ class FocalPoints(NamedTuple):
     """Places of the stimulus's points while body, arrays and the stimulus's frame do not move.
 
     frame: the stimulus's frame relative to the first array
-    offsets: of several simultaneous foci from the stimulus's point [m], shape (m, 3); (0, 3) for a single focus. Zeros
-        for those of a table, which contains their places
+    offsets: of several simultaneous foci from the point of the stimulus [m], shape (m, 3); (0, 3) for a single focus.
+        Zeros for those of a table, which contains their places
     on_surface: the surface of the path; None for points in `frame`
     arp: of several simultaneous foci relative to the loudest, shape (m,); () if they are equally loud
     table: foci over time; its points are the time since the table's beginning [s], then 0, 0

@@ -48,8 +48,8 @@ LM_SAMPLES = 512
 class Frame:
     """Command to the array at one moment.
 
-    focus: position in the stimulus's frame [m]; for a path on the skin the arc length from its start, then 0, 0; for a
-        table the time since its beginning [s], then 0, 0. Shape (3,)
+    focus: position in the frame of the stimulus [m]; for a path on the skin the arc length from its start, then 0, 0;
+        for a table the time since its beginning [s], then 0, 0. Shape (3,)
     arp_factor: radiation pressure relative to the loudest moment, 0..1 (its square root is that of the pressure)
     """
 
@@ -216,7 +216,7 @@ def frame_at(config: StimulusConfig, t: float) -> Frame:
 
 
 def first_point(config: StimulusConfig) -> Float:
-    """The stimulus's point where its sound begins, `Frame.focus` at start_s, shape (3,)."""
+    """The point of the stimulus where its sound begins, `Frame.focus` at start_s, shape (3,)."""
     if config.path != "point":
         return _first_on_path(config)
     _, timing = _timings.get(id(config)) or _timed(config)
@@ -433,7 +433,7 @@ def mean_arp_factor(config: StimulusConfig, start: float, end: float, count: int
 
 
 class Envelope(NamedTuple):
-    """Parameters of a stimulus's level over time: numbers, or columns of shape (n, 1) for n stimuli.
+    """Parameters of the level of a stimulus over time: numbers, or columns of shape (n, 1) for n stimuli.
 
     start_s; ends: times after which the sound has ended [s]; ramp_s: None without a ramp
     am: None without modulation; burst: keys of `burst`, None without bursts
@@ -447,7 +447,7 @@ class Envelope(NamedTuple):
 
 
 def envelope_of(config: StimulusConfig) -> Envelope:
-    """Return the level over time of a stimulus's keys."""
+    """Return the level over time of the keys of a stimulus."""
     bursts = None
     if config.burst_window != "none":
         assert config.burst_length_s and config.burst_period_s
@@ -625,7 +625,7 @@ def repeat_rate_Hz(config: StimulusConfig) -> float | None:
 
 
 def main_frequencies(config: StimulusConfig) -> list[float]:
-    """Frequencies [Hz] of most of the skin's response: AM and its harmonics in the ARP; path harmonics.
+    """Frequencies [Hz] of most of the response of the skin: AM and its harmonics in the ARP; path harmonics.
 
     Empty for a load that does not repeat.
     """
@@ -674,7 +674,7 @@ def _table_frequencies(table: FocusTable) -> list[float]:
 
 
 def _lm_frequencies(config: StimulusConfig, rate: float) -> list[float]:
-    """Frequencies of lateral modulation [Hz]: those of the focus's motion to and fro, and twice the turns.
+    """Frequencies of lateral modulation [Hz]: those of the motion of the focus to and fro, and twice the turns.
 
     On a small line the ARP at a point is proportional to the displacement of the focus, where it varies along the line.
     Under the middle, which the focus passes twice a turn, it is quadratic.

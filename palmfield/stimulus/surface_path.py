@@ -54,7 +54,7 @@ class SurfacePath:
     def at(self, arc_m: ArrayLike, vertices: Float, mesh_faces: Int) -> tuple[Float, Float]:
         """Positions [m] and unit outward normals, shape (k, 3) each, at arc lengths [m], shape (k,), of any size.
 
-        vertices: present places of the mesh's vertices [m], shape (v, 3); mesh_faces: its triangles, shape (m, 3)
+        vertices: present places of the vertices of the mesh [m], shape (v, 3); mesh_faces: its triangles, shape (m, 3)
         Normals are those of the vertices (weighted by angle), interpolated.
         """
         corners = mesh_faces[self.faces]

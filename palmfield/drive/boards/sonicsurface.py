@@ -70,7 +70,7 @@ class SonicSurfaceTwin(Twin):
 
     Both buffers hold phase 0 at power-up, so all 256 emitters sound before the first frame. A swap *exchanges* the
     buffers: after a short frame the missing addresses play their values of two frames before. Data beyond 256 bytes is
-    flagged and dropped, as the board's reaction is undefined.
+    flagged and dropped, as the reaction of the board is undefined.
     secondary: True for the second board of a pair, which takes the data after 193 and lags by 16.5 steps.
     """
 

@@ -17,7 +17,7 @@ from palmfield.errors import PalmfieldError
 from palmfield.types import Air, Array, Float
 
 TURN_SD_RAD = math.radians(3.0)
-"""Prior standard deviation of the board's rotations about each axis."""
+"""Prior standard deviation of the rotations of the board about each axis."""
 OFFSET_SD_M = 10e-3
 WITHIN_M = 0.03
 """Largest distance of a focus's loudest reading from it; beyond it another error is present [m]."""

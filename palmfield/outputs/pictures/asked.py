@@ -31,7 +31,7 @@ class Asked:
 
     time_s: None for the default moment of the kind; places: points in the world as the run begins [m], whose nearest
         vertex is used; limits: of the colours or the axis, in the unit of the picture
-    skin: name, if there are several; quantity: of the skin's motion along its outward normal
+    skin: name, if there are several; quantity: of the motion of the skin along its outward normal
     observer: of levels, by name; None for each that has a value
     """
 
@@ -62,7 +62,7 @@ class Kind(NamedTuple):
 
     @classmethod
     def of_motion(cls, draw: Draw, about: str, *more: str, place: int, unit: str = "µm or µm/s") -> "Kind":
-        """A picture of a skin's motion; more: further options that it uses."""
+        """A picture of the motion of a skin; more: further options that it uses."""
         return cls(draw, about, frozenset({"places", "limits", "skin", "quantity", *more}), unit, place)
 
 

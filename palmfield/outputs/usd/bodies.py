@@ -1,4 +1,4 @@
-"""Bodies of a run in USD: their poses, their surface, their bones, and the sound's force on them."""
+"""Bodies of a run in USD: their poses, their surface, their bones, and the force of the sound on them."""
 
 from typing import Any
 

@@ -11,7 +11,7 @@ from palmfield.outputs.usd.shown import Shown
 from palmfield.types import Float, Int
 
 DECIMALS = 6
-"""Decimals of time codes: a millionth of a frame is far below the precision of the run's times."""
+"""Decimals of time codes: a millionth of a frame is far below the precision of the times of the run."""
 
 
 class Clock(NamedTuple):

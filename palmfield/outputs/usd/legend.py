@@ -1,4 +1,4 @@
-"""The legend of a scene's colours as geometry: a bar, ticks and their labels, next to the coloured object."""
+"""The legend of the colours of a scene as geometry: a bar, ticks and their labels, next to the coloured object."""
 
 from itertools import pairwise
 

@@ -48,7 +48,7 @@ def add_lights(stage: Usd.Stage, camera: Camera) -> None:
 
 
 def add_camera(stage: Usd.Stage, camera: Camera, reach_m: float) -> None:
-    """Add the camera of the run's pictures. reach_m: largest distance of visible objects [m]"""
+    """Add the camera of the pictures of the run. reach_m: largest distance of visible objects [m]"""
     UsdGeom.Scope.Define(stage, "/Scene/Cameras")
     seen = UsdGeom.Camera.Define(stage, "/Scene/Cameras/Main")
     width, height = PICTURE

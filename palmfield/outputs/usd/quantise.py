@@ -16,7 +16,7 @@ class Rounding(NamedTuple):
 
     low, high: the range; bound: the largest error; weights: of each place, for values whose weighted sum must be kept
     To keep a sum, such as a force from pressures over areas, each moment has its own threshold above which values are
-    rounded up. Rounding to the nearest, large areas with less than half a step would lose 2 % of a hand's force.
+    rounded up. Rounding to the nearest, large areas with less than half a step would lose 2 % of the force of a hand.
     """
 
     low: float

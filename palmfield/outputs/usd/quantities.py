@@ -1,4 +1,4 @@
-"""Quantities of a run's skin by vertex over time, as a USD scene shows them."""
+"""Quantities of the skin of a run by vertex over time, as a USD scene shows them."""
 
 from typing import NamedTuple
 

@@ -68,10 +68,10 @@ def write_usd(
     """Write a result as a USD scene: .usdc (crate), .usda (text) or .usdz (package), by the name's ending.
 
     result: of `open_result` or `tree`; shown: contents, see `Shown`; fps: frames a second for players, independent of
-        the run's pace [1/s]; on_frame: called with the number of time codes done and of all
-    Metres, kilograms, z up. A time code over timeCodesPerSecond is the run's time in seconds. docs/usd.md lists prims
-    and primvars. Every 50 frames the scene so far is saved and copied to NAME.partial.usdc, which remains after a kill,
-    and is removed when the scene is complete.
+        the pace of the run [1/s]; on_frame: called with the number of time codes done and of all
+    Metres, kilograms, z up. A time code over timeCodesPerSecond is the time of the run in seconds. docs/usd.md lists
+    prims and primvars. Every 50 frames the scene so far is saved and copied to NAME.partial.usdc, which remains after a
+    kill, and is removed when the scene is complete.
     Raises OutputError if `path` cannot be written or has another ending, for invalid numbers, and for a colour or a
     field that the result does not contain.
     """

@@ -29,7 +29,7 @@ CARD = Card("GeForce RTX 3060, 12 GB", 3584 * 1.777e9, 1.0 / 64.0, 360e9)
 PAIR = 44.75
 """Instructions for pressure and gradient of one transducer at one point, see docs/bench/gpu.md."""
 SHARE = 0.75
-"""Fraction of peak instructions and bytes that is reached: the value of the field's kernel on an H200."""
+"""Fraction of peak instructions and bytes that is reached: the value of the kernel of the field on an H200."""
 KERNELS, KERNEL_s = 20, 2e-6
 """Kernels of a step other than the skins', and the time to begin and end one in a captured graph [s]."""
 SKIN_KERNELS = 6

@@ -1,4 +1,4 @@
-"""Random stimuli and poses, drawn after a scene's model is built, that are new to its steppers."""
+"""Random stimuli and poses, drawn after the model of a scene is built, that are new to its steppers."""
 
 from dataclasses import replace
 from typing import Any

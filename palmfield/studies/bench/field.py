@@ -43,7 +43,7 @@ MODELS = {
 
 LAYOUT = "autd3_2x2"
 RANGES_M = ((0.05, 0.4), (0.4, 1.2))
-"""Distances from the array's plane."""
+"""Distances from the plane of the array."""
 
 WIDTH_M = 0.2
 """Width of the box of points along x and y, centred on the array."""

@@ -23,7 +23,7 @@ QUIET = 0.1
 
 @dataclass(frozen=True)
 class Comparison:
-    """Comparison of a measured scan with a run's skin.
+    """Comparison of a measured scan with the skin of a run.
 
     measured, skin: their names; quantity: what was read; place: where the scan lies on the skin
     near: which points are close enough to compare, shape (points,), bool; computed: by palmfield, at these

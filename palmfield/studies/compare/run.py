@@ -46,7 +46,7 @@ def compare(
     out: str | Path | None = None,
     overwrite: bool = False,
 ) -> Comparison:
-    """Compare a measured scan with a run's skin.
+    """Compare a measured scan with the skin of a run.
 
     run: folder of a run, or its result.nc; measured: file of a scan (`palmfield.outputs.scan_files.READERS`), or a Scan
     instrument: TOML file with a table [vibrometer], or settings; sampling rate, length and quantity are the scan's own,

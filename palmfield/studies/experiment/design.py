@@ -75,7 +75,7 @@ class Task(_Part):
 
 
 class Condition(_Part):
-    """Other values of the scene's keys. name: label of the condition; keys: dotted, as of --set"""
+    """Other values of the keys of the scene. name: label of the condition; keys: dotted, as of --set"""
 
     name: str = Field(min_length=1)
     keys: dict[str, Scalar] = {}

@@ -28,7 +28,7 @@ MOST_KEPT = 256
 
 @dataclass(frozen=True)
 class Presentation:
-    """A scene's frames for its board. head: of a log"""
+    """The frames of a scene for its board. head: of a log"""
 
     frames: tuple[TimedFrame, ...]
     board: Board

@@ -19,7 +19,7 @@ class Watched:
     """Observes the worlds of a simulation, or its single world, from the start.
 
     simulation: at rest, or in its present state; steps: number of MuJoCo steps that follow
-    times: ends of the substeps, from the run's start [s], shape (t,)
+    times: ends of the substeps, from the start of the run [s], shape (t,)
     motion: by skin, normal displacement [m] and velocity [m/s] in each world, shape (w, t, 2, S)
     arp: highest ARP at these times [Pa], shape (w, skins, t); peak_arp: of all times, shape (w, skins)
     loudest: the loudest moments by world and skin, None in silence

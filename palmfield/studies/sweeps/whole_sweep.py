@@ -108,7 +108,7 @@ def sweep(
     out: folder, made if missing; an interrupted sweep there continues, and failed points are tried again
         workers: processes on this machine, by default as many as cores and memory allow, at most 8 a GPU; 0 computes in
         this process, without Dask
-    scheduler: address of a running Dask cluster, in place of workers; it must see the scene's file
+    scheduler: address of a running Dask cluster, in place of workers; it must see the file of the scene
     device, accuracy: see `palmfield.load`; duration_s: of each point [s], that of the scene by default
     errors: whether each point's error is estimated, which takes longer than most runs; picture: whether one is drawn
     progress: whether a bar is drawn on a terminal's standard error

@@ -60,7 +60,7 @@ class Believed(NamedTuple):
 
 
 class Belief:
-    """A tracker that samples a scene's course."""
+    """A tracker that samples the course of a scene."""
 
     def __init__(self, course: SceneCourse, tracker: Tracker) -> None:
         self.course, self.tracker = course, tracker

@@ -1,4 +1,4 @@
-"""Motion of a hand's skin under the sound of a trial: the scene stepped with the output of the board."""
+"""Motion of the skin of a hand under the sound of a trial: the scene stepped with the output of the board."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -78,7 +78,7 @@ def measure_latency(
     rate_Hz: float = 90.0,
     by: By = "udp",
 ) -> Latency:
-    """Send the hand of a scene's motion from another process to a virtual board that follows it.
+    """Send the hand that a scene moves from another process to a virtual board that follows it.
 
     Samples have the time at which they are sent, on the clock that both processes share. Raises SceneError for a scene
     without a moved hand, DeviceError for a board without bytes.

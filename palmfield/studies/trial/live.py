@@ -70,7 +70,7 @@ class LivePlayed:
     """Frames sent to a board that followed a hand.
 
     motion: name of the scene's palmfield.motion; stream: the tracker's good samples, in its own space
-    start_s: the tracker's time 0 in the trial's time [s]
+    start_s: the tracker's time 0 in the time of the trial [s]
     notes: on the samples, with the first bad ones, on the fit of the hand, and on silent frames
     times: when frames were due [s]
     """

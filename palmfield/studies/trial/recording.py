@@ -2,7 +2,7 @@
 
 A CSV file: head lines `# quantity: pressure`, `# unit: Pa`, `# place_m: 0 0 0.15`, then `t,value` and its rows, t in
 seconds. pressure is the peak amplitude of the carrier at the place; displacement and velocity are those of the skin
-along its outward normal, at its point nearest to the place as the trial begins. The place is in the array's frame.
+along its outward normal, at its point nearest to the place as the trial begins. The place is in the frame of the array.
 """
 
 from collections.abc import Sequence

@@ -111,7 +111,7 @@ def numbers_of(
     truth: Calibration | None,
     notes: Sequence[str] = (),
 ) -> Numbers:
-    """Compute a trial's numbers; arguments as of `palmfield.studies.trial.run.Trial` and `trial`."""
+    """Compute the numbers of a trial; arguments as of `palmfield.studies.trial.run.Trial` and `trial`."""
     names, rows = table_of(moments, None)
     column = dict(zip(names, rows.T, strict=True))
     lateral, depth = 1e3 * column["lateral_error_m"], 1e3 * np.abs(column["depth_error_m"])

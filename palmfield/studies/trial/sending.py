@@ -66,13 +66,13 @@ class MadeFrame:
 
 
 Make = Callable[[float, float], MadeFrame]
-"""Makes the frame that sounds from one time on from the estimate at another, both in the trial's time [s]."""
+"""Makes the frame that sounds from one time on from the estimate at another, both in the time of the trial [s]."""
 
 
 @dataclass(frozen=True)
 class SentFrame:
     """number: among the due frames; due_s: when it should sound; made_s: when it was made; begun_s: when its first byte
-    was sent, all in the trial's time [s]"""
+    was sent, all in the time of the trial [s]"""
 
     number: int
     due_s: float
@@ -85,7 +85,7 @@ class SentFrame:
 class Sent:
     """Result of the sending of a trial.
 
-    frames: those sent; due: number of due frames; emitted: drives from their times on, in the trial's time [s]
+    frames: those sent; due: number of due frames; emitted: drives from their times on, in the time of the trial [s]
     late_s: worst delay of a frame's last byte on the line [s]; flags: errors that a virtual board reports, in words
     interrupted: whether Ctrl-C ended it early; end_s: time of the end [s]
     zero_s: the trial's time 0 on the sender's clock [s]; notes: on the sending, in words
@@ -128,7 +128,7 @@ def send(
 
     port: of a board; VIRTUAL for a virtual one, paced in real time; None for a virtual twin that takes no time, so that
         a trial is fast and exactly repeatable
-    duration_s: duration of the last frame [s]; log: is closed; on_progress: called with the trial's time [s]
+    duration_s: duration of the last frame [s]; log: is closed; on_progress: called with the time of the trial [s]
     limits: of the sound energy, beyond which a player becomes silent
     The emission of a real board is computed by its twin from the bytes and their times on the line. Ctrl-C ends it
     early; the board is off at the end. Raises DeviceError if the port cannot be opened or is lost, and for a port on a

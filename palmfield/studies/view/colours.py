@@ -1,4 +1,4 @@
-"""Colours of the page: maps that colour-blind people can distinguish, the same as in a run's pictures."""
+"""Colours of the page: maps that colour-blind people can distinguish, the same as in the pictures of a run."""
 
 from dataclasses import dataclass
 

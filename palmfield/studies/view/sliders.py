@@ -10,7 +10,7 @@ from palmfield.studies.view.messages import Place, Slider
 MM = ("mm", 1e3)
 AXES = "xyz"
 ASIDE_mm, NEARER_mm = 60.0, 120.0
-"""Range of a focus sideways, and along the array's axis."""
+"""Range of a focus sideways, and along the axis of the array."""
 PLAIN = ("", 1.0)
 
 

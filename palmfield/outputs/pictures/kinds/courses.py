@@ -1,4 +1,4 @@
-"""A skin's motion over time at a few places: courses, spectra and spectrograms."""
+"""The motion of a skin over time at a few places: courses, spectra and spectrograms."""
 
 import numpy as np
 import xarray as xr

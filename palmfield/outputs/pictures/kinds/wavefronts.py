@@ -1,4 +1,4 @@
-"""Propagation of the skin's motion along a straight line, over space and time."""
+"""Propagation of the motion of the skin along a straight line, over space and time."""
 
 import numpy as np
 import xarray as xr
