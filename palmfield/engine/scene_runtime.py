@@ -130,7 +130,7 @@ class SceneRuntime:
     def steps(self) -> Steps:
         """The steps of this one mjData."""
         steps = Steps([self.model], [self.work], self.state)
-        if steps.moving.some or steps.backend.whole:
+        if steps.backend.whole:
             for skin, bound in enumerate(self.binding.skins):
                 for sensor in self.view.sensors(bound.instance):
                     steps.watch(skin, self.place(skin, sensor))
@@ -256,8 +256,7 @@ class SceneRuntime:
             getattr(mujoco, f"get_mjcb_{name}")()
             for name in ("control", "passive", "sensor", "act_bias", "act_gain", "act_dyn")
         )
-        graphs = steps.moving.some or steps.backend.whole  # which are quicker step by step
-        return not (self.felt or watched or called or steps.observer is not None or graphs)
+        return not (self.felt or watched or called or steps.observer is not None or steps.backend.whole)
 
     def advance(self) -> None:
         """Carry transducers and skins over the last MuJoCo step, with the pose at its beginning."""

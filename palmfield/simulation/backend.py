@@ -19,6 +19,7 @@ class Backend:
     whole: whether a single step costs least, so that steps are not gathered, and the ARP of bodies stays on the device.
     course: the emission over the step that has begun and its moments, if it is computed here; None otherwise.
     stepped: the skins whose step has been computed, each with the size of its state.
+    `forces`, `arp` and `patterns` are called only after `begin` has returned True, which it does not here.
     """
 
     whole = False
@@ -73,6 +74,7 @@ class WorldsBackend:
 
     some: whether any world can ever take its step here; joined: numbers of those that take the present one, shape (g,)
     stepped: as of Backend
+    `sensed` is called only if worlds have joined, which none does here.
     """
 
     some = False

@@ -162,9 +162,7 @@ class Radiation:
             # Points without pressure need no ray: these would be half of the rays, and the more expensive half
             sound.flux[arp == 0.0] = 0.0
             reach = distance_to_arrays(points, sound.flux, posed.arrays)
-            last = self._occlusions.get(skin)
-            occlusion = last[1] if last and last[0].serial == posed.serial else self._occlusion(posed, skin)
-            arp[~occlusion.lit(points, sound.flux, reach)] = 0.0
+            arp[~self._occlusion(posed, skin).lit(points, sound.flux, reach)] = 0.0
         return SurfaceSound(arp, sound.amplitude.copy())
 
     def scattered_fields(self) -> dict[int, tuple[PosedScene, Complex, RigidScatteredField]]:
