@@ -8,8 +8,9 @@ from scipy import sparse
 
 from palmfield.skin.fem.cholesky import CHUNK, FEW, Cholesky
 from palmfield.skin.fem.complex_factor import ComplexFactor
-from palmfield.skin.fem.elimination import COLUMNS
+from palmfield.skin.fem.elimination import COLUMNS, SPLIT
 from palmfield.skin.fem.factor import Factor, factorise
+from palmfield.threads import limit
 
 
 def definite(n, per_node, rng):
@@ -82,6 +83,28 @@ def test_what_blocks_cannot_take_goes_to_superlu():
     np.testing.assert_allclose(factor.solve(np.array([3.0, 3.0])), [1.0, 1.0])
     with pytest.raises(RuntimeError, match="matrix of 2 unknowns"):
         ComplexFactor(sparse.csr_matrix(np.array([[0.0, 1.0], [1.0, 0.0]]), dtype=complex), order)
+
+
+@pytest.mark.numerics
+@pytest.mark.parametrize("kind", [float, complex])
+def test_one_thread_and_two_give_the_same_bits(kind):
+    """Two branches, and a trunk of two supernodes: threads share out the products of its first one."""
+    sizes = [300, 300, 130, SPLIT + 4, 200]
+    links = np.array([[1, 0, 1, 0, 0], [0, 1, 1, 0, 0], [1, 1, 1, 1, 0], [0, 0, 1, 1, 1], [0, 0, 0, 1, 1]])
+    coupled = np.repeat(np.repeat(links, sizes, axis=0), sizes, axis=1)
+    half = np.random.default_rng(0).standard_normal(coupled.shape) * coupled
+    matrix = sparse.csr_matrix(((half + half.T) * (1.0 - 0.1j if kind is complex else 1.0)).astype(kind))
+    matrix += 200.0 * sparse.eye(sum(sizes))
+    solved = []
+    try:
+        for threads in (1, 2):
+            limit(threads)
+            factor = factorise(matrix, np.arange(sum(sizes), dtype=np.int32))
+            assert not isinstance(factor, Factor)
+            solved.append(factor.solve(np.ones(sum(sizes))))
+    finally:
+        limit(None)
+    assert np.array_equal(*solved)
 
 
 @pytest.mark.numerics

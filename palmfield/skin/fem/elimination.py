@@ -267,8 +267,11 @@ def _runs(places: Int, cut: int) -> list[tuple[int, int, int]]:
 
 
 def _take_off(rest: Any, below: Any, threads: int) -> None:
-    """rest -= below @ below.T, the lower triangle at least; in two halves that are as much work."""
-    if threads < 2 or len(rest) < SPLIT:
+    """rest -= below @ below.T, the lower triangle at least; in two halves that are as much work.
+
+    One thread takes the same halves as two: BLAS rounds another way in blocks of another size.
+    """
+    if len(rest) < SPLIT:
         rest -= below @ below.T
         return
     half = len(rest) // 2
