@@ -141,7 +141,7 @@ class SkinConfig(Config):
     force_accuracy: Annotated[float, Field(ge=0.0015, le=0.05)] = Field(
         0.006,
         description="relative error of the sound's force and torque on the body, rms over foci on its lit side; not of "
-        "a disc (below 0.006: faces cut in four; from 0.006: a sample a face; 0.0075, 0.013: 2.5, 4 times fewer)",
+        "a disc (below 0.004: faces cut in four; from 0.004: a sample a face; 0.006, 0.012: 3.6, 7 times fewer)",
     )
     max_frequency_Hz: Annotated[float, Field(gt=0, le=2000)] | None = Field(
         None, description="highest frequency to resolve (default: from the stimulus)"

@@ -3,26 +3,35 @@
 from typing import NamedTuple
 
 import numpy as np
+from scipy import sparse
 from scipy.spatial import cKDTree
 from trimesh.remesh import subdivide
 
+from palmfield import cache
 from palmfield.hand.meshquery import barycentric, build_mesh, closest_faces
 from palmfield.hand.triangles import face_normals
 from palmfield.types import Float, Int
 
-A_FACE = 0.006
-CELLS_m = {0.0075: 3.5e-3, 0.013: 4.5e-3}
+A_FACE, BY_DEFAULT = 0.004, 0.006
+CELLS_m = {BY_DEFAULT: 4.2e-3, 0.012: 6e-3}
 """Below A_FACE faces are cut in four (0.0015), from it on each face is a sample, and from these on each cell of faces,
 by the spacing of cells. Values are errors of the force, root mean square over foci on the lit side of a shipped hand,
 and of the torque over the force times the mean arm: scripts/bench/force_samples.py measures them,
 docs/bench/force_samples.md has the figures."""
 ROUNDS = 24  # of Lloyd's iteration: errors of cells average out if their sizes are about equal
+NEIGHBOURS, KERNEL_m, KERNEL_TURN, ROUGH, SIDE_m = 32, 6e-3, 1.0, 0.01, 8e-3
+"""Interpolation of the ARP between samples: how many serve a face, the length of the Gaussian kernel along the surface
+and between unit normals, the share of the variance that differs from face to face, and the distance as which a
+difference of 1 between normals counts in the search for samples."""
+MOST_KNOWN = 32
+_known: dict[str, "SampleMesh"] = {}
 
 
 class SampleMesh(NamedTuple):
     """Triangles, of which each is a sample: points [m], shape (v, 3), and corners, shape (n, 3).
 
-    faces, samples: which faces of the surface go with which samples; areas: that those share [m2]; all of shape (k,)
+    faces, samples, areas: the ARP of a face is a mean of that of samples; which go together, and the area of the face
+        for which each counts [m2], all of shape (k,)
     """
 
     points: Float
@@ -32,35 +41,98 @@ class SampleMesh(NamedTuple):
     areas: Float
 
 
+def sample_count(areas: Float, accuracy: float) -> int:
+    """About how many samples `sample_mesh` gives for faces of these areas [m2], shape (m,)."""
+    if accuracy < A_FACE:
+        return 4 * len(areas)
+    spacing_m = _spacing_m(accuracy)
+    return len(areas) if spacing_m == 0.0 else _cell_count(areas, spacing_m)
+
+
+def _spacing_m(accuracy: float) -> float:
+    """Spacing of cells [m], 0 where each face is a sample."""
+    return max((spacing for least, spacing in CELLS_m.items() if accuracy >= least), default=0.0)
+
+
+def _cell_count(areas: Float, spacing_m: float) -> int:
+    return min(max(round(float(areas.sum()) / (np.sqrt(0.75) * spacing_m**2)), 1), len(areas))
+
+
 def sample_mesh(vertices: Float, faces: Int, accuracy: float) -> SampleMesh:
     """Return samples for the force on a surface of short edges (`palmfield.hand.subdivide.EDGE_m`) to a relative error.
 
     vertices: [m], shape (v, 3); faces: shape (m, 3)
     """
     numbers: Int = np.arange(len(faces), dtype=np.int32)
-    normals, areas = face_normals(vertices, faces)
+    areas = face_normals(vertices, faces)[1]
     if accuracy < A_FACE:
         points, corners = subdivide(vertices, faces)
         cut = np.arange(len(corners), dtype=np.int32)
         return SampleMesh(points, corners, cut // 4, cut, np.repeat(0.25 * areas, 4))
-    spacing_m = max((spacing for least, spacing in CELLS_m.items() if accuracy >= least), default=0.0)
+    spacing_m = _spacing_m(accuracy)
     if spacing_m == 0.0:
         return SampleMesh(vertices, faces, numbers, numbers, areas)
-    middles = vertices[faces].mean(axis=1)
-    owner = _cells(middles, normals, areas, spacing_m)
-    middles, mean_normals, sizes = _means(owner, areas, middles, normals)
-    # The middle of a cell is below a curved surface, where the body's own faces would shade it
+    of = vertices, faces, spacing_m
+    key = cache.digest(*of)
+    known = _known.get(key)
+    if known is None:
+        if len(_known) >= MOST_KNOWN:
+            _known.clear()
+        made = cache.kept("force-samples", of, lambda: _sparse(*of))
+        known = _known[key] = SampleMesh(*(made[name] for name in SampleMesh._fields))
+    return known
+
+
+def _sparse(vertices: Float, faces: Int, spacing_m: float) -> cache.Arrays:
+    """Samples in cells of a spacing [m]; each pushes by its weight in the interpolated ARP over the whole surface."""
+    normals, areas = face_normals(vertices, faces)
+    places = vertices[faces].mean(axis=1)
+    # Cells must not depend on the last digits of a processor
+    owner = _cells(np.round(places, 9), np.round(normals, 6), areas, spacing_m)
+    middles, outward, _ = _means(owner, areas, places, normals)
+    # The middle of a cell is below a curved surface, where the faces of the body would shade it
     corners = vertices[faces[closest_faces(build_mesh(vertices, faces), middles, 1.0)]]
     middles = np.einsum("nk,nkd->nd", barycentric(corners, middles), corners)
-    return SampleMesh(*_triangles(middles, sizes * mean_normals), numbers, owner, areas)
+    outward /= np.maximum(np.linalg.norm(outward, axis=1), 1e-30)[:, None]
+    shares = _interpolation(middles, outward, places, normals)
+    pushes: Float = shares.T @ (areas[:, None] * normals)
+    points, triangles = _triangles(middles, pushes)
+    of = shares.tocoo()
+    whose: Int = of.row.astype(np.int32)
+    numbers = whose, of.col.astype(np.int32), of.data * areas[whose]
+    return dict(zip(SampleMesh._fields, (points, triangles, *numbers), strict=True))
+
+
+def _interpolation(samples: Float, outward: Float, places: Float, normals: Float) -> sparse.csr_array:
+    """Shares by which values at samples give values at places, of sum 1 for each place, shape (places, samples).
+
+    By a Gaussian process of unknown mean over points [m] and their unit normals, all of shape (n, 3).
+    """
+    count = min(NEIGHBOURS, len(samples))
+    tree = cKDTree(np.concatenate([samples, SIDE_m * outward], axis=1))
+    near = tree.query(np.concatenate([places, SIDE_m * normals], axis=1), count)[1].reshape(len(places), count)
+    at, around = (
+        np.concatenate([p / KERNEL_m, n / KERNEL_TURN], axis=1) for p, n in ((places, normals), (samples, outward))
+    )
+    gaps = around[near] - at[:, None]
+    products = gaps @ gaps.swapaxes(1, 2)
+    squares = np.einsum("nkk->nk", products)
+    system = np.ones((len(places), count + 1, count + 1))
+    between = products - 0.5 * (squares[:, :, None] + squares[:, None])
+    system[:, :-1, :-1] = np.exp(between) + ROUGH * np.eye(count)
+    system[:, -1, -1] = 0.0
+    wanted = np.ones((len(places), count + 1, 1))
+    wanted[:, :-1, 0] = np.exp(-0.5 * squares)
+    shares = np.linalg.solve(system, wanted)[:, :-1, 0]
+    starts = np.arange(0, shares.size + 1, count)
+    return sparse.csr_array((shares.ravel(), near.ravel(), starts), shape=(len(places), len(samples)))
 
 
 def _cells(points: Float, normals: Float, areas: Float, spacing_m: float) -> Int:
     """Return the cell of each face, shape (n,): centres form a honeycomb, on one side of a thin web each."""
     places = np.concatenate([points, spacing_m * normals], axis=1)
-    count = min(max(round(float(areas.sum()) / (np.sqrt(0.75) * spacing_m**2)), 1), len(points))
     seeds, gap = [int(np.argmax(areas))], np.full(len(points), np.inf)
-    for _ in range(count - 1):
+    for _ in range(_cell_count(areas, spacing_m) - 1):
         np.minimum(gap, np.square(places - places[seeds[-1]]).sum(axis=1), out=gap)
         seeds.append(int(np.argmax(gap)))
     centres: Float = places[seeds]

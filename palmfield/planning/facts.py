@@ -30,5 +30,5 @@ def where_it_arrives(posed: PosedScene, skin: int, drive: Complex) -> tuple[Floa
 
 
 def force_samples(model: HapticModel) -> int:
-    """Places at which the sound acts on bodies; for a disc, the points of its skin."""
-    return sum(0 if body.surface is None else len(body.sample_mesh.corners) for body in model.bodies)
+    """About how many samples give the force on bodies; none for a disc, whose skin gives it."""
+    return sum(0 if body.surface is None else body.sample_count for body in model.bodies)

@@ -27,7 +27,7 @@ def modelled(model: HapticModel, duration_s: float, felt: str) -> list[Row]:
     surface = f"{skin_points} skin points"
     if force_samples(model):
         off = ", ".join(dict.fromkeys(f"{100 * body.force_accuracy:.2g} %" for body in model.bodies if body.surface))
-        surface += f", {force_samples(model)} places of the surface for the force, to {off} (rms over foci)"
+        surface += f", about {force_samples(model)} places of the surface for the force, to {off} (rms over foci)"
     rows = [
         Row(
             "sound field",

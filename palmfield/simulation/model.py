@@ -18,10 +18,11 @@ from palmfield.config import StimulusConfig
 from palmfield.drive.board import Board
 from palmfield.drive.response import Pole
 from palmfield.drive.transducer_response import TransducerResponse
-from palmfield.hand.force_samples import A_FACE, SampleMesh, sample_mesh
+from palmfield.hand.force_samples import BY_DEFAULT, SampleMesh, sample_count, sample_mesh
 from palmfield.hand.posed_surface import FaceSampler, SkinBinding, face_samples
 from palmfield.hand.skinning import SkinnedSurface
 from palmfield.hand.subdivide import EDGE_m, short_edge_parents, with_short_edges
+from palmfield.hand.triangles import face_normals
 from palmfield.locked import Lazy, locked_cached_property
 from palmfield.simulation.spec import SceneSpec, SkinSpec, StimulusSpec
 from palmfield.skin.explicit_layer import ExplicitLayer, explicit_layer
@@ -70,7 +71,7 @@ class BodyModel:
     depth_to_bone_m: by vertex of the surface, shape (v,), or one depth for all.
     """
 
-    force_accuracy: float = A_FACE
+    force_accuracy: float = BY_DEFAULT
     """Relative accuracy with which its samples give the force of the sound."""
 
     def __init__(self, name: str, surface: Surface | None, hand: SkinnedSurface | None, depth_to_bone_m: Float | float):
@@ -94,6 +95,15 @@ class BodyModel:
         vertices, faces = self.surface.vertices, self.surface.faces
         made = sample_mesh(*with_short_edges(vertices, faces, EDGE_m), self.force_accuracy)
         return made._replace(faces=short_edge_parents(vertices, faces, EDGE_m)[made.faces])
+
+    @locked_cached_property
+    def sample_count(self) -> int:
+        """About how many samples `sample_mesh` has, without making them."""
+        assert self.surface is not None
+        vertices, faces = self.surface.vertices, self.surface.faces
+        if self.hand is None:
+            vertices, faces = with_short_edges(vertices, faces, EDGE_m)
+        return sample_count(face_normals(vertices, faces)[1], self.force_accuracy)
 
     @locked_cached_property
     def sampled(self) -> SkinnedSurface:

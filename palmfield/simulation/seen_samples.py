@@ -10,7 +10,7 @@ from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.simulation.posed_scene import PosedSurface
 from palmfield.types import Float, Int
 
-PADDED_TO = 512
+PADDED_TO = 128
 """The number of points is filled up to a multiple of this, so that buffers of few sizes serve all poses."""
 
 

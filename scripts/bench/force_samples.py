@@ -1,23 +1,18 @@
 #!/usr/bin/env python3
 """How exact the force of the sound on a body is, by how many samples it is added up from and by which rule.
 
-python scripts/bench/force_samples.py [SCENE ...] [--times 4] [--lit 4] [--accuracy 0.006 0.0075] [--weighted]
+python scripts/bench/force_samples.py [SCENE ...] [--times 4] [--lit 4] [--accuracy 0.0035 0.006]
 
-SCENE is a name in mjcf/scenes, or "box": a cube in place of the hand. The force, and the torque about the body's
-origin, on the body as it lies at some times of the scene and under foci where the stimulus is then, and at --lit places
-of its lit side besides, are held against those of the same faces cut in sixteen. Samples are those that the key
-force_accuracy gives; with --weighted also the same cells of faces with weights (vectors) that add up exactly what a
-Gaussian kernel of a wavelength's length interpolates between their samples. The table gives the root mean square over
-the foci of a scene, and the largest, of the force in per cent of it, and of the torque in per cent of the force times
-the root mean square arm.
+SCENE is a name in mjcf/scenes, or "box": a cube in place of the hand. The force, and the torque about the origin of the
+body, are computed at some times of the scene, for the focus of the stimulus then, for foci at --lit places of the lit
+side, and for foci 10 and 30 mm in front of these and 20 mm behind. Reference: the same faces cut in sixteen. Samples
+are those of the key force_accuracy. The table gives the root mean square over the foci of a scene, and the largest, of
+the force in per cent of it, and of the torque in per cent of the force times the root mean square arm.
 """
 
 import argparse
-from collections.abc import Iterator
 
 import numpy as np
-from scipy import sparse
-from scipy.spatial import cKDTree
 from trimesh.creation import box
 from trimesh.remesh import subdivide
 
@@ -36,9 +31,8 @@ SCENES = folder("mjcf") / "scenes"
 DEFAULT = ["palm_am200", "palm_circle", "approach_withdraw", "follow_fingertip", "hover_explore", "trace_shape", "box"]
 BOX_m = 0.06
 """Edge of a cube that stands for the hand of the first scene in the row "box"."""
-NEIGHBOURS, TURN_m, KERNEL_m, KERNEL_TURN = 16, 4e-3, 8e-3, 1.5
-"""Of the interpolation: samples taken for a place, how far a normal's turn by 1 rad counts when the nearest are sought,
-and the kernel's length, along the surface and between normals."""
+OFF_m = {"on the lit side": 0.0, "10 mm in front": -0.01, "30 mm in front": -0.03, "20 mm behind": 0.02}
+"""Foci by their distance from places of the lit side, along the axis of the arrays."""
 Samples = tuple[Float, Float, Float]
 """Points [m] and outward normals there, and the area by which each pushes, as a vector [m2], all (n, 3)."""
 
@@ -49,29 +43,6 @@ def of_faces(vertices: Float, faces: Int) -> Samples:
     return samples.centroids, samples.normals, samples.areas[:, None] * samples.normals
 
 
-def weighted(samples: Samples, fine: Samples) -> Samples:
-    """The same samples, pushing so that what is interpolated between them is added up over the fine ones."""
-    (points, normals, _), (places, outwards, pushes) = samples, fine
-    tree = cKDTree(np.concatenate([points, TURN_m * normals], axis=1))
-    near = tree.query(np.concatenate([places, TURN_m * outwards], axis=1), NEIGHBOURS)[1]
-
-    def kernel(one: Float, turned: Float, other: Float, as_turned: Float) -> Float:
-        gaps, turns = ((one - other) ** 2).sum(axis=-1), ((turned - as_turned) ** 2).sum(axis=-1)
-        return np.asarray(np.exp(-gaps / (2.0 * KERNEL_m**2) - turns / (2.0 * KERNEL_TURN**2)))
-
-    here, facing = points[near], normals[near]
-    system = np.zeros((len(places), NEIGHBOURS + 1, NEIGHBOURS + 1))
-    system[:, :-1, :-1] = kernel(here[:, :, None], facing[:, :, None], here[:, None], facing[:, None])
-    system[:, :-1, :-1] += 1e-8 * np.eye(NEIGHBOURS)
-    system[:, -1, :-1] = system[:, :-1, -1] = 1.0
-    wanted = np.ones((len(places), NEIGHBOURS + 1, 1))
-    wanted[:, :-1, 0] = kernel(here, facing, places[:, None], outwards[:, None])
-    shares = np.linalg.solve(system, wanted)[:, :-1, 0]
-    rows = np.repeat(np.arange(len(places)), NEIGHBOURS)
-    matrix = sparse.csr_array((shares.ravel(), (rows, near.ravel())), shape=(len(places), len(points)))
-    return points, normals, matrix.T @ pushes
-
-
 def resultant(posed: PosedScene, samples: Samples, drive: Complex, law: object, origin: Float) -> tuple[Float, Float]:
     """Force [N] and torque [N m] about a point."""
     points, normals, pushes = samples
@@ -80,16 +51,7 @@ def resultant(posed: PosedScene, samples: Samples, drive: Complex, law: object, 
     return push.sum(axis=0), np.cross(points - origin, push).sum(axis=0)
 
 
-def rules(vertices: Float, faces: Int, accuracies: list[float], weights: bool) -> Iterator[tuple[str, Samples]]:
-    for accuracy in accuracies:
-        mesh = sample_mesh(vertices, faces, accuracy)
-        samples = of_faces(mesh.points, mesh.corners)
-        yield f"{100 * accuracy:g} %", samples
-        if weights and accuracy > A_FACE:
-            yield f"{100 * accuracy:g} %, weighted", weighted(samples, of_faces(*subdivide(vertices, faces)))
-
-
-def measure(scene: str, times: int, lit: int, accuracies: list[float], weights: bool) -> None:
+def measure(scene: str, times: int, lit: int, accuracies: list[float]) -> None:
     """Print a scene's rows."""
     sim = load(SCENES / f"{DEFAULT[0] if scene == 'box' else scene}.xml", device="cpu", accuracy=0.5)
     random = np.random.default_rng(1)
@@ -110,18 +72,21 @@ def measure(scene: str, times: int, lit: int, accuracies: list[float], weights: 
         own = posed.focal_points(part, 0).at(frame_at(part.config, sim.time).focus)
         arm = np.sqrt(((points - origin) ** 2).sum(axis=1).mean())
         looking = points[normals[:, 2] < -0.6]
-        foci = [own, *(looking[i] for i in random.integers(0, len(looking), lit))]
-        drives = [array_drives(model, posed.arrays)[0].unit_drive(focus).amplitudes for focus in foci]
+        chosen = looking[random.integers(0, len(looking), lit)]
+        foci = [("of the scene", own)]
+        foci += [(where, focus + off * np.eye(3)[2]) for where, off in OFF_m.items() for focus in chosen]
+        drives = [array_drives(model, posed.arrays)[0].unit_drive(focus).amplitudes for _, focus in foci]
         law = model.skins[0].spec.arp_law
         exact = of_faces(*subdivide(*subdivide(vertices, faces)))
         expected = [resultant(posed, exact, drive, law, origin) for drive in drives]
-        for name, samples in rules(vertices, faces, accuracies, weights):
+        for accuracy in accuracies:
+            mesh = sample_mesh(vertices, faces, accuracy)
+            samples, name = of_faces(mesh.points, mesh.corners), f"{100 * accuracy:g} %"
             counts[name] = len(samples[0])
-            for number, (drive, wanted) in enumerate(zip(drives, expected, strict=True)):
+            for (where, _), drive, wanted in zip(foci, drives, expected, strict=True):
                 found = resultant(posed, samples, drive, law, origin)
                 off, turned = (float(np.linalg.norm(a - b)) for a, b in zip(found, wanted, strict=True))
                 force = float(np.linalg.norm(wanted[0]))
-                where = "its own" if number == 0 else "lit side"
                 errors.setdefault(f"{name}|{where}", []).append((off / force, turned / (force * arm)))
         if scene == "box":
             break
@@ -142,12 +107,11 @@ def main() -> None:
     parser.add_argument("--times", type=int, default=4)
     parser.add_argument("--lit", type=int, default=4)
     parser.add_argument("--accuracy", type=float, nargs="*", default=[0.0015, A_FACE, *CELLS_m])
-    parser.add_argument("--weighted", action="store_true")
     arguments = parser.parse_args()
     print("| scene | foci | of them | force_accuracy | samples | force, %: rms, most | torque, %: rms, most |")
     print("|---|---|---|---|---|---|---|")
     for scene in arguments.scenes:
-        measure(scene, arguments.times, arguments.lit, arguments.accuracy, arguments.weighted)
+        measure(scene, arguments.times, arguments.lit, arguments.accuracy)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 """What a step takes in each of many worlds of a moving scene on a GPU, and where the time goes.
 
 python scripts/bench/many_worlds.py [--scene hover_explore] [--worlds 1024] [--start 0.1] [--steps 20] [--device cuda:0]
-    [--key skin.force_accuracy=0.0075]
+    [--key skin.force_accuracy=0.012]
 
 Worlds differ in their level. Printed are the median of the wall times of whole steps and the mean of their parts, which
 lie within one another, then each kernel and copy by itself, all in us a world and step.

@@ -13,7 +13,7 @@ from palmfield.planning.modelled import modelled
 from palmfield.simulation.emission import array_drives
 
 SCENES = folder("mjcf") / "scenes"
-ACCURACIES = 0.0015, 0.006, 0.0075, 0.013
+ACCURACIES = 0.0015, 0.004, 0.006, 0.012
 FOCI = 8
 
 
@@ -61,7 +61,7 @@ def test_the_error_of_force_and_torque_is_below_what_is_stated(errors, accuracy)
 def test_fewer_are_taken_for_less():
     counts = [len(posed("approach_withdraw", accuracy).runtime.posed.bodies[0].samples[2]) for accuracy in ACCURACIES]
     assert counts[:2] == [4 * 11448, 11448]
-    assert counts[2] < counts[1] / 2.4 and counts[3] < counts[1] / 4.0
+    assert counts[2] < counts[1] / 3.6 and counts[3] < counts[1] / 7.0
 
 
 @pytest.mark.parametrize("accuracy", ACCURACIES)
@@ -80,7 +80,7 @@ def test_samples_have_the_area_of_the_surface_and_lie_on_it(accuracy):
 
 def test_samples_go_with_the_body():
     """In a hand whose fingers move they follow the skin: the same samples, and about the same area."""
-    coarse, every = posed("follow_fingertip", 0.013), posed("follow_fingertip")
+    coarse, every = posed("follow_fingertip", 0.012), posed("follow_fingertip")
     for sim in (coarse, every):
         sim.start_at(0.0)
     first = coarse.runtime.posed.bodies[0]
@@ -90,15 +90,14 @@ def test_samples_go_with_the_body():
     assert areas.sum() == pytest.approx(every.runtime.posed.bodies[0].samples[2].sum(), rel=0.01)
 
 
-def test_by_default_each_face_is_a_sample_and_follows_the_skin_itself():
-    sim = palmfield.Simulation(SCENES / "approach_withdraw.xml", device="cpu", accuracy=0.5)
-    body = sim.runtime.model.bodies[0]
+def test_where_each_face_is_a_sample_it_follows_the_skin_itself():
+    body = posed("approach_withdraw", 0.004).runtime.model.bodies[0]
     assert body.sampled is body.hand and body.sample_mesh.corners is body.hand.surface.faces
 
 
 def test_a_recording_has_the_pressure_on_all_faces():
-    """Faces of a cell share its sample's; together they push as the samples do."""
-    sim = posed("palm_am200", 0.0075)
+    """Values at the faces are interpolated between samples; together they push as the samples do."""
+    sim = posed("palm_am200")
     model, scene = sim.runtime.model, sim.runtime.posed
     owners, samples, shares = model.skins[0].sample_faces
     body = scene.bodies[0]
@@ -110,7 +109,8 @@ def test_a_recording_has_the_pressure_on_all_faces():
 
 
 def test_the_plan_says_how_many_and_to_what():
-    model = posed("palm_am200", 0.0075).runtime.model
+    model = posed("palm_am200", 0.012).runtime.model
     sound = modelled(model, 0.1, "")[0]
-    count = len(model.bodies[0].sample_mesh.corners)
-    assert f"{count} places of the surface for the force, to 0.75 % (rms over foci)" in str(sound)
+    count = model.bodies[0].sample_count
+    assert count == pytest.approx(len(model.bodies[0].sample_mesh.corners), rel=0.02)
+    assert f"about {count} places of the surface for the force, to 1.2 % (rms over foci)" in str(sound)
