@@ -85,7 +85,7 @@ def kept(kind: str, depends_on: Sequence[Any], make: Callable[[], Arrays]) -> Ar
         lock = filelock.FileLock(path.with_suffix(".lock"), timeout=WAIT_S)
         lock.acquire()
     except (OSError, NotImplementedError, filelock.Timeout) as error:
-        _say(f"cache folder {where}: {_reason(error)}; going on without")
+        _say(f"cache folder {where}: {_reason(error)}; continuing without a cache")
         return make()
     try:
         answer = _read(path, key)
@@ -209,14 +209,14 @@ def _read(path: Path, key: str) -> Arrays | None:
             answer = {name: archive[name] for name in archive.files}
         found, content = answer.pop(MARKS).tolist()
         if found != key:
-            raise ValueError("it is another answer under this name")
+            raise ValueError("the file holds the result of another key")
         if content != digest(answer):
-            raise ValueError("its arrays are not those that were written")
+            raise ValueError("its arrays differ from those that were written")
         os.utime(path)
     except FileNotFoundError:
         return None
     except Exception as error:  # NumPy, zipfile and zlib raise nearly any kind on a damaged archive
-        _say(f"cache file {path} is damaged ({_reason(error)}): its content is computed again")
+        _say(f"cache file {path} is damaged ({_reason(error)}): its content is recomputed")
         return None
     return answer
 
@@ -232,7 +232,7 @@ def _write(path: Path, key: str, answer: Arrays) -> None:
             aside.unlink(missing_ok=True)
         _make_room(path)
     except OSError as error:
-        _say(f"cache folder {path.parent}: {_reason(error)}; going on without")
+        _say(f"cache folder {path.parent}: {_reason(error)}; continuing without a cache")
 
 
 def _make_room(newest: Path) -> None:

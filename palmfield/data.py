@@ -18,7 +18,7 @@ def folder(name: Literal["mjcf", "hand_models"]) -> Path:
     Raises SceneError for another name, and where the folder is in neither place.
     """
     if name not in FOLDERS:
-        raise SceneError(f"data folder {name!r} does not exist: ask for {', '.join(map(repr, FOLDERS))}")
+        raise SceneError(f"data folder {name!r} does not exist; allowed: {', '.join(map(repr, FOLDERS))}")
     places = (PACKAGE / "_data" / name, PACKAGE.parent / name)
     for place in places:
         if place.is_dir():
@@ -44,7 +44,7 @@ def find_file(name: str) -> Path:
         if (place / path).is_file():
             return (place / path).resolve()
     raise SceneError(
-        f"file '{name}' is neither in the working directory {Path.cwd()} nor among palmfield's own scenes: load the "
-        "scene by palmfield.load, which takes names relative to the scene, run from the scene's folder, or give an "
-        "absolute path"
+        f"file '{name}' is neither in the working directory {Path.cwd()} nor among the scenes of palmfield: load "
+        "the scene by palmfield.load, which looks up names relative to the scene, or run from the scene's folder, "
+        "or give an absolute path"
     )

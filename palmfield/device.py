@@ -40,14 +40,14 @@ def _kernels_folder() -> None:
         made = tempfile.mkdtemp(prefix="palmfield-kernels-")
     except OSError as error:
         raise PalmfieldError(
-            f"folder {usual} for compiled kernels can't be written ({why}), nor can a temporary one: set {KERNELS} to "
-            "a folder that can be"
+            f"folder {usual} for compiled kernels is not writable ({why}), and neither is a temporary one: set "
+            f"{KERNELS} to a writable folder"
         ) from error
     atexit.register(shutil.rmtree, made, ignore_errors=True)
     os.environ[KERNELS] = made
     logging.getLogger(__name__).warning(
-        "folder %s for compiled kernels can't be written (%s): they are compiled again in each run; set %s to a folder "
-        "that can be", usual, why, KERNELS,
+        "folder %s for compiled kernels is not writable (%s), so each run compiles them again; set %s to a "
+        "writable folder", usual, why, KERNELS,
     )  # fmt: skip
 
 
@@ -172,9 +172,9 @@ def check_room(needed: int, worlds: int, device: str) -> None:
     free = free_bytes(device)
     if free is not None and needed > free:
         raise DeviceError(
-            f"{worlds} worlds take {needed / 2**30:.2f} GB on {device}, {needed / worlds / 2**20:.2f} MB each, and "
-            f"{free / 2**30:.2f} GB are free; allowed: worlds <= {int(worlds * free / needed)}, or fewer samples by "
-            "key force_accuracy"
+            f"{worlds} worlds need {needed / 2**30:.2f} GB on {device}, {needed / worlds / 2**20:.2f} MB each, but "
+            f"{free / 2**30:.2f} GB are free; allowed: worlds <= {int(worlds * free / needed)}; or use fewer "
+            "samples (key force_accuracy)"
         )
 
 

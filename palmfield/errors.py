@@ -65,8 +65,8 @@ def explained(error: Exception) -> Exception:
     if not isinstance(error, RuntimeError) or not any(sign in text for sign in MEMORY_SIGNS):
         return error
     return DeviceError(
-        f"the memory of the scene's device has run out ({text}): end other programs there, set accuracy larger or "
-        "patch_radius_m smaller, take fewer worlds, or another device, for example cpu"
+        f"the device of the scene is out of memory ({text}): close other programs there, set accuracy larger or "
+        "patch_radius_m smaller, use fewer worlds, or another device, for example cpu"
     )
 
 

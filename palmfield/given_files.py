@@ -33,13 +33,13 @@ def regular(path: str | Path, most_bytes: int = MOST_BYTES) -> Path:
     try:
         facts = file.stat()
     except ValueError:  # a path that holds a zero byte
-        raise Unfit(errno.EINVAL, f"'{str(path)[:60]!r}' is no path") from None
+        raise Unfit(errno.EINVAL, f"'{str(path)[:60]!r}' is not a path") from None
     if not stat.S_ISREG(facts.st_mode):
         kinds = {stat.S_IFDIR: "a folder", stat.S_IFCHR: "a device", stat.S_IFBLK: "a device", stat.S_IFIFO: "a pipe"}
         kind = kinds.get(stat.S_IFMT(facts.st_mode), "no regular file")
-        raise Unfit(errno.EINVAL, f"it is {kind}; only regular files are read")
+        raise Unfit(errno.EINVAL, f"it is {kind}; allowed: a regular file")
     if facts.st_size > most_bytes:
-        raise Unfit(errno.EFBIG, f"it has {facts.st_size / 1e6:.0f} MB; at most {most_bytes / 1e6:.0f} MB are read")
+        raise Unfit(errno.EFBIG, f"it has {facts.st_size / 1e6:.0f} MB; allowed: at most {most_bytes / 1e6:.0f} MB")
     return file
 
 
@@ -48,7 +48,9 @@ def read_bytes(path: str | Path, most_bytes: int = MOST_BYTES) -> bytes:
     with regular(path, most_bytes).open("rb") as file:
         data = file.read(most_bytes + 1)
     if len(data) > most_bytes:  # files of /proc say that they have 0 bytes
-        raise Unfit(errno.EFBIG, f"it has more than {most_bytes / 1e6:.0f} MB, the most that is read")
+        raise Unfit(
+            errno.EFBIG, f"it has more than {most_bytes / 1e6:.0f} MB; allowed: at most {most_bytes / 1e6:.0f} MB"
+        )
     return data
 
 

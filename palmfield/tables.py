@@ -57,7 +57,7 @@ def _npz(file: Path) -> tuple[dict[str, Float], list[str]]:
             try:
                 columns[name] = np.asarray(archive[name], dtype=np.float64)
             except ValueError:
-                raise SceneError(f"{file}: column {name} is not of numbers; give numbers") from None
+                raise SceneError(f"{file}: column {name} does not hold numbers; give numbers") from None
     shapes = {values.shape for values in columns.values()}
     if len(shapes) != 1 or len(next(iter(shapes))) != 1:
         listed = ", ".join(f"{name} {values.shape}" for name, values in columns.items())
@@ -73,7 +73,7 @@ def _csv(file: Path) -> tuple[dict[str, Float], list[str]]:
         _check_header(file, header)
         twice = [name for name, count in Counter(header).items() if count > 1]
         if not header or twice:
-            fault = f"column '{twice[0]}' is there twice" if twice else "the file is empty"
+            fault = f"column '{twice[0]}' occurs twice" if twice else "the file is empty"
             raise SceneError(f"{file}: {fault}; begin with one line of different column names")
         rows, places = [], []
         for row in reader:
@@ -81,7 +81,9 @@ def _csv(file: Path) -> tuple[dict[str, Float], list[str]]:
                 continue
             place = f"line {reader.line_num}"
             if len(row) != len(header):
-                raise SceneError(f"{file}: {place} has {len(row)} values for {len(header)} columns; give one for each")
+                raise SceneError(
+                    f"{file}: {place} has {len(row)} values for {len(header)} columns; give one per column"
+                )
             rows.append([_number(file, place, name, cell) for name, cell in zip(header, row, strict=True)])
             places.append(place)
     table = np.array(rows, dtype=np.float64).reshape(-1, len(header))
@@ -92,14 +94,15 @@ def _check_header(file: Path, header: Sequence[str]) -> None:
     """Raises SceneError for a first line that other programs' tables have."""
     for mark, name in SEPARATORS.items():
         if any(mark in column for column in header):
-            raise SceneError(f"{file}: columns are separated by {name}; separate them by commas, decimals by points")
+            raise SceneError(f"{file}: columns are separated by {name}; use commas between columns and decimal points")
     odd = next((name for name in header if len(name) > LONGEST_NAME or not name.isprintable()), None)
     if odd is not None:
         raise SceneError(
-            f"{file}: a column is called {odd[:20]!r} ..., of {len(odd)} letters; allowed: {LONGEST_NAME} that print"
+            f"{file}: a column name begins with {odd[:20]!r} and has {len(odd)} characters; allowed: "
+            f"{LONGEST_NAME} printable characters"
         )
     if header and header[0].startswith("#"):
-        raise SceneError(f"{file}: line 1 is a remark, '{header[0]}'; begin with one line of different column names")
+        raise SceneError(f"{file}: line 1 is a comment, '{header[0]}'; begin with one line of different column names")
 
 
 def _number(file: Path, place: str, column: str, cell: str) -> float:
@@ -127,4 +130,4 @@ def write_table(file: Path, names: Sequence[str], table: Float) -> None:
                 writer.writerow(names)
                 writer.writerows(table.tolist())
     except OSError as error:
-        raise OutputError(f"{file}: cannot be written: {error}; give a place that can be written to") from None
+        raise OutputError(f"{file}: cannot be written: {error}; give a writable path") from None

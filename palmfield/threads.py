@@ -38,7 +38,7 @@ def limit(count: int | None) -> None:
     For processes that share a machine: each would otherwise take all of its cores.
     """
     if count is not None and count < 1:
-        raise ValueError(f"a limit of {count} cores; allowed: at least 1, or None")
+        raise ValueError(f"the limit is {count} cores; allowed: at least 1, or None")
     _most[:] = [] if count is None else [count]
 
 

@@ -134,4 +134,4 @@ def json_value(value: object) -> object:
     """NumPy's scalars and arrays as JSON has them."""
     if isinstance(value, np.generic | np.ndarray):
         return value.tolist()
-    raise TypeError(f"{type(value).__name__} is not JSON")
+    raise TypeError(f"{type(value).__name__} cannot be written as JSON")

@@ -181,7 +181,7 @@ def test_another_scenes_entries_under_a_scenes_names_change_nothing(place):
         for mine in own.get(kind, ()):
             mine.write_bytes(path.read_bytes())
     build._models.clear()  # in which a process keeps its latest scenes
-    with pytest.warns(RuntimeWarning, match="another answer under this name"):
+    with pytest.warns(RuntimeWarning, match="the file holds the result of another key"):
         again = results("ecoflex_00-10", (0, 0, 0.2), 200.0)
     np.testing.assert_array_equal(again, expected)
 
@@ -202,7 +202,7 @@ def test_a_folder_that_can_not_be_is_done_without(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("no folder")
     monkeypatch.setenv("PALMFIELD_CACHE", str(tmp_path / "file" / "deep"))
     make = Maker()
-    with pytest.warns(RuntimeWarning, match="going on without"):
+    with pytest.warns(RuntimeWarning, match="continuing without a cache"):
         cache.kept("thing", [1], make)
     cache.kept("thing", [1], make)
     assert make.asked == 2
@@ -215,7 +215,7 @@ def test_a_home_that_can_not_be_written_is_done_without_and_said_once(tmp_path):
     ended = subprocess.run(command, capture_output=True, text=True, env=own | {"HOME": str(tmp_path / "home")})
     assert ended.returncode == 0 and "columns" in ended.stdout
     (line,) = ended.stderr.splitlines()
-    assert "compiled kernels can't be written (Not a directory)" in line and "set WARP_CACHE_PATH" in line
+    assert "compiled kernels is not writable (Not a directory)" in line and "set WARP_CACHE_PATH" in line
 
 
 def test_an_error_of_the_maker_is_its_own_and_keeps_nothing():

@@ -76,7 +76,7 @@ def test_a_limit_of_cores_holds_until_it_is_lifted():
         assert threads.cores() == 1
         threads.limit(10 * everything)
         assert threads.cores() == everything
-        with pytest.raises(ValueError, match="a limit of 0 cores; allowed: at least 1"):
+        with pytest.raises(ValueError, match="the limit is 0 cores; allowed: at least 1"):
             threads.limit(0)
     finally:
         threads.limit(None)

@@ -48,11 +48,11 @@ class ArpLaw:
 LAWS = {
     "default": ArpLaw(
         "|p|^2/(rho c^2) - rho |u_t|^2 of the incident field's peak amplitudes on lit points: the Lagrangian of "
-        "the total field on a rigid wall; right at any angle and on converging beams",
+        "the total field on a rigid wall; correct at any angle and for converging beams",
         along=1.0,
     ),
     "alpha": ArpLaw(
-        "2 p_rms^2/(rho c^2) on lit points: right for a plane wave at normal incidence, overstates focused beams"
+        "2 p_rms^2/(rho c^2) on lit points: exact for a plane wave at normal incidence; overstates focused beams"
     ),
 }
 """Laws for the incident field, by the value of the scene's key `arp_law`. Add a new one as a line here."""
@@ -93,13 +93,15 @@ def arp(
     check.frequency(frequency_Hz)
     if field.gradient is None:
         raise PalmfieldError(
-            "the field has no gradient, but radiation pressure needs it: compute it with gradient=True"
+            "the field has no gradient, which radiation pressure needs: compute the field with gradient=True"
         )
     count = len(field.pressure)
     outward = unit_normals(normals, count)
     for name, values in (("pressure", field.pressure), ("gradient", field.gradient)):
         if not np.isfinite(values).all():
-            raise PalmfieldError(f"field {name}[{check.first_bad(values)}] is not finite: mend the points or the drive")
+            raise PalmfieldError(
+                f"field {name}[{check.first_bad(values)}] is not finite: correct the points or the drive"
+            )
     if count == 0:
         return np.zeros(0, np.float32)
 
@@ -160,12 +162,14 @@ def alpha_law(alpha: float) -> ArpLaw:
     """
     least, most = ALPHA_RANGE
     if not least <= alpha <= most:
-        raise SceneError(f"alpha of the ARP law is {alpha:g}; allowed: {least:g} (nothing reflected) to {most:g} (all)")
+        raise SceneError(
+            f"alpha of the ARP law is {alpha:g}; allowed: {least:g} (no reflection) to {most:g} (full reflection)"
+        )
     if alpha == most:
         return LAWS["alpha"]
     return ArpLaw(
-        f"{alpha:g} p_rms^2/(rho c^2) on lit points: of a plane wave at normal incidence, of whose energy the skin "
-        f"reflects {100.0 * (alpha - 1.0):.3g} %, overstates focused beams",
+        f"{alpha:g} p_rms^2/(rho c^2) on lit points: exact for a plane wave at normal incidence on skin that "
+        f"reflects {100.0 * (alpha - 1.0):.3g} % of its energy; overstates focused beams",
         pressure=0.5 * alpha,
     )
 

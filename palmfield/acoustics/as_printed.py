@@ -26,10 +26,14 @@ def incident_lagrangian_as_printed(field: Field, air: Air, frequency_Hz: float) 
     """
     check.frequency(frequency_Hz)
     if field.gradient is None:
-        raise PalmfieldError("the field has no gradient, but the velocity needs it: compute it with gradient=True")
+        raise PalmfieldError(
+            "the field has no gradient, which the velocity needs: compute the field with gradient=True"
+        )
     for name, values in (("pressure", field.pressure), ("gradient", field.gradient)):
         if not np.isfinite(values).all():
-            raise PalmfieldError(f"field {name}[{check.first_bad(values)}] is not finite: mend the points or the drive")
+            raise PalmfieldError(
+                f"field {name}[{check.first_bad(values)}] is not finite: correct the points or the drive"
+            )
     rho, c = density(air), sound_speed(air)
     speed = np.linalg.norm(field.gradient.astype(np.complex128), axis=1) / (2.0 * np.pi * frequency_Hz * rho)
     return np.asarray(np.abs(field.pressure.astype(np.complex128)) ** 2 / (4.0 * rho * c**2) - rho * speed**2 / 4.0)

@@ -31,7 +31,7 @@ def checked(vertices: ArrayLike, faces: ArrayLike) -> tuple[Float, Int]:
         raise PalmfieldError(f"mesh faces have shape {triangles.shape}: give (m, 3), m > 0")
     if triangles.min() < 0 or triangles.max() >= len(points):
         worst = triangles.max() if triangles.max() >= len(points) else triangles.min()
-        raise PalmfieldError(f"mesh face with vertex {worst}: give numbers from 0 to {len(points) - 1}")
+        raise PalmfieldError(f"a mesh face names vertex {worst}; allowed: 0 to {len(points) - 1}")
     areas = face_normals(points, triangles)[1]
     if not areas.min() > 0.0:
         raise PalmfieldError(f"mesh face {int(areas.argmin())} has no area: remove it or merge its vertices")
@@ -61,8 +61,8 @@ def elements_per_wavelength(vertices: Float, faces: Int, wavenumber: float) -> f
     elements = 2.0 * np.pi / wavenumber / mean_edge_m(vertices, faces)
     if elements < LEAST_ELEMENTS_PER_WAVELENGTH:
         warnings.warn(
-            f"mesh has {elements:.1f} elements a wavelength and {LEAST_ELEMENTS_PER_WAVELENGTH:g} or more are needed: "
-            f"use edges under {2e3 * np.pi / wavenumber / LEAST_ELEMENTS_PER_WAVELENGTH:.2g} mm",
+            f"mesh has {elements:.1f} elements per wavelength; allowed: {LEAST_ELEMENTS_PER_WAVELENGTH:g} or more: "
+            f"use edges shorter than {2e3 * np.pi / wavenumber / LEAST_ELEMENTS_PER_WAVELENGTH:.2g} mm",
             stacklevel=3,
         )
     return elements
@@ -90,7 +90,7 @@ def closed(vertices: Float, faces: Int, thickness_m: float) -> tuple[Float, Int,
     keys = directed[:, 0] * len(vertices) + directed[:, 1]
     rim = directed[~np.isin(directed[:, 1] * len(vertices) + directed[:, 0], keys)]
     if len(rim) == 0:
-        raise PalmfieldError("the mesh has no rim: it is closed already, use it as it is")
+        raise PalmfieldError("the mesh has no rim, so it is already closed: use it unchanged")
     count = len(vertices)
     layers = max(1, round(thickness_m / mean_edge_m(vertices, faces)))
     inward = -vertex_normals(vertices, faces)

@@ -31,9 +31,9 @@ SIZES_KEPT = 8
 """Numbers of points for which an `Occlusion` keeps buffers."""
 
 BODY_SOUNDS = {
-    "none": "faces turned away from the sound are unlit; one part does not shade another, nothing echoes",
-    "shadows": "dark where the way back along the sound's energy flux is blocked, by another part or the body itself",
-    "scattering": "boundary elements on the whole body: total sound on a rigid wall, with echoes between its parts",
+    "none": "faces turned away from the sound are unlit; parts cast no shadows on each other; no echoes",
+    "shadows": "a point is dark if the line back along the energy flux is blocked by another part or the body itself",
+    "scattering": "boundary elements on the whole body: total field on a rigid wall, with echoes between its parts",
 }
 
 
@@ -169,7 +169,9 @@ class Occlusion:
         rays.reach.host[...] = reach_m
         for name, values in (("points", points), ("flux", flux)):
             if not math.isfinite(np.add.reduce(values, axis=None)):
-                raise PalmfieldError(f"{name}[{check.first_bad(values)}] is not finite: mend what makes the {name}")
+                raise PalmfieldError(
+                    f"{name}[{check.first_bad(values)}] is not finite: correct the source of the {name}"
+                )
         if self.device != "cpu":
             rays.points.upload()
             rays.flux.upload()

@@ -30,7 +30,8 @@ def calibrate_p0(
     measured = np.asarray(pressures_Pa, dtype=float)
     if measured.shape != (len(where),) or len(where) < 2:
         raise PalmfieldError(
-            f"pressures_Pa has shape {measured.shape} for {len(where)} points: give one reading a point, 2 at least"
+            f"pressures_Pa has shape {measured.shape} for {len(where)} points: give one reading per point, and at "
+            "least 2"
         )
     bad = ~(np.isfinite(measured) & (measured >= 0.0))
     if bad.any():
@@ -40,7 +41,7 @@ def calibrate_p0(
     square = float(model @ model)
     if square == 0.0:
         raise PalmfieldError(
-            "the array makes no sound at these points: measure in front of it, with a drive other than 0"
+            "the array emits no sound at these points: measure in front of the array, with a nonzero drive"
         )
     p0 = float(model @ measured) / square
     variance = float(np.sum((measured - p0 * model) ** 2)) / (len(where) - 1)

@@ -63,7 +63,7 @@ class Elements(_Part):
             if values is not None and len(values) != len(self):
                 raise ValueError(f"{name} has {len(values)} entries and enabled {len(self)}; give one for each")
         if self.address is not None and sorted(self.address) != list(range(len(self))):
-            raise ValueError(f"address holds other numbers than 0 to {len(self) - 1}, each once")
+            raise ValueError(f"address must hold each number from 0 to {len(self) - 1} once")
         return self
 
 
@@ -137,9 +137,9 @@ class Calibration(_Part):
             if estimate is None:
                 continue
             if not estimate.source.strip():
-                raise ValueError(f"{name} has no source; say who measured when, and with what")
+                raise ValueError(f"{name} has no source: state who measured it, when, and with which instrument")
             if estimate.kind != "measured":
-                raise ValueError(f"{name} has kind '{estimate.kind}'; a calibration holds what was measured")
+                raise ValueError(f"{name} has kind '{estimate.kind}'; allowed in a calibration: measured")
         return self
 
 
@@ -187,7 +187,7 @@ def _told(error: Any) -> str:
     if error["type"] == "json_invalid":
         return f"cannot be read: {text}; give a calibration's JSON file"
     if error["type"] == "extra_forbidden":
-        return f"{place} is unknown; see docs/calibration.md for what there is"
+        return f"{place} is unknown; docs/calibration.md lists the allowed keys"
     if error["type"] == "missing":
         return f"{place} is missing"
     given = error["input"]
@@ -202,7 +202,7 @@ def write_calibration(path: str | Path, calibration: Calibration) -> None:
         with whole(file) as part:
             part.write_text(text + "\n", encoding="utf-8")
     except OSError as error:
-        raise OutputError(f"{file}: cannot be written: {error}; give a place that can be written to") from None
+        raise OutputError(f"{file}: cannot be written: {error}; give a writable path") from None
 
 
 def response(calibration: Calibration, count: int) -> Complex | None:
@@ -214,7 +214,10 @@ def response(calibration: Calibration, count: int) -> Complex | None:
     if elements is None:
         return None if offset == 0.0 else np.full(count, np.exp(1j * offset))
     if len(elements) != count:
-        raise SceneError(f"the calibration is of {len(elements)} transducers, and the array has {count}")
+        raise SceneError(
+            f"the calibration has {len(elements)} transducers, but the array has {count}; give the calibration of "
+            "this array"
+        )
     sizes = np.where(elements.enabled, elements.gain, 0.0) * np.array(elements.polarity)
     return np.asarray(sizes * np.exp(1j * (offset + np.array(elements.phase_rad))))
 
@@ -226,9 +229,9 @@ def calibrated(array: Array, calibration: Calibration) -> Array:
     """
     if calibration.layout != array.name:
         earlier = LAYOUTS[array.name].earlier if array.name in LAYOUTS else ()
-        was = f", which '{array.name}' was before: measure again, or set layout {calibration.layout}"
+        was = f", the earlier layout of '{array.name}': measure again, or set layout {calibration.layout}"
         raise SceneError(
-            f"the calibration is of layout '{calibration.layout}', and the array is '{array.name}'"
+            f"the calibration is for layout '{calibration.layout}', but the array is '{array.name}'"
             + was * (calibration.layout in earlier)
         )
     measured = response(calibration, len(array))

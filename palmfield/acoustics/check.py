@@ -20,7 +20,7 @@ def numbers(values: ArrayLike, name: str) -> NDArray[Any]:
     except ValueError as error:
         raise PalmfieldError(f"{name} have rows of unequal length: give a rectangular array of numbers") from error
     if result.dtype.kind not in "biufc":
-        raise PalmfieldError(f"{name} are of type {result.dtype}: give numbers")
+        raise PalmfieldError(f"{name} have type {result.dtype}: give numbers")
     return result
 
 
@@ -51,7 +51,7 @@ def points(values: ArrayLike, dtype: type[np.floating]) -> NDArray[np.floating]:
             i = int(np.argmax(np.abs(given).max(axis=1)))
             raise PalmfieldError(f"points[{i}] = {given[i].tolist()} is over {FARTHEST_m:g} m away: give metres")
         i = first_bad(given)
-        raise PalmfieldError(f"points[{i}] = {given[i].tolist()} is not finite: remove or mend it")
+        raise PalmfieldError(f"points[{i}] = {given[i].tolist()} is not finite: remove or correct it")
     return np.ascontiguousarray(given, dtype=dtype)
 
 
@@ -67,7 +67,7 @@ def amplitudes(values: ArrayLike, count: int, name: str) -> NDArray[np.complex12
         raise PalmfieldError(f"drive has shape {given.shape} but {name} has {count} transducers: give shape ({count},)")
     if not np.isfinite(given).all():
         i = first_bad(given)
-        raise PalmfieldError(f"drive[{i}] = {given[i]} is not finite: remove or mend it")
+        raise PalmfieldError(f"drive[{i}] = {given[i]} is not finite: remove or correct it")
     return given
 
 
@@ -83,7 +83,7 @@ def frames(values: ArrayLike, array: Array) -> NDArray[np.complex128]:
             f"give shape (frames, {len(array)})"
         )
     if not np.isfinite(drives).all():
-        raise PalmfieldError(f"drives[{first_bad(drives)}] are not finite: remove or mend the frame")
+        raise PalmfieldError(f"drives[{first_bad(drives)}] are not finite: remove or correct the frame")
     return drives
 
 
@@ -127,12 +127,14 @@ def directivity_table(name: str, table: NDArray[np.float64]) -> None:
     angle, amplitude = table.T
     if angle[0] != 0.0 or angle[-1] != 90.0 or np.any(np.diff(angle) <= 0.0):
         raise SceneError(
-            f"array '{name}' directivity_table has angles {angle[0]:g} to {angle[-1]:g} deg: let them rise from 0 to 90"
+            f"array '{name}' directivity_table has angles {angle[0]:g} to {angle[-1]:g} deg; allowed: rising from "
+            "0 to 90"
         )
     if amplitude[0] != 1.0 or np.any(amplitude < 0.0):
         raise SceneError(
-            f"array '{name}' directivity_table has {amplitude[0]:g} on the axis and {amplitude.min():g} at least: "
-            "divide it by the value on the axis, and use magnitudes"
+            f"array '{name}' directivity_table has {amplitude[0]:g} on the axis and a minimum of "
+            f"{amplitude.min():g}; allowed: 1 on the axis and values of 0 or more: divide the table by its value "
+            "on the axis, and use magnitudes"
         )
 
 
@@ -154,8 +156,8 @@ def in_front(array: Array, point: NDArray[np.float64], name: str) -> None:
     if np.any(height <= 0.0):
         i = int(np.argmin(height))
         raise SceneError(
-            f"{name} is behind the array '{array.name}' or in its plane ({height[i]:.3g} m before transducer {i}): "
-            "give a point in front of the array"
+            f"{name} is behind array '{array.name}' or in its plane ({height[i]:.3g} m in front of transducer "
+            f"{i}): give a point in front of the array"
         )
 
 

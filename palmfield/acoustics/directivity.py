@@ -90,8 +90,8 @@ def _fitted(form: Directivity, kb: float, degree: int) -> Float:
     error = float(np.abs(polyval(s, polynomial) - level).max())
     if not error <= form.misfit:
         raise SceneError(
-            f"directivity '{form.name}' at k*radius {kb:.3g}: the kernels' polynomial misses it by {error:.2g} of the "
-            f"value on the axis; allowed: {form.misfit:g}; lower piston_radius_m or frequency_Hz"
+            f"directivity '{form.name}' at k*radius {kb:.3g}: the error of the kernels' polynomial is {error:.2g} "
+            f"of the value on the axis; allowed: {form.misfit:g}: lower piston_radius_m or frequency_Hz"
         )
     polynomial.setflags(write=False)
     return polynomial

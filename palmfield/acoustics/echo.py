@@ -37,8 +37,9 @@ def image_count(air: Air, frequency_Hz: float, distance_m: float) -> int:
         if rest_beyond(images, absorption, distance_m) <= REST:
             return images
     raise SceneError(
-        f"between a rigid array face and a disc {1e3 * distance_m:.3g} mm from it, at {absorption:.3g} Np/m, sound "
-        f"goes back and forth more than {MOST_IMAGES} times; allowed: a disc farther off, or an absorbing face"
+        f"the echo between a rigid array face and a disc at {1e3 * distance_m:.3g} mm, with absorption "
+        f"{absorption:.3g} Np/m, takes more than {MOST_IMAGES} round trips to decay: move the disc farther away, "
+        "or use an absorbing face"
     )
 
 

@@ -55,7 +55,7 @@ def radiated_power_W(array: Array, drive: Complex, air: Air, frequency_Hz: float
     before it. Raises PalmfieldError for another shape.
     """
     if drive.shape != (len(array),):
-        raise PalmfieldError(f"a drive has shape {drive.shape}; give ({len(array)},)")
+        raise PalmfieldError(f"a drive has shape {drive.shape}: give shape ({len(array)},)")
     beam = directivity(array, 2.0 * math.pi * frequency_Hz / sound_speed(air), np.cos(ANGLES))
     solid = 2.0 * math.pi * float(np.trapezoid(beam**2 * np.sin(ANGLES), ANGLES))
     gain = np.ones(len(array)) if array.gain is None else np.abs(array.gain)

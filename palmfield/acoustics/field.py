@@ -149,7 +149,7 @@ class FieldSum(ABC):
             if isinstance(array, wp.array):
                 found = f"Warp array of {array.dtype.__name__}, shape {array.shape}, on {array.device}"
             if array is not None and found != wanted:
-                raise PalmfieldError(f"{name}: {found}; give a {wanted}, or points and normals from NumPy")
+                raise PalmfieldError(f"{name} is a {found}; allowed: a {wanted}, or points and normals as NumPy arrays")
         if self.device != "cpu" or result is points or len(result.array) == 0:
             return result
         return Points(result.array, *corners(check.points(result.array.numpy(), one.real)))
@@ -186,7 +186,7 @@ class FieldEvaluator(FieldSum):
         if mode not in MODES:
             raise PalmfieldError(f"mode '{mode}' is unknown: use one of {', '.join(MODES)}")
         if threads is not None and threads < 1:
-            raise PalmfieldError(f"threads = {threads} can't compute: give 1 or more, or None for all cores")
+            raise PalmfieldError(f"threads = {threads}; allowed: 1 or more, or None for all cores")
         self.array, self.air = array, air
         self.device, self.count, self.name = resolve(device), len(array), f"array '{array.name}'"
         self.threads = cores() if threads is None else threads

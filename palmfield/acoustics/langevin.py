@@ -20,7 +20,9 @@ def radiation_stress(field: Field, air: Air, frequency_Hz: float) -> Float:
     Raises PalmfieldError for a field without gradient, SceneError for a frequency that is not positive and bad air.
     """
     if field.gradient is None:
-        raise PalmfieldError("the field has no gradient, but radiation stress needs it: compute it with gradient=True")
+        raise PalmfieldError(
+            "the field has no gradient, which radiation stress needs: compute the field with gradient=True"
+        )
     check.frequency(frequency_Hz)
     rho, c = density(air), sound_speed(air)
     pressure = field.pressure.astype(np.complex128)

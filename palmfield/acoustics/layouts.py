@@ -218,12 +218,12 @@ def bow_focus(array: Array) -> tuple[float, float, float]:
 
 
 AUTD_UNIT = (
-    "AUTD3 software (shinolab, MIT): 18 x 14 sites, 10.16 mm (10.18 in its first releases), board 192 x 151.4 mm; "
-    "sites (1,1), (2,1) and (16,1) stay empty, a rule there since 2016. Directivity: table of the T4010A1"
+    "AUTD3 software (shinolab, MIT): 18 x 14 sites, pitch 10.16 mm (10.18 in its first releases), board 192 x "
+    "151.4 mm; sites (1,1), (2,1) and (16,1) have been empty since 2016. Directivity: table of the T4010A1"
 )
 BOW_SETUP = (
-    "Mizushima & Sato 2024: 6 speakers a bow, 10 mm apart on a parabola, bows leaning 30 deg; every axis taken to look "
-    "at the common focus, as their sum of on-axis pressures implies. "
+    "Mizushima & Sato 2024: 6 speakers a bow, 10 mm apart on a parabola, bows tilted by 30 deg. Assumption: every "
+    "axis points to the common focus, as their sum of on-axis pressures implies. "
 )
 
 UHEV1_P0 = Estimate(
@@ -231,23 +231,23 @@ UHEV1_P0 = Estimate(
     0.7,
     2.6,
     "inferred",
-    "gives the 12 Pa that Chilles et al. 2019 put into their finite-element model; that number stands among material "
-    "parameters, and the motion that they measured asks for less",
+    "reproduces the 12 Pa in the finite-element model of Chilles et al. 2019; their table lists it among material "
+    "parameters, and their measured motion implies a lower value",
 )
 AUTD_P0 = Estimate(
     2.8,
     2.53,
     4.386,
     "inferred",
-    "with the T4010A1's directivity gives the 20 mN on 12 x 12 mm that Hasegawa & Shinoda 2018 measured; the AUTD3 "
-    "software has 4.386, others 2.53",
+    "with the directivity of the T4010A1 it reproduces the 20 mN on 12 x 12 mm measured by Hasegawa & Shinoda "
+    "2018; the AUTD3 software uses 4.386, other projects 2.53",
 )
 STRATOS_P0 = Estimate(
     1.27,
     0.7,
     4.386,
     "assumed",
-    "taken as for the UHEV1, its forerunner; nothing is published of its transducers' level",
+    "value of its predecessor UHEV1; the level of its own transducers is not published",
 )
 
 LAYOUTS = {
@@ -259,8 +259,9 @@ LAYOUTS = {
         UHEV1_P0,
     ),
     "stratos_explore": Layout(
-        "Ultraleap STRATOS Explore (USX): 256 elements, taken as 16 x 16 at 10.3 mm pitch; simulated only",
-        "Ultraleap's support pages give up to 256 transducers of 40 kHz; grid and pitch are taken from the UHEV1",
+        "Ultraleap STRATOS Explore (USX): 256 elements, assumed to be 16 x 16 at 10.3 mm pitch; simulation only",
+        "Ultraleap's support pages state up to 256 transducers at 40 kHz; grid and pitch are assumed equal to the "
+        "UHEV1",
         (0.0, 0.0, 0.2),
         stratos_explore,
         STRATOS_P0,
@@ -272,40 +273,42 @@ LAYOUTS = {
         sonicsurface,
     ),
     "openmpd": Layout(
-        "OpenMPD (AcoustophoreticBoard): 16 x 16 elements, 10.5 mm pitch, in columns, with the vendor's pin map; "
-        "version 2 (version 1 is openmpd_rows)",
+        "OpenMPD (AcoustophoreticBoard): 16 x 16 elements, 10.5 mm pitch, ordered by columns, with the vendor's "
+        "pin map; version 2 (version 1 is openmpd_rows)",
         "OpenMPD (University College London): positions, normals (0, 0, 1) and pins as its driver reads them from "
-        "board files (board_N.pat of RMResearch/OpenMPD, AsierInhoImpl_V2.cpp of sbg97/OpenMPD_Driver); the map is the "
-        "same in all 75 files and in the FPGA's PinMapping.vhd. The driver places boards by rotations, in right-handed "
-        "frames, so that x is right and y up seen from the front. Not tried on hardware. Pistons: as MA40S4S",
+        "board files (board_N.pat of RMResearch/OpenMPD, AsierInhoImpl_V2.cpp of sbg97/OpenMPD_Driver); the map "
+        "is the same in all 75 files and in the FPGA's PinMapping.vhd. The driver places boards by rotations in "
+        "right-handed frames: seen from the front, x points right and y up. Not tested on hardware. Pistons: as "
+        "MA40S4S",
         (0.0, 0.0, 0.12),
         openmpd,
         earlier=("openmpd_rows",),
     ),
     "openmpd_rows": Layout(
-        "OpenMPD with transducers in rows, byte by byte: layout openmpd of version 1, for files made with it",
-        "An assumption of earlier versions that fits no board file of the vendor: for new work use openmpd",
+        "OpenMPD with transducers ordered by rows, in byte order: version 1 of layout openmpd, for files made with it",
+        "This assumption of earlier versions agrees with none of the vendor's board files: for new work use openmpd",
         (0.0, 0.0, 0.12),
         openmpd_rows,
     ),
     "ultraino": Layout(
         "One Arduino Mega of Ultraino: 8 x 8 elements, 10.5 mm pitch, in the order of its signals",
-        "Ultraino (Marzo et al. 2018) drives 64 transducers a Mega; its users build arrays: grid and pitch are "
-        "assumptions. Pistons: as MA40S4S",
+        "Ultraino (Marzo et al. 2018) drives 64 transducers per Mega. Users build their own arrays, so grid and "
+        "pitch are assumptions. Pistons: as MA40S4S",
         (0.0, 0.0, 0.08),
         ultraino,
     ),
     "autd2018": Layout(
         "One unit of Hasegawa & Shinoda 2018: 249 elements, aperture printed as 180 x 140 mm",
-        f"Hasegawa & Shinoda 2018 print count and aperture; the rest is taken from the {AUTD_UNIT}",
+        f"Hasegawa & Shinoda 2018 print count and aperture; the other data are those of the {AUTD_UNIT}",
         (0.0, 0.0, 0.2),
         autd2018,
         AUTD_P0,
     ),
     "autd2018_2x2": Layout(
         "Four units of Hasegawa & Shinoda 2018, arranged to span the printed 364 x 302.8 mm",
-        "Hasegawa & Shinoda 2018. 302.8 mm is two boards, 364 mm two boards less a margin of 10 mm at either side: so "
-        "the right column is taken to be turned by half a turn. The pitch leaves margins of 9.3 mm, so 365.4 mm",
+        "Hasegawa & Shinoda 2018. 302.8 mm are two boards; 364 mm are two boards minus a margin of 10 mm on each "
+        "side, so we assume that the right column is rotated by 180 deg. The pitch leaves margins of 9.3 mm, "
+        "which gives 365.4 mm",
         (0.0, 0.0, 0.4),
         autd2018_2x2,
         AUTD_P0,
@@ -313,8 +316,8 @@ LAYOUTS = {
     "autd3": Layout("AUTD3 unit: 249 elements in the order of its index", AUTD_UNIT, (0.0, 0.0, 0.2), autd3, AUTD_P0),
     **{
         f"autd3_{columns}x{rows}": Layout(
-            f"{columns * rows} AUTD3 units, {columns} wide and {rows} high, none turned, boards edge to edge: "
-            "192 x 151.4 mm from unit to unit",
+            f"{columns * rows} AUTD3 units, {columns} wide and {rows} high, not rotated, boards edge to edge: "
+            "pitch of the units 192 x 151.4 mm",
             AUTD_UNIT,
             (0.0, 0.0, 0.4),
             partial(autd3_units, columns, rows),
@@ -331,8 +334,8 @@ LAYOUTS = {
     "two_bow_corrected": Layout(
         "Two bows of 6 speakers, focal length 30 mm, pistons of 5 mm radius",
         BOW_SETUP
-        + "Corrected: 30 mm, which comes nearer to the printed angles 40, 28 and 10 deg; the radius 5 mm whose "
-        "k a^2/2 = 9.2 mm fits the printed Rayleigh length of about 10 mm",
+        + "Corrected: a focal length of 30 mm agrees better with the printed angles 40, 28 and 10 deg; a radius of "
+        "5 mm gives k a^2/2 = 9.2 mm, near the printed Rayleigh length of about 10 mm",
         bow_focus(two_bow_corrected()),
         two_bow_corrected,
     ),

@@ -107,8 +107,9 @@ class ArrayInstance:
         if config.piston_radius_m is not None:
             if not form_of(array).sized:
                 raise SceneError(
-                    f"key 'piston_radius_m' has value {config.piston_radius_m:g}, but layout '{config.layout}' with "
-                    f"directivity '{config.directivity}' has no piston: drop it or set directivity to piston"
+                    f"key 'piston_radius_m' has value {config.piston_radius_m:g}, but layout '{config.layout}' "
+                    f"with directivity '{config.directivity}' has no piston: remove the key, or set directivity to "
+                    "piston"
                 )
             array = replace(array, piston_radius_m=config.piston_radius_m)
         if self.calibration is not None:

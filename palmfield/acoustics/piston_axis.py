@@ -31,7 +31,7 @@ def on_axis(distance_m: ArrayLike, radius_m: float, wavenumber: float, *, p0_Pa_
     _check_piston(radius_m, wavenumber)
     bad = ~(np.isfinite(r) & (r >= 0.0)) if radius_m > 0.0 else ~(np.isfinite(r) & (r > 0.0))
     if bad.any():
-        least = "0 or more" if radius_m > 0.0 else "above 0, as a point source has no face"
+        least = "0 or more" if radius_m > 0.0 else "above 0, because a point source has no face"
         raise PalmfieldError(f"distance_m has {r[bad].flat[0]}: give finite distances in metres, {least}")
     edge = np.hypot(r, radius_m)
     if radius_m == 0.0:

@@ -79,7 +79,7 @@ def combined(arrays: Sequence[Array], name: str | None = None) -> Array:
     Raises SceneError for no arrays, and for differing frequency, piston radius or directivity.
     """
     if not arrays:
-        raise SceneError("no arrays to combine: give at least 1")
+        raise SceneError("the list of arrays to combine is empty: give at least 1")
     first = arrays[0]
     for other in arrays[1:]:
         for key in ("frequency_Hz", "piston_radius_m"):
@@ -126,7 +126,7 @@ def with_faults(
         if not 0 <= i < len(array):
             raise SceneError(f"transducer {i} is not in array '{array.name}': use 0 to {len(array) - 1}")
         if i in seen:
-            raise SceneError(f"transducer {i} is named twice among the dead and inverted: name it once")
+            raise SceneError(f"transducer {i} is listed twice as dead or inverted: list it once")
         seen.add(i)
     gain = np.ones(len(array), complex) if array.gain is None else array.gain.astype(complex)
     gain[silent] = 0.0
@@ -142,7 +142,7 @@ def indices(array: Array, chosen: Iterable[int] | Iterable[bool], name: str) -> 
             raise SceneError(f"mask {name} has shape {values.shape}: give ({len(array)},), one for each transducer")
         return np.flatnonzero(values).tolist()
     if values.ndim != 1 or (len(values) and not np.issubdtype(values.dtype, np.integer)):
-        raise SceneError(f"{name} = {values.tolist()} are no indices of transducers: give whole numbers, or a mask")
+        raise SceneError(f"{name} = {values.tolist()} are not indices of transducers: give whole numbers, or a mask")
     return values.tolist()
 
 

@@ -79,7 +79,9 @@ def scatter(
     if not 0.0 < wavenumber < np.inf:
         raise PalmfieldError(f"wavenumber = {wavenumber} must be positive and finite: give 2 pi f/c [rad/m]")
     if not 1e-6 <= tolerance < 1.0:
-        raise PalmfieldError(f"tolerance = {tolerance} must lie in 1e-6 to 1: sums are in float32, use 1e-4")
+        raise PalmfieldError(
+            f"tolerance = {tolerance} must lie between 1e-6 and 1, because sums are in float32: use for example 1e-4"
+        )
     resolution = elements_per_wavelength(vertices, triangles, wavenumber)
     normals, areas = face_normals(vertices, triangles)
     centroids = vertices[triangles].mean(axis=1)
@@ -88,8 +90,8 @@ def scatter(
     sound = np.asarray(incident(points), dtype=np.complex128)
     if sound.shape != (2 * count,) or not np.isfinite(sound).all():
         raise PalmfieldError(
-            f"incident sound of shape {sound.shape} at {2 * count} points on and inside the body must be finite and of "
-            f"shape ({2 * count},): mend the function, or move the body off the sources"
+            f"incident sound of shape {sound.shape} at {2 * count} points on and inside the body must be finite "
+            f"and have shape ({2 * count},): correct the function, or move the body away from the sources"
         )
     own = np.concatenate([np.arange(count), np.full(count, -1)])
     layer = DoubleLayer(points, vertices, triangles, wavenumber, resolve(device), own)
@@ -114,8 +116,8 @@ def scatter(
     residual = float(np.linalg.norm(right_side - equation(pressure))) / scale if scale > 0.0 else 0.0
     if failed:
         raise PalmfieldError(
-            f"scattering did not converge: residual {residual:.2g} after {len(steps)} iterations and {tolerance:g} "
-            "wanted; look for faces that cut through one another, or raise tolerance"
+            f"scattering did not converge: residual {residual:.2g} after {len(steps)} iterations, tolerance "
+            f"{tolerance:g}; check the mesh for faces that intersect, or raise tolerance"
         )
     gradient = surface_gradient(vertices, triangles, pressure)
     return Scattering(

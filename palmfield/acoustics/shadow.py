@@ -66,7 +66,7 @@ def visibility(
 def points_and_normals(points: ArrayLike, normals: ArrayLike) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
     where, outward = check.points(points, np.float32), check.points(normals, np.float32)
     if len(where) != len(outward):
-        raise PalmfieldError(f"{len(where)} points but {len(outward)} normals: give one normal a point")
+        raise PalmfieldError(f"{len(where)} points but {len(outward)} normals: give one normal per point")
     return where, outward
 
 

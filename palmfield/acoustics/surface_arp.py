@@ -359,7 +359,7 @@ class _Sums(NamedTuple):
 
 def _not_finite(name: str, values: Complex | Float | Float32) -> PalmfieldError:
     bad = check.first_bad(values)
-    return PalmfieldError(f"{name}[{bad}] = {values[bad].tolist()} is not finite: mend what makes the {name}")
+    return PalmfieldError(f"{name}[{bad}] = {values[bad].tolist()} is not finite: correct the source of the {name}")
 
 
 class _GroupDrive:

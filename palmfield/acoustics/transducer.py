@@ -12,8 +12,8 @@ ANY_P0 = Estimate(
     1.27,
     8.5,
     "assumed",
-    "published values for transducers of 10 mm at 40 kHz, which depend on the supply voltage: 2.53, 3.4, 4.386 and "
-    "8.02 in other projects' software, 8.5 by a data sheet's 120 dB at 0.3 m, 1.27 inferred for the UHEV1",
+    "published values for 10 mm transducers at 40 kHz, which depend on the supply voltage: 2.53, 3.4, 4.386 and "
+    "8.02 in software of other projects, 8.5 from 120 dB at 0.3 m in a data sheet, 1.27 inferred for the UHEV1",
 )
 """Peak pressure of one transducer at 1 m on its axis at full drive [Pa m], for an array without data."""
 
@@ -22,7 +22,7 @@ ANY_QUALITY = Estimate(
     12.0,
     35.0,
     "assumed",
-    "resonances of such transducers; the flatness that Hasegawa & Shinoda 2018 print allows 17",
+    "range of such transducers; the flatness printed by Hasegawa & Shinoda 2018 is consistent with 17",
 )
 """Quality factor of the resonance of a transducer, for an array without data."""
 
@@ -44,8 +44,8 @@ def table_coefficients(table: Float) -> Float:
     worst = int(np.argmax(misfit))
     if misfit[worst] > TABLE_MISFIT_LIMIT:
         raise SceneError(
-            f"directivity_table: a quintic in sin^2 misses the entry at {table[worst, 0]:g} deg by {misfit[worst]:.3f} "
-            f"of the value on the axis (at most {TABLE_MISFIT_LIMIT:g}): smooth the table"
+            f"directivity_table: the quintic fit in sin^2 has an error of {misfit[worst]:.3f} of the value on the "
+            f"axis at {table[worst, 0]:g} deg; allowed: {TABLE_MISFIT_LIMIT:g}: smooth the table"
         )
     return quintic
 

@@ -51,7 +51,7 @@ def read_transducers(path: str | Path) -> TransducerTable:
     file = Path(path)
     columns, places = read_table(file)
     if not places:
-        raise SceneError(f"{file}: 0 transducers; give a line for each")
+        raise SceneError(f"{file}: the file has no transducers; give one line for each")
     units = [unit for unit in LENGTHS_m if any(f"{axis}_{unit}" in columns for axis in "xyz")]
     if len(units) != 1:
         raise SceneError(f"{file}: columns are {', '.join(columns)}; give x_m, y_m, z_m or x_mm, y_mm, z_mm")
@@ -64,7 +64,10 @@ def read_transducers(path: str | Path) -> TransducerTable:
         lengths = np.linalg.norm(normals, axis=1)
         if lengths.min() < 1e-6:
             n = int(np.argmin(lengths))
-            raise SceneError(f"{file}: {places[n]}, columns nx to nz: length {lengths[n]:g}; give a direction")
+            raise SceneError(
+                f"{file}: {places[n]}, columns nx to nz: the vector has length {lengths[n]:g}; give a direction "
+                "other than 0"
+            )
     gains = None
     if "gain" in columns or "phase_deg" in columns:
         sizes, phases = (
@@ -73,15 +76,15 @@ def read_transducers(path: str | Path) -> TransducerTable:
         loudest = int(np.argmax(np.abs(sizes)))
         if abs(sizes[loudest]) > MOST_GAIN:
             raise SceneError(
-                f"{file}: {places[loudest]}, column gain: {sizes[loudest]:g}; allowed: {-MOST_GAIN:g} to {MOST_GAIN:g} "
-                "relative to p0, which holds the level (key p0_Pa_m)"
+                f"{file}: {places[loudest]}, column gain: {sizes[loudest]:g}; allowed: {-MOST_GAIN:g} to "
+                f"{MOST_GAIN:g}, relative to p0 (key p0_Pa_m sets the level)"
             )
         gains = tuple((sizes * np.exp(1j * np.radians(phases))).tolist())
     addresses = None
     if "address" in columns:
         numbers = columns.pop("address")
         if not np.array_equal(np.sort(numbers), np.arange(len(numbers))):
-            raise SceneError(f"{file}: column address holds other numbers than 0 to {len(numbers) - 1}, each once")
+            raise SceneError(f"{file}: column address must hold each number from 0 to {len(numbers) - 1} once")
         addresses = tuple(int(number) for number in numbers)
     if columns:
         raise SceneError(
@@ -95,7 +98,7 @@ def _taken(file: Path, columns: dict[str, Float], names: Sequence[str]) -> Float
     """Columns that belong together, which are taken out of the table, shape (rows, names)."""
     missing = [name for name in names if name not in columns]
     if missing:
-        together = f"{', '.join(names)} belong together"
+        together = f"{', '.join(names)} must be given together"
         raise SceneError(f"{file}: column '{missing[0]}' is missing; {together}; columns are: {', '.join(columns)}")
     return np.stack([columns.pop(name) for name in names], 1)
 
@@ -105,13 +108,16 @@ def _check_places(file: Path, positions: Float, places: list[str]) -> None:
     if far.max() > FARTHEST_m:
         n = int(np.argmax(far))
         raise SceneError(
-            f"{file}: {places[n]}: {far[n]:g} m from the array's frame; give at most {FARTHEST_m:g} m (columns x_mm, "
-            "y_mm, z_mm hold millimetres)"
+            f"{file}: {places[n]}: {far[n]:g} m from the origin of the array frame; allowed: at most "
+            f"{FARTHEST_m:g} m (columns x_mm, y_mm, z_mm hold millimetres)"
         )
     _, first, counts = np.unique(positions, axis=0, return_index=True, return_counts=True)
     if counts.max() > 1:
         n = int(first[np.argmax(counts)])
-        raise SceneError(f"{file}: {places[n]}: another transducer is at the same place {positions[n].tolist()} m")
+        raise SceneError(
+            f"{file}: {places[n]}: another transducer has the same position {positions[n].tolist()} m; give each "
+            "its own"
+        )
 
 
 def _rows(table: Float) -> tuple[tuple[float, ...], ...]:

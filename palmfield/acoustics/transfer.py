@@ -57,8 +57,8 @@ class Transfer:
         self.evaluator = evaluator
         if evaluator.mode != "fast":
             raise PalmfieldError(
-                f"a transfer matrix is in float32 but the evaluator's mode is '{evaluator.mode}': use mode 'fast', or "
-                "arp_frames, which then goes frame by frame"
+                f"a transfer matrix is in float32, but the evaluator has mode '{evaluator.mode}': use mode 'fast', "
+                "or arp_frames, which then computes frame by frame"
             )
         where = check.points(points, np.float32)
         outward = unit_normals(normals, len(where))
@@ -69,8 +69,8 @@ class Transfer:
         limit = memory_limit(evaluator.device)
         if self.nbytes > limit:
             raise PalmfieldError(
-                f"a transfer matrix of {elements} transducers and {self.points} points takes {self.nbytes / 2**30:.2g} "
-                f"GiB (at most {limit / 2**30:.2g} now): give the points in parts"
+                f"a transfer matrix of {elements} transducers and {self.points} points takes "
+                f"{self.nbytes / 2**30:.2g} GiB; available: {limit / 2**30:.2g} GiB: pass the points in parts"
             )
         self._matrix = self._compute(where, outward)
         self._on_gpu: Any = None
@@ -85,8 +85,8 @@ class Transfer:
         low, high = distances(points, array.positions)
         if too_steep(evaluator, points):
             raise PalmfieldError(
-                f"points {low:.2f} to {high:.2f} m from the array's elements are too far apart for an absorption of "
-                f"{evaluator.absorption_Np_m:.3g} Np/m: give near and far ones apart"
+                f"points at {low:.2f} to {high:.2f} m from the transducers span too large a range for an "
+                f"absorption of {evaluator.absorption_Np_m:.3g} Np/m: pass near and far points in separate calls"
             )
         strength = array.p0_Pa_m * polynomial_fall(evaluator.absorption_Np_m, low, high)
         place: Any = wp.array(points, dtype=wp.vec3, device="cpu", copy=False)

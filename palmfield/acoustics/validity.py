@@ -35,7 +35,7 @@ def far_field_m(array: Array, error: float = FAR_FIELD_ERROR) -> float:
     Raises PalmfieldError for an error above 0.1, where the fall with the square of the distance ends.
     """
     if not 0.0 < error <= 0.1:
-        raise PalmfieldError(f"error = {error:g} of the far field; allowed: more than 0, at most 0.1")
+        raise PalmfieldError(f"error = {error:g} of the far-field approximation; allowed: above 0, at most 0.1")
     return float(array.piston_radius_m * np.sqrt(form_of(array).near / error))
 
 
@@ -60,10 +60,10 @@ def warnings(
     loudness = np.abs(np.atleast_1d(np.asarray(pressure)))
     if loudness.shape != (len(where),):
         raise PalmfieldError(
-            f"pressure has shape {loudness.shape} but there are {len(where)} points: give one for each"
+            f"pressure has shape {loudness.shape} but there are {len(where)} points: give one value per point"
         )
     if not np.isfinite(loudness).all():
-        raise PalmfieldError(f"pressure[{check.first_bad(loudness)}] is not finite: mend the points or the drive")
+        raise PalmfieldError(f"pressure[{check.first_bad(loudness)}] is not finite: correct the points or the drive")
     if len(where) == 0 or len(array) == 0:
         return []
     loudest = int(np.argmax(loudness))
@@ -81,8 +81,8 @@ def _too_near(array: Array, points: np.ndarray) -> list[str]:
     if distance >= limit:
         return []
     return [
-        f"a point is {1e3 * distance:.1f} mm from a transducer: nearer than {1e3 * limit:.0f} mm its far-field "
-        f"directivity is off by more than {100 * FAR_FIELD_ERROR:g} %"
+        f"a point is {1e3 * distance:.1f} mm from a transducer; below {1e3 * limit:.0f} mm the error of the "
+        f"far-field directivity exceeds {100 * FAR_FIELD_ERROR:g} %"
     ]
 
 
@@ -100,13 +100,13 @@ def _too_loud(array: Array, point: np.ndarray, peak: float, air: Air, beam: tupl
             sigma = beam_steepening(array, focused, point, air) * peak / loud if loud > 0.0 else 0.0
     if arp_left(sigma) < 1.0 - ARP_LOSS:
         messages.append(
-            f"sigma is {sigma:.2f} along a beam that arrives with {peak:.0f} Pa: it runs into a shock, behind which "
-            f"{100 * (1 - arp_left(sigma)):.0f} % of the ARP are lost that this linear field gives"
+            f"sigma is {sigma:.2f} along a beam that arrives with {peak:.0f} Pa: a shock forms, which removes "
+            f"{100 * (1 - arp_left(sigma)):.0f} % of the ARP that this linear model computes"
         )
     load = radiation_pressure_Pa(peak, air)
     if load > SATURATION_Pa:
         messages.append(
-            f"{peak:.0f} Pa makes a radiation pressure of {load:.0f} Pa, but devices saturate near "
+            f"{peak:.0f} Pa gives a radiation pressure of {load:.0f} Pa, but devices saturate near "
             f"{SATURATION_Pa:g} Pa: lower the drive"
         )
     gain = 1.0 if array.gain is None else np.abs(array.gain)
@@ -115,12 +115,13 @@ def _too_loud(array: Array, point: np.ndarray, peak: float, air: Air, beam: tupl
     most = float((array.p0_Pa_m * shape * gain / np.maximum(distance, 1e-9)).sum())
     if peak > most * (1.0 + 1e-3):
         messages.append(
-            f"{peak:.0f} Pa is more than array '{array.name}' can give there at full drive ({most:.0f} Pa): look at "
-            "the units of points (m) and drive (1 is full)"
+            f"{peak:.0f} Pa exceeds the output of array '{array.name}' there at full drive ({most:.0f} Pa): check "
+            "the units of points (m) and drive (1 is full drive)"
         )
     if peak > air.pressure_Pa:
         messages.append(
-            f"{peak:.0f} Pa is more than the air's own pressure of {air.pressure_Pa:.0f} Pa: no sound wave can have it"
+            f"{peak:.0f} Pa exceeds the static pressure of the air, {air.pressure_Pa:.0f} Pa, which no sound wave "
+            "can do: lower the drive"
         )
     return messages
 

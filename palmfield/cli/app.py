@@ -52,7 +52,7 @@ GROUPS: dict[str, tuple[Callable[..., None] | typer.Typer, ...]] = {
     "Maintain": (migrate, cache, bench),
 }
 """What `palmfield --help` lists: a function is a command of its name, a Typer has commands of its own."""
-OF_OTHERS = "Brought by other distributions"
+OF_OTHERS = "From other distributions"
 INTERRUPTED_CODE = 130
 """Exit code after Ctrl-C."""
 ANYWHERE = {"-v": 0, "--verbose": 0, "-q": 0, "--quiet": 0, "--log-level": 1}
@@ -104,7 +104,7 @@ def _of_this_system(argument: str) -> str:
         return name + equals + os.path.expanduser(value)
     if os.name == "posix" and (drive := re.match(r"([A-Za-z]):[\\/]", value)):
         raise SceneError(
-            f"'{value}' is a path of Windows, and this system has no drives; give a path with /, in WSL "
+            f"'{value}' is a Windows path, but this system has no drive letters; give a path with /, in WSL "
             f"/mnt/{drive[1].lower()}/{value[3:].replace(chr(92), '/')}"
         )
     return argument
@@ -114,10 +114,9 @@ app = typer.Typer(
     cls=_Door,
     no_args_is_help=True,
     rich_markup_mode=None,
-    help="Ultrasonic mid-air haptics: from an array's drive to radiation pressure on a hand, skin waves and what is "
-    "felt.\n\n"
-    "Start with `palmfield new first` and `palmfield run first/first.xml`.\n\n"
-    "--install-completion lets the shell complete commands, options, plugins and keys after TAB.",
+    help="Ultrasonic mid-air haptics: from the drive of an array to radiation pressure on a hand, skin waves and "
+    "perception.\n\nStart with `palmfield new first` and `palmfield run first/first.xml`.\n\n--install-completion "
+    "lets the shell complete commands, options, plugins and keys after TAB.",
 )
 GROUP_OF: dict[str, str] = {}
 """The group of each own command, by the command's name."""
@@ -134,14 +133,16 @@ for _group, _members in GROUPS.items():
 @app.callback(invoke_without_command=True)
 def program(
     context: typer.Context,
-    version: Annotated[bool, typer.Option("--version", help="print the version and end")] = False,
+    version: Annotated[bool, typer.Option("--version", help="print the version and exit")] = False,
     quiet: Annotated[
-        bool, typer.Option("--quiet", "-q", help="print warnings and errors only, and what --json asks for")
+        bool, typer.Option("--quiet", "-q", help="print only warnings, errors and the output of --json")
     ] = False,
-    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="as --log-level debug")] = False,
+    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="same as --log-level debug")] = False,
     log_level: Annotated[
         str | None,
-        typer.Option(help=f"from where on the log is shown: {', '.join(LEVELS)} [default: info]", metavar="LEVEL"),
+        typer.Option(
+            help=f"lowest level of log messages to show: {', '.join(LEVELS)} [default: info]", metavar="LEVEL"
+        ),
     ] = None,
 ) -> None:
     if version:
@@ -150,7 +151,7 @@ def program(
         print(f"palmfield {palmfield.__version__}")
         raise typer.Exit()
     if quiet and verbose:
-        raise SceneError("--quiet and --verbose say the opposite; give one of them")
+        raise SceneError("--quiet and --verbose exclude each other; give one of them")
     show_log(log_level or ("debug" if verbose else "warning" if quiet else "info"))
     context.obj = quiet
 

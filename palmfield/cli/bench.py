@@ -9,19 +9,19 @@ bench = typer.Typer(
     name="bench",
     no_args_is_help=True,
     rich_markup_mode=None,
-    help="Measure how fast palmfield is on this machine, and how exact.\n\nExample: palmfield bench field",
+    help="Measure the speed and the accuracy of palmfield on this machine.\n\nExample: palmfield bench field",
 )
 
 
 @bench.command("field")
 def field(
-    out: Annotated[Path | None, typer.Option(help="markdown file to write the table to")] = None,
-    picture: Annotated[Path | None, typer.Option(help="PNG to draw speed against error in")] = None,
-    device: Annotated[str, typer.Option(help="where it is computed: cpu or cuda:0")] = "cpu",
-    points: Annotated[int, typer.Option(help="roughly how many points a range of distances has")] = 20_000,
-    runs: Annotated[int, typer.Option(help="how often each method runs; medians are printed")] = 5,
-    only: Annotated[str, typer.Option(help="leave out methods whose names lack this text")] = "",
-    commit: Annotated[str, typer.Option(help="for the head, where no git is [default: git's]")] = "",
+    out: Annotated[Path | None, typer.Option(help="Markdown file for the table")] = None,
+    picture: Annotated[Path | None, typer.Option(help="PNG for the plot of speed against error")] = None,
+    device: Annotated[str, typer.Option(help="compute device: cpu or cuda:0")] = "cpu",
+    points: Annotated[int, typer.Option(help="approximate number of points per range of distances")] = 20_000,
+    runs: Annotated[int, typer.Option(help="runs per method; medians are printed")] = 5,
+    only: Annotated[str, typer.Option(help="run only methods whose names contain this text")] = "",
+    commit: Annotated[str, typer.Option(help="commit named in the head of the report [default: from git]")] = "",
 ) -> None:
     """Speed and error of the pressure field, as a markdown table.
 
@@ -41,12 +41,12 @@ def field(
 
 @bench.command("skin")
 def skin(
-    out: Annotated[Path | None, typer.Option(help="markdown file to write the table to")] = None,
-    picture: Annotated[Path | None, typer.Option(help="PNG to draw time against error in")] = None,
-    device: Annotated[str, typer.Option(help="where it is computed: cpu or cuda:0")] = "cpu",
-    runs: Annotated[int, typer.Option(help="how often each method runs; medians are printed")] = 3,
-    only: Annotated[str, typer.Option(help="leave out methods whose names lack this text")] = "",
-    commit: Annotated[str, typer.Option(help="for the head, where no git is [default: git's]")] = "",
+    out: Annotated[Path | None, typer.Option(help="Markdown file for the table")] = None,
+    picture: Annotated[Path | None, typer.Option(help="PNG for the plot of time against error")] = None,
+    device: Annotated[str, typer.Option(help="compute device: cpu or cuda:0")] = "cpu",
+    runs: Annotated[int, typer.Option(help="runs per method; medians are printed")] = 3,
+    only: Annotated[str, typer.Option(help="run only methods whose names contain this text")] = "",
+    commit: Annotated[str, typer.Option(help="commit named in the head of the report [default: from git]")] = "",
 ) -> None:
     """Time and error of the skin solvers on one slab, as a markdown table.
 
@@ -65,15 +65,16 @@ def skin(
 @bench.command("scene")
 def scene(
     scenes: Annotated[
-        list[str] | None, typer.Argument(help="files, or names of shipped scenes [default: eleven shipped ones]")
+        list[str] | None,
+        typer.Argument(help="scene files, or names of shipped scenes [default: eleven shipped scenes]"),
     ] = None,
-    out: Annotated[Path | None, typer.Option("--out", "--write", help="markdown file to write the table to")] = None,
-    device: Annotated[str, typer.Option(help="where scenes are computed: cpu or cuda:0")] = "cpu",
-    steps: Annotated[int, typer.Option(help="steps that sound, at least, for each scene")] = 2000,
-    known: Annotated[bool, typer.Option("--known", help="scenes as they are, with their load known ahead")] = False,
-    error: Annotated[bool, typer.Option("--error", help="also hold each run against the whole layer")] = False,
-    seed: Annotated[int, typer.Option(help="of what is drawn at random")] = 0,
-    commit: Annotated[str, typer.Option(help="for the head, where no git is [default: git's]")] = "",
+    out: Annotated[Path | None, typer.Option("--out", "--write", help="Markdown file for the table")] = None,
+    device: Annotated[str, typer.Option(help="compute device of the scenes: cpu or cuda:0")] = "cpu",
+    steps: Annotated[int, typer.Option(help="least number of steps with sound for each scene")] = 2000,
+    known: Annotated[bool, typer.Option("--known", help="run scenes unchanged, with predicted loads")] = False,
+    error: Annotated[bool, typer.Option("--error", help="also compare each run with the full wedge model")] = False,
+    seed: Annotated[int, typer.Option(help="seed of the random numbers")] = 0,
+    commit: Annotated[str, typer.Option(help="commit named in the head of the report [default: from git]")] = "",
 ) -> None:
     """Speed of whole scenes, and with --error their error beside it, as a markdown table.
 

@@ -11,18 +11,19 @@ from palmfield.errors import DeviceError, unwritable
 
 
 def board(
-    name: Annotated[str, typer.Argument(help="which board (see `palmfield boards`)", metavar="BOARD")],
-    virtual: Annotated[bool, typer.Option("--virtual", help="start one that is not there and print its port")] = False,
-    by: Annotated[str, typer.Option(help="pty (a pseudo-terminal) or tcp")] = "pty",
-    tcp_port: Annotated[int, typer.Option(help="with --by tcp; 0 for any that is free")] = 0,
-    duration: Annotated[float | None, typer.Option(help="end after so long [s] [default: at Ctrl-C]")] = None,
-    drop: Annotated[float, typer.Option(help="share of bytes that are lost")] = 0.0,
-    flip: Annotated[float, typer.Option(help="share of bytes of which a bit is turned")] = 0.0,
+    name: Annotated[str, typer.Argument(help="name of the board (see `palmfield boards`)", metavar="BOARD")],
+    virtual: Annotated[bool, typer.Option("--virtual", help="start a virtual board and print its port")] = False,
+    by: Annotated[str, typer.Option(help="kind of port: pty (a pseudo-terminal) or tcp")] = "pty",
+    tcp_port: Annotated[int, typer.Option(help="TCP port, with --by tcp; 0 for any free port")] = 0,
+    duration: Annotated[float | None, typer.Option(help="duration [s] [default: until Ctrl-C]")] = None,
+    drop: Annotated[float, typer.Option(help="share of bytes to drop")] = 0.0,
+    flip: Annotated[float, typer.Option(help="share of bytes in which one bit is flipped")] = 0.0,
     stall: Annotated[
-        tuple[float, float] | None, typer.Option(help="take no bytes from T on for L [s]", metavar="T L")
+        tuple[float, float] | None,
+        typer.Option(help="accept no bytes for L seconds, from time T on [s]", metavar="T L"),
     ] = None,
-    unplug: Annotated[float | None, typer.Option(help="take the port away after so long [s]")] = None,
-    received: Annotated[Path | None, typer.Option(help="write the bytes that came to this file")] = None,
+    unplug: Annotated[float | None, typer.Option(help="remove the port at this time [s]")] = None,
+    received: Annotated[Path | None, typer.Option(help="write the received bytes to this file")] = None,
 ) -> None:
     """A virtual board: takes bytes at the pace of the real one's line, and says what sounded and what it noticed.
 
@@ -62,7 +63,7 @@ def board(
         on = int((abs(made.twin.emitted) > 0.0).sum())
         print(
             f"{played.name}: {len(made.received)} bytes; {frames_in_words(made.emitted)}; {on} of "
-            f"{made.twin.count} transducers sound at the end"
+            f"{made.twin.count} transducers emit at the end"
         )
         for flag in made.flags[:10]:
             print(f"at {flag.time_s:.3f} s {flag.kind}: {flag.text}")

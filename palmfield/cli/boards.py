@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 def boards(
     name: Annotated[str | None, typer.Argument(help="one board", metavar="[BOARD]")] = None,
-    markdown: Annotated[bool, typer.Option(help="as the page docs/boards.md has it")] = False,
+    markdown: Annotated[bool, typer.Option(help="print the page docs/boards.md")] = False,
     as_json: AsJson = False,
 ) -> None:
     """List the boards that play a drive, with their limits; all of one, with what it can't guarantee.
@@ -90,8 +90,8 @@ def as_markdown() -> str:
         if board.exact:
             continue
         lines += ["", f"### {board.name}", "", f"{_capital(board.description)}.", ""]
-        lines.append(f"- When the host dies: {board.when_host_dies}.")
-        lines.append(f"- What it can't guarantee: {board.cannot_guarantee}")
+        lines.append(f"- If the host stops: {board.when_host_dies}.")
+        lines.append(f"- Limits: {board.cannot_guarantee}")
         lines.append(f"- Start: {_bytes(board.start)}. Stop: {_bytes(board.stop)}.")
         if board.keys:
             lines.append(f"- Keys of `palmfield.driver`: {', '.join(f'`{key}`' for key in board.keys)}.")

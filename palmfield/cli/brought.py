@@ -15,7 +15,7 @@ import typer.main
 from palmfield.errors import PalmfieldError
 
 GROUP = "palmfield.commands"
-APART = {"papers": ("palmfield-papers", "Compute what four papers claim, each number beside the paper's")}
+APART = {"papers": ("palmfield-papers", "Reproduce four papers, and print each number next to the published one")}
 """Commands in folders of palmfield's repository that are distributions of their own: which, and what they do."""
 CLONE = Path(__file__).resolve().parents[2]
 
@@ -42,7 +42,7 @@ def _absent(name: str) -> Any:
     distribution, does = APART[name]
     there = (CLONE / name / "pyproject.toml").is_file()
     install = f"pip install -e {CLONE / name}" if there else f"pip install {distribution}"
-    said = f"`palmfield {name}` is a distribution of its own, which is not installed; install it: {install}"
+    said = f"`palmfield {name}` belongs to a separate distribution, which is not installed; install it: {install}"
     return _refused(name, f"{does} (not installed)", said)
 
 

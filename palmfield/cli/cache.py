@@ -8,9 +8,8 @@ cache = typer.Typer(
     name="cache",
     no_args_is_help=True,
     rich_markup_mode=None,
-    help="What earlier runs have left for later ones: small models of the skin and error estimates, in the user's "
-    "cache folder or where PALMFIELD_CACHE says (off: nothing is kept), up to PALMFIELD_CACHE_MB [2048].\n\n"
-    "Example: palmfield cache list",
+    help="List or clear the cache of reduced skin models and error estimates. It lies in the user's cache folder or in "
+    "PALMFIELD_CACHE (off: no cache) and holds up to PALMFIELD_CACHE_MB [2048].\n\nExample: palmfield cache list",
 )
 
 
@@ -24,13 +23,13 @@ def show() -> None:
 
     where, kept = disk.folder(), disk.entries()
     if where is None:
-        print("nothing is kept: PALMFIELD_CACHE is off")
+        print("there is no cache: PALMFIELD_CACHE is off")
         return
     for entry in kept:
         print(f"{entry.size_bytes / 1e6:8.1f} MB  used {_ago(time.time() - entry.used):>9} ago  {entry.path.name}")
     total = sum(entry.size_bytes for entry in kept)
     limit = disk.limit_bytes()
-    print(f"{len(kept)} kept in {where}: {total / 1e6:.1f} MB of {limit / 1e6:.0f} MB")
+    print(f"{len(kept)} entries in {where}: {total / 1e6:.1f} MB of {limit / 1e6:.0f} MB")
 
 
 @cache.command("clear")
@@ -43,7 +42,7 @@ def clear() -> None:
 
     where, kept = disk.folder(), disk.entries()
     if where is None:
-        print("nothing is kept: PALMFIELD_CACHE is off")
+        print("there is no cache: PALMFIELD_CACHE is off")
         return
     total = sum(entry.size_bytes for entry in kept)
     print(f"removed {disk.clear()} from {where}: {total / 1e6:.1f} MB")

@@ -11,12 +11,12 @@ calibrate = typer.Typer(
     name="calibrate",
     no_args_is_help=True,
     rich_markup_mode=None,
-    help="Measure what a real array does, and write it into a file that scenes and boards take.\n\n"
-    "Each measurement is a CSV file of readings and adds its part to the calibration (docs/calibration.md). Begin with "
-    "`palmfield calibrate kinds`, or without an array with `palmfield calibrate rehearse trial`.\n\n"
-    "Example: palmfield calibrate add elements readings.csv board.json --layout sonicsurface --source 'our lab'",
+    help="Calibrate a real array, and write the result to a file for scenes and boards.\n\nEach measurement is a CSV "
+    "file of readings and adds one part to the calibration (docs/calibration.md). Begin with `palmfield calibrate "
+    "kinds`, or, without an array, with `palmfield calibrate rehearse trial`.\n\nExample: palmfield calibrate add "
+    "elements readings.csv board.json --layout sonicsurface --source 'our lab'",
 )
-Layout = Annotated[str | None, typer.Option(help="the array, where the calibration is new (docs/arrays.md)")]
+Layout = Annotated[str | None, typer.Option(help="layout of the array, for a new calibration (docs/arrays.md)")]
 
 
 @calibrate.command("kinds")
@@ -35,24 +35,28 @@ def kinds() -> None:
 
 @calibrate.command("add")
 def add(
-    kind: Annotated[str, typer.Argument(help="of the measurement: see `palmfield calibrate kinds`", metavar="KIND")],
+    kind: Annotated[str, typer.Argument(help="kind of measurement, see `palmfield calibrate kinds`", metavar="KIND")],
     readings: Annotated[Path, typer.Argument(help="CSV file", metavar="READINGS.csv")],
-    board: Annotated[Path, typer.Argument(help="the calibration, made if it is not there", metavar="BOARD.json")],
+    board: Annotated[Path, typer.Argument(help="calibration file; created if it does not exist", metavar="BOARD.json")],
     layout: Layout = None,
-    source: Annotated[str, typer.Option(help="who measured when, and with what")] = "",
+    source: Annotated[str, typer.Option(help="who measured, when, and with which instrument")] = "",
     focus: Annotated[
-        tuple[float, float, float] | None, typer.Option(help="that the board was told to make [m]", metavar="X Y Z")
+        tuple[float, float, float] | None, typer.Option(help="focus that was commanded [m]", metavar="X Y Z")
     ] = None,
-    plate: Annotated[tuple[float, float] | None, typer.Option(help="sides of the plate [m]", metavar="X Y")] = None,
-    level: Annotated[float, typer.Option(help="pressure relative to full drive at which it sounded")] = 1.0,
+    plate: Annotated[
+        tuple[float, float] | None, typer.Option(help="side lengths of the plate [m]", metavar="X Y")
+    ] = None,
+    level: Annotated[float, typer.Option(help="drive level during the measurement, relative to full drive")] = 1.0,
     temperature: Annotated[float, typer.Option(help="of the air [C]")] = 20.0,
     humidity: Annotated[float, typer.Option(help="of the air [%]")] = 50.0,
-    pressure: Annotated[float, typer.Option(help="of the air [Pa]")] = 101325.0,
+    pressure: Annotated[float, typer.Option(help="static pressure of the air [Pa]")] = 101325.0,
     microphone_error: Annotated[
-        float, typer.Option(help="of the microphone's own calibration, 95 %, relative (0.12 is 1 dB)")
+        float, typer.Option(help="relative uncertainty of the microphone's calibration, 95 % (0.12 is 1 dB)")
     ] = 0.12,
-    place_sd: Annotated[float, typer.Option(help="standard deviation of the microphone's places by axis [m]")] = 1e-3,
-    temperature_sd: Annotated[float, typer.Option(help="standard deviation of the temperature [K]")] = 1.0,
+    place_sd: Annotated[
+        float, typer.Option(help="standard deviation of the microphone's position per axis [m]")
+    ] = 1e-3,
+    temperature_sd: Annotated[float, typer.Option(help="standard deviation of the air temperature [K]")] = 1.0,
 ) -> None:
     """Put what readings say into a calibration, and print it with its uncertainty.
 
@@ -68,7 +72,7 @@ def add(
 
     if kind not in MEASUREMENTS:
         raise SceneError(
-            f"kind '{kind}' is not known{did_you_mean(kind, MEASUREMENTS)}; allowed: {', '.join(MEASUREMENTS)}"
+            f"kind '{kind}' is unknown{did_you_mean(kind, MEASUREMENTS)}; allowed: {', '.join(MEASUREMENTS)}"
         )
     air = Air(temperature, humidity, pressure)
     check(air)
@@ -80,7 +84,7 @@ def add(
 
 @calibrate.command("import")
 def import_(
-    file: Annotated[Path, typer.Argument(help="the vendor's file of an OpenMPD board", metavar="BOARD_N.pat")],
+    file: Annotated[Path, typer.Argument(help="vendor's file of an OpenMPD board", metavar="BOARD_N.pat")],
     board: Annotated[Path, typer.Argument(help="the new calibration", metavar="BOARD.json")],
 ) -> None:
     """Write a vendor's file of one OpenMPD board (pins, phases, polarities) as a calibration.
@@ -98,16 +102,17 @@ def import_(
 def sound(
     board: Annotated[str, typer.Argument(help="which board (see `palmfield boards`)", metavar="BOARD")],
     port: Annotated[str | None, typer.Option(help="of the board")] = None,
-    record: Annotated[Path | None, typer.Option(help="file for the bytes instead")] = None,
+    record: Annotated[Path | None, typer.Option(help="write the bytes to this file instead")] = None,
     element: Annotated[
-        list[int] | None, typer.Option(help="by number from 0, in the layout's order; may be repeated [default: all]")
+        list[int] | None,
+        typer.Option(help="transducer number from 0, in the layout's order; may be repeated [default: all]"),
     ] = None,
-    dwell: Annotated[float, typer.Option(help="how long each sounds [s]")] = 0.5,
+    dwell: Annotated[float, typer.Option(help="duration of each transducer [s]")] = 0.5,
     pause: Annotated[float, typer.Option(help="silence before each [s]")] = 0.2,
-    times: Annotated[Path, typer.Option(help="CSV file of element, from_s, to_s, to cut a recording by")] = Path(
+    times: Annotated[Path, typer.Option(help="CSV file of element, from_s, to_s, for cutting a recording")] = Path(
         "sounding.csv"
     ),
-    log: Annotated[Path | None, typer.Option(help="file of what was sent when")] = None,
+    log: Annotated[Path | None, typer.Option(help="log file of the frames sent and their times")] = None,
 ) -> None:
     """Sound one transducer after the other at full drive, as they are wired: what kind `elements` is measured on.
 
@@ -129,7 +134,7 @@ def sound(
 def show(
     board: Annotated[Path, typer.Argument(help="the calibration", metavar="BOARD.json")],
     png: Annotated[
-        Path | None, typer.Option(help="draw phase, polarity and gain over the board", metavar="FILE")
+        Path | None, typer.Option(help="plot phase, polarity and gain over the board", metavar="FILE")
     ] = None,
 ) -> None:
     """Say what a calibration holds and what is missing, and draw it.
@@ -145,8 +150,8 @@ def show(
 @calibrate.command("rehearse")
 def rehearse(
     folder: Annotated[Path, typer.Argument(help="for the files", metavar="DIR")],
-    layout: Annotated[str, typer.Option(help="the array (docs/arrays.md)")] = "sonicsurface",
-    seed: Annotated[int, typer.Option(help="of what is drawn at random")] = 0,
+    layout: Annotated[str, typer.Option(help="layout of the array (docs/arrays.md)")] = "sonicsurface",
+    seed: Annotated[int, typer.Option(help="seed of the random numbers")] = 0,
 ) -> None:
     """Write readings of an imaginary board, and truth.json, what it is like, to try a calibration without an array.
 

@@ -12,31 +12,36 @@ from palmfield.cli.options import AsJson, RunFolder
 def compare(
     context: typer.Context,
     run: RunFolder,
-    measured: Annotated[Path, typer.Argument(help="file of a scan (docs/compare.md)", metavar="MEASURED")],
+    measured: Annotated[Path, typer.Argument(help="file of the measured scan (docs/compare.md)", metavar="MEASURED")],
     instrument: Annotated[
-        Path | None, typer.Option(help="how it was measured: TOML file with a table [vibrometer]", metavar="FILE.toml")
+        Path | None,
+        typer.Option(help="settings of the instrument: TOML file with a table [vibrometer]", metavar="FILE.toml"),
     ] = None,
-    skin: Annotated[str | None, typer.Option(help="which skin, where the run has several", metavar="NAME")] = None,
+    skin: Annotated[str | None, typer.Option(help="name of the skin, if the run has several", metavar="NAME")] = None,
     fiducials: Annotated[
         Path | None,
-        typer.Option(help="points of the scan and where they are on the skin: x_m ... skin_z_m", metavar="FILE.csv"),
+        typer.Option(
+            help="CSV file of points of the scan and their positions on the skin: x_m ... skin_z_m", metavar="FILE.csv"
+        ),
     ] = None,
     as_placed: Annotated[
-        bool, typer.Option("--as-placed", help="leave the scan where the file or fiducials put it")
+        bool, typer.Option("--as-placed", help="keep the position given by the file or the fiducials")
     ] = False,
-    most_delay: Annotated[float, typer.Option(help="delays are sought within plus and minus this [s]")] = 5e-3,
-    out: Annotated[Path | None, typer.Option(help="folder for the report [default: DIR/compare]")] = None,
+    most_delay: Annotated[float, typer.Option(help="largest delay to search, plus or minus [s]")] = 5e-3,
+    out: Annotated[Path | None, typer.Option(help="folder of the report [default: DIR/compare]")] = None,
     mode: Annotated[
-        float | None, typer.Option(help="fit the guided mode of both scans at this frequency", metavar="HZ")
+        float | None, typer.Option(help="fit the guided mode of both scans at this frequency [Hz]", metavar="HZ")
     ] = None,
     source: Annotated[
         tuple[float, float, float] | None,
-        typer.Option(help="of the mode, on the skin [m] [default: where ours moves most]", metavar="X Y Z"),
+        typer.Option(
+            help="source of the mode on the skin [m] [default: point of the largest computed motion]", metavar="X Y Z"
+        ),
     ] = None,
     source_radius: Annotated[
-        float, typer.Option(help="left out about the source [m]: 1.5 times the spot's width")
+        float, typer.Option(help="radius around the source that the fit excludes [m]: 1.5 times the spot's width")
     ] = 0.016,
-    as_uff: Annotated[bool, typer.Option("--as-uff", help="write ours as computed.uff too")] = False,
+    as_uff: Annotated[bool, typer.Option("--as-uff", help="also write the computed scan as computed.uff")] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="replace another comparison in the folder")] = False,
     as_json: AsJson = False,
 ) -> None:

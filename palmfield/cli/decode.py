@@ -11,13 +11,17 @@ from palmfield.cli.options import BoardOfBytes, SentFile
 def decode(
     file: SentFile,
     board: BoardOfBytes = None,
-    layout: Annotated[str | None, typer.Option(help="of raw bytes: the array's layout [default: the board's]")] = None,
+    layout: Annotated[
+        str | None, typer.Option(help="for raw bytes: layout of the array [default: the board's]")
+    ] = None,
     calibration: Annotated[
         Path | None,
-        typer.Option(help="file of what the transducers do [default: as the log's scene knew them]", metavar="FILE"),
+        typer.Option(
+            help="calibration file of the transducers [default: the calibration of the logged scene]", metavar="FILE"
+        ),
     ] = None,
     png: Annotated[Path | None, typer.Option(help="draw the foci", metavar="FILE")] = None,
-    csv: Annotated[Path | None, typer.Option(help="write all foci as a table", metavar="FILE")] = None,
+    csv: Annotated[Path | None, typer.Option(help="CSV file for the table of all foci", metavar="FILE")] = None,
 ) -> None:
     """Show the foci that bytes really make: through the board's virtual twin, fitted to what it emits.
 

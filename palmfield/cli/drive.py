@@ -27,15 +27,15 @@ def drive(
     context: typer.Context,
     scene: Annotated[Path | None, typer.Argument(help="scene to play", metavar="[SCENE.xml]")] = None,
     focus: Annotated[
-        tuple[float, float, float] | None, typer.Option(help="a still focus in the array frame [m]", metavar="X Y Z")
+        tuple[float, float, float] | None, typer.Option(help="stationary focus in the array frame [m]", metavar="X Y Z")
     ] = None,
     board: BoardName = None,
     live: Annotated[
         str | None,
         typer.Option(
             metavar="[HOST:]PORT",
-            help="play foci that come in here, a line of JSON each (docs/boards.md), by udp or with tcp:[HOST:]PORT, "
-            "until Ctrl-C or for --duration; --focus is then in the frame of the poses that come",
+            help="play foci received at this port, one JSON line each (docs/boards.md), by UDP or with tcp:[HOST:]PORT "
+            "by TCP, until Ctrl-C or for --duration; --focus is then in the frame of the received poses",
         ),
     ] = None,
     port: Annotated[
@@ -43,18 +43,19 @@ def drive(
     ] = None,
     record: Annotated[Path | None, typer.Option(help="write the bytes to this file instead")] = None,
     log: Annotated[
-        Path | None, typer.Option(help="write what was sent when to this file, for decode and replay")
+        Path | None, typer.Option(help="log the frames sent and their times in this file, for decode and replay")
     ] = None,
-    duration: Annotated[float | None, typer.Option(help="how long to play [s] [default: the scene's, or 10]")] = None,
+    duration: Annotated[float | None, typer.Option(help="duration [s] [default: the scene's, or 10]")] = None,
     keys: Keys = None,
     level: Annotated[float, typer.Option(help="with --focus: amplitude of all transducers, 0 to 1")] = 1.0,
     am_frequency: Annotated[
-        float, typer.Option(help="with --focus: sine between silence and the level [Hz]; 0 for none")
+        float,
+        typer.Option(help="with --focus: frequency of sinusoidal AM between silence and the level [Hz]; 0 for none"),
     ] = 0.0,
     layout: Annotated[
         str | None,
         typer.Option(
-            help="with --focus: of the array, of those that the board drives [default: its first], or FILE.csv"
+            help="with --focus: layout of the array, one that the board drives [default: its first], or FILE.csv"
         ),
     ] = None,
     p0: Annotated[
@@ -63,11 +64,11 @@ def drive(
     ] = None,
     calibration: Annotated[
         Path | None,
-        typer.Option(help="with --focus: file of what was measured of the transducers (docs/calibration.md)"),
+        typer.Option(help="with --focus: calibration file of the transducers (docs/calibration.md)"),
     ] = None,
-    temperature: Annotated[float, typer.Option(help="with --focus: of the air [C]")] = 20.0,
-    humidity: Annotated[float, typer.Option(help="with --focus: of the air, relative [%]")] = 50.0,
-    air_pressure: Annotated[float, typer.Option(help="with --focus: of the air [Pa]")] = 101325.0,
+    temperature: Annotated[float, typer.Option(help="with --focus: air temperature [C]")] = 20.0,
+    humidity: Annotated[float, typer.Option(help="with --focus: relative humidity [%]")] = 50.0,
+    air_pressure: Annotated[float, typer.Option(help="with --focus: static pressure of the air [Pa]")] = 101325.0,
 ) -> None:
     """Play a scene, or one focus, on a real board; or record the bytes that it would get.
 
@@ -95,7 +96,8 @@ def drive(
 
     if live is not None and scene is not None:
         raise SceneError(
-            "--live plays foci that come in; a scene follows a live hand by `palmfield trial SCENE --live`"
+            "--live plays received foci and takes no scene; for a scene with a live hand use `palmfield trial "
+            "SCENE --live`"
         )
     if live is None and (scene is None) == (focus is None):
         raise SceneError("`palmfield drive` plays a SCENE.xml, --focus X Y Z, or --live PORT; give one of them")
@@ -114,7 +116,7 @@ def drive(
         host, number, by = address_by(live)
 
         def listening(host: str, number: int) -> None:
-            print(f"listening for foci at {host}:{number} by {by}; Ctrl-C ends it", file=sys.stderr, flush=True)
+            print(f"listening for foci at {host}:{number} by {by}; press Ctrl-C to end", file=sys.stderr, flush=True)
 
         given = LiveInput(host, number, by, focus or (0.0, 0.0, 0.0), on_listening=listening)
         done = play_live(given, board or "sonicsurface", target, duration, sound=sound, keys=own)
@@ -132,9 +134,7 @@ def _refuse_focus_options(context: typer.Context) -> None:
     for name, key in OF_A_FOCUS.items():
         source = context.get_parameter_source(name)
         if source is not None and source.name == "COMMANDLINE":
-            raise SceneError(
-                f"--{name.replace('_', '-')} belongs to --focus; a scene says it itself: use --set {key}=VALUE"
-            )
+            raise SceneError(f"--{name.replace('_', '-')} belongs to --focus; for a scene use --set {key}=VALUE")
 
 
 def show_performance(done: "Performance") -> None:

@@ -9,27 +9,32 @@ experiment = typer.Typer(
     name="experiment",
     no_args_is_help=True,
     rich_markup_mode=None,
-    help="Ask what is felt: play stimuli by a procedure, log every answer, and fit thresholds.\n\n"
-    "An experiment is a TOML file: a scene, the key that is varied, conditions, a task and a procedure "
-    "(docs/experiments.md). The same file serves a person at a real board, a virtual one, and simulated observers.\n\n"
-    "Example: palmfield experiment run threshold.toml --log p01.jsonl --participant p01 --observer simulated",
+    help="Run a psychophysical experiment: play stimuli by a procedure, log every answer, and fit thresholds.\n\nAn "
+    "experiment is a TOML file: a scene, the varied key, conditions, a task and a procedure "
+    "(docs/experiments.md). The same file works with a person at a real board, with a virtual board, and with "
+    "simulated observers.\n\nExample: palmfield experiment run threshold.toml --log p01.jsonl --participant p01 "
+    "--observer simulated",
 )
 
 
 @experiment.command("run")
 def run_command(
-    file: Annotated[Path, typer.Argument(help="the experiment, TOML or JSON", metavar="EXPERIMENT.toml")],
-    log: Annotated[Path, typer.Option(help="where trials are logged; one that is there is gone on with")],
-    participant: Annotated[str, typer.Option(help="who answers, as the log has it")],
+    file: Annotated[Path, typer.Argument(help="file of the experiment, TOML or JSON", metavar="EXPERIMENT.toml")],
+    log: Annotated[Path, typer.Option(help="log file of the trials; an existing log is continued")],
+    participant: Annotated[str, typer.Option(help="name of the participant in the log")],
     observer: Annotated[
-        str, typer.Option(help="keyboard: a person here; simulated: of known threshold; skin: feels the simulated skin")
+        str,
+        typer.Option(
+            help="keyboard: a person at this machine; simulated: an observer with a given threshold; skin: an observer "
+            "of the simulated skin"
+        ),
     ] = "keyboard",
     port: Annotated[
-        str | None, typer.Option(help="of the board: /dev/ttyUSB0, COM3, socket://host:port, autd3:auto")
+        str | None, typer.Option(help="port of the board: /dev/ttyUSB0, COM3, socket://host:port, autd3:auto")
     ] = None,
-    virtual: Annotated[bool, typer.Option("--virtual", help="a virtual board instead, to rehearse")] = False,
+    virtual: Annotated[bool, typer.Option("--virtual", help="use a virtual board, for a rehearsal")] = False,
     board: Annotated[
-        str | None, typer.Option(help="another board than the experiment's or the scene's", metavar="BOARD")
+        str | None, typer.Option(help="board to use in place of that of the experiment or scene", metavar="BOARD")
     ] = None,
 ) -> None:
     """Run an experiment's trials, from the first or from where its log ends.
@@ -62,23 +67,28 @@ def run_command(
             on_trial=None if observer == "keyboard" else told,
         )  # fmt: skip
     except KeyboardInterrupt:
-        screen.print(f"\ninterrupted; what was answered is in {log}, and the same command goes on", markup=False)
+        screen.print(f"\ninterrupted; the answers are saved in {log}; repeat the command to continue", markup=False)
         raise typer.Exit(130) from None
-    state = "finished" if done.finished else "ended early; the same command goes on"
+    state = "finished" if done.finished else "ended early; repeat the command to continue"
     print(f"{log}: {done.trials} trials, {done.new} of them new; {state}")
     print(f"next: palmfield experiment report {log}")
 
 
 @experiment.command("report")
 def report_command(
-    log: Annotated[Path, typer.Argument(help="of `palmfield experiment run`", metavar="LOG.jsonl")],
-    png: Annotated[Path | None, typer.Option(help="draw runs and functions into this file")] = None,
-    shape: Annotated[str, typer.Option(help="of the function: normal, logistic, weibull")] = "normal",
-    lapse: Annotated[float, typer.Option(help="rate of lapses, 0 or more; below 0 it is found by the fit")] = 0.02,
+    log: Annotated[Path, typer.Argument(help="log of `palmfield experiment run`", metavar="LOG.jsonl")],
+    png: Annotated[Path | None, typer.Option(help="plot the runs and the psychometric functions to this file")] = None,
+    shape: Annotated[str, typer.Option(help="shape of the function: normal, logistic, weibull")] = "normal",
+    lapse: Annotated[
+        float, typer.Option(help="lapse rate, 0 or more; a value below 0 lets the fit estimate it")
+    ] = 0.02,
     spread: Annotated[
-        float | None, typer.Option(help="of the function, where it is known: dB of a scale of ratios [default: found]")
+        float | None,
+        typer.Option(
+            help="spread of the function, if known; in dB for a logarithmic scale [default: estimated by the fit]"
+        ),
     ] = None,
-    confidence: Annotated[float, typer.Option(help="of the intervals, between 0 and 1")] = 0.95,
+    confidence: Annotated[float, typer.Option(help="confidence level of the intervals, between 0 and 1")] = 0.95,
     as_json: Annotated[bool, typer.Option("--json", help="print JSON only, for other programs")] = False,
 ) -> None:
     """Print thresholds by condition with their intervals, of a log that is finished or not, and draw them.

@@ -10,10 +10,14 @@ from palmfield.errors import OutputError, SceneError
 
 def hand(
     mesh: Annotated[Path, typer.Argument(help="GLB, glTF, OBJ, PLY, STL or MANO .pkl file", metavar="MESH")],
-    units: Annotated[str, typer.Option(help="what one unit in the file is: auto, m, dm, cm, mm or in")] = "auto",
-    json: Annotated[Path | None, typer.Option(help="write the card to this file", metavar="FILE")] = None,
-    png: Annotated[Path | None, typer.Option(help="draw the mesh with its faults in colour", metavar="FILE")] = None,
-    mjcf: Annotated[Path | None, typer.Option(help="write bodies for the mesh's joints", metavar="FILE")] = None,
+    units: Annotated[str, typer.Option(help="length unit of the file: auto, m, dm, cm, mm or in")] = "auto",
+    json: Annotated[Path | None, typer.Option(help="write the report card to this file", metavar="FILE")] = None,
+    png: Annotated[
+        Path | None, typer.Option(help="picture of the mesh with its faults in colour", metavar="FILE")
+    ] = None,
+    mjcf: Annotated[
+        Path | None, typer.Option(help="MJCF file of bodies for the joints of the mesh", metavar="FILE")
+    ] = None,
 ) -> None:
     """Report card of a hand's mesh: unit, size, side, faults mended or refused, and the skin layers that it bears.
 

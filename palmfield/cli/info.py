@@ -166,7 +166,7 @@ def _arrays(model: "HapticModel") -> Rows:
             f"m/s, rho {density(air):.3f} kg/m3, absorption {absorption_Np_m(air, carrier_Hz):.3f} Np/m",
         )
     )
-    return [*rows, ("device", f"{model.spec.device} (palmfield_device) computes the fields")]
+    return [*rows, ("device", f"fields are computed on {model.spec.device} (palmfield_device)")]
 
 
 def _estimate(one: "Estimate", unit: str) -> str:

@@ -1,4 +1,4 @@
-"""`palmfield keys`: the scene's keys as text and as the page docs/keys.md, from the configuration models."""
+"""`palmfield keys`: the scene's keys as text and print the page docs/keys.md, from the configuration models."""
 
 import io
 from collections.abc import Sequence
@@ -14,11 +14,11 @@ if TYPE_CHECKING:
     from palmfield.config import Config
 
 HEADINGS = ("key", "unit", "allowed", "default", "meaning")
-RENAMED = "Since the last version; a scene that has these is told what to use."
+RENAMED = "Keys renamed since the last version; a scene with an old name gets an error that states the new one."
 SCENE = "Of the whole scene, as elements of MJCF's <custom>: numeric name=KEY data=VALUE, or text name=KEY data=VALUE."
 SCENE_KEYS = (
-    ("palmfield_duration_s", "s", "numeric, finite number > 0", "0.1", "how long `palmfield run` simulates"),
-    ("palmfield_device", "", "text, auto | cpu | cuda:N", "auto", "where fields are computed; auto: the first GPU"),
+    ("palmfield_duration_s", "s", "numeric, finite number > 0", "0.1", "duration of `palmfield run`"),
+    ("palmfield_device", "", "text, auto | cpu | cuda:N", "auto", "compute device of the fields; auto: the first GPU"),
 )
 """What a scene says outside its plugins; read by palmfield.simulation.scene_reader."""
 
@@ -27,10 +27,10 @@ def keys(
     plugin: Annotated[
         str | None,
         typer.Argument(
-            help="one module, e.g. skin for palmfield.skin", metavar="[PLUGIN]", autocompletion=offered_plugins
+            help="plugin to list, e.g. skin for palmfield.skin", metavar="[PLUGIN]", autocompletion=offered_plugins
         ),
     ] = None,
-    markdown: Annotated[bool, typer.Option(help="as the page docs/keys.md")] = False,
+    markdown: Annotated[bool, typer.Option(help="print the page docs/keys.md")] = False,
     as_json: AsJson = False,
 ) -> None:
     """List every key that a scene can set, with unit, allowed values, default and meaning.
@@ -38,7 +38,7 @@ def keys(
     Example: palmfield keys stimulus
     """
     if as_json and markdown:
-        raise SceneError("--json and --markdown ask for two forms; give one of them")
+        raise SceneError("--json and --markdown exclude each other; give one of them")
     if as_json:
         print_json(as_dict(plugin))
     else:
@@ -119,7 +119,7 @@ def as_markdown() -> str:
 
     lines = ["# Keys of a scene", "", "Made by `palmfield keys --markdown`; do not edit.", ""]
     about = "A key is named INSTANCE.key, or PLUGIN.key for all instances of a plugin, in `--set` and `keys=`. "
-    lines += [f"{about}`--set INSTANCE.key={UNSET}` takes one out, as None does in `keys=`.", ""]
+    lines += [f"{about}`--set INSTANCE.key={UNSET}` removes a key, as None does in `keys=`.", ""]
     for config in CONFIGS:
         lines += _section(config.plugin, config.about, table(config))
     lines += _section("The scene", SCENE.replace("<custom>", "`<custom>`"), SCENE_KEYS)

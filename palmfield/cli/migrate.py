@@ -11,7 +11,7 @@ from palmfield.cli.options import SceneFile
 def migrate(
     scene: SceneFile,
     out: Annotated[Path | None, typer.Option(help="file to write [default: the scene's own]")] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="replace a file that is there")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="replace an existing file")] = False,
 ) -> None:
     """Rewrite a scene of the last version: keys and values that are renamed get their new names.
 
@@ -26,6 +26,6 @@ def migrate(
     result = rewrite(scene, out, overwrite=overwrite)
     for change in result.changes:
         print(change)
-    print(f"wrote {scene if out is None else out}" if result.changes else f"{scene} has nothing that is renamed")
+    print(f"wrote {scene if out is None else out}" if result.changes else f"{scene} contains no renamed keys")
     for other in result.others:
         print(f"it includes {other}, which has renamed keys too: palmfield migrate {other}")

@@ -121,7 +121,7 @@ def write_scene(name: str, where: Path = Path(), stimulus: str | None = None) ->
         raise SceneError(f"scene name '{name}' is not usable; allowed: letters, digits, - and _")
     target = where / name
     if target.exists():
-        raise OutputError(f"{target} exists already; choose another name or move it away")
+        raise OutputError(f"{target} already exists; choose another name, or move it")
     array, hand = (folder("mjcf") / file for file in (ARRAY, HAND))
     parts = {path.name: path.read_text(encoding="utf-8") for path in (array, hand)}
     names = {"name": name, "array": array.name, "hand": hand.name}

@@ -39,20 +39,21 @@ SceneFile = Annotated[Path, typer.Argument(help="MJCF scene with palmfield plugi
 Device = Annotated[
     str | None,
     typer.Option(
-        help="where fields are computed: auto, cpu or cuda:N [default: the scene's palmfield_device, or auto]",
+        help="compute device of the fields: auto, cpu or cuda:N [default: the scene's palmfield_device, or auto]",
         metavar="DEVICE",
     ),
 ]
 Accuracy = Annotated[
-    float | None, typer.Option(help="wanted relative error of the skin displacement, e.g. 0.05", metavar="REL")
+    float | None,
+    typer.Option(help="target accuracy: relative error of the skin displacement, e.g. 0.05", metavar="REL"),
 ]
 Keys = Annotated[
     list[str] | None,
     typer.Option(
         "--set",
-        help="another value for a key of one instance, or of all instances of a plugin, e.g. "
-        "stimulus.path_speed_m_s=11 (see `palmfield keys`); give it several times for several keys. A file that is "
-        "in the current folder is taken from there, others are relative to the scene. The value unset takes a key out",
+        help="set a key of one instance, or of all instances of a plugin, e.g. stimulus.path_speed_m_s=11 (see "
+        "`palmfield keys`); may be repeated. File names are first looked up in the current folder, then relative "
+        "to the scene. The value unset removes a key",
         metavar="INSTANCE.KEY=VALUE",
         autocompletion=offered_settings,
     ),
@@ -60,18 +61,17 @@ Keys = Annotated[
 BoardName = Annotated[
     str | None,
     typer.Option(
-        help="another board than the scene's, with its layout and rate (see `palmfield boards`)", metavar="BOARD"
+        help="board to use in place of the scene's, with its layout and frame rate (see `palmfield boards`)",
+        metavar="BOARD",
     ),
 ]
-AsJson = Annotated[bool, typer.Option("--json", help="print JSON only, with units in the names, for other programs")]
+AsJson = Annotated[bool, typer.Option("--json", help="print only JSON, with units in the names, for other programs")]
 Duration = Annotated[float | None, typer.Option(help="simulated time [s] [default: the scene's]")]
 RunFolder = Annotated[Path, typer.Argument(help="folder of a run, or its result.nc", metavar="DIR")]
-From = Annotated[float | None, typer.Option("--from", help="[ms] [default: the run's begin]")]
-To = Annotated[float | None, typer.Option("--to", help="[ms] [default: the run's end]")]
-SentFile = Annotated[Path, typer.Argument(help="of --log, or raw bytes of --record", metavar="FILE")]
-BoardOfBytes = Annotated[
-    str | None, typer.Option("--board", help="of raw bytes: for which board they are", metavar="BOARD")
-]
+From = Annotated[float | None, typer.Option("--from", help="begin [ms] [default: begin of the run]")]
+To = Annotated[float | None, typer.Option("--to", help="end [ms] [default: end of the run]")]
+SentFile = Annotated[Path, typer.Argument(help="file of --log, or raw bytes of --record", metavar="FILE")]
+BoardOfBytes = Annotated[str | None, typer.Option("--board", help="for raw bytes: name of the board", metavar="BOARD")]
 
 
 def check_duration(duration: float | None) -> None:
@@ -93,8 +93,8 @@ def given_keys(keys: list[str] | None) -> dict[str, str]:
             raise SceneError(f"--set {text} has no value; write INSTANCE.KEY=VALUE, e.g. stimulus.path_speed_m_s=11")
         if not value.strip():
             raise SceneError(
-                f"--set {text} has no value behind the =; write INSTANCE.KEY=VALUE, INSTANCE.KEY={UNSET} to take the "
-                "key out, or leave it out for what the scene has"
+                f"--set {text} has no value after the =; write INSTANCE.KEY=VALUE, or INSTANCE.KEY={UNSET} to "
+                "remove the key, or drop --set to keep the scene's value"
             )
         if name in result:
             raise SceneError(f"--set gives {name} twice, '{result[name]}' and '{value}'; allowed: each key once")

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 SHEET = "kinds.png"
 SPEED = "speed"
 """The kind that is no run's: drawn of a report that a benchmark wrote."""
-ABOUT_SPEED = "speed against error, of a table that palmfield bench skin or field wrote (TABLE.md)"
+ABOUT_SPEED = "speed against error, from a table of palmfield bench skin or field (TABLE.md)"
 
 
 def plot(
@@ -27,26 +27,32 @@ def plot(
     ] = None,
     kinds: Annotated[
         list[str] | None,
-        typer.Argument(help="which, also A,B (see --list) [default: all that the run holds]", metavar="[KIND]..."),
+        typer.Argument(
+            help="kind of plot, or several: A,B (see --list) [default: all that the run allows]", metavar="[KIND]..."
+        ),
     ] = None,
     time_ms: Annotated[
         float | None,
-        typer.Option("--time", help="of maps, field and drives [ms] [default: when most happens]", metavar="MS"),
+        typer.Option(
+            "--time", help="time of maps, field and drives [ms] [default: time of the largest values]", metavar="MS"
+        ),
     ] = None,
     place: Annotated[
         list[str] | None,
         typer.Option(help="point of the skin in the world as the run begins [mm]; may be repeated", metavar="X,Y,Z"),
     ] = None,
     limits: Annotated[
-        str | None, typer.Option(help="ends of the colours or of the axis, in its unit", metavar="LOW,HIGH")
+        str | None, typer.Option(help="limits of the colour scale or axis, in its unit", metavar="LOW,HIGH")
     ] = None,
-    skin: Annotated[str | None, typer.Option(help="which skin, where the run has several", metavar="NAME")] = None,
-    quantity: Annotated[str, typer.Option(help="of the skin's motion: displacement or velocity")] = "displacement",
-    observer: Annotated[str | None, typer.Option(help="of levels [default: each]", metavar="NAME")] = None,
-    suffix: Annotated[str, typer.Option("--format", help="png, svg or pdf")] = "png",
-    out: Annotated[Path | None, typer.Option(help="folder for the pictures [default: DIR/plots]")] = None,
+    skin: Annotated[str | None, typer.Option(help="name of the skin, if the run has several", metavar="NAME")] = None,
+    quantity: Annotated[
+        str, typer.Option(help="quantity of the skin's motion: displacement or velocity")
+    ] = "displacement",
+    observer: Annotated[str | None, typer.Option(help="observer of the levels [default: all]", metavar="NAME")] = None,
+    suffix: Annotated[str, typer.Option("--format", help="file format: png, svg or pdf")] = "png",
+    out: Annotated[Path | None, typer.Option(help="folder of the pictures [default: DIR/plots]")] = None,
     listed: Annotated[
-        bool, typer.Option("--list", help="say which kinds there are; of a run, draw small ones into one")
+        bool, typer.Option("--list", help="list the kinds of plots; with a run, also draw an overview of all")
     ] = False,
     as_json: AsJson = False,
 ) -> None:
@@ -68,7 +74,7 @@ def plot(
         list_kinds(run, out, as_json)
         return
     if run is None:
-        raise SceneError("plot needs DIR, the folder of a run; `palmfield plot --list` says what it can draw")
+        raise SceneError("plot needs DIR, the folder of a run; `palmfield plot --list` lists the kinds of plots")
     asked = asked_for(time_ms, place or (), limits, skin, quantity, observer)
     named = [name for word in kinds or () for name in word.split(",") if name]
     if run.suffix.lower() == ".md" or SPEED in named:
@@ -105,7 +111,7 @@ def list_kinds(run: Path | None, out: Path | None, as_json: bool) -> None:
         return
     for name, words in about.items():
         print(f"{name:12} {words}{' (this run has none)' if name in missing else ''}")
-    print("small pictures of all: " + ("give a run, palmfield plot DIR --list" if sheet is None else f"wrote {sheet}"))
+    print("overview of all plots: " + ("give a run, palmfield plot DIR --list" if sheet is None else f"wrote {sheet}"))
 
 
 def _plot_speed(run: Path, kinds: Sequence[str], asked: "Asked", out: Path | None, suffix: str, as_json: bool) -> None:
@@ -117,10 +123,11 @@ def _plot_speed(run: Path, kinds: Sequence[str], asked: "Asked", out: Path | Non
 
     if run.suffix.lower() != ".md":
         raise OutputError(
-            f"picture '{SPEED}' is of a report in Markdown, not of {run}: palmfield bench skin --out FILE.md"
+            f"picture '{SPEED}' needs a benchmark report in Markdown, not {run}; make one with palmfield bench "
+            "skin --out FILE.md"
         )
     if set(kinds) - {SPEED} or asked != Asked():
-        raise OutputError(f"{run} is a benchmark's report; of that there is picture '{SPEED}' alone, without options")
+        raise OutputError(f"{run} is a benchmark report; allowed: only picture '{SPEED}', without options")
     if suffix not in FORMATS:
         raise OutputError(f"--format has value '{suffix}'; allowed: {', '.join(FORMATS)}")
     figure = speed_picture(run)

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 
-def recover(out: Annotated[Path, typer.Argument(help="folder of a run that was cut off", metavar="DIR")]) -> None:
+def recover(out: Annotated[Path, typer.Argument(help="folder of an interrupted run", metavar="DIR")]) -> None:
     """Assemble the results of a run that was cut off into DIR/result.nc, marked incomplete, and draw its pictures.
 
     Example: palmfield recover out/palm

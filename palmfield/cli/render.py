@@ -13,16 +13,19 @@ from palmfield.errors import OutputError
 def render(
     context: typer.Context,
     run: RunFolder,
-    video: Annotated[Path, typer.Option(help="the film to write, an MP4", metavar="FILE.mp4")],
+    video: Annotated[Path, typer.Option(help="MP4 file to write", metavar="FILE.mp4")],
     start_ms: From = None,
     end_ms: To = None,
-    slow: Annotated[float, typer.Option(help="times slower than it was: at 200 a second of film is 5 ms")] = 200.0,
+    slow: Annotated[float, typer.Option(help="slow-motion factor: with 200, one second of film shows 5 ms")] = 200.0,
     magnify: Annotated[
-        float | None, typer.Option(help="of the motion [default: the largest is seen as about 2 mm]")
+        float | None,
+        typer.Option(help="magnification of the motion [default: the largest displacement appears as about 2 mm]"),
     ] = None,
-    show: Annotated[str, typer.Option(help="the colours: displacement, velocity or arp")] = "displacement",
+    show: Annotated[
+        str, typer.Option(help="quantity shown by the colours: displacement, velocity or arp")
+    ] = "displacement",
     limits: Annotated[
-        str | None, typer.Option(help="ends of the colours, in um, um/s or Pa", metavar="LOW,HIGH")
+        str | None, typer.Option(help="limits of the colour scale, in um, um/s or Pa", metavar="LOW,HIGH")
     ] = None,
     size: Annotated[str, typer.Option(help="[pixels]", metavar="WIDTHxHEIGHT")] = "960x720",
     as_json: AsJson = False,

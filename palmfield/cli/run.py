@@ -27,22 +27,28 @@ LOG = logging.getLogger("palmfield.cli")
 def run(
     context: typer.Context,
     scene: SceneFile,
-    out: Annotated[Path | None, typer.Option(help="folder for the results [default: out/SCENE]")] = None,
+    out: Annotated[Path | None, typer.Option(help="folder of the results [default: out/SCENE]")] = None,
     device: Device = None,
     duration: Duration = None,
     accuracy: Accuracy = None,
     board: BoardName = None,
     keys: Keys = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="replace another run's results in the folder")] = False,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="replace the results of another run in the folder")
+    ] = False,
     plots: Annotated[
         str | None,
-        typer.Option(help="pictures instead of the usual three (see `palmfield plot --list`)", metavar="KIND,..."),
+        typer.Option(
+            help="kinds of plots in place of the usual three (see `palmfield plot --list`)", metavar="KIND,..."
+        ),
     ] = None,
     no_plots: Annotated[bool, typer.Option("--no-plots", help="draw none")] = False,
     details: Annotated[
-        bool, typer.Option("--details", help="print every number, observer and part of the error")
+        bool, typer.Option("--details", help="print all numbers, observers and parts of the error")
     ] = False,
-    strict: Annotated[bool, typer.Option("--strict", help="exit code 3 where the accuracy is not reached")] = False,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="exit with code 3 if the target accuracy is not reached")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Simulate a scene and write result.nc, summary.json, pictures and scene.usdc.
@@ -64,7 +70,7 @@ def run(
 
     check_duration(duration)
     if plots is not None and no_plots:
-        raise SceneError("--plots and --no-plots say the contrary; give one of them")
+        raise SceneError("--plots and --no-plots exclude each other; give one of them")
     kinds = [] if no_plots else None if plots is None else [kind for kind in plots.split(",") if kind]
     given, out = given_keys(keys), out or Path("out") / scene.stem
     with Console(stderr=True, quiet=quiet).status(f"loading {scene}"):
@@ -78,10 +84,10 @@ def run(
         )
     except KeyboardInterrupt as error:
         if hasattr(error, "result"):
-            complain(f"interrupted; what was computed is in {out}; `palmfield recover {out}` draws its pictures")
+            complain(f"interrupted; the partial results are in {out}; `palmfield recover {out}` draws their plots")
         else:
-            old = f"; what is in {out} is an earlier run's" if out.exists() else ""
-            complain(f"interrupted before anything was computed{old}")
+            old = f"; {out} holds the results of an earlier run" if out.exists() else ""
+            complain(f"interrupted before the first step{old}")
         raise typer.Exit(130) from None
     if as_json:
         files = {name: str(path) for name, path in result.files.items()}

@@ -13,11 +13,11 @@ from palmfield.whole_files import whole
 
 def safety(
     scene: SceneFile,
-    out: Annotated[Path | None, typer.Option(help="write the page to this file", metavar="FILE.md")] = None,
-    duration: Annotated[float | None, typer.Option(help="of one play [s] [default: the scene's]")] = None,
+    out: Annotated[Path | None, typer.Option(help="Markdown file for the page", metavar="FILE.md")] = None,
+    duration: Annotated[float | None, typer.Option(help="duration of one play [s] [default: the scene's]")] = None,
     board: BoardName = None,
     keys: Keys = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="replace a file that is there")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="replace an existing file")] = False,
     as_json: AsJson = False,
 ) -> None:
     """One page for an ethics board: levels at head and hand, what is audible, limits, what the board can't promise.
@@ -36,7 +36,7 @@ def safety(
     picture = None if out is None else out.with_suffix(".png")
     for file in (out, picture):
         if file is not None and file.exists() and not overwrite:
-            raise OutputError(f"--out: {file} is there already; give another file, or --overwrite")
+            raise OutputError(f"--out {file}: the file already exists; give another file, or --overwrite")
     view = preview(scene, board=board, keys=given)
     sheet = safety_sheet(view, view.duration_s if duration is None else duration)
     if out is not None and picture is not None:
@@ -46,9 +46,7 @@ def safety(
                 part.write_text(as_markdown(sheet, picture.name), encoding="utf-8")
         except OSError as error:
             raise OutputError(f"--out {out} can't be written: {error.strerror}; give another file") from error
-        title = (
-            f"{Path(sheet.scene).stem} by board {sheet.board.name}: highest levels of a play of {sheet.duration_s:g} s"
-        )
+        title = f"{Path(sheet.scene).stem} on board {sheet.board.name}: highest levels in {sheet.duration_s:g} s"
         draw_levels(title, sheet.maps, sheet.course, picture)
     if as_json:
         print_json(as_dict(sheet))

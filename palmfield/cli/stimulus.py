@@ -12,34 +12,36 @@ stimulus = typer.Typer(
     name="stimulus",
     no_args_is_help=True,
     rich_markup_mode=None,
-    help="Take a stimulus into a scene, or out of one, as a plain table: when the foci are where and how loud.\n\n"
-    "A table is a CSV file with columns t, x, y, z, intensity (x1, y1, ... for several foci) and a head that says its "
-    "frame, rate, units and what the intensities are of (docs/stimuli.md). A .json file is an STM of AUTD3 units.\n\n"
-    "Example: palmfield stimulus export mjcf/scenes/palm_circle.xml circle.csv",
+    help="Import a stimulus into a scene, or export it, as a table of focus positions and intensities over time.\n\nA "
+    "table is a CSV file with columns t, x, y, z, intensity (x1, y1, ... for several foci) and a head with frame, "
+    "rate, units and the quantity of the intensities (docs/stimuli.md). A .json file is an STM of AUTD3 "
+    "units.\n\nExample: palmfield stimulus export mjcf/scenes/palm_circle.xml circle.csv",
 )
 Which = Annotated[
     str | None,
-    typer.Option("--stimulus", help="instance of palmfield.stimulus [default: the only one]", metavar="INSTANCE"),
+    typer.Option("--stimulus", help="name of the stimulus instance [default: the only one]", metavar="INSTANCE"),
 ]
-Overwrite = Annotated[bool, typer.Option("--overwrite", help="replace files that are there")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="replace existing files")]
 SetKeys = Annotated[
     list[str] | None,
-    typer.Option("--set", help="another value for a key, as of `palmfield run`", metavar="INSTANCE.KEY=VALUE"),
+    typer.Option("--set", help="set a key, as in `palmfield run`", metavar="INSTANCE.KEY=VALUE"),
 ]
 
 
 @stimulus.command("import")
 def import_command(
     file: Annotated[Path, typer.Argument(help="table (.csv), or STM of AUTD3 units (.json)", metavar="FILE")],
-    scene: Annotated[Path, typer.Option(help="the scene that it is taken into, which stays as it is", metavar="SCENE")],
+    scene: Annotated[
+        Path, typer.Option(help="scene that receives the stimulus; its file is not changed", metavar="SCENE")
+    ],
     out: Annotated[
         Path | None, typer.Option(help="scene to write, in SCENE's folder [default: SCENE_FILE.xml]", metavar="NEW.xml")
     ] = None,
     which: Which = None,
     site: Annotated[
-        str | None, typer.Option(help="of a table of frame skin: site in whose frame it is", metavar="SITE")
+        str | None, typer.Option(help="for a table with frame skin: the site whose frame it uses", metavar="SITE")
     ] = None,
-    repeat: Annotated[bool, typer.Option("--repeat", help="begin again at the end of the table")] = False,
+    repeat: Annotated[bool, typer.Option("--repeat", help="repeat the table from its beginning when it ends")] = False,
     overwrite: Overwrite = False,
 ) -> None:
     """Write a scene that plays the foci of FILE, and beside it the table that it reads.
@@ -59,7 +61,7 @@ def import_command(
     print(f"{done.scene}: stimulus '{done.stimulus}' plays {done.table.name}: {foci}, {done.rows} rows, "
           f"{done.length_s:g} s")  # fmt: skip
     if done.dropped:
-        print(f"keys that went: {', '.join(done.dropped)}")
+        print(f"removed keys: {', '.join(done.dropped)}")
     print(f"next: palmfield plan {done.scene}")
 
 
@@ -70,14 +72,17 @@ def export_command(
     which: Which = None,
     rate: Annotated[
         float | None,
-        typer.Option(help="samples a second [default: at which the stimulus steps, or 1000]", metavar="HZ"),
+        typer.Option(help="samples per second [default: the step rate of the stimulus, or 1000]", metavar="HZ"),
     ] = None,
     quantity: Annotated[
-        str | None, typer.Option(help="of the intensities: duty, amplitude or arp [default: arp, or a table's own]")
+        str | None,
+        typer.Option(
+            help="quantity of the intensities: duty, amplitude or arp [default: arp, or that of the scene's table]"
+        ),
     ] = None,
-    frame: Annotated[str, typer.Option(help="array, or skin: that of the stimulus's own site")] = "array",
-    duration: Annotated[float | None, typer.Option(help="how long [s] [default: the scene's]")] = None,
-    repeat: Annotated[bool, typer.Option("--repeat", help="of an STM: play it without end")] = False,
+    frame: Annotated[str, typer.Option(help="frame of the table: array, or skin (the site of the stimulus)")] = "array",
+    duration: Annotated[float | None, typer.Option(help="duration [s] [default: the scene's]")] = None,
+    repeat: Annotated[bool, typer.Option("--repeat", help="for an STM: repeat without end")] = False,
     keys: SetKeys = None,
     overwrite: Overwrite = False,
 ) -> None:
@@ -114,7 +119,7 @@ def export_command(
 
 @stimulus.command("standard")
 def standard_command(
-    name: Annotated[str | None, typer.Argument(help="one of them [default: a list of all]", metavar="NAME")] = None,
+    name: Annotated[str | None, typer.Argument(help="name of one stimulus [default: list all]", metavar="NAME")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="for other programs")] = False,
 ) -> None:
     """Show the standard stimuli: what experiments have used, with source, published outcome and keys.
@@ -136,7 +141,7 @@ def standard_command(
         (one,) = shown
         print(f"{one.name}: {one.about}\nsource: {one.source} (read: {one.read})\npublished: {one.published}")
         if one.assumed:
-            print(f"chosen here: {one.assumed}")
-        print(f"played for {one.duration_s:g} s, keys of palmfield.stimulus:")
+            print(f"chosen by palmfield: {one.assumed}")
+        print(f"duration {one.duration_s:g} s, keys of palmfield.stimulus:")
         for key, value in one.texts().items():
             print(f'  <config key="{key}" value="{value}"/>')

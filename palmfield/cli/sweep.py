@@ -23,44 +23,44 @@ def sweep(
         list[str] | None,
         typer.Option(
             "--set",
-            help="values of a key: a:b:n for n numbers from a to b, a:b:n:log for each a fixed factor above the last, "
-            "v1,v2,... for these, one value that all points share, or nothing to take the key out. A vector's numbers "
-            "have spaces between, or are swept one by one as KEY[0], KEY[1], ... Give it several times for several "
-            "keys",
+            help="values of a key: a:b:n for n evenly spaced numbers from a to b, a:b:n:log for logarithmic spacing, "
+            "v1,v2,... for a list, one value for all points, or no value to remove the key. Separate the numbers "
+            "of a vector by spaces, or sweep one component as KEY[0], KEY[1], ... May be repeated for several keys",
             metavar="INSTANCE.KEY=VALUES",
         ),
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="folder for the dataset [default: out/SCENE_sweep]")] = None,
+    out: Annotated[Path | None, typer.Option(help="folder of the dataset [default: out/SCENE_sweep]")] = None,
     random: Annotated[
         int | None, typer.Option(help="N points drawn at random from ranges a:b, a:b:log or v1,v2,...", metavar="N")
     ] = None,
     sobol: Annotated[
-        int | None, typer.Option(help="as --random, but N Sobol points, which fill ranges evenly", metavar="N")
+        int | None, typer.Option(help="like --random, but N Sobol points, which fill the ranges evenly", metavar="N")
     ] = None,
     table: Annotated[
-        Path | None, typer.Option("--list", help="points from a table: keys in its first line", metavar="FILE.csv")
+        Path | None,
+        typer.Option("--list", help="CSV file of the points, with the keys in its first line", metavar="FILE.csv"),
     ] = None,
-    seed: Annotated[int, typer.Option(help="of --random and --sobol: the same points for the same seed")] = 0,
+    seed: Annotated[int, typer.Option(help="seed of --random and --sobol; the same seed gives the same points")] = 0,
     workers: Annotated[
         int | None,
         typer.Option(
-            help="processes on this machine; 0: in this one [default: one a core, up to 8 a GPU]", metavar="N"
+            help="number of worker processes on this machine; 0: run in this process [default: one per core, up to "
+            "8 per GPU]",
+            metavar="N",
         ),
     ] = None,
     scheduler: Annotated[
         str | None,
-        typer.Option(help="use the workers of a Dask scheduler that runs already", metavar="tcp://HOST:PORT"),
+        typer.Option(help="address of a running Dask scheduler whose workers are used", metavar="tcp://HOST:PORT"),
     ] = None,
     device: Device = None,
     accuracy: Accuracy = None,
-    duration: Annotated[
-        float | None, typer.Option(help="simulated time of each point [s] [default: the scene's]")
-    ] = None,
+    duration: Annotated[float | None, typer.Option(help="duration of each point [s] [default: the scene's]")] = None,
     errors: Annotated[
-        bool, typer.Option("--errors", help="estimate each point's error: often longer than its run")
+        bool, typer.Option("--errors", help="estimate the error of each point; this often takes longer than the run")
     ] = False,
     picture: Annotated[bool, typer.Option(help="draw DIR/sweep.png")] = True,
-    yes: Annotated[bool, typer.Option("--yes", help="don't ask before more than 2 GB or an hour")] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="do not ask for confirmation above 2 GB or one hour")] = False,
 ) -> None:
     """Simulate a scene over values of its keys; write one labelled dataset, DIR/sweep.zarr, and a picture.
 
@@ -92,7 +92,7 @@ def sweep(
         )  # fmt: skip
     except KeyboardInterrupt:
         complain(
-            f"interrupted; the points that were done are in {out}; the same command goes on: "
+            f"interrupted; the finished points are in {out}; repeat the command to continue: "
             f"{shlex.join(['palmfield', *sys.argv[1:]])}"
         )
         raise typer.Exit(130) from None
@@ -109,7 +109,7 @@ def in_words(result: "Sweep") -> str:
     for number, reason in result.failed.items():
         reasons.setdefault(reason, []).append(number)
     for reason, numbers in list(reasons.items())[:MOST_REASONS]:
-        lines.append(f"{len(numbers)} failed, the first of them point {numbers[0]}: {reason}")
+        lines.append(f"{len(numbers)} failed; the first is point {numbers[0]}: {reason}")
     if len(reasons) > MOST_REASONS:
         lines.append(f"{len(reasons) - MOST_REASONS} other reasons are in the dataset's `failure`")
     lines += [f"wrote {path}" for path in result.files.values()]

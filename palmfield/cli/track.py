@@ -12,23 +12,23 @@ track = typer.Typer(
     name="track",
     no_args_is_help=True,
     rich_markup_mode=None,
-    help="Hands that a tracker tells of over a socket, one JSON line a sample, by OpenXR's names or by LeapC's "
-    "(docs/trials.md). `palmfield trial SCENE --live PORT` follows them.\n\n"
-    "Example: palmfield track replay seen.npz --to 127.0.0.1:9100",
+    help="Send, record and align hand-tracker samples: one JSON line per sample over a socket, with OpenXR or LeapC "
+    "names (docs/trials.md). `palmfield trial SCENE --live PORT` follows such a hand.\n\nExample: palmfield track "
+    "replay seen.npz --to 127.0.0.1:9100",
 )
-By = Annotated[str, typer.Option(help="udp (a sample a datagram) or tcp (a sample a line)")]
+By = Annotated[str, typer.Option(help="protocol: udp (one sample per datagram) or tcp (one sample per line)")]
 
 
 @track.command("replay")
 def replay(
-    file: Annotated[Path, typer.Argument(help="a recorded stream, CSV or NPZ (docs/motion.md)", metavar="FILE")],
+    file: Annotated[Path, typer.Argument(help="recorded stream, CSV or NPZ (docs/motion.md)", metavar="FILE")],
     to: Annotated[str, typer.Option(help="who listens", metavar="HOST:PORT")],
     by: By = "udp",
     convention: Annotated[str, typer.Option(help="names, units and frames of the samples: openxr or leapc")] = "openxr",
-    speed: Annotated[float, typer.Option(help="2 for twice as fast")] = 1.0,
-    repeat: Annotated[int, typer.Option(help="how often, one after the other")] = 1,
+    speed: Annotated[float, typer.Option(help="playback speed; 2 is twice as fast")] = 1.0,
+    repeat: Annotated[int, typer.Option(help="number of repetitions")] = 1,
     stamp: Annotated[
-        bool, typer.Option("--stamp", help="samples bear the time of their sending on this machine's monotonic clock")
+        bool, typer.Option("--stamp", help="time-stamp samples when they are sent, by this machine's monotonic clock")
     ] = False,
 ) -> None:
     """Send a recorded hand in real time to what listens for a tracker.
@@ -51,10 +51,10 @@ def replay(
 @track.command("record")
 def record(
     out: Annotated[Path, typer.Argument(help="CSV or NPZ file to write", metavar="FILE")],
-    at: Annotated[str, typer.Option(help="where samples come in", metavar="[HOST:]PORT")] = "9100",
+    at: Annotated[str, typer.Option(help="address that receives the samples", metavar="[HOST:]PORT")] = "9100",
     by: By = "udp",
-    duration: Annotated[float, typer.Option(help="from the first sample on [s]; Ctrl-C ends it earlier")] = 10.0,
-    wait: Annotated[float, typer.Option(help="for the first sample [s]")] = 30.0,
+    duration: Annotated[float, typer.Option(help="duration from the first sample [s]; Ctrl-C ends it earlier")] = 10.0,
+    wait: Annotated[float, typer.Option(help="longest wait for the first sample [s]")] = 30.0,
 ) -> None:
     """Listen for a tracker, and write what it tells; bad samples are told and left out.
 
@@ -77,7 +77,10 @@ def record(
         for line in (listener.report(), *listener.told):
             print(line)
         if listener.taken < 2:
-            raise SceneError(f"{listener.taken} good samples came within {wait:g} s; two or more are needed")
+            raise SceneError(
+                f"only {listener.taken} valid samples arrived within {wait:g} s; needed: 2 or more; check the "
+                "address and the format of the tracker"
+            )
         write_stream(out, listener.stream())
         print(f"wrote {out}")
         listener.check()
@@ -86,7 +89,10 @@ def record(
 @track.command("align")
 def align(
     points: Annotated[
-        Path, typer.Argument(help="CSV: array_x_m, array_y_m, array_z_m, tracker_x_m, ... of touches", metavar="POINTS")
+        Path,
+        typer.Argument(
+            help="CSV file of touched points: array_x_m, array_y_m, array_z_m, tracker_x_m, ...", metavar="POINTS"
+        ),
     ],
     out: Annotated[Path, typer.Argument(help="JSON file to write", metavar="OUT.json")],
 ) -> None:
@@ -111,9 +117,9 @@ def align(
 @track.command("latency")
 def latency(
     scene: Annotated[
-        Path | None, typer.Argument(help="scene with a hand that is moved [default: follow_fingertip, unmodulated]")
+        Path | None, typer.Argument(help="scene with a moving hand [default: follow_fingertip, unmodulated]")
     ] = None,
-    board: Annotated[str | None, typer.Option(help="another board than the scene's", metavar="BOARD")] = None,
+    board: Annotated[str | None, typer.Option(help="board to use in place of the scene's", metavar="BOARD")] = None,
     seconds: Annotated[float, typer.Option(help="how long [s]")] = 5.0,
     rate: Annotated[float, typer.Option(help="samples a second")] = 90.0,
     by: By = "udp",

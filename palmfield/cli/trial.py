@@ -18,52 +18,62 @@ if TYPE_CHECKING:
 def trial(
     context: typer.Context,
     scene: SceneFile,
-    out: Annotated[Path | None, typer.Option(help="folder for the results [default: out/SCENE_trial]")] = None,
+    out: Annotated[Path | None, typer.Option(help="folder of the results [default: out/SCENE_trial]")] = None,
     board: BoardName = None,
     port: Annotated[
         str | None,
         typer.Option(
-            help="of a real board, or `virtual` for one that is paced in real time [default: the board's twin, without "
-            "waiting: quick, and the same each time]"
+            help="port of a real board, or `virtual` for a virtual board in real time [default: the virtual twin "
+            "without waiting: fast and reproducible]"
         ),
     ] = None,
-    duration: Annotated[float | None, typer.Option(help="how long [s] [default: the scene's]")] = None,
+    duration: Annotated[float | None, typer.Option(help="duration [s] [default: the scene's]")] = None,
     motion: Annotated[
         Path | None,
-        typer.Option(help="a recorded motion instead of the scene's: a table of poses, or a tracker's stream"),
+        typer.Option(help="recorded motion in place of the scene's: a table of poses, or a tracker stream"),
     ] = None,
     live: Annotated[
         str | None,
         typer.Option(
-            help="follow a hand whose samples come in here, in place of the scene's motion (see `palmfield track`), by "
-            "udp or with tcp:[HOST:]PORT; always in real time",
+            help="follow a tracked hand whose samples arrive at this port, in place of the scene's motion (see "
+            "`palmfield track`), by UDP or with tcp:[HOST:]PORT by TCP; always in real time",
             metavar="[HOST:]PORT",
         ),
     ] = None,
     align: Annotated[
-        Path | None, typer.Option(help="with --live: file of `palmfield track align`, where the tracker stands")
+        Path | None, typer.Option(help="with --live: pose of the tracker, file of `palmfield track align`")
     ] = None,
-    tracker_rate: Annotated[float, typer.Option(help="samples a second; 0 for one whenever a frame is made")] = 90.0,
-    tracker_latency: Annotated[float, typer.Option(help="from a sample's moment until it is there [ms]")] = 10.0,
-    tracker_noise: Annotated[float, typer.Option(help="of each coordinate, standard deviation [mm]")] = 0.0,
+    tracker_rate: Annotated[
+        float, typer.Option(help="tracker samples per second; 0: one sample for each frame")
+    ] = 90.0,
+    tracker_latency: Annotated[
+        float, typer.Option(help="latency of the tracker: age of a sample when it arrives [ms]")
+    ] = 10.0,
+    tracker_noise: Annotated[
+        float, typer.Option(help="tracker noise: standard deviation of each coordinate [mm]")
+    ] = 0.0,
     ahead: Annotated[
         str,
         typer.Option(
-            help="how far beyond its last sample the hand is predicted [ms]; 0: not at all; auto: to the middle of the "
-            "time in which a frame will sound"
+            help="prediction time beyond the last sample [ms]; 0: no prediction; auto: to the middle of the time that "
+            "the frame sounds"
         ),
     ] = "auto",
     truth: Annotated[
         Path | None,
-        typer.Option(help="calibration file of what the transducers really do, where the scene says otherwise"),
+        typer.Option(help="calibration file of the true transducers, if they differ from the scene's"),
     ] = None,
     recording: Annotated[
         Path | None,
-        typer.Option(help="a microphone's or vibrometer's CSV file to hold the trial against (docs/trials.md)"),
+        typer.Option(
+            help="CSV file of a microphone or vibrometer recording to compare with the trial (docs/trials.md)"
+        ),
     ] = None,
-    skin: Annotated[bool, typer.Option(help="step the skin, with and without what is lost")] = True,
+    skin: Annotated[bool, typer.Option(help="compute the skin's motion, with and without these losses")] = True,
     keys: Keys = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="replace another trial in the folder")] = False,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="replace the results of another trial in the folder")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Close the loop: tracker, focus, bytes, board, and the sound where the hand really is by then.

@@ -15,46 +15,48 @@ def usd(
     run: Annotated[Path | None, typer.Argument(help="folder of a run, or its result.nc", metavar="[DIR]")] = None,
     out: Annotated[
         Path | None,
-        typer.Option(help="the scene to write, .usdc, .usda or .usdz [default: DIR/scene.usdc]", metavar="FILE"),
+        typer.Option(help="file to write: .usdc, .usda or .usdz [default: DIR/scene.usdc]", metavar="FILE"),
     ] = None,
     colour: Annotated[
         str,
-        typer.Option(help="what skins are coloured by (see --list), or none"),
+        typer.Option(help="quantity shown by the colours of the skins (see --list), or none"),
     ] = "normal_displacement",
     limits: Annotated[
-        str | None, typer.Option(help="ends of the colours, in m, m/s, Pa or dB", metavar="LOW,HIGH")
+        str | None, typer.Option(help="limits of the colour scale, in m, m/s, Pa or dB", metavar="LOW,HIGH")
     ] = None,
     magnify: Annotated[
         float | None,
         typer.Option(
-            help="of the motion in the variant 'magnified'; 0 for no such variant [default: the largest is seen as "
-            "about 2 mm, if it takes 8 MB or less]"
+            help="magnification of the motion in the variant 'magnified'; 0 for no such variant [default: the largest "
+            "displacement appears as about 2 mm, if the variant takes 8 MB or less]"
         ),
     ] = None,
     quantities: Annotated[
-        str | None, typer.Option(help="which are written as primvars [default: all]", metavar="NAME,...")
+        str | None, typer.Option(help="quantities written as primvars [default: all]", metavar="NAME,...")
     ] = None,
     start_ms: From = None,
     end_ms: To = None,
-    frames: Annotated[int, typer.Option(help="at most so many time codes; others of the run are left out")] = 600,
+    frames: Annotated[
+        int, typer.Option(help="largest number of time codes; further ones of the run are omitted")
+    ] = 600,
     field: Annotated[
-        list[str] | None, typer.Option(help="slice, points or isosurface of the sound; may be repeated")
+        list[str] | None, typer.Option(help="sound field to write: slice, points or isosurface; may be repeated")
     ] = None,
     field_ms: Annotated[
         list[float] | None,
-        typer.Option("--field-time", help="when [ms]; may be repeated [default: when the array is loudest]"),
+        typer.Option(
+            "--field-time", help="time of the sound field [ms]; may be repeated [default: time of the highest drive]"
+        ),
     ] = None,
     level_Pa: Annotated[
         float | None,
         typer.Option(
-            "--level", help="of the isosurface, and from where on there are points [Pa] [default: half of most]"
+            "--level", help="level of the isosurface and lowest level of the points [Pa] [default: half of the maximum]"
         ),
     ] = None,
-    observer: Annotated[str, typer.Option(help="of the level above threshold")] = "bolanowski_1988",
-    check: Annotated[bool, typer.Option("--check", help="run all of USD's validators on the file")] = False,
-    listed: Annotated[
-        bool, typer.Option("--list", help="say what skins can be coloured by, and write nothing")
-    ] = False,
+    observer: Annotated[str, typer.Option(help="observer of the level above threshold")] = "bolanowski_1988",
+    check: Annotated[bool, typer.Option("--check", help="check the file with all USD validators")] = False,
+    listed: Annotated[bool, typer.Option("--list", help="list the quantities for --colour, and write no file")] = False,
     as_json: AsJson = False,
 ) -> None:
     """Write a run as a USD scene for usdview, Blender or Omniverse: hands, skins, arrays, foci, field, rigid bodies.
@@ -77,9 +79,7 @@ def usd(
         _list_quantities(as_json)
         return
     if run is None:
-        raise SceneError(
-            "usd needs DIR, the folder of a run; `palmfield usd --list` says what skins can be coloured by"
-        )
+        raise SceneError("usd needs DIR, the folder of a run; `palmfield usd --list` lists the quantities for --colour")
     start, end = (None if at is None else 1e-3 * at for at in (start_ms, end_ms))
     shown = Shown(
         colour=colour, limits=asked_for(None, (), limits, None, "displacement", None).limits, magnify=magnify,
@@ -100,7 +100,7 @@ def usd(
         for line in findings:
             print(line)
         if check and not findings:
-            print("USD's validators find nothing")
+            print("the USD validators report no errors")
     if findings:
         raise typer.Exit(4)
 

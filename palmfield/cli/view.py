@@ -13,9 +13,7 @@ from palmfield.errors import SceneError
 def view(
     context: typer.Context,
     scene: SceneFile,
-    out: Annotated[
-        Path | None, typer.Option(help="folder in which recordings are made [default: out/view_SCENE]")
-    ] = None,
+    out: Annotated[Path | None, typer.Option(help="folder of the recordings [default: out/view_SCENE]")] = None,
     device: Device = None,
     accuracy: Accuracy = None,
     board: BoardName = None,
@@ -23,19 +21,21 @@ def view(
     modes: Annotated[
         bool,
         typer.Option(
-            "--modes", help="skins move by modes for any sound, so that sliders act at once; made once, in minutes"
+            "--modes",
+            help="compute skins with modes for any sound, so that sliders act at once; building the modes takes "
+            "minutes, once",
         ),
     ] = False,
     host: Annotated[
-        str, typer.Option(help="address to listen at; another than this machine's own gets a token")
+        str, typer.Option(help="address to listen at; addresses reachable from other machines need a token")
     ] = "127.0.0.1",
     port: Annotated[
-        int | None, typer.Option(min=1, max=65535, help="[default: the first free one from 8080 on]")
+        int | None, typer.Option(min=1, max=65535, help="port of the page [default: the first free port from 8080 on]")
     ] = None,
     rate: Annotated[
-        float | None, typer.Option(help="pictures a second [default: 15, on a GPU 30]", metavar="HZ")
+        float | None, typer.Option(help="pictures per second [default: 15, on a GPU 30]", metavar="HZ")
     ] = None,
-    pace: Annotated[str, typer.Option(help="at most so many simulated seconds in a second, or max", metavar="X")] = "1",
+    pace: Annotated[str, typer.Option(help="largest speed in simulated seconds per second, or max", metavar="X")] = "1",
     browser: Annotated[bool, typer.Option("--browser", help="open the page in the default browser")] = False,
 ) -> None:
     """Run a scene and watch it in the browser: hand, array, sound and motion on the skin, level above threshold.
@@ -52,12 +52,14 @@ def view(
     from palmfield.studies.view import view as show
 
     given = given_keys(keys)
-    status = Console(stderr=True, quiet=context.obj).status(f"preparing {scene} (the skin's model may take a minute)")
+    status = Console(stderr=True, quiet=context.obj).status(
+        f"preparing {scene} (building the skin model may take a minute)"
+    )
     status.start()
 
     def ready(address: str) -> None:
         status.stop()
-        print(f"{scene} is at {address} (Ctrl-C ends it)", flush=True)
+        print(f"{scene} is at {address} (press Ctrl-C to end)", flush=True)
         if browser:
             webbrowser.open(address)
 

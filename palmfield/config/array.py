@@ -28,19 +28,17 @@ def _air(name: str) -> Any:
 
 class ArrayConfig(Config):
     plugin: ClassVar[str] = "palmfield.array"
-    about: ClassVar[str] = "A transducer array and the air around it. Its frame is that of a site."
+    about: ClassVar[str] = "A transducer array and the air around it. The array frame is the frame of a site."
     renamed: ClassVar[dict[str, str]] = {"compute": "the scene's palmfield_device text"}
 
-    layout: Layout = Field("uhev1", description="arrangement of the transducers (docs/arrays.md), `sites`, or `csv`")
+    layout: Layout = Field("uhev1", description="layout of the transducers (docs/arrays.md), or `sites`, or `csv`")
     sites: str | None = Field(
         None, description="layout sites: each site whose name begins with this is a transducer, emitting along its z"
     )
-    transducers: str | None = Field(
-        None, description="layout csv: CSV file of the transducers' places (docs/arrays.md)"
-    )
+    transducers: str | None = Field(None, description="layout csv: CSV file of transducer positions (docs/arrays.md)")
     site: str = Field("array", description="site whose frame is the array frame: z points out of the emitting face")
     calibration: str | None = Field(
-        None, description="JSON file of a laboratory's calibration of this array (docs/calibration.md)"
+        None, description="JSON file with the calibration of this array (docs/calibration.md)"
     )
     p0_Pa_m: Positive | None = Field(
         None, description="peak pressure of one transducer at 1 m at full drive (default: the layout's, docs/arrays.md)"
@@ -49,26 +47,29 @@ class ArrayConfig(Config):
     p0_high_Pa_m: Positive | None = Field(None, description="upper end of the range of key p0_Pa_m")
     directivity: DirectivityName = Field(
         "layout",
-        description="how sound falls off a transducer's axis: as in the layout, or a form (docs/concepts/array.md)",
+        description="directivity of the transducers: that of the layout, or a named form (docs/concepts/array.md)",
     )
     piston_radius_m: Annotated[float, Field(gt=0, le=0.0061)] | None = Field(
         None, description="radius of the baffled piston (default: the layout's)"
     )
-    dead: Numbers = Field((), description="transducers that emit nothing, counted from 0 in the layout's order")
-    inverted: Numbers = Field((), description="transducers wired the other way round")
-    resonance_Hz: Annotated[float, Field(ge=20e3, le=80e3)] = Field(40e3, description="resonance of the transducers")
+    dead: Numbers = Field((), description="dead transducers, which emit no sound; numbers from 0 in the layout's order")
+    inverted: Numbers = Field((), description="transducers with reversed polarity")
+    resonance_Hz: Annotated[float, Field(ge=20e3, le=80e3)] = Field(
+        40e3, description="resonance frequency of the transducers"
+    )
     quality: Annotated[float, Field(ge=1, le=1000)] | None = Field(
-        None, description="quality of that resonance (default: the layout's, 25)"
+        None, description="quality factor of that resonance (default: the layout's, 25)"
     )
     response: Literal["auto", "on", "off"] = Field(
-        "auto", description="ring-up and flight time of the sound; auto drops them where their bound allows"
+        "auto", description="ring-up and flight time of the sound; auto ignores them where their error bound allows"
     )
     array_face: Literal["absorbing", "rigid"] = Field(
         "absorbing",
-        description="what becomes of sound that a flat disc sends back: gone, or reflected until it has died away",
+        description="sound returned by a flat disc: absorbed by the array, or reflected until it has decayed",
     )
     precision: Literal["fast", "accurate"] = Field(
-        "fast", description="field: float32 throughout, or distances and phases in float64 at half the speed"
+        "fast",
+        description="precision of the field: float32 throughout, or float64 for distances and phases at half the speed",
     )
     temperature_C: Annotated[float, _air("temperature_C")] = Field(20.0, description="air temperature")
     humidity_percent: Annotated[float, _air("humidity_percent")] = Field(50.0, description="relative humidity")
@@ -78,14 +79,16 @@ class ArrayConfig(Config):
     def _range(self) -> Self:
         low, high = self.p0_low_Pa_m, self.p0_high_Pa_m
         if (low is None) != (high is None):
-            raise ValueError("p0_low_Pa_m and p0_high_Pa_m belong together; give both or neither")
+            raise ValueError("p0_low_Pa_m and p0_high_Pa_m must be given together; give both or neither")
         if low is not None and high is not None:
             if self.p0_Pa_m is None:
-                raise ValueError("p0_low_Pa_m and p0_high_Pa_m are the range of key p0_Pa_m; give it too")
+                raise ValueError(
+                    "p0_low_Pa_m and p0_high_Pa_m are the range of key p0_Pa_m, which is missing; give it as well"
+                )
             if not low <= self.p0_Pa_m <= high:
-                raise ValueError("p0_low_Pa_m <= p0_Pa_m <= p0_high_Pa_m is needed")
+                raise ValueError("p0_Pa_m lies outside its range; required: p0_low_Pa_m <= p0_Pa_m <= p0_high_Pa_m")
         if (self.layout == "csv") != (self.transducers is not None):
-            raise ValueError("layout 'csv' needs transducers, and transducers needs layout 'csv'")
+            raise ValueError("layout 'csv' and key transducers need each other; give both or neither")
         if (self.layout == "sites") != (self.sites is not None):
-            raise ValueError("layout 'sites' needs sites, and sites needs layout 'sites'")
+            raise ValueError("layout 'sites' and key sites need each other; give both or neither")
         return self

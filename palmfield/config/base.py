@@ -85,7 +85,9 @@ def recorded(model: type[T], text: str) -> T:
         # As JSON again, in which bytes of tables are text
         return model.model_validate_json(json.dumps(given))
     except (ValueError, AttributeError) as error:
-        raise SceneError(f"keys of plugin '{model.plugin}' can't be read back: {error}; run the scene again") from None
+        raise SceneError(
+            f"the stored keys of plugin '{model.plugin}' cannot be read: {error}; run the scene again"
+        ) from None
 
 
 @lru_cache(maxsize=256)
@@ -123,7 +125,7 @@ def _explain(model: type[Config], values: dict[str, str], error: Any) -> str:
     takes = allowed(model, key)
     near = did_you_mean(values[key], takes.split(" | ")) if " | " in takes else ""
     commas = "," in values[key] and isinstance(model.model_fields[key].default, tuple)
-    mend = f"; write '{' '.join(values[key].replace(',', ' ').split())}', with blanks in place of commas"
+    mend = f"; write '{' '.join(values[key].replace(',', ' ').split())}', with spaces in place of commas"
     return f"key '{key}' has value '{values[key]}'{near}; allowed: {takes}" + (mend if commas else "")
 
 
@@ -132,7 +134,7 @@ def unknown_key(model: type[Config], key: str) -> str:
     near = did_you_mean(key, model.model_fields)
     # A list of thirty keys hides the one that was meant
     known = ", ".join(model.model_fields)
-    listed = f"what `palmfield keys {model.plugin.removeprefix('palmfield.')}` lists" if near else known
+    listed = f"the keys that `palmfield keys {model.plugin.removeprefix('palmfield.')}` lists" if near else known
     return f"unknown key '{key}'{near}; allowed: {listed}"
 
 

@@ -23,68 +23,74 @@ Bits = Annotated[str, Field(pattern="^[01]{1,64}$")]
 
 class DriverConfig(Config):
     plugin: ClassVar[str] = "palmfield.driver"
-    about: ClassVar[str] = "The board that plays the drive; what it can't play is not simulated either."
+    about: ClassVar[str] = "The board that plays the drive. Only drives that the board can play are simulated."
     renamed: ClassVar[dict[str, str]] = {"device": "board"}
 
     board: BoardName = Field(
         "ideal",
-        description="ideal: any phase and amplitude at any rate; others are decoded from their bytes (boards.md)",
+        description="ideal: any phase and amplitude at any rate; other boards: the drive decoded from their bytes "
+        "(boards.md)",
     )
     duty_exponent: Annotated[float, Field(ge=0.5, le=4)] = Field(
         2.0,
-        description="g of the pulses' law p/p_M = sin(pi duty)^(g/2), of am_quantity duty and board "
-        "autd2018: 2 is that of rectangular pulses; 1.5 was measured on a device (Hasegawa and Shinoda 2018)",
+        description="exponent g of the pulse-width law p/p_M = sin(pi duty)^(g/2), for am_quantity duty and board "
+        "autd2018: 2 for rectangular pulses; 1.5 measured on a device (Hasegawa and Shinoda 2018)",
     )
     compensate: Switch | None = Field(
         None,
-        description="whether the drive makes up for transducers that are dead or inverted, or whose phase the scene "
-        "knows (default: on, but for board ideal on arrays without a calibration)",
+        description="whether the drive compensates dead and inverted transducers and calibrated phases (default: "
+        "on, except for board ideal on arrays without a calibration)",
     )
     dither: Switch | None = Field(
-        None, description="boards of full or off: amplitudes between by a share of transducers that is on (default off)"
+        None,
+        description="on/off boards: intermediate amplitudes by switching on a share of the transducers (default off)",
     )
     packet_header: Bits | None = Field(None, description="autd2018: bits before a packet's payload (default 10100101)")
-    packet_footer: Bits | None = Field(None, description="autd2018: bits after it (default 1011010)")
+    packet_footer: Bits | None = Field(None, description="autd2018: bits after a packet's payload (default 1011010)")
     packet_bit_order: Literal["msb_first", "lsb_first"] | None = Field(
-        None, description="autd2018: which bit of each field comes first (default msb_first)"
+        None, description="autd2018: order of the bits in each field (default msb_first)"
     )
     packet_lsb_m: Positive | None = Field(
-        None, description="autd2018: what the lowest bit of a coordinate is (default 0.000025)"
+        None, description="autd2018: value of the lowest bit of a coordinate (default 0.000025)"
     )
     packet_baud: Annotated[int, Field(gt=0)] | None = Field(
-        None, description="autd2018: rate of the serial line to the first unit [baud] (default 230400)"
+        None, description="autd2018: baud rate of the serial line to the first unit (default 230400)"
     )
     pwm_edge: Literal["leading", "trailing", "centre"] | None = Field(
-        None, description="autd2018: what of a pulse keeps its place as its width changes (default centre)"
+        None, description="autd2018: point of a pulse that stays fixed as its width changes (default centre)"
     )
     hop_delay_s: NonNegative | None = Field(
-        None, description="autd2018: delay of each unit that a packet passes (default 4e-8)"
+        None, description="autd2018: delay added by each unit that forwards a packet (default 4e-8)"
     )
     skew_s: NonNegative | None = Field(
-        None, description="autd2018: largest difference that the sync leaves between units (default 0)"
+        None, description="autd2018: largest timing difference between units after synchronisation (default 0)"
     )
     clock_drift_ppm: NonNegative | None = Field(
-        None, description="autd2018: largest difference of units' clocks (default 0)"
+        None, description="autd2018: largest difference between the clocks of the units (default 0)"
     )
-    sync: Switch | None = Field(None, description="autd2018: whether clocks are set every 500 us (default on)")
+    sync: Switch | None = Field(
+        None, description="autd2018: whether the clocks are synchronised every 500 us (default on)"
+    )
     board_sound_speed_m_s: Positive | None = Field(
-        None, description="autd2018: speed of sound with which units place the focus (default that of air at 20 C)"
+        None, description="autd2018: speed of sound that the units use to compute the focus (default: air at 20 C)"
     )
     ramp_s: NonNegative = Field(
-        0.0, description="time in which a real board's sound rises at the beginning and falls at the end"
+        0.0, description="rise time of the sound at the beginning, and fall time at the end, on a real board"
     )
     on_time_s: Positive | None = Field(
-        None, description="longest that a real board may sound in one play (default any)"
+        None, description="longest time with sound in one play on a real board (default: no limit)"
     )
     duty_limit: Annotated[float, Field(gt=0, le=1)] = Field(
-        1.0, description="largest share of any 10 s that a real board may sound"
+        1.0, description="largest share of any 10 s with sound on a real board"
     )
     head_m: Vector | None = Field(
-        None, description="middle of a ball in which a person's head may be, in the frame of the first array"
+        None, description="centre of the ball in which a person's head may be, in the frame of the first array"
     )
     head_radius_m: Annotated[float, Field(gt=0, le=0.5)] = Field(0.1, description="radius of that ball")
     head_limit_dB: Annotated[float, Field(ge=40, le=150)] | None = Field(
-        None, description="sound pressure level in that ball above which nothing is played (default: only warned of)"
+        None,
+        description="highest sound pressure level allowed in that ball; above it the board does not play (default: "
+        "warning only)",
     )
 
     def of_board(self, keys: Container[str]) -> dict[str, Any]:

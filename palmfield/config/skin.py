@@ -52,12 +52,12 @@ WITH_A_UNIT = (".glb", ".gltf", ".pkl")
 
 class SkinConfig(Config):
     plugin: ClassVar[str] = "palmfield.skin"
-    about: ClassVar[str] = "The surface that the sound meets and the viscoelastic skin layer on part of it."
+    about: ClassVar[str] = "The surface of the body in the sound, and the viscoelastic skin layer on part of it."
     renamed: ClassVar[dict[str, str]] = {"solver=full": "wedges", "solver=implicit": "wedges"}
     refused: ClassVar[dict[str, str]] = {
         f"solver={name}": (
-            "which computes the whole history of a load that is known from the start, as a scene's is not: "
-            f"call palmfield.skin.solve(..., solver='{name}'), or set solver to auto"
+            "which needs the whole load history in advance, and a scene has none: call palmfield.skin.solve(..., "
+            f"solver='{name}'), or set solver to auto"
         )
         for name in WHOLE_HISTORY
     }
@@ -65,8 +65,8 @@ class SkinConfig(Config):
     body: str = Field("hand", description="body that carries the surface; its frame is the surface's frame")
     shape: Shape = Field(
         "hand",
-        description="parametric hand in one piece or on its bones, flat disc, mesh file in one piece or on its joints, "
-        "cylinder with a rigid bone inside a layer of depth_m",
+        description="parametric hand, rigid (hand) or on its bones (articulated); flat disc; mesh file, rigid "
+        "(mesh) or on its joints (rigged); cylinder with a rigid bone inside a layer of depth_m",
     )
     hand: str = Field(
         "open_men_p50", description="shapes hand and articulated: a preset in hand_models/ or the path of a .toml file"
@@ -76,87 +76,100 @@ class SkinConfig(Config):
     )
     mesh_unit: Literal["m", "dm", "cm", "mm", "in", "auto"] | None = Field(
         None,
-        description="shapes mesh, rigged: the unit; auto: metres for glTF and MANO, which need no key, else what "
-        "makes it a hand",
+        description="shapes mesh, rigged: length unit of the file; auto: metres for glTF and MANO, which need no key, "
+        "otherwise the unit that gives the size of a hand",
     )
     cylinder_radius_m: Length | None = Field(
-        None, description="shape cylinder: radius of the skin's face; its axis is the body's x, its middle the origin"
+        None, description="shape cylinder: outer radius; its axis is the x axis of the body, its centre the origin"
     )
     cylinder_length_m: Length | None = Field(None, description="shape cylinder: length")
-    radius_m: Length | None = Field(None, description="shape disc: radius; the loaded face is z = 0, looking along +z")
+    radius_m: Length | None = Field(None, description="shape disc: radius; the loaded face is z = 0 with normal +z")
     thickness_m: Length | None = Field(None, description="shape disc: thickness")
     patch_site: str | None = Field(
         None,
-        description="site on the body, in the reference pose, at the middle of the skin layer (all shapes but disc)",
+        description="site on the body, in the reference pose, at the centre of the skin layer (all shapes except disc)",
     )
     patch_radius_m: Length | None = Field(
-        None, description="radius of the skin layer (default: the plan's; all shapes but disc)"
+        None, description="radius of the skin layer (default: chosen by the plan; all shapes except disc)"
     )
     depth_m: Length = Field(
         0.02,
-        description="greatest depth of the layer, of all shapes but disc; a hand's own depth to bone applies where it "
-        "is less",
+        description="greatest depth of the layer (all shapes except disc); the depth to bone of a hand applies "
+        "where it is smaller",
     )
     material: str = Field("palm", description="a preset, by name (materials.md)")
     materials: Names = Field(
         (), description="presets of several sheets from the surface down, in place of `material`; needs `shares`"
     )
-    shares: Shares = Field((), description="thickness of each sheet as a share of the layer; they add up to 1")
+    shares: Shares = Field(
+        (), description="thickness of each sheet as a share of the layer thickness; the shares add up to 1"
+    )
     density_kg_m3: Positive | None = Field(None, description="overrides the preset")
     shear_relaxed_Pa: Positive | None = Field(None, description="overrides the preset: long-time shear modulus")
     shear_branch_Pa: NonNegative | None = Field(None, description="overrides the preset: modulus of the Maxwell branch")
-    relaxation_time_s: Positive | None = Field(None, description="overrides the preset: time of the Maxwell branch")
+    relaxation_time_s: Positive | None = Field(
+        None, description="overrides the preset: relaxation time of the Maxwell branch"
+    )
     bulk_Pa: Positive | None = Field(None, description="overrides the preset: bulk modulus")
     base: Base = Field("bonded", description="inner face of the layer; springs needs base_normal and base_tangential")
-    base_normal_Pa_m: Positive | None = Field(None, description="base springs: stiffness per area along the normal")
-    base_tangential_Pa_m: Positive | None = Field(None, description="base springs: stiffness per area along the base")
-    base_normal_Pa_s_m: NonNegative | None = Field(None, description="base springs: damping per area along the normal")
-    base_tangential_Pa_s_m: NonNegative | None = Field(
-        None, description="base springs: damping per area along the base"
-    )
+    base_normal_Pa_m: Positive | None = Field(None, description="base springs: normal stiffness per area")
+    base_tangential_Pa_m: Positive | None = Field(None, description="base springs: tangential stiffness per area")
+    base_normal_Pa_s_m: NonNegative | None = Field(None, description="base springs: normal damping per area")
+    base_tangential_Pa_s_m: NonNegative | None = Field(None, description="base springs: tangential damping per area")
     foundation_normal_Pa_m: Positive | None = Field(
-        None, description="stiffness per area of what lies below the layer, in place of a bonded base"
+        None, description="normal stiffness per area of the tissue below the layer, in place of a bonded base"
     )
     foundation_tangential_Pa_m: Positive | None = Field(
-        None, description="the same along the base, relaxing as the deepest material"
+        None,
+        description="tangential stiffness per area of the tissue below the layer; it relaxes like the deepest material",
     )
-    side: Side = Field("fixed", description="cut faces of the layer; absorbing lets waves out; a disc takes roller too")
+    side: Side = Field(
+        "fixed",
+        description="boundary condition at the cut faces of the layer; absorbing transmits waves; roller for "
+        "discs only",
+    )
     arp_law: ArpLaw = Field("default", description="radiation-pressure law (see `palmfield info`)")
     arp_alpha: Annotated[float, Field(ge=1, le=2)] | None = Field(
         None,
-        description="arp_law alpha: ARP over p_rms^2/(rho c^2), 1 + R of skin that reflects a share R of the sound's "
-        "energy (default 2); arp_peak_Pa of a stimulus is |p|^2/(rho c^2) whatever alpha is",
+        description="arp_law alpha: ARP divided by p_rms^2/(rho c^2); equals 1 + R for skin with energy reflectance R "
+        "(default 2); arp_peak_Pa of a stimulus is |p|^2/(rho c^2) for any alpha",
     )
     body_sound: Literal["none", "shadows", "scattering"] = Field(
-        "none", description="what other parts of the body do to the sound: nothing, shadows, boundary elements"
+        "none",
+        description="effect of other parts of the body on the sound: none, shadows, or scattering by boundary elements",
     )
     shadow_edges: Literal["knife_edge", "rays"] = Field(
         "knife_edge",
-        description="body_sound shadows: sound bends round edges (Fresnel's weight for each transducer), or one ray "
-        "leaves a point lit or dark",
+        description="body_sound shadows: knife_edge diffracts the sound of each transducer at edges (Fresnel "
+        "weight); rays makes each point fully lit or dark",
     )
     accuracy: Annotated[float, Field(ge=0.002, le=0.5)] = Field(
-        0.05, description="wanted relative error of the skin displacement"
+        0.05, description="target accuracy: relative error of the skin displacement"
     )
     force_accuracy: Annotated[float, Field(ge=0.0015, le=0.05)] = Field(
         0.006,
-        description="relative error of the sound's force and torque on the body, rms over foci on its lit side; not of "
-        "a disc (below 0.004: faces cut in four; from 0.004: a sample a face; 0.006, 0.012: 3.6, 7 times fewer)",
+        description="target relative error of the acoustic force and torque on the body, rms over foci on its lit "
+        "side; not for a disc (below 0.004: four samples per face; from 0.004: one per face; from 0.006: 3.6 "
+        "times fewer; from 0.012: 7 times fewer)",
     )
     max_frequency_Hz: Annotated[float, Field(gt=0, le=2000)] | None = Field(
         None, description="highest frequency to resolve (default: from the stimulus)"
     )
     solver: Solver | Annotated[str, AfterValidator(_installed)] = Field(
         "auto",
-        description="wedges: steps the whole layer; reduced: a small model of it for this stimulus; modal: modes for "
-        "every stimulus and pose; auto: the cheapest of these; spectral_elements: explicit, for a GPU; particles: a "
-        "preview, with its error",
+        description="wedges: full model of the layer; reduced: reduced model for this stimulus; modal: modes for every "
+        "stimulus and pose; auto: the fastest of these; spectral_elements: explicit, for a GPU; particles: a "
+        "preview with a stated error",
     )
     obstacles: Names = Field(
-        (), description="bodies whose geoms, and those of what hangs on them, cast shadows too: body_sound shadows"
+        (),
+        description="further bodies that cast shadows, with their geoms and those of their child bodies: body_sound "
+        "shadows",
     )
-    element_m: Positive | None = Field(None, description="pins the element edge at the focus")
-    step_s: Positive | None = Field(None, description="pins the skin's time step; must divide the scene's timestep")
+    element_m: Positive | None = Field(None, description="fixes the element edge length at the focus")
+    step_s: Positive | None = Field(
+        None, description="fixes the time step of the skin; must divide the timestep of the scene"
+    )
 
     @model_validator(mode="after")
     def _complete(self) -> Self:
@@ -167,28 +180,34 @@ class SkinConfig(Config):
         if self.shape != "disc" and self.patch_site is None:
             raise ValueError(f"shape '{self.shape}' needs patch_site")
         if (self.foundation_normal_Pa_m is None) != (self.foundation_tangential_Pa_m is None):
-            raise ValueError("foundation_normal_Pa_m and foundation_tangential_Pa_m belong together; give both")
+            raise ValueError("foundation_normal_Pa_m and foundation_tangential_Pa_m must be given together; give both")
         if self.foundation is not None and self.base != "bonded":
-            raise ValueError(f"foundation_normal_Pa_m stands in for a bonded base, base is '{self.base}': drop one")
+            raise ValueError(
+                f"foundation_normal_Pa_m replaces a bonded base, but base is '{self.base}': remove one of the two keys"
+            )
         if self.base == "free" and self.side != "fixed":
-            raise ValueError(f"base 'free' with side '{self.side}' lets the layer fly away: fix one of them")
+            raise ValueError(f"base 'free' with side '{self.side}' leaves the layer without support: fix one of them")
         given = [key for key in SPRINGS if getattr(self, key) is not None]
         if self.base == "springs" and not set(SPRINGS[:2]) <= set(given):
             raise ValueError("base 'springs' needs base_normal_Pa_m and base_tangential_Pa_m")
         if self.base != "springs" and given:
-            raise ValueError(f"{given[0]} belongs to base 'springs', base is '{self.base}': drop it or set base")
+            raise ValueError(
+                f"{given[0]} applies to base 'springs', but base is '{self.base}': remove the key, or set base"
+            )
         self._check_sheets()
         if self.obstacles and self.body_sound != "shadows":
-            raise ValueError(f"obstacles cast shadows, body_sound is '{self.body_sound}': set it to shadows")
+            raise ValueError(
+                f"obstacles need body_sound 'shadows', but body_sound is '{self.body_sound}': set it to shadows"
+            )
         if "shadow_edges" in self.model_fields_set and self.body_sound != "shadows":
             raise ValueError(
-                f"shadow_edges '{self.shadow_edges}' belongs to shadows, body_sound is '{self.body_sound}': drop it or "
-                "set body_sound to shadows"
+                f"shadow_edges '{self.shadow_edges}' applies to body_sound 'shadows', but body_sound is "
+                f"'{self.body_sound}': remove the key, or set body_sound to shadows"
             )
         if self.arp_alpha is not None and self.arp_law != "alpha":
             raise ValueError(
-                f"arp_alpha {self.arp_alpha:g} belongs to arp_law 'alpha', arp_law is '{self.arp_law}': drop it or set "
-                "arp_law to alpha"
+                f"arp_alpha {self.arp_alpha:g} applies to arp_law 'alpha', but arp_law is '{self.arp_law}': remove "
+                "the key, or set arp_law to alpha"
             )
         if self.side == "roller" and self.shape != "disc":
             raise ValueError("side 'roller' needs the symmetry of shape 'disc'; use fixed or free")
@@ -201,7 +220,7 @@ class SkinConfig(Config):
             raise ValueError("shape 'cylinder' needs cylinder_radius_m and cylinder_length_m")
         if self.depth_m > THICKEST * self.cylinder_radius_m:
             raise ValueError(
-                f"depth_m {self.depth_m:g} leaves no bone in a cylinder of cylinder_radius_m "
+                f"depth_m {self.depth_m:g} leaves no room for bone in a cylinder with cylinder_radius_m "
                 f"{self.cylinder_radius_m:g}; allowed: at most {THICKEST * self.cylinder_radius_m:.4g}"
             )
 
@@ -209,24 +228,32 @@ class SkinConfig(Config):
         for key, shapes in OF_SHAPES.items():
             if key in self.model_fields_set and getattr(self, key) is not None and self.shape not in shapes:
                 allowed = " or ".join(f"'{shape}'" for shape in shapes)
-                raise ValueError(f"{key} belongs to shape {allowed}, shape is '{self.shape}': drop it or set shape")
+                raise ValueError(
+                    f"{key} applies to shape {allowed}, but shape is '{self.shape}': remove the key, or set shape"
+                )
         if self.shape not in OF_SHAPES["mesh"]:
             return
         if self.mesh is None:
             raise ValueError(f"shape '{self.shape}' needs mesh")
         if self.mesh_unit is None and not self.mesh.lower().endswith(WITH_A_UNIT):
             raise ValueError(
-                f"shape '{self.shape}' needs mesh_unit for '{self.mesh}': only {', '.join(WITH_A_UNIT)} have their own"
+                f"shape '{self.shape}' needs mesh_unit for '{self.mesh}': only {', '.join(WITH_A_UNIT)} files "
+                "define their unit"
             )
 
     def _check_sheets(self) -> None:
         if len(self.materials) != len(self.shares):
-            raise ValueError(f"materials has {len(self.materials)} names, shares {len(self.shares)}: give one for each")
+            raise ValueError(
+                f"materials has {len(self.materials)} names, but shares has {len(self.shares)} numbers: give one "
+                "share for each material"
+            )
         if self.shares and abs(sum(self.shares) - 1.0) > 1e-6:
-            raise ValueError(f"shares add up to {sum(self.shares):g}; they must to 1")
+            raise ValueError(f"shares add up to {sum(self.shares):g}; required: 1")
         own = [key for key in ("material", *OVERRIDES) if key in self.model_fields_set]
         if self.materials and own:
-            raise ValueError(f"materials names every sheet's preset and {own[0]} that of one: drop one of the two")
+            raise ValueError(
+                f"materials sets the preset of every sheet, and {own[0]} that of a single one: remove one of the two"
+            )
 
     @property
     def unit(self) -> str:

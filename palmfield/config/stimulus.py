@@ -56,7 +56,7 @@ PATH_KEYS = (*MOVING, *{key for keys in (*NEEDED.values(), *OPTIONAL.values()) f
 def too_far(focus_m: tuple[float, float, float]) -> str | None:
     """What is wrong with a focus [m] that is no place, or farther off than any, with the likely unit; else None."""
     if not all(map(math.isfinite, focus_m)):
-        return "which is no place; allowed: three finite numbers, in metres"
+        return "which is not a position; allowed: three finite numbers, in metres"
     distance = math.dist(focus_m, (0.0, 0.0, 0.0))
     if distance <= FARTHEST_FOCUS_M:
         return None
@@ -71,47 +71,53 @@ def too_far(focus_m: tuple[float, float, float]) -> str | None:
 
 class StimulusConfig(Config):
     plugin: ClassVar[str] = "palmfield.stimulus"
-    about: ClassVar[str] = "Where the focus is and how strong, over time."
+    about: ClassVar[str] = "Position and strength of the focus over time."
     renamed: ClassVar[dict[str, str]] = {"am_of": "am_quantity", "am_quantity=pressure": "amplitude"}
 
     arrays: Names = Field(
-        (), description="instances of palmfield.array that it drives (default: all that no other stimulus names)"
+        (),
+        description="instances of palmfield.array driven by this stimulus (default: all that no other stimulus names)",
     )
-    focus_m: Vector = Field((0.0, 0.0, 0.2), description="focus, or centre of its path, in `frame`")
+    focus_m: Vector = Field((0.0, 0.0, 0.2), description="position of the focus, or centre of its path, in `frame`")
     frame: str = Field("array", description="`array`, or the name of a site in whose frame focus and path are given")
     path: Literal[
         "point", "circle", "line", "lm", "zigzag", "square", "z", "lissajous", "letters", "polyline", "sites", "file"
     ] = Field(
         "point",
-        description="path of the focus about focus_m, in the frame's x-y plane; lm: lateral modulation, to and fro on "
-        "a short line; sites: through sites on the skin; file: places and levels of one focus or several from a table",
+        description="path of the focus around focus_m, in the x-y plane of the frame; lm: lateral modulation, "
+        "back and forth on a short line; sites: through sites on the skin; file: positions and levels of one or "
+        "more foci from a table",
     )
     path_on: Literal["plane", "skin"] = Field(
         "plane",
-        description="skin: drawn on the surface about the skin nearest to focus_m in the reference pose, x as in frame",
+        description="surface of the path; skin: drawn on the skin around the point nearest to focus_m in the reference "
+        "pose, with the x direction of frame",
     )
     on_skin: str | None = Field(
-        None, description="instance of palmfield.skin that path_on and path_sites mean (default: the only one)"
+        None, description="instance of palmfield.skin for path_on and path_sites (default: the only one)"
     )
     path_diameter_m: Extent | None = Field(None, description="diameter of the circle")
     path_width_m: Extent | None = Field(
-        None, description="extent along x: length of a line, side of a square, width of zigzag, z and lissajous; of lm"
+        None,
+        description="extent along x: length of a line or of lm, side of a square, width of zigzag, z and lissajous",
     )
-    path_height_m: Extent | None = Field(None, description="extent along y of zigzag, z and lissajous; of a letter")
+    path_height_m: Extent | None = Field(None, description="extent along y: height of zigzag, z, lissajous and letters")
     path_step_m: Extent | None = Field(
-        None, description="lm: the focus rests at points so far apart, path_width_m for two; without, it moves on"
+        None,
+        description="lm: distance between the points at which the focus rests; path_width_m gives two points; without "
+        "this key the focus moves continuously",
     )
     path_zigzag_width_m: Extent | None = Field(
-        None, description="line, polyline, sites: the focus runs a zigzag of this width about the path"
+        None, description="line, polyline, sites: width of a zigzag of the focus about the path"
     )
     path_zigzag_speed_m_s: Positive | None = Field(
-        None, description="speed of that zigzag across the path; path_speed_m_s is the one along it"
+        None, description="speed of that zigzag across the path; path_speed_m_s is the speed along the path"
     )
-    path_direction_deg: float = Field(0.0, description="lm: direction of its line, from the frame's x towards its y")
+    path_direction_deg: float = Field(0.0, description="lm: direction of its line, from x towards y of the frame")
     path_corners: Annotated[int, Field(ge=1, le=1000)] = Field(3, description="corners of the zigzag between its ends")
-    path_ratio: Numbers = Field((1, 2), description="oscillations of the lissajous along x and along y in one turn")
-    path_phase_deg: float = Field(0.0, description="by which the lissajous leads along x")
-    path_text: str | None = Field(None, description="letters A-Z and 0-9 to be written; silent between strokes")
+    path_ratio: Numbers = Field((1, 2), description="lissajous: oscillations along x and along y per turn")
+    path_phase_deg: float = Field(0.0, description="lissajous: phase lead of the oscillation along x")
+    path_text: str | None = Field(None, description="letters A-Z and 0-9 to write; the sound is off between strokes")
     path_through_m: Decimals = Field((), description="polyline: x and y of each corner")
     path_sites: Names = Field(
         (), description="path sites: two or more sites of the skin's body, on or near the surface"
@@ -120,55 +126,58 @@ class StimulusConfig(Config):
         None, description="path file: CSV table of foci over time, played once from start_s (docs/stimuli.md)"
     )
     path_rate_Hz: Positive | None = Field(
-        None, description="turns a second; an open path's turn is there and back, unless path_end says otherwise"
+        None, description="turns per second; a turn of an open path is there and back, unless path_end says otherwise"
     )
     path_speed_m_s: Positive | None = Field(None, description="speed along the path, in place of path_rate_Hz")
     path_end: Literal["back", "jump", "stop"] = Field(
         "back",
-        description="at the end of an open path: go back, jump to the start, or be silent; stop: also after one round; "
-        "a file is played once (stop) unless it jumps",
+        description="at the end of an open path: go back, jump to the start, or stop (silence; closed paths stop "
+        "after one round); a file is played once (stop) unless set to jump",
     )
     path_points: Annotated[int, Field(ge=0, le=100000)] = Field(
-        0, description="points a turn, each held until the next; 0 moves without steps"
+        0, description="points per turn, each held until the next; 0: continuous motion"
     )
     foci_m: Decimals = Field((), description="several foci at once: x, y, z of each relative to focus_m and its path")
     foci_arp: Annotated[tuple[NonNegative, ...], BeforeValidator(split)] = Field(
-        (), description="ARP wanted at each of foci_m relative to the others, 0 or more, one above 0 (default: equal)"
+        (), description="relative ARP of each of foci_m: 0 or more, at least one above 0 (default: equal)"
     )
     modulation: Literal["none", "am"] = Field("none", description="none, or amplitude modulation (docs/stimuli.md)")
     am_quantity: Literal["duty", "amplitude", "arp"] | None = Field(
         None,
-        description="what follows the waveform: the pulses' duty (by key duty_exponent of the driver), the amplitude "
-        "of the sound pressure, or the radiation pressure (ARP)",
+        description="quantity that follows the waveform: duty cycle of the pulses (by key duty_exponent of the "
+        "driver), amplitude of the sound pressure, or radiation pressure (ARP)",
     )
     am_waveform: Literal["sine", "rectangle", "hann", "burst", "file"] = Field(
         "sine",
-        description="waveform w in -1..1 of the quantity, 1 + m w: sine; rectangle; Hann pulses from -1 to 1; bursts "
-        "of a sine under a Hann window; or that of a file",
+        description="waveform w in -1..1 of the quantity, 1 + m w: sine; rectangle; Hann pulses from -1 to 1; "
+        "bursts of a sine under a Hann window; or from a file",
     )
     am_frequency_Hz: Annotated[float, Field(gt=0, le=2000)] | None = Field(
-        None, description="modulation frequency; of a burst's sine"
+        None, description="modulation frequency, or frequency of the sine in a burst"
     )
-    am_depth: Fraction | None = Field(None, description="modulation depth m: the quantity goes as 1 + m w")
+    am_depth: Fraction | None = Field(None, description="modulation depth m: the quantity is proportional to 1 + m w")
     am_normalisation: Literal["peak", "carrier", "mean"] = Field(
         "peak",
-        description="what drive_amplitude sets, whatever the depth: the loudest moment, the carrier (w = 0), or the "
-        "amplitude of steady sound with the same mean ARP",
+        description="meaning of drive_amplitude at any depth: amplitude at the loudest moment, of the carrier (w "
+        "= 0), or of steady sound with the same mean ARP",
     )
     am_waveform_duty: Annotated[float, Field(gt=0, le=1)] | None = Field(
-        None, description="share of the period that a rectangle is up, below 1, or that a Hann pulse lasts (default 1)"
+        None,
+        description="share of the period during which a rectangle is high (below 1) or a Hann pulse lasts (default 1)",
     )
     am_burst_length_s: Positive | None = Field(None, description="length of a burst of the modulation's sine")
     am_burst_period_s: Positive | None = Field(
-        None, description="from one such burst's beginning to the next one's; between bursts the carrier sounds on"
+        None,
+        description="time from the start of one such burst to the start of the next; the carrier continues "
+        "between bursts",
     )
     am_burst_phase_deg: Annotated[float, Field(ge=-360, le=360)] | None = Field(
         None,
-        description="phase of a burst's sine in the middle of the burst: 90 is a crest there, -90 a trough; left out, "
-        "the sine begins with the burst at 0",
+        description="phase of the sine in the middle of a burst: 90 is a crest, -90 a trough (default: the sine "
+        "starts at phase 0 with the burst)",
     )
     am_file: str | None = Field(
-        None, description="CSV file with columns turn (0..1) and w: a period; or time_s and w: a course from start_s"
+        None, description="CSV file with columns turn (0..1) and w: one period; or time_s and w: a course from start_s"
     )
     arp_peak_Pa: Positive | None = Field(
         None, description="sets the level: |p|^2/(rho c^2) at the focus at the loudest moment; excludes drive_amplitude"
@@ -177,16 +186,18 @@ class StimulusConfig(Config):
         None, description="sets the level: pressure amplitude of each transducer relative to full drive (default 1)"
     )
     burst_window: Literal["none", "rectangular", "hann"] = Field(
-        "none", description="shape of the ARP in bursts, from start_s"
+        "none", description="window of the ARP in bursts, from start_s"
     )
     burst_length_s: Positive | None = Field(None, description="length of a burst")
-    burst_period_s: Positive | None = Field(None, description="from one burst's beginning to the next one's")
+    burst_period_s: Positive | None = Field(
+        None, description="time from the start of one burst to the start of the next"
+    )
     burst_count: Annotated[int, Field(ge=1)] | None = Field(None, description="number of bursts (default: no end)")
-    start_s: NonNegative = Field(0.0, description="the sound starts at this time")
-    stop_s: Positive | None = Field(None, description="the sound stops at this time (default: never)")
+    start_s: NonNegative = Field(0.0, description="start time of the sound")
+    stop_s: Positive | None = Field(None, description="stop time of the sound (default: never)")
     ramp_s: NonNegative = Field(0.0, description="raised-cosine ramp of the ARP after start_s")
     control_rate_Hz: Annotated[float, Field(ge=0, le=40e3)] = Field(
-        0.0, description="rate at which the board gets new frames, held in between; 0 follows the skin's steps"
+        0.0, description="rate of new frames to the board, each held until the next; 0: one for each step of the skin"
     )
 
     @model_validator(mode="after")
@@ -197,7 +208,8 @@ class StimulusConfig(Config):
             raise ValueError(f"arrays are '{' '.join(self.arrays)}': name each once")
         if self.on_skin is not None and self.path_on != "skin":
             raise ValueError(
-                f"on_skin belongs to a path on the skin, path_on is '{self.path_on}': drop it or set path_on"
+                f"on_skin applies to a path on the skin, but path_on is '{self.path_on}': remove the key, or set "
+                "path_on"
             )
         if (far := too_far(self.focus_m)) is not None:
             raise ValueError(f"key 'focus_m' has value '{' '.join(f'{x:g}' for x in self.focus_m)}', {far}")
@@ -214,7 +226,7 @@ class StimulusConfig(Config):
         if self.path == "point":
             if given or self.path_on == "skin":
                 key = min(given) if given else "path_on"
-                raise ValueError(f"{key} belongs to a path, path is 'point': drop it or set path")
+                raise ValueError(f"{key} applies to a moving path, but path is 'point': remove the key, or set path")
             return
         needed = NEEDED[self.path]
         missing = [key for key in needed if not getattr(self, key)]
@@ -224,11 +236,11 @@ class StimulusConfig(Config):
             raise ValueError(f"path '{self.path}' needs {' and '.join(missing)}")
         stray = sorted(given - set(needed) - set(MOVING) - set(OPTIONAL.get(self.path, ())))
         if stray:
-            raise ValueError(f"{stray[0]} does not belong to path '{self.path}', which takes {', '.join(needed)}")
+            raise ValueError(f"{stray[0]} does not apply to path '{self.path}', which takes {', '.join(needed)}")
         if self.path == "file":
             self._check_file()
         if self.path == "sites" and (self.path_on != "skin" or len(self.path_sites) < 2):
-            raise ValueError("path 'sites' runs on the skin through two or more path_sites: set path_on to skin")
+            raise ValueError("path 'sites' needs path_on 'skin' and two or more path_sites: set path_on to skin")
         if len(self.path_ratio) != 2 or min(self.path_ratio) < 1:
             raise ValueError(f"path_ratio is {self.path_ratio}; give two whole numbers of 1 or more")
         if self.path == "lm":
@@ -241,11 +253,15 @@ class StimulusConfig(Config):
     def _check_file(self) -> None:
         for key in ("focus_m", "foci_m", "foci_arp", "path_rate_Hz", "path_speed_m_s", "path_points"):
             if key in self.model_fields_set:
-                raise ValueError(f"{key} does not belong to path 'file', whose table has places and times: drop it")
+                raise ValueError(
+                    f"{key} does not apply to path 'file', whose table has positions and times: remove the key"
+                )
         if "path_end" in self.model_fields_set and self.path_end == "back":
             raise ValueError("path_end is 'back'; allowed with path 'file': stop, jump (begins again)")
         if self.path_on == "skin":
-            raise ValueError("path_on is 'skin'; the table of path 'file' has places in space: set path_on to plane")
+            raise ValueError(
+                "path_on is 'skin', but the table of path 'file' has positions in space: set path_on to plane"
+            )
 
     def _check_zigzag(self) -> None:
         missing = [key for key in (*ZIGZAG, "path_speed_m_s") if getattr(self, key) is None]
@@ -259,15 +275,15 @@ class StimulusConfig(Config):
         if self.path_step_m is None:
             return
         if "path_points" in self.model_fields_set:
-            raise ValueError(f"path_step_m and path_points {self.path_points} both say where path 'lm' rests; give one")
+            raise ValueError(f"path_step_m and path_points {self.path_points} both set where path 'lm' rests; give one")
         if self.path_end != "back":
-            raise ValueError(f"path_end is '{self.path_end}'; allowed with path_step_m: back, as it goes to and fro")
+            raise ValueError(f"path_end is '{self.path_end}'; allowed with path_step_m: back")
         width = self.path_width_m or 0.0
         count = width / self.path_step_m
         if round(count) < 1 or abs(count - round(count)) > STEPS * count:
             raise ValueError(
-                f"path_step_m is {self.path_step_m:g}, of which path_width_m {width:g} holds {count:g}; allowed: a "
-                f"whole number of steps, for example {width / max(1, round(count)):g}"
+                f"path_step_m is {self.path_step_m:g}, and path_width_m {width:g} is {count:g} such steps; "
+                f"allowed: a whole number of steps, for example {width / max(1, round(count)):g}"
             )
 
     def _check_modulation(self) -> None:
@@ -283,11 +299,11 @@ class StimulusConfig(Config):
         stray = [key for key in OF_WAVEFORMS if getattr(self, key) is not None and key not in takes]
         if stray:
             raise ValueError(
-                f"{stray[0]} does not belong to am_waveform '{self.am_waveform}', which takes "
+                f"{stray[0]} does not apply to am_waveform '{self.am_waveform}', which takes "
                 f"{', '.join(takes) or 'no such key'}"
             )
         if self.am_waveform == "rectangle" and self.am_waveform_duty == 1.0:
-            raise ValueError("am_waveform_duty is 1, so that a rectangle is always up; allowed: more than 0, below 1")
+            raise ValueError("am_waveform_duty is 1, so the rectangle is always high; allowed: above 0, below 1")
         if self.am_waveform == "burst":
             self._check_am_bursts()
         if self.arp_peak_Pa is not None and self.am_normalisation != "peak":
@@ -297,8 +313,8 @@ class StimulusConfig(Config):
             )
         if self.arp_peak_Pa is not None and self.am_quantity == "duty":
             raise ValueError(
-                f"am_quantity is 'duty', whose ARP has another course at each level, so that arp_peak_Pa "
-                f"{self.arp_peak_Pa:g} can't set it; allowed: drive_amplitude in place of arp_peak_Pa"
+                "am_quantity is 'duty', for which the waveform of the ARP depends on the level, so arp_peak_Pa "
+                f"{self.arp_peak_Pa:g} cannot set it; allowed: drive_amplitude in place of arp_peak_Pa"
             )
 
     def _check_am_bursts(self) -> None:
@@ -321,10 +337,14 @@ class StimulusConfig(Config):
                 f"{len(self.foci_m) // 3} numbers, one for each of foci_m, 0 or more, and one above 0"
             )
         if self.foci_m and self.path_on == "skin":
-            raise ValueError("foci_m are offsets in the frame's axes and cannot follow the skin: set path_on to plane")
+            raise ValueError(
+                "foci_m are offsets along the axes of the frame and cannot follow the skin: set path_on to plane"
+            )
         burst = [key for key in ("burst_length_s", "burst_period_s", "burst_count") if getattr(self, key) is not None]
         if self.burst_window == "none" and burst:
-            raise ValueError(f"{burst[0]} belongs to bursts, burst_window is 'none': drop it or set burst_window")
+            raise ValueError(
+                f"{burst[0]} applies to bursts, but burst_window is 'none': remove the key, or set burst_window"
+            )
         if self.burst_window != "none":
             if self.burst_length_s is None or self.burst_period_s is None:
                 raise ValueError(f"burst_window '{self.burst_window}' needs burst_length_s and burst_period_s")

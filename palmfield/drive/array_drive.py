@@ -151,7 +151,9 @@ class ArrayDrive:
             phases = self._waves(distances) * facing
         elif self.board.takes == "focus":
             raise DeviceError(
-                f"{len(point)} foci at once; board '{self.board.name}' takes one: set another board", *self.about
+                f"the stimulus has {len(point)} foci at once, but board '{self.board.name}' plays one: set another "
+                "board",
+                *self.about,
             )
         else:
             phases = self._several(point, loudness)
@@ -169,9 +171,8 @@ class ArrayDrive:
             played = play(self.board, self._over_all(sent))
         if level > 0.0 and not np.logical_or.reduce(played):
             raise DeviceError(
-                f"each transducer is asked for amplitude {level:.3g} at the loudest moment, which board "
-                f"'{self.board.name}' rounds to silence: set a larger drive_amplitude (or arp_peak_Pa), or another "
-                "board",
+                f"the amplitude at the loudest moment is {level:.3g}, which board '{self.board.name}' rounds to 0 "
+                "(silence): set a larger drive_amplitude (or arp_peak_Pa), or another board",
                 *self.about,
             )
         return UnitDrive(played, level)
@@ -327,13 +328,14 @@ class ArrayDrive:
             worst = int(full_Pa.argmin())
             if full_Pa[worst] == 0.0:
                 raise SceneError(
-                    f"arp_peak_Pa {target:g} is wanted at {in_mm(foci[worst])}, but all transducers that could sound "
-                    "there are dead: name fewer of the array dead",
+                    f"arp_peak_Pa {target:g} cannot be reached at {in_mm(foci[worst])}, because all transducers "
+                    "that reach this point are dead: list fewer dead transducers",
                     *self.about,
                 )
             raise SceneError(
-                f"arp_peak_Pa {target:g} is more than the array gives at {in_mm(foci[worst])}: "
-                f"{told_below(full_Pa[worst], target)} Pa at full drive with p0_Pa_m {self.array.array.p0_Pa_m:g}",
+                f"arp_peak_Pa {target:g} exceeds the output of the array at {in_mm(foci[worst])}: "
+                f"{told_below(full_Pa[worst], target)} Pa at full drive with p0_Pa_m {self.array.array.p0_Pa_m:g}; "
+                "set a lower value, or move the focus",
                 *self.about,
             )
         return np.sqrt(target / full_Pa)

@@ -48,8 +48,8 @@ class Autd3Units:
         if self._client is None:
             if len(data) % FRAME_BYTES:
                 raise DeviceError(
-                    f"{self.name} takes frames of {FRAME_BYTES} bytes a unit, and these begin with {len(data)} bytes: "
-                    "give board autd3, or another port"
+                    f"{self.name} takes frames of {FRAME_BYTES} bytes per unit, but the first frame has "
+                    f"{len(data)} bytes: give board autd3, or another port"
                 )
             self._open(len(data) // FRAME_BYTES)
         data = self._rest + data
@@ -88,7 +88,9 @@ class Autd3Units:
     def _open(self, units: int) -> None:
         package = self._package
         if not 1 <= units <= MOST_UNITS:
-            raise DeviceError(f"{units} AUTD3 units; allowed: 1 to {MOST_UNITS}, {FRAME_BYTES} bytes a frame each")
+            raise DeviceError(
+                f"{units} AUTD3 units; allowed: 1 to {MOST_UNITS}, with {FRAME_BYTES} bytes per frame each"
+            )
         geometry = package.geometry.Geometry([package.geometry.Autd3() for _ in range(units)])
         self._units = units
         try:
@@ -97,8 +99,8 @@ class Autd3Units:
             self._run(self._client.send, package.commands.SetSilencer.disable())
         except package.autd3.Autd3Error as error:
             raise DeviceError(
-                f"cannot open {self.name} with {units} AUTD3 units: {error}; check their power and cable, and that the "
-                f"scene has as many arrays, or give another way: {WAYS}"
+                f"cannot open {self.name} with {units} AUTD3 units: {error}; check power and cables, and that the "
+                f"scene has as many arrays, or give another port: {WAYS}"
             ) from error
 
     def _link(self, units: int) -> Any:
@@ -119,7 +121,7 @@ class Autd3Units:
         try:
             self._run(call, *arguments)
         except self._package.autd3.Autd3Error as error:
-            raise PortLost(f"{self.name} is gone: {error}") from error
+            raise PortLost(f"connection to {self.name} lost: {error}") from error
 
     def _run(self, call: Callable[..., Any], *arguments: object) -> Any:
         # The client's calls need a running event loop
@@ -138,7 +140,7 @@ def open_units(name: str, target: str) -> Autd3Units:
     """
     way, number = _parts(target)
     if not way or (way in NUMBERED and number and not number.isdigit()):
-        raise DeviceError(f"port '{name}' is no way to AUTD3 units; allowed: {WAYS}")
+        raise DeviceError(f"port '{name}' is not a port of AUTD3 units; allowed: {WAYS}")
     return Autd3Units(name, target)
 
 

@@ -51,7 +51,7 @@ def frames_in_words(emitted: Sequence[Emitted]) -> str:
     """Return the number of frames of a board, and how many differ from the one before, the first from silence."""
     before = [np.zeros_like(one.amplitudes) for one in emitted[:1]] + [one.amplitudes for one in emitted[:-1]]
     differ = sum(not np.array_equal(one.amplitudes, last) for one, last in zip(emitted, before, strict=True))
-    return f"{len(emitted)} frames, of which {differ} differ from the one before"
+    return f"{len(emitted)} frames, {differ} of them different from the previous one"
 
 
 def rate_in_words(rate_Hz: float) -> str:
@@ -217,7 +217,7 @@ class Board:
         if rest or not 1 <= units <= self.most_units:
             several = f" to {self.unit * self.most_units} in steps of {self.unit}" if self.most_units > 1 else ""
             raise DeviceError(
-                f"board '{self.name}' is asked for {transducers} transducers; allowed: {self.unit}{several}"
+                f"board '{self.name}' cannot drive {transducers} transducers; allowed: {self.unit}{several}"
             )
         return replace(self, units=units)
 
@@ -225,8 +225,8 @@ class Board:
         """Return this board with values for some of its `keys`. Raises DeviceError for a key that it does not have."""
         for key in keys:
             if key not in self.keys:
-                own = f"it takes {', '.join(self.keys)}" if self.keys else "it takes none besides board"
-                raise DeviceError(f"key '{key}' is not of board '{self.name}'; {own}")
+                own = f"its keys are {', '.join(self.keys)}" if self.keys else "it has no other keys"
+                raise DeviceError(f"key '{key}' does not apply to board '{self.name}'; {own}")
         return replace(self, **keys)
 
     def rounded(self, levels: Float) -> Float:
@@ -238,7 +238,9 @@ class Board:
 
         Raises DeviceError for a rate that it does not have.
         """
-        raise DeviceError(f"board '{self.name}' makes no envelope of {frequency_Hz:g} Hz; allowed: one that modulates")
+        raise DeviceError(
+            f"board '{self.name}' cannot make an envelope of {frequency_Hz:g} Hz; allowed: a board that modulates"
+        )
 
     def encode(self, amplitudes: ArrayLike) -> bytes:
         """Return the bytes of one frame.
@@ -246,7 +248,7 @@ class Board:
         amplitudes: complex amplitude of each transducer relative to full drive, e^{-iwt}, shape (n,)
         Raises DeviceError for another shape and for amplitudes that the board cannot play.
         """
-        raise DeviceError(f"board '{self.name}' takes {self._takes()}, no amplitudes; allowed: another board")
+        raise DeviceError(f"board '{self.name}' takes {self._takes()}, not amplitudes; use another board")
 
     def encode_focus(self, focus: ArrayLike, level: float) -> bytes:
         """Return the bytes of one frame of a board that takes a focus.
@@ -254,11 +256,11 @@ class Board:
         focus: in the array frame [m], shape (3,); level: amplitude of all transducers, 0..1
         Raises DeviceError for a focus or level that the board cannot play.
         """
-        raise DeviceError(f"board '{self.name}' takes {self._takes()}, no focus; allowed: amplitudes")
+        raise DeviceError(f"board '{self.name}' takes {self._takes()}, not a focus; allowed: amplitudes")
 
     def twin(self) -> Twin:
         """Return a board just switched on, transducers in byte order. Raises DeviceError for a board without bytes."""
-        raise DeviceError(f"board '{self.name}' takes {self._takes()}, so that it has no virtual twin")
+        raise DeviceError(f"board '{self.name}' takes {self._takes()}, so it has no virtual twin; use another board")
 
     def wired_twin(self) -> Twin:
         """Return a `twin` whose transducers are in the layout's order, for any wiring."""
@@ -310,7 +312,7 @@ def commanded(board: Board, amplitudes: ArrayLike) -> Complex:
     if np.logical_or.reduce(bad):
         number = int(np.flatnonzero(bad)[0])
         raise DeviceError(
-            f"transducer {number} is asked for amplitude {magnitude[number]:.4g}; allowed: 0 (off) to 1 (full drive)"
+            f"transducer {number} has amplitude {magnitude[number]:.4g}; allowed: 0 (off) to 1 (full drive)"
         )
     if board.places:
         ordered = np.empty_like(values)
@@ -334,8 +336,8 @@ def switched(board: Board, amplitudes: ArrayLike) -> tuple[Complex, np.ndarray]:
     if np.logical_or.reduce(bad):
         number = int(np.flatnonzero(bad)[0])
         raise DeviceError(
-            f"transducer {number} is asked for amplitude {magnitude[number]:.4g}; {board.name} has a fixed "
-            "50 % duty, so only 0 (off) and 1 (full) can be sent: use drive amplitude 1, key dither, or board ideal"
+            f"transducer {number} has amplitude {magnitude[number]:.4g}; {board.name} has a fixed 50 % duty cycle, "
+            "so only 0 (off) and 1 (full) are possible: use drive amplitude 1, key dither, or board ideal"
         )
     return values, on
 

@@ -147,7 +147,8 @@ def solve_foci(
         j = int(distances.argmin())
         if distances[j] < closest:
             raise SceneError(
-                f"foci {j} and {i} are {distances[j]:.3g} m apart, the least is {closest:.3g} m: drop one of them"
+                f"foci {j} and {i} are {distances[j]:.3g} m apart; allowed: at least {closest:.3g} m: remove one "
+                "of them"
             )
     return solve_transfer(
         transfer64(where, array, air), amplitudes=amplitudes, method=method, iterations=iterations, seed=seed
@@ -185,11 +186,11 @@ def solve_transfer(
     if matrix.ndim != 2:
         raise SceneError(f"transfer has shape {matrix.shape}: give (foci, transducers)")
     if not np.isfinite(matrix).all():
-        raise SceneError(f"transfer[{check.first_bad(matrix)}] is not finite: mend that focus's pressures")
+        raise SceneError(f"transfer[{check.first_bad(matrix)}] is not finite: correct the pressures of that focus")
     live = np.any(matrix != 0.0, axis=0)
     targets = _targets(amplitudes, len(matrix))
     if len(matrix) == 0:
-        raise SceneError("no focus is given: give 1 or more")
+        raise SceneError("the list of foci is empty: give 1 or more")
     if len(matrix) > live.sum():
         raise SceneError(f"{len(matrix)} foci for {live.sum()} live transducers: give at most {live.sum()} foci")
     if method not in get_args(Method):

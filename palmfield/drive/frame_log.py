@@ -150,7 +150,7 @@ def read_log(path: str | Path) -> tuple[LogHead, list[Piece]]:
         lines = read_text(file).split("\n")
     except (OSError, UnicodeDecodeError) as error:
         raise SceneError(
-            f"{file} can't be read as a log: {error}; give a file of --log, or --board for raw bytes"
+            f"{file} cannot be read as a log: {error}; give a file of --log, or --board for raw bytes"
         ) from None
     try:
         head = plain(json.loads, lines[0])
@@ -162,11 +162,11 @@ def read_log(path: str | Path) -> tuple[LogHead, list[Piece]]:
         read = LogHead(air=air, **head)
         _ = read.elements
         if read.address is not None and sorted(read.address) != list(range(read.transducers)):
-            raise ValueError(f"address holds other numbers than 0 to {read.transducers - 1}, each once")
+            raise ValueError(f"address must hold each number from 0 to {read.transducers - 1} once")
         return read, list(_pieces(lines[1:]))
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise SceneError(
-            f"{file} is no log of frames: {error}; give a file of --log, or --board for raw bytes"
+            f"{file} is not a log of frames: {error}; give a file of --log, or --board for raw bytes"
         ) from None
 
 

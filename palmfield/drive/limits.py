@@ -49,8 +49,11 @@ class SoundLimits:
         if self.ramp_s <= 0.0:
             return ""
         if not board.levels:
-            dither = ": key dither gives it some" if "dither" in board.keys else ""
-            return f"no ramp: {board.name} has no levels between off and full, so sound begins and ends at once{dither}"
+            dither = ": key dither adds levels" if "dither" in board.keys else ""
+            return (
+                f"no ramp: {board.name} has no levels between off and full, so the sound starts and stops "
+                f"abruptly{dither}"
+            )
         return f"sound rises and falls within {1e3 * min(self.ramp_s, 1e3):g} ms"
 
     def check(self, times_s: Sequence[float], sounds: Sequence[bool], duration_s: float) -> tuple[float, float]:
@@ -64,13 +67,13 @@ class SoundLimits:
         duty = _duty(stretches, duration_s)
         if self.on_time_s is not None and on_s > self.on_time_s * (1.0 + 1e-9):
             raise DeviceError(
-                f"it would sound for {on_s:.4g} s, and driver key on_time_s allows {self.on_time_s:g}: play for a "
+                f"the play has {on_s:.4g} s of sound; driver key on_time_s allows {self.on_time_s:g} s: play for a "
                 "shorter time (--duration), or set on_time_s larger"
             )
         if duty > self.duty * (1.0 + 1e-9):
             raise DeviceError(
-                f"it would sound {100 * duty:.3g} % of {min(WINDOW_S, duration_s):g} s, and driver key duty_limit "
-                f"allows {100 * self.duty:.3g} %: leave pauses (stop_s, bursts), or set duty_limit larger"
+                f"the play has sound in {100 * duty:.3g} % of {min(WINDOW_S, duration_s):g} s; driver key "
+                f"duty_limit allows {100 * self.duty:.3g} %: add pauses (stop_s, bursts), or set duty_limit larger"
             )
         return on_s, duty
 

@@ -41,7 +41,7 @@ def read_focus(line: bytes, offset: Float) -> LiveFocus:
     told = read_object(line)
     stray = sorted(set(told) - set(KEYS))
     if stray:
-        raise BadLine("keys", f"key '{stray[0][:40]}' is not known; allowed: {', '.join(KEYS)}")
+        raise BadLine("keys", f"key '{stray[0][:40]}' is unknown; allowed: {', '.join(KEYS)}")
     level = _numbers(told, "level", 1)[0] if "level" in told else 1.0
     if not 0.0 <= level <= 1.0:
         raise BadLine("level", f"level has value {level:g}; allowed: 0 to 1")
@@ -53,9 +53,9 @@ def read_focus(line: bytes, offset: Float) -> LiveFocus:
             raise BadLine("numbers", f"quaternion has length {length:g}; allowed: 1, w first")
         place = rotation_matrix(turn / length) @ place + _numbers(told, "position_m", 3)
     elif "quaternion" in told:
-        raise BadLine("keys", "a quaternion is told without position_m; allowed: both, or position_m alone")
+        raise BadLine("keys", "a quaternion is given without position_m; allowed: both, or position_m alone")
     elif "focus_m" not in told:
-        raise BadLine("keys", "neither focus_m nor position_m is told; allowed: one of them, or both")
+        raise BadLine("keys", "neither focus_m nor position_m is given; allowed: one of them, or both")
     return LiveFocus(place, level)
 
 
@@ -88,7 +88,7 @@ class FocusListener(LineListener):
 
     def report(self) -> str:
         """Return the numbers of used and skipped lines, in words."""
-        return f"{self.taken} foci came, {sum(self.bad.values())} lines skipped{self.skipped()}"
+        return f"{self.taken} foci received, {sum(self.bad.values())} lines skipped{self.skipped()}"
 
     def take(self, line: bytes, came_s: float) -> None:
         focus = read_focus(line, self._offset)

@@ -16,8 +16,8 @@ def check_port(port: str) -> None:
     """
     if os.name == "posix" and re.fullmatch(r"COM\d+", port, re.IGNORECASE):
         raise DeviceError(
-            f"cannot open {port}: that is a port of Windows, and this system's are such as /dev/ttyUSB0; in WSL attach "
-            f"the board by usbipd first; {choices()}"
+            f"cannot open {port}: this is a Windows port, and ports of this system look like /dev/ttyUSB0; in WSL "
+            f"attach the board by usbipd first; {choices()}"
         )
     if os.name == "posix" and "://" not in port and not port.startswith(AUTD3) and not os.path.exists(port):
         raise DeviceError(f"cannot open {port}: there is no such port; {choices()}")

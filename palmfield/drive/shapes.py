@@ -98,8 +98,8 @@ def plane_wave(array: Array, air: Air, direction: ArrayLike) -> Complex:
     if np.any(array.normals @ along <= 0.0):
         i = int(np.argmin(array.normals @ along))
         raise SceneError(
-            f"direction {vector.tolist()} does not lead out of the array '{array.name}', whose transducer {i} looks "
-            f"along {array.normals[i].tolist()}: give one that goes out in front of the array"
+            f"direction {vector.tolist()} does not point out of array '{array.name}', whose transducer {i} faces "
+            f"{array.normals[i].tolist()}: give a direction to the front of the array"
         )
     k = 2.0 * np.pi * array.frequency_Hz / sound_speed(air)
     return np.exp(1j * k * (array.positions @ along))

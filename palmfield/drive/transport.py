@@ -90,10 +90,10 @@ class SerialTransport:
         except serial.SerialTimeoutException as error:
             self._timeouts += 1
             if self._timeouts >= TIMEOUTS_BEFORE_LOST:
-                raise PortLost(f"{self.name} takes no bytes") from error
+                raise PortLost(f"{self.name} accepts no bytes") from error
             return False
         except LOST as error:
-            raise PortLost(f"{self.name} is gone: {reason(error)}") from error
+            raise PortLost(f"connection to {self.name} lost: {reason(error)}") from error
         self._timeouts = 0
         self._offered += len(data)
         return True
@@ -112,7 +112,7 @@ class SerialTransport:
         except BlockingIOError:
             return 0
         except LOST as error:
-            raise PortLost(f"{self.name} is gone: {reason(error)}") from error
+            raise PortLost(f"connection to {self.name} lost: {reason(error)}") from error
         self._offered += taken
         return taken
 
@@ -131,7 +131,7 @@ class SerialTransport:
         except (NotImplementedError, AttributeError):
             return 0
         except LOST as error:
-            raise PortLost(f"{self.name} is gone: {reason(error)}") from error
+            raise PortLost(f"connection to {self.name} lost: {reason(error)}") from error
 
     def hear_first(self) -> None:
         """Wait for the first number of a virtual board, if there is one; before any byte is written.
@@ -168,7 +168,7 @@ class SerialTransport:
         try:
             self._stream.flush()
         except LOST as error:
-            raise PortLost(f"{self.name} is gone: {reason(error)}") from error
+            raise PortLost(f"connection to {self.name} lost: {reason(error)}") from error
 
     def close(self) -> None:
         if self._is_socket and self._heard:
@@ -204,7 +204,7 @@ class FileTransport:
     def write(self, data: bytes) -> bool:
         """Always True; raises OutputError if writing fails, or failed before."""
         if self._file.closed:
-            raise OutputError(f"cannot write {self.path}: it is closed, or the disk took no more; choose another file")
+            raise OutputError(f"cannot write {self.path}: the file is closed, or the disk is full; choose another file")
         try:
             while data:
                 data = data[self._file.write(data) :]
@@ -258,7 +258,7 @@ def reason(error: Exception) -> str:
     if number == errno.EACCES:
         return "permission denied (on Linux, add yourself to the group 'dialout' and log in again)"
     if "exclusively lock" in str(error):
-        return "another program holds it"
+        return "another program uses it"
     return os.strerror(number) if number else str(error).splitlines()[0] if str(error) else type(error).__name__
 
 

@@ -29,7 +29,7 @@ class TriggerLine:
             if line != "byte":
                 setattr(self._port, line, False)
         except (serial.SerialException, ValueError, OSError) as error:
-            raise DeviceError(f"trigger.port '{port}' can't be opened: {error}; give a serial port") from None
+            raise DeviceError(f"trigger.port '{port}' cannot be opened: {error}; give a serial port") from None
 
     def mark(self, text: str, when: float) -> None:
         """Raise the line at a moment of time.monotonic, at once if it is past; returns at once. text: not sent"""

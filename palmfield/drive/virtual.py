@@ -177,7 +177,7 @@ class VirtualBoard:
         try:
             self._server = socket.create_server(("127.0.0.1", tcp_port))
         except OSError as error:
-            raise DeviceError(f"TCP port {tcp_port} can't be opened: {error}; allowed: a free one, or 0") from None
+            raise DeviceError(f"TCP port {tcp_port} cannot be opened: {error}; give a free port, or 0") from None
         self._server.setblocking(False)
         self._peer: socket.socket | None = None
         self._tcp_port = self._server.getsockname()[1]

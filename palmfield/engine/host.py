@@ -140,7 +140,7 @@ def _cut_off(world: World, module: str) -> None:
         # The last error has not been raised. Further ones must end a program that never calls `raise_errors`: each is
         # raised again, and ends the program where that meets this thread in Python
         _thread.start_new_thread(_thread.interrupt_main, ())
-    text = "Ctrl-C cut a step off; the state is incomplete: reset it, or go back to a copy"
+    text = "Ctrl-C interrupted a step, so the state is incomplete: reset it, or restore a copy"
     _fail(world, module, KeyboardInterrupt(text))
 
 
@@ -262,7 +262,7 @@ def register(module: type[Module]) -> None:
         except Exception as error:
             # A picture is no result: the run goes on without it, and one warning is enough
             if not world.undrawn:
-                lib.mju_warning(b"%s", f"{module.name} can't be drawn: {explained(error)}".encode())
+                lib.mju_warning(b"%s", f"{module.name} cannot be drawn: {explained(error)}".encode())
             world.undrawn = True
 
     void, integer = ctypes.c_void_p, ctypes.c_int

@@ -23,7 +23,7 @@ class OneWorld:
         """name: of the scene. Raises SceneError for one without skins."""
         world = world_of(data)
         if world is None or world.scene is None:
-            raise SceneError(f"{name} has no plugin 'palmfield.skin'; it is a plain MuJoCo model")
+            raise SceneError(f"{name} has no plugin 'palmfield.skin', so it is a plain MuJoCo model; add the plugin")
         world.quiet = True
         self.data, self.mujoco_model, self.name = (data,), data.model, name
         self.runtimes: list[SceneRuntime] = [world.scene]

@@ -241,10 +241,10 @@ class SceneRuntime:
         """Why steps are not gathered: a body feels the force of the sound, or sensors may be read; empty otherwise."""
         model = self.view.model
         if serves(self.model):
-            return "a graph on a GPU takes each by itself"
+            return "a graph on a GPU computes each separately"
         for body in dict.fromkeys(number for parts in self.parts for part in parts for number in model.ancestors(part)):
             if model.raw.body_dofnum[body] > 0:
-                return f"body '{model.names('body')[body]}' has degrees of freedom, which feel the sound"
+                return f"body '{model.names('body')[body]}' has degrees of freedom, on which the sound acts"
         others = sorted({plugin for _, plugin, _ in model.instances() if not plugin.startswith("palmfield.")})
         return f"plugin '{others[0]}' may read sensors" if others else ""
 
@@ -280,18 +280,18 @@ class SceneRuntime:
         now_s = option.timestep
         if option.integrator == RK4:
             raise SceneError(
-                "option 'integrator' has value 'RK4', which takes forces four times in a step, where the sound has "
-                "one; allowed: Euler | implicit | implicitfast"
+                "option 'integrator' has value 'RK4', which evaluates forces four times per step, but the sound "
+                "is computed once per step; allowed: Euler | implicit | implicitfast"
             )
         if option.disableflags & PASSIVE == PASSIVE:
             raise SceneError(
-                "option 'flag' disables 'spring' and 'damper', with which MuJoCo leaves out all passive forces, and "
-                "those of the sound; allowed: one of them"
+                "option 'flag' disables both 'spring' and 'damper', with which MuJoCo skips all passive forces, "
+                "including those of the sound; allowed: disable one of them"
             )
         if now_s != self.spec.timestep_s:
             raise SceneError(
-                f"option 'timestep' has value {now_s:g}, and {self.spec.timestep_s:g} when the scene was loaded, for "
-                "which its skins are made: load the scene with the new one"
+                f"option 'timestep' has value {now_s:g}, but was {self.spec.timestep_s:g} when the scene was "
+                "loaded and its skins were built: load the scene again with the new value"
             )
 
     def adopt(self, other: "SceneRuntime") -> None:

@@ -174,9 +174,9 @@ class SceneWorlds:
         if (times != times[0]).any():
             number = int(np.argmax(times != times[0]))
             raise SceneError(
-                f"world {number} is at {times[number]:g} s and world 0 at {times[0]:g} s, but worlds share their time: "
-                "nobody else may set or step one, and MuJoCo resets a world that has become unstable (then make "
-                "option 'timestep' smaller)"
+                f"world {number} is at {times[number]:g} s and world 0 at {times[0]:g} s, but all worlds share one "
+                "time: do not set or step single worlds; if MuJoCo reset an unstable world, set option 'timestep' "
+                "smaller"
             )
         return float(times[0])
 

@@ -22,19 +22,19 @@ def array_biases(model: HapticModel, stimulus: int, drive: Complex) -> list[Bias
     return [
         _warm_up(known),
         *_level(known, level),
-        Bias("coupling of transducers", None, None, "each sounds as if alone: either way"),
+        Bias("coupling of transducers", None, None, "sign unknown: mutual coupling of the transducers is not modelled"),
     ]
 
 
 def _warm_up(known: list[Calibration | None]) -> Bias:
     measured = [one.warm_up for one in known if one is not None and one.warm_up is not None]
     if not measured or len(measured) < len(known):
-        why = "resonance and level drift over minutes: usually less sound than at the start"
-        return Bias("warm-up", None, None, f"{why}; no calibration has it")
+        why = "resonance and level drift over minutes; usually the sound becomes weaker"
+        return Bias("warm-up", None, None, f"{why}; not in the calibration")
     starts = [(1.0 + one.drop) ** 2 - 1.0 for one in measured]
     settled_s = max(one.time_s * max(math.log(max(abs(one.drop), SETTLED) / SETTLED), 0.0) for one in measured)
     drops = " and ".join(f"{100 * one.drop:+.1f}" for one in measured)
-    why = f"measured: the pressure begins {drops} % from that in the end, and is within 1 % after {settled_s:.0f} s"
+    why = f"measured: the pressure starts {drops} % from its final value, and is within 1 % after {settled_s:.0f} s"
     return Bias("warm-up", min(0.0, *starts), max(0.0, *starts), why)
 
 
@@ -46,7 +46,7 @@ def _level(known: list[Calibration | None], level: float) -> list[Bias]:
     beyond = [one.linear_to for one in measured if level > FULL * one.linear_to]
     if beyond:
         end = min(beyond)
-        why = f"measured: beyond level {end:.2g} more than 5 % of the pressure is missing, and this is {level:.2g}"
+        why = f"measured: above level {end:.2g} more than 5 % of the pressure is missing; the level here is {level:.2g}"
         return [Bias("saturation of the drive", None, None, why)]
     ends = [
         level ** (2.0 * (one.exponent + side * 1.96 * one.exponent_sd - 1.0)) - 1.0
@@ -54,5 +54,8 @@ def _level(known: list[Calibration | None], level: float) -> list[Bias]:
         for side in (-1, 1)
     ]
     exponents = " and ".join(f"{one.exponent:.3f}" for one in measured)
-    why = f"measured: pressure goes with the level to the power {exponents}, and the loudest level is {level:.2g}"
+    why = (
+        f"measured: pressure is proportional to the level to the power {exponents}; the highest level here is "
+        f"{level:.2g}"
+    )
     return [Bias("level of the drive", min(0.0, *ends), max(0.0, *ends), why)]

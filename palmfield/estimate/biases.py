@@ -36,8 +36,8 @@ TURNED_FROM_DEG = 45.0
 BENDING = ("articulated", "rigged")
 """Shapes of hands that may bend into a cup."""
 FACE_BY_FACE = (
-    "face by face 4 % of the ARP on an open hand, 8 % on a finger, 16 % in a cup, more than half on skin turned away "
-    "(docs/bench/scattering.md)"
+    "error of the local law: 4 % of the ARP on an open hand, 8 % on a finger, 16 % in a cupped hand, more than "
+    "half on skin that faces away (docs/bench/scattering.md)"
 )
 ROUND_BODY = 0.2
 """Worst error of |p|^2 behind a rod, over that of the free focus, against boundary elements (docs/bench/shadows.md)."""
@@ -83,7 +83,14 @@ def _linear(skin: SkinModel) -> list[Bias]:
     """Particles are followed wherever they go; elements are not."""
     if skin.choice.name == "particles":
         return []
-    return [Bias("large strain", None, None, "linear elasticity: less, where skin stiffens at strains above some 10 %")]
+    return [
+        Bias(
+            "large strain",
+            None,
+            None,
+            "linear elasticity; the true displacement is smaller where skin stiffens, at strains above about 10 %",
+        )
+    ]
 
 
 def response_biases(stimulus: StimulusModel, skin: SkinModel) -> list[Bias]:
@@ -108,8 +115,8 @@ def response_biases(stimulus: StimulusModel, skin: SkinModel) -> list[Bias]:
         ("spread of the flight time", response.delayed, response.flight_time, changes[1]),
     ):
         if not there:
-            why = f"{error} of the pressure, measured on samples of the drive, {own}; "
-            why += f"felt by oscillators of {which} Hz" if still else "the ARP has its square"
+            why = f"{error} of the pressure, estimated from samples of the drive, {own}; "
+            why += f"evaluated for oscillators of {which} Hz" if still else "the ARP changes with its square"
             result.append(Bias(what, min(change, 0.0), max(change, 0.0), why))
     return result
 
@@ -142,9 +149,9 @@ def _nonlinear(sigma: float, winds: Sequence[Wind]) -> Bias:
     # Of a Gaussian spot in whose middle harmonics have twice that share, and fall off with its square
     narrower = 100.0 * moved / (2.0 * math.log(2.0))
     why = (
-        f"sigma {sigma:.2f} along the beam to the skin: a microphone reads a 40 kHz line that is some "
-        f"{50.0 * moved:.2g} % weaker, but its harmonics press as well, on a spot that is narrower by up to "
-        f"{narrower:.2g} % and has more ARP in its middle; less is what air and, beyond sigma 1, a shock take of them"
+        f"sigma {sigma:.2f} along the beam to the skin: the 40 kHz component is about {50.0 * moved:.2g} % weaker, "
+        f"but its harmonics also exert radiation pressure, on a spot that is up to {narrower:.2g} % narrower with "
+        "more ARP at its centre; absorption in air and, above sigma 1, a shock reduce this"
     )
     low = -max((one.harmonics for one in winds), default=0.0)
     return Bias("nonlinear sound", max(low, -1.0), moved * min(max(1.0, (sigma / SHARPENS) ** 2), 2.0), why)
@@ -158,14 +165,14 @@ def _streaming(winds: Sequence[Wind], ends: Sequence[float], whole: float) -> Bi
     ends: ARP of each beam alone where it ends; whole: of all of them on the skin [Pa]
     """
     if not winds or whole == 0.0:
-        return Bias("streaming", None, None, "no beam reaches the skin of which a wind could be estimated")
+        return Bias("streaming", None, None, "no beam reaches the skin, so streaming is not estimated")
     pushes = [math.sqrt(one.pressure_Pa * one.force * end) for one, end in zip(winds, ends, strict=True)]
     fastest = max(winds, key=lambda one: one.speed_m_s)
     why = (
-        f"a wind, without viscosity of {fastest.speed_m_s:.2g} m/s: it presses by {fastest.pressure_Pa:.2g} Pa where "
-        f"the skin stops it, with {100.0 * fastest.force:.2g} % of the sound's force, and moves skin at rest by at "
-        f"most so much more. It builds up in some {fastest.time_s:.1g} s, so that modulation and moving foci leave "
-        "its mean alone; it cools"
+        f"acoustic streaming of {fastest.speed_m_s:.2g} m/s (inviscid estimate): stagnation pressure "
+        f"{fastest.pressure_Pa:.2g} Pa, force {100.0 * fastest.force:.2g} % of the acoustic force, which is the "
+        f"upper bound of the additional static displacement. It builds up in about {fastest.time_s:.1g} s, so only "
+        "its mean matters under modulation and moving foci; it also cools the skin"
     )
     return Bias("streaming", 0.0, float(sum(pushes) / whole), why)
 
@@ -178,23 +185,25 @@ def _scattered(
     if part.spec.config.body_sound == "scattering":
         return []
     if part.carrier.surface is None:
-        why = "the law takes the wall as flat and rigid, as this face is; left out is diffraction at its rim"
+        why = "the law assumes a flat rigid wall, as this face is; diffraction at its rim is not modelled"
         return [Bias("scattered sound", None, None, why)]
     place = posed.skins[skin]
     length = sound_speed(posed.arrays.air) / posed.arrays.array.frequency_Hz
     radius = least_radius_m(place.nodes[0], focus, NEAR_M)
     if radius is None:
-        return [Bias("scattered sound", None, None, "no focus is near the skin, so that no curvature is there to tell")]
+        return [
+            Bias("scattered sound", None, None, "no focus is near the skin, so its curvature there is not evaluated")
+        ]
     turned, behind = _turned_deg(posed, drive, *highest)
     curved = radius < FEW_WAVELENGTHS * length or part.spec.config.shape in BENDING
     size = TURNED if turned > TURNED_FROM_DEG else CURVED if curved else OPEN_HAND
     around = behind > 0.0 and radius < FEW_WAVELENGTHS * length
     size = AROUND if around else size
     why = (
-        f"least radius of curvature under the focus {1e3 * radius:.0f} mm, {radius / length:.1f} wavelengths; the "
-        f"local law holds from {FEW_WAVELENGTHS:g}; where the ARP is highest the skin is turned by {turned:.0f} "
-        f"degrees from the sound; {_measured(part)}{'; sound from behind bends round it' if around else ''}. "
-        "body_sound scattering computes it"
+        f"smallest radius of curvature under the focus {1e3 * radius:.0f} mm, {radius / length:.1f} wavelengths; "
+        f"the local law holds from {FEW_WAVELENGTHS:g}; at the highest ARP the angle of incidence is {turned:.0f} "
+        f"degrees; {_measured(part)}{'; sound from behind diffracts around it' if around else ''}. body_sound "
+        "scattering models this"
     )
     return [Bias("scattered sound", -size, size, why)]
 
@@ -215,7 +224,7 @@ def _measured(skin: SkinModel) -> str:
     """The error of the law that was measured on hands; for other bodies only the curvature is available."""
     if skin.spec.config.shape in HANDS:
         return FACE_BY_FACE
-    return "the figure is that of hands as curved and as turned (docs/bench/scattering.md)"
+    return "the figure was measured on hands of this curvature and angle (docs/bench/scattering.md)"
 
 
 def _shadows(model: HapticModel, skin: int) -> list[Bias]:
@@ -224,26 +233,29 @@ def _shadows(model: HapticModel, skin: int) -> list[Bias]:
     config = part.spec.config
     if config.body_sound == "none":
         if part.carrier.surface is None and bodies == 1:
-            return [Bias("cast shadows", 0.0, 0.0, "a flat face casts none on itself")]
-        why = "one part of the body does not shade another" + (", nor one body another" if bodies > 1 else "")
+            return [Bias("cast shadows", 0.0, 0.0, "a flat face casts no shadow on itself")]
+        why = "parts of the body cast no shadows on each other" + (
+            ", and bodies cast no shadows on each other" if bodies > 1 else ""
+        )
         if config.shape in HANDS:
-            why += "; nothing on an open hand, all of the sound behind a finger"
-        return [Bias("cast shadows", None, None, f"{why}. body_sound shadows computes them")]
+            why += "; the effect is 0 on an open hand, and all of the sound behind a finger"
+        return [Bias("cast shadows", None, None, f"{why}. body_sound shadows models them")]
     if config.body_sound == "shadows" and config.shadow_edges == "rays":
         why = (
-            "at the edge of a shadow |p|^2 is off by up to three quarters of the free focus, either way, and elsewhere "
+            "at the edge of a shadow the error of |p|^2 is up to three quarters of the free focus, sign unknown, "
+            "and elsewhere "
         )
-        why += "by nothing (docs/bench/shadows.md). shadow_edges knife_edge bends the sound"
-        return [Bias("sound bent round edges", None, None, why)]
+        why += "0 (docs/bench/shadows.md). shadow_edges knife_edge models diffraction"
+        return [Bias("diffraction at edges of shadows", None, None, why)]
     if config.body_sound == "shadows":
         why = (
-            "a screen in a body's outline stands for the body: 10 to 20 mm behind a rod 16 mm thick |p|^2 is off by up "
-            "to a fifth of the free focus, either way, and by a fiftieth rms; nothing where all transducers are seen "
-            "(docs/bench/shadows.md). body_sound scattering computes it"
+            "a flat screen with the outline of the body replaces the body: 10 to 20 mm behind a rod 16 mm thick "
+            "the error of |p|^2 is up to a fifth of the free focus (sign unknown), a fiftieth rms; 0 where all "
+            "transducers are visible (docs/bench/shadows.md). body_sound scattering models this"
         )
         return [
-            Bias("round bodies taken as screens", -ROUND_BODY, ROUND_BODY, why),
-            Bias("echoes of what casts shadows", None, None, "sound that comes back from it onto skin that is near it"),
+            Bias("bodies approximated by flat screens", -ROUND_BODY, ROUND_BODY, why),
+            Bias("echoes from obstacles", None, None, "sound reflected by an obstacle onto nearby skin"),
         ]
     return []
 
@@ -258,15 +270,15 @@ def _echo(
 ) -> list[Bias]:
     """Sound that a flat body returns to a rigid face comes again as from three times the distance, from five ..."""
     if model.skins[skin].carrier.surface is not None:
-        return [Bias(ECHO, None, None, "either way; less than on a flat plate")]
+        return [Bias(ECHO, None, None, "sign unknown; smaller than for a flat plate")]
     arrays, (point, outward) = posed.arrays, highest
     normal = arrays.facing[:, 0] / np.linalg.norm(arrays.facing[:, 0])
     if (arrays.array.normals @ normal).min() < math.cos(math.radians(TILTED_DEG)):
-        why = "either way; the transducers face in several directions, so that no plane returns it"
+        why = "sign unknown; the transducers face several directions, so no single plane returns the sound"
         return [Bias(ECHO, None, None, why)]
     tilt_deg = math.degrees(math.acos(max(-1.0, min(1.0, float(-outward @ normal)))))
     if tilt_deg > TILTED_DEG:
-        why = f"either way; the disc is tilted by {tilt_deg:.0f} degrees, so that its echo returns beside the place"
+        why = f"sign unknown; the disc is tilted by {tilt_deg:.0f} degrees, so its echo misses the focus"
         return [Bias(ECHO, None, None, why)]
     height = float(point @ normal - arrays.heights[0])
     trips = np.arange(ROUND_TRIPS + 1)
@@ -276,10 +288,10 @@ def _echo(
         return _echo_computed(model.stimuli[stimulus], arrays, drive, point, shares)
     together = float(shares.sum())
     why = (
-        f"an endless flat plate at {1e3 * height:.0f} mm, where the disc is, and a rigid array face return "
-        f"{100 * shares[0]:.1f} % of the pressure after one round trip and {100 * together:.1f} % after {ROUND_TRIPS}, "
-        "which add or cancel as the distance changes by a quarter of a wavelength; less on a narrow disc, nothing if "
-        "the face absorbs. array_face rigid computes it"
+        f"an infinite flat plate at {1e3 * height:.0f} mm, the distance of the disc, and a rigid array face return "
+        f"{100 * shares[0]:.1f} % of the pressure after one round trip and {100 * together:.1f} % after "
+        f"{ROUND_TRIPS}; these add or cancel as the distance changes by a quarter of a wavelength; smaller on a "
+        "narrow disc, 0 if the face absorbs. array_face rigid models this"
     )
     return [Bias(ECHO, (1.0 - min(together, 1.0)) ** 2 - 1.0, (1.0 + together) ** 2 - 1.0, why)]
 
@@ -292,8 +304,8 @@ def _echo_computed(
     alone, whole = (abs(of(point[None], drive)[0]) ** 2 for of in (arrays.pressure64, arrays.with_echoes64))
     change = float(alone / whole) - 1.0 if whole > 0.0 else 0.0
     rims = (
-        "echoes are those of endless planes: less comes back from a disc or a board that ends, so that the truth lies "
-        f"between them and none; after {len(arrays.images) // len(arrays.groups)} round trips less than "
+        "echoes are computed for infinite planes; a finite disc or board returns less, so the true echo lies "
+        f"between this and 0; after {len(arrays.images) // len(arrays.groups)} round trips less than "
         f"{100 * REST:g} % of the pressure is left"
     )
     trip_s = 2.0 * arrays.wall_m / sound_speed(arrays.air)
@@ -301,10 +313,10 @@ def _echo_computed(
     turned = np.minimum(2.0, 2.0 * np.pi * fastest_Hz * trip_s * np.arange(1, ROUND_TRIPS + 1))
     late = 2.0 * float(shares @ turned)
     why = (
-        f"{1e3 * trip_s:.2f} ms a round trip, computed as if at once: nothing while the sound keeps still, here the "
-        f"change of a drive of {fastest_Hz:.3g} Hz"
+        f"{1e3 * trip_s:.2f} ms per round trip, computed without delay: no error for steady sound; here the change "
+        f"of a drive of {fastest_Hz:.3g} Hz in that time"
     )
     return [
-        Bias("rims that end the echo", min(change, 0.0), max(change, 0.0), rims),
+        Bias("finite size of disc and board in the echo", min(change, 0.0), max(change, 0.0), rims),
         Bias("delay of the echo", -late, late, why),
     ]

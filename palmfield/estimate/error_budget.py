@@ -22,8 +22,8 @@ from palmfield.stimulus.schedule import frame_at
 from palmfield.types import Float
 
 QUANTITY = (
-    "amplitude of the skin's displacement at its point nearest to the focus, at rest and at the main frequency, under "
-    "the sound of the run's loudest moment; relative to its size"
+    "displacement amplitude at the skin point nearest to the focus, static and at the main frequency, under the "
+    "loudest sound of the run; relative to its value"
 )
 LOUDEST_POINTS = 64
 """Points of the skin at which the field is computed once more in double precision."""
@@ -101,7 +101,9 @@ def _level(model: HapticModel, nearest: int, loudest: LoudestMoment, point: Floa
         why = "arp_peak_Pa sets the level"
         return [{"what": "p0", "low": 1.0, "high": 1.0, "kind": kinds, "why": why}]
     given = [model.stimuli[number].config.arp_peak_Pa is not None for number in sounding]
-    law = "where the ARP is highest, of all stimuli together; those with arp_peak_Pa keep theirs" if any(given) else ""
+    law = (
+        "at the highest ARP, for all active stimuli; stimuli with arp_peak_Pa do not depend on p0" if any(given) else ""
+    )
     why = "; ".join(f"{p0.value:g} Pa m ({p0.low:g} to {p0.high:g}): {p0.source}" for p0 in known)
     why = f"{law or 'exactly its square'}; {why}"
     return [{"what": "p0", "low": band[0], "high": band[1], "kind": kinds, "why": why}]
@@ -110,24 +112,27 @@ def _level(model: HapticModel, nearest: int, loudest: LoudestMoment, point: Floa
 def _material(model: HapticModel, skin: int, band: tuple[float | None, float | None]) -> dict[str, Any]:
     config = model.skins[skin].spec.config
     names = ", ".join(config.materials or (config.material,))
-    why = f"{names}: no range is known of the numbers that the scene sets"
+    why = f"{names}: the scene sets numbers without a range"
     if band[0] is not None:
-        why = f"{names}: all moduli at the ends of their ranges at once, softest and stiffest; correlation is ignored"
+        why = (
+            f"{names}: all moduli at the soft ends and at the stiff ends of their ranges at once; correlation is "
+            "ignored"
+        )
     return {"what": "material", "low": band[0], "high": band[1], "kind": "inferred", "why": why}
 
 
 def _depth(model: HapticModel, skin: int, point: Float) -> list[dict[str, Any]]:
-    """Return the depth to the bone under a point of the resting skin, body frame [m], shape (3,); None for a disc."""
+    """Return the depth to bone under a point of the resting skin, body frame [m], shape (3,); None for a disc."""
     part = model.skins[skin]
     if part.carrier.surface is None:
         return []
     band = depth_band(part.layer, point)
     if band is None:
         config = part.spec.config
-        why = f"at most {1e3 * config.depth_m:g} mm by key depth_m, on base {config.base}; no range is known"
+        why = f"at most {1e3 * config.depth_m:g} mm by key depth_m, on base {config.base}; its range is unknown"
         return [{"what": DEPTH, "low": None, "high": None, "kind": "assumed", "why": why}]
     own, least, most = (1e3 * depth for depth in (band.own_m, band.least_m, band.most_m))
-    why = f"{own:.2g} mm under the focus, {least:.2g} to {most:.2g} mm on such places of people; exact for a flat layer"
+    why = f"{own:.2g} mm under the focus; {least:.2g} to {most:.2g} mm at such places on people; exact for a flat layer"
     return [{"what": DEPTH, "low": band.low, "high": band.high, "kind": "inferred", "why": why}]
 
 
@@ -138,10 +143,10 @@ def _unknown_inputs(model: HapticModel, skin: int, stimulus: int) -> list[dict[s
     if part.spec.config.arp_law == "alpha":
         alpha = 2.0 * part.spec.arp_law.pressure
         key = "arp_law" if part.spec.config.arp_alpha is None else "arp_alpha"
-        why = f"{alpha:g} by key {key}; allowed: 1 to 2, and the ARP on the skin is in proportion to it"
+        why = f"{alpha:g} by key {key}; allowed: 1 to 2; the ARP on the skin is proportional to it"
         inputs.append(("alpha of the ARP", "assumed", why))
     known = quality_known(model, stimulus)
     kinds = " and ".join(dict.fromkeys(one.kind for one in known))
     ranges = "; ".join(f"{one.value:g} ({one.low:g} to {one.high:g}): {one.source}" for one in known)
-    inputs.append(("quality of the transducers", kinds, f"{ranges}; it shapes onsets and fast modulation"))
+    inputs.append(("quality factor of the transducers", kinds, f"{ranges}; affects onsets and fast modulation"))
     return [{"what": what, "low": None, "high": None, "kind": kind, "why": why} for what, kind, why in inputs]

@@ -59,7 +59,7 @@ def _budgets(sim: Simulation, recorder: Recorder, bar: Progress) -> dict[str, An
     try:
         return {name: estimated_budget(sim, number, recorder.loudest[number]) for number, name in enumerate(sim.skins)}
     finally:
-        LOG.debug("the error's estimate took %.2f s", time.perf_counter() - before)
+        LOG.debug("the error estimate took %.2f s", time.perf_counter() - before)
         bar.remove_task(task)
 
 
@@ -87,8 +87,8 @@ def _numbers(
     for name, numbers in stimuli.items():
         if turned := numbers.get("phase_turn_times_s"):
             LOG.warning(
-                "the phases between the foci of stimulus '%s' turn at once (count: %d, first at %.6g s), where two "
-                "eigenvalues cross: drive and sound may jump there, as they would on a real board", name, len(turned),
+                "the phases between the foci of stimulus '%s' jump (count: %d, first at %.6g s) where two "
+                "eigenvalues cross: drive and sound may jump there, as on a real board", name, len(turned),
                 turned[0],
             )  # fmt: skip
     return scene_numbers(sim, *run), skins, stimuli

@@ -36,12 +36,15 @@ class Sending:
     amplitude_steps: int | None
 
     def __str__(self) -> str:
-        due = f"{self.frames_s:.4g} frames/s due" if self.frames_s else "what rests is sent again 10 times a second"
+        due = (
+            f"{self.frames_s:.4g} frames/s due" if self.frames_s else "constant frames are repeated 10 times per second"
+        )
         steps = "off or full" if self.amplitude_steps == 1 else f"{self.amplitude_steps} levels above off"
         low, high = self.latency_s
         return (
-            f"{self.frame_bytes} bytes a frame, {due}, the line takes {rate_in_words(self.most_frames_s)}; latency "
-            f"{1e3 * low:.3g} to {1e3 * high:.3g} ms; phases keep {self.pressure_kept:.4f} of the pressure; {steps}"
+            f"{self.frame_bytes} bytes per frame, {due}, capacity of the line {rate_in_words(self.most_frames_s)}; "
+            f"latency {1e3 * low:.3g} to {1e3 * high:.3g} ms; rounded phases keep {self.pressure_kept:.4f} of the "
+            f"pressure; {steps}"
         )
 
 
@@ -88,8 +91,9 @@ def offset_words(offset: Float, rounding_m: float = 0.0) -> str:
     aside = float(np.hypot(*offset[:2]))
     where = "nearer to" if offset[2] < 0.0 else "farther from"
     words = (
-        f"|p| is largest {1e3 * abs(offset[2]):.1f} mm {where} the array than the focus ({1e3 * aside:.1f} mm aside)"
+        f"the maximum of |p| lies {1e3 * abs(offset[2]):.1f} mm {where} the array than the focus "
+        f"({1e3 * aside:.1f} mm to the side)"
     )
     return words + (
-        f"; the board's rounding moves it by {1e3 * rounding_m:.1f} mm" if rounding_m >= LEAST_SAID_M else ""
+        f"; rounding by the board moves it by {1e3 * rounding_m:.1f} mm" if rounding_m >= LEAST_SAID_M else ""
     )

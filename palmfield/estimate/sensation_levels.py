@@ -62,9 +62,9 @@ def felt_levels(
     config = model.stimuli[stimulus_of(model, skin)].config
     main = main_frequencies(config)
     if not main:
-        return _all_refused(None, "the load does not repeat, and levels are those of a periodic motion")
+        return _all_refused(None, "the load does not repeat, but levels need a periodic motion")
     if loudest is None:
-        return _all_refused(main[0], "no sound pushes this skin")
+        return _all_refused(main[0], "no sound acts on this skin")
     loudest_Pa = float(arp_peaks.max())
     begin, end = steady_stretch_s(config)
     steady = slice(*np.searchsorted(begun_s + times, [begin - CLOCK_S, end + CLOCK_S]))
@@ -78,7 +78,7 @@ def felt_levels(
         lasts_ms = 1e3 * float(np.ptp(times)) if len(times) else 0.0
         needed_s, of_what = wanted_s(config)
         reason = (
-            f"{lasts_ms:.3g} ms of this run lie between ramp and silence; a level takes {of_what}, "
+            f"this run has {lasts_ms:.3g} ms between ramp and silence; a level needs {of_what}, "
             f"{1e3 * needed_s:.4g} ms: run for longer"
         )
         return _all_refused(main[0], reason) | _refusal(name, refusal or reason)
@@ -97,8 +97,8 @@ def felt_levels(
         f"level_all_lines_{name}_dB_SL": None,
         f"level_{name}_spread_dB": FORCE_OBSERVER.spread_dB,
         f"level_{name}_spread_of": FORCE_OBSERVER.spread_of,
-        f"level_{name}_why": f"applies: {FORCE_OBSERVER.why}; mean force {1e3 * course.mean():.2g} mN, where it was "
-        f"measured {1e3 * FORCE_OBSERVER.mean_N:g} mN",
+        f"level_{name}_why": f"applies: {FORCE_OBSERVER.why}; mean force {1e3 * course.mean():.2g} mN here, "
+        f"{1e3 * FORCE_OBSERVER.mean_N:g} mN in the measurement",
     }
 
 
@@ -173,9 +173,9 @@ def _why(observer: Observer, frequencies: list[float], amplitudes: Float) -> str
     inside = np.isfinite(threshold_m(observer, frequencies))
     if not inside.any():
         low, high = observer.frequency_Hz[[0, -1]]
-        return f"refused: its table goes from {low:g} to {high:g} Hz, the main line is at {frequencies[0]:g} Hz"
+        return f"refused: its table covers {low:g} to {high:g} Hz, but the main line is at {frequencies[0]:g} Hz"
     moves = bool((amplitudes[inside] > 0.0).any())
-    return f"applies: {observer.why}" if moves else "refused: the skin doesn't move at any line of its table"
+    return f"applies: {observer.why}" if moves else "refused: the skin does not move at any frequency of its table"
 
 
 def _finite(level: float) -> float | None:
@@ -188,17 +188,17 @@ def _refused(
     """Why the force observer was not measured with such a sound on such a skin; None where it was."""
     sounding = [stimulus for stimulus in model.stimuli if not stimulus.silent]
     if len(sounding) > 1:
-        return f"it was measured with one focus, {len(sounding)} stimuli sound"
+        return f"it was measured with one focus, but {len(sounding)} stimuli are active"
     config = model.skins[skin].spec.config
     if config.shape not in ("hand", "articulated"):
-        return f"it was measured on palms; where the palm of a skin of shape '{config.shape}' lies is not known"
+        return f"it was measured on palms, but shape '{config.shape}' has no known palm"
     arp = radiation.on(loudest.posed, skin, "nodes", loudest.drive).arp
     region = region_at(config.hand, model.skins[skin].nodes[0][int(arp.argmax())])
     if region not in PALM_AREAS:
-        return f"it was measured on palms, the loudest point lies on '{region}'"
+        return f"it was measured on palms, but the loudest point lies on '{region}'"
     moved = _moved_m(loudest.posed, reference, skin)
     if model.spec.skins[skin].moves or sounding[0].spec.frame_moves or moved > STILL_m:
-        return "it was measured with hand and focus at rest, and in this scene one moves"
+        return "it was measured with hand and focus at rest, but in this scene one of them moves"
     return why_refused(sounding[0].config)
 
 

@@ -211,5 +211,5 @@ def _why(model: HapticModel, skin: int) -> str:
     """Why that stepped it."""
     choice = model.skins[skin].choice
     if choice.name != model.begin[skin].value.name:
-        return f"{choice.why}; but no small model reached its accuracy, so that the whole layer stepped"
+        return f"{choice.why}; but no reduced model reached its accuracy, so the full wedge model was used"
     return choice.why

@@ -55,7 +55,7 @@ def chirality(vertices: Float, faces: Int, named: str = "unknown") -> Chirality:
         near = way < 0.5 * way.max()
         normal = _frame(vertices, near, np.ones(len(vertices)), up)[1]
         middle = vertices[near].mean(axis=0)
-        return Chirality("unknown", 0.0, normal, vertices[tips], middle, f"{len(tips)} digit tips were found, not 5")
+        return Chirality("unknown", 0.0, normal, vertices[tips], middle, f"found {len(tips)} digit tips, expected 5")
     level, passes = _webs(links, way, tips)
     web = level.max(axis=1)
     thumb, fingers = int(np.argmin(web)), np.argsort(web)[1:]
@@ -90,12 +90,12 @@ def chirality(vertices: Float, faces: Int, named: str = "unknown") -> Chirality:
     ordered = vertices[tips[[thumb, *from_thumb]]]
     sign = 1.0 if right else -1.0
     reason = (
-        f"in shares of the fingers' length, one digit leaves {web_offset:.2f} nearer to the wrist than the others and "
-        f"ends {nearer:.2f} nearer; to the palm's side it lies {sign * of_thumb:+.2f} and the fingers' tips "
+        f"lengths relative to the fingers: the thumb branches off {web_offset:.2f} and ends {nearer:.2f} closer to "
+        f"the wrist than the other digits; towards the palm it lies {sign * of_thumb:+.2f} and the fingertips "
         f"{sign * of_tips:+.2f}"
     )
     if by_name:
-        return Chirality(named, thumb_known, palm, ordered, middle, f"by the joints' names; {reason}")
+        return Chirality(named, thumb_known, palm, ordered, middle, f"from the joint names; {reason}")
     if sureness < LEAST_SURENESS:
         return Chirality("unknown", sureness, palm, ordered, middle, f"not sure: {reason}")
     return Chirality("right" if right else "left", sureness, palm, ordered, middle, reason)

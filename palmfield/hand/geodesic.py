@@ -58,8 +58,8 @@ def _corridor(surface: Surface, start: tuple[int, Float], end: tuple[int, Float]
     direct = float(both.min())
     if not math.isfinite(direct):
         raise SceneError(
-            f"waypoints {number} and {number + 1} are on parts of the mesh that don't hang together; "
-            "join the parts or choose others"
+            f"waypoints {number} and {number + 1} lie on unconnected parts of the mesh; connect the parts, or "
+            "choose other waypoints"
         )
     # Two edges more, since the ends lie within faces
     within = both <= DETOUR * direct + 2.0 * float(length.max())

@@ -54,7 +54,9 @@ class _Reader:
         self.scene, self.file, self.weights = scene, file, weights
         packed = [name for name in scene.extensionsRequired or [] if "compression" in name or "quantization" in name]
         if packed:
-            raise SceneError(f"mesh {file} needs the extension {packed[0]}, which is not read; export it uncompressed")
+            raise SceneError(
+                f"mesh {file} needs the extension {packed[0]}, which is not supported; export it uncompressed"
+            )
         self.buffers = [self._buffer(buffer.uri) for buffer in scene.buffers]
         self.parent: dict[int, int] = {
             child: index for index, node in enumerate(scene.nodes) for child in node.children or []
@@ -70,7 +72,8 @@ class _Reader:
         place = (home / unquote(uri)).resolve()
         if not place.is_relative_to(home):
             raise SceneError(
-                f"mesh {self.file}: buffer '{uri}' is outside the mesh's folder; allowed: files in that; export a .glb"
+                f"mesh {self.file}: buffer '{uri}' is outside the folder of the mesh; allowed: files in that "
+                "folder; or export a .glb"
             )
         return read_bytes(place)
 
@@ -107,7 +110,7 @@ class _Reader:
                 weights.append(weight)
                 start += len(points)
         if not parts:
-            raise SceneError(f"mesh {self.file} is empty (no mesh in its scene); export it with its faces")
+            raise SceneError(f"mesh {self.file} is empty (its scene has no mesh); export it with its faces")
         rig = None
         if skins:
             rig = SkinRig(self._joints(self.scene.skins[skins[0]].joints), sparse.csr_array(np.concatenate(weights)))
@@ -118,7 +121,7 @@ class _Reader:
     ) -> tuple[Float, Int, Float]:
         if primitive.mode not in (None, TRIANGLES):
             raise SceneError(
-                f"mesh {self.file}: primitive mode {primitive.mode} is not read; export triangles (mode 4)"
+                f"mesh {self.file}: primitive mode {primitive.mode} is not supported; export triangles (mode 4)"
             )
         position = getattr(primitive.attributes, "POSITION", None)
         if position is None:
@@ -150,8 +153,8 @@ class _Reader:
         weights = self.weights[node] or mesh.weights or [0.0] * len(targets)
         if len(weights) != len(targets):
             raise SceneError(
-                f"mesh {self.file}: {len(weights)} weights are given for {len(targets)} morph targets; give one for "
-                "each, or apply them in the program that it is from"
+                f"mesh {self.file}: {len(weights)} weights for {len(targets)} morph targets; give one weight per "
+                "target, or apply the targets in the modelling program"
             )
         for target, weight in zip(targets, weights, strict=True):
             moved = target.get("POSITION") if isinstance(target, dict) else getattr(target, "POSITION", None)
@@ -174,7 +177,8 @@ class _Reader:
         total = out.sum(axis=1)
         if (total <= 0.0).any():
             raise SceneError(
-                f"mesh {self.file}: {int((total <= 0.0).sum())} of {number} vertices have no weights; bind them"
+                f"mesh {self.file}: {int((total <= 0.0).sum())} of {number} vertices have no weights; bind them to "
+                "joints"
             )
         return out / total[:, None]
 
@@ -200,7 +204,7 @@ class _Reader:
             out.append(node)
             todo += self.scene.nodes[node].children or []
             if len(out) > len(self.scene.nodes):
-                raise SceneError(f"mesh {self.file}: its nodes form a ring; export it again")
+                raise SceneError(f"mesh {self.file}: its nodes form a cycle; export it again")
         return out
 
     def _world(self, index: int) -> Float:

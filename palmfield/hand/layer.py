@@ -38,7 +38,7 @@ def depth_by_vertex(depth: ArrayLike | float, count: int) -> Float:
     if value.ndim == 0:
         value = np.full(count, float(value))
     if value.shape != (count,):
-        raise SceneError(f"skin depth has shape {value.shape}; give one number, or one for each of {count} vertices")
+        raise SceneError(f"skin depth has shape {value.shape}; give one number, or one per vertex ({count})")
     wrong = ~(np.isfinite(value) & (value > 0.0))
     if wrong.any():
         raise SceneError(f"skin depth is {value[wrong][0]:g} m at vertex {np.argmax(wrong)}; give finite ones above 0")
@@ -161,9 +161,9 @@ def fit_thickness(vertices: Float, faces: Int, inward: Float, requested: Float, 
             worst = int(np.argmin(np.where(poor, quality - floor, np.inf)))
             place = vertices[faces[worst]].mean(axis=0) * 1e3
             raise SceneError(
-                f"skin layer folds at ({place[0]:.1f}, {place[1]:.1f}, {place[2]:.1f}) mm (quality "
-                f"{quality[worst]:.2g}, least {floor[worst]:.2g}); ask for a thinner layer, in a patch "
-                "for a smaller radius, or smooth the mesh there"
+                f"the skin layer folds at ({place[0]:.1f}, {place[1]:.1f}, {place[2]:.1f}) mm (element quality "
+                f"{quality[worst]:.2g}, least allowed {floor[worst]:.2g}); use a thinner layer or, in a patch, a "
+                "smaller radius, or smooth the mesh there"
             )
 
 

@@ -62,7 +62,7 @@ def read_mano(file: Path) -> tuple[Float, Int, SkinRig]:
     if not lacking and "J" not in model and "J_regressor" not in model:
         lacking = ["J_regressor"]
     if lacking:
-        raise SceneError(f"mesh {file} is no MANO model: {', '.join(lacking)} missing; give MANO_RIGHT or MANO_LEFT")
+        raise SceneError(f"mesh {file} is not a MANO model: {', '.join(lacking)} missing; give MANO_RIGHT or MANO_LEFT")
     try:
         return _model(model)
     except Exception as error:  # a record may contain any data, or none
@@ -149,6 +149,7 @@ class _Unpickler(pickle.Unpickler):
             return Record
         if (module, name) not in _ALLOWED:
             raise SceneError(
-                f"MANO pickle names {module}.{name}, which could run code; it is refused: no MANO file needs it"
+                f"MANO pickle names {module}.{name}, which could run code; no MANO file needs this, so the file is "
+                "refused"
             )
         return _ALLOWED[module, name]

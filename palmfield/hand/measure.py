@@ -54,6 +54,9 @@ def tape(hand: HandSurface, point: Float, normal: Float) -> float:
     around = [hull for hull in hulls if hull.equations[:, 2].max() < 0.0]
     if not around:
         place = ", ".join(f"{1e3 * c:.1f}" for c in point)
-        raise SceneError(f"hand: no closed line around ({place}) mm in the plane across {normal.round(2).tolist()}")
+        raise SceneError(
+            f"hand: the section around ({place}) mm with normal {normal.round(2).tolist()} is not "
+            "closed; close the mesh there"
+        )
     # In a plane a hull's "area" is its perimeter
     return float(min(hull.area for hull in around))

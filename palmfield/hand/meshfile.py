@@ -101,7 +101,7 @@ def examine(path: str | Path, unit: str = "auto", longest_edge_m: float | None =
         long = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1) > longest_edge_m
         if long.any():
             finer, corners = split_long_edges(points, corners, longest_edge_m)
-            text = f"edges longer than {longest_edge_m * 1e3:.2g} mm were halved until none was"
+            text = f"edges longer than {longest_edge_m * 1e3:.2g} mm were halved until all were shorter"
             findings.append(Finding("long edges", int(long.sum()), "repaired", np.zeros((0, 3)), text))
             points = finer @ points
             rig = None if rig is None else SkinRig(rig.joints, finer @ rig.weights)
@@ -113,11 +113,14 @@ def examine(path: str | Path, unit: str = "auto", longest_edge_m: float | None =
 def _in_a_tree(rig: SkinRig, mended: Repair) -> SkinRig:
     """Return the rig with joints of a flat list in a tree, which is noted."""
     rig, moved, how = joined(rig, mended.vertices, way_from_wrist(mended.vertices, mended.faces))
-    places, children = rig.joints.rest[moved, :3, 3], f"{len(moved)} joints stood side by side; each was hung on"
+    places, children = (
+        rig.joints.rest[moved, :3, 3],
+        f"{len(moved)} joints had no hierarchy; the parent of each was set to",
+    )
     if how == "names":
-        mended.note("sibling joints", len(moved), "repaired", places, f"{children} the one before it by its name")
+        mended.note("sibling joints", len(moved), "repaired", places, f"{children} the previous joint by name")
     elif how == "skin":
-        text = "the one with which it shares most skin, as its name tells nothing; look at the bodies that are written"
+        text = "the joint with which it shares most skin (its name gives no order); check the bodies in the MJCF"
         mended.note("sibling joints", len(moved), "noted", places, f"{children} {text}")
     return rig
 
@@ -146,7 +149,7 @@ def _read(file: Path) -> tuple[Float, Int, str | None, SkinRig | None]:
     suffix = file.suffix.lower()
     if suffix not in SUFFIXES:
         raise SceneError(
-            f"mesh {file}: format {file.suffix or '(none)'!r} is not read; export it as {', '.join(SUFFIXES)}"
+            f"mesh {file}: format {file.suffix or '(none)'!r} is not supported; export it as {', '.join(SUFFIXES)}"
         )
     try:
         regular(file)
@@ -177,9 +180,9 @@ def _read(file: Path) -> tuple[Float, Int, str | None, SkinRig | None]:
 def _check_count(file: Path, count: int) -> None:
     if count > MOST_FACES:
         raise SceneError(
-            f"mesh {file} has {count} faces; at most {MOST_FACES} are read, and {ENOUGH_FACES} with edges of about "
-            "1.5 mm serve as well: make it coarser in the program that it is from (in Blender the modifier Decimate, "
-            "in MeshLab Quadric Edge Collapse Decimation)"
+            f"mesh {file} has {count} faces; allowed: at most {MOST_FACES}; {ENOUGH_FACES} with edges of about 1.5 "
+            "mm are enough: make it coarser in the modelling program (in Blender the modifier Decimate, in "
+            "MeshLab Quadric Edge Collapse Decimation)"
         )
 
 
@@ -211,7 +214,7 @@ def _read_plain(file: Path) -> tuple[Float, Int]:
         reason = " ".join(str(error).split())[:120] or type(error).__name__
         if isinstance(error, ImportError):
             # trimesh uses another package to guess the encoding of an unknown text
-            reason = f"it is no {file.suffix[1:].upper()} file, or its text is not UTF-8"
+            reason = f"it is not a {file.suffix[1:].upper()} file, or its text is not UTF-8"
         raise SceneError(f"mesh {file} cannot be read ({reason}); export it again") from error
     vertices = np.asarray(getattr(mesh, "vertices", np.zeros((0, 3))), dtype=np.float64)
     return vertices, np.asarray(getattr(mesh, "faces", np.zeros((0, 3))), dtype=np.int32)

@@ -103,7 +103,7 @@ def _check_numbers(
     if radius_m < 2.0 * fine_m:
         raise SceneError(f"patch radius {radius_m:g} m is below two fine edges of {fine_m:g} m; enlarge it or refine")
     if not 0.0 < max_fraction <= 1.0:
-        raise SceneError(f"patch max_fraction {max_fraction:g} is out of range; use more than 0 and at most 1")
+        raise SceneError(f"patch max_fraction is {max_fraction:g}; allowed: above 0, at most 1")
 
 
 def _closest(surface: Surface, centre: Float) -> tuple[Float, int]:
@@ -117,8 +117,8 @@ def _closest(surface: Surface, centre: Float) -> tuple[Float, int]:
     if gap > CENTRE_TOLERANCE_m:
         place = ", ".join(f"{1e3 * c:.1f}" for c in centre)
         raise SceneError(
-            f"patch centre ({place}) mm is {1e3 * gap:.1f} mm from the surface; at most "
-            f"{1e3 * CENTRE_TOLERANCE_m:g} mm is allowed, move it onto the skin"
+            f"patch centre ({place}) mm is {1e3 * gap:.1f} mm from the surface; allowed: at most "
+            f"{1e3 * CENTRE_TOLERANCE_m:g} mm: move it onto the skin"
         )
     return origin, face
 

@@ -44,8 +44,8 @@ class SkinBinding:
         if (face < 0).any():
             i = int(np.argmin(face))
             raise SceneError(
-                f"point {i} at {points[i].tolist()} m is over {1e3 * REACH_M:g} mm from the skin on bones: give points "
-                "on the resting skin"
+                f"point {i} at {points[i].tolist()} m is more than {1e3 * REACH_M:g} mm from the skin at rest: "
+                "give points on the skin at rest"
             )
         corners = surface.faces[face]
         weights = np.einsum("nk,nkb->nb", barycentric(surface.vertices[corners], points), hand.weights[corners])

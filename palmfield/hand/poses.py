@@ -139,7 +139,8 @@ def posed_and_repaired(
     """As `posed_surface`, with a report of the repair, None if none was needed."""
     if not 0.0 <= repair_m <= MOST_REPAIR_m:
         raise SceneError(
-            f"hand pose: repair_m is {repair_m:g}; give 0 to {MOST_REPAIR_m:g} m: more would be another hand"
+            f"hand pose: repair_m is {repair_m:g}; allowed: 0 to {MOST_REPAIR_m:g} m, because larger values change "
+            "the hand"
         )
     surface = hand.posed_surface(*bone_poses(hand.hand, angles_deg))
     pairs = crossings(surface.vertices, surface.faces)
@@ -150,8 +151,8 @@ def posed_and_repaired(
     if len(left):
         tried = f" even with repairs of up to {1e3 * repair_m:g} mm" if repair_m > 0.0 else ""
         raise SceneError(
-            f"hand pose: the skin crosses itself{tried}: {_described(hand, surface, left)}; bend those joints less"
-            + ("" if repair_m > 0.0 else ", or allow a repair (repair_m)")
+            f"hand pose: the skin intersects itself{tried}: {_described(hand, surface, left)}; bend these joints "
+            "less" + ("" if repair_m > 0.0 else ", or allow a repair (repair_m)")
         )
     moves = np.linalg.norm(vertices - surface.vertices, axis=1)
     report = Repair(len(pairs), dict(_places(hand, pairs)), int(np.count_nonzero(moves)), float(moves.max()))

@@ -173,7 +173,7 @@ def load_preset(name_or_path: str | Path) -> HandPreset:
         where = ".".join(str(part) for part in first["loc"]) or "the file"
         raise SceneError(f"hand preset {path}: {where}: {first['msg']}, got {_brief(first['input'])}") from error
     except (OSError, ValueError) as error:
-        raise SceneError(f"hand preset {path} cannot be read as TOML: {error}; mend the file") from error
+        raise SceneError(f"hand preset {path} cannot be read as TOML: {error}; correct the file") from error
 
 
 def _resized(data: dict[str, Any]) -> HandPreset:

@@ -69,7 +69,10 @@ def facing_region(surface: Surface, origin: Float, seed: int, facing: Float, rad
     near = np.linalg.norm(corners.mean(axis=1), axis=1) < radius_m + reach
     keep = near & (unit @ facing > LEAST_COSINE) & (visible[surface.faces].max(axis=1) > 0.0)
     if not keep[seed]:
-        raise SceneError("patch centre lies on a part steeper than 75 degrees to `facing`; turn `facing` or move it")
+        raise SceneError(
+            "the skin at the patch centre is tilted by more than 75 degrees from `facing`; change "
+            "`facing`, or move the centre"
+        )
     chosen = np.flatnonzero(keep)
     labels = face_components(surface.faces[chosen])
     chosen = chosen[labels == labels[np.searchsorted(chosen, seed)]]
@@ -146,8 +149,8 @@ def trace_shape(region: Region, step_m: float, spike_m: float) -> Shape:
     home = core[half, half]
     if home == 0:
         raise SceneError(
-            f"the facing part of the surface around the patch centre is narrower than {2e3 * spike_m:.1f} mm; "
-            "move the centre inward, use a smaller coarse_m, or turn `facing`"
+            f"the facing part of the surface around the patch centre is narrower than {2e3 * spike_m:.1f} mm; move "
+            "the centre inward, use a smaller coarse_m, or change `facing`"
         )
     # An opening (erode, then dilate) by spike_m; the slack of the grid keeps smooth boundaries as they are.
     opened = step_m * ndimage.distance_transform_edt(core != home) - spike_m - step_m

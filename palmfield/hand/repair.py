@@ -137,9 +137,11 @@ def _merge(mesh: Repair) -> None:
     used[mesh.faces] = True
     merged = used & (target != np.arange(len(target)))
     mesh.faces = target[mesh.faces].astype(np.int32)
-    text = "vertices at the place of another (UV seams, STL corners) were merged"
+    text = "vertices at equal positions (UV seams, STL corners) were merged"
     mesh.note("split vertices", int(merged.sum()), "repaired", mesh.vertices[merged], text)
-    mesh.note("unused vertices", int((~used).sum()), "repaired", np.zeros((0, 3)), "vertices of no face were dropped")
+    mesh.note(
+        "unused vertices", int((~used).sum()), "repaired", np.zeros((0, 3)), "vertices without a face were removed"
+    )
     mesh.keep(np.unique(mesh.faces))
 
 
@@ -167,7 +169,7 @@ def _drop_degenerate(mesh: Repair) -> None:
         faces[needle], faces[neighbour[0]] = np.where(other == a, tip, other), np.where(other == b, tip, other)
     mesh.faces = faces[~dropped]
     where = np.concatenate(places)
-    mesh.note("degenerate faces", len(where), "repaired", where, "faces without area were taken out")
+    mesh.note("degenerate faces", len(where), "repaired", where, "faces without area were removed")
 
 
 def _drop_duplicates(mesh: Repair) -> None:
@@ -175,7 +177,7 @@ def _drop_duplicates(mesh: Repair) -> None:
     extra = np.ones(len(mesh.faces), dtype=np.bool_)
     extra[first] = False
     places = mesh.vertices[mesh.faces[extra]].mean(axis=1)
-    mesh.note("duplicate faces", int(extra.sum()), "repaired", places, "faces that repeat another were dropped")
+    mesh.note("duplicate faces", int(extra.sum()), "repaired", places, "duplicate faces were removed")
     mesh.faces = mesh.faces[~extra]
 
 
@@ -204,10 +206,10 @@ def _drop_fins(mesh: Repair) -> None:
         edges, count = unique_edges(mesh.faces)
         bad = edges[count > 2]
     if removed:
-        text = f"{removed} faces of sheets hanging on edges of three faces were removed"
+        text = f"{removed} faces of sheets attached to edges with three faces were removed"
         mesh.note("non-manifold edges", len(places), "repaired", places, text)
     where = mesh.vertices[bad].mean(axis=1)
-    text = "edges are shared by more than two faces; remove what hangs there"
+    text = "edges are shared by more than two faces; remove the extra faces"
     mesh.note("non-manifold edges", len(bad), "refused", where, text)
 
 
@@ -264,18 +266,18 @@ def _drop_crumbs(mesh: Repair) -> None:
     area = np.bincount(label, weights=face_normals(mesh.vertices, mesh.faces)[1])
     crumbs = np.flatnonzero(area < CRUMB_SHARE * area.sum())
     middle = [mesh.vertices[np.unique(mesh.faces[label == body])].mean(axis=0) for body in range(len(area))]
-    text = f"bodies of less than {100 * CRUMB_SHARE:g} % of the area were dropped"
+    text = f"bodies with less than {100 * CRUMB_SHARE:g} % of the area were removed"
     mesh.note("crumbs", len(crumbs), "repaired", np.array([middle[c] for c in crumbs]), text)
     largest = int(np.argmax(area))
     others = [b for b in range(len(area)) if b != largest and b not in crumbs]
     shells = [b for b in others if _within(mesh.vertices, mesh.faces[label == largest], mesh.faces[label == b])]
-    text = "bodies within the largest one, which sound never meets, were dropped"
+    text = "bodies inside the largest one, which sound does not reach, were removed"
     mesh.note("inner shells", len(shells), "repaired", np.array([middle[b] for b in shells]), text)
     gone = np.union1d(crumbs, shells)
     mesh.faces = mesh.faces[~np.isin(label, gone)]
     bodies = np.setdiff1d(np.arange(len(area)), gone)
     if len(bodies) > 1:
-        text = f"it has {len(bodies)} separate bodies; keep the hand only"
+        text = f"it has {len(bodies)} separate bodies; keep only the hand"
         mesh.note("several bodies", len(bodies), "refused", np.array([middle[b] for b in bodies]), text)
 
 
@@ -304,7 +306,7 @@ def _close(mesh: Repair) -> None:
     text = f"holes of at most {SMALL_HOLE_EDGES} edges were filled"
     mesh.note("small holes", len(small), "repaired", np.array([middle[id(loop)] for loop in small]), text)
     holes = [loop for loop in large if len(wrist) != 1 or loop is not wrist[0]]
-    text = "it is not watertight: holes are left; fill them in the program that it is from"
+    text = "it is not watertight: holes remain; fill them in the modelling program"
     mesh.note("holes", len(holes), "refused", np.array([middle[id(loop)] for loop in holes]), text)
     if len(wrist) != 1:
         return
@@ -312,7 +314,7 @@ def _close(mesh: Repair) -> None:
     closed = cap(mesh.vertices[loop], _edges_between(mesh.faces, loop))
     where = middle[id(loop)]
     if closed is None:
-        text = f"its rim of {len(loop)} edges can't be closed; cut it straight across"
+        text = f"its rim of {len(loop)} edges cannot be closed; cut it straight across"
         mesh.note("open wrist", 1, "refused", where, text)
         return
     inner, faces = closed
@@ -338,7 +340,7 @@ def _check_closed(mesh: Repair) -> None:
     """Refuse faces that close a hole along an edge that already has two faces."""
     edges, count = unique_edges(mesh.faces)
     places = mesh.vertices[edges[count > 2]].mean(axis=1)
-    text = "holes cannot be filled without an edge of more than two faces; fill them in the program that it is from"
+    text = "filling the holes would give edges with more than two faces; fill them in the modelling program"
     mesh.note("holes", len(places), "refused", places, text)
 
 
@@ -372,10 +374,10 @@ def _turn_outward(mesh: Repair, own: int) -> None:
     turned = (_orientation(before) != _orientation(faces))[:own]
     places = mesh.vertices[faces[:own][turned]].mean(axis=1)
     if turned.mean() > 0.5:
-        text = f"{int(turned.sum())} faces looked inwards; all were turned"
+        text = f"{int(turned.sum())} faces pointed inwards; all were reversed"
         mesh.note("inside out", 1, "repaired", mesh.vertices.mean(axis=0), text)
     else:
-        mesh.note("flipped faces", int(turned.sum()), "repaired", places, "faces that looked inwards were turned")
+        mesh.note("flipped faces", int(turned.sum()), "repaired", places, "faces that pointed inwards were reversed")
     mesh.faces = faces
 
 

@@ -75,7 +75,7 @@ def report_card(path: str | Path, unit: str = "auto") -> ReportCard:
     pairs = crossings(mesh.vertices, mesh.faces)
     if len(pairs):
         places = mesh.vertices[mesh.faces[pairs[:, 0]]].mean(axis=1)
-        text = "pairs of faces cross each other; sound and skin there are wrong"
+        text = "pairs of faces intersect; results for sound and skin there are wrong"
         findings.append(Finding("self-intersections", len(pairs), "noted", places[:MOST_PLACES], text))
     facts["self_intersections"] = len(pairs)
     doubts = [f"{finding.count} x {finding.name}" for finding in findings if finding.outcome == "noted"]
@@ -103,20 +103,20 @@ def _doubts(mesh: Examined, hand: Chirality, named: str) -> list[str]:
     if len(hand.tips) != DIGITS:
         doubts.append(f"fingertips: {len(hand.tips)}, not {DIGITS}")
     elif hand.side == "unknown":
-        doubts.append("it is not sure which hand it is")
+        doubts.append("left or right hand could not be determined")
     if hand.side != "unknown" and named not in ("unknown", hand.side):
-        doubts.append(f"its joints are named as of a {named} hand and its shape is of a {hand.side} one")
+        doubts.append(f"its joints are named for a {named} hand, but its shape is that of a {hand.side} hand")
     handles = 1 - (len(mesh.vertices) - len(unique_edges(mesh.faces)[0]) + len(mesh.faces)) // 2
     if handles:
-        doubts.append(f"holes right through it: {handles}, as a ring has one; fingers may have grown together")
+        doubts.append(f"the surface has {handles} through-holes, like a ring; fingers may be merged")
     length, breadth, _ = np.ptp(mesh.vertices @ plane_axes(mesh.vertices).T, axis=0)
     if not size_of_a_hand(float(length), float(breadth)):
         doubts.append(f"it is {1e3 * length:.0f} x {1e3 * breadth:.0f} mm long and broad; {HAND_SIZES}")
     thickness = _thickness(mesh.vertices, mesh.faces)
     if thickness < THIN_SHARE * length:
         doubts.append(
-            f"half of its skin has {1e3 * thickness:.1f} mm or less below it, as a glove with an inner wall or a flat "
-            "sheet has; delete the inner wall and close the wrist"
+            f"half of its skin is {1e3 * thickness:.1f} mm thick or less, like a glove with an inner wall or a "
+            "flat sheet; delete the inner wall and close the wrist"
         )
     return doubts
 
@@ -135,7 +135,7 @@ def _thickness(vertices: Float, faces: Int) -> float:
 def _folds(layers: list[dict[str, Any]], crossing: int) -> list[Finding]:
     """Return a finding that refuses a mesh under which layers fold."""
     errors = [layer["error"] for layer in layers if "error" in layer]
-    mend = "part fingers that cross or touch in the program that it is from" if crossing else "smooth the skin there"
+    mend = "separate fingers that intersect or touch in the modelling program" if crossing else "smooth the skin there"
     text = f"{mend}: {errors[0]}" if errors else ""
     return [Finding("layers that fold", len(errors), "refused", np.zeros((0, 3)), text)] if errors else []
 
@@ -219,7 +219,7 @@ def _shape_rows(facts: dict[str, Any]) -> list[tuple[str, str]]:
         ("crossings", f"{facts['self_intersections']} pairs of faces"),
     ]
     if "side" in facts:
-        side = f"{facts['side']} (sureness {facts['side_sureness']:.2f}: {facts['side_reason']})"
+        side = f"{facts['side']} (confidence {facts['side_sureness']:.2f}: {facts['side_reason']})"
         rows += [("hand", side), ("volume", f"{facts['volume_cm3']:.1f} cm3, area {facts['area_cm2']:.1f} cm2")]
         rows += [(f"layer {layer['asked_mm']:g} mm", _layer_line(layer)) for layer in facts["layers"]]
         rows += [("in a scene", _scene_line(layer)) for layer in facts["scene_layers"]]

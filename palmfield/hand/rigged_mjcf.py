@@ -63,7 +63,7 @@ def rigged_mjcf(mesh: RiggedMesh, name: str) -> str:
     names = mesh.joints.names
     for joint in names:
         if names.count(joint) > 1 or joint in TAKEN:
-            why = "is a name of this file's own" if joint in TAKEN else f"names {names.count(joint)} joints"
+            why = "is a reserved name in this file" if joint in TAKEN else f"names {names.count(joint)} joints"
             raise SceneError(f"rigged mesh: '{joint}' {why}; rename the joint and export the mesh again")
     places = mesh.joints.rest[:, :3, 3]
     parents = _one_root(mesh.joints.parents)

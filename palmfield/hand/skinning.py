@@ -162,7 +162,7 @@ class SkinnedSurface:
         if (bone_positions.shape, bone_rotations.shape) != self._shapes:
             number = len(self.bones)
             raise SceneError(
-                f"skin on bones: positions {bone_positions.shape} and rotations {bone_rotations.shape} given; "
+                f"skin on bones: positions have shape {bone_positions.shape} and rotations {bone_rotations.shape}; "
                 f"give ({number}, 3) and ({number}, 3, 3), one for each bone"
             )
         self._turns.put(bone_rotations)

@@ -18,8 +18,8 @@ def checked_mesh(vertices: ArrayLike, faces: ArrayLike) -> tuple[Float, Int]:
         raise PalmfieldError(f"vertex {int(np.argwhere(~np.isfinite(places))[0][0])} is not finite; give metres")
     if triangles.dtype.kind not in "iu" or not 0 <= triangles.min() <= triangles.max() < len(places):
         raise PalmfieldError(
-            f"faces are {triangles.dtype} of {triangles.min()} to {triangles.max()}; give numbers of the "
-            f"{len(places)} vertices, from 0"
+            f"faces are {triangles.dtype} from {triangles.min()} to {triangles.max()}; give vertex numbers from 0, "
+            f"below {len(places)}"
         )
     return places, triangles
 

@@ -44,21 +44,19 @@ def choose_unit(
     else:
         if tips != DIGITS:
             raise SceneError(
-                f"{what} carries no unit and what was found as fingertips are {tips}, not {DIGITS}: no unit is guessed "
-                f"for what may be no hand; give the unit, one of {', '.join(METRES)}"
+                f"{what} has no unit, and {tips} fingertips were found instead of {DIGITS}, so it may not be a "
+                f"hand and the unit is not guessed; give the unit, one of {', '.join(METRES)}"
             )
         unit = _inferred(length, breadth, what)
     size = length * unit.metres
     if not LEAST_EXTENT_m <= size <= GREATEST_EXTENT_m:
         others = [
-            f"{length * metres * 1e3:.4g} mm with unit {name}"
+            f"{length * metres * 1e3:.4g} mm in unit {name}"
             for name, metres in METRES.items()
             if LEAST_EXTENT_m <= length * metres <= GREATEST_EXTENT_m
         ]
-        advice = f"it would be {' or '.join(others)}" if others else "no unit makes it a hand; scale it"
-        raise SceneError(
-            f"{what} is {size * 1e3:.4g} mm long with unit {unit.name}; 20 to 600 mm are allowed; {advice}"
-        )
+        advice = f"it would be {' or '.join(others)}" if others else "no unit gives the size of a hand; scale the mesh"
+        raise SceneError(f"{what} is {size * 1e3:.4g} mm long in unit {unit.name}; allowed: 20 to 600 mm; {advice}")
     return unit
 
 
@@ -81,5 +79,5 @@ def _inferred(length: float, breadth: float, what: str) -> Unit:
         name, metres, part = candidates[0]
         return Unit(name, metres, f"inferred: a {part} of {length * metres * 1e3:.4g} mm")
     choices = ", ".join(f"{length * metres * 1e3:.4g} mm with {name}" for name, metres in METRES.items())
-    number = "no unit makes it" if not candidates else f"{' and '.join(f[0] for f in candidates)} both make it"
-    raise SceneError(f"{what} carries no unit and {number} a hand or forearm: {choices}; give the unit")
+    number = "no unit gives" if not candidates else f"{' and '.join(f[0] for f in candidates)} both give"
+    raise SceneError(f"{what} has no unit, and {number} the size of a hand or forearm: {choices}; give the unit")

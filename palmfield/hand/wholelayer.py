@@ -114,7 +114,8 @@ def facing_faces(surface: Surface, direction: ArrayLike = PALMAR, least_cosine: 
     seen = cosine[surface.faces].mean(axis=1) > least_cosine
     if not seen.any():
         raise SceneError(
-            f"no face looks along {np.asarray(direction).tolist()} by {least_cosine:g}; lower least_cosine"
+            f"no face has a normal along {np.asarray(direction).tolist()} with a cosine of {least_cosine:g} or "
+            "more; lower least_cosine"
         )
     area = face_normals(surface.vertices, surface.faces)[1]
     for facing in (True, False):

@@ -22,15 +22,15 @@ def add_readings(kind: str, readings: Path, board: Path, layout: str | None, cir
     if the file cannot be written; it is then unchanged.
     """
     if not circumstances.source.strip():
-        raise SceneError("the source is not told; say who measured when, and with what (--source TEXT)")
+        raise SceneError("the source is missing; state who measured, when, and with which instrument (--source TEXT)")
     if board.exists():
         calibration = read_calibration(board)
         if layout is not None and layout != calibration.layout:
             raise SceneError(
-                f"{board} is of layout '{calibration.layout}', and --layout says '{layout}'; give another file"
+                f"{board} is for layout '{calibration.layout}', but --layout is '{layout}'; give another file"
             )
     elif layout is None:
-        raise SceneError(f"{board} is not there; to begin a new calibration name the array (--layout NAME)")
+        raise SceneError(f"{board} does not exist; to begin a new calibration give the array layout (--layout NAME)")
     else:
         calibration = Calibration(layout=layout)
     result = measured(kind, readings, calibration, known_layout(calibration.layout), circumstances)
@@ -44,9 +44,9 @@ def imported(file: Path, board: Path) -> list[str]:
     Raises SceneError for an invalid file and for an existing calibration, OutputError as `add_readings`.
     """
     if board.exists():
-        raise SceneError(f"{board} is there already; give another file")
+        raise SceneError(f"{board} already exists; give another file")
     write_calibration(board, read_board_file(file))
-    return [*described(board, None), "not tried on hardware: check a focus with a microphone or a sheet of paper"]
+    return [*described(board, None), "not tested on hardware: check a focus with a microphone or a sheet of paper"]
 
 
 def described(board: Path, png: Path | None) -> list[str]:
@@ -58,14 +58,16 @@ def described(board: Path, png: Path | None) -> list[str]:
     lines.append(_estimate("resonance", "Hz", calibration.resonance_Hz))
     elements = calibration.elements
     if elements is None:
-        lines.append("transducers one by one: not measured: an uncalibrated board does not focus")
+        lines.append("single transducers: not measured; an uncalibrated board does not focus")
     else:
         silent = elements.enabled.count(False)
-        lines.append(f"transducers one by one: {elements.polarity.count(-1)} turned, {silent} silent")
+        lines.append(f"single transducers: {elements.polarity.count(-1)} with reversed polarity, {silent} silent")
     if calibration.pose == Pose():
-        lines.append("place of the board: not measured, taken as told")
+        lines.append("position of the board: not measured, nominal")
     else:
-        lines.append("place of the board: " + ", ".join(f"{1e3 * x:+.2f}" for x in calibration.pose.offset_m) + " mm")
+        lines.append(
+            "position of the board: " + ", ".join(f"{1e3 * x:+.2f}" for x in calibration.pose.offset_m) + " mm"
+        )
     level, warm_up = calibration.level, calibration.warm_up
     lines.append(
         "level: not measured"
@@ -85,7 +87,7 @@ def described(board: Path, png: Path | None) -> list[str]:
 def rehearsed(layout: str, folder: Path, seed: int) -> list[str]:
     """Write a rehearsal's files; returns a list of them and the next commands."""
     lines = [f"wrote {path}" for path in rehearse(known_layout(layout), folder, seed)]
-    lines.append(f"{TRUTH} says what the readings were made from. Now:")
+    lines.append(f"{TRUTH} lists the true values behind the readings. Next:")
     for kind in MEASUREMENTS:
         options = f" --focus {' '.join(map(str, FOCUS_M))}" if kind in NEEDS_FOCUS else ""
         options += f" --plate {' '.join(map(str, PLATE_M))}" if kind == "plate" else ""

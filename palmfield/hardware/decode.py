@@ -68,9 +68,9 @@ def pieces_of(
     try:
         data = read_bytes(file)
     except OSError as error:
-        raise SceneError(f"{file} can't be read: {error.strerror}; give a file of --record or --log") from None
+        raise SceneError(f"{file} cannot be read: {error.strerror}; give a file of --record or --log") from None
     if board is None:
-        raise SceneError(f"{file} is no log, so that its board isn't known; name it by --board")
+        raise SceneError(f"{file} is not a log, so its board is unknown; give it by --board")
     chosen = playable_board(board)
     name = array or chosen.layouts[0]
     places = array_named(name)[0]
@@ -136,11 +136,11 @@ def as_table(decoded: Decoded, most: int | None = None) -> str:
         misfit = f"{math.degrees(row.misfit_rad):13.1f}" if math.isfinite(row.misfit_rad) else "            -"
         lines.append(f"{1e3 * row.time_s:11.3f}{place} {misfit} {row.sounding:4d} {row.level:6.3f}")
     if len(shown) < len(decoded.foci):
-        lines.append(f"and {len(decoded.foci) - len(shown)} more; --csv FILE has them all")
+        lines.append(f"and {len(decoded.foci) - len(shown)} more; --csv FILE writes all of them")
     for flag in decoded.flags[:10]:
         lines.append(f"at {1e3 * flag.time_s:.3f} ms {flag.kind}: {flag.text}")
     if len(decoded.flags) > 10:
-        lines.append(f"and {len(decoded.flags) - 10} more like these")
+        lines.append(f"and {len(decoded.flags) - 10} more of this kind")
     return "\n".join(lines)
 
 

@@ -107,9 +107,9 @@ def focus_board(board: str, sound: FocusSound, keys: Mapping[str, object]) -> Fo
     name = chosen.layouts[0] if sound.layout is None else sound.layout
     kind = "csv" if name.lower().endswith(".csv") else name
     if kind not in chosen.layouts or name == "csv":
-        raise DeviceError(f"board '{board}' drives no layout '{name}'; allowed: {allowed_layouts(chosen)}")
+        raise DeviceError(f"board '{board}' cannot drive layout '{name}'; allowed: {allowed_layouts(chosen)}")
     if chosen.arrays[0] > 1:
-        raise SceneError(f"board '{board}' drives {chosen.arrays[0]} arrays; give a scene that says where they stand")
+        raise SceneError(f"board '{board}' drives {chosen.arrays[0]} arrays; give a scene with their positions")
     if not 0.0 <= sound.level <= 1.0:
         raise SceneError(f"--level has value {sound.level:g}; allowed: 0 (off) to 1 (full drive)")
     array, p0 = array_named(name, sound.p0_Pa_m)
@@ -128,7 +128,7 @@ def focus_board(board: str, sound: FocusSound, keys: Mapping[str, object]) -> Fo
         if sound.am_frequency_Hz > 0.0:
             chosen, sound = chosen.modulating(sound.am_frequency_Hz), replace(sound, am_frequency_Hz=0.0)
         else:
-            said.append(f"{board} modulates whatever it plays, at its own rate; give another by --am-frequency")
+            said.append(f"{board} always modulates, at its own frequency; give another by --am-frequency")
     modulated = sound.am_frequency_Hz > 0.0 or sound.level not in (0.0, 1.0)
     able = [one for one in boards_for(2.0 * sound.am_frequency_Hz, modulated) if not BOARDS[one].exact]
     check(

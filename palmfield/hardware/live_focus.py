@@ -65,12 +65,12 @@ def play_live(
     """
     target.check()
     if target.port is None:
-        raise DeviceError("foci that come in live are played on a port (--port), and not recorded; keep a --log of it")
+        raise DeviceError("live foci need a port (--port) and cannot be recorded (--record); use --log to keep a log")
     made = focus_board(board, sound or FocusSound(), keys or {})
     limits = SoundLimits.of(made.driver)
     if made.driver.head_m is not None:
         for line in check_head(_most_at_head(made), made.driver):
-            LOG.warning(f"wherever the focus is it may be as loud as {line}")
+            LOG.warning(f"for any focus position the level can reach {line}")
     if target.log is not None:
         FrameLog(target.log, made.head).close()
     console = Console(stderr=True)
@@ -94,9 +94,12 @@ def play_live(
     said = [*made.said, *([words] if (words := limits.in_words(made.board)) else []), listener.report()]
     if waits := [on_line - session.came_s[number] for number, on_line in report.on_line if number in session.came_s]:
         median, most = 1e3 * float(np.median(waits)), 1e3 * float(np.percentile(waits, 95))
-        said.append(f"from a focus's coming to its last byte on the line: median {median:.1f} ms, 95 % {most:.1f} ms")
+        said.append(
+            f"delay from the arrival of a focus to its last byte on the line: median {median:.1f} ms, 95 % "
+            f"{most:.1f} ms"
+        )
     if silent and not silent.startswith("no frame"):
-        said.append(f"it fell silent: {silent}")
+        said.append(f"the board was silenced: {silent}")
     return Performance(done, report.warning if made.sound.am_frequency_Hz > 0.0 else "").saying(*said, *listener.told)
 
 
@@ -125,7 +128,7 @@ class _Live:
             if came is not None:
                 after = came.number
                 if now - came.time_s > STALE_S:
-                    self.listener.skip("stale", f"a focus was {now - came.time_s:.2g} s old when its turn came")
+                    self.listener.skip("stale", f"a focus was {now - came.time_s:.2g} s old when it was due")
                     came = None
             if came is not None:
                 unit = self._unit(came.focus)

@@ -38,20 +38,22 @@ def sound_one_by_one(
     """
     chosen = playable_board(board)
     if chosen.takes != "amplitudes":
-        raise DeviceError(f"board '{board}' takes a focus, so that no transducer sounds by itself; use another board")
+        raise DeviceError(f"board '{board}' takes a focus, so single transducers cannot be driven; use another board")
     head = LogHead(board, chosen.unit, chosen.layouts[0])
     chosen = head.playable
     numbers = list(range(chosen.transducers)) if elements is None else list(elements)
     for number in numbers:
         if not 0 <= number < chosen.transducers:
-            raise SceneError(f"element {number} is none of board '{board}'; give 0 to {chosen.transducers - 1}")
+            raise SceneError(
+                f"element {number} does not exist on board '{board}'; allowed: 0 to {chosen.transducers - 1}"
+            )
     if len(set(numbers)) < len(numbers):
         twice = next(number for number in numbers if numbers.count(number) > 1)
         raise SceneError(f"element {twice} is given twice; give each once")
     for name, value in (("dwell", dwell_s), ("pause", pause_s)):
         if not chosen.frame_time_s <= value <= LONGEST_S:
             least = 1e3 * chosen.frame_time_s
-            raise SceneError(f"{name} of {value:g} s: give {least:.3g} ms, the time of a frame, to {LONGEST_S:g} s")
+            raise SceneError(f"{name} of {value:g} s; allowed: {least:.3g} ms, the time of a frame, to {LONGEST_S:g} s")
     turn_s = pause_s + dwell_s
     begins = pause_s + turn_s * np.arange(len(numbers))
     version = np.full(len(numbers), LAYOUTS[head.array].version)

@@ -100,8 +100,8 @@ def play_focus(
         played = chosen.decode(chosen.start + made.frame(place, unit, sound.level))[-1]
     if sound.level > 0.0 and not played.any():
         raise DeviceError(
-            f"--level has value {sound.level:g}, which {board} rounds to silence; allowed: 0, or a level that one of "
-            f"its {chosen.amplitude_steps or chosen.transducers} steps comes near to"
+            f"--level has value {sound.level:g}, which {board} rounds to silence; allowed: 0, or a level near one "
+            f"of its {chosen.amplitude_steps or chosen.transducers} steps"
         )
     am_Hz = sound.am_frequency_Hz
 
@@ -153,9 +153,7 @@ def play_scene(
         view = preview(scene, board=board, keys=keys)
     model = view.runtime.model
     if model.board.exact:
-        raise DeviceError(
-            f"{view.name} is played by board '{model.board.name}', which takes no bytes; give another by --board"
-        )
+        raise DeviceError(f"{view.name} uses board '{model.board.name}', which takes no bytes; give another by --board")
     duration = view.duration_s if duration_s is None else duration_s
     spec, head = view.runtime.spec, log_head(model)
     if spec.driver.head_m is not None:
@@ -205,11 +203,11 @@ def send(
     """Send frames, and wait until their time is over; returns a report, in a sentence."""
     assert board.line is not None
     if target.record is None and target.port is None:
-        raise DeviceError("neither a port nor a file is given; give the port of a board, or a file for the bytes")
+        raise DeviceError("a port or a file is needed; give the port of a board, or a file for the bytes")
     # Errors of the scene come before any file, and slow preparations before the first frame is due
     ready: list[TimedFrame] = []
     with bars(progress) as bar:
-        making = bar.add_task(f"making the frames of {duration_s:g} s", total=duration_s)
+        making = bar.add_task(f"computing the frames for {duration_s:g} s", total=duration_s)
         for one in frames:
             ready.append(one)
             bar.update(making, completed=one.time_s)
@@ -218,7 +216,7 @@ def send(
     if target.record is not None:
         log = None if target.log is None else FrameLog(target.log, head)
         report = record(board, ready, target.record, duration_s=duration_s, log=log)
-        skipped = f", {report.skipped} more were due than the line takes" if report.skipped else ""
+        skipped = f"; {report.skipped} more were due than the line can carry" if report.skipped else ""
         text = f"wrote {target.record}: {report.frames} frames for {duration_s:g} s{skipped}"
         return Performance(text, report.warning).saying(*said)
     assert target.port is not None
@@ -263,7 +261,7 @@ def play_on_port(
             )
         except KeyboardInterrupt:
             player.close()
-            LOG.warning(f"ended by Ctrl-C after {time.monotonic() - begin:.1f} s; the board is off")
+            LOG.warning(f"ended by Ctrl-C after {time.monotonic() - begin:.1f} s; the board is switched off")
             check_log(player, log)
             raise
     done = played_in_words(report, board, port)
@@ -274,8 +272,9 @@ def play_on_port(
 def played_in_words(report: PlayReport, board: Board, port: str) -> str:
     """Report a player's frames, with the board silent afterwards."""
     return (
-        f"played {report.frames} frames on {port} (skipped {report.skipped}, worst delay {1e3 * report.late_s:.0f} ms, "
-        f"limit {board.frame_rate} frames/s; player at {report.priority}); the board is off"
+        f"played {report.frames} frames on {port} (skipped {report.skipped}, largest delay "
+        f"{1e3 * report.late_s:.0f} ms, limit {board.frame_rate} frames/s; player at {report.priority}); the board "
+        "is switched off"
     )
 
 
@@ -283,6 +282,6 @@ def check_log(player: Player, log: Path | None, done: str = "") -> None:
     """Raises OutputError if a closed player's log ends early, for instance on a full disk. done: further results"""
     if player.log_error:
         raise OutputError(
-            f"{done}the log {log} ends early: {player.log_error}; what is in it can be decoded, and the board was not "
-            "held up by it"
+            f"{done}the log {log} ends early: {player.log_error}; its content can be decoded, and the play was not "
+            "affected"
         )

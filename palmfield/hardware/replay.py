@@ -46,7 +46,7 @@ def replay(
     for line in check_limits(head, made, frames, _driver(head, keys or {})):
         LOG.warning(line)
     done = play_on_port(frames, made, port, ends, progress=progress)
-    return done.saying(f"{cut} pieces that were cut are left out") if cut else done
+    return done.saying(f"{cut} incomplete pieces are skipped") if cut else done
 
 
 def _driver(head: LogHead, keys: Mapping[str, str]) -> DriverConfig:
@@ -55,7 +55,9 @@ def _driver(head: LogHead, keys: Mapping[str, str]) -> DriverConfig:
     for name in given:
         if name not in SAFETY_KEYS:
             allowed = ", ".join(f"driver.{key}" for key in SAFETY_KEYS)
-            raise SceneError(f"--set driver.{name}: bytes are sent as they are; allowed: {allowed}")
+            raise SceneError(
+                f"--set driver.{name} has no effect on a replay, which sends the logged bytes; allowed: {allowed}"
+            )
     known = {key: _text(value) for key, value in head.limits.items() if key in SAFETY_KEYS}
     return cast(DriverConfig, parse(DriverConfig, {**known, **given}, "the limits of a replay"))
 
@@ -82,10 +84,10 @@ def check_limits(head: LogHead, board: Board, frames: list[tuple[float, bytes]],
     array = layout(head.array, head.p0_Pa_m)
     most_Pa_m = head.p0_high_Pa_m or max(array.p0_Pa_m, LAYOUTS[head.array].p0.high)
     if len(array) != head.transducers:
-        where = f"the log has bytes for {head.transducers} transducers of several arrays, and not where they stand"
+        where = f"the log has bytes for {head.transducers} transducers of several arrays, but not their positions"
         if driver.head_limit_dB is not None:
-            raise DeviceError(f"{where}, so that head_limit_dB can't be kept: play the scene itself (palmfield drive)")
-        return [f"{where}: the level at the head is not known"]
+            raise DeviceError(f"{where}, so head_limit_dB cannot be checked: play the scene itself (palmfield drive)")
+        return [f"{where}: the level at the head is unknown"]
     places, turns = head.elements
     array = replace(array, positions=places, gain=turns)
     shares: dict[bytes, tuple[Complex, float]] = {}

@@ -57,7 +57,7 @@ def agreement(times_s: ArrayLike, measured: ArrayLike, computed: ArrayLike, *, m
     for name, record in (("measured", theirs), ("computed", ours)):
         still = np.flatnonzero(~(np.abs(record).max(axis=0) > 0.0))
         if len(still):
-            raise MeasurementError(f"the {name} record of point {still[0]} is 0 throughout: leave the point out")
+            raise MeasurementError(f"the {name} record of point {still[0]} is 0 throughout: remove the point")
     step = even_step(times)
     delay, ambiguous = delays(_without_line(theirs), _without_line(ours), step, most_delay_s)
     late = shifted(ours, step, delay)

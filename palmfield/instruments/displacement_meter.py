@@ -22,16 +22,14 @@ class DisplacementMeter(Settings):
     """A displacement meter. Raises MeasurementError for values out of their limits."""
 
     instrument: ClassVar[str] = "displacement_meter"
-    beam: Vector3 = Field(default=(0.0, 0.0, 1.0), description="from the surface to the head")
+    beam: Vector3 = Field(default=(0.0, 0.0, 1.0), description="distance from the surface to the head")
     spot_m: NonNegative = Field(
-        default=0.0, description="diameter of the light's spot at 1/e^2 of its middle; 0: a point"
+        default=0.0, description="diameter of the light spot at 1/e^2 of its centre; 0: a point"
     )
     sampling_rate_Hz: Positive = Field(default=10e3)
-    averaged: int = Field(
-        default=1, ge=1, description="readings of which each is the mean of this one and those before"
-    )
-    range_m: Positive | None = Field(default=None, description="readings end at plus and minus this; none: they don't")
-    resolution_m: NonNegative = Field(default=0.0, description="readings are multiples of it; 0: none")
+    averaged: int = Field(default=1, ge=1, description="number of readings in the moving average")
+    range_m: Positive | None = Field(default=None, description="measuring range, plus and minus; none: unlimited")
+    resolution_m: NonNegative = Field(default=0.0, description="resolution of the readings; 0: unlimited")
     repeatability_m: NonNegative = Field(default=0.0, description="standard deviation of one reading")
 
 
@@ -44,7 +42,7 @@ def spot_weights(points_m: ArrayLike, at_m: ArrayLike, settings: DisplacementMet
     """
     points, at = np.asarray(points_m, dtype=float), np.asarray(at_m, dtype=float)
     if at.shape != (3,) or not np.isfinite(at).all():
-        raise MeasurementError(f"displacement_meter: the place is {at.tolist()}; give three finite numbers")
+        raise MeasurementError(f"displacement_meter: the position is {at.tolist()}; give three finite numbers")
     beam = np.array(settings.beam) / np.linalg.norm(settings.beam)
     away = points - at
     distance = np.linalg.norm(away - np.outer(away @ beam, beam), axis=1)
@@ -52,14 +50,15 @@ def spot_weights(points_m: ArrayLike, at_m: ArrayLike, settings: DisplacementMet
         allowed = max(NEAR_M, pitch(points) if len(points) > 1 else 0.0)
         if distance.min() > allowed:
             raise MeasurementError(
-                f"displacement_meter: the beam passes the nearest point of the motion {distance.min():.3g} m off; "
-                f"allowed: {allowed:.3g} m"
+                f"displacement_meter: the beam is {distance.min():.3g} m from the nearest point of the motion; "
+                f"allowed: {allowed:.3g} m; move the beam"
             )
         return np.asarray(np.arange(len(points)) == distance.argmin(), dtype=float)
     within = int((distance <= 0.5 * settings.spot_m).sum())
     if within < 4:
         raise MeasurementError(
-            f"{within} points lie within the spot of {settings.spot_m:g} m; give motion at four or more, or spot_m 0"
+            f"{within} points lie within the spot of {settings.spot_m:g} m; needed: four or more; give more "
+            "points, or spot_m 0"
         )
     weights = np.exp(-8.0 * (distance / settings.spot_m) ** 2)
     return np.asarray(weights / weights.sum())

@@ -31,12 +31,14 @@ class Plate(Settings):
 
     instrument: ClassVar[str] = "plate"
     shape: Literal["rectangle", "disc"] = Field(default="rectangle")
-    width_m: Positive = Field(default=0.012, description="along x_axis; the diameter of a disc")
-    height_m: Positive = Field(default=0.012, description="across; of a rectangle only")
+    width_m: Positive = Field(default=0.012, description="length along x_axis; diameter of a disc")
+    height_m: Positive = Field(default=0.012, description="width across x_axis; rectangle only")
     centre_m: Vector3 = Field(default=(0.0, 0.0, 0.2))
-    normal: Vector3 = Field(default=(0.0, 0.0, -1.0), description="outward, against the sound")
+    normal: Vector3 = Field(default=(0.0, 0.0, -1.0), description="outward normal, against the sound")
     x_axis: Vector3 = Field(default=(1.0, 0.0, 0.0))
-    spacing_m: Positive = Field(default=1e-3, description="of the places where the pressure is asked for, at most")
+    spacing_m: Positive = Field(
+        default=1e-3, description="largest spacing of the points at which the pressure is evaluated"
+    )
 
 
 class PlateForce(NamedTuple):
@@ -81,7 +83,7 @@ def _integral(arp_at: ArpAt, plate: Plate, coarser: int) -> float:
     points = np.array(plate.centre_m) + x[:, None] * along + y[:, None] * across
     pressure = np.asarray(arp_at(points, np.tile(normal, (len(points), 1))), dtype=float)
     if pressure.shape != weights.shape:
-        raise MeasurementError(f"arp_at gave shape {pressure.shape} for {len(weights)} places")
+        raise MeasurementError(f"arp_at returned shape {pressure.shape} for {len(weights)} points")
     finite("the ARP", pressure)
     return float(pressure @ weights)
 
@@ -148,12 +150,12 @@ class Scale(Settings):
     """A scale. Raises MeasurementError for values out of their limits."""
 
     instrument: ClassVar[str] = "scale"
-    direction: Vector3 = Field(default=(0.0, 0.0, -1.0), description="along which force counts as weight")
+    direction: Vector3 = Field(default=(0.0, 0.0, -1.0), description="direction in which force counts as weight")
     resolution_N: NonNegative = Field(
-        default=0.0, description="readings are multiples of it; 0: none (1 mg is 9.8e-6 N)"
+        default=0.0, description="resolution of the readings; 0: unlimited (1 mg is 9.8e-6 N)"
     )
-    time_constant_s: NonNegative = Field(default=0.0, description="of its settling, one pole; 0: at once")
-    tared: bool = Field(default=True, description="readings are differences from the first")
+    time_constant_s: NonNegative = Field(default=0.0, description="time constant of settling, one pole; 0: immediate")
+    tared: bool = Field(default=True, description="whether readings are differences from the first one")
 
 
 def scale_reading(times_s: ArrayLike, force_N: ArrayLike, settings: Scale) -> Float:

@@ -55,7 +55,7 @@ def frequency_wavenumber(
     highest = most_Hz or frequency[int(np.searchsorted(power, 0.999 * power[-1]))] * 1.1
     chosen = np.flatnonzero((frequency > 0.0) & (frequency <= highest))
     if len(chosen) == 0:
-        raise MeasurementError(f"no line lies up to {highest:g} Hz; the record's lines are {frequency[1]:g} Hz apart")
+        raise MeasurementError(f"the record has no line up to {highest:g} Hz; its lines are {frequency[1]:g} Hz apart")
     chosen = chosen[:: max(1, len(chosen) // MOST_LINES)]
     wavenumber = np.linspace(0.0, np.pi / pitch(points_m), WAVENUMBERS)
     angles = np.pi * np.arange(2 * DIRECTIONS) / DIRECTIONS

@@ -91,7 +91,7 @@ def line_amplitudes(times_s: ArrayLike, values: ArrayLike, frequency_Hz: float, 
     count = most if periods is None else periods
     if not 1 <= count <= most or frequency_Hz * step >= 0.5:
         raise MeasurementError(
-            f"{count} periods of {frequency_Hz:g} Hz are asked of a record that holds {most} and lines below "
+            f"{count} periods of {frequency_Hz:g} Hz are requested, but the record holds {most} and lines below "
             f"{0.5 / step:g} Hz"
         )
     chosen = times > times[-1] - count / frequency_Hz + 0.5 * step
@@ -148,49 +148,49 @@ def _wave(
     if reason:
         pass
     elif k.real <= k.imag:
-        reason = f"no wave travels: Re k is {k.real:.3g}, Im k {k.imag:.3g} rad/m"
+        reason = f"the wave does not propagate: Re k is {k.real:.3g}, Im k {k.imag:.3g} rad/m"
     elif waves < LEAST_WAVES:
-        reason = f"{waves:.2g} waves fit the scan's {1e3 * width:.3g} mm, {LEAST_WAVES:g} are needed"
+        reason = f"the scan of {1e3 * width:.3g} mm holds {waves:.2g} wavelengths; needed: {LEAST_WAVES:g}"
     elif points < LEAST_POINTS_A_WAVE:
-        reason = f"{points:.2g} points stand for a wave, {LEAST_POINTS_A_WAVE:g} are needed"
+        reason = f"{points:.2g} points per wavelength; needed: {LEAST_POINTS_A_WAVE:g}"
     elif k.imag > MOST_LOSS * k.real:
         lost = 100 * (1.0 - math.exp(-2.0 * math.pi * k.imag / k.real))
-        reason = f"it loses {lost:.3g} % of itself in a wavelength, so that other waves can't be told from it"
+        reason = f"the wave decays by {lost:.3g} % per wavelength, so it cannot be separated from other waves"
     elif error > SURE:
         beyond = len(fit.k) - 1
-        beside_it = "" if beyond == 0 else f" beside {beyond} other wave{'s' if beyond > 1 else ''}"
+        beside_it = "" if beyond == 0 else f" next to {beyond} other wave{'s' if beyond > 1 else ''}"
         reason = (
-            f"noise, {100 * fit.misfit:.2g} % of the motion, leaves +-{100 * error:.2g} % of it{beside_it}, "
-            f"{100 * SURE:.2g} are allowed"
+            f"noise ({100 * fit.misfit:.2g} % of the motion) gives an uncertainty of +-{100 * error:.2g} "
+            f"%{beside_it}; allowed: {100 * SURE:.2g} %"
         )
     if not reason:
         hidden = hidden_change(scanned, fit, number)
         if hidden > HIDES:
-            reason = f"another wave that hides in the noise could change it by {100 * hidden:.2g} %"
+            reason = f"another wave below the noise could change it by {100 * hidden:.2g} %"
     return Wave(None if reason else k, reason, k, error, float(fit.motion[number]), waves, points)
 
 
 def _why_no_wave_is_told(fit: Rings, lead: int, flat: Float, last: bool) -> str:
     """Return why a fit determines no wave, or "". lead: its strongest travelling ring; last: none has more rings"""
     if np.abs(fit.x[-2:]).max() > 0.98:
-        return f"the source lies {1e3 * REACH_M:g} mm or more from where it is said to be"
+        return f"the fitted source lies {1e3 * REACH_M:g} mm or more from the given source"
     nearest = cKDTree(flat).query(flat, k=2)[1][:, 1]
     power = float(np.linalg.norm(fit.left) ** 2)
     alike = float((fit.left.conj() * fit.left[nearest]).sum().real) / max(power, 1e-300)
     if fit.misfit > LEFT and alike > ALIKE:
         return (
-            f"what {len(fit.k)} waves from one source leave, {100 * fit.misfit:.2g} % of the motion, is no noise: "
-            "others come from elsewhere, or the surface is not the same everywhere"
+            f"{len(fit.k)} waves from one source leave {100 * fit.misfit:.2g} % of the motion, which is more than "
+            "noise: there are other sources, or the surface is not uniform"
         )
     lasting = (fit.motion > HEARD) & (fit.k.imag < LASTING * fit.k[lead].imag)
     if lasting.any():
         one = fit.k[int(lasting.argmax())]
         return (
-            f"one of {len(fit.k)} fitted waves, {one.real:.3g} + {one.imag:.2g}i rad/m, hardly dies away beside the "
-            f"strongest, {fit.k[lead].imag:.2g}i: several alike stand for it"
+            f"one of {len(fit.k)} fitted waves, {one.real:.3g} + {one.imag:.2g}i rad/m, decays much less than the "
+            f"strongest, {fit.k[lead].imag:.2g}i: several similar waves replace one"
         )
     if last and len(fit.k) == MOST_RINGS:
-        return f"more than {MOST_RINGS - 1} waves are needed"
+        return f"the fit needs more than {MOST_RINGS - 1} waves"
     return ""
 
 
@@ -214,7 +214,9 @@ def _checked(
     flat = points[:, :2] - np.asarray(source_m, dtype=float)
     outside = np.linalg.norm(flat, axis=1) > radius
     if outside.sum() < FEWEST:
-        raise MeasurementError(f"{outside.sum()} points lie outside the source's {radius:g} m; {FEWEST} are needed")
+        raise MeasurementError(
+            f"{outside.sum()} points lie outside the radius of {radius:g} m around the source; needed: {FEWEST}"
+        )
     size = float(np.sqrt(np.mean(np.abs(values[outside]) ** 2)))
     if size == 0.0:
         raise MeasurementError("the scan is silent at this frequency")

@@ -23,7 +23,7 @@ class Analyser(Settings):
     instrument: ClassVar[str] = "analyser"
     radius_m: Positive = Field(default=0.004, description="of the disc")
     height_m: Positive = Field(default=0.002, description="of the disc")
-    faces: Literal["bonded", "frictionless"] = Field(default="bonded", description="how plates hold the disc")
+    faces: Literal["bonded", "frictionless"] = Field(default="bonded", description="contact between plates and disc")
 
     @property
     def shape_factor(self) -> float:
@@ -90,6 +90,6 @@ def shear_from_reading(apparent_Pa: ArrayLike, bulk_Pa: float, settings: Analyse
         if np.abs(step).max() < 1e-10 * np.abs(shear).max():
             return np.asarray(shear)
     raise MeasurementError(
-        f"no shear modulus makes a disc of S = {settings.shape_factor:.3g} and K = {bulk_Pa:g} Pa show "
-        f"{shown.ravel()[0]:g} Pa"
+        f"no shear modulus gives an apparent modulus of {shown.ravel()[0]:g} Pa for a disc with S = "
+        f"{settings.shape_factor:.3g} and K = {bulk_Pa:g} Pa"
     )

@@ -45,19 +45,19 @@ class Microphone(Settings):
     """A microphone. Raises MeasurementError for values out of their limits."""
 
     instrument: ClassVar[str] = "microphone"
-    diameter_m: NonNegative = Field(default=0.0, description="of the diaphragm; 0: a point")
+    diameter_m: NonNegative = Field(default=0.0, description="diameter of the diaphragm; 0: a point")
     facing: Vector3 = Field(default=(0.0, 0.0, -1.0), description="outward normal of the diaphragm")
     diaphragm: Literal["piston", "membrane"] = Field(
-        default="piston", description="all of it weighs alike, or as a clamped membrane moves, 1 - (r/a)^2"
+        default="piston", description="weight over the diaphragm: uniform, or as a clamped membrane, 1 - (r/a)^2"
     )
     face: Literal["free", "doubling", "cylinder"] = Field(
         default="free",
-        description="free: the sound as without the microphone; doubling: a wall's, twice the sound from ahead; "
-        "cylinder: what the face of a rigid cylinder of the diaphragm's diameter takes of sound from ahead",
+        description="pressure at the face: free: undisturbed sound; doubling: twice the sound, as on a wall; "
+        "cylinder: as on the face of a rigid cylinder with the diameter of the diaphragm, for sound from the front",
     )
     low_Hz: Positive | None = Field(default=None, description="lower end of its band, -3 dB")
     high_Hz: Positive | None = Field(default=None, description="upper end of its band, -3 dB")
-    order: int = Field(default=2, ge=1, le=12, description="of the band's Butterworth filters")
+    order: int = Field(default=2, ge=1, le=12, description="order of the Butterworth filters of the band")
 
 
 def diaphragm_points(settings: Microphone, rings: int = 6) -> tuple[Float, Float]:
@@ -102,10 +102,10 @@ def microphone_scan(
     offsets, weights = diaphragm_points(settings)
     sound = np.asarray(pressure_at((places[:, None] + offsets).reshape(-1, 3)))
     if sound.shape != (len(places) * len(offsets),):
-        raise MeasurementError(f"pressure_at gave shape {sound.shape} for {len(places) * len(offsets)} places")
+        raise MeasurementError(f"pressure_at returned shape {sound.shape} for {len(places) * len(offsets)} points")
     read = sound.reshape(len(places), -1) @ weights * face_factor(settings, wavenumber)
     coordinates = {axis: ("point", places[:, n], {"units": "m"}) for n, axis in enumerate("xyz")}
-    attributes = {"units": "Pa", "long_name": "peak amplitude of the carrier as the microphone reads it"}
+    attributes = {"units": "Pa", "long_name": "peak amplitude of the carrier read by the microphone"}
     return xr.DataArray(read, coordinates, ("point",), "pressure", attributes)
 
 
@@ -141,7 +141,9 @@ def face_factor(settings: Microphone, wavenumber: float | None = None) -> float:
     """
     if settings.face == "cylinder":
         if wavenumber is None:
-            raise MeasurementError("microphone: face is 'cylinder', whose rise depends on the sound: give a wavenumber")
+            raise MeasurementError(
+                "microphone: face is 'cylinder', whose pressure rise depends on the wavenumber: give a wavenumber"
+            )
         return abs(face_rise(settings.diameter_m, wavenumber))
     return 2.0 if settings.face == "doubling" else 1.0
 

@@ -53,7 +53,7 @@ def by_fiducials(measured_m: ArrayLike, surface_m: ArrayLike) -> Transform:
     finite("the fiducials", np.hstack([theirs, ours]))
     spread = np.linalg.svd(theirs - theirs.mean(axis=0), compute_uv=False)
     if spread[1] < 1e-3 * max(spread[0], 1e-300):
-        raise MeasurementError("the fiducials lie on one line, about which nothing tells a turn; give others")
+        raise MeasurementError("the fiducials lie on one line, so the rotation about it is undetermined; give others")
     turn, _ = Rotation.align_vectors(ours - ours.mean(axis=0), theirs - theirs.mean(axis=0))
     rotation = turn.as_matrix()
     return Transform(ours.mean(axis=0) - rotation @ theirs.mean(axis=0), rotation)

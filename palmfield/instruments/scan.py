@@ -44,8 +44,8 @@ class Scan:
         bad = np.argwhere(~np.isfinite(np.atleast_2d(np.asarray(self.values, dtype=float))))
         if len(bad):
             raise MeasurementError(
-                f"{self.name}: point {bad[0][1]} has a value that is no finite number, at sample {bad[0][0]}; mend it, "
-                "or leave the point out"
+                f"{self.name}: point {bad[0][1]} has a value that is not finite, at sample {bad[0][0]}; correct "
+                "it, or remove the point"
             )
         try:
             times, values = trace(self.times_s, self.values, 16)
@@ -61,8 +61,8 @@ class Scan:
         if second:
             place = ", ".join(f"{1e3 * x:.4g}" for x in points[first])
             raise MeasurementError(
-                f"{self.name}: points {first} and {second} lie in one place, ({place}) mm; leave one out, or give "
-                "their mean"
+                f"{self.name}: points {first} and {second} have the same position, ({place}) mm; remove one, or "
+                "give their mean"
             )
         for name, value in (("times_s", times), ("values", values), ("points", points)):
             object.__setattr__(self, name, value)

@@ -19,8 +19,8 @@ def rectangle_grid(width_m: float, height_m: float, pitch_m: float) -> Float:
         above_zero(name, value)
     if width_m * height_m > MOST_PLACES * pitch_m**2:
         raise MeasurementError(
-            f"a grid of {width_m:g} by {height_m:g} m every {pitch_m:g} m has more than {MOST_PLACES:,} places; give a "
-            "larger pitch_m"
+            f"a grid of {width_m:g} by {height_m:g} m with pitch {pitch_m:g} m has more than {MOST_PLACES:,} "
+            "points; give a larger pitch_m"
         )
     along = [pitch_m * np.arange(-n, n + 1) for n in (_half(width_m, pitch_m), _half(height_m, pitch_m))]
     x, y = np.meshgrid(*along, indexing="ij")
@@ -47,7 +47,7 @@ def pitch(points_m: ArrayLike) -> float:
     """Median distance of a place to its nearest neighbour [m]."""
     points = np.asarray(points_m, dtype=float)
     if points.ndim != 2 or len(points) < 2:
-        raise MeasurementError(f"points have shape {points.shape}; a pitch takes two or more")
+        raise MeasurementError(f"points have shape {points.shape}; a pitch needs two or more")
     return float(np.median(cKDTree(points).query(points, k=2)[0][:, 1]))
 
 

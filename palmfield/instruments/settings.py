@@ -57,7 +57,7 @@ def read_settings(path: str | Path, model: type[Model]) -> Model:
     except OSError as error:
         raise MeasurementError(f"{file}: cannot be read: {error}; give a TOML file") from None
     except ValueError as error:
-        raise MeasurementError(f"{file}: is no TOML: {error}; give a TOML file in UTF-8") from None
+        raise MeasurementError(f"{file}: is not TOML: {error}; give a TOML file in UTF-8") from None
     name = model.instrument
     for other in table:
         if other != name:

@@ -82,8 +82,8 @@ def sampled(times_s: ArrayLike, signal: ArrayLike, at_s: ArrayLike) -> Float:
     step = even_step(at)
     if at[-1] > times[-1] + 1e-6 * step:
         raise MeasurementError(
-            f"a record until {at[-1]:g} s is asked of motion that ends at {times[-1]:g} s; simulate for longer, or "
-            "record for less"
+            f"the record ends at {at[-1]:g} s, but the motion ends at {times[-1]:g} s; simulate for longer, or "
+            "record for a shorter time"
         )
     fine = float(np.median(np.diff(times)))
     if fine < 0.999 * step:

@@ -62,7 +62,9 @@ def of_skin(skin: xr.Dataset, places_m: ArrayLike | None = None, off_m: float = 
     """
     points, normals = skin["rest_position"].values, skin["rest_normal"].values
     if skin.sizes["time"] < 4:
-        raise MeasurementError(f"the result holds {skin.sizes['time']} instants of the skin; instruments need four")
+        raise MeasurementError(
+            f"the result holds {skin.sizes['time']} times of the skin motion; needed: four or more; run for longer"
+        )
     times = np.asarray(skin["time"].values, dtype=float)
     if places_m is None:
         motions = [np.asarray(skin[name].values, dtype=float) for name in ("displacement", "velocity")]
@@ -73,7 +75,8 @@ def of_skin(skin: xr.Dataset, places_m: ArrayLike | None = None, off_m: float = 
     if found.distance_m[worst] > off_m:
         place = ", ".join(f"{x:.4g}" for x in np.asarray(places_m, dtype=float)[worst])
         raise MeasurementError(
-            f"place {worst} at ({place}) m lies {found.distance_m[worst]:.3g} m off the skin; allowed: {off_m:g} m"
+            f"point {worst} at ({place}) m lies {found.distance_m[worst]:.3g} m from the skin; allowed: {off_m:g} "
+            "m; move it"
         )
     used, corners = np.unique(faces[found.triangle], return_inverse=True)
     corners = corners.reshape(-1, 3)

@@ -26,37 +26,35 @@ class Vibrometer(Settings):
     """Pose and settings of a vibrometer. Raises MeasurementError for values out of their limits."""
 
     instrument: ClassVar[str] = "vibrometer"
-    incidence_deg: float = Field(
-        default=0.0, ge=0, lt=90, description="angle between the beam to aim_m and the normal there"
+    incidence_deg: float = Field(default=0.0, ge=0, lt=90, description="angle of incidence of the beam to aim_m")
+    azimuth_deg: float = Field(
+        default=0.0, description="azimuth of the head about the normal, from x_axis, counter-clockwise"
     )
-    azimuth_deg: float = Field(default=0.0, description="of the head about the normal, from x_axis, counter-clockwise")
     distance_m: Positive | None = Field(
-        default=None, description="of the head from aim_m; none: all beams are parallel"
+        default=None, description="distance of the head from aim_m; none: parallel beams"
     )
-    aim_m: Vector3 = Field(default=(0.0, 0.0, 0.0), description="where the middle beam hits the surface")
+    aim_m: Vector3 = Field(default=(0.0, 0.0, 0.0), description="point at which the central beam hits the surface")
     normal: Vector3 = Field(default=(0.0, 0.0, 1.0), description="outward, at aim_m")
-    x_axis: Vector3 = Field(default=(1.0, 0.0, 0.0), description="azimuth 0, as seen along the normal")
-    as_normal: bool = Field(default=True, description="readings are divided by the cosine of incidence_deg")
+    x_axis: Vector3 = Field(default=(1.0, 0.0, 0.0), description="direction of azimuth 0, seen along the normal")
+    as_normal: bool = Field(default=True, description="whether readings are divided by the cosine of incidence_deg")
     reading: Literal["velocity", "displacement"] = Field(
         default="displacement", description="displacement is integrated"
     )
     sampling_rate_Hz: Positive = Field(default=128e3, description="of the record")
-    duration_s: Positive | None = Field(default=None, description="of the record; none: as long as the motion lasts")
-    trigger_s: float = Field(default=0.0, description="when the record begins, in the motion's time")
-    flight_s: NonNegative = Field(
-        default=0.0, description="by which motion is later than it was computed: the sound's flight"
-    )
+    duration_s: Positive | None = Field(default=None, description="duration of the record; none: that of the motion")
+    trigger_s: float = Field(default=0.0, description="start of the record, in the time of the motion")
+    flight_s: NonNegative = Field(default=0.0, description="flight time of the sound, by which the motion is delayed")
     highpass_Hz: Positive | None = Field(
-        default=None, description="Butterworth high-pass on the velocity; none: no filter"
+        default=None, description="cutoff of the Butterworth high-pass on the velocity; none: no filter"
     )
     highpass_order: int = Field(default=2, ge=1, le=12)
     lowpass_Hz: Positive | None = Field(
-        default=None, description="Butterworth low-pass on the velocity; none: no filter"
+        default=None, description="cutoff of the Butterworth low-pass on the velocity; none: no filter"
     )
     lowpass_order: int = Field(default=5, ge=1, le=12)
     phase: Phase = Field(default="causal", description="of both filters")
-    noise_m_s_rtHz: NonNegative = Field(default=0.0, description="density of the velocity's white noise")
-    averages: int = Field(default=1, ge=1, description="records of which the mean is taken: noise falls with the root")
+    noise_m_s_rtHz: NonNegative = Field(default=0.0, description="spectral density of the white velocity noise")
+    averages: int = Field(default=1, ge=1, description="number of averaged records; noise falls with its square root")
 
 
 def lines_of_sight(points_m: ArrayLike, settings: Vibrometer) -> Float:
@@ -120,7 +118,7 @@ def vibrometer_record(
     lasts = motion.times_s[-1] - start if settings.duration_s is None else settings.duration_s
     count = math.floor(lasts * rate * (1.0 + 1e-12) + 1e-6) + (settings.duration_s is None)
     if count < 4:
-        raise MeasurementError(f"a record of {lasts:g} s holds {count} samples at {rate:g} Hz; it takes four or more")
+        raise MeasurementError(f"a record of {lasts:g} s holds {count} samples at {rate:g} Hz; needed: four or more")
     _check_rest(moments, seen, start)
     times = np.arange(count) / rate
     signal = sampled(moments, seen, start + times)
@@ -144,8 +142,8 @@ def _check_rest(times: Float, seen: Float, start: float) -> None:
     first, most = float(np.abs(seen[0]).max()), float(np.abs(seen).max())
     if first > MOVES * most:
         raise MeasurementError(
-            f"a record from {start:g} s on is asked of motion that begins at {times[0]:g} s, where it already has "
-            f"{100 * first / most:.2g} % of its largest velocity; begin at rest, or mend trigger_s and flight_s"
+            f"the record begins at {start:g} s, but the motion begins at {times[0]:g} s with "
+            f"{100 * first / most:.2g} % of its largest velocity; begin at rest, or correct trigger_s and flight_s"
         )
 
 
@@ -155,8 +153,8 @@ def _check_seen(motion: SurfaceMotion, beams: Float) -> None:
     if across[worst] <= 0.0:
         place, normal = (", ".join(f"{x:.3g}" for x in part[worst]) for part in (motion.points, motion.normals))
         raise MeasurementError(
-            f"vibrometer: point {worst} at ({place}) m, whose outward normal is ({normal}), turns away from the head; "
-            "mend normal, aim_m or incidence_deg, or leave the point out"
+            f"vibrometer: point {worst} at ({place}) m, whose outward normal is ({normal}), faces away from the "
+            "head; correct normal, aim_m or incidence_deg, or remove the point"
         )
 
 

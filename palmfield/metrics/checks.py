@@ -32,7 +32,8 @@ def even_step(times_s: Float) -> float:
     step = float((times_s[-1] - times_s[0]) / len(steps))
     if step <= 0.0 or np.abs(steps - step).max() > 1e-3 * step:
         raise MeasurementError(
-            f"times are not evenly spaced (steps {steps.min():.3g} to {steps.max():.3g} s); take a stretch without gaps"
+            f"times are not evenly spaced (steps {steps.min():.3g} to {steps.max():.3g} s); use an interval "
+            "without gaps"
         )
     return step
 
@@ -47,7 +48,7 @@ def grid(values: ArrayLike, x_m: ArrayLike, y_m: ArrayLike) -> tuple[Float, Floa
         raise MeasurementError(f"the map has shape {field.shape}; give ({np.size(x)}, {np.size(y)}), x by y")
     for name, places in (("x", x), ("y", y)):
         if len(places) < 2 or not np.isfinite(places).all() or not np.all(np.diff(places) > 0.0):
-            raise MeasurementError(f"{name} of a map must be at least two finite places that rise")
+            raise MeasurementError(f"{name} of a map must be at least two finite rising positions")
     finite("the map", field)
     return field, x, y
 

@@ -71,7 +71,7 @@ def focal_energy_ratio(
         raise MeasurementError(f"over is '{over}'; use outside or total")
     rest = float(weighted.sum()) - (within if over == "outside" else 0.0)
     if not rest > 0.0:
-        raise MeasurementError(f"the energy {over} is {rest:g}; a ratio needs some")
+        raise MeasurementError(f"the energy {over} is {rest:g}; the ratio needs a value above 0")
     return within / rest
 
 
@@ -84,7 +84,7 @@ def average_residual_energy(density: ArrayLike, x_m: ArrayLike, y_m: ArrayLike, 
     values, x, y = grid(density, x_m, y_m)
     areas = np.where(mask(inside, values), 0.0, cell_areas(x, y))
     if not areas.sum() > 0.0:
-        raise MeasurementError("the strip covers the whole map: nothing is outside it")
+        raise MeasurementError("the strip covers the whole map, so no points lie outside: use a narrower strip")
     return float((areas * values).sum() / areas.sum())
 
 
@@ -123,7 +123,7 @@ def ssim(
     radius = whole("radius", radius, 0, 10_000)
     a, b = _pair(map_a, map_b, normalised)
     if a.ndim != 2 or min(a.shape) <= 2 * radius:
-        raise MeasurementError(f"maps have shape {a.shape}; a window takes {2 * radius + 1} places each way")
+        raise MeasurementError(f"maps have shape {a.shape}; a window needs {2 * radius + 1} points in each direction")
 
     def local(values: Float) -> Float:
         smooth = gaussian_filter(values, sigma, radius=radius)
@@ -147,6 +147,6 @@ def _pair(map_a: ArrayLike, map_b: ArrayLike, normalised: bool) -> tuple[Float, 
     if normalised:
         tops = np.abs(a).max(), np.abs(b).max()
         if min(tops) == 0.0:
-            raise MeasurementError("a map of zeros can't be divided by its largest: give normalised=False")
+            raise MeasurementError("a map of zeros cannot be divided by its maximum: give normalised=False")
         a, b = a / tops[0], b / tops[1]
     return a, b

@@ -50,7 +50,8 @@ def spot_diameter(
     rim = np.concatenate([field[0], field[-1], field[:, 0], field[:, -1]]).max()
     if rim >= level:
         raise MeasurementError(
-            f"at the map's rim {rim / top:.2g} of the peak is left, not less than {level_of_peak:g}: give a wider map"
+            f"at the rim of the map {rim / top:.2g} of the peak is left; needed: less than {level_of_peak:g}: give "
+            "a wider map"
         )
     if of == "equal_area":
         return float(2.0 * np.sqrt(area_above(field, x, y, level) / np.pi))
@@ -94,7 +95,9 @@ def level_depth(depth_m: ArrayLike, values: ArrayLike, reference_m: float, level
     depth, curve = np.asarray(depth_m, dtype=float), np.asarray(values, dtype=float)
     share("level", level)
     if depth.ndim != 1 or curve.shape != depth.shape or len(depth) < 2 or not np.all(np.diff(depth) > 0.0):
-        raise MeasurementError(f"depths of shape {depth.shape} must rise and be as many as values {curve.shape}")
+        raise MeasurementError(
+            f"depths of shape {depth.shape} must rise and have as many entries as values {curve.shape}"
+        )
     finite("values", curve)
     if not depth[0] <= reference_m <= depth[-1]:
         raise MeasurementError(f"reference_m is {reference_m:g} m; the curve goes from {depth[0]:g} to {depth[-1]:g} m")
@@ -104,7 +107,8 @@ def level_depth(depth_m: ArrayLike, values: ArrayLike, reference_m: float, level
     low = np.flatnonzero((depth > reference_m) & (curve <= goal))
     if len(low) == 0:
         raise MeasurementError(
-            f"up to {depth[-1]:g} m the curve stays above {level:g} of its value at {reference_m:g} m: look farther"
+            f"up to {depth[-1]:g} m the curve stays above {level:g} of its value at {reference_m:g} m: give a "
+            "longer curve"
         )
     after = int(low[0])
     before = max(float(depth[after - 1]), reference_m)
@@ -125,7 +129,9 @@ def half_width(at_m: ArrayLike, values: ArrayLike, level: float = 0.5, *, of: Lo
     share("level", level)
     places, curve = np.asarray(at_m, dtype=float), np.asarray(values, dtype=float)
     if places.ndim != 1 or curve.shape != places.shape or len(places) < 3 or not np.all(np.diff(places) > 0.0):
-        raise MeasurementError(f"places of shape {places.shape} must rise and be as many as values {curve.shape}")
+        raise MeasurementError(
+            f"places of shape {places.shape} must rise and have as many entries as values {curve.shape}"
+        )
     finite("values", curve)
     if of not in ("outermost", "central"):
         raise MeasurementError(f"of is '{of}'; use outermost or central")
@@ -136,8 +142,8 @@ def half_width(at_m: ArrayLike, values: ArrayLike, level: float = 0.5, *, of: Lo
     reached = curve >= goal
     if reached[0] or reached[-1]:
         raise MeasurementError(
-            f"at an end of the curve, {places[0]:g} or {places[-1]:g} m, it still reaches {level:g} of its largest "
-            "value: give a longer one"
+            f"at an end, {places[0]:g} or {places[-1]:g} m, the curve still exceeds {level:g} of its maximum: give "
+            "a longer curve"
         )
     below = np.flatnonzero(~reached)
     if of == "central":

@@ -28,10 +28,12 @@ def co_rotating_average(
     times, maps = trace(times_s, values, 2)
     if maps.ndim != 3:
         raise MeasurementError(f"values have shape {maps.shape}; give (t, radii, angles)")
-    above_zero("the size of turn_Hz", abs(turn_Hz))
+    above_zero("the absolute value of turn_Hz", abs(turn_Hz))
     step = even_step(times)
     if (times[-1] - times[0] + step) * abs(turn_Hz) < 1.0 - 1e-6:
-        raise MeasurementError(f"the record of {times[-1] - times[0]:g} s holds no turn of {turn_Hz:g} Hz")
+        raise MeasurementError(
+            f"the record of {times[-1] - times[0]:g} s is shorter than one turn at {turn_Hz:g} Hz; record for longer"
+        )
     angles = np.atleast_1d(np.asarray(angles_rad, dtype=float))
     finite("angles_rad", angles)
     count = maps.shape[2]

@@ -30,7 +30,7 @@ def amplitude_spectrum(time_s: ArrayLike, signal: ArrayLike, *, taper: Taper = "
     """
     if len(np.atleast_1d(time_s)) < 8:
         raise MeasurementError(
-            f"a spectrum of {np.size(time_s)} samples says nothing; at least 8 are needed: run for longer"
+            f"a spectrum of {np.size(time_s)} samples is not meaningful; needed: at least 8: run for longer"
         )
     times, values = trace(time_s, signal, 8, single=True)
     step = even_step(times)
@@ -56,7 +56,8 @@ def harmonics(time_s: ArrayLike, signal: ArrayLike, fundamental_Hz: float, count
     step = float(np.median(np.diff(times)))
     if times[-1] - times[0] + step < (1.0 - 1e-6) / fundamental_Hz:
         raise MeasurementError(
-            f"a record of {times[-1] - times[0]:g} s holds no period of {fundamental_Hz:g} Hz: record for longer"
+            f"a record of {times[-1] - times[0]:g} s is shorter than one period of {fundamental_Hz:g} Hz: record "
+            "for longer"
         )
     if count * fundamental_Hz * step >= 0.5:
         raise MeasurementError(
@@ -100,8 +101,8 @@ def _in_band(frequency: Float, band_Hz: tuple[float, float]) -> np.ndarray:
     chosen = (frequency >= band_Hz[0]) & (frequency <= band_Hz[1])
     if not chosen.any():
         raise MeasurementError(
-            f"no line lies between {band_Hz[0]:g} and {band_Hz[1]:g} Hz; the record has {frequency[0]:g} to "
-            f"{frequency[-1]:g} Hz"
+            f"the record has no line between {band_Hz[0]:g} and {band_Hz[1]:g} Hz; its lines are at "
+            f"{frequency[0]:g} to {frequency[-1]:g} Hz"
         )
     return np.asarray(chosen)
 

@@ -34,7 +34,7 @@ def within(times_s: ArrayLike, values: ArrayLike, window_s: Window, *, single: b
     if chosen.sum() < 2:
         raise MeasurementError(
             f"the window from {start:g} to {end:g} s holds {chosen.sum()} samples of a record from {times[0]:g} to "
-            f"{times[-1]:g} s; it needs two"
+            f"{times[-1]:g} s; needed: two or more"
         )
     return times[chosen], signal[chosen]
 
@@ -131,8 +131,8 @@ def settling_time(
     last = int(outside[-1])
     if last == len(times) - 1:
         raise MeasurementError(
-            f"at {times[-1]:g} s the signal is still {100 * off[last]:.3g} % from its steady value, outside the band "
-            f"of {100 * band:g} %: record for longer, or give a wider band"
+            f"at {times[-1]:g} s the signal is {100 * off[last]:.3g} % from its steady value, outside the band of "
+            f"{100 * band:g} %: record for longer, or give a wider band"
         )
     part = (off[last] - band) / (off[last] - off[last + 1])
     return float(times[last] + part * (times[last + 1] - times[last]) - start_s)

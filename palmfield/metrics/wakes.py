@@ -48,12 +48,16 @@ def wake_length(
     finite("focus_x_m", np.atleast_1d(focus_x_m))
     inside = np.ones(len(y), bool) if lateral_m is None else np.abs(y) <= 0.5 * lateral_m * (1.0 + 1e-9)
     if not inside.any():
-        raise MeasurementError(f"lateral_m is {lateral_m} m; the snapshot's nearest row is {np.abs(y).min():g} m off")
+        raise MeasurementError(
+            f"lateral_m is {lateral_m} m; the nearest row of the snapshot is "
+            f"{np.abs(y).min():g} m away; give the position of a row"
+        )
     size = np.abs(values[:, inside])
     behind = np.flatnonzero(x <= focus_x_m + 1e-6 * (x[1] - x[0]))[::-1]
     if len(behind) < 2:
         raise MeasurementError(
-            f"focus_x_m is {focus_x_m:g} m; the snapshot from {x[0]:g} m on has less than two places behind"
+            f"focus_x_m is {focus_x_m:g} m; the snapshot, which begins at {x[0]:g} m, has fewer than two points "
+            "behind it"
         )
     return _reach(focus_x_m - x[behind], size[behind].max(axis=1), threshold * _largest(values), until)
 
@@ -126,12 +130,12 @@ def mach_angle(
     chosen = (distance >= near * (1.0 - 1e-9)) & (distance <= far * (1.0 + 1e-9)) & (distance > 0.0)
     if chosen.sum() < 3:
         raise MeasurementError(
-            f"{chosen.sum()} places of the snapshot lie {near:g} to {far:g} m behind the focus; the fit needs three"
+            f"{chosen.sum()} points of the snapshot lie {near:g} to {far:g} m behind the focus; needed: three or more"
         )
     angles = []
     for side in (y > 0.0, y < 0.0):
         if not side.any():
-            raise MeasurementError(f"y goes from {y[0]:g} to {y[-1]:g} m; both sides of the way are needed")
+            raise MeasurementError(f"y goes from {y[0]:g} to {y[-1]:g} m; needed: both sides of the path")
         places = np.abs(y[side])[np.abs(values[np.ix_(chosen, side)]).argmax(axis=1)]
         angles.append(np.degrees(np.arctan(_slope(distance[chosen], places))))
     return float(np.mean(angles))

@@ -60,18 +60,24 @@ class Alignment(BaseModel):
     def __str__(self) -> str:
         x, y, z = (1e3 * value for value in self.position_m)
         turn = np.degrees(Rotation.from_quat(self.quaternion, scalar_first=True).magnitude())
-        source = "from what is left" if self.points > FEWEST else "taken for three points, whose rest tells little"
+        source = (
+            "from the residuals"
+            if self.points > FEWEST
+            else "assumed for three points, whose residuals carry little information"
+        )
         flat = self.off_plane_m is not None and self.off_plane_m < LEAST_SPREAD_M
         doubt = (
-            "\nthe points lie in one plane, where left-handed axes of the tracker fit as well: touch one more, "
-            f"{1e3 * LEAST_SPREAD_M:g} mm or more off it"
+            "\n"
+            "the points lie in one plane, so left-handed axes of the tracker fit equally well: touch one more "
+            f"point, {1e3 * LEAST_SPREAD_M:g} mm or more away from it"
         )
         return (
-            f"the tracker's origin is at ({x:.1f}, {y:.1f}, {z:.1f}) mm of the array, turned by {turn:.1f} degrees\n"
-            f"{self.points} points, {1e3 * self.rms_m:.2f} mm left (rms); a touch is {1e3 * self.touch_sd_m:.2f} mm "
-            f"off by each axis ({source})\n"
+            f"the tracker's origin is at ({x:.1f}, {y:.1f}, {z:.1f}) mm in the array frame, rotated by {turn:.1f} "
+            "degrees\n"
+            f"{self.points} points, residual {1e3 * self.rms_m:.2f} mm rms; error of a touch "
+            f"{1e3 * self.touch_sd_m:.2f} mm per axis ({source})\n"
             f"uncertainty (sd): {np.degrees(self.turn_sd_rad):.2f} degrees, and {1e3 * self.sd_m:.2f} mm at "
-            f"{1e3 * ABOVE_M:.0f} mm over the points{doubt if flat else ''}"
+            f"{1e3 * ABOVE_M:.0f} mm above the points{doubt if flat else ''}"
         )
 
 
@@ -102,13 +108,14 @@ def align(touches: Touches) -> Alignment:
     """
     count = len(touches.array)
     if count < FEWEST:
-        raise SceneError(f"{count} points were touched; give {FEWEST} or more that are not in a line")
+        raise SceneError(f"{count} points were touched; needed: {FEWEST} or more that are not on one line")
     for name, points in (("array", touches.array), ("tracker", touches.tracker)):
         spread = _spread(points)
         if spread < LEAST_SPREAD_M:
             raise SceneError(
-                f"the {count} points of the {name} lie within {1e3 * spread:.2g} mm of a line; give points that are "
-                f"{1e3 * LEAST_SPREAD_M:g} mm or more off it, or the turn about it isn't known"
+                f"the {count} points of the {name} lie within {1e3 * spread:.2g} mm of a line; give points "
+                f"{1e3 * LEAST_SPREAD_M:g} mm or more away from it, because the rotation about the line is "
+                "undetermined"
             )
     middle, seen = touches.array.mean(axis=0), touches.tracker.mean(axis=0)
     turn = Rotation.align_vectors(touches.array - middle, touches.tracker - seen)[0]
@@ -118,8 +125,8 @@ def align(touches: Touches) -> Alignment:
     _refuse_mirrored(touches, rms)
     if rms > LARGEST_MISS_M:
         raise SceneError(
-            f"the points are {1e3 * rms:.1f} mm off their places (rms); allowed: {1e3 * LARGEST_MISS_M:g} mm: look at "
-            "their order, and at the tracker's unit"
+            f"the points are {1e3 * rms:.1f} mm from their positions (rms); allowed: {1e3 * LARGEST_MISS_M:g} mm: "
+            "check their order and the unit of the tracker"
         )
     # Three coordinates for each point, less six fitted numbers
     free = 3 * count - 6
@@ -182,8 +189,9 @@ def _refuse_mirrored(touches: Touches, rms: float) -> None:
     _, best, what = min(fits)
     if rms > 3.0 * TOUCH_SD_M and best < MIRRORED * rms:
         raise SceneError(
-            f"the points are {1e3 * rms:.1f} mm off their places (rms), and {1e3 * best:.1f} mm with {what}: the "
-            "tracker's axes are left-handed; allowed: right-handed ones: swap or reverse that in what writes them"
+            f"the points are {1e3 * rms:.1f} mm from their positions (rms), and {1e3 * best:.1f} mm with {what}: "
+            "the axes of the tracker are left-handed; allowed: right-handed axes: swap or reverse them in the "
+            "program that writes the points"
         )
 
 

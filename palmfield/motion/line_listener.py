@@ -46,9 +46,9 @@ def read_object(line: str | bytes) -> dict[str, Any]:
     try:
         value = json.loads(line.decode() if isinstance(line, bytes) else line, parse_int=float)
     except (ValueError, RecursionError, MemoryError) as error:
-        raise BadLine("garbled", f"{line[:60]!r} is no JSON object: {error}") from None
+        raise BadLine("garbled", f"{line[:60]!r} is not a JSON object: {error}") from None
     if not isinstance(value, dict):
-        raise BadLine("garbled", f"{line[:60]!r} is no JSON object, but a JSON {type(value).__name__}")
+        raise BadLine("garbled", f"{line[:60]!r} is not a JSON object, but a JSON {type(value).__name__}")
     return value
 
 
@@ -66,7 +66,7 @@ class LineListener(ABC):
     def __init__(self, host: str, port: int, by: By) -> None:
         """port: 0 for any free one. Raises DeviceError for an address at which it cannot listen."""
         if by not in ("udp", "tcp"):
-            raise DeviceError(f"lines are listened to by '{by}'; allowed: udp, tcp")
+            raise DeviceError(f"the protocol is '{by}'; allowed: udp, tcp")
         self.by, self.taken = by, 0
         self.bad: Counter[str] = Counter()
         self.told: list[str] = []
@@ -80,7 +80,7 @@ class LineListener(ABC):
             else:
                 self._socket = socket.create_server((host, port))
         except (OSError, OverflowError) as error:
-            raise DeviceError(f"{host}:{port} can't be listened at: {error}; give an address of this machine") from None
+            raise DeviceError(f"cannot listen at {host}:{port}: {error}; give an address of this machine") from None
         self._socket.setblocking(False)
         self.host, self.port = self._socket.getsockname()[:2]
         self._open = selectors.DefaultSelector()
@@ -99,7 +99,7 @@ class LineListener(ABC):
         """Raises DeviceError if the listening thread has failed, so that lines are no longer read."""
         if self._failed is not None:
             raise DeviceError(
-                f"no lines are received any more at {self.by} {self.host}:{self.port}: {type(self._failed).__name__}: "
+                f"receiving at {self.by} {self.host}:{self.port} has stopped: {type(self._failed).__name__}: "
                 f"{self._failed}; start again"
             )
 
@@ -222,7 +222,7 @@ class LineListener(ABC):
             whole = lines if data and len(last) <= LONGEST_LINE else [*lines, last]
             good = all(self._line(name, line, since_s) for line in whole)
             if waited > HELD_BACK:
-                self.skip("stale", f"{name} sent more than could wait here, and its connection is closed")
+                self.skip("stale", f"{name} sent more than the queue holds, so its connection is closed")
                 good = False
             if not good or not data:
                 self._hang_up(peer, name)
@@ -246,10 +246,12 @@ class LineListener(ABC):
         # With frequent checks the arrival time is exact; else a line may be as old as the last check
         came_s = now if now - since_s <= 3.0 * LOOK_S else since_s
         if now - came_s > STALE_S:
-            self.skip("stale", f"{line[:60]!r} waited here for up to {now - came_s:.2g} s; {STALE_S:g} s are allowed")
+            self.skip(
+                "stale", f"{line[:60]!r} waited in the queue for up to {now - came_s:.2g} s; allowed: {STALE_S:g} s"
+            )
             return has_door
         if len(line) > LONGEST_LINE:
-            self.skip("garbled", f"garbled: {line[:60]!r} has more than {LONGEST_LINE} bytes; give an object a line")
+            self.skip("garbled", f"garbled: {line[:60]!r} has more than {LONGEST_LINE} bytes; give one object per line")
             return False
         try:
             self.take(line, came_s)
@@ -265,7 +267,7 @@ class LineListener(ABC):
         return True
 
     def _refuse(self, name: str) -> None:
-        text = f"{name} is refused: {self._sender} sends already, and one sender is taken at a time"
+        text = f"{name} is refused, because {self._sender} is already sending; allowed: one sender at a time"
         if self.bad["second sender"] < TOLD:
             LOG.warning(text)
         self.skip("second sender", text)

@@ -77,8 +77,9 @@ class LiveHand:
                 return self.newest
             time.sleep(0.002)
         raise SceneError(
-            f"no hand was seen within {timeout_s:g} s at {self.listener.by} {self.listener.host}:{self.listener.port}: "
-            f"{self.listener.report()}" + (f"; {self.listener.told[0]}" if self.listener.told else "")
+            f"no hand was tracked within {timeout_s:g} s at {self.listener.by} "
+            f"{self.listener.host}:{self.listener.port}: {self.listener.report()}"
+            + (f"; {self.listener.told[0]}" if self.listener.told else "")
         )
 
     def check(self) -> None:
@@ -135,7 +136,9 @@ class LiveHand:
                 self._error = error
                 return
             except Exception as error:
-                self._error = DeviceError(f"the hand can't be fitted to the tracker's samples: {error!r}; start again")
+                self._error = DeviceError(
+                    f"the hand model cannot be fitted to the tracker samples: {error!r}; start again"
+                )
                 return
             if pose is not None:
                 self.fit_s.append(time.perf_counter() - began)

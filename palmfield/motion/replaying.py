@@ -17,7 +17,7 @@ def address(text: str) -> tuple[str, int]:
     """Parse HOST:PORT, or PORT of this machine. Raises DeviceError for anything else."""
     host, colon, port = text.rpartition(":")
     if not port.isdigit() or int(port) > 65535 or (colon and not host):
-        raise DeviceError(f"'{text}' is no address; give HOST:PORT, or PORT for this machine")
+        raise DeviceError(f"'{text}' is not an address; give HOST:PORT, or PORT for this machine")
     return host or "127.0.0.1", int(port)
 
 
@@ -67,7 +67,7 @@ def replay(
                     sent += 1
     except OSError as error:
         raise DeviceError(
-            f"{to[0]}:{to[1]} takes no samples by {by} after {sent}: {error}; start what listens first"
+            f"{to[0]}:{to[1]} accepts no samples by {by} after {sent}: {error}; start the receiver first"
         ) from None
     return sent
 

@@ -88,8 +88,8 @@ def retarget(hand: ArticulatedHand, stream: Stream) -> Retargeted:
     usable = [n for n in range(len(packets)) if fixes_palm(packets.positions[n], valid[n])]
     if len(usable) < 2:
         raise SceneError(
-            f"hand retargeting: {len(usable)} of {len(packets)} packets have {FEWEST_PALM_JOINTS} valid joints in the "
-            "palm that are not in a line; give two or more"
+            f"hand retargeting: {len(usable)} of {len(packets)} packets have {FEWEST_PALM_JOINTS} valid palm "
+            "joints that are not on one line; needed: two or more"
         )
     follower = Follower(hand, packets.positions[usable], valid[usable])
     followed = [follower.follow(packets.positions[n], valid[n]) for n in usable]
@@ -191,7 +191,7 @@ def _palm_of(positions: Float, valid: Bool) -> Float:
     if not known.all():
         absent = JOINTS[RIGID[int(np.argmin(known))]]
         raise SceneError(
-            f"hand retargeting: no packet has all joints of the palm, {absent} is absent; give one that has"
+            f"hand retargeting: no packet has all palm joints; {absent} is missing; give a packet with all of them"
         )
     for _ in range(2):
         total, count = np.zeros_like(shape), np.zeros((len(shape), 1))
@@ -214,8 +214,8 @@ def _palm_in_our_frame(ours: Float, theirs: Float) -> tuple[Float, Float]:
     # A nearly flat palm also resembles its mirror image, and must not be refused for its noise.
     if mirrored < 0.5 * miss:
         raise SceneError(
-            f"hand retargeting: the tracked palm is {1e3 * miss:.2g} mm from ours and {1e3 * mirrored:.2g} mm from its "
-            "mirror image; use a hand of the other side"
+            f"hand retargeting: the tracked palm is {1e3 * miss:.2g} mm from that of the hand, and "
+            f"{1e3 * mirrored:.2g} mm from its mirror image; use a hand of the other side"
         )
     return turned, scales
 

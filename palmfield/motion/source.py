@@ -114,9 +114,9 @@ def read_keyframes(path: Path, hand: ArticulatedHand, preset: str | None) -> Cal
         if unknown:
             raise SceneError(f"{where}: field '{unknown[0]}' is unknown; allowed: {', '.join(KEY_FIELDS)}")
         if "time_s" not in key or "position_m" not in key:
-            raise SceneError(f"{where}: time_s and position_m are needed")
+            raise SceneError(f"{where}: time_s or position_m is missing; give both")
         if preset is None and ("pose" in key or "joints_deg" in key):
-            raise SceneError(f"{where}: pose and joints_deg are an articulated hand's: name its preset by key 'hand'")
+            raise SceneError(f"{where}: pose and joints_deg need an articulated hand: name its preset by key 'hand'")
         times.append(float(numbers(key["time_s"], (), f"{where}: time_s")))
         place = numbers(key["position_m"], (3,), f"{where}: position_m")
         if (far := float(np.linalg.norm(place))) > FARTHEST_m:
@@ -134,7 +134,7 @@ def read_keyframes(path: Path, hand: ArticulatedHand, preset: str | None) -> Cal
 
 def _turn(key: Mapping[str, Any], where: str) -> list[float]:
     if "quaternion" in key and "turn_deg" in key:
-        raise SceneError(f"{where}: quaternion and turn_deg both turn the hand; give one")
+        raise SceneError(f"{where}: quaternion and turn_deg both set the rotation; give one")
     if "turn_deg" not in key:
         given: list[float] = numbers(key.get("quaternion", [1.0, 0.0, 0.0, 0.0]), (4,), f"{where}: quaternion").tolist()
         return given

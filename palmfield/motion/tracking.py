@@ -141,7 +141,7 @@ def checked_stream(stream: Stream, what: str, places: Sequence[str] | None = Non
         if bad.any():
             k, joint = (int(i) for i in np.argwhere(bad)[0])
             place = f"{what}: {names[k]}, {JOINTS[joint]}"
-            raise SceneError(f"{place}: {fault}, yet flagged as valid; mend it or its flags")
+            raise SceneError(f"{place}: {fault}, but it is flagged as valid; correct it, or its flags")
     far = np.argwhere(placed & (np.abs(stream.positions).max(axis=2) > FARTHEST_M))
     wrist, tip = JOINTS.index("wrist"), JOINTS.index("middle_tip")
     both = placed[:, wrist] & placed[:, tip]

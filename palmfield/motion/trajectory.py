@@ -39,10 +39,10 @@ def read_trajectory(path: str | Path, hand: ArticulatedHand) -> Curve:
     if len(late):
         n = int(late[0]) + 1
         raise SceneError(
-            f"{file}: {places[n]}, column time_s: {times[n]:g} s comes after {times[n - 1]:g} s; let time rise"
+            f"{file}: {places[n]}, column time_s: {times[n]:g} s comes after {times[n - 1]:g} s; allowed: rising times"
         )
     if len(times) < 2:
-        raise SceneError(f"{file}: {len(times)} rows of numbers; give two or more")
+        raise SceneError(f"{file}: the file has {len(times)} rows of numbers; needed: two or more")
     positions = np.stack([_position(file, axis, columns) for axis in AXES], axis=1)
     far = np.flatnonzero(np.abs(positions).max(axis=1) > FARTHEST_M)
     if len(far):
@@ -103,7 +103,7 @@ def _missing(file: Path, name: str, columns: dict[str, Float]) -> SceneError:
 
 def _doubled(file: Path, name: str, units: list[str]) -> SceneError:
     both = " and ".join(f"{name}_{unit}" for unit in units)
-    return SceneError(f"{file}: columns {both} are both given; give one of them")
+    return SceneError(f"{file}: columns {both} exclude each other; give one of them")
 
 
 def write_trajectory(path: str | Path, hand: ArticulatedHand, times: ArrayLike, poses: Sequence[HandPose]) -> None:
@@ -142,13 +142,13 @@ class Scripted:
         try:
             answer = self._function(time)
         except Exception as error:
-            raise SceneError(f"{where}: {type(error).__name__}: {error}; mend the function") from error
+            raise SceneError(f"{where}: {type(error).__name__}: {error}; correct the function") from error
         if isinstance(answer, tuple) and len(answer) == 3:
             answer = HandPose(*answer)
         if not isinstance(answer, HandPose):
             raise SceneError(
-                f"{where}: the answer is {type(answer).__name__}; give a palmfield.motion.pose.HandPose or a tuple of "
-                "position [m], quaternion (w first) and angles [deg] by joint"
+                f"{where}: the function returned {type(answer).__name__}; return a palmfield.motion.pose.HandPose, "
+                "or a tuple of position [m], quaternion (w first) and angles [deg] by joint"
             )
         return checked_pose(answer, where, self._hand)
 
@@ -170,7 +170,9 @@ def from_callable(function: str | Callable[[float], HandPose], hand: Articulated
         why = f"{type(error).__name__}: {error}"
         if isinstance(error, ModuleNotFoundError):
             why = f"there is no module '{error.name}'"
-        raise SceneError(f"hand motion '{function}' is not found: {why}; name one that Python can import") from None
+        raise SceneError(
+            f"hand motion '{function}' is not found: {why}; name a function that Python can import"
+        ) from None
     if not callable(imported):
         raise SceneError(f"hand motion '{function}' is {type(imported).__name__}; name a function of time [s]")
     return Scripted(imported, function, hand)

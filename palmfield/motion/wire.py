@@ -112,7 +112,7 @@ def _openxr(value: dict[str, Any]) -> dict[str, Joint]:
     for given, one in value["joints"].items():
         name = given.lower().removeprefix("xr_hand_joint_").removesuffix("_ext")
         if name not in JOINTS:
-            raise BadLine("joints", f"joint '{given}' is none of OpenXR's 26")
+            raise BadLine("joints", f"joint '{given}' is not one of the 26 joints of OpenXR")
         joints[name] = one["position"], one.get("orientation"), one.get("radius")
     return joints
 

@@ -115,7 +115,9 @@ class ModelView:
                     tuple(raw.mesh_face[3 * corner : 3 * (corner + faces)]),
                 )
             elif kind not in SOLIDS:
-                raise SceneError(f"{element}: a geom of kind '{kind}' is no solid; allowed: mesh, {', '.join(SOLIDS)}")
+                raise SceneError(
+                    f"{element}: a geom of type '{kind}' is not a solid; allowed: mesh, {', '.join(SOLIDS)}"
+                )
             position = tuple(raw.geom_pos[3 * geom : 3 * geom + 3])
             geoms.append((kind, size, position, tuple(raw.geom_quat[4 * geom : 4 * geom + 4])))
         return tuple(geoms)

@@ -34,7 +34,7 @@ def budget_rows(skin: Mapping[str, Any]) -> list[TextRow]:
     rows.append(("error, left out", "; ".join([*texts, f"not estimated: {', '.join(silent)}"])))
     known = [f"{one['what']} x {one['low']:.2g} to x {one['high']:.2g}" for one in _ranges(budget)]
     unknown = [one["what"] for one in budget["inputs"] if one["low"] is None]
-    rest = [f"not carried through: {', '.join(unknown)}"] if unknown else []
+    rest = [f"not propagated: {', '.join(unknown)}"] if unknown else []
     rows.append(("error, inputs", "; ".join([*known, *rest])))
     return rows
 
@@ -85,7 +85,7 @@ def largest_left_out(budget: Mapping[str, Any] | None) -> str:
     if not told:
         return ""
     one = max(told, key=_largest)
-    return f"; largest part left out: {one['what']} {bias_text(one['low'], one['high'])}"
+    return f"; largest effect not modelled: {one['what']} {bias_text(one['low'], one['high'])}"
 
 
 def _told(budget: Mapping[str, Any]) -> list[Mapping[str, Any]]:
@@ -114,6 +114,6 @@ def in_a_line(budget: Mapping[str, Any] | str | None) -> str:
         return ""
     parts = [f"numerical {figures(100 * budget['numerical']['displacement_error_relative'], 1.0)} %"]
     largest = sorted(_told(budget), key=_largest, reverse=True)[:2]
-    parts += [f"{one['what']} left out: {bias_text(one['low'], one['high'])}" for one in largest]
+    parts += [f"{one['what']} (not modelled): {bias_text(one['low'], one['high'])}" for one in largest]
     parts += [f"{one['what']} x {one['low']:.2g} to {one['high']:.2g}" for one in _ranges(budget)]
-    return "Error of the skin's response under the focus: " + "; ".join(parts)
+    return "Error of the skin response under the focus: " + "; ".join(parts)

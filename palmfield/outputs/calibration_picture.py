@@ -31,14 +31,14 @@ def draw_calibration(calibration: Calibration, array: Array, path: Path) -> Path
         if elements is None:
             for axis in axes:
                 axis.scatter(x, y, s=size, c="#cccccc")
-            axes[0].set_title("transducers were not measured one by one")
+            axes[0].set_title("single transducers were not measured")
         else:
             alive = np.array(elements.enabled)
             phase = np.degrees(elements.phase_rad)
             limit = max(float(np.abs(phase[alive]).max(initial=0.0)), 1.0)
             turned = np.array(elements.polarity) < 0
             maps: list[tuple[Any, Any, Any, str, str]] = [
-                (axes[0], phase, (-limit, limit), "coolwarm", "delay beside polarity [deg]"),
+                (axes[0], phase, (-limit, limit), "coolwarm", "delay without polarity [deg]"),
                 (
                     axes[1],
                     np.array(elements.gain),
@@ -52,9 +52,7 @@ def draw_calibration(calibration: Calibration, array: Array, path: Path) -> Path
                 axis.scatter(x[~alive], y[~alive], s=size, marker="x", c="#111111", label=f"silent: {(~alive).sum()}")
                 figure.colorbar(dots, ax=axis, label=label, shrink=0.85)
             minus = turned & alive
-            axes[0].scatter(
-                x[minus], y[minus], s=0.12 * size, c="#111111", label=f"wired the other way round: {minus.sum()}"
-            )
+            axes[0].scatter(x[minus], y[minus], s=0.12 * size, c="#111111", label=f"reversed polarity: {minus.sum()}")
             axes[0].set_title("phase and polarity")
             axes[1].set_title("gain")
             handles, labels = axes[0].get_legend_handles_labels()

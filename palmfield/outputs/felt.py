@@ -85,7 +85,7 @@ def verdict(skin: Mapping[str, Any]) -> dict[str, Any]:
     name = chosen_observer(skin)
     if name is None:
         whys = [str(skin[f"level_{one}_why"]) for one in ALL_OBSERVERS if f"level_{one}_why" in skin]
-        reason = whys[-1].partition(": ")[2] if whys else "the run was cut off before levels were computed"
+        reason = whys[-1].partition(": ")[2] if whys else "the run was interrupted before levels were computed"
         return {"felt": "not known", "because": reason}
     level, lines = shown_level(skin, name)
     assert level is not None
@@ -96,7 +96,7 @@ def verdict(skin: Mapping[str, Any]) -> dict[str, Any]:
         felt = "yes"
     elif known and level + high < 0.0:
         felt = "no"
-    spread = "" if known else ", its own spread is not established"
+    spread = "" if known else ", its spread is unknown"
     because = f"{level_text(skin, name, level)} by {name}, {lines}{spread}"
     return {"felt": felt, "because": because, "observer": name, "level_dB_SL": level} | (
         {} if math.isinf(low) else {"low_dB_SL": level + low, "high_dB_SL": level + high}
@@ -111,7 +111,7 @@ def first_line(summary: Mapping[str, Any]) -> str:
         missed = ""
         if skin.get("accuracy_reached") is False:
             error, target = (100.0 * skin[f"{key}_relative"] for key in ("displacement_error", "accuracy_wanted"))
-            missed = f"accuracy NOT reached, error {error:.2g} % where {target:g} % was asked for; "
+            missed = f"target accuracy NOT reached: error {error:.2g} %, target {target:g} %; "
         of = f"{skin['name']}: " if len(summary["skins"]) > 1 else ""
         texts.append(f"{of}{missed}felt: {said['felt']}, because {said['because']}")
     return "; ".join(texts)

@@ -85,7 +85,7 @@ def film(
     told = cut or Cut()
     file = Path(path)
     if file.suffix.lower() != ".mp4":
-        raise OutputError(f"cannot write {file}: a film is an MP4; name a file that ends in .mp4")
+        raise OutputError(f"cannot write {file}: a film is an MP4; give a file name that ends in .mp4")
     times = _times(result, told)
     look = _look(result, told, times)
     done = 0
@@ -108,7 +108,7 @@ def _times(result: xr.DataTree, cut: Cut) -> Float:
     end = float(all_times[-1]) if cut.end_s is None else cut.end_s
     if not all_times[0] <= start < end <= all_times[-1]:
         raise OutputError(
-            f"the film would go from {1e3 * start:g} to {1e3 * end:g} ms; allowed: rising, within "
+            f"the film would run from {1e3 * start:g} to {1e3 * end:g} ms; allowed: rising times within "
             f"{1e3 * all_times[0]:g} to {1e3 * all_times[-1]:g} ms"
         )
     for name, value, most in (("--slow", cut.slow, 1e6), ("--magnify", cut.magnify, 1e9)):
@@ -132,7 +132,7 @@ def _look(result: xr.DataTree, cut: Cut, times: Float) -> _Look:
     magnify = cut.magnify if cut.magnify is not None else _round(SEEN_M / most) if most > 0.0 else 1.0
     lacking = [name for name, skin in skins.items() if not has_records(skin, cut.shown)]
     if lacking:
-        raise OutputError(f"the result holds no {cut.shown} of skin '{lacking[0]}'; show what it holds (--show)")
+        raise OutputError(f"the result holds no {cut.shown} of skin '{lacking[0]}'; give another quantity by --show")
     if cut.shown == "arp":
         top, unit = max(float(skin["arp"].max()) for skin in skins.values()), "Pa"
         low, colours = 0.0, colormaps["magma_r"](np.linspace(0.05, 0.85, 256))

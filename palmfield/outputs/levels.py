@@ -42,8 +42,8 @@ def level_maps(result: xr.DataTree, skin: str | None = None, stimulus: str | Non
     frequencies = felt_lines(times[steady], config)
     if not frequencies:
         wanted = main_frequencies(config)
-        told = f"{wanted_s(config)[1]}, 3 samples in each" if wanted else "a stimulus that repeats itself"
-        raise OutputError(f"the record of skin '{chosen}' has no line to go by; a map needs {told}: run for longer")
+        told = f"{wanted_s(config)[1]} with 3 samples in each" if wanted else "a stimulus that repeats"
+        raise OutputError(f"the record of skin '{chosen}' has no line; a map needs {told}: run for longer")
     normal = np.asarray(normal_component(data))[steady]
     levels = np.stack([level_map(one, times[steady], normal, frequencies) for one in OBSERVERS.values()])
     return xr.Dataset(
@@ -71,7 +71,7 @@ class LevelCourse:
         times = skin["time"].values.astype(float)
         self.frequencies_Hz = lines_in(times, frequencies_Hz)
         if not self.frequencies_Hz:
-            raise OutputError("the record has no line to go by; levels need two periods of what repeats itself")
+            raise OutputError("the record has no line; levels need two periods of the repeating load: run for longer")
         self.window_s = WINDOW_PERIODS / self.frequencies_Hz[0]
         step = float(times[1] - times[0])
         self.count = max(1, int((times[-1] - times[0] + step) / self.window_s + 1e-6))

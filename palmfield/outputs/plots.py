@@ -45,7 +45,7 @@ def pressure_picture(result: xr.DataTree, names: list[str] | None = None, time_s
     if not skins:
         raise OutputError("the result holds neither loudest_pressure nor arp; run at least one step before plotting")
     if not instances(result, "array"):
-        raise OutputError("the result holds no array, in whose frame the skin is drawn; keep the groups /array")
+        raise OutputError("the result holds no array, whose frame the plot needs; keep the groups /array")
     views = {name: view_of_skin(result, name, skin, instants[name]) for name, skin in skins.items()}
     foci = _foci_of_skins(result)
     columns = max(len(panels[name]) for name in skins)
@@ -58,7 +58,7 @@ def pressure_picture(result: xr.DataTree, names: list[str] | None = None, time_s
         whose = f" '{name}'" if len(skins) > 1 else ""
         onto = f"array '{views[name].array}'" if len(instances(result, "array")) > 1 else "the array"
         row.suptitle(
-            f"Skin patch{whose} at t = {views[name].loudest.time_s * 1e3:.2f} ms, looking onto {onto}\n"
+            f"Skin patch{whose} at t = {views[name].loudest.time_s * 1e3:.2f} ms, view onto {onto}\n"
             f"through the hand: x to the right, y up; the array is {height:.0f} mm behind the skin",
             fontsize=9,
             color="#555555",
@@ -90,7 +90,9 @@ def _instant(skin: xr.Dataset, time_s: float) -> Loudest:
     """Return a time of the record of a skin [s]. Raises OutputError for one outside it."""
     times: Float = skin["time"].values
     if not len(times):
-        raise OutputError(f"--time has value {1e3 * time_s:g} ms; allowed: none, as nothing was recorded")
+        raise OutputError(
+            f"--time has value {1e3 * time_s:g} ms; allowed: no --time, because the result has no samples"
+        )
     check_time("--time", time_s, float(times[0]), float(times[-1]))
     place = nearest(times, time_s)
     return Loudest(float(times[place]), place, 0.0)

@@ -60,7 +60,7 @@ class Variable(NamedTuple):
 
 _BODY = "body frame at rest (before bones move)"
 _WORLD = "world"
-_INTO = "positive pushes into the surface"
+_INTO = "positive values push into the surface"
 _POSE = "maps the frame's own points to the outer frame: x_outer = R x + position"
 
 
@@ -279,7 +279,7 @@ def group(kind: str, instance: str) -> str:
     Raises OutputError for a kind that is not in GROUPS and for an instance without a name.
     """
     if kind not in GROUPS or not instance:
-        raise OutputError(f"no group for '{kind}' '{instance}': give a name, and one of {', '.join(GROUPS)}")
+        raise OutputError(f"there is no group for '{kind}' '{instance}'; give a name and one of {', '.join(GROUPS)}")
     name = quote(instance, safe=" !#$&'()*+,;=:@[]~")
     return f"/{kind}/{name.replace('.', '%2E') if name.strip('.') == '' else name}"
 
@@ -340,17 +340,18 @@ def _check_one(
     for dim, length in zip(allowed.dims, array.shape, strict=True):
         if dim in RECORDS:
             if dim not in records:
-                raise OutputError(f"'{name}' came without its times; give '{dim}' of group '/' with it")
+                raise OutputError(f"'{name}' has no times; give '{dim}' of group '/' with it")
             expected = records[dim]
         elif dim in LABELS:
             expected = len(LABELS[dim][0])
         else:
             expected = sizes.setdefault((path, dim), length)
             if length == 0:
-                raise OutputError(f"'{name}' has nothing along '{dim}'; leave it out")
+                raise OutputError(f"'{name}' has length 0 along '{dim}'; omit it")
         if length != expected:
             raise OutputError(
-                f"'{name}' has {length} along '{dim}', where the result has {expected}; give arrays of one length"
+                f"'{name}' has length {length} along '{dim}', but the result has {expected}; give arrays of equal "
+                "length"
             )
 
 

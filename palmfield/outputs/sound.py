@@ -80,7 +80,7 @@ def _transducers(name: str, group: xr.Dataset, config: ArrayConfig) -> Array:
     for key, found in (("layout", config.layout in ("sites", "csv")), ("calibration", config.calibration is not None)):
         if found:
             raise OutputError(
-                f"array '{name}' has {key} {getattr(config, key)!r}, which this result, of an earlier version, doesn't "
-                "hold in full: run the scene again"
+                f"array '{name}' has {key} {getattr(config, key)!r}, which this result of an earlier version does "
+                "not store completely: run the scene again"
             )
     return ArrayInstance(config, Placement.of(IDENTITY)).array()

@@ -78,8 +78,8 @@ class _Blocks:
                 continue
             if not (times[0] > last[dim] and (times[1:] > times[:-1]).all()):
                 raise OutputError(
-                    f"'{dim}' does not rise: a block begins at {times[0]:g} s after {last[dim]:g} s; give later times "
-                    "in each block, and each once"
+                    f"'{dim}' does not rise: a block begins at {times[0]:g} s after {last[dim]:g} s; give rising "
+                    "times, each once"
                 )
             last[dim] = float(times[-1])
         for path, variables in checked.items():
@@ -89,8 +89,8 @@ class _Blocks:
                 expected = known_names.setdefault((path, dim), names) if names else names
                 if names != expected:
                     raise OutputError(
-                        f"a block holds {', '.join(sorted(names))} of '{path}' along '{dim}'; earlier ones held "
-                        f"{', '.join(sorted(expected))}: give the same variables in every block"
+                        f"a block holds {', '.join(sorted(names))} of '{path}' along '{dim}', but earlier blocks "
+                        f"held {', '.join(sorted(expected))}: give the same variables in every block"
                     )
         self._sizes, self._last, self._names = sizes, last, known_names
         return {path: {n: np.array(a) for n, a in variables.items()} for path, variables in checked.items()}
@@ -100,13 +100,13 @@ def refuse_occupied(out: Path, overwrite: bool) -> None:
     """Raise OutputError for a folder with an unfinished run or, without `overwrite`, with another run's results."""
     if (out / ".partial").is_dir():
         raise OutputError(
-            f"{out} holds an unfinished run (or one that still writes); "
-            f"`palmfield recover {out}` first or choose another folder"
+            f"{out} holds an unfinished run, or one that is still running; use `palmfield recover {out}` first, or "
+            "choose another folder"
         )
     held = [name for name in (RESULT, *DERIVED) if (out / name).exists()]
     if held and not overwrite:
         raise OutputError(
-            f"{out} holds another run's {', '.join(held)}; choose another folder, or replace them with "
+            f"{out} holds {', '.join(held)} of another run; choose another folder, or replace the files with "
             "--overwrite (overwrite=True)"
         )
 
@@ -234,13 +234,13 @@ def recover(out: Path) -> Path:
     out = Path(out)
     partial = out / ".partial"
     if not partial.is_dir():
-        raise OutputError(f"{out} holds no unfinished run (no .partial folder in it); name the folder of the run")
+        raise OutputError(f"{out} holds no unfinished run (it has no .partial folder); give the folder of the run")
     _, attributes = _static(partial)
     finished = read_attributes(out / RESULT)
     if finished is not None and finished.get("run_id") == attributes["/"]["run_id"]:
         shutil.rmtree(partial)
         return out / RESULT
-    return _assemble(out, {"reason": "recovered after the run was cut off"}, complete=False)
+    return _assemble(out, {"reason": "recovered after the run was interrupted"}, complete=False)
 
 
 def open_result(path: str | Path) -> xr.DataTree:
@@ -253,19 +253,19 @@ def open_result(path: str | Path) -> xr.DataTree:
     path = path / RESULT if path.is_dir() else path
     attributes = read_attributes(path)
     if attributes is None:
-        raise OutputError(f"{path} is not a readable result file; name a {RESULT} that palmfield wrote")
+        raise OutputError(f"{path} is not a readable result file; give a {RESULT} that palmfield wrote")
     version = attributes.get("schema_version")
     if version is None and "skin_position" in attributes["_variables"]:
         raise OutputError(
-            f"{path} has schema 1, from before a scene could have several skins, and this palmfield reads schema "
-            f"{SCHEMA_VERSION}; run its scene again, or read the file with xarray.open_dataset"
+            f"{path} has schema 1 (one skin per scene), but this palmfield reads schema {SCHEMA_VERSION}; run its "
+            "scene again, or read the file with xarray.open_dataset"
         )
     if version is None:
-        raise OutputError(f"{path} is a netCDF file that palmfield did not write; name a {RESULT} of a run")
+        raise OutputError(f"{path} is a netCDF file that palmfield did not write; give a {RESULT} of a run")
     if int(version) != SCHEMA_VERSION:
         raise OutputError(
-            f"{path} has schema {version} and this palmfield reads schema {SCHEMA_VERSION}; "
-            f"use the palmfield that wrote it, or run its scene again"
+            f"{path} has schema {version}, but this palmfield reads schema {SCHEMA_VERSION}; use the palmfield "
+            "version that wrote it, or run its scene again"
         )
     try:
         return xr.open_datatree(path, engine=ENGINE, decode_times=False)
@@ -327,13 +327,14 @@ def _static(partial: Path) -> tuple[Checked, dict[str, dict[str, Any]]]:
     content = _sealed(partial / "static.nc")
     if content is None:
         raise OutputError(
-            f"{partial} has no readable static.nc: the run ended before its first data; delete {partial} to go on"
+            f"{partial} has no readable static.nc, because the run ended before its first data; delete {partial} "
+            "to continue"
         )
     version = read_image(content, static=False, records=False)[1]["/"].get("schema_version", 1)
     if version != SCHEMA_VERSION:
         raise OutputError(
-            f"{partial} was left by a palmfield of schema {version}, and this one has {SCHEMA_VERSION}; recover it "
-            f"with that one, or delete {partial}"
+            f"{partial} was written by a palmfield version with schema {version}, but this version has "
+            f"{SCHEMA_VERSION}; recover it with the earlier version, or delete {partial}"
         )
     return read_image(content)
 
@@ -388,6 +389,6 @@ def _join_chunks(
             check_interrupt()
             content = _sealed(chunk)
             if content is None:
-                raise OutputError(f"{chunk} changed while it was read; stop what writes there and try again")
+                raise OutputError(f"{chunk} changed during reading; stop the program that writes there, and try again")
             writer.put(read_image(content, static=False)[0], start)
             start = {dim: start[dim] + length for dim, length in read_lengths(content).items()}

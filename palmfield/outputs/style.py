@@ -84,7 +84,7 @@ def save(figure: Figure, path: Path, dpi: int = 150) -> None:
     path = Path(path)
     kind = path.suffix[1:].lower()
     if kind not in FORMATS:
-        raise OutputError(f"cannot write {path}: format '{kind}' is none of a picture's; allowed: {', '.join(FORMATS)}")
+        raise OutputError(f"cannot write {path}: '{kind}' is not a picture format; allowed: {', '.join(FORMATS)}")
     temporary = path.with_name(f".{path.stem}.tmp.{kind}")
     try:
         if kind == "png":

@@ -87,7 +87,7 @@ def _short(skin: Mapping[str, Any]) -> list[TextRow]:
         rows.append(("level above threshold", f"{level_text(skin, name, level)}, {lines}, {name}; {parts}{RULE}"))
     error = skin.get("displacement_error_relative")
     if error is not None:
-        missed = f"NOT within {100 * skin['accuracy_wanted_relative']:g} %: {advice(skin)}"
+        missed = f"target accuracy of {100 * skin['accuracy_wanted_relative']:g} % NOT reached: {advice(skin)}"
         reached = f"; {missed}" if skin.get("accuracy_reached") is False else ""
         left = largest_left_out(skin.get("error_budget"))
         rows.append(("error", f"numerical {figures(100 * error, 1.0)} %{reached}{left}"))
@@ -108,7 +108,7 @@ def _peak(skin: Mapping[str, Any]) -> str:
     if parts:
         text += f" ({figures(peak * low, 1.0)} to {figures(peak * high, 1.0)} um for {parts_text(parts)})"
     grazed = skin.get("peak_arp_Pa", 1.0) == 0.0 < skin["peak_displacement_m"]
-    return text + ("; of sound that only grazes it: no estimate stands behind it" if grazed else "")
+    return text + ("; the sound only grazes the skin, for which there is no error estimate" if grazed else "")
 
 
 def _sound(skin: Mapping[str, Any], drive_level: float) -> list[TextRow]:
@@ -119,8 +119,8 @@ def _sound(skin: Mapping[str, Any], drive_level: float) -> list[TextRow]:
         spl = f"{skin['peak_pressure_dB_SPL']:.{0 if band > COARSE else 1}f} dB SPL"
         rows.append(("peak sound pressure", f"{figures(skin['peak_pressure_Pa'], band / 2.0)} Pa ({spl})"))
     elif "peak_pressure_Pa" in skin:
-        runs = f"no sound pushes this skin, though the array runs, at {of_full(drive_level)}: see plan"
-        rows.append(("peak sound pressure", runs if drive_level > 0.0 else "0 Pa (silence: the array doesn't run)"))
+        runs = f"no sound acts on this skin, although the array is on, at {of_full(drive_level)}: see the plan"
+        rows.append(("peak sound pressure", runs if drive_level > 0.0 else "0 Pa (silence: the array is off)"))
     if "peak_arp_Pa" in skin:
         rows.append(("peak ARP", f"{figures(skin['peak_arp_Pa'], band)} Pa"))
     if "total_force_peak_N" in skin:
@@ -189,12 +189,12 @@ def _motion(skin: Mapping[str, Any]) -> list[TextRow]:
         (low, high), parts = combined(input_parts(skin)), input_parts(skin)
         rms = [f"{figures(1e6 * skin[f'rms_displacement{key}_m'], band)} um" for key in ("", "_without_dc")]
         of = f"; band x {low:.2g} to {high:.2g}" if parts else ""
-        rows.append(("rms skin displacement", f"{rms[0]} ({rms[1]} without the mean{of})"))
+        rows.append(("rms skin displacement", f"{rms[0]} ({rms[1]} about the mean{of})"))
     if error is not None:
         rows += budget_rows(skin)
         if skin.get("accuracy_reached") is False:
             requested = skin["accuracy_wanted_relative"]
-            rows.append(("accuracy", f"NOT reached: {100 * requested:g} % wanted; {advice(skin)}"))
+            rows.append(("accuracy", f"NOT reached: target {100 * requested:g} %; {advice(skin)}"))
     return rows + _no_estimate(skin) + _levels(skin)
 
 
@@ -216,7 +216,7 @@ def _levels(skin: Mapping[str, Any]) -> list[TextRow]:
         rows.append((f"level, {lines}" if lines else "level", text))
         summed = skin.get(f"level_area_{name}_dB_SL")
         if summed is not None:
-            area = f"{1e4 * skin[f'level_area_{name}_m2']:.2g} cm2 that move by half of the most or more"
+            area = f"{1e4 * skin[f'level_area_{name}_m2']:.2g} cm2 that move by half of the maximum or more"
             text = f"{level_text(skin, name, summed)}, observer {number}, {lines}, over the {area}"
             rows.append(("with area summation", text))
     return rows
@@ -235,8 +235,8 @@ def advice(skin: Mapping[str, Any]) -> str:
     parts = {
         "a smaller --accuracy makes the mesh finer": skin["mesh_error_relative"],
         "a smaller --accuracy or step_s shortens the step": skin["step_error_relative"],
-        "solver wedges leaves out the reduction": skin["reduction_error_relative"],
-        "the layer's cut sides matter here: compare side fixed and free, or patch_radius_m": skin[
+        "solver wedges avoids the reduction error": skin["reduction_error_relative"],
+        "the cut sides of the layer affect the result: compare side fixed and free, or increase patch_radius_m": skin[
             "edge_error_relative"
         ],
         "precision accurate of palmfield.array computes the field in double precision": skin.get(

@@ -10,7 +10,7 @@ from palmfield.types import Float
 
 LOSSES = (
     ("late_Pa", "wanted_Pa", "left by latency", "C0"),
-    ("rounded_Pa", "late_Pa", "left by the board", "C1"),
+    ("rounded_Pa", "late_Pa", "kept by the board", "C1"),
     ("heard_Pa", "rounded_Pa", "left by calibration", "C2"),
     ("heard_Pa", "wanted_Pa", "left in all", "k"),
 )
@@ -33,10 +33,13 @@ def draw_trial(names: Sequence[str], rows: Float, numbers: Mapping[str, Any], pa
     error = figure.add_subplot(grid[0, :2])
     kept = figure.add_subplot(grid[1, :2], sharex=error)
     above, side = figure.add_subplot(grid[0, 2]), figure.add_subplot(grid[1, 2])
-    for name, label, line in (("lateral_error_m", "across the array's axis", "-"), ("depth_error_m", "along it", "--")):
+    for name, label, line in (
+        ("lateral_error_m", "across the axis of the array", "-"),
+        ("depth_error_m", "along it", "--"),
+    ):
         error.plot(moments, 1e3 * column[name], line, lw=1.0, label=label)
     error.axhline(0.0, color="0.8", lw=0.6, zorder=0)
-    error.set_ylabel("focus from the hand [mm]")
+    error.set_ylabel("distance of the focus from the hand [mm]")
     error.legend(loc="upper right", fontsize=8)
     for number, (after, before, label, colour) in enumerate(LOSSES):
         if label == "left by calibration" and numbers.get("kept_calibration") is None:

@@ -40,7 +40,9 @@ def weighted(times_s: ArrayLike, displacement_m: ArrayLike, observer: Observer) 
         raise OutputError(f"displacement {motion[np.isinf(motion)][0]} m is infinite; give finite ones")
     steps = np.diff(times)
     if not steps.min() > 0.0 or np.ptp(steps) > 1e-3 * steps.mean():
-        raise OutputError(f"times are {steps.min():g} to {steps.max():g} s apart; give even ones")
+        raise OutputError(
+            f"the steps of the times vary from {steps.min():g} to {steps.max():g} s; give evenly spaced times"
+        )
     count = PADDED * len(times)
     frequency = np.fft.rfftfreq(count, float(steps.mean()))
     threshold = threshold_m(observer, np.maximum(frequency, 1e-9))

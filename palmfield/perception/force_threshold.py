@@ -50,14 +50,15 @@ FORCE_OBSERVER = ForceObserver(
     threshold_N=0.4e-3,
     area_m2=144e-6,
     mean_N=10e-3,
-    source="K. Hasegawa and H. Shinoda 2018: a focus on the palm at rest, force of 10 mN and a sine on top, under a "
-    "Hann window of 1 s, shown twice; method of limits, 12 people. Lowest near 200 Hz, at beta 0.02 of 20 mN: 0.4 mN "
-    "as printed. Equation 8 would exceed the greatest force at beta 1; with the factor 1/2 that it lacks 0.4 mN is "
-    "peak to peak, and levels are 6 dB higher. 20 mN is the force on 12 x 12 mm, half of all that such a focus exerts. "
-    "At other frequencies the threshold is in a figure only, and is not told here.",
+    source="K. Hasegawa and H. Shinoda 2018: stationary focus on the palm, force of 10 mN plus a sine, Hann "
+    "window of 1 s, shown twice; method of limits, 12 people. The lowest threshold is near 200 Hz, at beta 0.02 "
+    "of 20 mN: 0.4 mN as printed. Equation 8 would exceed the largest force at beta 1; with the missing factor "
+    "1/2, 0.4 mN is peak to peak, and levels are 6 dB higher. 20 mN is the force on 12 x 12 mm, half of the total "
+    "force of such a focus. For other frequencies the paper has only a figure, which is not used here.",
     why="measured on the palm in mid-air, force on 1.44 cm2",
     spread_dB=10.0,
-    spread_of="people, 15 to 20 dB apart; its step is +-2 dB; 6 dB more if equation 8 lacks a factor 1/2",
+    spread_of="range of 15 to 20 dB between people; step of the method +-2 dB; 6 dB more if equation 8 lacks a "
+    "factor 1/2",
 )
 
 
@@ -67,7 +68,7 @@ def force_level_dB_SL(observer: ForceObserver, amplitude_N: float) -> float:
     amplitude_N: peak amplitude of the line on the observer's area [N]. Raises OutputError for one below 0.
     """
     if not amplitude_N >= 0.0:
-        raise OutputError(f"amplitude_N {amplitude_N} is no amplitude; give 0 or more")
+        raise OutputError(f"amplitude_N is {amplitude_N}; allowed: 0 or more")
     return 20 * math.log10(amplitude_N / observer.threshold_N) if amplitude_N > 0.0 else -math.inf
 
 
@@ -94,22 +95,26 @@ def force_near_peak_N(vertices: Float, faces: Int, arp: Float | Float32, area_m2
 def why_refused(config: StimulusConfig) -> str | None:
     """Return why a stimulus is outside the observer's experiment, in words; None if it is not."""
     if config.path != "point":
-        return f"it was measured with a focus at rest, path is '{config.path}'"
+        return f"it was measured with a stationary focus, but path is '{config.path}'"
     if config.foci_m:
-        return f"it was measured with one focus, there are {len(config.foci_m) // 3}"
+        return f"it was measured with one focus, but the stimulus has {len(config.foci_m) // 3}"
     if config.burst_window != "none":
-        return f"it was measured under a steady sine, burst_window is '{config.burst_window}'"
+        return f"it was measured with a steady sine, but burst_window is '{config.burst_window}'"
     frequencies = main_frequencies(config)
     if not frequencies:
-        return "it was measured under AM, and this sound is not modulated"
+        return "it was measured with AM, but this sound is not modulated"
     frequency = frequencies[0]
     if period_s(config) is None:
-        return "it was measured under a sine, and this modulation follows a file's course"
+        return "it was measured with a sine, but this modulation comes from a file"
     if abs(frequency - FORCE_OBSERVER.frequency_Hz) > NEAR_Hz:
-        return f"its threshold is printed for {FORCE_OBSERVER.frequency_Hz:g} Hz alone, the sound has {frequency:g} Hz"
+        return (
+            f"its threshold is printed for {FORCE_OBSERVER.frequency_Hz:g} Hz only, but the sound has {frequency:g} Hz"
+        )
     purity = _share_of_line(config, frequency)
     if purity < PUREST:
-        return f"it was measured under a sine, which has {100 * purity:.0f} % of this modulation's power"
+        return (
+            f"it was measured with a sine, but the sine has only {100 * purity:.0f} % of the power of this modulation"
+        )
     return None
 
 

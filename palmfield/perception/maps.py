@@ -63,7 +63,7 @@ def wanted_s(config: StimulusConfig) -> tuple[float, str]:
     rate, lowest = repeat_rate_Hz(config), main_frequencies(config)[0]
     if rate is None or rate == turn_rate_Hz(config):
         return 2.0 / lowest, f"two periods of {lowest:g} Hz"
-    return 2.0 / rate, f"two repeats of path and modulation together, {rate:.4g} a second"
+    return 2.0 / rate, f"two repeats of path and modulation together, {rate:.4g} per second"
 
 
 def lines_of(times: Float, displacement_m: ArrayLike, frequencies: Sequence[float]) -> Float:

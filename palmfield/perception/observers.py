@@ -92,12 +92,13 @@ def _bolanowski() -> Observer:
         stated="displacement, dB re 1 um, taken as um peak",
         percent_correct=None,
         source="Bolanowski et al. 1988, four channels: the composite curve of a contactor of 2.9 cm2, read to +-4 "
-        "dB, not yet held against the print, nor whether it is peak. Below 40 Hz the non-Pacinian channels set it, "
-        "above the Pacinian one, whose threshold falls by 3 dB for each doubling of area from 0.02 to 2.9 cm2 at 80 to "
-        "320 Hz. Its temporal summation is Zwislocki's law (J. Acoust. Soc. Am. 32 (1960) 1046), which Verrillo (ibid. "
-        "37 (1965) 843) found in the Pacinian channel alone; the time constant of 0.2 s is not yet held against the "
-        "print. A contactor has a rigid surround; below 40 Hz mid-air, which has none, differs by an unknown amount.",
-        why="a contactor of 2.9 cm2 in a rigid surround; mid-air has neither",
+        "dB; not yet compared with the print, and peak amplitude is an assumption. Below 40 Hz the non-Pacinian "
+        "channels set it, above the Pacinian one, whose threshold falls by 3 dB per doubling of area from 0.02 to "
+        "2.9 cm2 at 80 to 320 Hz. Temporal summation follows Zwislocki's law (J. Acoust. Soc. Am. 32 (1960) "
+        "1046), which Verrillo (ibid. 37 (1965) 843) found in the Pacinian channel only; the time constant of 0.2 "
+        "s is not yet compared with the print. A contactor has a rigid surround; mid-air stimulation has none, "
+        "which changes the threshold below 40 Hz by an unknown amount.",
+        why="measured with a contactor of 2.9 cm2 in a rigid surround; mid-air stimulation has neither",
         spread_dB=4.0,
         spread_of="reading of the composite curve",
         channels_from_Hz=(40.0,),
@@ -116,10 +117,10 @@ def _morioka_griffin() -> Observer:
         peak_m=np.sqrt(2) * acceleration / (2 * np.pi * frequency) ** 2,
         stated="acceleration, m/s^2 rms; peak displacement = sqrt(2) a / (2 pi f)^2",
         percent_correct=None,
-        source="M. Morioka and M. J. Griffin, J. Sound Vib. 295 (2006) 633-648: hand-transmitted vibration, hand round "
-        "a handle. The contact is large, so thresholds for a small area lie higher. Percent correct not established "
-        "here.",
-        why="a handle in the hand's grip, a large contact: a lower bound of the threshold of a small spot",
+        source="M. Morioka and M. J. Griffin, J. Sound Vib. 295 (2006) 633-648: hand-transmitted vibration, hand "
+        "around a handle. The contact is large, so thresholds for a small area are higher. Percent correct: not "
+        "established here.",
+        why="measured on a gripped handle, a large contact: lower bound of the threshold of a small spot",
         spread_dB=None,
         spread_of="not established",
     )
@@ -133,10 +134,10 @@ def _afferent_human() -> Observer:
         peak_m=1e-6 * np.array(peak_um),
         stated="displacement, um peak",
         percent_correct=None,
-        source="Human detection thresholds digitised in the public data of a model of single afferents, where they "
-        "stand beside those of RA1, PC and SA1 units. Not digitised again from the psychophysics; contact size and "
-        "percent correct not established here.",
-        why="human thresholds that stand beside those of single afferents; the contact is not known",
+        source="Human detection thresholds digitised from the public data of a model of single afferents, which "
+        "lists them with those of RA1, PC and SA1 units. Not digitised again from the psychophysics; contact size "
+        "and percent correct not established here.",
+        why="human thresholds listed with those of single afferents; the contact is unknown",
         spread_dB=None,
         spread_of="not established",
     )
@@ -165,20 +166,20 @@ def threshold_m(
         if observer.summation is None:
             raise OutputError(_without_law(observer, "areas", "area_m2", "summation"))
         if not area_m2 > 0:
-            raise OutputError(f"area_m2 {area_m2} moves nothing; give one above 0")
+            raise OutputError(f"area_m2 is {area_m2}; allowed: above 0")
         threshold = threshold * observer.summation.factor(frequency, area_m2)
     if duration_s is not None:
         if observer.temporal is None:
             raise OutputError(_without_law(observer, "durations", "duration_s", "temporal"))
         if not duration_s > 0:
-            raise OutputError(f"duration_s {duration_s} is no time; give one above 0")
+            raise OutputError(f"duration_s is {duration_s}; allowed: above 0")
         threshold = threshold * observer.temporal.factor(frequency, duration_s)
     return threshold
 
 
 def _without_law(observer: Observer, law: str, argument: str, field: str) -> str:
     summing = ", ".join(name for name, one in OBSERVERS.items() if getattr(one, field) is not None)
-    return f"observer '{observer.name}' has no law for {law}: leave {argument} out, or take {summing}"
+    return f"observer '{observer.name}' has no law for {law}: omit {argument}, or use {summing}"
 
 
 def level_dB_SL(
@@ -242,7 +243,7 @@ def line_amplitudes(time: ArrayLike, x: ArrayLike, f: float, periods: int | None
     """
     times = np.asarray(time, dtype=np.float64)
     if not 0 < f < np.inf:
-        raise OutputError(f"frequency {f} Hz has no line; give one above 0")
+        raise OutputError(f"frequency is {f} Hz; allowed: above 0")
     if not np.isfinite(times).all() or np.shape(x)[:1] != times.shape or np.ndim(x) != 2:
         raise OutputError(f"times of shape {times.shape} and courses of {np.shape(x)}: give finite (n,) and (n, m)")
     # A record of n samples covers n steps, so its length is one step more than from first to last sample.
@@ -251,8 +252,8 @@ def line_amplitudes(time: ArrayLike, x: ArrayLike, f: float, periods: int | None
     used = held if periods is None else periods
     if not 1 <= used <= held or step * f > 1 / 3:
         raise OutputError(
-            f"a fit at {f:g} Hz over {used} periods needs that many whole periods with 3 samples or more in each; the "
-            f"record holds {held} at {step:.3g} s a sample: run for longer, or store more often"
+            f"a fit at {f:g} Hz over {used} periods needs that many whole periods with 3 or more samples each; the "
+            f"record holds {held} with {step:.3g} s per sample: run for longer, or store more often"
         )
     first = int(np.searchsorted(times, times[-1] - used / f + 1e-6 * step, side="right"))
     phase = 2 * np.pi * f * (times[first:] - times[-1])

@@ -168,11 +168,11 @@ def fit(
     if not 0.0 < confidence < 1.0 or samples < 2:
         raise OutputError(f"confidence {confidence:g}, samples {samples}; allowed: between 0 and 1, and 2 or more")
     if spread is not None and not 0.0 < spread < math.inf:
-        raise OutputError(f"spread {spread:g}; allowed: above 0, in the levels' unit, or None to be found")
+        raise OutputError(f"spread {spread:g}; allowed: above 0, in the unit of the levels, or None to estimate it")
     if k.sum() in (0, n.sum()):
         raise OutputError(
-            f"all {int(n.sum())} answers are {'right' if k.sum() else 'wrong'}, which leaves the threshold open; give "
-            "answers at levels where some are right and some wrong"
+            f"all {int(n.sum())} answers are {'right' if k.sum() else 'wrong'}, so the threshold is undetermined; "
+            "give levels with both right and wrong answers"
         )
     place = _scaled(shape, x)
     bounds = _bounds(place, lapse, spread)

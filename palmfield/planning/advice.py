@@ -63,14 +63,12 @@ def _doubts(material: Material) -> list[str]:
     ):
         if not low <= value <= high:
             result.append(
-                f"has a {what} of {value:.3g} {unit}, that of skins and phantoms {low:g} to {high:g}: look at the unit"
+                f"has a {what} of {value:.3g} {unit}; skins and phantoms have {low:g} to {high:g}: check the unit"
             )
     bulk, shear = material.bulk_Pa, material.shear_relaxed_Pa
     poisson = (3.0 * bulk - 2.0 * shear) / (2.0 * (3.0 * bulk + shear))
     if poisson < LEAST_POISSON:
-        result.append(
-            f"has a Poisson's ratio of {poisson:.2g}, where skin, gels and rubbers have 0.45 to 0.5: look at bulk_Pa"
-        )
+        result.append(f"has a Poisson's ratio of {poisson:.2g}; skin, gels and rubbers have 0.45 to 0.5: check bulk_Pa")
     return result
 
 
@@ -94,8 +92,8 @@ def advice(view: Preview) -> list[str]:
         if scattering.moves:
             total_s = scattering.solutions * scattering.solution_s
             result.append(
-                f"body_sound scattering on body '{scattering.body}', which can move: each pose takes about "
-                f"{scattering.solution_s:.2g} s, {scattering.solutions} poses {total_s:.0f} s"
+                f"body_sound scattering on body '{scattering.body}', which can move: about "
+                f"{scattering.solution_s:.2g} s per pose, {scattering.solutions} poses take {total_s:.0f} s"
             )
     for skin in model.skins:
         result += _own_mesh(skin, view)
@@ -121,8 +119,8 @@ def _coarse(model: HapticModel, number: int) -> list[str]:
     if not pinned:
         return []
     return [
-        f"skin '{skin.name}' is made coarser than accuracy {100 * skin.config.accuracy:g} % takes: "
-        f"{', '.join(pinned)}; the run estimates what that costs; drop the keys, or set accuracy larger"
+        f"keys make skin '{skin.name}' coarser than accuracy {100 * skin.config.accuracy:g} % needs: "
+        f"{', '.join(pinned)}; the run estimates the error; remove the keys, or set accuracy larger"
     ]
 
 
@@ -131,9 +129,9 @@ def _dropped_response(model: HapticModel, number: int) -> list[str]:
     skin, stimulus = model.skins[number], model.stimuli[stimulus_of(model, number)]
     wanted = skin.spec.config.accuracy
     return [
-        f"{bias.what} of stimulus '{stimulus.spec.name}' left out by key response of palmfield.array: the displacement "
-        f"of skin '{skin.spec.name}' may be off by {bias.size}, where accuracy {100 * wanted:g} % is wanted; set "
-        "response to auto or on"
+        f"key response of palmfield.array ignores the {bias.what} of stimulus '{stimulus.spec.name}': the error of "
+        f"the displacement of skin '{skin.spec.name}' may be {bias.size}, above the target accuracy of "
+        f"{100 * wanted:g} %; set response to auto or on"
         for bias in response_biases(stimulus, skin)
         if bias.low is not None and -bias.low > wanted
     ]
@@ -147,12 +145,12 @@ def _held_too_long(stimulus: StimulusModel) -> list[str]:
         return []
     if not 0.0 < rate <= 2.0 * frequency:
         return []
-    played = f"what is played is {abs(frequency - rate * round(frequency / rate)):g} Hz"
+    played = f"the played frequency is {abs(frequency - rate * round(frequency / rate)):g} Hz"
     if rate == 2.0 * frequency:
-        played = "how deep it is played depends on when the frames fall"
+        played = "the played depth depends on the phase of the frames"
     return [
-        f"stimulus '{stimulus.spec.name}' gets {rate:g} frames a second (control_rate_Hz), two at most in a period "
-        f"of its {frequency:g} Hz: {played}; set control_rate_Hz larger, or am_frequency_Hz smaller"
+        f"stimulus '{stimulus.spec.name}' has {rate:g} frames per second (control_rate_Hz), at most two per period "
+        f"of {frequency:g} Hz: {played}; set control_rate_Hz larger, or am_frequency_Hz smaller"
     ]
 
 
@@ -177,14 +175,14 @@ def _far_focus(view: Preview, number: int) -> list[str]:
     stimulus, spot_mm = model.stimuli[nearest[0]], 1e3 * skin.layer.demand.spot_fwhm_m
     share = 0.0 if stimulus.silent else _share_of_focus(model, number, *nearest)
     moves = (
-        "which then hardly moves"
+        "so the skin hardly moves"
         if share < HARDLY
-        else (f"whose loudest point gets {100 * share:.0f} % of the |p|^2 of a focus there")
+        else (f"whose loudest point has {100 * share:.0f} % of the |p|^2 of a focus there")
     )
     return [
-        f"no focus comes near skin '{skin.spec.name}': that of stimulus '{stimulus.spec.name}' stays "
-        f"{1e3 * least:.0f} mm away from the skin layer, {moves}; its elements are chosen for the {spot_mm:.2g} mm "
-        "wide spot at the focus: move the focus onto the skin, or set element_m and patch_radius_m"
+        f"no focus is near skin '{skin.spec.name}': the focus of stimulus '{stimulus.spec.name}' stays "
+        f"{1e3 * least:.0f} mm from the skin layer, {moves}; the elements are sized for the {spot_mm:.2g} mm spot "
+        "at the focus: move the focus onto the skin, or set element_m and patch_radius_m"
     ]
 
 
@@ -216,15 +214,15 @@ def _silence(view: Preview, stimulus: StimulusModel) -> list[str]:
     begin, end = float(view.data.time), float(view.data.time) + view.duration_s
     if stimulus.silent:
         level = "" if config.drive_amplitude is None else f": its drive_amplitude is {config.drive_amplitude:g}"
-        return [f"stimulus '{name}' makes no sound{level}"]
+        return [f"stimulus '{name}' emits no sound{level}"]
     if config.start_s >= end:
         return [
-            f"stimulus '{name}' makes no sound in this run: it starts at {config.start_s:g} s, and the run ends at "
+            f"stimulus '{name}' emits no sound in this run: it starts at {config.start_s:g} s, and the run ends at "
             f"{end:g} s; set start_s smaller, or run longer"
         ]
     if config.stop_s is not None and config.stop_s <= begin:
         return [
-            f"stimulus '{name}' makes no sound in this run: it stops at {config.stop_s:g} s, and the run begins at "
+            f"stimulus '{name}' emits no sound in this run: it stops at {config.stop_s:g} s, and the run begins at "
             f"{begin:g} s"
         ]
     return []
@@ -236,10 +234,10 @@ def _rounded_duration(view: Preview) -> list[str]:
     steps = step_count(view.duration_s, step_s)
     if abs(steps * step_s - view.duration_s) <= ROUNDED * view.duration_s:
         return []
-    count = "one step" if steps == 1 else f"{steps} steps"
+    count = "one MuJoCo step" if steps == 1 else f"{steps} MuJoCo steps"
     return [
-        f"the run takes {steps * step_s:.3g} s in place of {view.duration_s:.3g} s, which is {count} of MuJoCo's: "
-        f"option timestep is {step_s:g} s; set one that divides the duration"
+        f"the run takes {steps * step_s:.3g} s instead of {view.duration_s:.3g} s, which is {count}: "
+        f"option timestep is {step_s:g} s; set a timestep that divides the duration"
     ]
 
 
@@ -248,7 +246,7 @@ def _disabled_sensors(view: Preview) -> list[str]:
     if not view.data.model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_SENSOR:
         return []
     own = view.data.model.sensor_plugin >= 0
-    return [f"flag 'sensor' is disabled: {own.sum()} sensors of plugins stay at 0; drop the flag"] if own.any() else []
+    return [f"flag 'sensor' is disabled, so {own.sum()} plugin sensors stay at 0: remove the flag"] if own.any() else []
 
 
 def _course(stimulus: StimulusModel) -> Float:
@@ -266,10 +264,10 @@ def _keys_without_effect(stimulus: StimulusModel) -> list[str]:
     given = [key for key in AM_KEYS if key in config.model_fields_set and getattr(config, key) is not None]
     if config.modulation != "none" or not given:
         return []
-    which, do = ("key", "does") if len(given) == 1 else ("keys", "do")
+    which, have = ("key", "has") if len(given) == 1 else ("keys", "have")
     return [
-        f"{which} {', '.join(given)} of stimulus '{stimulus.spec.name}' {do} nothing: its modulation is 'none'; set "
-        "modulation to am, or drop them"
+        f"{which} {', '.join(given)} of stimulus '{stimulus.spec.name}' {have} no effect, because its modulation is "
+        "'none': set modulation to am, or remove them"
     ]
 
 
@@ -281,8 +279,9 @@ def _hardly_begun(stimulus: StimulusModel, duration_s: float) -> list[str]:
         return []
     reached = 0.5 - 0.5 * math.cos(math.pi * lasts_s / config.ramp_s)
     return [
-        f"the ramp of stimulus '{stimulus.spec.name}' takes {config.ramp_s:g} s, of which the run holds {lasts_s:g} s: "
-        f"the ARP reaches {100 * reached:.2g} % of its full size; set ramp_s shorter or the duration longer"
+        f"the ramp of stimulus '{stimulus.spec.name}' takes {config.ramp_s:g} s, but the run contains only "
+        f"{lasts_s:g} s of it, so the ARP reaches {100 * reached:.2g} % of its full value: set ramp_s shorter, or "
+        "the duration longer"
     ]
 
 
@@ -302,8 +301,9 @@ def _path_off_the_skin(model: HapticModel, stimulus: StimulusModel) -> list[str]
     first = 1e3 * stimulus.path.arc_m[beyond.argmax()]
     whose = f" of stimulus '{stimulus.spec.name}'" if len(model.stimuli) > 1 else ""
     return [
-        f"{100 * beyond.mean():.0f} % of the path's points{whose}, from {first:.0f} mm on, have no skin layer under "
-        "them: necks narrower than its coarse edges are left out; set element_m smaller, or another patch_site"
+        f"{100 * beyond.mean():.0f} % of the path points{whose}, from {first:.0f} mm on, have no skin layer below, "
+        "because the layer omits necks narrower than its coarse edges: set element_m smaller, or another "
+        "patch_site"
     ]
 
 
@@ -315,14 +315,14 @@ def _own_mesh(skin: SkinModel, view: Preview) -> list[str]:
         return []
     if own.preview and own.expected_error is not None:
         result.append(
-            f"solver '{solver}' of skin '{skin.spec.name}' is a preview: expect its displacement to be off by about "
-            f"{100 * own.expected_error:.2g} %"
+            f"solver '{solver}' of skin '{skin.spec.name}' is a preview: the expected error of its displacement is "
+            f"about {100 * own.expected_error:.2g} %"
         )
     cpu_s, gpu_s = (own.seconds(view.duration_s, where) for where in ("cpu", "cuda:0"))
     if not own.preview and device == "cpu" and gpu_s < cpu_s:
         result.append(
-            f"solver '{solver}' of skin '{skin.spec.name}' is made for a GPU: on the CPU it takes about {cpu_s:.2g} s, "
-            f"on a GPU (palmfield_device) {gpu_s:.2g} s"
+            f"solver '{solver}' of skin '{skin.spec.name}' is designed for a GPU: about {cpu_s:.2g} s on the CPU, "
+            f"{gpu_s:.2g} s on a GPU (palmfield_device)"
         )
     return result
 
@@ -336,6 +336,6 @@ def _below_cutoff(model: HapticModel, number: int) -> list[str]:
         return []
     layer = "the skin layer" if len(model.skins) == 1 else f"the skin layer of '{skin.spec.name}'"
     return [
-        f"no waves are promised at {', '.join(f'{f:g}' for f in low)} Hz: {layer} carries none below its "
-        f"cut-off c_s/4h = {cutoff:.0f} Hz, so that the motion stays near the focus"
+        f"expect no waves at {', '.join(f'{f:g}' for f in low)} Hz: {layer} carries none below its cut-off c_s/4h "
+        f"= {cutoff:.0f} Hz, so the motion stays near the focus"
     ]

@@ -36,8 +36,8 @@ def _unlikely_p0(model: HapticModel) -> list[str]:
         if least / UNLIKELY <= p0 <= UNLIKELY * most:
             continue
         result.append(
-            f"p0 of array '{array.name}' is {p0:g} Pa m ({whence}), that of known transducers {least:g} to {most:g}: "
-            "look at the unit, which is pascals at 1 m, peak, at full drive"
+            f"p0 of array '{array.name}' is {p0:g} Pa m ({whence}); known transducers have {least:g} to {most:g}: "
+            "check the unit (peak pressure in Pa at 1 m at full drive)"
         )
     return result
 
@@ -49,8 +49,8 @@ def _crowded(model: HapticModel) -> list[str]:
         apart, wide = pitch_m(part.positions), 2.0 * part.piston_radius_m
         if apart < TOUCHING * wide:
             result.append(
-                f"transducers of array '{array.name}' are {1e3 * apart:.3g} mm apart, and their pistons "
-                f"{1e3 * wide:.3g} mm wide: look at the unit of their places, or set piston_radius_m"
+                f"transducers of array '{array.name}' are {1e3 * apart:.3g} mm apart, but their pistons are "
+                f"{1e3 * wide:.3g} mm wide: check the unit of the positions, or set piston_radius_m"
             )
     return result
 
@@ -58,8 +58,8 @@ def _crowded(model: HapticModel) -> list[str]:
 def _dry(model: HapticModel) -> list[str]:
     """Whether the air is drier than any room: most likely its humidity is a share."""
     return [
-        f"humidity_percent of array '{array.name}' is {array.config.humidity_percent:g}, drier than any room: look at "
-        "the unit, which is percent"
+        f"humidity_percent of array '{array.name}' is {array.config.humidity_percent:g}, drier than any room: "
+        "check the unit (percent)"
         for array in model.spec.arrays
         if 0.0 < array.config.humidity_percent <= DRY_PERCENT
     ]
@@ -77,17 +77,15 @@ def _calibrations(model: HapticModel) -> list[str]:
             middle = float(np.median(np.array(known.elements.gain)[np.array(known.elements.enabled)]))
             if not 1.0 / MEDIAN_GAIN <= middle <= MEDIAN_GAIN:
                 result.append(
-                    f"{says} has gains about {middle:.3g}, which are relative to p0: put the level into p0, or leave "
-                    "them at about 1"
+                    f"{says} has gains of about {middle:.3g}; gains are relative to p0: put the level into p0, and "
+                    "keep gains near 1"
                 )
         off_m = float(np.linalg.norm(known.pose.offset_m))
         if off_m > FAR_OFF_M:
-            result.append(
-                f"{says} has its board {off_m:.3g} m off: look at the unit, which is metres, and at the frame"
-            )
+            result.append(f"{says} displaces the board by {off_m:.3g} m: check the unit (metres) and the frame")
         if known.p0 is not None and known.p0.high > WIDE * known.p0.low:
             result.append(
-                f"{says} has a p0 of {known.p0.low:g} to {known.p0.high:g} Pa m, so wide that it says nothing: measure "
-                "it again"
+                f"{says} has a p0 of {known.p0.low:g} to {known.p0.high:g} Pa m, which is too wide to be useful: "
+                "measure it again"
             )
     return result

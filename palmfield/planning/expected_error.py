@@ -24,13 +24,13 @@ def expected_errors(model: HapticModel) -> list[Row]:
 
 def _mesh_row(skin: SkinModel, pinned: list[str]) -> Row:
     """Return the row of the error due to elements or particles. pinned: as of `coarse_pins`"""
-    wanted = f"{100 * skin.spec.config.accuracy:g} % wanted"
+    wanted = f"target {100 * skin.spec.config.accuracy:g} %"
     if pinned:
-        why = f"keys make it coarser than that takes: {', '.join(pinned)}; the run estimates what was reached"
+        why = f"keys make it coarser than this target needs: {', '.join(pinned)}; the run estimates the error"
         return Row("mesh and time step", wanted, why, skin.spec.name)
     own = skin.explicit
     if own is None:
-        why = "sizes follow a convergence study on a disc (docs/bench/skin_c0.md); the run estimates what was reached"
+        why = "sizes follow a convergence study on a disc (docs/bench/skin_c0.md); the run estimates the error"
         return Row("mesh and time step", wanted, why, skin.spec.name)
     if own.expected_error is None:
         return Row("mesh and time step", wanted, own.sizes_follow, skin.spec.name)
@@ -42,13 +42,16 @@ def _material_row(material: Material, ranges: bool, skin: str) -> Row:
     """Return the row of a material's uncertainties; the run solves for the ends of the ranges."""
     entry = CATALOGUE.get(material.name)
     if not ranges or entry is None or not entry.ranges:
-        return Row("material", "no range is known", f"{material.name}: {material.source}", skin)
+        return Row("material", "range unknown", f"{material.name}: {material.source}", skin)
     size = ", ".join(
         f"{'moduli x ' if known.parameter == 'shear' else known.parameter + ' '}{known.low:g} to {known.high:g}"
         for known in entry.ranges
     )
     sources = "; ".join(known.source for known in entry.ranges)
-    why = f"the run solves for both ends of all ranges at once; {sources}. {material.name}: {material.source}"
+    why = (
+        f"the run solves with all ranges at their lower and at their upper ends; {sources}. {material.name}: "
+        f"{material.source}"
+    )
     return Row("material", size, why, skin)
 
 
@@ -60,8 +63,15 @@ def _p0_row(model: HapticModel, number: int, stimulus: StimulusModel) -> list[Ro
         for p0 in p0_known(model, number)
     )
     if stimulus.config.arp_peak_Pa is not None:
-        why = f"arp_peak_Pa sets the level; whether the array reaches it goes by p0, {known}"
+        why = f"arp_peak_Pa sets the level; p0 decides whether the array reaches it, {known}"
         return [Row("p0", "none", why, name)]
     if band is None:
         return []
-    return [Row("p0", f"x {band[0]:.2f} to x {band[1]:.2f}", f"ARP and displacement go with p0 squared; {known}", name)]
+    return [
+        Row(
+            "p0",
+            f"x {band[0]:.2f} to x {band[1]:.2f}",
+            f"ARP and displacement are proportional to p0 squared; {known}",
+            name,
+        )
+    ]

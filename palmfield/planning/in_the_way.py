@@ -43,9 +43,9 @@ def in_the_way(view: Preview) -> list[str]:
             if share >= SHARE:
                 name = model.body(body).name or f"number {body}"
                 result.append(
-                    f"a geom of body '{name}' stands in {100 * share:.0f} % of the ways from the array to skin "
-                    f"'{skin.spec.name}', and sound goes through it: name the body in key obstacles, with body_sound "
-                    "shadows, or move it"
+                    f"a geom of body '{name}' blocks {100 * share:.0f} % of the lines from the array to skin "
+                    f"'{skin.spec.name}', but the sound passes through it: list the body in key obstacles, with "
+                    "body_sound shadows, or move it"
                 )
     return result
 

@@ -33,18 +33,19 @@ def besides(model: HapticModel) -> list[Row]:
         if skin.spec.moves or skin.carrier.hand is not None:
             rows.append(
                 Row(
-                    "the body's own acceleration",
+                    "acceleration of the body",
                     _inertia(skin),
-                    "not modelled: displacements are in the moving frame, and its load is as slow as the motion",
+                    "not modelled: displacements are relative to the moving frame, and the inertial load changes "
+                    "as slowly as the motion",
                     skin.spec.name,
                 )
             )
         if skin.carrier.hand is not None:
             rows.append(
                 Row(
-                    "skin bent by joints",
+                    "bending of the skin at joints",
                     "not estimated",
-                    "the layer keeps its resting shape, the sound meets the bent one",
+                    "the layer keeps its shape at rest, but the sound meets the bent surface",
                     skin.spec.name,
                 )
             )
@@ -53,7 +54,7 @@ def besides(model: HapticModel) -> list[Row]:
         rows += _cutoff_row(skin)
     for skin in model.skins:
         if skin.carrier.surface is not None:
-            why = "only the resultant force acts on the rest of the body"
+            why = "the rest of the body feels only the resultant force"
             rows.append(Row("skin elsewhere", "not modelled", why, skin.spec.name))
     return rows
 
@@ -62,7 +63,7 @@ def _inertia(skin: SkinModel) -> str:
     """Shear on the base of this layer for an acceleration of 1 m/s^2."""
     sheets, depth = skin.layer.sheets, float(np.median(skin.layer.patch.depth))
     density = sum(sheet.material.density_kg_m3 * sheet.thickness_m for sheet in sheets)
-    return f"rho a h of shear on the base: {density * depth:.2g} Pa for 1 m/s^2 on {1e3 * depth:.2g} mm"
+    return f"shear rho a h at the base: {density * depth:.2g} Pa for 1 m/s^2 and {1e3 * depth:.2g} mm"
 
 
 def _common_flight(model: HapticModel, stimulus: StimulusModel) -> Row:
@@ -83,8 +84,8 @@ def _cutoff_row(skin: SkinModel) -> list[Row]:
         Row(
             "waves below the cut-off",
             f"c_s/4h = {cutoff:.0f} Hz" + ("" if rigid else " at most"),
-            f"h {1e3 * depth:.1f} mm, the median; a layer on a rigid base guides no wave below this, motion there "
-            "stays local" + ("" if rigid else "; the springs below it lower it"),
+            f"median h {1e3 * depth:.1f} mm; below this frequency a layer on a rigid base guides no wave, and the "
+            "motion stays local" + ("" if rigid else "; springs below the layer lower it"),
             skin.spec.name,
         )
     ]

@@ -27,12 +27,12 @@ def modelled(model: HapticModel, duration_s: float, felt: str) -> list[Row]:
     surface = f"{skin_points} skin points"
     if force_samples(model):
         off = ", ".join(dict.fromkeys(f"{100 * body.force_accuracy:.2g} %" for body in model.bodies if body.surface))
-        surface += f", about {force_samples(model)} places of the surface for the force, to {off} (rms over foci)"
+        surface += f", about {force_samples(model)} surface samples for the force, error {off} (rms over foci)"
     rows = [
         Row(
             "sound field",
             f"{len(model.arrays)} transducers, {surface}",
-            f"pressure and gradient where the surface is, no volume; {_directivity(model)}; air absorption; on "
+            f"pressure and gradient on the surface only, no volume; {_directivity(model)}; air absorption; on "
             f"{model.spec.device} (palmfield_device)",
         )
     ]
@@ -45,7 +45,7 @@ def modelled(model: HapticModel, duration_s: float, felt: str) -> list[Row]:
         rows.append(Row("drive", f"amplitude {of_full(level)}", about, stimulus.spec.name))
         offset = peak_offset(model, number)
         if offset is not None:
-            words = "the maximum of |p|; a focus has all sound in phase, which nearer points have louder"
+            words = "maximum of |p|; it lies closer to the array than the focus, where the spreading loss is smaller"
             rows.append(Row("loudest point", offset_words(*offset), words, stimulus.spec.name))
         rows += _modulation(stimulus, level)
     if not model.board.exact:
@@ -56,7 +56,7 @@ def modelled(model: HapticModel, duration_s: float, felt: str) -> list[Row]:
     for skin in model.skins:
         sound = skin.spec.config.body_sound
         flat = skin.carrier.surface is None and sound == "none"
-        about = "a flat face, lit by all transducers that it looks at" if flat else BODY_SOUNDS[sound]
+        about = "flat face, lit by all transducers in front of it" if flat else BODY_SOUNDS[sound]
         rows.append(Row("sound at the body", f"body_sound {sound}", about, skin.spec.name))
     if model.arrays.wall_m is not None:
         trips = len(model.arrays.images) // len(model.arrays.groups)
@@ -71,8 +71,8 @@ def modelled(model: HapticModel, duration_s: float, felt: str) -> list[Row]:
         Row(
             "time",
             f"{substeps} steps of {1e3 * model.step_s:.3g} ms in MuJoCo steps of {1e3 * model.spec.timestep_s:.3g} ms",
-            "the sound or the pose changes, so a static answer will not do; Simulation.step takes "
-            + (f"them one by one: {felt}" if felt else "several in one go, as nothing feels the sound"),
+            "dynamic, because the sound or the pose changes; Simulation.step takes the MuJoCo steps "
+            + (f"one at a time: {felt}" if felt else "several at a time, because the sound moves no body"),
         )
     )
     return rows + [_solver(skin, model.still_m[skin.body]) for skin in model.skins]
@@ -84,7 +84,7 @@ def _modulation(stimulus: StimulusModel, level: float) -> list[Row]:
     if lines is None:
         return []
     size = f"ARP: mean {lines.mean:.3f}"
-    about = f"{config.am_quantity} by a {config.am_waveform}"
+    about = f"{config.am_quantity} by waveform {config.am_waveform}"
     if lines.first is not None and lines.second is not None and config.am_frequency_Hz is not None:
         frequency = config.am_frequency_Hz
         size += f", {lines.first:.3f} at {frequency:g} Hz, {lines.second:.3f} at {2 * frequency:g} Hz"
@@ -92,8 +92,9 @@ def _modulation(stimulus: StimulusModel, level: float) -> list[Row]:
         about += f" over the period of {config.am_burst_period_s:g} s"
     unmodulated = "" if config.am_depth else ", which changes nothing"
     why = (
-        f"of that at the loudest moment, lines as peak amplitudes; {about}, depth {config.am_depth:g}{unmodulated}; "
-        f"peak drive {level:.3f} of full, by am_normalisation {config.am_normalisation}"
+        f"relative to the loudest moment, lines as peak amplitudes; {about}, depth "
+        f"{config.am_depth:g}{unmodulated}; peak drive {level:.3f} of full drive, by am_normalisation "
+        f"{config.am_normalisation}"
     )
     return [Row("modulation", size, why, stimulus.spec.name)]
 
@@ -103,19 +104,19 @@ def _layer(skin: SkinModel) -> list[Row]:
     sizes, demand, depth = layer.sizes, layer.demand, layer.patch.depth
     speed, _ = shear_wave(layer.sheets[0].material, demand.max_frequency_Hz)
     share = layer.patch.report.get("share_thinned", 0.0)
-    thinned = f", thinner than asked at {100 * share:.0f} % of its vertices (curved rims and webs)" if share else ""
+    thinned = f", thinner than depth_m at {100 * share:.0f} % of its vertices (curved rims and webs)" if share else ""
     base = "on a foundation" if skin.spec.config.foundation else skin.spec.config.base
     estimate = f"the same load on elements {RATIO} x smaller or larger, static and harmonic"
-    whole = "the part of the surface where waves matter at this accuracy"
+    whole = "the region in which waves matter at this accuracy"
     if skin.carrier.surface is None:
         whole = "the whole disc"
     elif skin.spec.config.patch_radius_m is not None:
-        whole = "the part of the surface that key patch_radius_m takes"
+        whole = "the region set by key patch_radius_m"
     own = []
     if skin.explicit is not None:
-        resolution, why = skin.explicit.resolution, "below the same face; loads and results are on the wedges'"
+        resolution, why = skin.explicit.resolution, "below the same face; loads and results use the wedge mesh"
         own.append(Row(f"mesh of {skin.choice.name}", resolution, why, name))
-        estimate = "cut sides; the rest is the solver's own, and in its time"
+        estimate = "cut sides; this solver has its own estimate of the other parts"
     return [
         Row(
             "skin layer",
@@ -142,27 +143,27 @@ def _solver(skin: SkinModel, still_m: float) -> Row:
     choice, config, name = skin.choice, skin.spec.config, skin.spec.name
     if skin.explicit is not None:
         preview, why = ", a preview" * skin.explicit.preview, f"{skin.explicit.steps}; {choice.why}"
-        size = f"about {choice.seconds:.0f} s, wedges about {choice.wedges_s:.0f} s on the CPU"
+        size = f"about {choice.seconds:.0f} s; wedges about {choice.wedges_s:.0f} s on the CPU"
         return Row(f"skin solver {choice.name}{preview}", size, why, name)
     if choice.name == "wedges":
-        why = f"implicit on the whole layer, factorised once; {choice.why}"
+        why = f"full wedge model, implicit, factorised once; {choice.why}"
         return Row("skin solver wedges", f"about {choice.seconds:.0f} s", why, name)
     if choice.name == "modal":
-        kept = "kept in the cache" if cache.folder() is not None else "kept nowhere, since there is no cache"
-        beyond = "the run's error says so" if config.solver == "modal" else "the whole layer goes on by wedges"
+        kept = "stored in the cache" if cache.folder() is not None else "not stored, because there is no cache"
+        beyond = "the error of the run reports it" if config.solver == "modal" else "the full wedge model takes over"
         return Row(
             "skin solver modal",
             f"about {choice.seconds:.0f} s, wedges about {choice.wedges_s:.0f} s",
-            f"{choice.why}; modes for every sound of these arrays on this region, made once, {kept}; what "
-            f"of a load lies outside is measured in every step; beyond {100 * config.accuracy:g} % {beyond}",
+            f"{choice.why}; modes for every sound of these arrays on this region, built once, {kept}; the part of "
+            f"the load outside the modes is measured in every step; above {100 * config.accuracy:g} % {beyond}",
             name,
         )
     return Row(
         "skin solver reduced",
         f"about {choice.seconds:.0f} s, wedges about {choice.wedges_s:.0f} s",
-        f"{choice.why}; made for this stimulus, to {100 * SHARE * config.accuracy:.2g} %, while body, arrays and "
-        f"focus move by less than {1e6 * still_m:.0f} um; beyond, "
-        + ("the run ends" if config.solver == "reduced" else "the whole layer goes on by wedges"),
+        f"{choice.why}; reduced model for this stimulus, error {100 * SHARE * config.accuracy:.2g} %; if body, "
+        f"arrays or focus move by more than {1e6 * still_m:.0f} um, "
+        + ("the run ends" if config.solver == "reduced" else "the full wedge model takes over"),
         name,
     )
 
@@ -176,13 +177,13 @@ def _ring_up(stimulus: StimulusModel) -> list[Row]:
     response = stimulus.response
     if not response.on:
         return []
-    spread = f", flight times spread over {1e3 * response.spread_s:.2f} ms" if response.delayed else ""
+    spread = f", flight times span {1e3 * response.spread_s:.2f} ms" if response.delayed else ""
     return [
         Row(
             "transducers' ring-up",
             f"one pole each, {qualities(stimulus)}{spread}",
-            f"without, the pressure would be off by {response.ring_up}, measured on samples of the drive"
-            + (f"; without the flight times by {response.flight_time}" if spread else ""),
+            f"error of the pressure without it: {response.ring_up}, from samples of the drive"
+            + (f"; without the flight times: {response.flight_time}" if spread else ""),
             stimulus.spec.name,
         )
     ]

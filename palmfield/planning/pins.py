@@ -19,7 +19,7 @@ def coarse_pins(model: HapticModel, number: int) -> list[str]:
     config, demand, result = skin.spec.config, skin.layer.demand, []
     highest_Hz = max(main_frequencies(stimulus.config), default=0.0)
     if config.max_frequency_Hz is not None and config.max_frequency_Hz < highest_Hz:
-        result.append(f"max_frequency_Hz {config.max_frequency_Hz:g} for a stimulus of {highest_Hz:g} Hz")
+        result.append(f"max_frequency_Hz {config.max_frequency_Hz:g} (stimulus: {highest_Hz:g} Hz)")
     if skin.explicit is not None:
         return result
     free, sheets = config.model_copy(update={"element_m": None, "step_s": None}), sheets_of(config)
@@ -27,7 +27,7 @@ def coarse_pins(model: HapticModel, number: int) -> list[str]:
         free, sheets, demand.spot_fwhm_m, demand.max_frequency_Hz, demand.path_reach_m, demand.timestep_s
     )
     if config.element_m is not None and config.element_m > SLACK * chosen.edge_fine_m:
-        result.append(f"element_m {1e3 * config.element_m:.3g} mm for {1e3 * chosen.edge_fine_m:.3g} mm")
+        result.append(f"element_m {1e3 * config.element_m:.3g} mm (needed: {1e3 * chosen.edge_fine_m:.3g} mm)")
     if config.step_s is not None and config.step_s > SLACK * chosen.step_s:
-        result.append(f"step_s {1e3 * config.step_s:.3g} ms for {1e3 * chosen.step_s:.3g} ms")
+        result.append(f"step_s {1e3 * config.step_s:.3g} ms (needed: {1e3 * chosen.step_s:.3g} ms)")
     return result

@@ -85,8 +85,8 @@ class Plan:
             self.scene,
             {
                 "Modelled": self.modelled,
-                f"Left out: true less computed, of the {QUANTITY}": self.left_out,
-                "Not modelled besides": self.besides,
+                f"Effects not modelled: bias (true minus computed) of the {QUANTITY}": self.left_out,
+                "Other effects not modelled": self.besides,
                 f"Expected error of the {QUANTITY}": self.error,
             },
             self.warnings,

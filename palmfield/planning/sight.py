@@ -28,10 +28,10 @@ HIDDEN = 0.75
 CLEARANCE_M = 1e-3
 """Height above the skin at which rays begin: smooth patches lie that far below the meshes of their bodies."""
 KINDS = {
-    "turned away": "skin '{skin}' is turned away from the array where stimulus '{stimulus}' focuses",
-    "edge-on": "skin '{skin}' is edge-on to the array where stimulus '{stimulus}' focuses",
+    "turned away": "skin '{skin}' faces away from the array at the focus of stimulus '{stimulus}'",
+    "edge-on": "skin '{skin}' is edge-on to the array at the focus of stimulus '{stimulus}'",
     "hidden": "the focus of stimulus '{stimulus}' on skin '{skin}' is hidden from the array by a body or an obstacle",
-    "too far": "the focus of stimulus '{stimulus}' is out of reach of skin '{skin}'",
+    "too far": "the focus of stimulus '{stimulus}' is too far from skin '{skin}'",
 }
 """Messages for each kind of patch; `Sight.kind` selects one."""
 
@@ -82,8 +82,8 @@ def out_of_sight(view: Preview) -> list[str]:
             share = 100.0 * sum(one.lit for one in so) / len(so)
             named = words.format(skin=model.skins[skin].spec.name, stimulus=model.stimuli[stimulus].spec.name)
             through = model.skins[skin].spec.config.body_sound == "none" and kind == "hidden"
-            unseen = "; body_sound 'none' lets the sound through all the same, set it to shadows" if through else ""
-            result.append(f"{named}{often}; {share:.0f} % of the skin's patch is lit then{unseen}")
+            unseen = "; body_sound 'none' ignores this: set it to shadows" if through else ""
+            result.append(f"{named}{often}; {share:.0f} % of the patch of the skin is lit then{unseen}")
     return result
 
 

@@ -10,7 +10,7 @@ def check_duration(duration_s: float) -> None:
     try:
         allowed = 0.0 < duration_s < np.inf
     except TypeError:
-        raise SceneError(f"duration_s is {duration_s!r}; allowed: a number of seconds > 0") from None
+        raise SceneError(f"duration_s is {duration_s!r}; allowed: a number of seconds above 0") from None
     if not allowed:
         raise SceneError(f"duration_s is {duration_s}; allowed: seconds > 0")
 

@@ -38,7 +38,7 @@ def migrated(path: Path) -> Migrated:
     try:
         data.decode("utf-8")
     except UnicodeDecodeError:
-        raise SceneError(f"{path} is not written in UTF-8; save it so, and try again") from None
+        raise SceneError(f"{path} is not in UTF-8; save it in UTF-8, and try again") from None
     edits, changes, moved = [], [], dict[str, tuple[str, Element]]()
     for config, element in _keys(elements):
         key, value = element.attributes["key"], element.attributes.get("value", "")
@@ -47,8 +47,8 @@ def migrated(path: Path) -> Migrated:
             known = moved.setdefault(to, (value, element))
             if known[0] != value:
                 raise SceneError(
-                    f"{element.where}: key '{key}' has value '{value}', and '{known[0]}' in line {known[1].line}, and "
-                    f"is now the one text '{to}' of the whole scene; make them equal first"
+                    f"{element.where}: key '{key}' has value '{value}' here and '{known[0]}' in line "
+                    f"{known[1].line}, but is now one text '{to}' of the whole scene; make the values equal first"
                 )
             edits.append(without(data, element))
             continue
@@ -67,7 +67,7 @@ def migrated(path: Path) -> Migrated:
         if there is None:
             edits.append(_custom_text(data, elements, name, value))
         else:
-            what = f"{what}, which line {there.line} sets already, to '{there.attributes.get('data', '')}'"
+            what = f"{what}, which line {there.line} already sets to '{there.attributes.get('data', '')}'"
         changes.append(what)
     included = dict.fromkeys(e.file for e in read_scene_text(path).elements if e.file != path)
     others = tuple(file for file in included if any(_is_old(*one) for one in _keys(elements_of(file))))
@@ -86,7 +86,7 @@ def migrate(path: Path, out: Path | None = None, *, overwrite: bool = False) -> 
         return result
     if target.exists() and not overwrite:
         raise OutputError(
-            f"{target} is there and would be replaced ({'; '.join(result.changes)}); give another file by --out, or "
+            f"{target} exists and would be replaced ({'; '.join(result.changes)}); give another file by --out, or "
             "--overwrite"
         )
     write_whole(target, result.text)

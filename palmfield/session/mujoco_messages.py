@@ -29,7 +29,7 @@ def in_words(message: str, scene: str, text: SceneText | None, plugins: Sequence
         found = re.search(pattern, said)
         if found:
             return f"{where}: {tag}{words(found, element, text, plugins)}"
-    return f"{where}: {tag}can't be built; mend what MuJoCo says of it: {said}"
+    return f"{where}: {tag}cannot be compiled by MuJoCo: {said}"
 
 
 def _parts(message: str) -> tuple[str, str, int]:
@@ -72,7 +72,7 @@ def _unknown_element(found: re.Match[str], element: Element | None, text: object
     holder = None if element is None else element.parent
     inside = children(holder.tag) if holder is not None else ()
     if element is None or holder is None or not inside:
-        return "is an element that MuJoCo doesn't know here; drop it, or move it where it belongs"
+        return "is not an element that MuJoCo allows here; remove it, or move it to its place"
     near = did_you_mean(element.tag, inside)
     return f"is unknown inside <{holder.tag}>{near}; allowed: {', '.join(inside)}"
 
@@ -91,24 +91,24 @@ def _value(found: re.Match[str], element: Element | None) -> str:
 def _unknown_plugin(found: re.Match[str], element: object, text: object, plugins: Sequence[str]) -> str:
     if found[1] in plugins:
         return (
-            f"plugin '{found[1]}' is not known to MuJoCo, which finds the plugins of installed packages only, and this "
-            "Python takes palmfield from a folder: install it (pip install FOLDER, or pip install -e FOLDER)"
+            f"plugin '{found[1]}' is unknown to MuJoCo, which finds only plugins of installed packages, but this "
+            "Python imports palmfield from a folder: install it (pip install FOLDER, or pip install -e FOLDER)"
         )
     near = did_you_mean(found[1], plugins)
-    return f"plugin '{found[1]}' is not installed{near}; palmfield's are: {', '.join(plugins)}"
+    return f"plugin '{found[1]}' is not installed{near}; palmfield provides: {', '.join(plugins)}"
 
 
 def _unknown_name(found: re.Match[str], element: Element | None, text: SceneText | None, plugins: object) -> str:
     name = found[1]
     if element is None or text is None:
-        return f"the scene has nothing named '{name}' ({found[2]}); give the name of one that it has"
+        return f"the scene has no object named '{name}' ({found[2]}); give an existing name"
     # An element's own name may equal that of an element it refers to
     fitting = [key for key, value in element.attributes.items() if value == name]
     attribute = next((key for key in fitting if key != "name"), "".join(fitting[:1]))
     kind = element.attributes.get("objtype", "site") if attribute == "objname" else attribute.rstrip("0123456789")
     names = text.named(kind)
     kind = "plugin instance" if kind == "instance" else kind
-    has = f"; it has: {', '.join(names)}" if names else "; give the name of one that it has"
+    has = f"; it has: {', '.join(names)}" if names else "; give an existing name"
     return f"attribute '{attribute}': the scene has no {kind} '{name}'{did_you_mean(name, names)}{has}"
 
 
@@ -117,13 +117,13 @@ FAULTS: tuple[tuple[str, Words], ...] = (
     (r"Schema violation: unrecognized attribute: '([^']*)'", _unknown_attribute),
     (
         r"Schema violation: unique element '?(\w*)",
-        lambda found, element, text, plugins: "stands here a second time; allowed: once, put both into one",
+        lambda found, element, text, plugins: "occurs here a second time; allowed: once; merge both into one",
     ),
     (
         r"(?:bad format in|problem reading) attribute '([^']*)'",
         lambda found, element, text, plugins: (
-            f"{_value(found, element)} of which not all are numbers; allowed: "
-            "numbers with spaces between, without units"
+            f"{_value(found, element)}, not all of which are numbers; allowed: numbers separated by spaces, "
+            "without units"
         ),
     ),
     (
@@ -137,8 +137,8 @@ FAULTS: tuple[tuple[str, Words], ...] = (
     (
         r"invalid keyword: '([^']*)'",
         lambda found, element, text, plugins: (
-            f"{_attribute_with(found[1], element)} has value '{found[1]}', none of "
-            "its words; give one that MuJoCo's XML reference lists for it"
+            f"{_attribute_with(found[1], element)} has value '{found[1]}'; give one of the words that the MuJoCo "
+            "XML reference lists for it"
         ),
     ),
     (
@@ -152,7 +152,7 @@ FAULTS: tuple[tuple[str, Words], ...] = (
     (
         r"Error opening file '([^']*)'",
         lambda found, element, text, plugins: (
-            f"file '{found[1]}' is not there, or can't be read; give one relative to the scene's folder"
+            f"file '{found[1]}' does not exist or cannot be read; give a path relative to the folder of the scene"
         ),
     ),
     (
@@ -161,13 +161,13 @@ FAULTS: tuple[tuple[str, Words], ...] = (
     ),
     (r"plugin '?([\w.]+?)'? not found", _unknown_plugin),
     (r"unrecognized name '([^']*)' (?:of|for) ([\w ]+)", _unknown_name),
-    (r"neither 'plugin' nor 'instance' is specified", lambda *_: "names no plugin; add plugin=... and instance=..."),
+    (r"neither 'plugin' nor 'instance' is specified", lambda *_: "has no plugin; add plugin=... and instance=..."),
     (
         r"File '([^']*)' already included",
         lambda found, element, text, plugins: f"file '{found[1]}' is included twice; include it once",
     ),
-    (r"World body cannot have joints", lambda *_: "stands in the world, which doesn't move; put it into a <body>"),
-    (r"axis too small in joint", lambda *_: "has an axis without length; give attribute 'axis' a direction"),
+    (r"World body cannot have joints", lambda *_: "is in the world body, which does not move; put it into a <body>"),
+    (r"axis too small in joint", lambda *_: "has an axis of length 0; give attribute 'axis' a direction"),
     (
         r"mass and inertia of moving bodies must be larger than mjMINVAL",
         lambda *_: "moves and has no mass; give the body a geom, an <inertial>, or no joint",

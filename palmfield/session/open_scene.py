@@ -54,13 +54,13 @@ def compiled(
         Raises SceneError (or DeviceError) with a one-line message that names element, key, value and allowed values.
     """
     if device is not None and not re.fullmatch(r"auto|cpu|cuda:\d+", device):
-        raise SceneError(f"device '{device}' is not known; allowed: auto, cpu or cuda:N")
+        raise SceneError(f"device '{device}' is unknown; allowed: auto, cpu or cuda:N")
     take_compile_error()
     if isinstance(source, mujoco.MjModel):
         if keys or any(value is not None for value in (device, accuracy, board)):
             raise SceneError(
-                "the scene is compiled (MjModel), so its keys can't be changed any more: give its file or its MjSpec "
-                "with the keys, or the model without"
+                "the scene is compiled (MjModel), so its keys cannot be changed: give its file or its MjSpec with "
+                "the keys, or the model without keys"
             )
         data = fresh_data(source, "model")
         _check_sensor_places(data, "model", None)
@@ -204,8 +204,8 @@ def no_scene(path: Path) -> str:
 def _check_plugins(spec: mujoco.MjSpec, name: str) -> None:
     if SKIN not in [plugin.plugin_name for plugin in spec.plugins]:
         raise SceneError(
-            f"{name} has no plugin '{SKIN}', and without a skin nothing is felt; `palmfield new NAME` writes a scene "
-            "with one, and the sound alone is what palmfield.acoustics computes (examples/01_pressure_at_a_focus.py)"
+            f"{name} has no plugin '{SKIN}', which a simulation needs; `palmfield new NAME` writes a scene with a "
+            "skin; for sound only use palmfield.acoustics (examples/01_pressure_at_a_focus.py)"
         )
 
 
@@ -216,8 +216,8 @@ def _check_names(text: SceneText) -> None:
         plugin = "" if holder is None else holder.attributes.get("plugin", "")
         if plugin in configs() and not one.attributes.get("name", "").strip():
             raise SceneError(
-                f"{one.where}: <instance> of plugin '{plugin}' has name '{one.attributes.get('name', '')}'; allowed: a "
-                "name of its own, by which keys and results go"
+                f"{one.where}: <instance> of plugin '{plugin}' has name '{one.attributes.get('name', '')}'; "
+                "allowed: a unique, non-empty name, which keys and results use"
             )
 
 
@@ -266,7 +266,7 @@ def _changes(spec: mujoco.MjSpec, keys: Mapping[str, object]) -> dict[str, dict[
             short = [name.removeprefix("palmfield.") for name in known]
             near = did_you_mean(owner.removeprefix("palmfield."), short)
             raise SceneError(
-                f"key '{given}' is not of an instance or plugin of this scene{near}; it has: {', '.join(known)}"
+                f"key '{given}' belongs to no instance or plugin of this scene{near}; it has: {', '.join(known)}"
             )
         other = given_as.setdefault((key, *(plugin.name for plugin in own)), given)
         if other != given:
@@ -292,7 +292,7 @@ def _check_keys(plugin: mujoco.MjsPlugin, config: Mapping[str, str], scene: Open
         if key not in known_keys(known):
             wrong = unknown_key(known, key)
         elif not value.strip() and key in known.model_fields:
-            wrong = f"key '{key}' has no value; allowed: {allowed(known, key)}, or leave the key out"
+            wrong = f"key '{key}' has no value; allowed: {allowed(known, key)}, or remove the key"
         if wrong:
             told = f"plugin '{plugin.plugin_name}' instance '{plugin.name}': {wrong}"
             raise SceneError(f"{_place(told, scene.name, scene.text)}: {told}")

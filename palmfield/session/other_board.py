@@ -43,7 +43,7 @@ def exchange_board(scene: str, plugins: Sequence[PluginKeys], name: str, timeste
     board = board_named(name)
     drivers = [plugin for plugin in plugins if plugin.plugin == DRIVER]
     if not drivers:
-        raise SceneError(f"{scene} has no plugin '{DRIVER}', so there is no board to replace by '{name}'")
+        raise SceneError(f"{scene} has no plugin '{DRIVER}', so board '{name}' has nothing to replace; add the plugin")
     said = []
     for driver in drivers:
         before = driver.keys.get("board", "ideal")
@@ -51,7 +51,7 @@ def exchange_board(scene: str, plugins: Sequence[PluginKeys], name: str, timeste
             continue
         driver.keys["board"] = name
         for key in [key for key in driver.keys if key not in OF_ONE_BOARD and key not in board.keys]:
-            said.append(f"driver: key '{key}' is not of board '{name}' and left out")
+            said.append(f"driver: key '{key}' does not apply to board '{name}' and was removed")
             del driver.keys[key]
     focus = next(
         (plugin.keys["focus_m"] for plugin in plugins if plugin.plugin == STIMULUS and _in_array(plugin)), None
@@ -63,7 +63,7 @@ def exchange_board(scene: str, plugins: Sequence[PluginKeys], name: str, timeste
         if stimulus.plugin == STIMULUS and _without_steps(stimulus.keys, board) and not board.exact:
             rate_Hz = control_rate_Hz(board, timestep_s)
             stimulus.keys["control_rate_Hz"] = repr(rate_Hz)
-            said.append(f"{stimulus.name}: control_rate_Hz {rate_Hz:.4g}, as the board gets frames")
+            said.append(f"{stimulus.name}: control_rate_Hz {rate_Hz:.4g}, the frame rate of the board")
     return said
 
 
@@ -82,7 +82,7 @@ def _exchange_layout(array: PluginKeys, board: Board, focus: str | None) -> list
     text = f"{array.name}: layout {after} ({_size(after, focus)})"
     if before in LAYOUTS:
         text += f" instead of {before} ({_size(before, focus)})"
-    return [text + (f"; of the old one {', '.join(dropped)} are left out" if dropped else "")]
+    return [text + (f"; removed keys of the old board: {', '.join(dropped)}" if dropped else "")]
 
 
 def _size(name: str, focus: str | None) -> str:

@@ -91,10 +91,10 @@ def preview(
     """
     if isinstance(scene, Simulation):
         if keys or any(value is not None for value in (device, accuracy, board)):
-            raise SceneError("a simulation's keys can't be changed any more: give them to Simulation(...)")
+            raise SceneError("the keys of a simulation cannot be changed: give them to Simulation(...)")
         return Preview(scene.name, scene.duration_s, scene.runtime, scene.data)
     name, _, data = compiled(scene, device=device, accuracy=accuracy, board=board, keys=keys)
     world = world_of(data)
     if world is None or world.scene is None:
-        raise SceneError(f"{name} has no plugin 'palmfield.skin'; it is a plain MuJoCo model")
+        raise SceneError(f"{name} has no plugin 'palmfield.skin', so it is a plain MuJoCo model; add the plugin")
     return Preview(name, world.scene.spec.duration_s, world.scene, data)

@@ -44,7 +44,7 @@ PICTURES: tuple[tuple[str, Callable[[Any, Path], None]], ...] = (
 CONVENTIONS = {
     "time_factor": "e^{-i w t}: a delay is +phase",
     "pressure": "complex peak amplitude of the incident field [Pa]",
-    "arp_sign": "positive pushes into the surface",
+    "arp_sign": "positive values push into the surface",
     "normal_displacement": "along the outward normal: a push is negative",
     "pose": "position [m] and quaternion (w, x, y, z)",
 }
@@ -120,7 +120,7 @@ def run_recorded(
                 budgets = estimates.budgets(sim, recorder, bar)
             except KeyboardInterrupt as error:
                 cut = error  # only the estimate is missing: the result is complete
-        reason = "ran to its end" if stopped is None else f"{type(stopped).__name__}: {stopped}".rstrip(": ")
+        reason = "completed" if stopped is None else f"{type(stopped).__name__}: {stopped}".rstrip(": ")
         with ExitStack() as opened:
             # Ctrl-C waits until there is a result to attach
             held = opened.enter_context(ExitStack())
@@ -167,8 +167,8 @@ def _carried_by_errors(result: Result) -> Iterator[None]:
         yield
     except (KeyboardInterrupt, Exception) as error:
         error.result = result  # type: ignore[union-attr]
-        where = "this error's attribute `result`" if result.out is None else str(result.out)
-        error.add_note(f"What was computed until then is in {where}.")
+        where = "attribute `result` of this error" if result.out is None else str(result.out)
+        error.add_note(f"The partial results are in {where}.")
         raise
 
 

@@ -128,7 +128,7 @@ def _whole(path: Path, above: tuple[Path, ...]) -> tuple[SceneText, int]:
     elements: list[Element] = []
     _read(path, path, None, elements, set(), set())
     if not elements:
-        raise SceneError(f"{path}: the file has no element; allowed: <mujoco> with all that the scene has")
+        raise SceneError(f"{path}: the file has no element; allowed: one <mujoco> with the whole scene")
     for one in elements:
         _check_finite(one)
         _check_size(one)
@@ -140,11 +140,13 @@ def _whole(path: Path, above: tuple[Path, ...]) -> tuple[SceneText, int]:
                 continue
             inside = file.resolve()
             if inside in (*above, path.resolve()):
-                raise SceneError(f"{one.where}: model '{one.attributes['file']}' attaches itself; drop this <model>")
+                raise SceneError(f"{one.where}: model '{one.attributes['file']}' attaches itself; remove this <model>")
             models[one.attributes.get("name", "")] = _whole(file, (*above, path.resolve()))[1]
         total += models.get(one.attributes.get("model", ""), 0) if one.tag == "attach" else 0
         if total > MOST_ELEMENTS:
-            raise SceneError(f"{one.where}: what is attached here makes the scene larger than {MOST_ELEMENTS} elements")
+            raise SceneError(
+                f"{one.where}: the model attached here makes the scene larger than {MOST_ELEMENTS} elements"
+            )
     return SceneText(path, tuple(elements)), total
 
 
@@ -180,8 +182,8 @@ def _check_size(element: Element) -> None:
             continue  # MuJoCo says so
         if count > most:
             raise SceneError(
-                f"{element.where}: <{element.tag}> attribute '{name}' has value "
-                f"'{element.attributes[name]}'; allowed: at most {most} in all"
+                f"{element.where}: <{element.tag}> attribute '{name}' has value '{element.attributes[name]}'; "
+                f"allowed: a total of at most {most}"
             )
 
 
@@ -199,15 +201,15 @@ def _check_copies(elements: list[Element]) -> None:
         copies += count if one.tag == "replicate" else 0
         if copies > MOST_COPIES:
             raise SceneError(
-                f"{one.where}: <replicate> with count '{one.attributes.get('count')}' makes {copies:.0f} copies in "
-                f"all; allowed: at most {MOST_COPIES}, since their time grows with the square"
+                f"{one.where}: <replicate> with count '{one.attributes.get('count')}' makes a total of "
+                f"{copies:.0f} copies; allowed: at most {MOST_COPIES}, because the time grows with the square"
             )
     bare = (one for one in elements if one.parent is not None and one.parent.tag == "sensor")
     free = next((one for one in bare if not one.attributes.keys() - OF_ALL_SENSORS), None)
     if copies and free is not None:
         raise SceneError(
-            f"{free.where}: sensor <{free.tag}> has no object, and MuJoCo 4.0 doubles such a sensor with each of the "
-            f"{copies:.0f} copies of <replicate>; give it objtype and objname, or write the copies out"
+            f"{free.where}: sensor <{free.tag}> has no object, and MuJoCo 4.0 doubles such a sensor with each of "
+            f"the {copies:.0f} copies of <replicate>; give it objtype and objname, or write the copies explicitly"
         )
 
 
@@ -248,7 +250,7 @@ def _read(
             continue
         resolved = included.resolve()
         if resolved in above or resolved == scene.resolve():
-            raise SceneError(f"{one.where}: file '{one.attributes['file']}' includes itself; drop this <include>")
+            raise SceneError(f"{one.where}: file '{one.attributes['file']}' includes itself; remove this <include>")
         if resolved in known:  # which MuJoCo refuses too, without the place
             raise SceneError(f"{one.where}: file '{one.attributes['file']}' is included twice; include it once")
         known.add(resolved)
@@ -260,7 +262,7 @@ def elements_of(path: Path) -> list[Element]:
     try:
         data = read_bytes(path)
     except OSError as error:
-        raise SceneError(f"{path} can't be read: {error.strerror or error}; give a file that can be") from None
+        raise SceneError(f"{path} cannot be read: {error.strerror or error}; give a readable file") from None
     parser = expat.ParserCreate()
     elements: list[Element] = []
     open_elements: list[Element] = []
@@ -277,8 +279,8 @@ def elements_of(path: Path) -> list[Element]:
     def between(stray: str) -> None:
         if stray.strip():
             raise SceneError(
-                f"{path}, line {parser.CurrentLineNumber}: text '{stray.strip()[:40]}' stands between elements, where "
-                "it says nothing; drop it, or make it an element or a comment"
+                f"{path}, line {parser.CurrentLineNumber}: text '{stray.strip()[:40]}' between elements has no "
+                "meaning; remove it, or make it an element or a comment"
             )
 
     parser.StartElementHandler, parser.EndElementHandler = start, end
@@ -306,20 +308,20 @@ def _fault(error: Exception, open_elements: list[Element]) -> str:
     if code == expat.errors.codes[expat.errors.XML_ERROR_NO_ELEMENTS] and last is not None:
         return f"the file ends before <{last.tag}> of line {last.line} is closed; close it by </{last.tag}>"
     faults = {
-        expat.errors.XML_ERROR_NO_ELEMENTS: "the file is empty; allowed: <mujoco> with all that the scene has",
-        expat.errors.XML_ERROR_INVALID_TOKEN: "a character stands where XML allows none; write values in quotes, "
-        "&lt; for <, and the file in UTF-8",
+        expat.errors.XML_ERROR_NO_ELEMENTS: "the file is empty; allowed: one <mujoco> with the whole scene",
+        expat.errors.XML_ERROR_INVALID_TOKEN: "a character is not allowed here in XML; put values in quotes, "
+        "write &lt; for <, and save the file in UTF-8",
         expat.errors.XML_ERROR_UNCLOSED_TOKEN: "an element or a text in quotes is not closed; add the missing > or "
         "quote",
         expat.errors.XML_ERROR_DUPLICATE_ATTRIBUTE: "an attribute is given twice; give it once",
-        expat.errors.XML_ERROR_JUNK_AFTER_DOC_ELEMENT: "something follows the end of the outermost element; put all "
-        "into one <mujoco>",
-        expat.errors.XML_ERROR_SYNTAX: "text stands where an element should begin; allowed: <mujoco> with all that "
-        "the scene has",
-        expat.errors.XML_ERROR_UNDEFINED_ENTITY: "an entity is not known; write &amp; for &",
+        expat.errors.XML_ERROR_JUNK_AFTER_DOC_ELEMENT: "there is text after the end of the outermost element; put "
+        "everything into one <mujoco>",
+        expat.errors.XML_ERROR_SYNTAX: "there is text where an element should begin; allowed: one <mujoco> with "
+        "the whole scene",
+        expat.errors.XML_ERROR_UNDEFINED_ENTITY: "an entity is unknown; write &amp; for &",
     }
     known = next((words for name, words in faults.items() if code == expat.errors.codes[name]), None)
-    return known or f"the file is no XML ({error}); mend it in an editor that checks XML"
+    return known or f"the file is not XML ({error}); correct it in an editor that checks XML"
 
 
 def sensors_without_objtype(text: SceneText) -> Iterator[Element]:

@@ -82,12 +82,13 @@ def exported(
     count = math.ceil(min(lasts, math.inf if end is None else end) * rate - 1e-6)
     if not 1 <= count <= MOST_ROWS:
         raise SceneError(
-            f"{lasts:g} s at {rate:g} Hz are {count} rows; allowed: 1 to {MOST_ROWS}: give another --rate or --duration"
+            f"{lasts:g} s at {rate:g} Hz give {count} rows; allowed: 1 to {MOST_ROWS}: give another --rate or "
+            "--duration"
         )
     times: Float = np.arange(count) / rate
     fastest = max(main_frequencies(part.config), default=0.0)
     if 2.0 * fastest > rate:
-        warnings += (f"the stimulus changes at up to {fastest:g} Hz, which {rate:g} samples a second can't tell",)
+        warnings += (f"the stimulus changes at up to {fastest:g} Hz, which {rate:g} samples per second do not resolve",)
     points, factors = frames_at(part.config, times)
     places = _places(view, number, times, points, frame)
     loud = np.array([_each(part, one) for one in points]) * factors[:, None]
@@ -110,7 +111,7 @@ def export_stimulus(result: Exported, path: Path, *, again: bool = False, overwr
             f"{path}: the file's kind is '{path.suffix}'; allowed: .csv (a table), .json (an STM of AUTD3)"
         )
     if path.exists() and not overwrite:
-        raise OutputError(f"{path} is there and would be replaced; give another file, or --overwrite")
+        raise OutputError(f"{path} exists and would be replaced; give another file, or --overwrite")
     if path.suffix.lower() == ".csv":
         write_focus_table(path, result.table)
     else:
@@ -133,11 +134,11 @@ def _rate(part: StimulusModel, own: FocusTable | None) -> float:
 def _warnings(part: StimulusModel, names: list[str]) -> tuple[str, ...]:
     config, said = part.config, []
     if config.arp_peak_Pa is not None:
-        said.append(f"intensity 1 is arp_peak_Pa {config.arp_peak_Pa:g}, which the table doesn't say")
+        said.append(f"intensity 1 means arp_peak_Pa {config.arp_peak_Pa:g}, which the table does not store")
     elif config.drive_amplitude not in (None, 1.0):
-        said.append(f"intensity 1 is drive_amplitude {config.drive_amplitude:g}, which the table doesn't say")
+        said.append(f"intensity 1 means drive_amplitude {config.drive_amplitude:g}, which the table does not store")
     if len(names) > 1:
-        said.append(f"stimulus '{part.spec.name}' is one of {len(names)}, on arrays of its own")
+        said.append(f"stimulus '{part.spec.name}' is one of {len(names)}, with its own arrays")
     return tuple(said)
 
 

@@ -80,19 +80,19 @@ def import_stimulus(
     table, again = read_stimulus(file)
     target = scene.with_name(f"{scene.stem}_{file.stem}.xml") if out is None else out
     if target.resolve().parent != scene.resolve().parent:
-        raise OutputError(f"--out has value {target}; allowed: a file in {scene.resolve().parent}, as what the scene "
-                          "includes is relative to it")  # fmt: skip
+        raise OutputError(f"--out has value {target}; allowed: a file in {scene.resolve().parent}, because "
+                          "included files are relative to that folder")  # fmt: skip
     beside = target.with_name(f"{target.stem}_foci.csv")
     for one in (target, beside):
         if one.exists() and not overwrite:
-            raise OutputError(f"{one} is there and would be replaced; give another file by --out, or --overwrite")
+            raise OutputError(f"{one} exists and would be replaced; give another file by --out, or --overwrite")
     name = _instance(scene, stimulus)
     if table.frame == "world":
         table = _in_array(table, scene, name)
     elif table.frame == "skin":
         site = _site(scene, site)
     elif site is not None:
-        raise SceneError(f"--site has value '{site}', but the table's frame is '{table.frame}'; leave it out")
+        raise SceneError(f"--site has value '{site}', but the frame of the table is '{table.frame}'; omit --site")
     keys = {"path": "file", "path_file": beside.name}
     keys |= {"path_end": "jump"} if again or repeat else {}
     keys |= {"frame": site} if table.frame == "skin" and site is not None else {}
@@ -109,7 +109,7 @@ def import_stimulus(
         with whole(target) as part:
             part.write_bytes(data)
     except OSError as error:
-        raise OutputError(f"{target}: cannot be written: {error}; give a place that can be written to") from None
+        raise OutputError(f"{target}: cannot be written: {error}; give a writable path") from None
     return Imported(target, beside, name, keys, dropped, table.foci, len(table.samples), table.length_s)
 
 
@@ -135,7 +135,7 @@ def _site(scene: Path, site: str | None) -> str:
         return str(site)
     what = "is not given" if site is None else f"has value '{site}'{did_you_mean(site, known)}"
     raise SceneError(
-        f"the table's frame is 'skin', and --site {what}; allowed: a site of the hand in {scene}: "
+        f"the frame of the table is 'skin', but --site {what}; allowed: a site of the hand in {scene}: "
         f"{', '.join(sites or known)}"
     )
 
@@ -151,8 +151,8 @@ def _in_array(table: FocusTable, scene: Path, stimulus: str) -> FocusTable:
     body = int(site.bodyid[0])
     if model.body_weldid[body] != 0 or model.body_mocapid[body] >= 0:
         raise SceneError(
-            f"the table's frame is 'world', but array '{array.name}' of {scene} can move, so that it has no one place "
-            "there; give a table of frame array"
+            f"the frame of the table is 'world', but array '{array.name}' of {scene} can move and has no fixed "
+            "pose there; give a table with frame array"
         )
     frame = Transform(data.site_xpos[site.id].copy(), data.site_xmat[site.id].reshape(3, 3).copy())
     places = frame.inverse_points(table.positions.reshape(-1, 3)).reshape(table.positions.shape)
@@ -170,7 +170,7 @@ def _rewritten(scene: Path, stimulus: str, keys: dict[str, str]) -> tuple[bytes,
     data, elements = scene.read_bytes(), elements_of(scene)
     instance = next((e for e in elements if e.tag == "instance" and _is(e, stimulus)), None)
     if instance is None:
-        raise SceneError(f"{scene} includes the file in which stimulus '{stimulus}' stands; import into that file")
+        raise SceneError(f"{scene} includes the file that defines stimulus '{stimulus}'; import into that file")
     own = [e for e in elements if e.parent is instance and e.tag == "config"]
     gone = [e for e in own if e.attributes.get("key") in REPLACED]
     edits = [without(data, element) for element in gone]

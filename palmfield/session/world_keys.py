@@ -22,7 +22,7 @@ SHARED = {
     "palmfield.array": "all worlds share the arrays",
     "palmfield.skin": "all worlds share the skin's mesh and matrices",
     "palmfield.driver": "all worlds share the board",
-    "palmfield.motion": "poses that differ are given by `poses`",
+    "palmfield.motion": "different poses are given by `poses`",
 }
 """Why the keys of a plugin cannot differ."""
 
@@ -57,8 +57,8 @@ def split_keys(keys: Mapping[str, object], worlds: int, plugins: Mapping[str, st
             )
         if key in BOUND:
             raise SceneError(
-                f"key '{given}' has a value for each world, but it names parts of the scene, which all worlds share; "
-                f"allowed to differ: all keys of a stimulus but {', '.join(BOUND)}"
+                f"key '{given}' has a value for each world, but it names parts of the scene, which all worlds "
+                f"share; keys that may differ: all keys of a stimulus except {', '.join(BOUND)}"
             )
         common[given] = values[0]
         for instance in [owner] if owner in plugins else [name for name, one in plugins.items() if one == plugin]:

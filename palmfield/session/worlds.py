@@ -46,7 +46,7 @@ def open_worlds(
     name, model, first = compiled(scene, device=device, accuracy=accuracy, board=board, keys=common)
     world = world_of(first)
     if world is None or world.scene is None:
-        raise SceneError(f"{name} has no plugin 'palmfield.skin'; it is a plain MuJoCo model")
+        raise SceneError(f"{name} has no plugin 'palmfield.skin', so it is a plain MuJoCo model; add the plugin")
     spec = world.scene.spec
     specs = world_specs(spec, stimulus_texts(world.scene), split, worlds)
     plain = plain_model(model)
@@ -157,7 +157,8 @@ def _mocap(model: mujoco.MjModel, body: str) -> int:
     if mocap < 0:
         names = [model.body(i).name for i in range(model.nbody) if model.body_mocapid[i] >= 0]
         raise SceneError(
-            f"poses are given for '{body}'; allowed: a body with mocap='true': {', '.join(names) or 'there is none'}"
+            f"poses are given for body '{body}'; allowed: a body with mocap='true': "
+            f"{', '.join(names) or 'there is none'}"
         )
     return mocap
 

@@ -29,16 +29,18 @@ def wall_distance(spec: SceneSpec, array: Array) -> float | None:
         raise refused(rigid, f"skin '{skin.name}' has shape '{skin.config.shape}'", "shape disc, whose face is flat")
     if skin.config.body_sound != "none" or skin.obstacles:
         what = "obstacles" if skin.obstacles else f"body_sound '{skin.config.body_sound}'"
-        raise refused(rigid, f"skin '{skin.name}' has {what}", "body_sound none and nothing in the way")
+        raise refused(rigid, f"skin '{skin.name}' has {what}", "body_sound none and no obstacle")
     board = BoardOutline.of(array)
     if rigid.config.layout == "sites" or board.nearest is not None or array.normals[:, 2].min() < math.cos(TILT_RAD):
-        raise refused(rigid, f"layout '{rigid.config.layout}' is no flat face", "transducers of a board in one plane")
+        raise refused(
+            rigid, f"layout '{rigid.config.layout}' is not a flat face", "a layout with all transducers in one plane"
+        )
     disc = skin.body.transform
     tilt = math.acos(max(-1.0, min(1.0, float(-disc.rotation[2, 2]))))
     if tilt > TILT_RAD:
         raise refused(
             rigid,
-            f"body '{skin.config.body}' is {math.degrees(tilt):.3g} degrees off facing the array",
+            f"body '{skin.config.body}' is tilted by {math.degrees(tilt):.3g} degrees relative to the array",
             f"a disc parallel to the board, to {math.degrees(TILT_RAD):.2g} degrees",
         )
     return float(disc.position[2]) - board.height
@@ -47,6 +49,6 @@ def wall_distance(spec: SceneSpec, array: Array) -> float | None:
 def refused(array: ArraySpec, why: str, allowed: str) -> SceneError:
     """The message for a rigid face that can't be computed."""
     return SceneError(
-        f"plugin 'palmfield.array' instance '{array.name}': key 'array_face' has value 'rigid', but {why}; allowed: "
-        f"{allowed}; or set array_face to absorbing: the error budget then holds a band for the echo"
+        f"plugin 'palmfield.array' instance '{array.name}': key 'array_face' has value 'rigid', but {why}; "
+        f"allowed: {allowed}; or set array_face to absorbing: the error budget then includes a band for the echo"
     )

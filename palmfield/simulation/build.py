@@ -146,8 +146,7 @@ def _arrays(spec: SceneSpec) -> PhasedArray:
             gain = instance.array(array.placement.sites).gain
             if gain is not None and not gain.any():
                 raise SceneError(
-                    f"all {len(gain)} transducers are dead or have gain 0, so that no sound comes; allowed: one that "
-                    "sounds, at least"
+                    f"all {len(gain)} transducers are dead or have gain 0; needed: at least one active transducer"
                 )
     wall_m = wall_distance(spec, instances[0].array(spec.arrays[0].placement.sites))
     with naming("plugin 'palmfield.array'"):
@@ -285,7 +284,7 @@ def _path_on(spec: StimulusSpec, carrier: BodyModel, body: Transform) -> Surface
     """
     element = f"plugin 'palmfield.stimulus' instance '{spec.name}': key 'path_on' has value 'skin'"
     if carrier.surface is None:
-        raise SceneError(f"{element}, but the skin's shape is a flat disc: set path_on to plane")
+        raise SceneError(f"{element}, but the skin is a flat disc: set path_on to plane")
     try:
         if spec.config.path == "sites":
             sites, stroke = np.array(spec.path_sites), zigzag_stroke_m(spec.config)
@@ -406,8 +405,8 @@ def _common_step(steps_s: list[float], spec: SceneSpec) -> float:
     for skin, own in zip(spec.skins, steps_s, strict=True):
         if skin.config.step_s is not None and own > (1.0 + 1e-9) * step_s:
             raise SceneError(
-                f"plugin 'palmfield.skin' instance '{skin.name}': key 'step_s' has value {skin.config.step_s:g}, but "
-                f"another skin needs {step_s:g}, and all skins share one step; allowed: {step_s:g}"
+                f"plugin 'palmfield.skin' instance '{skin.name}': key 'step_s' has value {skin.config.step_s:g}, "
+                f"but another skin needs {step_s:g}, and all skins use one step; allowed: {step_s:g}"
             )
     return step_s
 

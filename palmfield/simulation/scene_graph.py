@@ -110,7 +110,7 @@ class SceneGraph(Backend):
     def _along(self, posed: PosedScene, path: PathStep, emitted: Complex, t0: float) -> EmittedCourse | None:
         """A step of one focus that moves; None where the transducers can't make it, which is said elsewhere."""
         if not math.isfinite(np.add.reduce(path.foci, axis=None)):
-            raise PalmfieldError(f"focus at {path.foci.tolist()} m is not finite: mend what moves it")
+            raise PalmfieldError(f"focus at {path.foci.tolist()} m is not finite: correct its motion")
         drives = self._path_drives(posed, t0)
         moments, count = len(path.moments.times), len(path.levels)
         counted = drives.pushed(path.weights)
@@ -221,7 +221,7 @@ class SceneGraph(Backend):
         if not cmath.isfinite(np.add.reduce(sounding.units, axis=None)):
             bad = check.first_bad(sounding.units.T)
             values = sounding.units[:, bad].tolist()
-            raise PalmfieldError(f"drive of transducer {bad} = {values} is not finite: mend what makes the drive")
+            raise PalmfieldError(f"drive of transducer {bad} = {values} is not finite: correct the source of the drive")
         hosts = graph.inputs.hosts
         table = hosts[f"{name}_counts"][0], hosts[f"{name}_drives"], hosts[f"{name}_levels"]
         fill_table(table, self._transducers.strengths(sounding.units), sounding.levels)
@@ -265,7 +265,7 @@ class SceneGraph(Backend):
                 here = rows.frames[own]
                 if not (np.isfinite(places[here]).all() and np.isfinite(axes[here]).all()):
                     raise PalmfieldError(
-                        f"pose of '{name}' at {places[here].tolist()} is not finite: mend what moves it"
+                        f"pose of '{name}' at {places[here].tolist()} is not finite: correct its motion"
                     )
 
     # -- what came out -------------------------------------------------------------------------------------------------

@@ -112,13 +112,13 @@ def read_scene(model: ModelView) -> tuple[SceneSpec, SceneBinding]:
         for i, name, config in named[SkinConfig]
     ]
     if not skins:
-        raise SceneError("the scene has no plugin 'palmfield.skin'; at least one is needed")
+        raise SceneError("the scene has no plugin 'palmfield.skin'; needed: at least one")
     if not arrays:
-        raise SceneError("plugin 'palmfield.skin': the scene has no 'palmfield.array'; at least one is needed")
+        raise SceneError("plugin 'palmfield.skin': the scene has no 'palmfield.array'; needed: at least one")
     if not stimuli:
         raise SceneError(
-            f"plugin 'palmfield.skin' instance '{skins[0][1]}': the scene has no 'palmfield.stimulus', so that nothing "
-            "would sound; at least one is needed"
+            f"plugin 'palmfield.skin' instance '{skins[0][1]}': the scene has no 'palmfield.stimulus' and would be "
+            "silent; needed: at least one"
         )
     if len(named[DriverConfig]) > 1:
         raise SceneError(f"the scene has {len(named[DriverConfig])} of 'palmfield.driver'; allowed: one")
@@ -239,8 +239,8 @@ def check_calibrated_once(calibration: Calibration, config: ArrayConfig, element
     for key, known in (("p0_Pa_m", calibration.p0), ("quality", calibration.quality)):
         if known is not None and getattr(config, key) is not None:
             raise SceneError(
-                f"{element}: key '{key}' has value {getattr(config, key):g}, and the file of key 'calibration' says "
-                f"{known.value:g}; drop one of them"
+                f"{element}: key '{key}' has value {getattr(config, key):g}, but the file of key 'calibration' has "
+                f"{known.value:g}; remove one of them"
             )
 
 
@@ -257,8 +257,8 @@ def transducer_sites(config: ArrayConfig, name: str, model: ModelView) -> tuple[
     element = f"{element_of(ArrayConfig, name)}: key 'sites'"
     if not names:
         raise SceneError(
-            f"{element} has value '{config.sites}'; allowed: how names of sites begin that no key names; the scene "
-            f"has: {', '.join(model.names('site'))}"
+            f"{element} has value '{config.sites}'; allowed: the beginning of the names of sites that no key "
+            f"names; the scene has: {', '.join(model.names('site'))}"
         )
     return tuple(model.find("site", site, element) for site in names)
 
@@ -362,11 +362,11 @@ def am_table_of(config: StimulusConfig, element: str) -> AmTable | None:
     if table.of == "period":
         raise SceneError(
             f"{element}: key 'am_file' has value '{config.am_file}', which holds one period (column turn); "
-            "am_frequency_Hz is needed to say how often it comes"
+            "am_frequency_Hz is missing; give its repetition frequency"
         )
     raise SceneError(
         f"{element}: key 'am_frequency_Hz' has value '{config.am_frequency_Hz:g}', but '{config.am_file}' holds a "
-        "course in seconds (column time_s); drop am_frequency_Hz, or give a period (column turn)"
+        "course in seconds (column time_s); remove am_frequency_Hz, or give a period (column turn)"
     )
 
 
@@ -380,12 +380,12 @@ def focus_table_of(config: StimulusConfig, element: str) -> FocusTable | None:
     if table is None or (table.frame != "world" and (table.frame == "array") == (config.frame == "array")):
         return table
     mend = {
-        "array": "leave key 'frame' out",
-        "skin": "name a site of the hand by key 'frame', in whose frame the table then is",
-        "world": "`palmfield stimulus import` writes it into a scene in the array's frame",
+        "array": "remove key 'frame'",
+        "skin": "set key 'frame' to the site of the hand whose frame the table uses",
+        "world": "use `palmfield stimulus import`, which converts it to the array frame",
     }[table.frame]
     raise SceneError(
-        f"{element}: key 'path_file' has value '{config.path_file}', whose head says frame {table.frame}, and key "
+        f"{element}: key 'path_file' has value '{config.path_file}' with frame {table.frame} in its head, but key "
         f"'frame' has value '{config.frame}'; {mend}"
     )
 
@@ -402,20 +402,21 @@ def _driven_arrays(instances: list[tuple[int, str, Any]], names: list[str]) -> l
                 )
             if array in owner:
                 raise SceneError(
-                    f"{element} names '{array}', which instance '{owner[array]}' drives; allowed: one stimulus an array"
+                    f"{element} names '{array}', which instance '{owner[array]}' already drives; allowed: one "
+                    "stimulus per array"
                 )
             owner[array] = stimulus
     free = tuple(i for i, name in enumerate(names) if name not in owner)
     rest = [stimulus for _, stimulus, config in instances if not config.arrays]
     if len(rest) > 1:
         raise SceneError(
-            f"{element_of(StimulusConfig, rest[1])}: it names no arrays, and neither does instance '{rest[0]}'; name "
-            "the arrays that each drives by key 'arrays'"
+            f"{element_of(StimulusConfig, rest[1])}: it names no arrays, and neither does instance '{rest[0]}'; "
+            "set key 'arrays' of each stimulus"
         )
     if rest and not free:
         raise SceneError(
             f"{element_of(StimulusConfig, rest[0])}: every array is driven by another stimulus; name one by key "
-            "'arrays', or drop this stimulus"
+            "'arrays', or remove this stimulus"
         )
     return [
         tuple(sorted(names.index(array) for array in config.arrays)) if config.arrays else free
@@ -453,9 +454,11 @@ def _check_custom(model: ModelView) -> None:
         if name not in CUSTOM and (near or name.lower().startswith("palmfield")):
             near = near or did_you_mean(name, CUSTOM)
             known = " and ".join(f"{own} '{one}'" for one, own in CUSTOM.items())
-            raise SceneError(f"{kind} '{name}' is none of palmfield's{near}; allowed: {known}")
+            raise SceneError(f"{kind} '{name}' is unknown to palmfield{near}; allowed: {known}")
         if name in CUSTOM and kind != CUSTOM[name]:
-            raise SceneError(f"{kind} '{name}' is of another kind; allowed: <{CUSTOM[name]} name=\"{name}\" .../>")
+            raise SceneError(
+                f"{kind} '{name}' has the wrong element type; allowed: <{CUSTOM[name]} name=\"{name}\" .../>"
+            )
         if name == DURATION and length != 1:
             raise SceneError(f"numeric '{name}' has {length} numbers; allowed: one, in seconds")
 
@@ -483,8 +486,8 @@ def _duration(model: ModelView) -> float:
     steps = value / model.timestep
     if steps > MOST_STEPS:
         raise SceneError(
-            f"option 'timestep' has value {model.timestep:g}: a run of {value:g} s takes {steps:.2g} steps and would "
-            f"not end; allowed: at most {MOST_STEPS:.2g}; set timestep larger, or numeric '{DURATION}' smaller"
+            f"option 'timestep' has value {model.timestep:g}: a run of {value:g} s would take {steps:.2g} steps; "
+            f"allowed: at most {MOST_STEPS:.2g}; set timestep larger, or numeric '{DURATION}' smaller"
         )
     return value
 
@@ -533,8 +536,8 @@ def check_rest(bone: Any, frame: Transform, pose: Transform, element: str, advic
     angle = float(np.arccos(np.clip(0.5 * (np.trace(place.rotation) - 1.0), -1.0, 1.0)))
     if distance > REST_M or angle > REST_RAD:
         raise SceneError(
-            f"{element} stands {1e3 * distance:.3g} mm and {np.rad2deg(angle):.3g} degrees off the mesh's joint; "
-            f"{advice}"
+            f"{element} is {1e3 * distance:.3g} mm and {np.rad2deg(angle):.3g} degrees away from the joint of the "
+            f"mesh; {advice}"
         )
 
 
@@ -553,7 +556,7 @@ def obstacles_of(skin: SkinConfig, element: str, model: ModelView, bones: list[i
             continue
         if number in own:
             raise SceneError(
-                f"{element} has value '{' '.join(skin.obstacles)}'; allowed: other bodies than the skin's own"
+                f"{element} has value '{' '.join(skin.obstacles)}'; allowed: bodies other than the body of the skin"
             )
         geoms = model.geoms(number, element)
         if geoms:

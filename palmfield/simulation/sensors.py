@@ -68,13 +68,13 @@ def check_site(skin: SkinModel, site: Float, element: str) -> None:
         where = "above" if above > 0.0 else "below"
         raise SceneError(
             f"{element}: its site is {1e3 * abs(above):.1f} mm {where} the skin; allowed: at most "
-            f"{1e3 * OFF_SKIN_M:g} mm off it, move it onto the skin"
+            f"{1e3 * OFF_SKIN_M:g} mm: move it onto the skin"
         )
     distance = float(np.linalg.norm(site - closest[0]))
     if distance > max(REACH_M, 2.0 * skin.layer.sizes.edge_coarse_m):
         raise SceneError(
-            f"{element}: its site is {1e3 * distance:.0f} mm from the skin layer, whose rim it would read; put it on "
-            "the layer, or patch_site nearer to it"
+            f"{element}: its site is {1e3 * distance:.0f} mm from the skin layer and would read the rim; put it on "
+            "the layer, or move patch_site closer to it"
         )
 
 

@@ -139,6 +139,6 @@ def _mark(model: HapticModel, kind: str, number: int, name: str) -> float:
 
 def _foreign(element: str) -> str:
     return (
-        f"{element}: the state in mjData was written by another solver, basis, scene or version of palmfield; start "
-        "from mj_resetData, or step it with the scene that wrote it"
+        f"{element}: the state in mjData comes from another solver, basis, scene or version of palmfield; start "
+        "from mj_resetData, or use the scene that wrote it"
     )

@@ -51,8 +51,8 @@ def check_bodies(spec: SceneSpec) -> None:
         element = f"plugin 'palmfield.skin' instance '{skin.name}'"
         if skin.config.shape == "disc":
             raise SceneError(
-                f"{element}: key 'body' has value '{skin.config.body}', whose disc instance '{other.name}' already is; "
-                "allowed: a body of its own for each disc"
+                f"{element}: key 'body' has value '{skin.config.body}', which instance '{other.name}' already uses "
+                "as its disc; allowed: a separate body for each disc"
             )
         for key in (*SURFACE_KEYS, "body_sound", "arp_law", "arp_alpha"):
             if getattr(skin.config, key) != getattr(other.config, key):
@@ -74,7 +74,7 @@ def check_apart(names: Sequence[str], arrays: PhasedArray) -> None:
         if own < LEAST_APART_M:
             raise SceneError(
                 f"plugin 'palmfield.array' instance '{name}': two of its transducers are {1e3 * own:.3g} mm apart; "
-                f"allowed: at least {1e3 * LEAST_APART_M:.1f} mm; look at the unit of their places"
+                f"allowed: at least {1e3 * LEAST_APART_M:.1f} mm: check the unit of their positions"
             )
         for other in range(number):
             distance = float(cKDTree(positions[other]).query(positions[number])[0].min())
@@ -82,9 +82,9 @@ def check_apart(names: Sequence[str], arrays: PhasedArray) -> None:
             least = max(radii, LEAST_APART_M)
             if distance < least:
                 raise SceneError(
-                    f"plugin 'palmfield.array' instance '{name}': its transducers stand in those of instance "
+                    f"plugin 'palmfield.array' instance '{name}': its transducers overlap those of instance "
                     f"'{names[other]}' (two are {1e3 * distance:.1f} mm apart; allowed: at least {1e3 * least:.1f} "
-                    "mm); give it a site of its own by key 'site', or drop one of the two"
+                    "mm); give it its own site by key 'site', or remove one of the two"
                 )
 
 
@@ -104,9 +104,8 @@ def check_overlaps(skins: Sequence[SkinModel]) -> None:
             if distance < least:
                 raise SceneError(
                     f"plugin 'palmfield.skin' instance '{skin.spec.name}': its layer overlaps that of instance "
-                    f"'{other.spec.name}' on body '{skin.spec.config.body}' (their surfaces come within "
-                    f"{1e3 * distance:.1f} mm); set patch_site or patch_radius_m so that they lie apart, or make one "
-                    "layer of both"
+                    f"'{other.spec.name}' on body '{skin.spec.config.body}' (distance of the surfaces "
+                    f"{1e3 * distance:.1f} mm); set patch_site or patch_radius_m to separate them, or use one layer"
                 )
 
 
@@ -119,22 +118,22 @@ def check_cost(skin: SkinSpec, layer: SceneLayer, timestep_s: float, stimulus: S
     substeps = timestep_s / layer.sizes.step_s
     if substeps > MOST_SUBSTEPS:
         raise SceneError(
-            f"{element}: steps of {layer.sizes.step_s:.2g} s are {substeps:.2g} in each of MuJoCo's, so that the "
-            f"run would not end; allowed: at most {MOST_SUBSTEPS:,}; set step_s larger, or timestep smaller"
+            f"{element}: the step of {layer.sizes.step_s:.2g} s gives {substeps:.2g} substeps per MuJoCo step; "
+            f"allowed: at most {MOST_SUBSTEPS:,}; set step_s larger, or timestep smaller"
         )
     unknowns = layer.expected_dofs
     if unknowns > MOST_UNKNOWNS:
         raise SceneError(
-            f"{element}: elements of {1e3 * layer.sizes.edge_fine_m:.3g} mm make about {unknowns:.2g} "
-            f"unknowns, whose factors take more memory than there is{_missed(skin, layer, stimulus)}; allowed: at most "
+            f"{element}: elements of {1e3 * layer.sizes.edge_fine_m:.3g} mm give about {unknowns:.2g} unknowns, "
+            f"whose factors exceed the memory{_missed(skin, layer, stimulus)}; allowed: at most "
             f"{MOST_UNKNOWNS:.2g}; set element_m or accuracy larger, or patch_radius_m smaller"
         )
     needed, there = FACTOR_BYTES * unknowns**1.4, available_bytes()
     if needed > there:
         raise SceneError(
-            f"{element}: elements of {1e3 * layer.sizes.edge_fine_m:.3g} mm make about {unknowns:.2g} unknowns, whose "
-            f"factors take about {needed / 1e9:.3g} GB; there are {there / 1e9:.3g} GB free"
-            f"{_missed(skin, layer, stimulus)}; set element_m or accuracy larger, or patch_radius_m smaller"
+            f"{element}: elements of {1e3 * layer.sizes.edge_fine_m:.3g} mm give about {unknowns:.2g} unknowns, "
+            f"whose factors need about {needed / 1e9:.3g} GB; free: {there / 1e9:.3g} "
+            f"GB{_missed(skin, layer, stimulus)}; set element_m or accuracy larger, or patch_radius_m smaller"
         )
 
 
@@ -145,8 +144,8 @@ def _missed(skin: SkinSpec, layer: SceneLayer, stimulus: StimulusModel) -> str:
     if off_m <= max(spot_m, sum(layer.demand.path_reach_m)):
         return ""
     return (
-        f" (the focus of stimulus '{stimulus.spec.name}' misses the skin: it is {1e3 * off_m:.3g} mm away from its "
-        f"middle, in a spot {1e3 * spot_m:.3g} mm wide, for which the layer is made; move it onto the skin)"
+        f" (the focus of stimulus '{stimulus.spec.name}' misses the skin: it is {1e3 * off_m:.3g} mm from the "
+        f"centre, and the layer is sized for a spot {1e3 * spot_m:.3g} mm wide; move it onto the skin)"
     )
 
 
@@ -156,13 +155,13 @@ def check_body_sound(skin: SkinSpec, stimuli: Sequence[StimulusSpec], pole: Pole
         return
     name = f"plugin 'palmfield.skin' instance '{skin.name}': key 'body_sound' has value 'scattering'; allowed:"
     if any(stimulus.config.path != "point" for stimulus in stimuli):
-        raise SceneError(f"{name} with path 'point' only, as each focus takes a solution of its own; use shadows")
+        raise SceneError(f"{name} with path 'point' only, because each focus needs its own solution; use shadows")
     if len(stimuli) > 1:
-        raise SceneError(f"{name} with one stimulus only, as their levels change apart; use shadows")
+        raise SceneError(f"{name} with one stimulus only, because levels of several change independently; use shadows")
     if skin.config.arp_law != "default":
-        raise SceneError(f"{name} with arp_law 'default' only; it has the total field")
+        raise SceneError(f"{name} with arp_law 'default' only, because scattering computes the total field")
     if response_on and np.ptp(np.abs(pole.rate)) > 0.0:
-        raise SceneError(f"{name} with transducers that change together; set key 'response' of the array to off")
+        raise SceneError(f"{name} with equal transducer responses only; set key 'response' of the array to off")
 
 
 def check_arrays(board: Board, arrays: Sequence[ArraySpec]) -> None:
@@ -189,8 +188,8 @@ def check_arrays(board: Board, arrays: Sequence[ArraySpec]) -> None:
         turn = arrays[1].placement.transform.rotation
         if np.abs(turn - FACING).max() > 1e-3:
             raise SceneError(
-                f"plugin 'palmfield.driver': board '{board.name}' has its second board facing the first; plugin "
-                f"'palmfield.array' instance '{arrays[1].name}': give its site quat='0 1 0 0' against the first one's"
+                f"plugin 'palmfield.driver': board '{board.name}' needs its second board to face the first; plugin "
+                f"'palmfield.array' instance '{arrays[1].name}': give its site quat='0 1 0 0' relative to the first"
             )
 
 
@@ -200,14 +199,14 @@ def check_envelope(stimulus: StimulusSpec, board: Board) -> None:
     if config.modulation != "am":
         raise DeviceError(
             f"plugin 'palmfield.stimulus' instance '{stimulus.name}': key 'modulation' has value "
-            f"'{config.modulation}'; board '{board.name}' modulates whatever it plays: set modulation am with its "
-            "am_frequency_Hz, for which a sine stands for the board's envelope, or board sonicsurface"
+            f"'{config.modulation}'; board '{board.name}' always modulates: set modulation am with its "
+            "am_frequency_Hz (the sine represents the envelope of the board), or use board sonicsurface"
         )
     if config.am_waveform != "sine" or config.am_quantity == "duty":
         raise DeviceError(
-            f"plugin 'palmfield.stimulus' instance '{stimulus.name}': am_waveform {config.am_waveform} of am_quantity "
-            f"{config.am_quantity}; board '{board.name}' has an envelope of its own: set am_waveform sine and "
-            "am_quantity amplitude, which stand for it, or board sonicsurface"
+            f"plugin 'palmfield.stimulus' instance '{stimulus.name}': am_waveform {config.am_waveform} of "
+            f"am_quantity {config.am_quantity}; board '{board.name}' has its own envelope: set am_waveform sine "
+            "and am_quantity amplitude, which represent it, or use board sonicsurface"
         )
 
 
@@ -227,12 +226,12 @@ def check_board(stimulus: StimulusSpec, board: Board) -> None:
     gives = f"{board.name} gives {board.frame_rate}"
     if moving and not rates:
         raise DeviceError(
-            f"{element}: a path without steps, or a frame that moves, needs any number of frames/s; "
-            f"{gives}: set control_rate_Hz, or path_points and a rate, so that they fit, or use board ideal"
+            f"{element}: a continuous path or a moving frame needs an unlimited frame rate; {gives}: set "
+            "control_rate_Hz, or path_points and a rate, to fit, or use board ideal"
         )
     if stimulus.frame_moves and not config.control_rate_Hz:
         raise DeviceError(
-            f"{element}: its frame moves, so that the points of its path move between them; {gives} frames/s: set "
+            f"{element}: its frame moves, so the points of its path move between frames; {gives} frames/s: set "
             "control_rate_Hz, or use board ideal"
         )
     am = config.modulation == "am" and not board.modulates
@@ -241,14 +240,14 @@ def check_board(stimulus: StimulusSpec, board: Board) -> None:
     modulated = (am and not switched) or config.burst_window == "hann" or (table is not None and table.has_levels)
     if (modulated or config.ramp_s > 0.0) and board.levels and not config.control_rate_Hz:
         raise DeviceError(
-            f"{element}: a level that changes without steps needs any number of frames/s; {gives}: set "
+            f"{element}: a continuously changing level needs an unlimited frame rate; {gives}: set "
             "control_rate_Hz, or use board ideal"
         )
     several = len(config.foci_m) // 3 if table is None else table.foci
     if board.takes == "focus" and several > 1:
         key = "foci_m" if table is None else "path_file"
         raise DeviceError(
-            f"{element}: key '{key}' has {several} foci at once; board '{board.name}' takes one: use another board"
+            f"{element}: key '{key}' has {several} foci at once, but board '{board.name}' plays one: use another board"
         )
     turns = None if of_sites or table is not None else turn_rate_Hz(config)
     needed = max(rates, default=0.0)
@@ -273,8 +272,9 @@ def check_board(stimulus: StimulusSpec, board: Board) -> None:
     )
     if not board.levels and (config.ramp_s > 0 or wants_level):
         raise DeviceError(
-            f"{element}: a ramp or a level between off and full needs continuous amplitude; {board.name} gives on or "
-            "off: drop ramp_s, arp_peak_Pa, drive_amplitude and am_normalisation, or use key dither or board ideal"
+            f"{element}: a ramp or a level between off and full needs continuous amplitude; {board.name} has only "
+            "on and off: remove ramp_s, arp_peak_Pa, drive_amplitude and am_normalisation, or use key dither or "
+            "board ideal"
         )
 
 
@@ -316,9 +316,9 @@ def _check_echo(posed: PosedScene, wall_m: float) -> None:
     tilt = math.acos(max(-1.0, min(1.0, -float(posed.bodies[0].frame.rotation[2, 2]))))
     if abs(height - wall_m) > STILL_ECHO_M or tilt > TILT_RAD:
         raise SceneError(
-            f"plugin 'palmfield.array': key 'array_face' has value 'rigid', whose echoes are computed for a disc "
-            f"{1e3 * wall_m:.3f} mm before it, but the disc is {1e3 * height:.3f} mm before it and "
-            f"{math.degrees(tilt):.3g} degrees off; allowed: where the scene puts it; or array_face absorbing"
+            "plugin 'palmfield.array': key 'array_face' has value 'rigid', with echoes computed for a disc at "
+            f"{1e3 * wall_m:.3f} mm, but the disc is now at {1e3 * height:.3f} mm and tilted by "
+            f"{math.degrees(tilt):.3g} degrees; allowed: the pose of the scene; or use array_face absorbing"
         )
 
 
@@ -333,6 +333,6 @@ def _check_clear(posed: PosedScene, what: str, points: Float, *, behind: bool) -
         mirrored = own * [1.0, 1.0, -1.0] + [0.0, 0.0, 2.0 * board.height]
         if not (behind and board.clearance(mirrored) > HOUSING_M):
             raise SceneError(
-                f"plugin 'palmfield.skin': {what} reaches into the array (lowest point "
-                f"{1e3 * above:.1f} mm above the board, at least {1e3 * CLEARANCE_M:g} mm needed); move it up"
+                f"plugin 'palmfield.skin': {what} is too close to the array (lowest point {1e3 * above:.1f} mm "
+                f"above the board; allowed: at least {1e3 * CLEARANCE_M:g} mm); move it up"
             )

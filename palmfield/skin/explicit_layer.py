@@ -53,7 +53,7 @@ class ExplicitLayer(Protocol):
 
     preview: bool = False
     steps: str = "steps of its own"
-    sizes_follow: str = "sizes are the solver's own; the run estimates what was reached"
+    sizes_follow: str = "the solver chooses its own sizes; the run estimates the error"
 
     @property
     def unknowns(self) -> int: ...
@@ -96,8 +96,8 @@ def _made(layer: SceneLayer) -> ExplicitLayer:
         return made
     except (ImportError, AttributeError) as error:
         raise SceneError(
-            f"{layer.element}: key 'solver' has value '{solver}', whose entry point '{entry.value}' can't be loaded: "
-            f"{error}; install it anew, or set solver to auto"
+            f"{layer.element}: key 'solver' has value '{solver}', whose entry point '{entry.value}' cannot be "
+            f"loaded: {error}; reinstall it, or set solver to auto"
         ) from error
 
 
@@ -107,7 +107,7 @@ class OwnMesh(ExplicitLayer, Protocol):
     face: its nodes [m], shape (f, 3); stiffest: bulk over shear modulus, at most
     """
 
-    steps: str = "explicit steps, in each of which a pressure wave crosses an element or less"
+    steps: str = "explicit steps, limited by the time in which a pressure wave crosses an element"
     stiffest: float
     layer: SceneLayer
     lock: Any
@@ -232,10 +232,9 @@ class OwnMesh(ExplicitLayer, Protocol):
         in_one = steps * round(self.layer.demand.timestep_s / self.layer.step_s)
         if in_one > MOST_STEPS:
             raise SceneError(
-                f"{self.layer.element}: key 'solver' has value '{self.layer.config.solver}', which takes {in_one:,} "
-                f"steps in each of MuJoCo's, of {self.layer.demand.timestep_s:g} s, so that the run would not end; "
-                f"allowed: at most {MOST_STEPS:,}; set accuracy or depth_m larger, bulk_Pa or timestep smaller, or "
-                "solver to wedges"
+                f"{self.layer.element}: key 'solver' has value '{self.layer.config.solver}', which needs "
+                f"{in_one:,} steps per MuJoCo step of {self.layer.demand.timestep_s:g} s; allowed: at most "
+                f"{MOST_STEPS:,}; set accuracy or depth_m larger, bulk_Pa or timestep smaller, or solver to wedges"
             )
 
 

@@ -93,11 +93,11 @@ def material_of(skin: SkinConfig) -> Material:
     branch = [changed.get(key) for key in of_branch]
     if branch != [None, None]:
         if base.series != base.branches:
-            raise SceneError(f"material '{base.name}' follows a law of its own: leave out {' and '.join(of_branch)}")
+            raise SceneError(f"material '{base.name}' has its own law: remove {' and '.join(of_branch)}")
         if None in branch and len(base.branches) != 1:
             raise SceneError(
-                f"material '{base.name}' has {len(base.branches)} branches; "
-                "give both shear_branch_Pa and relaxation_time_s, which then stand for all of them"
+                f"material '{base.name}' has {len(base.branches)} branches; give both shear_branch_Pa and "
+                "relaxation_time_s, which replace all of them"
             )
         own = base.branches[0] if base.branches else Branch(0.0, 0.0)
         values["branches"] = (

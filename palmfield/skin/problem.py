@@ -34,7 +34,7 @@ SHAPES = ("infinite", "disc", "box")
 LEAST_M, THICKEST_M, WIDEST_M = 1e-4, 1.0, 10.0
 """A slab beyond the last two [m] is one whose lengths were given in millimetres; waves cross one below the first in
 so little time that no solver ends."""
-ONLY_WEDGES = "only the solvers wedges and reduced take a Foundation below: name one, or use another base"
+ONLY_WEDGES = "only the solvers wedges and reduced support a Foundation: choose one of them, or use another base"
 """Why the others refuse one."""
 GAUSSIAN = 4.0 * math.log(2.0)
 """exp(-GAUSSIAN (r / fwhm)^2) is half at r = fwhm / 2."""
@@ -123,10 +123,7 @@ class Slab:
             *(("width", x, WIDEST_M) for x in sizes),
         ):
             if length is not None and not LEAST_M <= length <= most:
-                raise SceneError(
-                    f"slab: a {name} of {length:g} m is no skin's; give metres (20 mm are 0.02), "
-                    f"{LEAST_M:g} to {most:g}"
-                )
+                raise SceneError(f"slab: {name} is {length:g} m; allowed: {LEAST_M:g} to {most:g} m (20 mm is 0.02)")
 
     @property
     def thickness_m(self) -> float:
@@ -156,7 +153,7 @@ class Layer:
         if not depth[thin] > 0.0:
             place = ", ".join(f"{x:.4g}" for x in self.patch.vertices[thin])
             raise SceneError(
-                f"layer: its depth near ({place}) m is {depth[thin]:g} m, so elements there are flat or inside out; "
+                f"layer: its depth near ({place}) m is {depth[thin]:g} m, so elements there are flat or inverted; "
                 "give depths above 0"
             )
 
@@ -172,7 +169,7 @@ def check_patch(patch: Patch) -> None:
         values = np.asarray(getattr(patch, name), dtype=float)
         if not np.isfinite(values).all():
             worst = int(np.flatnonzero(~np.isfinite(values.reshape(len(values), -1)).all(axis=1))[0])
-            raise SceneError(f"layer: its patch's {name} has {values[worst].tolist()} at vertex {worst}; give numbers")
+            raise SceneError(f"layer: {name} of its patch has {values[worst].tolist()} at vertex {worst}; give numbers")
     length = np.linalg.norm(patch.inward, axis=1)
     worst = int(np.argmax(np.abs(length - 1.0)))
     if abs(length[worst] - 1.0) > 1e-3:
@@ -370,7 +367,7 @@ def check_base_and_side(base: Base, side: SideKind | None, none: bool) -> None:
         raise SceneError(f"base is '{base}'; use one of {', '.join(BASES)}, Springs or a Foundation")
     if none:
         if side is not None:
-            raise SceneError(f"side is '{side}', but an infinite slab has none: leave it out")
+            raise SceneError(f"side is '{side}', but an infinite slab has no sides: omit it")
     elif side not in SIDES:
         raise SceneError(f"side is '{side}'; use one of {', '.join(SIDES)}")
 
@@ -381,7 +378,7 @@ def as_floats(load: object, *names: str) -> None:
         try:
             object.__setattr__(load, name, np.asarray(getattr(load, name), dtype=float))
         except (TypeError, ValueError) as error:
-            raise SceneError(f"load: {name} is no array of numbers ({error})") from error
+            raise SceneError(f"load: {name} is not an array of numbers ({error})") from error
 
 
 def numbers(what: str, values: ArrayLike) -> Float:
@@ -430,8 +427,8 @@ def points_on_face(body: Body, at: ArrayLike) -> Float:
         if distance.max() > longest:
             worst = int(np.argmax(distance))
             raise SceneError(
-                f"point {worst} at {points[worst].tolist()} m lies {distance[worst]:.3g} m off the layer; give points "
-                "on its face"
+                f"point {worst} at {points[worst].tolist()} m lies {distance[worst]:.3g} m from the layer; give "
+                "points on its face"
             )
         return points if across == 3 else lifted(body.patch, points)
     flat = np.column_stack([points[:, :2], np.zeros(len(points))])
@@ -443,7 +440,7 @@ def points_on_face(body: Body, at: ArrayLike) -> Float:
     if outside.any():
         worst = int(np.flatnonzero(outside)[0])
         raise SceneError(
-            f"point {worst} at {flat[worst].tolist()} m lies off the slab, off the {body.shape} of "
+            f"point {worst} at {flat[worst].tolist()} m lies outside the slab, a {body.shape} of "
             f"{body.radius_m or body.size_m} m; give points on its face"
         )
     return flat
@@ -466,4 +463,4 @@ def check_finite(what: str, values: Float, shape: tuple[int, ...]) -> None:
         raise SceneError(f"{what} has shape {result.shape}; give {shape}")
     if not np.isfinite(result).all():
         place = np.argwhere(~np.isfinite(result))[0].tolist()
-        raise SceneError(f"{what} is not finite at {place}: mend it")
+        raise SceneError(f"{what} is not finite at {place}: correct it")

@@ -112,8 +112,8 @@ def layer_sizes(
     step = config.step_s or step
     if not math.isfinite(timestep_s / step):
         raise SceneError(
-            f"{element}: MuJoCo's timestep of {timestep_s:g} s has more of the skin's steps of {step:.2g} s than can "
-            "be counted; set timestep smaller"
+            f"{element}: the MuJoCo timestep of {timestep_s:g} s holds too many skin steps of {step:.2g} s; set "
+            "timestep smaller"
         )
     count = math.ceil(timestep_s / step - 1e-9)
     if config.step_s is not None and abs(count * config.step_s - timestep_s) > 1e-9:
@@ -212,8 +212,8 @@ class SceneLayer:
         through = patch.report["through_m"]
         if "depth_m" in config.model_fields_set and config.depth_m > through:
             raise SceneError(
-                f"{self.element}: key 'depth_m' has value {config.depth_m:g}, and the body under the layer is "
-                f"{through:.3g} m thick; allowed: less than that, of which the layer takes at most {fraction:g}"
+                f"{self.element}: key 'depth_m' has value {config.depth_m:g}, but the body below the layer is "
+                f"{through:.3g} m thick; allowed: a layer of at most {fraction:g} of this thickness"
             )
         return patch
 

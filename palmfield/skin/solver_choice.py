@@ -220,7 +220,7 @@ def solve(
     begin = time.perf_counter()
     problem = checked(body, load, times, at, accuracy, accuracy_of, device)
     if solver in FORMER:
-        raise SceneError(f"solver '{solver}' is now '{FORMER[solver]}': use {FORMER[solver]}")
+        raise SceneError(f"solver '{solver}' has been renamed: use {FORMER[solver]}")
     if solver != "auto" and solver not in WHERE:
         raise SceneError(f"solver is '{solver}'; use auto or one of {', '.join(WHERE)}")
     check_rest(problem)
@@ -235,11 +235,11 @@ def solve(
         return at_rest(problem)
     if solver == "auto":
         if resolution:
-            raise SceneError(f"{', '.join(resolution)}: resolutions are a solver's own; name one with solver=")
+            raise SceneError(f"{', '.join(resolution)}: resolutions belong to one solver; choose it with solver=")
         options = ranking(problem)
         able = [choice for choice in options if choice.refusal is None and choice.name not in PREVIEW]
         if not able:
-            raise SceneError("no solver can do this: " + "; ".join(f"{c.name}: {c.refusal}" for c in options))
+            raise SceneError("no solver supports this problem: " + "; ".join(f"{c.name}: {c.refusal}" for c in options))
         taken, motion, why = _first_that_can(able, problem)
         name, more = taken.name, taken.found
     else:
@@ -258,10 +258,10 @@ def solve(
         try:
             motion = again(replace(problem, accuracy=target), **mesh)
         except SceneError as reason:
-            why += f"; not solved finer: {reason}"
+            why += f"; no finer solution: {reason}"
             break
     error = motion.error + cut + law
-    reasons = "leaving out the layer beyond the reach of load and points", "branches in place of a material's law"
+    reasons = "without the layer beyond the reach of load and points", "branches in place of the law of a material"
     added = (f"; {part:.2g} for {what}" for part, what in zip((cut, law), reasons, strict=True) if part > 0.0)
     source = motion.error_source + "".join(added)
     if error > accuracy:
@@ -284,7 +284,7 @@ def _first_that_can(able: list[Choice], problem: SkinProblem) -> tuple[Choice, M
         others = ", ".join(f"{c.name} {seconds_in_words(c)}" for c in able[place + 1 :])
         words = [f"auto: predicted {seconds_in_words(choice)}", *([others] if others else []), *refused]
         return choice, motion, "; ".join(words)
-    raise SceneError("no solver can do this: " + "; ".join(refused))
+    raise SceneError("no solver supports this problem: " + "; ".join(refused))
 
 
 def _by_name(name: str, problem: SkinProblem, resolution: dict[str, Any]) -> Motion:
@@ -335,7 +335,7 @@ def static(body: Body, load: Load, at: ArrayLike, *, accuracy: float = 0.05) -> 
                 break
         words = "" if motion.error <= accuracy else f" (error NOT within the target of {100 * accuracy:.2g} %)"
         return replace(motion, solver=motion.solver + words, seconds=time.perf_counter() - begin)
-    raise SceneError("no solver has a static answer: " + "; ".join(refused))
+    raise SceneError("no solver has a static solution: " + "; ".join(refused))
 
 
 def is_pressed(load: Load) -> bool:
@@ -346,7 +346,7 @@ def at_rest(problem: SkinProblem) -> Motion:
     """The motion of a body without a load."""
     still = np.zeros((len(problem.times), len(problem.points), 3))
     return problem.solved(
-        still, still.copy(), np.zeros(3), "no load: all is at rest", "none needed", time.perf_counter()
+        still, still.copy(), np.zeros(3), "no load: the motion is 0", "none needed", time.perf_counter()
     )
 
 
@@ -367,9 +367,9 @@ def check_rest(problem: SkinProblem) -> None:
     period = 4.0 * depth_of(body) / slowest
     if float(times[0]) > last + LATE * period:
         raise SceneError(
-            f"times begin {float(times[0]) - last:.3g} s after the load's last change, {LATE:g} periods of the body or "
-            "more, and nothing damps it: it still rings. Use palmfield.skin.static for rest, give the material a "
-            "branch or a viscosity, or ask for times from the load on"
+            f"times begin {float(times[0]) - last:.3g} s after the last change of the load, {LATE:g} or more "
+            "periods of the body, but without damping it still rings. Use palmfield.skin.static for the static "
+            "solution, add a branch or a viscosity to the material, or give times from the load on"
         )
 
 

@@ -157,23 +157,23 @@ class SkinStepper(Protocol):
 
     def outside(self, loads: SurfaceLoads) -> Outside:
         """For a stepper of a class: the part of loads outside it."""
-        raise TypeError(f"solver '{self.name}' serves any load")
+        raise TypeError(f"solver '{self.name}' accepts any load")
 
     def mixed(self, loads: SurfaceLoads) -> Float32:
         """For a stepper of a class: weight of each pattern at the time of the force in a substep, shape (w, s, k)."""
-        raise TypeError(f"solver '{self.name}' serves any load")
+        raise TypeError(f"solver '{self.name}' accepts any load")
 
     def lifted(self, state: Float, pressure_Pa: Callable[[], Float]) -> Float:
         """For a small model: the same motion as a state of WedgeStepper, (w, its state_size).
 
         pressure_Pa: gives the present inward pressure at its points, shape (p,)
         """
-        raise TypeError(f"solver '{self.name}' is no small model")
+        raise TypeError(f"solver '{self.name}' is not a reduced model")
 
     def harmonic(self, pressure_Pa: Float, f_Hz: float, operator: sparse.csr_matrix) -> Complex:
         """For a small model: operator @ displacement [m], shape (m,), under a pressure at its points, (p,), times
         e^{-i w t}."""
-        raise TypeError(f"solver '{self.name}' is no small model")
+        raise TypeError(f"solver '{self.name}' is not a reduced model")
 
 
 class DeviceModel(Protocol):
@@ -221,8 +221,8 @@ def check_step(
     worlds, substeps, patterns = loads.first.shape
     if state.shape != (worlds, stepper.state_size) or worlds == 0 or state.strides[1] != state.itemsize:
         raise SceneError(
-            f"skin state {state.shape} under loads of {worlds} worlds: solver '{stepper.name}' takes a state of "
-            f"({worlds or 'w'}, {stepper.state_size}), w >= 1, each world's numbers side by side"
+            f"skin state has shape {state.shape} for loads of {worlds} worlds; solver '{stepper.name}' needs shape "
+            f"({worlds or 'w'}, {stepper.state_size}), w >= 1, one row per world"
         )
     shape = worlds, patterns, points
     if loads.last.shape != loads.first.shape or loads.pressure_Pa.shape != shape or substeps == 0:
@@ -233,7 +233,7 @@ def check_step(
     own = abs(t1 - t0 - substeps * stepper.step_s) <= CLOCK * stepper.step_s
     if not own and not (any_length and t1 > t0):
         raise SceneError(
-            f"skin step from {t0:g} to {t1:g} s: loads for {substeps} substeps of {stepper.step_s:g} s are given"
+            f"skin step from {t0:g} to {t1:g} s: the given loads cover {substeps} substeps of {stepper.step_s:g} s"
         )
     return own
 

@@ -43,7 +43,7 @@ def read_am_table(path: str | Path) -> AmTable:
     if name is None:
         raise SceneError(f"{file}: columns are {', '.join(columns)}; give turn and w, or time_s and w")
     if not 2 <= len(places) <= MOST_ROWS:
-        raise SceneError(f"{file}: {len(places)} rows; allowed: 2 to {MOST_ROWS}")
+        raise SceneError(f"{file}: the file has {len(places)} rows; allowed: 2 to {MOST_ROWS}")
     moments, values = columns[name], columns["w"]
     limit, words = (1.0, "0 to below 1") if name == "turn" else (np.inf, "0 or more")
     for bad, column, allowed in (
@@ -55,5 +55,5 @@ def read_am_table(path: str | Path) -> AmTable:
             row = int(bad.argmax())
             raise SceneError(f"{file}: {places[row]}, column {column}: {columns[column][row]:g}; allowed: {allowed}")
     if values.max() == -1.0:
-        raise SceneError(f"{file}: column w: -1 throughout, which at full depth is silence; give values up to 1")
+        raise SceneError(f"{file}: column w: all values are -1, which is silence at full depth; give values up to 1")
     return AmTable(COLUMNS[name], tuple(moments.tolist()), tuple(values.tolist()))

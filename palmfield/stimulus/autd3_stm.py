@@ -94,12 +94,12 @@ def read_foci_stm(path: str | Path) -> FociStm:
 def _check(stm: FociStm) -> None:
     """Raises SceneError for an STM that units do not accept."""
     if len(stm.points) < 2:
-        raise SceneError(f"points has {len(stm.points)} entries; allowed: 2 at least, so give a focus that rests twice")
+        raise SceneError(f"points has {len(stm.points)} entries; allowed: at least 2; list a stationary focus twice")
     count = sum(len(entry.points) for entry in stm.points)
     if count > MOST_FOCI:
         raise SceneError(
-            f"points holds {count} foci; allowed: {MOST_FOCI} of all entries together: take a lower rate or a shorter "
-            "duration"
+            f"points holds {count} foci; allowed: {MOST_FOCI} in all entries together: use a lower rate or a "
+            "shorter duration"
         )
     places = np.array([point.point for entry in stm.points for point in entry.points])
     wide = np.ptp(layout("autd3").positions, axis=0) * MM / STEP_MM
@@ -122,13 +122,15 @@ def table_of_stm(stm: FociStm) -> FocusTable:
     counts = [len(entry.points) for entry in stm.points]
     if min(counts) != max(counts):
         row = next(i for i, count in enumerate(counts) if count != counts[0])
-        raise SceneError(f"points.{row}: {counts[row]} foci at once where the first has {counts[0]}; give as many")
+        raise SceneError(
+            f"points.{row}: {counts[row]} foci at once, but the first entry has {counts[0]}; give the same number"
+        )
     for row, entry in enumerate(stm.points):
         offsets = {point.phase_offset for point in entry.points}
         if len(offsets) > 1:
             raise SceneError(
-                f"points.{row}: phase offsets {', '.join(map(str, sorted(offsets)))}; allowed: equal ones, as "
-                "phases of foci at once are found when they are played"
+                f"points.{row}: phase offsets {', '.join(map(str, sorted(offsets)))}; allowed: equal ones, because "
+                "the phases of simultaneous foci are computed during the play"
             )
     origin = np.array(default_origin_mm() if stm.origin_mm is None else stm.origin_mm)
     places = np.array([[point.point for point in entry.points] for entry in stm.points])
@@ -152,22 +154,22 @@ def stm_of_table(
     if table.frame != "array":
         refused = f"frame is '{table.frame}'; allowed: array"
     elif table.between != "held":
-        refused = "between is 'linear', and units hold each focus; sample it by `palmfield stimulus export --rate`"
+        refused = "between is 'linear', but the units hold each focus; sample it by `palmfield stimulus export --rate`"
     elif abs(divide - round(divide)) > 1e-9 * divide or round(divide) > 65535:
         near = sorted({CARRIER_HZ / max(1, n) for n in (math.floor(divide), math.ceil(divide))})
         told = " or ".join(f"{rate:g}" for rate in near)
-        refused = f"rate_Hz is {table.rate_Hz:g}; allowed: 40 kHz over a whole number, such as {told}"
+        refused = f"rate_Hz is {table.rate_Hz:g}; allowed: 40 kHz divided by a whole number, such as {told}"
     elif table.foci > 8:
         refused = f"there are {table.foci} foci at once; allowed: 8"
     elif table.length_samples * table.foci > MOST_FOCI:
         refused = (
-            f"it has {table.length_samples} samples of {table.foci} foci; allowed: {MOST_FOCI // table.foci} samples: "
-            "take a lower rate or a shorter duration"
+            f"it has {table.length_samples} samples of {table.foci} foci; allowed: {MOST_FOCI // table.foci} "
+            "samples: use a lower rate or a shorter duration"
         )
     every: Float = np.arange(min(table.length_samples, MOST_FOCI)) / table.rate_Hz
     amplitudes = np.sqrt(table.arp_of_each(every))
     if not refused and np.ptp(amplitudes, axis=1).max() > 0.0:
-        refused = "foci at once differ in intensity; allowed: one for all, as units take"
+        refused = "simultaneous foci differ in intensity; allowed: one intensity for all"
     if refused:
         raise SceneError(f"no STM of AUTD3 units can be made of the table: {refused}")
     origin = default_origin_mm() if origin_mm is None else origin_mm
@@ -195,7 +197,7 @@ def write_foci_stm(path: Path, stm: FociStm) -> None:
         with whole(path) as part:
             part.write_text(f'{head}, "points": [\n  {entries}\n]}}\n', encoding="utf-8")
     except OSError as error:
-        raise OutputError(f"{path}: cannot be written: {error}; give a place that can be written to") from None
+        raise OutputError(f"{path}: cannot be written: {error}; give a writable path") from None
 
 
 def autd3_command(stm: FociStm, sound_speed_m_s: float) -> Any:

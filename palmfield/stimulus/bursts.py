@@ -53,7 +53,8 @@ def onsets(start_s: float, end_s: float, *, length_s: float, period_s: float, co
     _check(length_s, period_s, count)
     if not (math.isfinite(start_s) and math.isfinite(end_s) and abs(end_s - start_s) <= MOST_BURSTS * period_s):
         raise SceneError(
-            f"burst: from {start_s} to {end_s} s every {period_s} s; give finite times, {MOST_BURSTS:,} bursts at most"
+            f"burst: from {start_s} to {end_s} s every {period_s} s; give finite times and at most {MOST_BURSTS:,} "
+            "bursts"
         )
     first = max(0, math.floor(start_s / period_s) - 1)
     last = math.ceil(end_s / period_s) + 1
@@ -71,4 +72,4 @@ def _check(length_s: float, period_s: float, count: int | None) -> None:
             f"burst: length_s = {length_s} and period_s = {period_s} do not fit; give 0 < length_s <= period_s"
         )
     if count is not None and not (math.isfinite(count) and count >= 1 and int(count) == count):
-        raise SceneError(f"burst: count = {count} is no count; give a whole number of 1 or more, or leave it out")
+        raise SceneError(f"burst: count = {count} is not a count; give a whole number of 1 or more, or omit it")

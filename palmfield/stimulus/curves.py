@@ -86,7 +86,7 @@ def line(length_m: float, direction_deg: float = 0.0) -> PlanePath:
     """A straight line in a direction from x towards y; starts at its rear end. Raises SceneError for a bad length."""
     half = 0.5 * _size("line", length_m=length_m)[0]
     if not math.isfinite(direction_deg):
-        raise SceneError(f"line: direction_deg = {direction_deg} is no direction; give degrees")
+        raise SceneError(f"line: direction_deg = {direction_deg} is not a direction; give degrees")
     along = np.array([math.cos(math.radians(direction_deg)), math.sin(math.radians(direction_deg))])
     return PlanePath(half * np.array([-along, along]), closed=False)
 
@@ -130,7 +130,9 @@ def zigzagged(path: PlanePath, width_m: float, stroke_m: float) -> PlanePath:
     Raises SceneError for bad sizes, and for a closed path, on which the two ends would not meet.
     """
     if path.closed:
-        raise SceneError("zigzag: the path is closed, and both ends of a zigzag about it would not meet; open it")
+        raise SceneError(
+            "zigzag: the path is closed, so the ends of a zigzag about it would not meet; use an open path"
+        )
     along, left = zigzag_about(path.length_m, width_m, stroke_m)
     segment = np.minimum(path.corner_arcs.searchsorted(along, "right") - 1, len(path.slopes) - 1)
     slopes = path.slopes[segment]
@@ -223,12 +225,12 @@ def _centred(points: Float) -> Float:
 def _size(shape: str, **sizes: float) -> list[float]:
     for name, size in sizes.items():
         if not (math.isfinite(size) and size > 0.0):
-            raise SceneError(f"{shape}: {name} = {size} is no size; give metres, more than 0")
+            raise SceneError(f"{shape}: {name} = {size} is not a size; give metres, above 0")
     return [float(size) for size in sizes.values()]
 
 
 def _whole(shape: str, **counts: float) -> list[int]:
     for name, count in counts.items():
         if not (1 <= count <= MOST_TURNS and int(count) == count):
-            raise SceneError(f"{shape}: {name} = {count} is no count; give a whole number from 1 to {MOST_TURNS}")
+            raise SceneError(f"{shape}: {name} = {count} is not a count; give a whole number from 1 to {MOST_TURNS}")
     return [int(count) for count in counts.values()]

@@ -42,5 +42,5 @@ def _within(values: ArrayLike, high: float, name: str) -> Float:
 
 def _positive(exponent: float) -> float:
     if not 0.0 < exponent < np.inf:
-        raise DeviceError(f"exponent = {exponent} is not positive and finite: use 2, or a calibration such as 1.5")
+        raise DeviceError(f"exponent = {exponent} is not positive and finite: use 2, or a measured value such as 1.5")
     return exponent

@@ -180,8 +180,8 @@ def focus_table(
         raise SceneError(f"a table has {foci} foci; allowed: 1 to {MOST_FOCI}")
     if quantity == "duty" and foci > 1:
         raise SceneError(
-            f"quantity is 'duty', and there are {foci} foci at once; pulses are the transducers', which several foci "
-            "share; allowed: amplitude | arp"
+            f"quantity is 'duty' with {foci} simultaneous foci, which share the pulses of the transducers; "
+            "allowed: amplitude | arp"
         )
     if not 0.0 < rate_Hz <= HIGHEST_RATE_HZ:
         raise SceneError(f"rate_Hz has value {rate_Hz:g}; allowed: above 0, at most {HIGHEST_RATE_HZ:g}")
@@ -194,33 +194,35 @@ def focus_table(
     _check_times(times, rate_Hz, named)
     for row, focus in zip(*np.nonzero((loud < 0.0) | (loud > 1.0)), strict=True):
         told = named(int(row), names[4 + 4 * focus])
-        raise SceneError(f"{told}: {loud[row, focus]:g}; allowed: 0 (silent) to 1 (what the scene's level key sets)")
+        raise SceneError(f"{told}: {loud[row, focus]:g}; allowed: 0 (silent) to 1 (the level key of the scene)")
     for row, focus in zip(*np.nonzero(np.linalg.norm(places, axis=2) > 10.0), strict=True):
         axis = int(np.abs(places[row, focus]).argmax())
         x, y, z = places[row, focus].tolist()
         raise SceneError(f"{named(int(row), names[1 + 4 * focus + axis])}: a focus at {x:g} {y:g} {z:g} m, "
                          f"{too_far((x, y, z))}; or name the unit in the head line units")  # fmt: skip
     if not loud.any():
-        raise SceneError(f"{named(0, names[4])}: 0 here and throughout, which is silence; give intensities up to 1")
+        raise SceneError(f"{named(0, names[4])}: all values are 0, which is silence; give intensities up to 1")
     wide[:, 0] = np.rint(times * rate_Hz)
     return FocusTable(frame, float(rate_Hz), quantity, between, foci, np.ascontiguousarray(wide).tobytes())
 
 
 def _check_times(times: Float, rate_Hz: float, named: Callable[[int, str], str]) -> None:
     if times[0] != 0.0:
-        raise SceneError(f"{named(0, 't')}: {times[0]:g}; the first row is at 0: take {times[0]:g} off all times")
+        raise SceneError(
+            f"{named(0, 't')}: {times[0]:g}; the first row must be at 0: subtract {times[0]:g} from all times"
+        )
     falling = np.flatnonzero(np.diff(times) <= 0.0)
     if len(falling):
         row = int(falling[0]) + 1
-        raise SceneError(f"{named(row, 't')}: {times[row]:g} after {times[row - 1]:g}; allowed: more than before")
+        raise SceneError(f"{named(row, 't')}: {times[row]:g} after {times[row - 1]:g}; allowed: rising times")
     places = times * rate_Hz
     off = np.flatnonzero(np.abs(places - np.rint(places)) > OFF_SAMPLE)
     same = np.flatnonzero(np.diff(np.rint(places)) < 1.0) + 1
     if len(off) or len(same):
         row = int(off[0] if len(off) else same[0])
         raise SceneError(
-            f"{named(row, 't')}: {times[row]:.9g} s is sample {places[row]:.6g} of rate_Hz {rate_Hz:g}; allowed: whole "
-            "samples, one row each, of the rate in the head"
+            f"{named(row, 't')}: {times[row]:.9g} s is sample {places[row]:.6g} at rate_Hz {rate_Hz:g}; allowed: "
+            "whole samples of the rate in the head, one row each"
         )
 
 
@@ -256,11 +258,11 @@ def read_focus_table(path: str | Path) -> FocusTable:
     heads = [(number, line) for number, line in enumerate(lines, 1) if line.lstrip().startswith("#")]
     body = [(n, line) for n, line in enumerate(lines, 1) if line.strip() and not line.lstrip().startswith("#")]
     if not body:
-        raise SceneError(f"{file}: there is no line of column names; begin as docs/stimuli.md shows")
+        raise SceneError(f"{file}: the line of column names is missing; see the example in docs/stimuli.md")
     head, names = _head(file, heads), _names(file, *body[0])
     table = np.array([_row(file, number, line, names) for number, line in body[1:]])
     if not len(table):
-        raise SceneError(f"{file}: there is no row below line {body[0][0]}; give one or more")
+        raise SceneError(f"{file}: there are no rows below line {body[0][0]}; give one or more")
     foci = (len(names) - 1) // 4
     order = [names.index(name) for name in _columns(foci)]
     own = table[:, order[1:]].reshape(len(table), foci, 4)
@@ -286,12 +288,13 @@ def _head(file: Path, lines: Sequence[tuple[int, str]]) -> _Head:
         name, value = matched[1], matched[2]
         if name not in HEAD:
             raise SceneError(
-                f"{file}: line {number}, column {matched.start(1) + 1}: head line '{name}' is unknown"
-                f"{did_you_mean(name, HEAD)}; allowed: {', '.join(HEAD)} (a remark has no colon after its first word)"
+                f"{file}: line {number}, column {matched.start(1) + 1}: head line '{name}' is "
+                f"unknown{did_you_mean(name, HEAD)}; allowed: {', '.join(HEAD)} (a comment has no colon after its "
+                "first word)"
             )
         if name in found:
             raise SceneError(
-                f"{file}: line {number}: head line '{name}' is there twice, first in line {found[name][0]}"
+                f"{file}: line {number}: head line '{name}' occurs twice, first in line {found[name][0]}; remove one"
             )
         found[name] = number, matched.start(2) + 1, value
     missing = [name for name in HEAD if name not in found]
@@ -344,7 +347,9 @@ def _names(file: Path, number: int, line: str) -> list[str]:
     wanted = _columns(foci)
     twice = next((name for name, count in Counter(names).items() if count > 1), None)
     if twice is not None:
-        raise SceneError(f"{file}: line {number}, column {names.index(twice) + 1}: column '{twice}' is there twice")
+        raise SceneError(
+            f"{file}: line {number}, column {names.index(twice) + 1}: column '{twice}' occurs twice; remove one"
+        )
     stray = next((name for name in names if name not in wanted), None)
     if stray is not None or len(names) != len(wanted):
         missing = next((name for name in wanted if name not in names), wanted[-1])
@@ -358,7 +363,7 @@ def _names(file: Path, number: int, line: str) -> list[str]:
 def _row(file: Path, number: int, line: str, names: Sequence[str]) -> list[float]:
     cells = next(csv.reader([line]))
     if len(cells) != len(names):
-        raise SceneError(f"{file}: line {number} has {len(cells)} values for {len(names)} columns; give one for each")
+        raise SceneError(f"{file}: line {number} has {len(cells)} values for {len(names)} columns; give one per column")
     values = []
     for name, cell in zip(names, cells, strict=True):
         try:
@@ -390,4 +395,4 @@ def write_focus_table(path: Path, table: FocusTable) -> None:
         with whole(path) as part:
             part.write_text(focus_table_text(table), encoding="utf-8")
     except OSError as error:
-        raise OutputError(f"{path}: cannot be written: {error}; give a place that can be written to") from None
+        raise OutputError(f"{path}: cannot be written: {error}; give a writable path") from None

@@ -61,10 +61,10 @@ def strokes(text: str) -> list[Float]:
         if letter == " ":
             continue
         if letter not in GLYPHS:
-            raise SceneError(f"letters: no stroke for {letter!r} in {text!r}; use A-Z, 0-9 and blanks")
+            raise SceneError(f"letters: {letter!r} in {text!r} is not supported; use A-Z, 0-9 and spaces")
         for stroke in GLYPHS[letter].split():
             grid = np.array([int(digit) for digit in stroke], dtype=np.float64).reshape(-1, 2)
             polylines.append((grid + np.array([ADVANCE * place, 0.0])) / GRID_HEIGHT)
     if not polylines:
-        raise SceneError(f"letters: nothing to draw in {text!r}; give at least one of A-Z and 0-9")
+        raise SceneError(f"letters: {text!r} has no letters or digits; give at least one of A-Z and 0-9")
     return polylines

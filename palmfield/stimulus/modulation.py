@@ -140,7 +140,7 @@ def _peak_duty(config: StimulusConfig, form: Waveform, exponent: float) -> float
 
     most = mean_arp(1.0)
     if amplitude**2 > most * (1.0 + ROUNDING):
-        raise _too_loud(config, f"pulses of more than duty {FULL_DUTY:g}, the most there is", math.sqrt(most))
+        raise _too_loud(config, f"pulses with duty above {FULL_DUTY:g}, the maximum", math.sqrt(most))
     if amplitude**2 >= most:
         return FULL_DUTY
     # At half the amplitude even the loudest moment has a quarter of the target ARP
@@ -152,13 +152,15 @@ def _peak_duty(config: StimulusConfig, form: Waveform, exponent: float) -> float
 
 def _too_loud(config: StimulusConfig, takes: str, limit: float) -> SceneError:
     """limit: largest drive_amplitude that can be played"""
-    of = {"carrier": "the carrier's", "mean": "that of steady sound with the same mean ARP"}[config.am_normalisation]
+    of = {"carrier": "the carrier's", "mean": "the amplitude of steady sound with the same mean ARP"}[
+        config.am_normalisation
+    ]
     # Rounded down, so that the advised value is accepted
     advice = math.floor(1e4 * limit) / 1e4
     return SceneError(
-        f"drive_amplitude {_amplitude(config):g} is {of} (am_normalisation "
-        f"{config.am_normalisation}), so that with am_depth {config.am_depth:g} the loudest moment takes {takes}; set "
-        f"drive_amplitude to {advice:g} or less, am_depth smaller, or am_normalisation to peak"
+        f"drive_amplitude {_amplitude(config):g} is {of} (am_normalisation {config.am_normalisation}), so with "
+        f"am_depth {config.am_depth:g} the loudest moment needs {takes}; set drive_amplitude to {advice:g} or "
+        "less, am_depth smaller, or am_normalisation to peak"
     )
 
 

@@ -16,10 +16,10 @@ class ResolvedStimulus(StimulusConfig):
 
     model_config = ConfigDict(ser_json_bytes="base64")
 
-    sites_length_m: Positive | None = Field(None, description="length of a path through sites along the surface")
-    am_table: AmTable | None = Field(None, description="waveform that key am_file names")
-    focus_table: FocusTable | None = Field(None, description="foci over time that key path_file names")
-    duty_exponent: Positive = Field(2.0, description="exponent of the device that plays it")
+    sites_length_m: Positive | None = Field(None, description="length of a path through sites, along the surface")
+    am_table: AmTable | None = Field(None, description="waveform of key am_file")
+    focus_table: FocusTable | None = Field(None, description="foci over time of key path_file")
+    duty_exponent: Positive = Field(2.0, description="exponent of the board that plays it")
 
 
 @lru_cache(maxsize=64)

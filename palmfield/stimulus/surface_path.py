@@ -132,7 +132,7 @@ def drawn(surface: Surface, start_point: ArrayLike, direction: ArrayLike, path: 
     tangent = along - (along @ normal) * normal
     if np.linalg.norm(tangent) < 1e-6 * max(float(np.linalg.norm(along)), 1e-300):
         raise SceneError(
-            f"direction {along.tolist()} has no part along the skin; give one that is not along its normal"
+            f"direction {along.tolist()} has no component along the skin; give one that is not along its normal"
         )
     place = _Place(face, position, tangent / np.linalg.norm(tangent))
     _, place = _walk(mesh, place, path.points[:1])
@@ -144,8 +144,8 @@ def drawn(surface: Surface, start_point: ArrayLike, direction: ArrayLike, path: 
     gap = float(np.linalg.norm(end.position - place.position))
     if gap > CLOSING_SHARE * path.length_m:
         raise SceneError(
-            f"closed path of {1e3 * path.length_m:.1f} mm misses its start by {1e3 * gap:.1f} mm on skin as curved as "
-            "here; make it smaller or draw it elsewhere"
+            f"closed path of {1e3 * path.length_m:.1f} mm misses its start by {1e3 * gap:.1f} mm, because the skin "
+            "is curved here; make it smaller, or place it elsewhere"
         )
     shut = shortest_way(surface, (end.face, end.position), (place.face, place.position), 0)
     closed = _skin_path(surface, _joined([piece, shut]), True)
@@ -166,7 +166,7 @@ def through(surface: Surface, waypoints: ArrayLike) -> SurfacePath:
     places = [_nearest(surface, _vector(f"waypoint {i}", p), f"waypoint {i}") for i, p in enumerate(points)]
     for i, (one, other) in enumerate(pairwise(places)):
         if np.linalg.norm(other[1] - one[1]) < 1e-9:
-            raise SceneError(f"waypoints {i} and {i + 1} are the same point of the surface; leave one out")
+            raise SceneError(f"waypoints {i} and {i + 1} are the same point of the surface; remove one")
     pieces = [shortest_way(surface, one, other, i) for i, (one, other) in enumerate(pairwise(places))]
     return _skin_path(surface, _joined(pieces), False)
 
@@ -199,7 +199,7 @@ def zigzag_through(surface: Surface, waypoints: ArrayLike, width_m: float, strok
 def _vector(name: str, value: ArrayLike) -> Float:
     vector = np.asarray(value, dtype=np.float64)
     if vector.shape != (3,) or not np.all(np.isfinite(vector)):
-        raise SceneError(f"{name} = {vector.tolist()} is no point or direction; give three finite numbers")
+        raise SceneError(f"{name} = {vector.tolist()} is not a point or direction; give three finite numbers")
     return vector
 
 
@@ -220,8 +220,8 @@ def _nearest(surface: Surface, point: Float, name: str) -> tuple[int, Float]:
     face = int(np.argmin(distance))
     if distance[face] > REACH_m:
         raise SceneError(
-            f"{name} {point.tolist()} is {1e3 * distance[face]:.1f} mm from the surface; at most "
-            f"{1e3 * REACH_m:g} mm are allowed, move it onto the skin"
+            f"{name} {point.tolist()} is {1e3 * distance[face]:.1f} mm from the surface; allowed: at most "
+            f"{1e3 * REACH_m:g} mm: move it onto the skin"
         )
     return face, feet[face]
 
@@ -274,8 +274,8 @@ def _walk(mesh: _Mesh, start: _Place, legs: Float) -> tuple[Piece, _Place]:
             beyond = int(mesh.across[face, corner])
             if beyond < 0:
                 raise SceneError(
-                    f"the path runs off the edge of the mesh after {1e3 * done:.1f} mm, or ends on that edge; make it "
-                    "shorter, turn it, or start elsewhere"
+                    f"the path leaves the mesh after {1e3 * done:.1f} mm, or ends on its edge; make it shorter, "
+                    "rotate it, or start elsewhere"
                 )
             edge = mesh.corners[face][corner - 1] - mesh.corners[face][corner - 2]
             edge = edge / math.sqrt(edge @ edge)

@@ -23,10 +23,10 @@ def papers(
         typer.Option(help="only this number of docs/gallery/tolerances.toml, printed; may be repeated", metavar="ID"),
     ] = None,
     as_json: Annotated[
-        bool, typer.Option("--json", help="print JSON only, with units in the names, for other programs")
+        bool, typer.Option("--json", help="print only JSON, with units in the names, for other programs")
     ] = False,
 ) -> None:
-    """Compute what four papers claim, each number beside the paper's, held against tolerances fixed beforehand.
+    """Reproduce four papers, and print each number next to the published one, with tolerances fixed beforehand.
 
     Writes a page, figures and rows.json for each paper, and index.html over all. Exit code 4 where a number failed.
 

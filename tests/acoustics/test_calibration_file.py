@@ -83,12 +83,12 @@ TWO = {
         ({"version": 2}, "version = 2"),
         ({"p0": FILE["p0"] | {"low": 1.5}}, "1.5 <= 1.31 <= 1.4 does not hold"),
         ({"p0": FILE["p0"] | {"value": "loud"}}, "p0.value = 'loud'"),
-        ({"p0": FILE["p0"] | {"source": " "}}, "say who measured when"),
-        ({"p0": FILE["p0"] | {"kind": "assumed"}}, "holds what was measured"),
+        ({"p0": FILE["p0"] | {"source": " "}}, "state who measured it, when"),
+        ({"p0": FILE["p0"] | {"kind": "assumed"}}, "allowed in a calibration: measured"),
         ({"elements": TWO | {"polarity": [1, 2]}}, "elements.polarity.1 = 2"),
         ({"elements": TWO | {"gain": [1]}}, "gain has 1 entries and enabled 2"),
         ({"elements": TWO | {"gain": [1, -1]}}, "elements.gain.1 = -1"),
-        ({"elements": TWO | {"address": [0, 0]}}, "address holds other numbers than 0 to 1"),
+        ({"elements": TWO | {"address": [0, 0]}}, "address must hold each number from 0 to 1 once"),
         ({"phase_offset_rad": float("nan")}, "phase_offset_rad"),
         ({"phase_offset_rad": float("nan")}, "allowed: a finite number"),
         ({"elements": TWO | {"phase_rad": [0, 180]}}, "phase_rad.1 = 180; allowed: -6.2832 to 6.2832, in radians"),
@@ -172,8 +172,8 @@ def test_the_boards_place_moves_its_transducers():
 @pytest.mark.parametrize(
     ("calibration", "told"),
     [
-        (Calibration(layout="uhev1"), "is of layout 'uhev1', and the array is 'sonicsurface'"),
-        (Calibration(layout="sonicsurface", elements=measured_elements(3)), "of 3 transducers, and the array has 256"),
+        (Calibration(layout="uhev1"), "is for layout 'uhev1', but the array is 'sonicsurface'"),
+        (Calibration(layout="sonicsurface", elements=measured_elements(3)), "has 3 transducers, but the array has 256"),
     ],
 )
 def test_the_calibration_of_another_board_is_refused(calibration, told):
@@ -213,8 +213,8 @@ def test_p0_is_that_of_the_layout_the_key_or_the_calibration():
         ({"p0_low_Pa_m": 1.0, "p0_high_Pa_m": 2.0}, "are the range of key p0_Pa_m"),
         ({"p0_Pa_m": 1.0, "p0_low_Pa_m": 1.0}, "belong together"),
         ({"p0_Pa_m": 3.0, "p0_low_Pa_m": 1.0, "p0_high_Pa_m": 2.0}, "is needed"),
-        ({"layout": "csv"}, "layout 'csv' needs transducers"),
-        ({"transducers": "a.csv"}, "layout 'csv' needs transducers"),
+        ({"layout": "csv"}, "layout 'csv' and key transducers"),
+        ({"transducers": "a.csv"}, "layout 'csv' and key transducers"),
     ],
 )
 def test_keys_that_do_not_fit_together_are_refused(keys, told):

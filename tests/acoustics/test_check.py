@@ -29,9 +29,9 @@ UHEV1 = layout("uhev1")
         ([[0.0, 0.0, 1e300]], r"points\[0\]"),
         (np.array([[0.0, 0.0, 0.1j]]), "points are complex"),
         ([[0.0, 0.0, 0.1], [0.0, 0.1]], "unequal length"),
-        ([["a", "b", "c"]], "points are of type"),
-        ([["1", "2", "3"]], "points are of type"),
-        ([[None, 0.0, 0.1]], "points are of type object"),
+        ([["a", "b", "c"]], "points have type"),
+        ([["1", "2", "3"]], "points have type"),
+        ([[None, 0.0, 0.1]], "points have type object"),
     ],
 )
 def test_points_that_are_none(points: Any, match: str) -> None:
@@ -45,7 +45,7 @@ def test_points_that_are_none(points: Any, match: str) -> None:
 
 
 def test_drives_that_are_none() -> None:
-    for drive, match in ((["full"] * 256, "drive are of type"), ([[1.0], 2.0], "unequal length")):
+    for drive, match in ((["full"] * 256, "drive have type"), ([[1.0], 2.0], "unequal length")):
         with pytest.raises(PalmfieldError, match=match):
             check.drive(drive, UHEV1)
         with pytest.raises(PalmfieldError, match=match.replace("drive", "drives")):
@@ -98,7 +98,7 @@ def test_faults_by_mask() -> None:
     np.testing.assert_array_equal(with_faults(UHEV1, dead.tolist()).gain, with_faults(UHEV1, [3, 77]).gain)
     with pytest.raises(SceneError, match=r"mask dead has shape \(255,\): give \(256,\)"):
         with_faults(UHEV1, dead[:255])
-    with pytest.raises(SceneError, match=r"dead = \[0\.5\] are no indices"):
+    with pytest.raises(SceneError, match=r"dead = \[0\.5\] are not indices"):
         with_faults(UHEV1, cast(Any, [0.5]))
 
 

@@ -89,7 +89,7 @@ def test_a_form_that_the_kernels_cannot_follow_is_refused() -> None:
         def level(self, s: Float, kb: float) -> Float:
             return np.exp(-40.0 * s)
 
-    with pytest.raises(SceneError, match=r"directivity 'gaussian'.* misses it by 0.*allowed: 0.0001"):
+    with pytest.raises(SceneError, match=r"directivity 'gaussian'.*the error of .* is 0.*allowed: 0.0001"):
         Narrow().polynomial(0.0)
 
 

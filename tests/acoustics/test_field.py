@@ -205,7 +205,7 @@ def test_pressure_warns_once_a_call_where_the_model_ends() -> None:
         pressure(np.array([at, at, [0.0, 0.0, 0.2]]), array, drive, AIR, device="cpu")
     assert len(found) == 1
     assert found[0].filename == __file__
-    with pytest.warns(PalmfieldWarning, match="runs into a shock"):
+    with pytest.warns(PalmfieldWarning, match="a shock forms"):
         pressure([[0.0, 0.0, 0.2]], layout("uhev1", 4.0), drive, AIR, device="cpu")
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -91,5 +91,5 @@ def test_what_a_focused_beam_loses_and_gains_is_that_of_the_kzk_equation(beam: s
     assert 0.75 * moved < -line < 1.1 * moved
     assert abs(force) < 1e-3 and bias.low == 0.0
     assert 0.6 * bias.high < peak < bias.high
-    told = float(bias.why.partition("narrower by up to ")[2].split()[0]) / 100.0
+    told = float(bias.why.partition("on a spot that is up to ")[2].split()[0]) / 100.0
     assert 0.3 * told < narrower < 1.1 * told

@@ -85,11 +85,11 @@ def test_rayleigh_lengths_of_the_speakers_that_are_printed():
     [
         ((-0.01, 0.005, K), "distance_m has -0.01: give finite distances in metres, 0 or more"),
         (([0.1, math.nan], 0.005, K), "distance_m has nan"),
-        ((0.0, 0.0, K), "above 0, as a point source has no face"),
+        ((0.0, 0.0, K), "above 0, because a point source has no face"),
         ((0.1, -0.005, K), "radius_m = -0.005: give a finite radius in metres, 0 or more"),
         ((0.1, math.inf, K), "radius_m = inf"),
         ((0.1, 0.005, 0.0), "wavenumber = 0.0: give a finite wavenumber in rad/m, above 0"),
-        (("far", 0.005, K), "distance_m are of type"),
+        (("far", 0.005, K), "distance_m have type"),
     ],
 )
 def test_what_is_no_piston_is_refused(values: tuple[float, float, float], why: str):

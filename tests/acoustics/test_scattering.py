@@ -224,7 +224,7 @@ def test_sound_near_the_wall_is_that_on_the_wall(height_m: float, place: str) ->
     scattered = scattered_field(found, points, device="cpu").pressure
     cosine = (points - shift)[:, 2] / np.linalg.norm(points - shift, axis=1)
     exact = np.exp(1j * K * shift[2]) * surface_pressure(3.0, cosine)
-    # 13 elements a wavelength: 0.8 % over centroids, and a triangle's one value is off by 3 % aside of it
+    # 13 elements per wavelength: 0.8 % over centroids, and a triangle's one value is off by 3 % aside of it
     limit = 0.035 if place == "aside" else 0.01
     assert np.abs(scattered + plane_wave(points) - exact).max() < limit * np.abs(exact).max()
 
@@ -307,5 +307,5 @@ def test_what_cannot_be_used_is_refused() -> None:
 def test_coarse_mesh_warns() -> None:
     vertices, faces = geodesic(0.005, 4)
     assert mean_edge_m(vertices, faces) > 1.5e-3
-    with pytest.warns(UserWarning, match="elements a wavelength"):
+    with pytest.warns(UserWarning, match="elements per wavelength"):
         assert elements_per_wavelength(vertices, faces, K) < 6

@@ -118,7 +118,7 @@ def test_coarse_mesh_does_not_shade_the_fine_one() -> None:
 def test_what_cannot_be_used_is_refused(ball: Surface) -> None:
     mesh = shadow_mesh(ball, "cpu")
     points, normals = middle(ball)
-    with pytest.raises(PalmfieldError, match="one normal a point"):
+    with pytest.raises(PalmfieldError, match="one normal per point"):
         visibility(points[:4], normals[:3], mesh, np.zeros((1, 3)))
     with pytest.raises(PalmfieldError, match="weights"):
         visibility(points[:4], normals[:4], mesh, np.zeros((2, 3)), weights=[0.0, 0.0])

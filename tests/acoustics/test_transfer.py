@@ -182,7 +182,7 @@ def test_accurate_evaluators_go_frame_by_frame(monkeypatch: pytest.MonkeyPatch, 
     points[:, 2] += 3.0
     drives = circle(array, 20)
     evaluator = FieldEvaluator(array, AIR, "cpu", mode="accurate")
-    with pytest.raises(PalmfieldError, match=r"mode is 'accurate': use mode 'fast', or arp_frames"):
+    with pytest.raises(PalmfieldError, match=r"evaluator has mode 'accurate': use mode 'fast', or arp_frames"):
         Transfer(evaluator, points, normals)
     seen = count_ways(monkeypatch)
     found = arp_frames(evaluator, points, normals, drives)

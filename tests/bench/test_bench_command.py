@@ -53,7 +53,9 @@ def test_bad_option_is_one_line_and_exit_code_2(monkeypatch, capsys) -> None:
 
 def test_scenes_and_steps_that_cannot_be_are_refused(monkeypatch, capsys) -> None:
     code, out = call(monkeypatch, capsys, "bench", "scene", "no_such_scene")
-    assert code == 2 and out.err.startswith("palmfield: there is no scene no_such_scene; allowed: a file, or one of ")
+    assert code == 2 and out.err.startswith(
+        "palmfield: scene no_such_scene does not exist; allowed: a file, or one of "
+    )
     assert "palm_am200" in out.err and "plain_palm" not in out.err
     code, out = call(monkeypatch, capsys, "bench", "scene", "--steps", "0")
     assert code == 2 and out.err == "palmfield: --steps has value 0; allowed: 1 to 1000000\n"

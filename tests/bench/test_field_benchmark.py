@@ -113,7 +113,7 @@ def test_grid_fills_the_box_with_about_so_many_points(low: float, depth: float, 
     [
         ({"runs": 0}, "--runs has value 0"),
         ({"points": 3}, "--points has value 3"),
-        ({"only": "abacus"}, "'abacus' is in no method's name"),
+        ({"only": "abacus"}, "'abacus' matches no method"),
         ({"out": Path("/proc/field.md")}, "cannot write /proc/field.md: .*; choose another --out"),
         ({"picture": Path(__file__) / "field.png"}, "cannot write .*field.png: .*; choose another --picture"),
         ({"picture": Path(__file__).parent}, "it is a folder; choose another --picture"),
@@ -142,6 +142,6 @@ def test_what_was_measured_is_printed_though_its_file_cannot_be_written(
         return measure_range(*arguments)
 
     monkeypatch.setattr(field, "run_range", run_range)
-    with pytest.raises(OutputError, match="the report above is not in its files"):
+    with pytest.raises(OutputError, match="the files of the report above could not be written"):
         field.main(**{name: target}, points=100, runs=1, only="spheres", commit="abc1234")
     assert "| palmfield, spheres |" in capsys.readouterr().out

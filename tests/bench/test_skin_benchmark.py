@@ -31,7 +31,7 @@ def test_report_and_picture(tmp_path: Path) -> None:
 
 
 def test_bad_options_are_refused_before_measuring(tmp_path: Path) -> None:
-    with pytest.raises(PalmfieldError, match="--only 'magic' is in no method's name"):
+    with pytest.raises(PalmfieldError, match="--only 'magic' matches no method"):
         skin.main(only="magic")
     with pytest.raises(PalmfieldError, match="--runs has value 0"):
         skin.main(runs=0)

@@ -92,7 +92,7 @@ def test_new_scene_runs(tmp_path, monkeypatch, capsys):
     assert "level above threshold" in out.out and "hasegawa_2018" in out.out
     again = ("run", "first/first.xml", "--duration", "0.005", "--out", "o")
     code, out = call(monkeypatch, capsys, *again)
-    assert code == 2 and "holds another run's result.nc" in out.err and "--overwrite" in out.err
+    assert code == 2 and "holds result.nc of another run" in out.err and "--overwrite" in out.err
     code, out = call(monkeypatch, capsys, *again, "--overwrite", "--set", "skin.accuracy=0.3")
     assert code == 0 and json.loads(Path("o/summary.json").read_text())["steps"] == 5
     code, out = call(monkeypatch, capsys, "new", "first")
@@ -252,13 +252,13 @@ def test_a_device_that_is_not_there_is_refused_with_those_that_are(small_scene, 
 def test_a_skin_without_a_focus_is_warned_of_before_the_run(small_scene, tmp_path, monkeypatch, capsys):
     scene = small_scene(stimulus={"focus_m": "0.15 0 0.12"})
     code, out = call(monkeypatch, capsys, "run", scene, "--out", tmp_path / "out", "--duration", "0.002")
-    assert code == 0 and "warning: no focus comes near skin 'skin'" in out.err
+    assert code == 0 and "warning: no focus is near skin 'skin'" in out.err
 
 
 def test_keys_are_set_for_one_plan_and_checked(monkeypatch, capsys):
     scene = SCENES / "phantom_step.xml"
     code, out = call(monkeypatch, capsys, "plan", scene, "--set", "skin.accuracy=0.3", "--set", "stimulus.stop_s=0.01")
-    assert code == 0 and "30 % wanted" in out.out
+    assert code == 0 and "target 30 %" in out.out
     for text, words in (
         ("skin.accuracy", "has no value"),
         ("skin.nose=1", "unknown key 'nose'"),

@@ -36,7 +36,7 @@ def test_boards_are_listed_with_what_they_cannot_guarantee(monkeypatch, capsys):
     facts = json.loads(out.out)
     assert facts["sonicsurface"]["stop_hex"] == 2 * ("97c0fe" + 256 * "20" + "fd")
     code, out = call(monkeypatch, capsys, "boards", "toaster")
-    assert code == 2 and "'toaster' is not known" in out.err
+    assert code == 2 and "'toaster' is unknown" in out.err
 
 
 @pytest.mark.wall_clock
@@ -66,7 +66,7 @@ def test_a_focus_on_a_virtual_board_is_logged_decoded_and_replayed(monkeypatch, 
         said = process.communicate(timeout=120)[0]
     finally:
         process.kill()
-    assert "0 of 256 transducers sound at the end" in said
+    assert "0 of 256 transducers emit at the end" in said
     first, sent = (
         b"".join(bytes.fromhex(json.loads(line)["hex"]) for line in file.read_text().splitlines()[1:])
         for file in (tmp_path / "n.jsonl", log)
@@ -76,7 +76,7 @@ def test_a_focus_on_a_virtual_board_is_logged_decoded_and_replayed(monkeypatch, 
     code, out = call(monkeypatch, capsys, "decode", log, "--png", png, "--csv", csv)
     assert code == 0, out.err
     # Three frames of one focus between two of silence: the focus and the silence after it are other than before
-    assert re.search(r": \d+ frames, of which 2 differ from the one before$", out.out.splitlines()[0]), out.out
+    assert re.search(r": \d+ frames, 2 of them different from the previous one$", out.out.splitlines()[0]), out.out
     assert png.stat().st_size > 5000
     rows = np.genfromtxt(csv, delimiter=",", names=True)
     sounding = rows[np.isfinite(rows["x_m"])]
@@ -106,7 +106,9 @@ def test_drive_says_from_the_beginning_what_it_does(monkeypatch, capsys, tmp_pat
     monkeypatch.setenv("FORCE_COLOR", "1")
     code, out = call(monkeypatch, capsys, "drive", CIRCLE, "--record", tmp_path / "c.bin", "--duration", 0.1)
     assert code == 0
-    phases = [out.err.find(words) for words in ("loading palmfield", "loading the scene", "making the frames of 0.1 s")]
+    phases = [
+        out.err.find(words) for words in ("loading palmfield", "loading the scene", "computing the frames for 0.1 s")
+    ]
     assert -1 < phases[0] < phases[1] < phases[2]
 
 
@@ -116,12 +118,12 @@ CIRCLE = Path(__file__).parents[2] / "mjcf" / "scenes" / "palm_circle_sonicsurfa
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("board", "ideal", "--virtual"), "board 'ideal' is not known"),
+        (("board", "ideal", "--virtual"), "board 'ideal' is unknown"),
         (("board", "sonicsurface", "--virtual", "--by", "smoke"), "--by has value 'smoke'; allowed: pty or tcp"),
         (("decode", "none.bin", "--board", "sonicsurface"), "can't be read"),
         (("drive", "--focus", 0, 0, 0.2, "--record", "x", "--level", 2), "--level has value 2; allowed"),
-        (("drive", "--focus", 0, 0, 0.2, "--record", "x", "--layout", "uhev1"), "drives no layout 'uhev1'; allowed"),
-        (("drive", "--focus", 0, 0, 0.2, "--record", "x", "--board", "sonicsurface_pair"), "give a scene that says"),
+        (("drive", "--focus", 0, 0, 0.2, "--record", "x", "--layout", "uhev1"), "cannot drive layout 'uhev1'; allowed"),
+        (("drive", "--focus", 0, 0, 0.2, "--record", "x", "--board", "sonicsurface_pair"), "give a scene with their"),
         (("drive", CIRCLE, "--record", "x", "--calibration", "b.json"), "use --set array.calibration=VALUE"),
         (("drive", CIRCLE, "--record", "x", "--temperature", 30), "use --set array.temperature_C=VALUE"),
     ],

@@ -128,7 +128,7 @@ def test_renamed_values_are_refused_with_what_to_use():
 def test_a_solver_of_whole_histories_is_refused_with_the_call_that_does_it(name):
     with pytest.raises(SceneError) as refusal:
         parse(SkinConfig, {"solver": name, "patch_site": "x"}, "e")
-    assert str(refusal.value).startswith(f"e: key 'solver' has value '{name}', which computes the whole history")
+    assert str(refusal.value).startswith(f"e: key 'solver' has value '{name}', which needs the whole load history")
     assert f"palmfield.skin.solve(..., solver='{name}')" in str(refusal.value)
 
 
@@ -146,5 +146,5 @@ def test_a_stimulus_names_its_arrays_and_its_skin():
     assert (config.arrays, config.on_skin) == (("left", "right"), "palm")
     with pytest.raises(SceneError, match="arrays are 'left left': name each once"):
         parse(StimulusConfig, {"arrays": "left left"}, "e")
-    with pytest.raises(SceneError, match="on_skin belongs to a path on the skin, path_on is 'plane'"):
+    with pytest.raises(SceneError, match="on_skin applies to a path on the skin, but path_on is 'plane'"):
         parse(StimulusConfig, keys | {"on_skin": "palm", "path_on": "plane"}, "e")

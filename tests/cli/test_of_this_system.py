@@ -39,7 +39,7 @@ def test_home_is_found_where_the_shell_left_it(line, tmp_path, monkeypatch):
         (["plan", r"C:\Users\me\x.xml"], "/mnt/c/Users/me/x.xml"),
         ([*FOCUS, "--record=D:/x.bin"], "/mnt/d/x.bin"),
         ([*FOCUS, "--port", "COM3"], "/dev/ttyUSB0; in WSL attach"),
-        (["calibrate", "show", r"C:\b.json"], "is a path of Windows"),
+        (["calibrate", "show", r"C:\b.json"], "is a Windows path"),
     ],
 )
 def test_what_is_of_windows_gets_its_mend(line, words):

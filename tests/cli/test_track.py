@@ -66,7 +66,7 @@ def test_a_tracker_is_aligned_by_a_table_of_touches(tmp_path):
     done = RUN.invoke(app, ["track", "align", str(tmp_path / "t.csv"), str(tmp_path / "a.json")])
     assert done.exit_code == 0, done.output
     assert "the tracker's origin is at (100.0, 200.0, 300.0) mm of the array" in done.output
-    assert "taken for three points, whose rest tells little" in done.output
+    assert "assumed for three points, whose residuals carry little" in done.output
     np.testing.assert_allclose(json.loads((tmp_path / "a.json").read_text())["position_m"], [0.1, 0.2, 0.3])
 
 
@@ -80,7 +80,7 @@ def test_a_tracker_is_aligned_by_a_table_of_touches(tmp_path):
         ),
         (["replay", "{seen}", "--to", "1", "--by", "ftp"], "--by has value 'ftp'; allowed: udp, tcp"),
         (["replay", "{seen}", "--to", "1", "--speed", "0"], "speed has value 0; allowed"),
-        (["record", "x.npz", "--at", "0", "--wait", "0.1"], "0 good samples came within 0.1 s"),
+        (["record", "x.npz", "--at", "0", "--wait", "0.1"], "only 0 valid samples arrived within 0.1 s"),
         (["latency", "--seconds", "0"], "--seconds has value 0; allowed"),
         (["latency", "--board", "ideal"], "has no line; give another by --board"),
     ],

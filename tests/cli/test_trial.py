@@ -18,7 +18,7 @@ def test_a_trial_says_what_is_lost_and_writes_its_files(small_scene, tmp_path):
     words = ["trial", str(path), "--board", "sonicsurface", "--no-skin", "--out", str(out), "--ahead", "0"]
     done = RUN.invoke(app, words)
     assert done.exit_code == 0, done.output
-    for text in ("trial of", "90 samples/s, 10 ms late, taken as they are", "focus error", "by latency    1.0000"):
+    for text in ("trial of", "90 samples/s, 10 ms late, without prediction", "focus error", "by latency    1.0000"):
         assert text in done.output
     numbers = json.loads((out / "trial.json").read_text())
     assert numbers["board"] == "sonicsurface" and numbers["frames_dropped"] == 0

@@ -116,9 +116,13 @@ def test_few_places_are_solved_once_each(source, monkeypatch):
 @pytest.mark.parametrize(
     ("place", "keys", "words"),
     [
-        ((0, 0, -0.1), {}, "^focus .* is behind the array"),
+        ((0, 0, -0.1), {}, "^focus .* is behind array"),
         ((np.nan, 0, 0.1), {}, "^focus .* is not a finite position"),
-        ((0, 0, 0.2), {"arp_peak_Pa": 1e6}, r"arp_peak_Pa 1e\+06 is more than the array gives at \(0.0, 0.0, 200.0\)"),
+        (
+            (0, 0, 0.2),
+            {"arp_peak_Pa": 1e6},
+            r"arp_peak_Pa 1e\+06 exceeds the output of the array at \(0.0, 0.0, 200.0\)",
+        ),
     ],
 )
 def test_foci_that_cannot_be_made_are_refused(source, place, keys, words, many):
@@ -139,7 +143,7 @@ def test_a_place_that_does_not_sound_need_not_be_one_that_the_array_can_make(sou
 
 def test_dead_transducers_are_named(mixed):
     only_dead = np.array([3, 70], np.int32)
-    with pytest.raises(SceneError, match="are dead: name fewer"):
+    with pytest.raises(SceneError, match="are dead: list fewer"):
         drive_of(mixed, chosen=only_dead, arp_peak_Pa=1.0).unit_drive(np.array([0.0, 0.0, 0.2]))
 
 

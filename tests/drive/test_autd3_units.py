@@ -94,7 +94,7 @@ def test_units_that_are_not_there(autd3: SimpleNamespace) -> None:
 
 @pytest.mark.parametrize("name", ["autd3:", "autd3:server:x", "autd3:emulator:two"])
 def test_a_way_that_is_none(name: str, autd3: SimpleNamespace) -> None:
-    with pytest.raises(DeviceError, match=r"is no way to AUTD3 units; allowed: autd3:auto"):
+    with pytest.raises(DeviceError, match=r"is not a port of AUTD3 units; allowed: autd3:auto"):
         open_port(name, None)
 
 

@@ -204,7 +204,7 @@ def test_packets_with_other_keys_are_read_with_them_only():
 
 
 def test_a_line_that_carries_no_2000_packets_a_second_is_refused():
-    with pytest.raises(DeviceError, match="packet_baud has value 115200; allowed: at least 180000, which carries 2000"):
+    with pytest.raises(DeviceError, match="packet_baud has value 115200; allowed: at least 180000, for 2000"):
         board_of(DriverConfig(board="autd2018", packet_baud=115200), 249)
     board = board_of(DriverConfig(board="autd2018", packet_baud=1_000_000), 249)
     assert board.frame_time_s == pytest.approx(90e-6) and board.twin().byte_s == pytest.approx(1e-5)
@@ -319,7 +319,7 @@ def test_dithering_has_as_large_a_share_on_everywhere(level):
 
 
 def test_an_unknown_board():
-    with pytest.raises(DeviceError, match=f"'toaster' is not known; allowed: {', '.join(BOARDS)}"):
+    with pytest.raises(DeviceError, match=f"'toaster' is unknown; allowed: {', '.join(BOARDS)}"):
         board_named("toaster")
 
 
@@ -330,7 +330,9 @@ def test_the_scenes_key_takes_the_boards_that_there_are():
 
 
 def test_a_key_of_another_board_is_refused():
-    with pytest.raises(DeviceError, match="key 'packet_lsb_m' is not of board 'sonicsurface'; it takes dither"):
+    with pytest.raises(
+        DeviceError, match="key 'packet_lsb_m' does not apply to board 'sonicsurface'; its keys are dither"
+    ):
         board_of(DriverConfig(board="sonicsurface", packet_lsb_m=1e-3), 256)
 
 

@@ -43,7 +43,7 @@ def test_a_line_tells_a_focus_or_a_pose_that_carries_one(told, offset, place, le
         (b'{"focus_m": [0, 0,', "garbled", "no JSON object"),
         (b"[0, 0, 0.15]", "garbled", "no JSON object"),
         (b"\xff\xfe", "garbled", "no JSON object"),
-        (line(focus=[0, 0, 0.15]), "keys", "key 'focus' is not known; allowed: focus_m, level"),
+        (line(focus=[0, 0, 0.15]), "keys", "key 'focus' is unknown; allowed: focus_m, level"),
         (line(level=1), "keys", "neither focus_m nor position_m"),
         (line(focus_m=[0, 0, 0.1], quaternion=[1, 0, 0, 0]), "keys", "without position_m"),
         (line(focus_m=[0, 0]), "numbers", "3 finite numbers"),
@@ -75,4 +75,4 @@ def test_only_the_newest_is_kept_and_bad_lines_are_counted():
         assert came is not None and came.number == 2 and came.focus.place[2] == 0.2
         assert before <= came.time_s <= time.monotonic()
         assert listener.next(came.number, 0.0) is None
-    assert listener.report() == "2 foci came, 1 lines skipped (1 garbled)" and "what?" in listener.told[0]
+    assert listener.report() == "2 foci received, 1 lines skipped (1 garbled)" and "what?" in listener.told[0]

@@ -79,7 +79,7 @@ def test_a_board_file_becomes_a_calibration(tmp_path):
     pins = random.permutation(256)
     file = board_file(tmp_path / "board_7.pat", degrees, pins)
     done = RUN.invoke(app, ["calibrate", "import", str(file), str(tmp_path / "board.json")])
-    assert done.exit_code == 0 and "not tried on hardware" in done.output, done.output
+    assert done.exit_code == 0 and "not tested on hardware" in done.output, done.output
     known = json.loads((tmp_path / "board.json").read_text())
     assert (known["layout"], known["layout_version"], known["elements"]["address"]) == ("openmpd", 2, pins.tolist())
     turned = np.array(known["elements"]["polarity"]) == -1
@@ -116,7 +116,7 @@ def test_a_calibration_of_the_old_order_is_refused_for_the_new_one(tmp_path):
     assert old.pop("layout_version") == 2
     file.write_text(json.dumps(old))
     assert read_calibration(file).layout == "openmpd_rows"
-    with pytest.raises(palmfield.SceneError, match=r"of layout 'openmpd_rows', .*measure again"):
+    with pytest.raises(palmfield.SceneError, match=r"for layout 'openmpd_rows', .*measure again"):
         focus_board("openmpd", FocusSound(calibration=file), {})
     assert focus_board("openmpd", FocusSound(calibration=file, layout="openmpd_rows"), {}).board.places == ()
     file.write_text(json.dumps(old | {"layout_version": 3}))

@@ -32,5 +32,5 @@ def test_frames_of_what_moves_wait_for_the_next_step():
 @pytest.mark.parametrize("name", ["ideal", "toaster"])
 def test_only_boards_that_take_bytes_can_be_played_on(name):
     others = ", ".join(board for board in BOARDS if board != "ideal")
-    with pytest.raises(DeviceError, match=f"board '{name}' is not known; allowed: {others}"):
+    with pytest.raises(DeviceError, match=f"board '{name}' is unknown; allowed: {others}"):
         playable_board(name)

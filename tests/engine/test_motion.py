@@ -129,14 +129,14 @@ def test_copies_and_resets_follow_the_script_too(hand, wave, tmp_path):
 @pytest.mark.parametrize(
     ("keys", "words"),
     [
-        ({}, "no motion given; give one of: keyframes"),
+        ({}, "sources of the motion: none; give exactly one of: keyframes"),
         ({"motion.function": "nowhere:move"}, "nowhere"),
         ({"motion.function": "math:sin", "motion.body": "palm"}, "no body 'palm'"),
         ({"motion.function": "math:sin", "motion.body": "forearm"}, "mocap='true'"),
         ({"motion.function": "math:sin", "motion.ahead_s": 0.01}, "ahead_s belongs to tracking"),
         ({"motion.trajectory": "missing.csv"}, "missing.csv"),
         ({"motion.nose": 1}, "unknown key 'nose'"),
-        ({"nose.length_m": 1}, "'nose.length_m' is not of an instance or plugin"),
+        ({"nose.length_m": 1}, "'nose.length_m' belongs to no instance or plugin"),
     ],
 )
 def test_bad_motions_are_named(keys, words):

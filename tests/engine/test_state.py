@@ -334,7 +334,7 @@ def test_a_forked_child_goes_on_as_its_parent(model, many_threads):
 
 # -- a state that another wrote ------------------------------------------------------------------------------------
 
-FOREIGN = "plugin 'palmfield.{}' instance '{}': the state in mjData was written by another solver"
+FOREIGN = "plugin 'palmfield.{}' instance '{}': the state in mjData comes from another solver"
 
 
 def refused(model, data, plugin="skin", instance="skin"):
@@ -426,7 +426,7 @@ def test_a_simulation_raises_the_refusal(model):
     sim = palmfield.Simulation(model)
     sim.step(2)
     sim.data.plugin_state[parts(model)["skin"].start + 1] += 1.0
-    with pytest.raises(palmfield.SceneError, match="instance 'skin': the state in mjData was written by another"):
+    with pytest.raises(palmfield.SceneError, match="instance 'skin': the state in mjData comes from another"):
         sim.step()
     with pytest.raises(palmfield.SceneError, match="start from mj_resetData"):
         _ = sim.skin().displacement

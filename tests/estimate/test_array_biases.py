@@ -54,5 +54,5 @@ def test_a_level_that_saturates_has_no_figure(calibrated) -> None:
 
 def test_what_no_calibration_has_is_not_estimated(calibrated) -> None:
     found = lines(calibrated(0.5))
-    assert found["warm-up"].low is None and "no calibration has it" in found["warm-up"].why
+    assert found["warm-up"].low is None and "not in the calibration" in found["warm-up"].why
     assert "level of the drive" not in found

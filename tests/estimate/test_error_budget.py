@@ -369,4 +369,4 @@ def test_a_finger_between_boards_is_said_to_have_sound_from_behind(tmp_path):
 def test_shadows_with_bent_edges_say_what_they_leave_out():
     """Page shadows: the knife edge's worst is 0.151 of the free focus's peak behind a finger."""
     found = hand_biases({"skin.body_sound": "shadows", "skin.shadow_edges": "knife_edge"})
-    assert found["round bodies taken as screens"].high > 0.151 and found["echoes of what casts shadows"].low is None
+    assert found["bodies approximated by flat screens"].high > 0.151 and found["echoes from obstacles"].low is None

@@ -34,7 +34,7 @@ def test_an_observer_whose_table_does_not_reach_is_refused():
     levels = contact_levels(times, np.sin(np.arange(500.0))[:, None], [600.0], AREAS)
     assert levels["level_afferent_human_dB_SL"] is None
     assert levels["level_afferent_human_why"] == (
-        "refused: its table goes from 2 to 350 Hz, the main line is at 600 Hz"
+        "refused: its table covers 2 to 350 Hz, but the main line is at 600 Hz"
     )
 
 
@@ -112,7 +112,7 @@ def test_force_on_the_palm_is_that_of_its_arp_and_not_of_motion(palm):
     arp = Radiation(model).at(posed, 0, "probe", samples[near], outwards[near], drive).arp
     assert 2.0 * levels["force_line_N"] == pytest.approx(float(arp @ areas[near]), rel=0.03)
     assert levels["level_morioka_griffin_2006_dB_SL"] is None
-    assert levels["level_morioka_griffin_2006_why"].startswith("refused: the skin doesn't move")
+    assert levels["level_morioka_griffin_2006_why"].startswith("refused: the skin does not move")
 
 
 def test_twice_the_force_is_6_dB_more(palm):
@@ -124,10 +124,10 @@ def test_twice_the_force_is_6_dB_more(palm):
 @pytest.mark.parametrize(
     ("scene", "keys", "reason"),
     [
-        (PALM, {"stimulus.am_frequency_Hz": 100}, "printed for 200 Hz alone, the sound has 100 Hz"),
-        ("mjcf/scenes/palm_circle.xml", {}, "focus at rest, path is 'circle'"),
+        (PALM, {"stimulus.am_frequency_Hz": 100}, "printed for 200 Hz only, but the sound has 100 Hz"),
+        ("mjcf/scenes/palm_circle.xml", {}, "stationary focus, but path is 'circle'"),
         ("mjcf/scenes/tap_button.xml", {}, "the loudest point lies on 'index_"),
-        ("mjcf/scenes/phantom_am200.xml", {}, "a skin of shape 'disc'"),
+        ("mjcf/scenes/phantom_am200.xml", {}, "shape 'disc' has no known palm"),
         ("mjcf/scenes/approach_withdraw.xml", {}, "hand and focus at rest"),
         ("mjcf/scenes/two_hands_both_feel.xml", {}, "2 stimuli sound"),
     ],
@@ -208,4 +208,4 @@ def test_a_skin_that_no_sound_pushes_has_no_level(small_scene):
     levels = felt_levels(model, 0, None, Radiation(model), reference, TIMES, normal, np.zeros(len(TIMES)))
     for name in OBSERVERS:
         assert levels[f"level_{name}_dB_SL"] is None
-        assert levels[f"level_{name}_why"] == "refused: no sound pushes this skin"
+        assert levels[f"level_{name}_why"] == "refused: no sound acts on this skin"

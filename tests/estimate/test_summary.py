@@ -71,7 +71,7 @@ def test_a_choice_that_refuses_is_told(small_scene, moment, monkeypatch):
     assert scene.runtime.model.skins[0].choice.name == "reduced"
     scene.step(2)
     result = numbers(scene, moment(scene))
-    assert result["solver"] == "wedges" and "no small model reached its accuracy" in result["solver_why"]
+    assert result["solver"] == "wedges" and "no reduced model reached its accuracy" in result["solver_why"]
 
 
 def test_a_silent_run_has_no_error(small_scene):
@@ -80,7 +80,7 @@ def test_a_silent_run_has_no_error(small_scene):
     result = skin_numbers(scene, "skin", None, None, *moved(scene, 0.0 * MOTION))
     assert "displacement_error_relative" not in result
     assert result["level_afferent_human_dB_SL"] is None
-    assert result["level_hasegawa_2018_why"] == "refused: no sound pushes this skin"
+    assert result["level_hasegawa_2018_why"] == "refused: no sound acts on this skin"
     assert stimulus_numbers(scene, [None]) == {"stimulus": {"drive_level": 0.0}}
 
 

@@ -79,7 +79,7 @@ def test_a_name_decides_where_the_shape_does_not():
     for side, palm in (("right", PALM), ("left", -PALM)):
         found = chirality(flat, faces, side)
         assert found.side == side and found.sureness >= 0.5 and found.palm @ palm > 0.85
-        assert found.reason.startswith("by the joints' names; ")
+        assert found.reason.startswith("from the joint names; ")
     assert chirality(vertices, faces, "left").side == "right", "a shape that is sure stands above a name"
 
 
@@ -136,7 +136,7 @@ def test_tips_go_from_the_thumb_to_the_little_finger():
 def test_what_cannot_be_told_is_not_told():
     ball = trimesh.creation.icosphere(subdivisions=3, radius=0.08)
     found = chirality(np.array(ball.vertices), np.array(ball.faces))
-    assert found.side == "unknown" and found.sureness == 0.0 and "digit tips were found, not 5" in found.reason
+    assert found.side == "unknown" and found.sureness == 0.0 and "digit tips, expected 5" in found.reason
     vertices, faces = right()
     found = chirality(vertices * [1.0, 1.0, 0.05], faces)
     assert found.side == "unknown" and found.sureness < 0.5 and found.reason.startswith("not sure: ")

@@ -18,7 +18,7 @@ MENDED = {
     "forearm.ply": "open wrist",
     "crossed.ply": "layers that fold",
 }
-DOUBTS = {"unnamed.glb": "sibling joints", "mirrored.glb": "named as of a right hand and its shape is of a left"}
+DOUBTS = {"unnamed.glb": "sibling joints", "mirrored.glb": "named for a right hand, but its shape is that of a left"}
 
 
 @pytest.mark.parametrize("foreign", foreign_hands.HANDS, ids=lambda foreign: foreign.file)
@@ -46,7 +46,7 @@ def test_a_hand_that_folds_says_how_to_mend_it(tmp_path):
     path = tmp_path / "crossed.ply"
     foreign_hands.crossed(path)
     card = report_card(path)
-    assert "part fingers that cross or touch" in card.refusal and "folds at (" in card.refusal
+    assert "separate fingers that intersect or touch" in card.refusal and "folds at (" in card.refusal
     assert card.facts["self_intersections"] > 100
 
 
@@ -59,13 +59,13 @@ def test_what_is_no_hand_gets_no_unit_and_is_doubted(thing, tmp_path):
     thing.make(path)
     tips = FEWER_TIPS[thing.file]
     with pytest.raises(
-        SceneError, match=rf"fingertips are {tips}, not 5: no unit is guessed .*; give the unit, one of m"
+        SceneError, match=rf"{tips} fingertips were found instead of 5, .*not guessed; give the unit, one of m"
     ):
         report_card(path)
     card = report_card(path, "mm")
     assert card.facts["verdict"] == "accepted with doubts" and card.facts["side"] == "unknown"
     assert f"fingertips: {tips}, not 5" in card.doubts
-    assert any("holes right through it: 1" in doubt for doubt in card.doubts) == (thing.file == "ring.ply")
+    assert any("surface has 1" in doubt for doubt in card.doubts) == (thing.file == "ring.ply")
 
 
 def test_quads_stay_the_triangles_that_they_were_made_of():

@@ -157,7 +157,7 @@ def test_glb_is_in_metres_unless_said(tmp_path):
     vertices, faces = hand()
     path = tmp_path / "mm.glb"
     trimesh.Trimesh(1e3 * vertices, faces, process=False).export(path)
-    with pytest.raises(SceneError, match=r"long with unit m; .* with unit mm"):
+    with pytest.raises(SceneError, match=r"long in unit m; .* in unit mm"):
         load_mesh(path, "auto")
     assert np.ptp(load_mesh(path, "mm").vertices[:, 1]) == pytest.approx(np.ptp(vertices[:, 1]), rel=1e-5)
 
@@ -185,7 +185,7 @@ def test_damaged_and_compressed_files(tmp_path):
     with pytest.raises(SceneError, match="no POSITION"):
         load_mesh(path, "auto")
     builder.write(path, mesh(POSITION=points), [g.Node(name="empty")], [0])
-    with pytest.raises(SceneError, match="no mesh in its scene"):
+    with pytest.raises(SceneError, match="its scene has no mesh"):
         load_mesh(path, "auto")
     packed = ["KHR_draco_mesh_compression"]
     builder.write(path, mesh(POSITION=points), node, [0], extensionsRequired=packed, extensionsUsed=packed)
@@ -225,7 +225,7 @@ def test_default_weights_of_morph_targets_are_applied(tmp_path, weights, of_node
 
 
 def test_weights_that_are_not_one_for_each_target_are_refused(tmp_path):
-    with pytest.raises(SceneError, match="3 weights are given for 2 morph targets; give one for each"):
+    with pytest.raises(SceneError, match="3 weights for 2 morph targets; give one weight per target"):
         load_mesh(box_of(tmp_path / "box.glb", (1, 0, 0)), "m")
 
 
@@ -238,7 +238,7 @@ def test_buffers_outside_the_meshs_folder_are_not_opened(tmp_path, name):
     content = json.loads(path.read_text())
     content["buffers"][0]["uri"] = name
     path.write_text(json.dumps(content))
-    with pytest.raises(SceneError, match="outside the mesh's folder; allowed: files in that"):
+    with pytest.raises(SceneError, match="outside the folder of the mesh; allowed: files in that"):
         load_mesh(path, "m")
 
 

@@ -160,7 +160,7 @@ def test_what_is_no_mano_model_is_named(tmp_path):
         load_mesh(written(path, [1, 2]), "auto")
     data = model()
     del data["weights"]
-    with pytest.raises(SceneError, match="no MANO model: weights missing"):
+    with pytest.raises(SceneError, match="not a MANO model: weights missing"):
         load_mesh(written(path, data), "auto")
     data = model()
     data["weights"] = data["weights"][:, :3]

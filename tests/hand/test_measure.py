@@ -78,7 +78,7 @@ def test_a_tape_bridges_hollows_and_takes_the_part_it_was_put_around():
     assert around(rod, [0.0, 0.0, 0.0], tilted) == pytest.approx(ellipse, rel=1e-3)
     two = trimesh.util.concatenate([rod, rod.copy().apply_translation([0.1, 0.0, 0.0])])
     assert around(two, [0.1, 0.0, 0.01], [0.0, 0.0, 1.0]) == pytest.approx(2 * np.pi * 0.02, rel=1e-3)
-    with pytest.raises(SceneError, match="no closed line around"):
+    with pytest.raises(SceneError, match="is not closed"):
         around(two, [0.05, 0.0, 0.01], [0.0, 0.0, 1.0])
 
 

@@ -62,8 +62,8 @@ def test_unit_is_never_guessed(tmp_path):
     path = tmp_path / "hand.ply"
     ball().export(path)
     fails(path, "furlong", "unit 'furlong' is unknown; use one of m, dm, cm, mm, in or auto")
-    fails(path, "m", "1.8e[+]05 mm long with unit m; .* 180 mm with unit mm")
-    fails(path, "cm", "180 mm with unit mm")
+    fails(path, "m", "1.8e[+]05 mm long in unit m; .* 180 mm in unit mm")
+    fails(path, "cm", "180 mm in unit mm")
 
 
 def test_missing_unreadable_and_empty(tmp_path):
@@ -149,14 +149,14 @@ def test_what_is_inferred_is_the_one_choice(length, slender):
     if len(choices) == 1:
         assert choose_unit("auto", None, length, breadth, "mesh").name == choices[0]
         return
-    with pytest.raises(SceneError, match="carries no unit") as caught:
+    with pytest.raises(SceneError, match="has no unit") as caught:
         choose_unit("auto", None, length, breadth, "mesh")
     assert all(f"mm with {name}" in str(caught.value) for name in METRES)
 
 
 def test_hand_in_cm_or_slender_forearm_in_inches_is_asked_for():
     with pytest.raises(
-        SceneError, match=r"cm and in both make it a hand or forearm: 1.9e[+]04 mm with m, .* give the unit"
+        SceneError, match=r"cm and in both give the size of a hand or forearm: 1.9e[+]04 mm with m, .* give the unit"
     ):
         choose_unit("auto", None, 19.0, 0.35 * 19.0, "mesh")
 
@@ -189,7 +189,12 @@ def test_a_crumb_beyond_a_fingertip_is_no_part_of_the_length(tmp_path):
 def test_no_unit_is_guessed_without_five_fingertips(tmp_path):
     path = tmp_path / "ball.obj"
     ball(180.0).export(path)
-    fails(path, "auto", "are 1, not 5: no unit is guessed for what may be no hand; give the unit, one of m, dm, cm, mm")
+    fails(
+        path,
+        "auto",
+        "1 fingertips were found instead of 5, so it may not be a hand and the unit is not guessed; "
+        "give the unit, one of m, dm, cm, mm",
+    )
     fist = tmp_path / "open.obj"
     vertices, faces = foreign_hands.plain_hand()
     # What has holes is refused for them; its unit is known all the same
@@ -229,4 +234,4 @@ def claiming(path):
 def test_above_a_million_faces_are_refused_before_they_are_read(tmp_path, suffix):
     path = tmp_path / f"scan.{suffix}"
     claiming(path)
-    fails(path, "mm", f"has {CLAIMED} faces; at most 1000000 are read, .* make it coarser .* Decimate")
+    fails(path, "mm", f"has {CLAIMED} faces; allowed: at most 1000000; .* make it coarser .* Decimate")

@@ -191,7 +191,7 @@ def test_inward_directions_at_a_sharp_ridge_see_both_sides():
 @pytest.mark.parametrize(
     "change, says",
     [
-        ({"centre": (0, 0, -0.02)}, "mm from the surface; at most 5 mm"),
+        ({"centre": (0, 0, -0.02)}, "mm from the surface; allowed: at most 5 mm"),
         ({"centre": (0, 0, np.nan)}, "three finite numbers"),
         ({"radius_m": 0.004}, "below two fine edges"),
         ({"coarse_m": 0.001}, "below fine_m"),

@@ -74,7 +74,7 @@ def test_rigid_motion(hand: SkinnedHand) -> None:
 
 
 def test_a_point_far_from_the_skin_is_refused(hand: SkinnedHand) -> None:
-    with pytest.raises(SceneError, match=r"point 1 at \[0\.5, 0\.0, 0\.0\] m is over 50 mm"):
+    with pytest.raises(SceneError, match=r"point 1 at \[0\.5, 0\.0, 0\.0\] m is more than 50 mm"):
         SkinBinding.to(hand, np.array([hand.surface.vertices[0], [0.5, 0.0, 0.0]]))
 
 

@@ -245,7 +245,7 @@ def test_a_double_wall_is_doubted(tmp_path):
     card = report_card(written(tmp_path / "glove.ply", *glove(0.002)), "mm")
     assert card.facts["verdict"] == "accepted with doubts"
     (doubt,) = [doubt for doubt in card.doubts if "inner wall" in doubt]
-    told = float(re.match(r"half of its skin has (\d+\.\d) mm or less below it", doubt)[1])
+    told = float(re.match(r"half of its skin is (\d+\.\d) mm thick or less", doubt)[1])
     assert told == pytest.approx(2.0, abs=0.2)
 
 
@@ -277,12 +277,10 @@ def test_command_writes_card_and_picture(tmp_path):
 def test_wrong_unit_is_named_and_nothing_is_guessed(tmp_path):
     vertices, faces = hand()
     mesh = written(tmp_path / "hand.stl", vertices, faces, scale=1e3)
-    with pytest.raises(SceneError, match=r"2.2e\+04 mm long with unit dm|long with unit m; .*2\d\d.* mm with unit mm"):
+    with pytest.raises(SceneError, match=r"2.2e\+04 mm long in unit dm|long in unit m; .*2\d\d.* mm in unit mm"):
         report_card(mesh, "m")
     odd = written(tmp_path / "odd.stl", vertices, faces, scale=1.7)
-    with pytest.raises(
-        SceneError, match=r"carries no unit and no unit makes it .* mm with m, .* mm with in; give the unit"
-    ):
+    with pytest.raises(SceneError, match=r"has no unit, and no unit gives .* mm with m, .* mm with in; give the unit"):
         report_card(odd)
 
 
@@ -302,7 +300,11 @@ def test_what_cannot_be_examined_gets_a_card_with_the_refusal(tmp_path, kind):
     assert [(f["name"], f["outcome"], f["text"]) for f in read["findings"]] == [
         ("not examined", "refused", str(caught.value))
     ]
-    says = {"wrong unit": "with unit m; 20 to 600 mm", "unreadable": "cannot be read", "missing": "does not exist"}
+    says = {
+        "wrong unit": "in unit m; allowed: 20 to 600 mm",
+        "unreadable": "cannot be read",
+        "missing": "does not exist",
+    }
     assert says[kind] in as_text(read) and as_text(read).endswith("verdict     refused\n")
 
 

@@ -222,7 +222,7 @@ def test_joints_in_any_order_and_further_roots(mesh):
 
 
 @pytest.mark.parametrize(
-    "name, reason", [("index_distal", "names 2 joints"), ("hand_target", "is a name of this file's own")]
+    "name, reason", [("index_distal", "names 2 joints"), ("hand_target", "is a reserved name in this file")]
 )
 def test_names_that_cannot_be_bodies(mesh, name, reason):
     joints = replace(mesh.joints, names=(*mesh.joints.names[:-1], name))

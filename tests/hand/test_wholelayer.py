@@ -205,7 +205,7 @@ def test_a_fold_is_refused_with_its_place():
     ball = trimesh.creation.icosphere(subdivisions=2, radius=0.01)
     vertices, faces = np.array(ball.vertices), np.array(ball.faces, dtype=np.int32)
     outward = vertices / 0.01
-    with pytest.raises(SceneError, match=r"skin layer folds at \(.*\) mm \(quality -"):
+    with pytest.raises(SceneError, match=r"skin layer folds at \(.*\) mm \(element quality -"):
         fit_thickness(vertices, faces, outward, np.full(len(vertices), 0.002), np.full(len(vertices), np.inf))
 
 
@@ -233,7 +233,7 @@ def test_an_open_surface_and_a_side_that_nothing_faces_are_refused():
     surface = body("men")
     with pytest.raises(SceneError, match="3 edges of the surface do not have two faces"):
         hand_layer(Surface(surface.vertices, surface.faces[1:], surface.normals), 0.002)
-    with pytest.raises(SceneError, match="no face looks along"):
+    with pytest.raises(SceneError, match="no face has a normal along"):
         facing_faces(surface, least_cosine=1.1)
 
 

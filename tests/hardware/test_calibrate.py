@@ -60,19 +60,19 @@ def test_kinds_are_listed_with_their_columns() -> None:
     ("arguments", "told"),
     [
         (["elemnts", "{}/elements.csv", "{}/b.json", "--source", "us"], "did you mean 'elements'"),
-        (["elements", "{}/elements.csv", "{}/b.json", "--layout", "sonicsurface"], "source is not told"),
+        (["elements", "{}/elements.csv", "{}/b.json", "--layout", "sonicsurface"], "source is missing"),
         (["elements", "{}/elements.csv", "{}/b.json", "--source", "us"], "name the array"),
         (["elements", "{}/elements.csv", "{}/b.json", "--source", "us", "--layout", "autd3"], "give 0 to 248"),
         (
             ["elements", "{}/level.csv", "{}/b.json", "--source", "us", "--layout", "uhev1"],
             "column 'element' is missing",
         ),
-        (["plate", "{}/plate.csv", "{}/board.json", "--source", "us"], "sides are not told"),
-        (["sweep", "{}/sweep.csv", "{}/board.json", "--source", "us"], "focus that the board was told"),
-        (["focus", "{}/focus.csv", "{}/board.json", "--source", "us"], "the focus is not told"),
+        (["plate", "{}/plate.csv", "{}/board.json", "--source", "us"], "plate are missing"),
+        (["sweep", "{}/sweep.csv", "{}/board.json", "--source", "us"], "the commanded focus is missing"),
+        (["focus", "{}/focus.csv", "{}/board.json", "--source", "us"], "the focus is missing"),
         (
             ["level", "{}/level.csv", "{}/board.json", "--source", "us", "--layout", "uhev1"],
-            "is of layout 'sonicsurface'",
+            "is for layout 'sonicsurface'",
         ),
         (["level", "{}/sweep.csv", "{}/board.json", "--source", "us"], "column 'level' is missing"),
     ],
@@ -110,5 +110,5 @@ def test_a_scene_takes_the_calibration(trial: Path) -> None:
         alone = [abs(model.arrays.pressure64(focus, np.where(np.arange(256) == n, drive, 0))[0]) for n in range(256)]
         together = abs(model.arrays.pressure64(focus, drive)[0])
         assert low < together / sum(alone) < high, "all in phase but for the rounding of 32 phases, or not at all"
-    with pytest.raises(SceneError, match="drop one of them"):
+    with pytest.raises(SceneError, match="remove one of them"):
         palmfield.Simulation(scene, keys={**keys, "array.p0_Pa_m": "2"})

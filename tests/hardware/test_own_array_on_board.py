@@ -80,5 +80,5 @@ def test_how_far_rounding_moves_a_focus_is_said(tmp_path):
     expected = 1e3 * np.linalg.norm(loudest(rounded) - loudest(asked))
     line = ["drive", "--focus", *map(str, FOCUS), "--board", "ultraino", "--record", str(tmp_path / "b.bin")]
     done = RUN.invoke(app, [*line, "--layout", str(file_of(tmp_path / "own.csv", "flat")), "--duration", "0.1"])
-    said = re.search(r"rounding moves it by ([\d.]+) mm", done.output)
+    said = re.search(r"rounding by the board moves it by ([\d.]+) mm", done.output)
     assert said and float(said[1]) == pytest.approx(expected, abs=0.4), (done.output, expected)

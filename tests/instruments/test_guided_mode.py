@@ -80,10 +80,10 @@ def test_the_wavenumber_is_within_3_percent(thickness, frequency):
 @pytest.mark.parametrize(
     ("thickness", "frequency", "pitch", "snr_dB", "words"),
     [
-        (0.006, 160.0, 0.005, 20.0, "waves fit the scan's 120 mm, 2 are needed"),
-        (0.004, 400.0, 0.009, 20.0, "points stand for a wave, 3 are needed"),
-        (0.006, 400.0, 0.005, 20.0, r"loses 9\d(\.\d)? % of itself in a wavelength"),
-        (0.01, 200.0, 0.005, 20.0, r"noise, .* leaves .* beside 2 other waves, 1.3 are allowed"),
+        (0.006, 160.0, 0.005, 20.0, "wavelengths; needed: 2"),
+        (0.004, 400.0, 0.009, 20.0, "points per wavelength; needed: 3"),
+        (0.006, 400.0, 0.005, 20.0, r"decays by 9\d(\.\d)? % per wavelength"),
+        (0.01, 200.0, 0.005, 20.0, r"noise .* uncertainty of .* next to 2 other waves; allowed: 1.3"),
         (0.006, 250.0, 0.005, -6.0, "."),
     ],
 )
@@ -113,7 +113,7 @@ def test_waves_from_elsewhere_and_a_source_elsewhere_are_noticed():
     assert "is no noise" in fitted(told, read).reason
     told, read, _ = scan(250.0, 0.006)
     off = guided_mode_fit(read, told, [0.008, 0.0], NEAR_M, sights=np.tile([1.0, 0.0, 1.0], (len(told), 1)))
-    assert "the source lies 4 mm or more from where it is said to be" in off.reason
+    assert "the fitted source lies 4 mm or more from the given source" in off.reason
 
 
 def test_a_lines_amplitude_is_that_of_the_last_whole_periods():

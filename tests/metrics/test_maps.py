@@ -158,7 +158,7 @@ def test_half_width_of_fringes_is_that_of_the_envelope_or_of_the_middle_one():
 
 
 def test_half_width_refuses_a_curve_that_ends_too_soon():
-    with pytest.raises(MeasurementError, match=r"0\.01 m, it still reaches 0\.5"):
+    with pytest.raises(MeasurementError, match=r"0\.01 m, the curve still exceeds 0\.5"):
         half_width([-0.01, 0.0, 0.01], [0.1, 1.0, 0.6])
     with pytest.raises(MeasurementError, match="0 everywhere"):
         half_width([0.0, 1.0, 2.0], [0.0, 0.0, 0.0])

@@ -41,7 +41,7 @@ def test_least_absolute_deviations_pass_over_outliers():
 
 
 def test_a_window_without_places_is_refused():
-    with pytest.raises(MeasurementError, match="the fit needs three"):
+    with pytest.raises(MeasurementError, match="needed: three or more"):
         mach_angle(cone(35.0), X, Y, focus_x_m=FOCUS, distances_m=(0.3, 0.4))
     with pytest.raises(MeasurementError, match="ridge or slant_stack"):
         mach_angle(cone(35.0), X, Y, focus_x_m=FOCUS, estimator="eye")
@@ -86,7 +86,7 @@ def test_a_wave_that_turns_stands_in_the_turning_frame_and_another_vanishes(turn
     assert np.abs(found[1]).max() < 1e-12
     squares = co_rotating_average(t, maps, turn_Hz, out, square=True)
     assert squares[1] == pytest.approx(np.full(17, np.sqrt(0.5)), abs=1e-12)
-    with pytest.raises(MeasurementError, match="holds no turn"):
+    with pytest.raises(MeasurementError, match="is shorter than one turn"):
         co_rotating_average(t[:50], maps[:50], turn_Hz, out)
 
 

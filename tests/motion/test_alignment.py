@@ -32,7 +32,7 @@ def seen(places):
 def test_swapped_and_reversed_axes_are_named(change, said, height_m):
     places = np.vstack([CORNERS, [0.02, -0.03, height_m]])
     noise = np.random.default_rng(1).normal(0.0, 5e-4, places.shape)
-    with pytest.raises(SceneError, match=f"with {said}: the tracker's axes are left-handed"):
+    with pytest.raises(SceneError, match=f"with {said}: the axes of the tracker are left-handed"):
         align(Touches(places, (places - SHIFT + noise) @ np.array(change)))
     align(Touches(places, seen(places) + noise))  # right-handed ones, noise and all
 
@@ -40,7 +40,7 @@ def test_swapped_and_reversed_axes_are_named(change, said, height_m):
 def test_touches_in_one_plane_leave_the_hand_of_the_axes_open():
     mirror = np.diag([1.0, 1.0, -1.0])
     flat = align(Touches(CORNERS, (CORNERS - SHIFT) @ mirror))  # left-handed, and nothing is left
-    assert flat.rms_m < 1e-12 and "touch one more, 20 mm or more off it" in str(flat)
+    assert flat.rms_m < 1e-12 and "touch one more point, 20 mm or more away from it" in str(flat)
     whole = np.vstack([CORNERS, [0.0, 0.0, 0.03]])
     assert "one plane" not in str(align(Touches(whole, seen(whole))))
 
@@ -77,10 +77,10 @@ def test_what_is_said_of_the_error_is_what_repeats_scatter_by():
 @pytest.mark.parametrize(
     ("touches", "told"),
     [
-        (Touches(CORNERS[:2], seen(CORNERS[:2])), "2 points were touched; give 3 or more"),
+        (Touches(CORNERS[:2], seen(CORNERS[:2])), "2 points were touched; needed: 3 or more"),
         (Touches(CORNERS[[0, 4, 2]], seen(CORNERS[[0, 4, 2]])), "of a line"),
-        (Touches(CORNERS, 1e3 * seen(CORNERS)), "look at their order, and at the tracker's unit"),
-        (Touches(CORNERS, seen(CORNERS[[1, 0, 2, 3, 4]])), "mm off their places"),
+        (Touches(CORNERS, 1e3 * seen(CORNERS)), "check their order and the unit of the tracker"),
+        (Touches(CORNERS, seen(CORNERS[[1, 0, 2, 3, 4]])), "mm from their positions"),
         (Touches(CORNERS[:3], np.zeros((3, 3))), "of the tracker lie within 0 mm of a line"),
     ],
 )

@@ -116,7 +116,7 @@ def test_a_live_hand_is_predicted(stream, median):
 def test_a_hand_of_the_other_side_and_no_hand_are_refused(stream):
     with (
         LiveHand(articulate(load_preset("open_men_p50")), IDENTITY) as hand,
-        pytest.raises(SceneError, match=r"no hand was seen within 0\.05 s at udp 127\.0\.0\.1:\d+: 0 samples taken"),
+        pytest.raises(SceneError, match=r"no hand was tracked within 0\.05 s at udp 127\.0\.0\.1:\d+: 0 samples taken"),
     ):
         hand.wait(0.05)
     mirrored = Stream(
@@ -139,7 +139,7 @@ def test_addresses_and_speeds_are_checked(stream):
         replay(stream, ("127.0.0.1", 9), speed=0.0)
     with socket.create_server(("127.0.0.1", 0)) as server:
         number = server.getsockname()[1]
-        with pytest.raises(DeviceError, match="can't be listened at"):
+        with pytest.raises(DeviceError, match="cannot listen at"):
             Listener(port=number, by="tcp")
-    with pytest.raises(DeviceError, match="takes no samples by tcp after 0"):
+    with pytest.raises(DeviceError, match="accepts no samples by tcp after 0"):
         replay(stream, ("127.0.0.1", number), by="tcp")

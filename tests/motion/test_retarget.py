@@ -137,7 +137,7 @@ def test_lost_joints_keep_the_angles_of_before_and_lost_palms_are_skipped(median
 def test_streams_without_a_palm_are_refused(median, swing, times):
     seen = stream_of(median, swing, times)
     seen.flags[1:] = 0
-    with pytest.raises(SceneError, match="1 of 30 packets have 4 valid joints in the palm"):
+    with pytest.raises(SceneError, match="1 of 30 packets have 4 valid palm joints"):
         retarget(median, seen)
     seen = stream_of(median, swing, times)
     seen.flags[:, WRIST] = 15 - POSITION_VALID

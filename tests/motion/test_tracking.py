@@ -99,7 +99,7 @@ def test_lost_joints_may_be_nan_in_a_file_and_others_not(tmp_path, stream):
     read = read_stream(with_cells(ring_tip_x_m="nan", ring_tip_flags="0"))
     assert read.flags[1, JOINTS.index("ring_tip")] == 0
     for cells, words in (
-        ({"ring_tip_x_m": "nan"}, "line 3, ring_tip: position is not finite, yet flagged as valid"),
+        ({"ring_tip_x_m": "nan"}, "line 3, ring_tip: position is not finite, but it is flagged as valid"),
         ({"palm_radius_m": "0"}, "line 3, palm: radius is not positive"),
         (dict.fromkeys(("palm_qw", "palm_qx", "palm_qy", "palm_qz"), "0"), "line 3, palm: quaternion has no length"),
         ({"palm_flags": "16"}, "line 3, column palm_flags: 16; use a whole number from 0 to 15"),

@@ -67,13 +67,13 @@ def test_units_of_columns_and_joints_at_rest(table, median):
     ("text", "words"),
     [
         ("", "the file is empty"),
-        (f"{HEADER}\n", "0 rows of numbers; give two or more"),
-        (f"{HEADER}\n0,0,0,0,1,0,0,0\n", "1 rows of numbers; give two or more"),
-        (f"{HEADER},x_m\n", "column 'x_m' is there twice"),
+        (f"{HEADER}\n", "has 0 rows of numbers; needed: two or more"),
+        (f"{HEADER}\n0,0,0,0,1,0,0,0\n", "has 1 rows of numbers; needed: two or more"),
+        (f"{HEADER},x_m\n", "column 'x_m' occurs twice"),
         (f"{HEADER}\n0,0,0,0.2,1,0,0,0\n1,0,nan,0.2,1,0,0,0\n", "line 3, column y_m: nan; give a finite number"),
         (f"{HEADER}\n0,0,0,0.2,1,0,0,0\n\n1,0,0,here,1,0,0,0\n", "line 4, column z_m: 'here' is not a number"),
         (f"{HEADER}\n0,0,0,0.2,1,0,0,0\n1,0,0\n", "line 3 has 3 values for 8 columns"),
-        (f"{HEADER}\n{PLAIN}1,0,0,0.2,1,0,0,0\n", "line 4, column time_s: 1 s comes after 1 s; let time rise"),
+        (f"{HEADER}\n{PLAIN}1,0,0,0.2,1,0,0,0\n", "line 4, column time_s: 1 s comes after 1 s; allowed: rising times"),
         (f"{HEADER}\n{PLAIN}2,0,0,0.2,0,0,0,0\n", "line 4, columns qw to qz: a quaternion of length 0"),
         ("time_s,x_m,z_m,qw,qx,qy,qz\n0,0,0,1,0,0,0\n1,0,0,1,0,0,0\n", "column 'y_m' or 'y_mm' is missing"),
         ("x_m,y_m,z_m,qw,qx,qy,qz\n0,0,0,1,0,0,0\n", "column 'time_s' is missing"),
@@ -175,7 +175,7 @@ def test_functions_by_themselves_and_by_name(swing, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("answer", "words"),
     [
-        (None, "the answer is NoneType; give a palmfield.motion.pose.HandPose"),
+        (None, "the function returned NoneType; return a palmfield.motion.pose.HandPose"),
         (HandPose([0, 0], [1, 0, 0, 0], {}), r"position has shape \(2,\)"),
         (([0, 0, math.nan], [1, 0, 0, 0], {}), "position is .*nan"),
         (([0, 0, 0], [0, 0, 0, 0], {}), "quaternion has length 0"),
@@ -191,5 +191,5 @@ def test_wrong_answers_of_functions_are_refused_with_their_time(median, answer, 
 
 
 def test_failing_functions_are_named_with_time_and_reason(median):
-    with pytest.raises(SceneError, match=r"at 0 s: ZeroDivisionError: .*; mend the function"):
+    with pytest.raises(SceneError, match=r"at 0 s: ZeroDivisionError: .*; correct the function"):
         from_callable(lambda time: 1 / time, median)(0)

@@ -83,7 +83,7 @@ def openxr_line(**changes):
         (openxr_line(time_s=float("nan")), "numbers", "time_s is nan"),
         (openxr_line(hand=None), "lost", "sees no hand"),
         (openxr_line(joints={}), "lost", "no joint"),
-        (openxr_line(joints={"elbow": {"position": [0, 0, 0]}}), "joints", "'elbow' is none of OpenXR's 26"),
+        (openxr_line(joints={"elbow": {"position": [0, 0, 0]}}), "joints", "'elbow' is not one of the 26"),
         (openxr_line(joints={"wrist": {}}), "joints", "position"),
         (openxr_line(joints={"wrist": {"position": [0, float("nan"), 0]}}), "numbers", "wrist has"),
         (openxr_line(joints={"wrist": {"position": [0, 0]}}), "numbers", "3 finite numbers"),

@@ -54,8 +54,8 @@ def test_units_become_si(tmp_path):
         ("y_m,0,0\n", "", "has no line 'y_m"),
         ("z_m,0,0\n", "z_m,0,0\nsight_x,1,1\n", "has no line 'sight_y"),
         ("x_m,0,0.005", "x_mm,0,5", r"line 4 begins with 'x_mm' \(did you mean 'x_m'\?\); allowed: a time, or x_m"),
-        ("y_m,0,0\n", "y_m,0,0\ny_m,0,1\n", "line 6 gives 'y_m' again"),
-        ("x_m,0,0.005", "x_m,0,0", r"points 0 and 1 lie in one place, \(0, 0, 0\) mm"),
+        ("y_m,0,0\n", "y_m,0,0\ny_m,0,1\n", "line 6 repeats 'y_m'"),
+        ("x_m,0,0.005", "x_m,0,0", r"points 0 and 1 have the same position, \(0, 0, 0\) mm"),
         ("0.003,3,-3", "0.003,3", "line 10 has 2 values for 3 columns"),
         ("0.003,3,-3", "0.003,x,-3", "line 10, column P1: 'x' is not a number"),
         ("0.003,3,-3", "0.003,nan,-3", "line 10, column P1: nan; give a finite number"),
@@ -146,12 +146,12 @@ def test_uff_of_others_with_millimetres_single_nodes_and_turned_axes(tmp_path):
         read_scan(tmp_path / "b.uff")
     sets[3] |= {"rsp_node": 9, "rsp_dir": 1}
     pyuff.UFF(str(tmp_path / "b.uff")).write_sets(sets, mode="overwrite")
-    with pytest.raises(MeasurementError, match="of node 9 is in direction 1; read are those along z"):
+    with pytest.raises(MeasurementError, match="of node 9 has direction 1; allowed: 3 and -3"):
         read_scan(tmp_path / "b.uff")
     sets[3] |= {"rsp_node": 8, "rsp_dir": 3}
     sets[2]["ordinate_spec_data_type"] = 12
     pyuff.UFF(str(tmp_path / "b.uff")).write_sets(sets, mode="overwrite")
-    with pytest.raises(MeasurementError, match="data types 11, 12; allowed: one of 8"):
+    with pytest.raises(MeasurementError, match="data types 11, 12; allowed: 8"):
         read_scan(tmp_path / "b.uff")
 
 
@@ -166,7 +166,7 @@ def test_uff_that_is_none_is_told(tmp_path):
     whole = (tmp_path / "b.uff").read_bytes()
     for cut in (whole[:-300], whole[:-7]):
         (tmp_path / "b.uff").write_bytes(cut)
-        with pytest.raises(MeasurementError, match="ends within a data set: it was cut off"):
+        with pytest.raises(MeasurementError, match="ends within a data set; give the complete file"):
             read_scan(tmp_path / "b.uff")
     (tmp_path / "b.uff").write_bytes(whole + b"\r\n \n")
     assert read_scan(tmp_path / "b.uff").values.shape == scan().values.shape
@@ -205,7 +205,7 @@ def test_what_is_wrong_in_a_mat_is_named(tmp_path):
         ({"displacement_m": one.values}, "has velocity_m_s and displacement_m"),
         ({"points_m": None}, "has no variable 'points_m'"),
         ({"points_m": one.points[:2]}, "give shapes"),
-        ({"velocity_m_s": one.values + 1j}, "velocity_m_s is not of real numbers"),
+        ({"velocity_m_s": one.values + 1j}, "velocity_m_s does not hold real numbers"),
     ):
         savemat(tmp_path / "a.mat", {name: value for name, value in (good | change).items() if value is not None})
         with pytest.raises(MeasurementError, match=words):
@@ -240,7 +240,7 @@ def test_polytecs_text_files_are_a_scan_with_a_table_of_places(tmp_path):
     assert found.quantity == "velocity" and found.sights is None and found.times_s == pytest.approx(times)
     assert found.values == pytest.approx(1e-3 * values, rel=1e-8)
     assert found.points[:, 0] == pytest.approx([0.0, 0.001, 0.002])
-    with pytest.raises(MeasurementError, match="give the folder that holds them"):
+    with pytest.raises(MeasurementError, match="give the folder with these files"):
         read_scan(tmp_path / "scan_0.txt")
 
 
@@ -256,9 +256,9 @@ def test_polytecs_text_files_are_a_scan_with_a_table_of_places(tmp_path):
         ("Vib Velocity", "Vib Displacement", r"units are '\[ s \] \[ mm/s \]'; allowed"),
         ("[ mm/s ]", "[ V ]", "of velocity, "),
         ("[ s ]", "[ ms ]", r"allowed: \[ s \]"),
-        ("Time\tTime Signal", "Frequency\tSpectrum", "two columns follow the head, Time"),
-        ("\n\n", "\n", "no empty line after its head|line 5 is 'Time"),
-        ("0.000125\t", "0,000125\t", "line 9 is '0,000125.*decimals by points"),
+        ("Time\tTime Signal", "Frequency\tSpectrum", "two columns, Time"),
+        ("\n\n", "\n", "the empty line after the head is missing|line 5 is 'Time"),
+        ("0.000125\t", "0,000125\t", "line 9 is '0,000125.*with decimal points"),
         ("0.00025\t", "0.000251\t", "times are not"),
     ],
 )
@@ -292,10 +292,10 @@ SET_164 = {"type": 164, "units_code": 5, "units_description": "mm", "temp_mode":
     [
         ("m/s", 1.0, "s", [], None), ("mm/s", 1e3, "s", [], None), ("um/s", 1e6, "s", [], None),
         ("\u00b5m/s", 1e6, "s", [], None), ("NONE", 1.0, "NONE", [], None), ("mm/s", 1e3, "s", [SET_164], None),
-        ("km/h", 3.6, "s", [], "carries the unit label 'km/h'; allowed: m/s, mm/s, um/s, or none"),
-        ("mm", 1e3, "s", [], "velocity carries the unit label 'mm'"),
-        ("mm/s", 1e3, "ms", [], "times carry the unit label 'ms'; allowed: s"),
-        ("m/s", 1.0, "s", [SET_164], "unit label 'm/s', and data set 164 has lengths of 0.001 m"),
+        ("km/h", 3.6, "s", [], "has the unit label 'km/h'; allowed: m/s, mm/s, um/s, or none"),
+        ("mm", 1e3, "s", [], "velocity has the unit label 'mm'"),
+        ("mm/s", 1e3, "ms", [], "times have the unit label 'ms'; allowed: s"),
+        ("m/s", 1.0, "s", [SET_164], "unit label 'm/s', but data set 164 has lengths of 0.001 m"),
     ],
 )  # fmt: skip
 def test_the_unit_label_of_a_uff_record_is_used_or_refused(tmp_path, label, scale, time_label, sets, fault):
@@ -325,5 +325,5 @@ def test_the_unit_label_of_a_uff_record_is_used_or_refused(tmp_path, label, scal
 def test_places_in_millimetres_are_refused(tmp_path):
     scan = Scan("velocity", np.arange(16) / 1000.0, np.array([[0.0, 0, 0], [10.0, 0, 0]]), np.ones((16, 2)))
     write_scan(tmp_path / "scan.csv", scan)
-    with pytest.raises(MeasurementError, match="points are 10 m apart; allowed: at most 2 m: give places in metres"):
+    with pytest.raises(MeasurementError, match="points are 10 m apart; allowed: at most 2 m: give positions in metres"):
         read_scan(tmp_path / "scan.csv")

@@ -84,7 +84,10 @@ def test_any_name_makes_a_group(name):
         ({"/": {"step_time": np.zeros(1)}, "/array/a": {"pose": np.zeros((1, 6))}}, ["6 along 'pose7'", "7"]),
         ({"/skin/p": {"arp": np.zeros((2, 3), np.float32)}}, ["/skin/p/arp", "without its times", "give 'time'"]),
         ({"/": {"time": np.zeros(3)}, "/skin/p": {"arp": np.zeros((2, 3), np.float32)}}, ["2 along 'time'", "3"]),
-        ({"/surface/p": {"obstacle_position": np.zeros((0, 3))}}, ["nothing along 'obstacle_vertex'", "leave it out"]),
+        (
+            {"/surface/p": {"obstacle_position": np.zeros((0, 3))}},
+            ["has length 0 along 'obstacle_vertex'", "omit it"],
+        ),
         ({"/stimulus/s": {"sounding": np.zeros(1)}}, ["float64", "bool"]),
         ({"/sensors/s": {"channel": np.zeros(1)}}, ["float64", "str"]),
     ],

@@ -172,9 +172,9 @@ def test_a_run_without_steps(tmp_path, static_arrays):
 def test_blocks_that_do_not_go_on_from_earlier_ones_are_refused(tmp_path):
     target = Store(tmp_path, SMALL)
     target.append(_times(0.0, 1.0) | {"/skin/p": {"arp": np.zeros((2, 4), np.float32)}})
-    with pytest.raises(OutputError, match="3 along 'vertex', where the result has 4"):
+    with pytest.raises(OutputError, match="length 3 along 'vertex', but the result has 4"):
         target.append(_times(2.0, 3.0) | {"/skin/p": {"arp": np.zeros((2, 3), np.float32)}})
-    with pytest.raises(OutputError, match="earlier ones held arp"):
+    with pytest.raises(OutputError, match="earlier blocks held arp"):
         target.append(_times(2.0, 3.0) | {"/skin/p": {"displacement": np.zeros((2, 4, 3), np.float32)}})
     for times in ((3.0, 3.0), (1.0, 2.0)):
         with pytest.raises(OutputError, match="'time' does not rise"):
@@ -355,7 +355,7 @@ def test_kill_9_leaves_what_was_flushed(tmp_path):
     noise = np.random.default_rng(0).normal(size=(steps, 1000, 3)).astype(np.float32)
     np.testing.assert_array_equal(found["skin/p/displacement"].values, noise)
     assert found.attrs["complete"] == 0
-    assert "recovered after the run was cut off" in found.attrs["reason"]
+    assert "recovered after the run was interrupted" in found.attrs["reason"]
     with pytest.raises(OutputError, match="no unfinished run"):
         recover(tmp_path)
 
@@ -576,7 +576,7 @@ def test_what_another_schema_left_is_not_recovered(tmp_path):
     with h5py.File(static, "a") as file:
         del file.attrs["schema_version"]
     store._write_sealed(static, static.read_bytes())
-    with pytest.raises(OutputError, match="left by a palmfield of schema 1"):
+    with pytest.raises(OutputError, match="written by a palmfield version with schema 1"):
         recover(tmp_path)
 
 

@@ -150,7 +150,7 @@ def test_the_table_of_one_skin(one_skin):
     assert told["p0"] == "uncalibrated: inferred, 1.27 Pa m (0.7 to 2.6)"
     assert "(numerical 10 %)" in told["peak skin displacement"]
     assert "for p0 x 0.3 to 4.2" in told["peak skin displacement"]
-    assert told["accuracy"].startswith("NOT reached: 5 % wanted; the layer's cut sides")
+    assert told["accuracy"].startswith("NOT reached: target 5 %; the cut sides of the layer")
 
 
 def test_each_observer_has_its_level_with_its_own_spread_or_why_it_is_refused(one_skin):
@@ -160,7 +160,7 @@ def test_each_observer_has_its_level_with_its_own_spread_or_why_it_is_refused(on
         "3 dB SL (-11 to 19), observer 1 (hasegawa_2018: mean force 4 mN; p0 -10 to +12 dB, observer -10 to +10 dB; "
         "spread +-10 dB, people)",
         "9 dB SL (-1 to 22), observer 2 (bolanowski_1988: p0 -10 to +12 dB)",
-        "6 dB SL (-4 to 19), observer 2, line at 200 Hz, over the 1.5 cm2 that move by half of the most or more",
+        "6 dB SL (-4 to 19), observer 2, line at 200 Hz, over the 1.5 cm2 that move by half of the maximum or more",
         "25 dB SL (14 to 37), observer 3 (morioka_griffin_2006: a handle; p0 -10 to +12 dB; spread not established)",
         "refused, observer 4 (afferent_human: its table ends at 350 Hz)",
     ):
@@ -198,7 +198,7 @@ def test_the_main_table_has_14_lines_and_the_verdict_first(one_skin):
     found = summary(one_skin, RUN, {"palm": STM | budget | more | {"peak_displacement_m": 1e-6}}, {})
     lines = format_summary(found).splitlines()
     assert len(lines) <= 14
-    assert lines[0].startswith("accuracy NOT reached, error 10 % where 2 % was asked for; felt: yes, because 14 dB SL")
+    assert lines[0].startswith("target accuracy NOT reached: error 10 %, target 2 %; felt: yes, because 14 dB SL")
     rows = told(one_skin, STM | budget | {"peak_displacement_m": 1e-6}, details=False)
     assert list(rows)[-5:] == [
         "total force", "peak skin displacement", "level above threshold", "error", "wall time, peak memory",
@@ -251,9 +251,9 @@ def test_what_no_sound_pushes_is_no_silence_while_the_array_runs(one_skin):
     found = summary(one_skin, RUN, {"palm": FULL | {"peak_pressure_Pa": 0.0, "peak_pressure_dB_SPL": None}}, {
         "pulse": {"drive_level": 0.5}})  # fmt: skip
     told = dict(_rows(format_summary(found, True)))["peak sound pressure"]
-    assert "silence" not in told and "the array runs, at 0.500 of full" in told
+    assert "silence" not in told and "the array is on, at 0.500 of full" in told
     found["stimuli"][0]["drive_level"] = 0.0
-    assert "silence: the array doesn't run" in dict(_rows(format_summary(found, True)))["peak sound pressure"]
+    assert "silence: the array is off" in dict(_rows(format_summary(found, True)))["peak sound pressure"]
 
 
 def _part(what, low, high):
@@ -332,4 +332,4 @@ def test_the_largest_source_of_an_error_has_its_advice(one_skin):
 
 def test_motion_without_sound_on_the_skin_says_that_nothing_stands_behind_it(one_skin):
     rows = told(one_skin, {"peak_arp_Pa": 0.0})
-    assert "no estimate stands behind it" in rows["peak skin displacement"]
+    assert "there is no error estimate" in rows["peak skin displacement"]

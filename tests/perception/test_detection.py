@@ -88,7 +88,7 @@ def test_the_law_of_durations_is_the_closed_form_of_the_sum():
 @pytest.mark.parametrize(
     ("name", "duration", "told"),
     [
-        ("afferent_human", 1.0, "has no law for durations: leave duration_s out, or take bolanowski_1988"),
+        ("afferent_human", 1.0, "has no law for durations: omit duration_s, or use bolanowski_1988"),
         ("bolanowski_1988", 0.0, "duration_s 0.0 is no time"),
         ("bolanowski_1988", math.nan, "duration_s nan is no time"),
     ],

@@ -46,21 +46,25 @@ def course_of(scene: Path, words: str) -> str:
 @pytest.mark.parametrize("key", ["radius_m", "thickness_m"])
 def test_a_hand_has_no_size_of_a_disc(key, small_scene):
     refused(
-        small_scene(skin=HAND | {key: 0.05}), f"{SKIN}{key} belongs to shape 'disc', shape is 'hand': drop it or set"
+        small_scene(skin=HAND | {key: 0.05}),
+        f"{SKIN}{key} applies to shape 'disc', but shape is 'hand': remove the key, or set",
     )
 
 
 @pytest.mark.parametrize(("key", "value"), [("depth_m", 0.005), ("patch_radius_m", 0.01), ("patch_site", "centre")])
 def test_a_disc_has_no_layer_laid_on_it(key, value, small_scene):
     shapes = "'hand' or 'articulated' or 'mesh' or 'rigged' or 'cylinder'"
-    refused(small_scene(skin={key: value}), f"{SKIN}{key} belongs to shape {shapes}, shape is 'disc': drop it")
+    refused(
+        small_scene(skin={key: value}), f"{SKIN}{key} applies to shape {shapes}, but shape is 'disc': remove the key"
+    )
 
 
 @pytest.mark.parametrize("edges", ["rays", "knife_edge"])
 def test_edges_of_shadows_without_shadows(edges, small_scene):
     refused(
         small_scene(skin={"shadow_edges": edges}),
-        f"{SKIN}shadow_edges '{edges}' belongs to shadows, body_sound is 'none': drop it or set body_sound to shadows",
+        f"{SKIN}shadow_edges '{edges}' applies to body_sound 'shadows', but body_sound is 'none': remove the key, or "
+        "set body_sound to shadows",
     )
     spec = palmfield.load(small_scene(skin={"shadow_edges": edges, "body_sound": "shadows"})).runtime.spec
     assert isinstance(spec, SceneSpec) and spec.skins[0].config.shadow_edges == edges
@@ -70,7 +74,7 @@ def test_edges_of_shadows_without_shadows(edges, small_scene):
 def test_a_key_that_is_set_to_nothing(value, small_scene, monkeypatch, capsys):
     assert typed(["info", str(small_scene()), "--set", f"skin.material={value}"], monkeypatch) == 2
     said = capsys.readouterr()
-    assert f"--set skin.material={value}".strip() in said.err and "no value behind the =" in said.err and not said.out
+    assert f"--set skin.material={value}".strip() in said.err and "no value after the =" in said.err and not said.out
 
 
 def test_a_key_said_of_a_plugin_and_of_its_only_instance(small_scene):
@@ -118,7 +122,7 @@ def test_settings_of_other_programs_are_left_alone(small_scene):
 
 def test_a_vector_with_commas_is_told_once_with_blanks(small_scene):
     text = refused(small_scene(stimulus={"focus_m": "0,0,0.12"}), f"{STIMULUS}key 'focus_m' has value '0,0,0.12'")
-    assert text.count("focus_m") == 1 and "write '0 0 0.12', with blanks in place of commas" in text
+    assert text.count("focus_m") == 1 and "write '0 0 0.12', with spaces in place of commas" in text
 
 
 def test_words_in_a_vector_are_no_commas(small_scene):
@@ -196,7 +200,7 @@ def test_a_stimulus_that_starts_after_the_run_or_has_stopped(small_scene):
 def test_a_focus_off_the_skin_is_told_with_what_the_skin_gets(behind_mm, small_scene):
     focus = np.array([0.0, 0.0, 0.12 + 1e-3 * behind_mm])
     path = small_scene(stimulus={**STEADY, "focus_m": f"0 0 {focus[2]}"})
-    said = course_of(path, "no focus comes near skin 'skin'")
+    said = course_of(path, "no focus is near skin 'skin'")
     array = preview(path).runtime.model.arrays.array
 
     def loudness(at: Float, points: Float) -> Float:
@@ -213,8 +217,8 @@ def test_a_focus_off_the_skin_is_told_with_what_the_skin_gets(behind_mm, small_s
 
 
 def test_a_skin_behind_the_focus_hardly_moves(small_scene):
-    said = course_of(small_scene(stimulus={**STEADY, "focus_m": "0 0 0.03"}), "no focus comes near")
-    assert "which then hardly moves" in said and "for the 4.5 mm wide spot at the focus" in said
+    said = course_of(small_scene(stimulus={**STEADY, "focus_m": "0 0 0.03"}), "no focus is near")
+    assert "so the skin hardly moves" in said and "for the 4.5 mm spot at the focus" in said
 
 
 def test_a_focus_off_the_skin_is_told_alike_whatever_sets_its_level(small_scene):
@@ -223,7 +227,7 @@ def test_a_focus_off_the_skin_is_told_alike_whatever_sets_its_level(small_scene)
     for level in ({"arp_peak_Pa": 20}, {"drive_amplitude": 1}, {"drive_amplitude": 0.1}):
         path = small_scene(stimulus=keys | level)
         changed(path.parent / "plain.xml", 'pos="0 0 0.12"', 'pos="0 0 0.2"')
-        told.append(course_of(path, "no focus comes near skin 'skin'"))
+        told.append(course_of(path, "no focus is near skin 'skin'"))
     assert len(set(told)) == 1 and "stays 140 mm away" in told[0]
 
 
@@ -232,14 +236,14 @@ def test_a_focus_off_the_skin_is_told_for_a_board_that_takes_one_focus(small_sce
     path = small_scene(
         array={"layout": "autd2018"}, stimulus={**keys, "control_rate_Hz": 1000}, driver={"board": "autd2018"}
     )
-    assert "stays 80 mm away" in course_of(path, "no focus comes near skin 'skin'")
+    assert "stays 80 mm away" in course_of(path, "no focus is near skin 'skin'")
 
 
 def test_a_layer_too_large_for_a_focus_far_aside_says_that_it_misses(small_scene, monkeypatch):
     monkeypatch.setattr("palmfield.simulation.validate.available_bytes", lambda: 10**5)
     path = small_scene(stimulus={"focus_m": "1 1 1"}, skin={"element_m": 0.00351})
-    refused(path, "there are 0.0001 GB free (the focus of stimulus 'stimulus' misses the skin: it is 1.67e+03 mm away")
-    assert "misses" not in refused(small_scene(skin={"element_m": 0.00352}), "there are 0.0001 GB free; set element_m")
+    refused(path, "free: 0.0001 GB (the focus of stimulus 'stimulus' misses the skin: it is 1.67e+03 mm from")
+    assert "misses" not in refused(small_scene(skin={"element_m": 0.00352}), "free: 0.0001 GB; set element_m")
 
 
 # -- sensors that a run would refuse -------------------------------------------------------------------------------
@@ -251,7 +255,7 @@ def test_a_layer_too_large_for_a_focus_far_aside_says_that_it_misses(small_scene
         ('objname="centre"', 'objname="array"', "needs objtype='site' and a site of body 'pad'"),
         ('objtype="site" objname="centre"', 'objtype="body" objname="pad"', "needs objtype='site'"),
         ('objname="centre"', 'objname="above"', "its site is 6.7 mm above the skin; allowed: at most 5 mm"),
-        ('objname="centre"', 'objname="aside"', "mm from the skin layer, whose rim it would read"),
+        ('objname="centre"', 'objname="aside"', "mm from the skin layer and would read the rim"),
     ],
 )
 @pytest.mark.parametrize("command", ["plan", "info"])
@@ -271,7 +275,7 @@ def test_a_sensor_off_its_skin_is_refused_before_the_run(old, new, expected, com
 def test_info_tells_how_p0_is_known(small_scene, monkeypatch, capsys):
     assert typed(["info", str(small_scene())], monkeypatch) == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert "uncalibrated: 1.27 Pa m (0.7 to 2.6), inferred: gives the 12 Pa" in said
+    assert "uncalibrated: 1.27 Pa m (0.7 to 2.6), inferred: reproduces the 12 Pa" in said
     assert typed(["info", str(small_scene()), "--json"], monkeypatch) == 0
     (array,) = json.loads(capsys.readouterr().out)["arrays"]
     told = {key: array[key] for key in ("p0_Pa_m", "p0_low_Pa_m", "p0_high_Pa_m", "p0_kind", "calibrated")}
@@ -283,7 +287,7 @@ def test_info_tells_how_p0_is_known(small_scene, monkeypatch, capsys):
 @pytest.mark.parametrize("p0", [131, 50, 0.00127])
 def test_a_p0_that_no_transducer_has_is_doubted(p0, small_scene):
     said = course_of(small_scene(array={"p0_Pa_m": p0}), "p0 of array 'array'")
-    assert f"is {p0:g} Pa m" in said and "0.7 to 8.5" in said and "look at the unit" in said
+    assert f"is {p0:g} Pa m" in said and "0.7 to 8.5" in said and "check the unit" in said
 
 
 @pytest.mark.parametrize("p0", [0.5, 2.53, 12])
@@ -297,12 +301,16 @@ def test_a_p0_that_one_may_have_is_not(p0, small_scene):
 def test_places_in_another_unit_are_refused_or_doubted(small_scene, tmp_path):
     """Metres under names of millimetres are refused; pistons that stand in one another are told; a board's are not."""
     keys = {"layout": "csv", "transducers": "own.csv"}
-    for scale, told in ((1e-3, "0.0105 mm apart"), (0.5, "5.25 mm apart, and their pistons 9 mm wide"), (1.0, None)):
+    for scale, told in (
+        (1e-3, "0.0105 mm apart"),
+        (0.5, "5.25 mm apart, but their pistons are 9 mm wide"),
+        (1.0, None),
+    ):
         places = [(10.5 * scale * x, 10.5 * scale * y) for x in range(-4, 5) for y in range(-4, 5)]
         (tmp_path / "own.csv").write_text("x_mm,y_mm,z_mm\n" + "".join(f"{x},{y},0\n" for x, y in places))
         scene = small_scene(array=keys)
         if scale == 1e-3:
-            assert "allowed: at least 1.0 mm; look at the unit" in refused(scene, told)
+            assert "allowed: at least 1.0 mm: check the unit" in refused(scene, told)
         elif told:
             course_of(scene, told)
             assert not [
@@ -313,17 +321,17 @@ def test_places_in_another_unit_are_refused_or_doubted(small_scene, tmp_path):
 
 
 def test_a_humidity_that_is_a_share_is_doubted(small_scene):
-    assert "look at the unit" in course_of(small_scene(array={"humidity_percent": 0.5}), "humidity_percent of array")
+    assert "check the unit" in course_of(small_scene(array={"humidity_percent": 0.5}), "humidity_percent of array")
     assert not [text for text in warnings(small_scene(array={"humidity_percent": 5})) if "humidity" in text]
 
 
 @pytest.mark.parametrize(
     ("changes", "told"),
     [
-        ({"gain": 5.0}, "has gains about 5, which are relative to p0"),
-        ({"gain": 0.2}, "has gains about 0.2, which are relative to p0"),
-        ({"offset_m": (0.3, 0.4, 0.0)}, "has its board 0.5 m off: look at the unit"),
-        ({"high": 900.0}, "has a p0 of 1.2 to 900 Pa m, so wide that it says nothing"),
+        ({"gain": 5.0}, "has gains of about 5; gains are relative to p0"),
+        ({"gain": 0.2}, "has gains of about 0.2; gains are relative to p0"),
+        ({"offset_m": (0.3, 0.4, 0.0)}, "displaces the board by 0.5 m: check the unit"),
+        ({"high": 900.0}, "has a p0 of 1.2 to 900 Pa m, which is too wide to be useful"),
         ({}, None),
     ],
 )
@@ -343,7 +351,13 @@ def test_a_calibration_of_no_board_is_doubted(changes, told, small_scene, tmp_pa
 
 @pytest.mark.parametrize(
     ("rate_Hz", "told"),
-    [(150, "what is played is 50 Hz"), (390, "played is 190 Hz"), (400, "depends on when"), (401, None), (0, None)],
+    [
+        (150, "the played frequency is 50 Hz"),
+        (390, "played is 190 Hz"),
+        (400, "depends on the phase of the frames"),
+        (401, None),
+        (0, None),
+    ],
 )
 def test_frames_too_rare_for_a_modulation_are_told(rate_Hz, told, small_scene):
     said = [text for text in warnings(small_scene(stimulus={"control_rate_Hz": rate_Hz})) if "frames a second" in text]
@@ -353,9 +367,9 @@ def test_frames_too_rare_for_a_modulation_are_told(rate_Hz, told, small_scene):
 @pytest.mark.parametrize(
     ("keys", "told"),
     [
-        ({"density_kg_m3": 1.03}, "has a density of 1.03 kg/m^3, that of skins and phantoms 500 to 3000"),
+        ({"density_kg_m3": 1.03}, "has a density of 1.03 kg/m^3; skins and phantoms have 500 to 3000"),
         ({"shear_relaxed_Pa": 12}, "has a relaxed shear modulus of 12 Pa"),
-        ({"bulk_Pa": 1000}, "look at bulk_Pa"),
+        ({"bulk_Pa": 1000}, "check bulk_Pa"),
         ({}, None),
     ],
 )
@@ -388,7 +402,7 @@ def test_ctrl_c_while_preparing_leaves_the_old_run_and_says_so(small_scene, pyth
     monkeypatch.setattr("palmfield.session.recorded_run.static_arrays", interrupted)
     assert typed(["run", str(path), "--out", str(out), "--overwrite", "--quiet"], monkeypatch) == 130
     said = capsys.readouterr().err
-    assert f"interrupted before anything was computed; what is in {out} is an earlier run's" in said
+    assert f"interrupted before the first step; {out} holds the results of an earlier run" in said
     assert "recover" not in said and [file.name for file in out.iterdir()] == ["summary.json"]
 
 

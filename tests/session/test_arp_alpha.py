@@ -25,11 +25,11 @@ def test_motion_is_in_proportion_to_alpha_and_results_and_budgets_say_it(small_s
     path, law = small_scene(), {"skin.arp_law": "alpha"}
     whole, about, told = finished(path, tmp_path / "whole", **law)
     assert whole > 0.0 and about["arp_alpha"] == 2.0
-    assert told == ["2 by key arp_law; allowed: 1 to 2, and the ARP on the skin is in proportion to it"]
+    assert told == ["2 by key arp_law; allowed: 1 to 2; the ARP on the skin is proportional to it"]
     less, about, told = finished(path, tmp_path / "less", **law, **{"skin.arp_alpha": 1.3})
     assert less / whole == pytest.approx(1.3 / 2.0, rel=1e-5)
     assert about["arp_law"] == "alpha" and about["arp_alpha"] == pytest.approx(1.3, rel=1e-12)
-    assert told == ["1.3 by key arp_alpha; allowed: 1 to 2, and the ARP on the skin is in proportion to it"]
+    assert told == ["1.3 by key arp_alpha; allowed: 1 to 2; the ARP on the skin is proportional to it"]
 
 
 def test_the_default_law_has_no_alpha(small_scene, tmp_path):
@@ -61,5 +61,5 @@ def test_what_no_skin_does_is_refused(small_scene, alpha):
 
 
 def test_alpha_without_its_law_is_refused(small_scene):
-    with pytest.raises(SceneError, match=r"arp_alpha 1\.5 belongs to arp_law 'alpha', arp_law is 'default'"):
+    with pytest.raises(SceneError, match=r"arp_alpha 1\.5 applies to arp_law 'alpha', but arp_law is 'default'"):
         palmfield.load(small_scene(skin={"arp_alpha": 1.5}))

@@ -41,7 +41,7 @@ def test_a_timestep_that_is_none(value, small_scene):
 
 def test_a_timestep_that_steps_of_the_skin_cannot_fill(small_scene, meshing_fails):
     path = changed(small_scene(), 'timestep="0.001"', 'timestep="1e308"')
-    refused(path, "MuJoCo's timestep of 1e+308 s has more of the skin's steps", "set timestep smaller")
+    refused(path, "the MuJoCo timestep of 1e+308 s holds too many skin steps", "set timestep smaller")
 
 
 @pytest.mark.parametrize(("key", "value"), [("focus_m", "0 0 0.1_2"), ("am_frequency_Hz", "2_00")])
@@ -108,7 +108,7 @@ def meshing_fails(monkeypatch):
 def test_elements_so_small_that_the_run_cannot_end(element_m, small_scene, meshing_fails):
     path = small_scene(skin={"element_m": element_m})
     refused(
-        path, f"{SKIN}elements of {1e3 * element_m:.3g} mm make about", "unknowns",
+        path, f"{SKIN}elements of {1e3 * element_m:.3g} mm give about", "unknowns",
         f"allowed: at most {MOST_UNKNOWNS:.2g}; set element_m or accuracy larger",
     )  # fmt: skip
 
@@ -126,7 +126,7 @@ def test_a_layer_for_which_memory_is_short(small_scene, meshing_fails, monkeypat
     monkeypatch.setattr("palmfield.simulation.validate.available_bytes", lambda: 10**5)
     # Of a size of its own: equal scenes share a model
     path = small_scene(skin={"element_m": 0.00347})
-    refused(path, f"{SKIN}elements of 3.47 mm", "factors take about", "there are 0.0001 GB free; set element_m")
+    refused(path, f"{SKIN}elements of 3.47 mm", "factors need about", "free: 0.0001 GB; set element_m")
 
 
 @pytest.mark.parametrize("timestep", [1e-12, 1e-300])
@@ -143,13 +143,13 @@ def test_a_duration_so_long_that_the_run_cannot_end(small_scene):
 
 def test_the_second_skin_alone_costs_too_much(small_scene, add_skin, meshing_fails):
     path = add_skin(small_scene(), "0.05 0 0.12")
-    refusal = "plugin 'palmfield.skin' instance 'second': elements of 0.001 mm make about"
+    refusal = "plugin 'palmfield.skin' instance 'second': elements of 0.001 mm give about"
     refused(path, refusal, keys={"second.element_m": 1e-6})
 
 
 def test_stock_mujoco_refuses_a_cost_before_it_meshes(small_scene, meshing_fails):
     path = small_scene(skin={"element_m": 1e-6})
-    with pytest.raises(ValueError, match=r"elements of 0\.001 mm make about 3\.4e\+10 unknowns"):
+    with pytest.raises(ValueError, match=r"elements of 0\.001 mm give about 3\.4e\+10 unknowns"):
         mujoco.MjModel.from_xml_path(str(path))
 
 
@@ -199,7 +199,7 @@ def two_on_a_ball(small_scene):
 def test_layers_on_one_body_that_overlap(two_on_a_ball):
     refused(
         two_on_a_ball(30.0), "plugin 'palmfield.skin' instance 'second': its layer overlaps that of instance 'skin' on "
-        "body 'pad' (their surfaces come within", "set patch_site or patch_radius_m so that they lie apart",
+        "body 'pad' (distance of the surfaces", "set patch_site or patch_radius_m to separate them",
     )  # fmt: skip
 
 
@@ -208,7 +208,7 @@ def test_a_layer_deeper_than_its_body(two_on_a_ball):
     with pytest.raises(PalmfieldError) as caught:
         palmfield.Simulation(path).step()
     expected = (
-        r"key 'depth_m' has value 0\.09, and the body under the layer is 0\.0\d+ m thick; allowed: less than that"
+        r"key 'depth_m' has value 0\.09, but the body below the layer is 0\.0\d+ m thick; allowed: a layer of at most"
     )
     assert (found := re.search(expected, str(caught.value))), str(caught.value)
     # The ball is 60 mm thick at most
@@ -222,9 +222,7 @@ def test_a_sensor_off_the_skin(height, where, small_scene):
     changed(path.with_name("plain.xml"), site, site.replace("size", f'pos="0 0 {height}" size'))
     with pytest.raises(PalmfieldError) as caught:
         palmfield.Simulation(path).step()
-    off = (
-        f"its site is {1e3 * abs(height):.1f} mm {where} the skin; allowed: at most 5 mm off it, move it onto the skin"
-    )
+    off = f"its site is {1e3 * abs(height):.1f} mm {where} the skin; allowed: at most 5 mm: move it onto the skin"
     assert off in str(caught.value)
 
 
@@ -241,7 +239,11 @@ def test_layers_on_one_body_that_lie_apart(two_on_a_ball):
     ],
 )
 def test_keys_of_a_shape_that_the_skin_has_not(key, value, shapes, small_scene):
-    refused(small_scene(skin={key: value}), SKIN, f"{key} belongs to shape {shapes}, shape is 'disc': drop it or set")
+    refused(
+        small_scene(skin={key: value}),
+        SKIN,
+        f"{key} applies to shape {shapes}, but shape is 'disc': remove the key, or set",
+    )
 
 
 def test_a_mesh_needs_no_unit_where_its_format_has_one():
@@ -258,14 +260,14 @@ def test_a_mesh_needs_no_unit_where_its_format_has_one():
 def test_a_skin_that_no_stimulus_comes_near_is_warned_of(small_scene, add_skin):
     path = add_skin(small_scene(), "0.3 0 0.12")
     (line,) = [text for text in warnings(path) if "comes near" in text]
-    assert "no focus comes near skin 'second': that of stimulus 'stimulus' stays" in line and "\n" not in line
+    assert "no focus is near skin 'second': the focus of stimulus 'stimulus' stays" in line and "\n" not in line
 
 
 def test_a_scene_without_stimulus(small_scene):
     path = small_scene()
     text, start, end = instance(path, "palmfield.stimulus")
     path.write_text(text[:start] + text[end:])
-    refused(path, f"{SKIN}the scene has no 'palmfield.stimulus'", "at least one is needed")
+    refused(path, f"{SKIN}the scene has no 'palmfield.stimulus'", "needed: at least one")
 
 
 @pytest.fixture
@@ -285,7 +287,7 @@ def two_arrays(small_scene, add_array):
 def test_two_stimuli_that_name_one_array(two_arrays):
     refused(
         two_arrays("array", "second array"), "plugin 'palmfield.stimulus' instance 'again': key 'arrays' names "
-        "'array', which instance 'stimulus' drives; allowed: one stimulus an array",
+        "'array', which instance 'stimulus' already drives; allowed: one stimulus per array",
     )  # fmt: skip
 
 
@@ -299,7 +301,7 @@ def test_a_path_on_an_unknown_skin(small_scene):
 
 
 def test_on_skin_of_a_stimulus_that_follows_none(small_scene):
-    refused(small_scene(stimulus={"on_skin": "paw"}), f"{STIMULUS}on_skin belongs to a path on the skin")
+    refused(small_scene(stimulus={"on_skin": "paw"}), f"{STIMULUS}on_skin applies to a path on the skin")
 
 
 # -- devices -------------------------------------------------------------------------------------------------------
@@ -314,7 +316,7 @@ def test_a_device_that_is_not_there(small_scene):
 
 @pytest.mark.parametrize("device", ["gpu", "cuda", "cuda:", "CPU", ""])
 def test_a_word_that_is_no_device(device, small_scene):
-    refused(small_scene(), f"device '{device}' is not known; allowed: auto, cpu or cuda:N", device=device)
+    refused(small_scene(), f"device '{device}' is unknown; allowed: auto, cpu or cuda:N", device=device)
 
 
 def test_a_device_of_the_command_line_that_is_not_there(small_scene, monkeypatch, capsys):
@@ -374,14 +376,14 @@ def test_a_compiled_model_works_without_keys(small_scene):
 @pytest.mark.parametrize("key", ["paw.accuracy", "accuracy", ".accuracy", "palmfield.paw.accuracy", ""])
 def test_keys_of_an_unknown_instance(key, small_scene):
     has = "it has: array, driver, palmfield.array, palmfield.driver, palmfield.skin, palmfield.stimulus, skin, stimulus"
-    refused(small_scene(), f"key '{key}' is not of an instance or plugin of this scene; {has}", keys={key: 1})
+    refused(small_scene(), f"key '{key}' belongs to no instance or plugin of this scene; {has}", keys={key: 1})
 
 
 @pytest.mark.parametrize("owner", ["skin", "palmfield.skin"])
 def test_keys_that_an_instance_has_not(owner, small_scene):
     refused(
         small_scene(),
-        f"{SKIN}unknown key 'radius_mm' (did you mean 'radius_m'?); allowed: what `palmfield keys skin` lists",
+        f"{SKIN}unknown key 'radius_mm' (did you mean 'radius_m'?); allowed: the keys that `palmfield keys skin` lists",
         keys={f"{owner}.radius_mm": 20},
     )
 
@@ -442,7 +444,7 @@ def test_solvers_that_are_told_of_are_those_of_solve():
 def test_keys_of_a_modulation_that_is_off_are_warned_of(small_scene):
     (line,) = [text for text in warnings(small_scene(stimulus={"modulation": "none"})) if "modulation" in text]
     assert line.startswith(
-        "keys am_quantity, am_frequency_Hz, am_depth of stimulus 'stimulus' do nothing: its modulation is"
+        "keys am_quantity, am_frequency_Hz, am_depth of stimulus 'stimulus' have no effect, because its modulation is"
     )
     steady = {"modulation": "none", "am_quantity": None, "am_frequency_Hz": None, "am_depth": None}
     assert not [text for text in warnings(small_scene(stimulus=steady)) if "modulation" in text]
@@ -464,8 +466,8 @@ def test_two_arrays_at_one_place(distance_m, apart, small_scene, add_array):
     path = add_array(small_scene())
     changed(path.with_name("plain.xml"), 'pos="0.3 0 0"', f'pos="{distance_m} 0 0"')
     refused(
-        path, "plugin 'palmfield.array' instance ", "its transducers stand in those of instance ", apart,
-        "give it a site of its own by key 'site'",
+        path, "plugin 'palmfield.array' instance ", "its transducers overlap those of instance ", apart,
+        "give it its own site by key 'site'",
     )  # fmt: skip
 
 
@@ -503,7 +505,7 @@ def test_a_key_set_twice_on_the_command_line(small_scene, monkeypatch, capsys):
 
 def test_a_key_without_a_value(small_scene):
     path = changed(small_scene(), 'key="side" value="free"', 'key="side" value=""')
-    refused(path, f"{SKIN}key 'side' has no value; allowed: fixed | free | roller | absorbing, or leave the key out")
+    refused(path, f"{SKIN}key 'side' has no value; allowed: fixed | free | roller | absorbing, or remove the key")
     assert palmfield.load(small_scene(), keys={"skin.side": ""}).runtime.spec.skins[0].config.side == "fixed"
 
 

@@ -113,7 +113,7 @@ def test_plain_mj_step_says_that_the_state_is_incomplete(small_scene, stage, mon
     with monkeypatch.context() as patch:
         ctrl_c_in_call(1, stage, patch)
         mujoco.mj_step(sim.model, sim.data)
-    with pytest.raises(KeyboardInterrupt, match="the state is incomplete: reset it, or go back to a copy"):
+    with pytest.raises(KeyboardInterrupt, match="the state is incomplete: reset it, or restore a copy"):
         palmfield.raise_errors(sim.data)
     palmfield.raise_errors(sim.data)  # said once
     # Sensors are read after the forces

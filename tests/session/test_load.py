@@ -60,7 +60,7 @@ BAD = {
     "choice": ({"skin": {"base": "glued"}}, "key 'base' has value 'glued'; allowed: bonded | free_slip"),
     "behind": ({"stimulus": {"focus_m": "0 0 -0.1"}}, "plugin 'palmfield.stimulus' instance 'stimulus': key "
     "'focus_m': focus"),
-    "too loud": ({"stimulus": {"arp_peak_Pa": 1e6}}, "'stimulus': arp_peak_Pa 1e+06 is more than the array gives"),
+    "too loud": ({"stimulus": {"arp_peak_Pa": 1e6}}, "'stimulus': arp_peak_Pa 1e+06 exceeds the output of the array"),
     "missing am": ({"stimulus": {"am_depth": None}}, "modulation 'am' needs am_depth"),
     "unknown key": ({"skin": {"radius_mm": 20}}, "unknown key 'radius_mm' (did you mean 'radius_m'?); allowed: what"),
     "no body": ({"skin": {"body": "paw"}}, "the scene has no body 'paw' (did you mean 'pad'?); it has: world"),
@@ -109,7 +109,8 @@ def test_unknown_plugin(small_scene):
     path = small_scene()
     path.write_text(path.read_text().replace("palmfield.driver", "palmfield.drivr"))
     refuse(
-        path, r"line 13: .*'palmfield.drivr' is not installed \(did you mean 'palmfield.driver'\?\); palmfield's are: "
+        path,
+        r"line 13: .*'palmfield.drivr' is not installed \(did you mean 'palmfield.driver'\?\); palmfield provides: ",
     )
 
 
@@ -161,7 +162,7 @@ def test_two_stimuli_that_name_no_array_are_refused(small_scene):
     refuse(
         path,
         "plugin 'palmfield.stimulus' instance 'again': it names no arrays, and neither does instance 'stimulus'; name "
-        "the arrays that each drives by key 'arrays'",
+        "set key 'arrays' of each stimulus",
     )
 
 

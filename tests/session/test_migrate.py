@@ -72,7 +72,7 @@ def test_a_key_and_its_value_are_renamed_together(small_scene):
 def test_nothing_is_replaced_unless_asked_for(small_scene):
     path = aged(small_scene(), OLD[0])
     before = path.read_bytes()
-    with pytest.raises(OutputError, match=r"small\.xml is there and would be replaced \(line 13: key 'device'.*--ov"):
+    with pytest.raises(OutputError, match=r"small\.xml exists and would be replaced \(line 13: key 'device'.*--ov"):
         migrate(path)
     assert path.read_bytes() == before
     assert migrate(path, overwrite=True).changes and path.read_bytes() != before
@@ -93,12 +93,12 @@ def test_a_text_of_the_scene_finds_a_place(custom, small_scene):
 
 def test_a_text_that_is_there_is_kept_and_said(small_scene):
     (change,) = migrated(aged(small_scene(device="auto"), OLD[2])).changes
-    assert "is now the scene's text 'palmfield_device', which line 7 sets already, to 'auto'" in change
+    assert "is now the scene's text 'palmfield_device', which line 7 already sets to 'auto'" in change
 
 
 def test_two_keys_that_become_one_must_agree(small_scene, add_array):
     path = add_array(aged(small_scene(), OLD[2]), keys='<config key="compute" value="cuda:0"/>')
-    with pytest.raises(SceneError, match="and is now the one text 'palmfield_device' of the whole scene; make"):
+    with pytest.raises(SceneError, match="but is now one text 'palmfield_device' of the whole scene; make"):
         migrated(path)
 
 
@@ -125,5 +125,5 @@ def test_what_is_no_scene_of_text(tmp_path):
     with pytest.raises(SceneError, match="does not exist"):
         migrated(tmp_path / "none.xml")
     (tmp_path / "wide.xml").write_bytes("<mujoco/>".encode("utf-16"))
-    with pytest.raises(SceneError, match="is not written in UTF-8; save it so"):
+    with pytest.raises(SceneError, match="is not in UTF-8; save it in UTF-8"):
         migrated(tmp_path / "wide.xml")

@@ -1,4 +1,4 @@
-"""Where the phases between foci turn at once, as a run counts it, beside NumPy's eigenvectors of its result."""
+"""Where the phases between foci jump, as a run counts it, compared with NumPy's eigenvectors of its result."""
 
 import logging
 from types import SimpleNamespace
@@ -71,8 +71,8 @@ def test_turns_are_counted_and_named_where_the_drive_jumps(small_scene, tmp_path
     assert numbers["phase_turn_times_s"] == pytest.approx(own, abs=2e-4)
     times, changed = changes(result)
     assert sorted(times[changed > 0.5]) == pytest.approx(numbers["phase_turn_times_s"], abs=1e-6)
-    (line,) = [record.getMessage() for record in caplog.records if "turn at once" in record.getMessage()]
-    assert f"'stimulus' turn at once (count: 2, first at {numbers['phase_turn_times_s'][0]:.6g} s)" in line
+    (line,) = [record.getMessage() for record in caplog.records if "the phases between the foci" in record.getMessage()]
+    assert f"'stimulus' jump (count: 2, first at {numbers['phase_turn_times_s'][0]:.6g} s)" in line
 
 
 @pytest.mark.parametrize(
@@ -93,7 +93,7 @@ def test_foci_whose_eigenvalues_stay_apart_turn_nowhere(small_scene, tmp_path, c
     assert numbers["phase_turns"] == len(own_turns(result, pressures)) == 0
     assert numbers["phase_turn_times_s"] == []
     assert changes(result)[1].max() < 0.5
-    assert not any("turn at once" in record.getMessage() for record in caplog.records)
+    assert not any("the phases between the foci" in record.getMessage() for record in caplog.records)
 
 
 def test_one_focus_has_no_phases_to_turn(small_scene):

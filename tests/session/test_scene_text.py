@@ -37,18 +37,18 @@ GEOM = '<geom type="cylinder" size="0.02 0.004"'
 FAULTS = {
     "element": (GEOM, GEOM.replace("geom", "goem"), "<goem> is unknown inside <body> (did you mean 'geom'?); allowed:"),
     "attribute": (GEOM, GEOM.replace("size", "sze"), "<geom> has no attribute 'sze' (did you mean 'size'?); allowed: "),
-    "unit": (GEOM, GEOM.replace("0.004", "4mm"), "<geom> attribute 'size' has value '0.02 4mm', of which not all are "),
+    "unit": (GEOM, GEOM.replace("0.004", "4mm"), "<geom> attribute 'size' has value '0.02 4mm', not all of which are "),
     "too many": (GEOM, GEOM.replace("0.004", "1 2 3"), "<geom> attribute 'size' has value '0.02 1 2 3', more numbers"),
-    "keyword": (GEOM, GEOM.replace("cylinder", "can"), "<geom> attribute 'type' has value 'can', none of its words;"),
-    "no include": ("uhev1.xml", "uhev2.xml", "uhev2.xml' is not there, or can't be read; give one relative to"),
+    "keyword": (GEOM, GEOM.replace("cylinder", "can"), "<geom> attribute 'type' has value 'can'; give one of the"),
+    "no include": ("uhev1.xml", "uhev2.xml", "uhev2.xml' does not exist or cannot be read; give a path relative to"),
     "name twice": ('<site name="centre"', '<site name="centre"/><site name="centre"', "name 'centre' is given twice"),
     "not closed": (GEOM, "<geom>" + GEOM, "<geom> of line 8 is not closed before this; close it by </geom> or />"),
-    "quote": ('type="cylinder"', "type=cylinder", "a character stands where XML allows none; write values in quotes"),
+    "quote": ('type="cylinder"', "type=cylinder", "a character is not allowed here in XML; put values in quotes"),
     "massless": ("<geom type", '<body><joint/></body><geom type', "moves and has no mass; give the body a geom"),
-    "stray text": ("<worldbody>", "<worldbody> oops", "text 'oops' stands between elements, where it says"),
+    "stray text": ("<worldbody>", "<worldbody> oops", "text 'oops' between elements has no meaning"),
     "no number": ('pos="0 0 0.12"', 'pos="nan 0 0.12"', "<body> attribute 'pos' has value 'nan 0 0.12'; allowed: "),
-    "axis": ('axis="1 0 0"', 'axis="0 0 0"', "<joint> has an axis without length; give attribute 'axis' a direction"),
-    "in the world": ("<body name", '<joint type="hinge"/><body name', "<joint> stands in the world, which"),
+    "axis": ('axis="1 0 0"', 'axis="0 0 0"', "<joint> has an axis of length 0; give attribute 'axis' a direction"),
+    "in the world": ("<body name", '<joint type="hinge"/><body name', "<joint> is in the world body, which"),
     "attribute twice": ('name="pad"', 'name="pad" name="pad"', "an attribute is given twice; give it once"),
 }  # fmt: skip
 
@@ -74,7 +74,7 @@ PLUGINS = {
         "palmfield.stimulus", "palmfield.stimuls", "not installed (did you mean 'palmfield.stimulus'?); palmfield's",
     ),
     "value": ('value="free"', 'value="fre"', "key 'side' has value 'fre' (did you mean 'free'?); allowed: fixed | "),
-    "material": ('"ecoflex_00-10"', '"ecoflex_0010"', "is not known (did you mean 'ecoflex_00-10'?); use one"),
+    "material": ('"ecoflex_00-10"', '"ecoflex_0010"', "is unknown (did you mean 'ecoflex_00-10'?); use one"),
     "body": ('value="pad"', 'value="pda"', "the scene has no body 'pda' (did you mean 'pad'?); it has: "),
     "site": ('objname="centre"', 'objname="center"', "the scene has no site 'center' (did you mean 'centre'?)"),
     "instance": ('instance="skin"', 'instance="skn"', "no plugin instance 'skn' (did you mean 'skin'?); it has: "),
@@ -132,7 +132,9 @@ def test_a_file_that_includes_itself(small_scene):
     path = small_scene()
     plain = path.with_name("plain.xml")
     plain.write_text(plain.read_text().replace("<worldbody>", '<include file="plain.xml"/><worldbody>'))
-    with pytest.raises(SceneError, match=r"plain\.xml, line 4: file 'plain\.xml' includes itself; drop this <include>"):
+    with pytest.raises(
+        SceneError, match=r"plain\.xml, line 4: file 'plain\.xml' includes itself; remove this <include>"
+    ):
         palmfield.load(path)
 
 
@@ -175,10 +177,10 @@ TINY = '<geom size=".01"/>'
 @pytest.mark.parametrize(
     "inside, said",
     [
-        ('<asset><model name="m" file="scene.xml"/></asset>', "model 'scene.xml' attaches itself; drop this <model>"),
+        ('<asset><model name="m" file="scene.xml"/></asset>', "model 'scene.xml' attaches itself; remove this <model>"),
         ('<asset><model name="m" file="b.xml"/></asset>', r"b\.xml, line 1: model 'scene.xml' attaches itself"),
         ('<compiler assetdir="sub"/><asset><model name="m" file="b.xml"/></asset>', "attaches itself"),
-        (COPIES.format(100_000, TINY), "count '100000' makes 100000 copies in all; allowed: at most 10000"),
+        (COPIES.format(100_000, TINY), "count '100000' makes a total of 100000 copies; allowed: at most 10000"),
         (COPIES.format(200, f'<replicate count="200">{TINY}</replicate>'), "makes 40200 copies"),
         (COPIES.format(2, TINY) + SENSORS, "sensor <user> has no object, and MuJoCo 4.0 doubles .* give it objtype"),
         (COPIES.format(16, TINY) + "<sensor><clock/></sensor>", "sensor <clock> has no object"),
@@ -186,7 +188,7 @@ TINY = '<geom size=".01"/>'
         ('<asset><hfield name="h" nrow="100000" ncol="100000" size="1 1 1 1"/></asset>', "attribute 'nrow'"),
         ('<worldbody><flexcomp type="grid" count="1000 1000 10" name="f"/></worldbody>', "attribute 'count'"),
         ('<size nuserdata="2000000000"/>', "attribute 'nuserdata'"),
-        ('<asset><mesh name="m" file="/dev/zero"/></asset>', "<mesh> file '/dev/zero': it is a device; only regular"),
+        ('<asset><mesh name="m" file="/dev/zero"/></asset>', "<mesh> file '/dev/zero': it is a device; allowed: a"),
         ('<asset><mesh name="m" file="pipe.stl"/></asset>', "it is a pipe"),
         ('<compiler texturedir="sub"/><asset><texture type="cube" fileup="pipe.png"/></asset>', "it is a pipe"),
         ('<include file="laugh0.xml"/>', "laugh1.*is included twice; include it once"),

@@ -102,7 +102,7 @@ def test_what_is_imported_is_driven_and_decoded(small_scene, tmp_path):
 
 def test_boards_refuse_what_they_cannot_play(small_scene, tmp_path):
     for table, told in (
-        (table_of(2), "key 'path_file' has 2 foci at once; board 'autd2018' takes one"),
+        (table_of(2), "key 'path_file' has 2 foci at once, but board 'autd2018' plays one"),
         (table_of(rate_Hz=4000.0), "needs 4000 frames/s; autd2018 gives any amplitude at 2000 frames/s"),
     ):
         done = import_stimulus(written(tmp_path / "in.csv", table), small_scene(), overwrite=True)
@@ -166,7 +166,7 @@ def test_a_path_of_a_scene_becomes_a_table(small_scene):
     assert np.abs(result.table.positions[:, 0] - wanted).max() < 1e-6
     assert np.abs(result.table.intensities[:, 0] - 0.5 - 0.5 * np.sin(2 * np.pi * 200 * t)).max() < 1e-9
     (note,) = exported(small_scene(stimulus=keys | {"path_rate_Hz": 5}), rate_Hz=300.0).warnings
-    assert "changes at up to 200 Hz, which 300 samples a second can't tell" in note
+    assert "changes at up to 200 Hz, which 300 samples per second do not resolve" in note
 
 
 def test_a_sampled_circle_moves_the_skin_as_the_circle_does(small_scene, tmp_path):
@@ -212,7 +212,7 @@ def test_places_follow_what_moves(small_scene):
 def test_nothing_is_replaced_or_written_by_mistake(small_scene, tmp_path):
     file, scene = written(tmp_path / "in.csv", table_of()), small_scene()
     import_stimulus(file, scene)
-    with pytest.raises(OutputError, match=r"small_in.xml is there and would be replaced"):
+    with pytest.raises(OutputError, match=r"small_in.xml exists and would be replaced"):
         import_stimulus(file, scene)
     with pytest.raises(OutputError, match=r"--out has value .*; allowed: a file in"):
         import_stimulus(file, scene, tmp_path.parent / "other.xml")

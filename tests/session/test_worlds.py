@@ -548,7 +548,7 @@ def test_ctrl_c_waits_for_the_end_of_the_step(small_scene, monkeypatch):
             "world 2: plugin 'palmfield.stimulus'.*key 'am_depth' has value '1.2'",
         ),
         ({"stimulus.am_depht": [0.1, 0.2, 0.3]}, "unknown key 'am_depht'"),
-        ({"stimulo.am_depth": [0.1, 0.2, 0.3]}, "'stimulo.am_depth' is not of an instance"),
+        ({"stimulo.am_depth": [0.1, 0.2, 0.3]}, "'stimulo.am_depth' belongs to no instance"),
         ({"skin.material": ["palm", "palm", "ecoflex_00-10"]}, "'skin.material' .*share the skin's mesh and matrices"),
         ({"array.layout": ["uhev1", "uhev1", "uhev1"]}, "'array.layout' .* share the arrays"),
         ({"driver.board": ["ideal", "ideal", "ideal"]}, "share the board"),
@@ -575,7 +575,7 @@ def test_a_number_of_worlds_that_is_none_is_refused(worlds, small_scene):
         ({"pad": np.zeros((3, 5, 6))}, r"shape \(3, 5, 6\)"),
         ({"pad": np.zeros((3, 0, 7))}, "steps >= 1"),
         ({"pad": np.zeros((3, 5, 7))}, "world 0, step 0, is .*a quaternion of length 1"),
-        ({"bad": wandering(3, 5)}, "poses are given for 'bad'; allowed: a body with mocap='true': pad"),
+        ({"bad": wandering(3, 5)}, "poses are given for body 'bad'; allowed: a body with mocap='true': pad"),
     ],
 )
 def test_poses_that_do_not_fit_are_refused(poses, told, small_scene):
@@ -621,9 +621,9 @@ def test_flags_that_switch_forces_or_sensors_off_are_told(small_scene):
     path = small_scene()
     plain = path.read_text()
     path.write_text(plain.replace("<option ", '<option><flag sensor="disable"/></option><option '))
-    assert any("flag 'sensor' is disabled: 1 sensors" in text for text in palmfield.plan(path).warnings)
+    assert any("flag 'sensor' is disabled, so 1 plugin sensors" in text for text in palmfield.plan(path).warnings)
     path.write_text(plain.replace("<option ", '<option><flag spring="disable" damper="disable"/></option><option '))
-    with pytest.raises(SceneError, match=r"disables 'spring' and 'damper'.*those of the sound"):
+    with pytest.raises(SceneError, match=r"disables both 'spring' and 'damper'.*those of the sound"):
         palmfield.Simulation(path)
 
 

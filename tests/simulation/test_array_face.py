@@ -151,7 +151,12 @@ def test_a_run_with_a_rigid_face_says_what_it_computed(fixed_scene):
     assert "echo" in names
     result = palmfield.run(path, progress=False)
     left = {one["what"]: one for one in result.summary["skins"][0]["error_budget"]["left_out"]}
-    assert ECHO not in left and left["rims that end the echo"]["low"] <= 0.0 <= left["rims that end the echo"]["high"]
+    assert (
+        ECHO not in left
+        and left["finite size of disc and board in the echo"]["low"]
+        <= 0.0
+        <= left["finite size of disc and board in the echo"]["high"]
+    )
     # 200 Hz: a round trip of 0.7 ms turns the modulation by 0.88
     assert 0.0 < left["delay of the echo"]["high"] < 0.5
     assert result.summary["skins"][0]["error_budget"]["numerical"]["field_error_relative"] < 1e-4
@@ -165,9 +170,9 @@ def test_a_run_with_a_rigid_face_says_what_it_computed(fixed_scene):
 @pytest.mark.parametrize(
     ("changes", "why"),
     [
-        ({"turn": "0.02 1 0 0"}, "2.29 degrees off facing the array"),
+        ({"turn": "0.02 1 0 0"}, "tilted by 2.29 degrees"),
         ({"skin": {"body_sound": "shadows"}}, "body_sound 'shadows'"),
-        ({"array": RIGID | {"layout": "two_bow_corrected"}, "stimulus": {"focus_m": "0 0 0.12"}}, "no flat face"),
+        ({"array": RIGID | {"layout": "two_bow_corrected"}, "stimulus": {"focus_m": "0 0 0.12"}}, "not a flat face"),
     ],
 )
 def test_what_images_do_not_follow_is_refused(fixed_scene, changes, why):
@@ -184,7 +189,7 @@ def test_a_disc_that_is_pushed_aside_is_refused_when_it_happens(fixed_scene):
     scene = palmfield.load(fixed_scene(array=RIGID))
     scene.step(1)
     scene.model.body_pos[mujoco.mj_name2id(scene.model, mujoco.mjtObj.mjOBJ_BODY, "pad"), 2] += 1e-3
-    with pytest.raises(PalmfieldError, match=r"120\.000 mm before it, but the disc is 121\.000"):
+    with pytest.raises(PalmfieldError, match=r"120\.000 mm, but the disc is now at 121\.000"):
         scene.step(2)
 
 

@@ -136,7 +136,8 @@ def test_a_prefix_leaves_the_frame_site_out(small_scene):
     path = with_sites(small_scene(stimulus=STEADY, array={"layout": "sites", "sites": "a"}), 0.0, prefix="a")
     assert len(arrays_of(load(path))) == 256
     with pytest.raises(
-        SceneError, match="instance 'array': key 'sites' has value 'arr'; allowed: how names of sites begin that no key"
+        SceneError,
+        match="instance 'array': key 'sites' has value 'arr'; allowed: the beginning of the names of sites that no key",
     ):
         load(small_scene(stimulus=STEADY, array={"layout": "sites", "sites": "arr"}))
 
@@ -212,7 +213,7 @@ def test_other_transducers_run(small_scene, keys):
         ({"dead": "256"}, "palmfield.array' instance 'array': .*transducer 256.*0 to 255"),
         ({"dead": "1 1"}, "named twice"),
         ({"dead": "-1"}, "key 'dead' has value '-1'; allowed: whole numbers >= 0"),
-        ({"layout": "sites"}, "layout 'sites' needs sites"),
+        ({"layout": "sites"}, "layout 'sites' and key sites"),
         ({"layout": "sites", "sites": "nose"}, "key 'sites' has value 'nose'"),
         ({"layout": "uhev2"}, "key 'layout' has value 'uhev2'"),
     ],

@@ -54,12 +54,15 @@ def test_the_plan_says_what_steps_and_what_it_is_worth(small_scene, solver):
     errors = {row.what: row.size for row in told.error}
     if solver == "particles":
         assert "skin solver particles, a preview" in rows
-        assert errors["particles"].startswith("a preview, about ") and errors["particles"].endswith("10 % wanted")
-        assert any(text.startswith("solver 'particles' of skin 'skin' is a preview: expect") for text in told.warnings)
+        assert errors["particles"].startswith("a preview, about ") and errors["particles"].endswith("target 10 %")
+        assert any(
+            text.startswith("solver 'particles' of skin 'skin' is a preview: the expected error")
+            for text in told.warnings
+        )
     else:
         assert "skin solver spectral_elements" in rows
         [text] = [text for text in told.warnings if "solver 'spectral_elements'" in text]
-        assert "made for a GPU: on the CPU it takes about" in text
+        assert "designed for a GPU: about" in text
 
 
 @pytest.mark.parametrize("solver", SOLVERS)

@@ -105,7 +105,7 @@ def test_a_layered_scene_runs(small_scene, tmp_path, solver):
         ({"materials": "palm", "shares": "1", "bulk_Pa": "1e6"}, "drop one"),
         ({"shares": "-1"}, "decimals > 0"),
         ({"base": "springs", "base_normal_Pa_m": "1"}, "base_tangential_Pa_m"),
-        ({"base_normal_Pa_m": "1"}, "belongs to base 'springs'"),
+        ({"base_normal_Pa_m": "1"}, "applies to base 'springs'"),
         ({"base": "free", "side": "free"}, "fly away"),
         ({"base": "free_slip", "foundation_normal_Pa_m": "1", "foundation_tangential_Pa_m": "1"}, "drop one"),
         ({"solver": "quick"}, "auto | wedges | reduced"),
@@ -137,7 +137,7 @@ def test_plan_promises_no_waves_below_the_cut_off(small_scene, skin, promised):
     stimulus = {"am_frequency_Hz": 100}
     scene = load(small_scene(skin=skin, stimulus=stimulus))
     planned = plan(scene)
-    said = [text for text in planned.warnings if "no waves are promised at" in text]
+    said = [text for text in planned.warnings if "expect no waves at" in text]
     assert bool(said) == (not promised)
     rows = [row for row in planned.besides if row.what == "waves below the cut-off"]
     assert bool(rows) == ("base" not in skin)

@@ -83,11 +83,11 @@ def test_the_plan_says_where_the_cache_decides_which_solver_is_taken(small_scene
         monkeypatch.setenv("PALMFIELD_CACHE", folder)
         scene = small_scene(stimulus=LETTER, skin=SKIN | {"accuracy": accuracy}, duration_s=0.3)
         rows.append(" ".join(str(plan(scene)).replace("│", " ").split()))
-    assert "skin solver modal" in rows[0] and "without one wedges is chosen" in rows[0]
-    assert "skin solver wedges" in rows[1] and "with one modal is chosen" in rows[1]
+    assert "skin solver modal" in rows[0] and "without a cache wedges would be chosen" in rows[0]
+    assert "skin solver wedges" in rows[1] and "with a cache modal would be chosen" in rows[1]
     monkeypatch.setenv("PALMFIELD_CACHE", "off")
     asked = str(plan(small_scene(skin=SKIN | {"solver": "modal", "accuracy": 0.23})))
-    assert "made once, kept nowhere, since there is no cache" in " ".join(asked.replace("│", " ").split())
+    assert "built once, not stored, because there is no cache" in " ".join(asked.replace("│", " ").split())
 
 
 FINGER = (
@@ -197,7 +197,7 @@ def test_loads_outside_the_class_hand_over_to_the_whole_layer(small_scene, monke
     ("skin", "why"),
     [
         ({"side": "absorbing"}, "absorbing sides couple"),
-        ({"body_sound": "scattering"}, "boundary elements for every example"),
+        ({"body_sound": "scattering"}, "boundary elements for every sample"),
     ],
 )
 def test_skins_without_modes_are_refused(small_scene, skin, why):

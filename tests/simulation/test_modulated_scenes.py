@@ -46,7 +46,8 @@ def test_the_plan_tells_mean_lines_and_peak_drive(small_scene):
     line = row(told.modelled, "modulation")
     assert line.size == "ARP: mean 0.375, 0.500 at 200 Hz, 0.125 at 400 Hz"
     assert (
-        "peak drive 1.000 of full, by am_normalisation peak" in line.why and "amplitude by a sine, depth 1" in line.why
+        "peak drive 1.000 of full drive, by am_normalisation peak" in line.why
+        and "amplitude by a sine, depth 1" in line.why
     )
     (numbers,) = told.as_dict()["stimuli"]
     assert numbers["modulation"] == pytest.approx(
@@ -61,7 +62,7 @@ def test_the_plan_tells_the_drive_that_a_mean_takes(small_scene):
     keys = {"am_normalisation": "mean", "drive_amplitude": 0.5}
     told = plan(small_scene(stimulus=keys))
     peak = 0.5 / math.sqrt(3 / 8)
-    assert f"peak drive {peak:.3f} of full, by am_normalisation mean" in row(told.modelled, "modulation").why
+    assert f"peak drive {peak:.3f} of full drive, by am_normalisation mean" in row(told.modelled, "modulation").why
     assert told.as_dict()["stimuli"][0]["drive_level"] == pytest.approx(peak)
 
 
@@ -94,8 +95,8 @@ BAD_FILES = {
     "turn,w\n0.5,0\n0.2,1\n": "line 3, column turn: 0.2; allowed: more than in the line before",
     "turn,level\n0,0\n0.2,1\n": "columns are turn, level; give turn and w, or time_s and w",
     "turn,w\n0,0\n": "1 rows; allowed: 2 to 10000",
-    "turn,w\n0,-1\n0.5,-1\n": "column w: -1 throughout",
-    "time_s,w\n0,0\n0.1,1\n": "'wave.csv' holds a course in seconds (column time_s); drop am_frequency_Hz",
+    "turn,w\n0,-1\n0.5,-1\n": "column w: all values are -1",
+    "time_s,w\n0,0\n0.1,1\n": "'wave.csv' holds a course in seconds (column time_s); remove am_frequency_Hz",
 }
 
 
@@ -113,7 +114,7 @@ def test_a_missing_file_and_a_period_without_frequency(small_scene):
     with pytest.raises(SceneError, match=r"key 'am_file': .*none\.csv"):
         compiled(path)
     keys = {"am_waveform": "file", "am_file": "wave.csv", "am_frequency_Hz": None}
-    with pytest.raises(SceneError, match=r"which holds one period \(column turn\); am_frequency_Hz is needed"):
+    with pytest.raises(SceneError, match=r"which holds one period \(column turn\); am_frequency_Hz is missing"):
         compiled(written(small_scene(stimulus=keys)))
 
 
@@ -201,7 +202,7 @@ def test_a_level_that_jumps_on_a_path_is_left_to_others(small_scene):
         ({"am_waveform": "rectangle", "am_waveform_duty": 0.5}, "the level jumps in each period of the modulation"),
         (
             {"am_waveform": "file", "am_file": "course.csv", "am_frequency_Hz": None},
-            "a path that runs once, or a file's course don't come round",
+            "a path that runs once, or a course from a file do not repeat",
         ),
     ):
         scene = fixed(small_scene(stimulus=path | changes, skin=SKIN))

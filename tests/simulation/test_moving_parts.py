@@ -164,8 +164,8 @@ def test_a_board_of_limited_rate_refuses_a_frame_that_moves(small_scene):
     [
         ({"skin.hand": "open_women_p05"}, "name the preset of that hand"),
         ({"motion.hand": "open_women_p05"}, "name the preset of that hand"),
-        ({"motion.hand": None, "motion.follow": "exact"}, "follow 'exact' puts an articulated hand"),
-        ({"motion.hand": None}, "pose and joints_deg are an articulated hand's"),
+        ({"motion.hand": None, "motion.follow": "exact"}, "follow 'exact' needs an articulated hand"),
+        ({"motion.hand": None}, "pose and joints_deg need an articulated hand"),
     ],
 )
 def test_hands_that_do_not_fit_their_bodies_are_refused(keys, words):

@@ -165,5 +165,5 @@ def test_worlds_that_a_device_has_no_room_for_are_refused_with_the_number_that_f
     points = work.load.array.size * 4 + sum(part.nbytes for part in (work.inputs, work.results))
     assert points < taken[0] < 3 * 2**24
     monkeypatch.setattr(device, "free_bytes", lambda _: taken[0] // 2)
-    with pytest.raises(DeviceError, match=r"3 worlds take .* GB on cpu, .* MB each.*allowed: worlds <= 1"):
+    with pytest.raises(DeviceError, match=r"3 worlds need .* GB on cpu, .* MB each.*allowed: worlds <= 1"):
         by_graph(path, worlds=3, keys=COARSE | levels)

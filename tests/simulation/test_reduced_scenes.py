@@ -187,7 +187,7 @@ def test_a_path_met_half_way_is_not_for_the_small_model(small_scene):
         ({"drive_amplitude": 0}, "silent"),
         (CIRCLE | {"control_rate_Hz": 1000}, "control_rate_Hz"),
         ({"path": "circle", "path_diameter_m": 0.01, "path_rate_Hz": 141}, f"more than {MOST_TURNS} turns"),
-        (CIRCLE | {"path_rate_Hz": 0.5}, "comes round after 2 s only"),
+        (CIRCLE | {"path_rate_Hz": 0.5}, "repeats only after 2 s"),
     ],
 )
 def test_a_load_without_a_small_model_is_refused_by_name(small_scene, stimulus, reason):
@@ -216,7 +216,7 @@ def test_auto_weighs_making_against_stepping(small_scene):
     assert choice_of(long).seconds < choice_of(long).wedges_s
     said = {row.what: row for row in plan(long).modelled}
     assert "wedges about" in said["skin solver reduced"].size
-    assert "whole layer goes on" in said["skin solver reduced"].why
+    assert "full wedge model takes over" in said["skin solver reduced"].why
     assert "skin solver wedges" in {row.what for row in plan(short).modelled}
     assert plan(chosen(1.0)).seconds > plan(chosen(0.002)).seconds
 

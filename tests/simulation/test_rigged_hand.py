@@ -271,7 +271,9 @@ def test_bodies_that_are_missing_or_misplaced_are_named(rest):
         text.replace(f'name="ring_middle" pos="{place}"', f'name="ring_middle" pos="{moved}"')
     )
     refused(
-        rest, "body 'ring_middle' stands 1.73 mm and 0 degrees off the mesh's joint; write its MJCF", hand="moved.xml"
+        rest,
+        "body 'ring_middle' is 1.73 mm and 0 degrees away from the joint of the mesh; write its MJCF",
+        hand="moved.xml",
     )
     turned = text.replace('<body name="thumb_distal"', '<body name="thumb_distal" euler="0 0 2"')
     (rest / "turned.xml").write_text(turned)

@@ -145,7 +145,7 @@ def test_a_moving_focus_is_driven_on_the_device(small_scene: Any, by_graph: Any,
 
 def test_a_focus_that_transducers_cannot_make_is_said_as_ever(small_scene: Any, by_graph: Any) -> None:
     scene = small_scene(stimulus=CIRCLE | NO_WAVE | {"arp_peak_Pa": 1e5})
-    with pytest.raises(PalmfieldError, match="is more than the array gives at"):
+    with pytest.raises(PalmfieldError, match="exceeds the output of the array at"):
         by_graph(scene)
 
 

@@ -139,7 +139,7 @@ def test_a_path_on_a_flat_disc_is_refused(small_scene):
 def test_obstacles_are_checked(small_scene):
     for keys, words in (
         ({"obstacles": "pad"}, "needs|cast shadows"),
-        ({"obstacles": "pad", "body_sound": "shadows"}, "other bodies than the skin's own"),
+        ({"obstacles": "pad", "body_sound": "shadows"}, "bodies other than the body of the skin"),
         ({"obstacles": "nose", "body_sound": "shadows"}, "no body 'nose'"),
     ):
         with pytest.raises(SceneError, match=words):

@@ -106,7 +106,7 @@ def test_a_closed_cylinder_has_its_volume_and_looks_outwards():
     ("numbers", "told"),
     [
         ((0.006, 0.02, 0.006, (0.001, 0.002)), "leaves no bone"),
-        ((0.006, 0.02, 0.001, (0.005, 0.002)), "12th of the girth"),
+        ((0.006, 0.02, 0.001, (0.005, 0.002)), "1/12 of the circumference"),
         ((-0.006, 0.02, 0.001, (0.001, 0.002)), "lengths above 0"),
     ],
 )
@@ -160,7 +160,9 @@ def test_a_scenes_layer_slides_on_its_bone(small_scene):
 
 
 def test_a_layer_without_a_bone_is_refused(small_scene):
-    with pytest.raises(SceneError, match=r"depth_m 0\.02 leaves no bone in a cylinder of cylinder_radius_m 0\.012"):
+    with pytest.raises(
+        SceneError, match=r"depth_m 0\.02 leaves no room for bone in a cylinder with cylinder_radius_m 0\.012"
+    ):
         plan(finger(small_scene, depth_m=0.02))
     with pytest.raises(SceneError, match="needs cylinder_radius_m and cylinder_length_m"):
         plan(finger(small_scene, cylinder_length_m=None))

@@ -76,7 +76,7 @@ def test_numbers_that_round_off_has_made_0_on_one_side_only_are_no_gaps():
 def test_what_blocks_cannot_take_goes_to_superlu():
     waves = sparse.csr_matrix(np.array([[1.0, 2.0], [2.0, 1.0]]))
     order = np.array([1, 0], np.int32)
-    with pytest.raises(RuntimeError, match="matrix of 2 unknowns is not positive definite: unknowns 0 to 1"):
+    with pytest.raises(RuntimeError, match="matrix of 2 unknowns is not positive definite at unknowns 0 to 1"):
         Cholesky(waves, order)
     factor = factorise(waves, order)
     assert isinstance(factor, Factor)

@@ -93,9 +93,9 @@ def test_course_of_a_load_that_begins_late_and_stays(law):
 def test_what_it_cannot_take():
     moving = Spot(WIDTH, [0.0, 0.01], [1.0, 1.0], [[0.0, 0.0], [0.005, 0.0]])
     assert "this spot moves" in str(refusal_reduced(DISC, moving))
-    with pytest.raises(SceneError, match="solver 'reduced': a reduced model is made for loads that keep their shape"):
+    with pytest.raises(SceneError, match="solver 'reduced': a reduced model needs loads of constant shape"):
         solve_reduced(SkinProblem(DISC, moving, TIMES, AT))
-    assert "a body with an end" in str(refusal_reduced(Slab(DISC.sheets), AM))
+    assert "a finite body" in str(refusal_reduced(Slab(DISC.sheets), AM))
     noise = np.random.default_rng(1).standard_normal((20, 30))
     scattered = Traction(np.zeros((30, 3)), np.ones(30), np.arange(20.0), noise)
     assert "at most 8 patterns" in str(refusal_reduced(DISC, scattered))

@@ -84,7 +84,7 @@ def test_a_missed_accuracy_is_solved_finer_and_a_lasting_miss_is_said(monkeypatc
     ("changes", "words"),
     [
         ({"solver": "magic"}, "solver is 'magic'; use auto or one of lateral_waves"),
-        ({"solver": "spectral"}, "solver 'spectral' is now 'lateral_waves': use lateral_waves"),
+        ({"solver": "spectral"}, "solver 'spectral' has been renamed: use lateral_waves"),
         ({"solver": "implicit"}, "use wedges"),
         ({"accuracy": 0.0}, "accuracy is 0.0"),
         ({"accuracy": np.nan}, "accuracy is nan"),
@@ -92,7 +92,7 @@ def test_a_missed_accuracy_is_solved_finer_and_a_lasting_miss_is_said(monkeypatc
         ({"times": [np.nan]}, "times of shape"),
         ({"at": [0.0, 0.0]}, "at of shape"),
         ({"at": [[np.inf, 0.0]]}, "at of shape"),
-        ({"step_s": 1e-4}, "step_s: resolutions are a solver's own"),
+        ({"step_s": 1e-4}, "step_s: resolutions belong to one solver"),
     ],
 )
 def test_bad_arguments_are_named(changes: dict[str, object], words: str) -> None:
@@ -109,7 +109,7 @@ def test_bad_arguments_are_named(changes: dict[str, object], words: str) -> None
         (lambda: Spot(0.01, [0.0, 0.0], [1.0, 1.0]), "times_s of shape"),
         (lambda: Spot(0.01, [0.0], [np.nan]), "peak_Pa is not finite"),
         (lambda: Spot(0.01, [0.0], [1.0], [[0.0, 0.0, 0.0]]), "centre_m has shape"),
-        (lambda: Spot(0.01, [0.0], ["loud"]), "peak_Pa is no array of numbers"),
+        (lambda: Spot(0.01, [0.0], ["loud"]), "peak_Pa is not an array of numbers"),
         (lambda: Spot(0.01, [0.0], [1.0], law="spline"), "law is 'spline'"),
         (lambda: Sheet(ECOFLEX, -1.0), "thickness_m is -1.0"),
         (lambda: Slab((), side=None), "sheets is empty"),
@@ -167,7 +167,7 @@ def test_auto_takes_the_next_where_its_choice_refuses_while_it_solves(monkeypatc
     assert motion.solver.startswith("wedges (auto: predicted 2 s")
     assert "axisymmetric refused: axisymmetric came apart" in motion.solver
     refusing = set(module.WHERE)
-    with pytest.raises(SceneError, match=r"no solver can do this: axisymmetric refused.*; wedges refused"):
+    with pytest.raises(SceneError, match=r"no solver supports this problem: axisymmetric refused.*; wedges refused"):
         solve(ENDLESS, HELD, [0.01], CENTRE, device="cpu")
     with pytest.raises(SceneError, match="off the slab"):
         solve(Slab(ENDLESS.sheets, "disc", side="free", radius_m=0.02), HELD, [0.01], [[0.03, 0.0]], device="cpu")

@@ -254,12 +254,12 @@ def test_load_frequencies():
 
 def test_bad_input():
     free = slab(0.01, shape="disc", base="free", side="free", radius_m=0.02)
-    with pytest.raises(SceneError, match="static answer needs a support"):
+    with pytest.raises(SceneError, match="static solution needs a support"):
         static_wedges(free, HELD, AT, sizes=SMALL)
     half = Slab((Sheet(ECOFLEX, 0.01),), "disc", Springs(1e6, 0.0), "free", 0.02)
-    with pytest.raises(SceneError, match="static answer needs a support"):
+    with pytest.raises(SceneError, match="static solution needs a support"):
         static_wedges(half, HELD, AT, sizes=SMALL)
-    with pytest.raises(SceneError, match="lies off the slab"):
+    with pytest.raises(SceneError, match="lies outside the slab"):
         solve_wedges(SkinProblem(slab(0.01, shape="disc", side="fixed", radius_m=0.004), HELD, np.array([0.01]), AT))
     with pytest.raises(SceneError, match="rising"):
         solve_wedges(SkinProblem(slab(0.01), HELD, np.array([0.01, 0.0]), AT))

@@ -71,7 +71,7 @@ def test_places_are_autd3s_own():
             focus_table(
                 np.zeros(1), np.array([[[0.1, 0, 0.2], [0.2, 0, 0.2]]]), np.array([[1.0, 0.5]]), rate_Hz=1000.0
             ),
-            "foci at once differ in intensity",
+            "simultaneous foci differ in intensity",
         ),
     ],
 )
@@ -91,8 +91,8 @@ def broken(**changes):
         (broken(divide=0), r"divide: Input should be greater than or equal to 1, not 0"),
         (broken(points=[{"points": [{"point": [0, float("nan"), 1]}]}]), r"points\.0\.points\.0\.point\.1: .*finite"),
         (broken(intensity=3), "intensity: Extra inputs are not permitted"),
-        (broken(points=[]), "points has 0 entries; allowed: 2 at least"),
-        (broken(points=[{"points": [{"point": [0, 0, 150]}]}]), "points has 1 entries; allowed: 2 at least"),
+        (broken(points=[]), "points has 0 entries; allowed: at least 2"),
+        (broken(points=[{"points": [{"point": [0, 0, 150]}]}]), "points has 1 entries; allowed: at least 2"),
         (broken(points=[{"points": [{"point": [0, 0, 150]}] * 8}] * 8193), "points holds 65544 foci; allowed: 65536"),
         (
             broken(points=[{"points": [{"point": [-3105, 0, 150]}]}] * 2),
@@ -111,7 +111,10 @@ def test_bad_files_are_told_with_their_place(tmp_path, text, told):
 @pytest.mark.parametrize(
     ("second", "told"),
     [
-        ({"points": [{"point": [0, 0, 1]}, {"point": [9, 0, 1]}]}, r"points\.1: 2 foci at once where the first has 1"),
+        (
+            {"points": [{"point": [0, 0, 1]}, {"point": [9, 0, 1]}]},
+            r"points\.1: 2 foci at once, but the first entry has 1",
+        ),
     ],
 )
 def test_stms_that_are_no_table(tmp_path, second, told):
@@ -183,7 +186,7 @@ def test_we_refuse_what_an_emulated_unit_refuses(points):
 @pytest.mark.parametrize(
     ("table", "told"),
     [
-        (ring(rows=1), "points has 1 entries; allowed: 2 at least"),
+        (ring(rows=1), "points has 1 entries; allowed: at least 2"),
         (ring(foci=2, rows=32769), "it has 32769 samples of 2 foci; allowed: 32768 samples"),
     ],
 )

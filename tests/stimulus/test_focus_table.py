@@ -64,9 +64,9 @@ def test_units_order_of_columns_and_remarks(tmp_path):
 BAD = {
     "nan": (GOOD.replace("0.01,0,0.2,0.5", "nan,0,0.2,0.5"), "line 9, column x: nan; give a finite number"),
     "text": (GOOD.replace("0.2,0.5", "far,0.5"), "line 9, column z: 'far' is not a number"),
-    "falling": (GOOD + "0.005,0,0,0.2,1\n", "line 10, column t: 0.005 after 0.01; allowed: more than before"),
-    "late": (GOOD.replace("\n0,0,0,0.2,1", ""), "line 8, column t: 0.01; the first row is at 0"),
-    "between samples": (GOOD + "0.013,0,0,0.2,1\n", "line 10, column t: 0.013 s is sample 1.3 of rate_Hz 100"),
+    "falling": (GOOD + "0.005,0,0,0.2,1\n", "line 10, column t: 0.005 after 0.01; allowed: rising times"),
+    "late": (GOOD.replace("\n0,0,0,0.2,1", ""), "line 8, column t: 0.01; the first row must be at 0"),
+    "between samples": (GOOD + "0.013,0,0,0.2,1\n", "line 10, column t: 0.013 s is sample 1.3 at rate_Hz 100"),
     "unit": (GOOD.replace("s, m", "s, inch"), "line 5, column 10: units has value 's, inch'; allowed: of t (s"),
     "millimetres": (GOOD.replace("0.01,0.01,0,0.2", "0.01,10,0,200"), "line 9, column z: a focus at 10 0 200 m, which"),
     "frame": (GOOD.replace("array", "room"), "line 2, column 10: frame has value 'room'; allowed: array | skin"),
@@ -75,17 +75,17 @@ BAD = {
     "version": (GOOD.replace("stimulus: 1", "stimulus: 2"), "palmfield_stimulus has value '2'; allowed: 1"),
     "no head": (GOOD.replace("# between: held\n", ""), "line 1: head line '# between: ...' is missing"),
     "stray head": (HEAD + "# units_of_x: m\n" + GOOD, "line 7, column 3: head line 'units_of_x' is unknown"),
-    "twice": (HEAD + GOOD, "line 7: head line 'palmfield_stimulus' is there twice, first in line 1"),
+    "twice": (HEAD + GOOD, "line 7: head line 'palmfield_stimulus' occurs twice, first in line 1"),
     "column": (GOOD.replace("intensity", "level"), "line 7: column 'level' is unknown; allowed: t, x, y, z"),
     "missing": (GOOD.replace(",z,", ","), "line 7: column 'z' is missing"),
     "short row": (GOOD + "0.02,0,0,0.2\n", "line 10 has 4 values for 5 columns"),
     "loud": (GOOD.replace("0.2,0.5", "0.2,1.5"), "line 9, column intensity: 1.5; allowed: 0 (silent) to 1"),
-    "silent": (GOOD.replace("0.2,1", "0.2,0").replace("0.2,0.5", "0.2,0"), "line 8, column intensity: 0 here and"),
-    "no row": (HEAD + "t,x,y,z,intensity\n", "there is no row below line 7"),
-    "empty": ("", "there is no line of column names"),
+    "silent": (GOOD.replace("0.2,1", "0.2,0").replace("0.2,0.5", "0.2,0"), "line 8, column intensity: all values"),
+    "no row": (HEAD + "t,x,y,z,intensity\n", "there are no rows below line 7"),
+    "empty": ("", "the line of column names is missing"),
     "duty of two": (
         HEAD.replace("arp", "duty") + "t,x1,y1,z1,intensity1,x2,y2,z2,intensity2\n0,0,0,0.2,1,0.02,0,0.2,1\n",
-        "quantity is 'duty', and there are 2 foci at once",
+        "quantity is 'duty' with 2 simultaneous foci",
     ),
 }  # fmt: skip
 
@@ -180,11 +180,11 @@ def test_repeats_can_be_left_out_and_mean_the_same():
 @pytest.mark.parametrize(
     ("keys", "told"),
     [
-        ({"focus_m": (0, 0, 0.2)}, "focus_m does not belong to path 'file'"),
-        ({"path_rate_Hz": 3.0}, "path_rate_Hz does not belong to path 'file'"),
+        ({"focus_m": (0, 0, 0.2)}, "focus_m does not apply to path 'file'"),
+        ({"path_rate_Hz": 3.0}, "path_rate_Hz does not apply to path 'file'"),
         ({"path_end": "back"}, "path_end is 'back'; allowed with path 'file': stop, jump"),
         ({"path_file": None}, "path 'file' needs path_file"),
-        ({"path": "circle", "path_diameter_m": 0.03, "path_rate_Hz": 5}, "path_file does not belong to path 'circle'"),
+        ({"path": "circle", "path_diameter_m": 0.03, "path_rate_Hz": 5}, "path_file does not apply to path 'circle'"),
     ],
 )
 def test_keys_that_do_not_go_with_a_table(keys, told):

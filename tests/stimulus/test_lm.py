@@ -77,14 +77,14 @@ def test_frequencies():
 @pytest.mark.parametrize(
     ("keys", "words"),
     [
-        ({"path_step_m": "0.003"}, "path_step_m is 0.003, of which path_width_m 0.004 holds 1.33333; allowed: a whole "
-         "number of steps, for example 0.004"),
-        ({"path_step_m": "0.01"}, "of which path_width_m 0.004 holds 0.4; .* for example 0.004"),
-        ({"path_step_m": "0.002", "path_points": "4"}, "path_step_m and path_points 4 both say where"),
+        ({"path_step_m": "0.003"}, "path_step_m is 0.003, and path_width_m 0.004 is 1.33333 such steps; allowed: a "
+         "whole number of steps, for example 0.004"),
+        ({"path_step_m": "0.01"}, "and path_width_m 0.004 is 0.4 such steps; .* for example 0.004"),
+        ({"path_step_m": "0.002", "path_points": "4"}, "path_step_m and path_points 4 both set where"),
         ({"path_step_m": "0.002", "path_end": "jump"}, "path_end is 'jump'; allowed with path_step_m: back"),
         ({"path_width_m": ""}, "path 'lm' needs path_width_m"),
-        ({"path": "line", "path_step_m": "0.002"}, "path_step_m does not belong to path 'line'"),
-        ({"path_corners": "2"}, "path_corners does not belong to path 'lm', which takes path_width_m"),
+        ({"path": "line", "path_step_m": "0.002"}, "path_step_m does not apply to path 'line'"),
+        ({"path_corners": "2"}, "path_corners does not apply to path 'lm', which takes path_width_m"),
     ],
 )  # fmt: skip
 def test_keys_that_do_not_fit_are_named(keys, words):

@@ -123,7 +123,7 @@ def test_a_burst_with_a_crest_in_its_middle_is_eq_8_of_hasegawa(frequency):
 
 
 def test_a_phase_belongs_to_bursts():
-    with pytest.raises(ValueError, match=r"am_burst_phase_deg does not belong to am_waveform 'sine'"):
+    with pytest.raises(ValueError, match=r"am_burst_phase_deg does not apply to am_waveform 'sine'"):
         am("arp", "sine", am_burst_phase_deg=90.0)
 
 
@@ -294,7 +294,7 @@ def test_more_than_full_drive_is_told():
         peak_amplitude(am(drive_amplitude=0.6, am_normalisation="carrier"))
     with pytest.raises(SceneError, match=r"takes pulses of duty 1; allowed: at most 0\.5"):
         peak_amplitude(am("duty", am_normalisation="carrier"))
-    with pytest.raises(SceneError, match=r"takes pulses of more than duty 0\.5"):
+    with pytest.raises(SceneError, match=r"needs pulses with duty above 0\.5"):
         peak_amplitude(am("duty", am_normalisation="mean"))
 
 
@@ -370,10 +370,10 @@ GOOD = {"modulation": "am", "am_quantity": "amplitude", "am_frequency_Hz": "200"
         ({"am_quantity": "arps"}, r"'arps' \(did you mean 'arp'\?\); allowed: duty | amplitude | arp"),
         ({"am_waveform": "rectangle"}, "modulation 'am' of am_waveform 'rectangle' needs am_waveform_duty"),
         ({"am_waveform": "rectangle", "am_waveform_duty": "1"}, "am_waveform_duty is 1, so that a rectangle is always"),
-        ({"am_waveform_duty": "0.5"}, "am_waveform_duty does not belong to am_waveform 'sine', which takes no such"),
+        ({"am_waveform_duty": "0.5"}, "am_waveform_duty does not apply to am_waveform 'sine', which takes no such"),
         (
             {"am_waveform": "hann", "am_file": "a.csv"},
-            "am_file does not belong to am_waveform 'hann', which takes am_w",
+            "am_file does not apply to am_waveform 'hann', which takes am_w",
         ),
         ({"am_waveform": "burst", "am_burst_length_s": "0.1"}, "needs am_burst_period_s"),
         ({"am_waveform": "burst", "am_burst_length_s": "0.2", "am_burst_period_s": "0.1"}, "longer than am_burst_per"),
@@ -383,7 +383,10 @@ GOOD = {"modulation": "am", "am_quantity": "amplitude", "am_frequency_Hz": "200"
             {"am_normalisation": "mean", "arp_peak_Pa": "5"},
             "am_normalisation is 'mean', but arp_peak_Pa 5 sets the lou",
         ),
-        ({"am_quantity": "duty", "arp_peak_Pa": "5"}, "am_quantity is 'duty', whose ARP .* arp_peak_Pa 5 can't set it"),
+        (
+            {"am_quantity": "duty", "arp_peak_Pa": "5"},
+            "am_quantity is 'duty', for which .* arp_peak_Pa 5 cannot set it",
+        ),
         ({"am_depth": "1.5"}, "key 'am_depth' has value '1.5'"),
     ],
 )

@@ -303,7 +303,7 @@ def test_a_start_within_a_small_triangle_stays_where_it_is():
 
 def test_running_off_an_open_mesh_names_the_arc_length():
     surface = plate()
-    with pytest.raises(SceneError, match="runs off the edge") as error:
+    with pytest.raises(SceneError, match="leaves the mesh") as error:
         drawn(surface, [0.02, 0.0, 0.0], X, polyline([[-0.01, 0.0], [0.05, 0.0]]))
     # From the path's start at x = -10 mm to the edge at x = 50 mm
     found = re.search(r"after ([\d.]+) mm", str(error.value))
@@ -325,7 +325,7 @@ def test_rounding_does_not_decide_whether_a_path_reaches_the_edge(seed):
         return drawn(surface, turn.apply(middle) + away, turn.apply(ahead), line(length))
 
     for beyond in (0.0, 1e-6, 0.01):
-        with pytest.raises(SceneError, match="runs off the edge") as error:
+        with pytest.raises(SceneError, match="leaves the mesh") as error:
             to(reach + beyond)
         found = re.search(r"after ([\d.]+) mm", str(error.value))
         assert found and float(found[1]) == pytest.approx(1e3 * reach, abs=0.051)
@@ -358,7 +358,7 @@ def test_what_cannot_be_drawn_is_named():
         drawn(surface, [0.0, 0.0, 0.021], X, line(0.01))
     with pytest.raises(SceneError, match=r"waypoint 1 .*30\.0 mm from the surface"):
         through(surface, [[0.0, 0.0, 0.0], [0.08, 0.0, 0.0]])
-    with pytest.raises(SceneError, match="no part along the skin"):
+    with pytest.raises(SceneError, match="no component along the skin"):
         drawn(surface, [0.0, 0.0, 0.0], [0.0, 0.0, 2.0], line(0.01))
     with pytest.raises(SceneError, match="three finite numbers"):
         drawn(surface, [0.0, 0.0, math.nan], X, line(0.01))
@@ -370,7 +370,7 @@ def test_what_cannot_be_drawn_is_named():
         np.vstack([surface.vertices, surface.vertices + np.array([0.2, 0.0, 0.0])]),
         np.vstack([surface.faces, surface.faces + len(surface.vertices)]),
     )
-    with pytest.raises(SceneError, match="waypoints 0 and 1 are on parts"):
+    with pytest.raises(SceneError, match="waypoints 0 and 1 lie on unconnected parts"):
         through(apart, [[0.0, 0.0, 0.0], [0.2, 0.0, 0.0]])
 
 

@@ -202,9 +202,9 @@ def test_bursts_of_a_modulated_path(window):
         ({"path": "circle", "path_rate_Hz": 1}, "path 'circle' needs path_diameter_m"),
         ({"path": "circle", "path_diameter_m": 0.01}, "path_rate_Hz"),
         ({"path": "line", "path_width_m": 0.1, "path_rate_Hz": 1, "path_speed_m_s": 1}, "not both"),
-        ({"path": "line", "path_width_m": 0.1, "path_rate_Hz": 1, "path_text": "A"}, "path_text does not belong"),
-        ({"path_rate_Hz": 1}, "path_rate_Hz belongs to a path"),
-        ({"path_on": "skin"}, "path_on belongs to a path"),
+        ({"path": "line", "path_width_m": 0.1, "path_rate_Hz": 1, "path_text": "A"}, "path_text does not apply"),
+        ({"path_rate_Hz": 1}, "path_rate_Hz applies to a moving path"),
+        ({"path_on": "skin"}, "path_on applies to a moving path"),
         ({"path": "sites", "path_sites": "a b", "path_speed_m_s": 1}, "set path_on to skin"),
         (
             {"path": "line", "path_width_m": 0.1, "path_rate_Hz": 1, "path_zigzag_width_m": 0.02},
@@ -212,7 +212,7 @@ def test_bursts_of_a_modulated_path(window):
         ),
         (
             {"path": "circle", "path_diameter_m": 0.1, "path_speed_m_s": 1, "path_zigzag_width_m": 0.02},
-            "path_zigzag_width_m does not belong",
+            "path_zigzag_width_m does not apply",
         ),
         ({"path": "polyline", "path_through_m": "0 0 1", "path_rate_Hz": 1}, "3 numbers"),
         ({"foci_m": "0 0 0.1"}, "two foci or more"),

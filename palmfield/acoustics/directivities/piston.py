@@ -17,7 +17,7 @@ class Piston(Directivity):
 
     def words(self, array: Array) -> str:
         radius = array.piston_radius_m
-        return "point sources" if radius == 0.0 else f"pistons of {1e3 * radius:g} mm radius"
+        return "point sources" if radius == 0.0 else f"pistons with a radius of {1e3 * radius:g} mm"
 
 
 FORM = Piston()

@@ -26,7 +26,7 @@ def board_named(name: str) -> Board:
     """Return the board of a name. Raises DeviceError for an unknown one."""
     if name not in BOARDS:
         near = did_you_mean(name, BOARDS)
-        raise DeviceError(f"board '{name}' is not known{near}; allowed: {', '.join(BOARDS)}")
+        raise DeviceError(f"board '{name}' is unknown{near}; allowed: {', '.join(BOARDS)}")
     return BOARDS[name]
 
 
@@ -35,7 +35,7 @@ def playable_board(name: str) -> Board:
     takes_bytes = [board.name for board in BOARDS.values() if not board.exact]
     if name not in takes_bytes:
         near = did_you_mean(name, takes_bytes)
-        raise DeviceError(f"board '{name}' is not known{near}; allowed: {', '.join(takes_bytes)}")
+        raise DeviceError(f"board '{name}' is unknown{near}; allowed: {', '.join(takes_bytes)}")
     return board_named(name)
 
 
@@ -71,8 +71,8 @@ def board_of(
         places = ()
     if places and board.takes == "focus":
         raise DeviceError(
-            f"board '{board.name}' places its focus itself, so that addresses of a calibration can't reach it; leave "
-            "them out"
+            f"board '{board.name}' computes its focus itself, so the addresses of a calibration have no effect; "
+            "remove them"
         )
     return replace(board, compensate=on, places=() if board.exact else places)
 

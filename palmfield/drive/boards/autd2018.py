@@ -61,7 +61,7 @@ class Autd2018(Board):
         sized = super().sized(transducers)
         if sized.units not in LAYOUT_OF_UNITS:
             raise DeviceError(
-                f"board '{self.name}' is asked for {transducers} transducers; allowed: "
+                f"board '{self.name}' cannot drive {transducers} transducers; allowed: "
                 + " or ".join(f"{TRANSDUCERS * units} ({name})" for units, name in LAYOUT_OF_UNITS.items())
             )
         return sized.ready()
@@ -75,8 +75,9 @@ class Autd2018(Board):
         line = serial_line(self.packet_baud)
         if line.bytes_per_s < PACKET_RATE_HZ * len(off):
             raise DeviceError(
-                f"packet_baud has value {self.packet_baud}; allowed: at least {10.0 * PACKET_RATE_HZ * len(off):g}, "
-                f"which carries {PACKET_RATE_HZ:g} packets of {len(off)} bytes a second"
+                f"packet_baud has value {self.packet_baud}; allowed: at least "
+                f"{10.0 * PACKET_RATE_HZ * len(off):g}, for {PACKET_RATE_HZ:g} packets of {len(off)} bytes per "
+                "second"
             )
         return replace(self, line=line, start=off, stop=off)
 
@@ -110,8 +111,8 @@ class Autd2018(Board):
         steps = np.rint(np.asarray(focus, float) / self.packet_lsb_m)
         if steps.shape != (3,) or not np.all(np.abs(steps) <= MOST):
             raise DeviceError(
-                f"focus {np.asarray(focus).tolist()} m is none that a packet of {self.name} can tell; allowed: three "
-                f"numbers within +-{MOST * self.packet_lsb_m:.4g} m (packet_lsb_m)"
+                f"focus {np.asarray(focus).tolist()} m is outside the range of a packet of {self.name}; allowed: "
+                f"three numbers within +-{MOST * self.packet_lsb_m:.4g} m (packet_lsb_m)"
             )
         width = int(widths(level, HASEGAWA_TICKS, self.duty_exponent))
         x, y, z = (int(step) for step in steps)
@@ -205,7 +206,7 @@ class Autd2018Twin(Twin):
             self._bytes.clear()
             *steps, width = numbers
             if width > HASEGAWA_TICKS // 2:
-                self.flag("garbled", f"pulse width {width} is above {HASEGAWA_TICKS // 2} ticks: it is taken as that")
+                self.flag("garbled", f"pulse width {width} is above {width} ticks and is clipped to it")
             state = self.board.packet_lsb_m * np.array(steps, float), min(width, HASEGAWA_TICKS // 2)
             due_s = self.time_s
             if self.board.sync == "on":
@@ -213,7 +214,7 @@ class Autd2018Twin(Twin):
             self._waiting.append((due_s, state))
         self.time_s = begin + len(data) * self.byte_s
         if dropped:
-            self.flag("garbled", f"{dropped} bytes are part of no packet")
+            self.flag("garbled", f"{dropped} bytes belong to no packet")
         return changes + self.until(self.time_s)
 
     def until(self, time_s: float) -> list[Emitted]:
@@ -226,8 +227,8 @@ class Autd2018Twin(Twin):
 
 BOARD = Autd2018(
     "autd2018",
-    "units of Hasegawa & Shinoda 2018, 249 transducers each: one focus in packets of 57 bits at 2 kHz, 640 phases, "
-    "320 pulse widths",
+    "units of Hasegawa & Shinoda 2018, 249 transducers each: one focus per packet of 57 bits at 2 kHz, 640 "
+    "phases, 320 pulse widths",
     layouts=tuple(LAYOUT_OF_UNITS.values()),
     unit=TRANSDUCERS,
     most_units=max(LAYOUT_OF_UNITS),
@@ -236,10 +237,10 @@ BOARD = Autd2018(
     amplitude="pulse_width",
     amplitude_steps=HASEGAWA_TICKS // 2,
     takes="focus",
-    when_host_dies="the units go on with the last packet's focus until power is cut",
-    cannot_guarantee="The paper leaves header, footer, order of bits, the lowest bit's meaning and the line's rate "
-    "open, so that a real unit may need other values of the packet_ keys; units place the focus themselves, by their "
-    "own speed of sound, and know nothing of dead or inverted transducers.",
+    when_host_dies="the units keep the focus of the last packet until power is cut",
+    cannot_guarantee="The paper does not state header, footer, bit order, value of the lowest bit and line rate, "
+    "so a real unit may need other values of the packet_ keys. The units compute the focus themselves with a "
+    "fixed speed of sound, and do not compensate dead or inverted transducers.",
     keys=(
         "packet_header", "packet_footer", "packet_bit_order", "packet_lsb_m", "packet_baud", "duty_exponent",
         "pwm_edge", "hop_delay_s", "skew_s", "clock_drift_ppm", "sync", "board_sound_speed_m_s",

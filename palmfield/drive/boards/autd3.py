@@ -121,6 +121,6 @@ BOARD = Autd3(
     phase_steps=STEPS,
     amplitude="pulse_width",
     amplitude_steps=AUTD3_LEVELS,
-    when_host_dies="AUTD3 units switch off by themselves 0.5 s after the last frame",
-    cannot_guarantee="The silencer of AUTD3's own software is off, so that changes of level may be heard as clicks.",
+    when_host_dies="AUTD3 units switch off 0.5 s after the last frame",
+    cannot_guarantee="The silencer of the AUTD3 software is off, so changes of level may be audible as clicks.",
 ).sized(TRANSDUCERS)

@@ -2,4 +2,4 @@
 
 from palmfield.drive.board import Board
 
-BOARD = Board("ideal", "plays every amplitude and phase at once and without rounding", arrays=(1, 1_000_000))
+BOARD = Board("ideal", "plays every amplitude and phase without delay and without rounding", arrays=(1, 1_000_000))

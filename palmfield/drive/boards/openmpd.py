@@ -67,12 +67,12 @@ class OpenMpdTwin(Twin):
             if first is not None:
                 # A new frame begins before the last one is complete
                 self.time_s = begin + (position + first) * self.byte_s
-                self.flag("garbled", f"a frame of {len(self._frame) + first} bytes is dropped")
+                self.flag("garbled", f"dropped an incomplete frame of {len(self._frame) + first} bytes")
                 self._frame.clear()
                 position += first
                 continue
             if not self._frame and piece[0] < FIRST:
-                self.flag("garbled", f"{len(piece)} bytes outside of a frame are dropped")
+                self.flag("garbled", f"dropped {len(piece)} bytes outside a frame")
                 position += len(piece)
                 continue
             self._frame += piece
@@ -87,7 +87,7 @@ class OpenMpdTwin(Twin):
 
     def _queue(self, frame: bytes) -> None:
         if len(self._waiting) >= HELD_FRAMES:
-            self.flag("overrun", f"{HELD_FRAMES} frames wait already; one is lost")
+            self.flag("overrun", f"{HELD_FRAMES} frames are waiting already, so one is lost")
             return
         tick_s = math.ceil(self.time_s / FRAME_PERIOD_S - 1e-6) * FRAME_PERIOD_S
         self._last_s = max(tick_s, self._last_s + FRAME_PERIOD_S)
@@ -120,8 +120,8 @@ BOARD = OpenMpd(
     amplitude_steps=HALF,
     start=2 * OFF_FRAME,
     stop=2 * OFF_FRAME,
-    when_host_dies="the OpenMPD board goes on with its last frame until power is cut",
-    cannot_guarantee="It has no checksum and never answers. Its order of pins is that of the vendor's board files and "
-    "was not tried on hardware; a board with another order needs a calibration with addresses. The vendor's files hold "
-    "phases of single boards: `palmfield calibrate import board_N.pat BOARD.json`.",
+    when_host_dies="the OpenMPD board keeps emitting its last frame until power is cut",
+    cannot_guarantee="The board has no checksum and sends no reply. Its pin order comes from the vendor's board "
+    "files and was not tested on hardware; a board with another order needs a calibration with addresses. The "
+    "vendor's files contain the phases of single boards: `palmfield calibrate import board_N.pat BOARD.json`.",
 )

@@ -51,7 +51,7 @@ def stored(twin: Twin, back: NDArray[np.uint8], counter: int, piece: bytes) -> i
     values = np.frombuffer(piece[:room], dtype=np.uint8)
     back[counter : counter + len(values)] = np.where(values == OFF, OFF, values % OFF)
     if len(piece) > room:
-        twin.flag("overrun", f"{len(piece) - room} bytes beyond the {EMITTERS} of a frame: what plays is undefined")
+        twin.flag("overrun", f"{len(piece) - room} bytes beyond the {EMITTERS} of a frame: the output is undefined")
     return counter + len(values)
 
 
@@ -123,7 +123,11 @@ class SonicSurfaceTwin(Twin):
             turn = np.mod(self.time_s * CARRIER_HZ * STEPS - self._front - self.lag, STEPS)
             self.pins_high = (self._front != OFF) & (turn < STEPS / 2)
             held = int(self.pins_high.sum())
-            self.flag("dc", f"the shift clocks are stopped: {held} of {EMITTERS} pins stay high, which is DC on them")
+            self.flag(
+                "dc",
+                f"the shift clocks have stopped: {held} of {EMITTERS} pins stay high, which puts DC on these "
+                "transducers",
+            )
         return was != runs
 
 
@@ -140,9 +144,8 @@ BOARD = SonicSurface(
     start=OFF_SEQUENCE,
     stop=OFF_SEQUENCE,
     when_host_dies="the SonicSurface keeps emitting its last frame until power is cut",
-    cannot_guarantee="It never answers and has no checksum, so that nobody knows whether a frame arrived; from "
-    "power-up until the first frame all 256 emitters sound; a lone board flashed as secondary takes all of "
-    "this for another's data and goes on with what it had, start and stop bytes included, so that such a board needs "
-    "sonicsurface_pair.",
+    cannot_guarantee="The board sends no reply and has no checksum, so the host cannot check whether a frame "
+    "arrived. From power-up until the first frame all 256 emitters emit. A single board flashed as secondary "
+    "ignores all bytes, including start and stop, and keeps its last output; such a board needs sonicsurface_pair.",
     keys=("dither",),
 )

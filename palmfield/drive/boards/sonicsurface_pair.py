@@ -110,7 +110,7 @@ BOARD = SonicSurfacePair(
     start=OFF_SEQUENCE,
     stop=OFF_SEQUENCE,
     when_host_dies="both SonicSurface boards keep emitting their last frame until power is cut",
-    cannot_guarantee="As of one SonicSurface, and the secondary board lags by 16.5 steps, which the bytes take off: "
-    "boards with their roles exchanged are half a wavelength out of step.",
+    cannot_guarantee="The limits of one SonicSurface apply. The secondary board lags by 16.5 phase steps, which "
+    "the sent bytes compensate; if the roles of the boards are exchanged, they are half a wavelength out of phase.",
     keys=("dither",),
 )

@@ -44,7 +44,7 @@ def envelope_byte(frequency_Hz: float) -> int:
     if abs(rates[nearest] / max(frequency_Hz, 1e-9) - 1.0) > CLOSE:
         around = sorted(rates, key=lambda rate: abs(rate - frequency_Hz))[:2]
         raise DeviceError(
-            f"an envelope of {frequency_Hz:g} Hz is none of sonicsurface_tactile's; the nearest are "
+            f"sonicsurface_tactile has no envelope of {frequency_Hz:g} Hz; the nearest are "
             + " and ".join(f"{rate:.1f}" for rate in sorted(around))
             + " Hz (1250/(n + 1))"
         )
@@ -113,9 +113,9 @@ BOARD = SonicSurfaceTactile(
     start=bytes([RATE + DEFAULT_RATE]) + 2 * OFF_FRAME,
     stop=2 * OFF_FRAME,
     when_host_dies="the SonicSurface keeps emitting its last frame, with its envelope, until power is cut",
-    cannot_guarantee="The firmware adds a correction of phases that was measured on its authors' own board: build it "
-    "with that table at zero, or calibrate; it never answers, and its receiver runs 3.5 % slow, so that a port that "
-    "can't be set to 222336 baud may lose bytes.",
+    cannot_guarantee="The firmware adds phase corrections that were measured on its authors' board: build it with "
+    "that table set to zero, or calibrate. It sends no reply. Its receiver runs 3.5 % slow, so a port that cannot "
+    "be set to 222336 baud may lose bytes.",
     modulates=True,
     keys=("dither",),
 )

@@ -120,7 +120,7 @@ class UltrainoTwin(Twin):
                 changes.append(Emitted(self.time_s, self.emitted))
             elif nibble == 0:
                 if byte & 0x3F != DURATION and byte != COMMIT:
-                    self.flag("garbled", f"byte 0x{byte:02x} is no command")
+                    self.flag("garbled", f"byte 0x{byte:02x} is not a command")
             elif nibble <= len(self._written):
                 self._put(nibble - 1, byte)
         self.time_s = begin + len(data) * self.byte_s
@@ -129,7 +129,10 @@ class UltrainoTwin(Twin):
     def _put(self, board: int, byte: int) -> None:
         at, second = divmod(self._written[board], 2)
         if at >= self._back.shape[1]:
-            self.flag("overrun", f"more than {MOST_PATTERNS} patterns for board {board + 1}: memory beyond is written")
+            self.flag(
+                "overrun",
+                f"more than {MOST_PATTERNS} patterns for board {board + 1}: the board would write beyond its memory",
+            )
             return
         self._back[board, at] = self._back[board, at] | (byte >> 4) if second else byte & 0xF0
         self._written[board] += 1
@@ -147,6 +150,6 @@ BOARD = Ultraino(
     amplitude="pulse_width",
     amplitude_steps=DIVISIONS // 2,
     when_host_dies="Ultraino keeps emitting its last pattern until power is cut",
-    cannot_guarantee="It has no checksum and no watchdog, and with ten divisions a focus keeps 0.98 of its pressure; "
-    "from power-up until the first frame all signals sound.",
+    cannot_guarantee="The board has no checksum and no watchdog. With ten phases a focus keeps 0.98 of its "
+    "pressure. From power-up until the first frame all transducers emit.",
 ).sized(SIGNALS)

@@ -91,7 +91,7 @@ def fit_elements(
             "each transducer"
         )
     if len(places) < 3:
-        raise PalmfieldError(f"{len(places)} places of the microphone: give 3 at least, 8 are better")
+        raise PalmfieldError(f"the microphone has {len(places)} positions; needed: at least 3, better 8")
     if not (place_sd_m > 0.0 and temperature_sd_K > 0.0):
         raise PalmfieldError(
             f"place_sd_m = {place_sd_m:g} and temperature_sd_K = {temperature_sd_K:g}: give standard deviations above 0"
@@ -99,17 +99,17 @@ def fit_elements(
     known = ~np.isnan(y)
     if np.isinf(y).any() or not known.any(axis=0).all():
         n = int(np.argmax(np.isinf(y).any(axis=0) | ~known.any(axis=0)))
-        raise PalmfieldError(f"transducer {n} has no finite reading: give one at some place at least, 0 for silence")
+        raise PalmfieldError(f"transducer {n} has no finite reading: give at least one; 0 means silence")
     model = _Model(array, air, places, place_sd_m, temperature_sd_K)
     if not model.in_front():
-        raise PalmfieldError("a place of the microphone is not in front of all transducers: give z > 0 [m]")
+        raise PalmfieldError("a position of the microphone is not in front of all transducers: give z > 0 [m]")
     y = np.where(known, y, 0.0)
     found = _solved(model, y, known)
     odd = _odd(model, found, y, known)
     if odd.mean() > 0.5:
         raise PalmfieldError(
-            f"the readings of {odd.sum()} of {len(odd)} transducers fit no sound from their places: check the layout "
-            "and the order of its transducers, and the microphone's places (array frame, m)"
+            f"the readings of {odd.sum()} of {len(odd)} transducers do not fit sound from their positions: check "
+            "the layout, the order of its transducers and the microphone positions (array frame, m)"
         )
     if not odd.any():
         return _result(model, found)
@@ -248,7 +248,7 @@ def _solved(model: _Model, y: Complex, known: np.ndarray) -> _Found:
     freedom = max(2 * int(known.sum()) - 2 * count - model.extra, 1)
     loudness = math.sqrt(float((np.abs(y) ** 2).sum()) / int(known.sum()))
     if loudness == 0.0:
-        raise PalmfieldError("all readings are 0: nothing sounded, or nothing was recorded")
+        raise PalmfieldError("all readings are 0: check that the array emits and that the microphone records")
     sigma = 0.1 * loudness
     for _ in range(STEPS):
         normal, right = _normal_equations(model, y, known, pressure, slopes, factor, unknown, common, sigma)
@@ -270,8 +270,8 @@ def _solved(model: _Model, y: Complex, known: np.ndarray) -> _Found:
             break
     else:
         raise PalmfieldError(
-            f"the fit of the transducers does not settle in {STEPS} steps: check the layout and the order "
-            "of its transducers, the microphone's places (array frame, m) and that a delay is a positive phase"
+            f"the fit of the transducers does not converge in {STEPS} steps: check the layout, the order of its "
+            "transducers, the microphone positions (array frame, m), and that a delay is a positive phase"
         )
     normal, right = _normal_equations(model, y, known, pressure, slopes, factor, unknown, common, sigma)
     step = np.linalg.solve(normal, right)

@@ -39,9 +39,11 @@ def fit_pose(
     told, where = check.points(np.asarray(foci_m, float), np.float64), check.points(np.asarray(at, float), np.float64)
     seen = np.asarray(pressures_Pa, float)
     if not (len(told) == len(where) == len(seen)) or len(seen) < 8:
-        raise PalmfieldError(f"{len(told)} foci, {len(where)} places and {len(seen)} readings: give 8 of each at least")
+        raise PalmfieldError(
+            f"{len(told)} foci, {len(where)} positions and {len(seen)} readings; needed: at least 8 of each"
+        )
     if not np.all(np.isfinite(seen) & (seen >= 0.0)) or seen.max() == 0.0:
-        raise PalmfieldError("pressures_Pa has values below 0 or not finite, or 0 only: give amplitudes")
+        raise PalmfieldError("pressures_Pa has values that are negative or not finite, or only zeros: give amplitudes")
     foci, which = np.unique(told, axis=0, return_inverse=True)
     drives = [compensate(array, focus(array, air, point)) for point in foci]
     start = np.zeros(3)
@@ -50,8 +52,9 @@ def fit_pose(
         gap = where[own[np.argmax(seen[own])]] - point
         if np.linalg.norm(gap[:2]) > WITHIN_M:
             raise PalmfieldError(
-                f"the loudest reading of the focus at {point.tolist()} m is {1e3 * float(np.linalg.norm(gap[:2])):.0f} "
-                "mm beside it: check that both are in the array frame, in metres"
+                f"the loudest reading of the focus at {point.tolist()} m lies "
+                f"{1e3 * float(np.linalg.norm(gap[:2])):.0f} mm from it: check that both are in the array frame, "
+                "in metres"
             )
         start += gap * [1.0, 1.0, 0.0] / len(foci)
     turning = len(foci) >= 3 and np.linalg.matrix_rank(foci - foci.mean(axis=0), tol=1e-3) >= 2
@@ -71,7 +74,9 @@ def fit_pose(
 
     found = least_squares(with_prior, np.concatenate([start / OFFSET_SD_M, np.zeros(3 if turning else 0)]), x_scale=0.1)
     if not found.success:
-        raise PalmfieldError(f"the fit of the board's place does not settle ({found.message}): scan nearer to the foci")
+        raise PalmfieldError(
+            f"the fit of the board position does not converge ({found.message}): scan closer to the foci"
+        )
     rest = left(found.x)
     noise = math.sqrt(float(rest @ rest) / max(len(rest) - len(found.x) - 1, 1))
     errors = np.sqrt(np.diag(np.linalg.inv(found.jac.T @ found.jac))) * max(noise, 1e-9)

@@ -55,8 +55,8 @@ def fit_sweep(
     f, seen = np.asarray(frequencies_Hz, float), np.asarray(pressures_Pa, np.complex128)
     if seen.shape != (len(where), len(f)) or len(where) < FEWEST or len(f) < 5:
         raise PalmfieldError(
-            f"{len(where)} places, {len(f)} frequencies and readings of shape {seen.shape}: give {FEWEST} places and 5 "
-            "frequencies at least, and a reading for each"
+            f"{len(where)} positions, {len(f)} frequencies and readings of shape {seen.shape}; needed: at least "
+            f"{FEWEST} positions and 5 frequencies, and a reading for each pair"
         )
     if not np.isfinite(seen).all() or not np.all((f >= LIMITS_HZ[0]) & (f <= LIMITS_HZ[1])):
         raise PalmfieldError(f"readings are not finite, or frequencies outside {LIMITS_HZ[0]:g} to {LIMITS_HZ[1]:g} Hz")
@@ -67,8 +67,8 @@ def fit_sweep(
     resonance, quality, misfit = _pole(sound, f, seen, start)
     if not f.min() < resonance < f.max():
         raise PalmfieldError(
-            f"the resonance comes out as {resonance:.0f} Hz, outside the sweep ({f.min():.0f} to {f.max():.0f} Hz): "
-            "sweep to both sides of it"
+            f"the fitted resonance of {resonance:.0f} Hz lies outside the sweep ({f.min():.0f} to {f.max():.0f} "
+            "Hz): sweep to both sides of the resonance"
         )
     errors = np.std(each, axis=0, ddof=1) / math.sqrt(len(where))
     return SweepFit(resonance, float(errors[0]), quality, float(errors[1]), misfit)

@@ -24,7 +24,7 @@ def fit_level(levels: ArrayLike, pressures_Pa: ArrayLike) -> Level:
     a, p = np.asarray(levels, float), np.asarray(pressures_Pa, float)
     if a.shape != p.shape or a.ndim != 1 or len(np.unique(a)) < 5:
         raise PalmfieldError(
-            f"{len(np.unique(a))} different levels: give 5 at least, 10 are better, one reading for each"
+            f"{len(np.unique(a))} different levels; needed: at least 5, better 10, with one reading each"
         )
     bad = ~((a > 0.0) & (a <= 1.0) & (p > 0.0) & np.isfinite(p))
     if bad.any():
@@ -42,8 +42,8 @@ def fit_level(levels: ArrayLike, pressures_Pa: ArrayLike) -> Level:
         if np.all(missing[:last] <= MISSING) and np.all(missing[last:] > MISSING):
             return Level(exponent=slope, exponent_sd=error, linear_to=float(steps[last - 1]))
     raise PalmfieldError(
-        f"the readings follow no power of the level within {100 * MISSING:g} % below any saturation: look for clipping "
-        "of the recorder, and for other sound"
+        f"below saturation the readings do not follow a power of the level within {100 * MISSING:g} %: check for "
+        "clipping in the recorder and for other sound"
     )
 
 

@@ -35,7 +35,7 @@ def read_board_file(path: str | Path) -> Calibration:
     except (OSError, UnicodeDecodeError) as error:
         raise SceneError(f"{file}: cannot be read: {error}; give a vendor's file board_N.pat") from None
     if len(lines) < 7:
-        raise SceneError(f"{file}: {len(lines)} lines; a vendor's file board_N.pat has 7")
+        raise SceneError(f"{file}: the file has {len(lines)} lines; a vendor's file board_N.pat has 7")
     count = len(array)
     for number, expected in ((2, count), (3, 128)):
         if lines[number - 1].strip() != str(expected):
@@ -43,7 +43,7 @@ def read_board_file(path: str | Path) -> Calibration:
     positions = _numbers(file, lines, 4, 3 * count).reshape(count, 3)
     pins, degrees, amplitudes = (_numbers(file, lines, number, count) for number in (5, 6, 7))
     if sorted(pins.tolist()) != list(range(count)):
-        raise SceneError(f"{file}: line 5: pins are other numbers than 0 to {count - 1}, each once")
+        raise SceneError(f"{file}: line 5: pins must hold each number from 0 to {count - 1} once")
     if np.abs(degrees).max() > 360.0:
         raise SceneError(f"{file}: line 6: phase {degrees[np.abs(degrees).argmax()]:g}; allowed: -360 to 360 degrees")
     if (amplitudes != 1.0).any():
@@ -69,7 +69,7 @@ def _numbers(file: Path, lines: list[str], number: int, count: int) -> Float:
     try:
         values = np.array([float(word) for word in words])
     except ValueError:
-        raise SceneError(f"{file}: line {number} is not of numbers; give a vendor's file board_N.pat") from None
+        raise SceneError(f"{file}: line {number} is not numeric; give a vendor's file board_N.pat") from None
     if len(values) != count or not np.isfinite(values).all():
         raise SceneError(f"{file}: line {number}: {len(values)} numbers, or one not finite; give {count}")
     return values

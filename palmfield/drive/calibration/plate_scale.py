@@ -66,12 +66,14 @@ def fit_plate(
     places = np.unique(h)
     if len(places) < 4 or np.ptp(places) > 0.5 * speed / array.frequency_Hz * 1.5:
         raise PalmfieldError(
-            f"{len(places)} distances over {1e3 * np.ptp(places):.2f} mm: give 4 at least, spread over half a "
-            f"wavelength ({500 * speed / array.frequency_Hz:.2f} mm), so that fringes can be told from p0"
+            f"{len(places)} distances over {1e3 * np.ptp(places):.2f} mm; needed: at least 4, spread over half a "
+            f"wavelength ({500 * speed / array.frequency_Hz:.2f} mm), to separate fringes from p0"
         )
     for place in places:
         if len(np.unique(sounding[h == place])) < 2:
-            raise PalmfieldError(f"distance {place:g} m: give readings with the array on and off at each distance")
+            raise PalmfieldError(
+                f"distance {place:g} m lacks readings with the array on or off: give both at each distance"
+            )
     unit = np.array([plate_force(array, air, np.asarray(drive, complex), size_m, place) for place in places])
     unit *= level**2 / array.p0_Pa_m**2
     pushed = sounding * unit[np.searchsorted(places, h)]
@@ -80,12 +82,16 @@ def fit_plate(
     matrix = np.column_stack(columns)
     scale = np.linalg.norm(matrix, axis=0)
     if len(force) <= matrix.shape[1]:
-        raise PalmfieldError(f"{len(force)} readings for {matrix.shape[1]} unknowns: give more readings on and off")
+        raise PalmfieldError(
+            f"{len(force)} readings for {matrix.shape[1]} unknowns: give more readings with the array on and off"
+        )
     if not scale.all():
-        raise PalmfieldError("the readings were all taken at one time: give their times [s], for the scale's drift")
+        raise PalmfieldError(
+            "all readings have the same time: give their times [s], which the drift of the scale needs"
+        )
     found, _, rank, _ = np.linalg.lstsq(matrix / scale, force, rcond=None)
     if rank < matrix.shape[1]:
-        raise PalmfieldError("the distances don't tell p0 from fringes: spread them evenly over half a wavelength")
+        raise PalmfieldError("the distances cannot separate p0 from fringes: spread them evenly over half a wavelength")
     variance = float(np.sum((force - (matrix / scale) @ found) ** 2)) / (len(force) - matrix.shape[1])
     covariance = np.linalg.inv((matrix / scale).T @ (matrix / scale)) * variance
     found, errors = found / scale, np.sqrt(np.diag(covariance)) / scale
@@ -123,12 +129,12 @@ def _midpoints(size: float, step: float) -> tuple[Float, float]:
 def _check(h: Float, t: Float, on: Float, force: Float, size_m: tuple[float, float]) -> None:
     if not (h.shape == t.shape == on.shape == force.shape and h.ndim == 1 and len(h)):
         raise PalmfieldError(
-            f"{len(h)} distances, {len(t)} times, {len(on)} on and {len(force)} forces: give one of each for a reading"
+            f"{len(h)} distances, {len(t)} times, {len(on)} on and {len(force)} forces: give one of each per reading"
         )
     for name, values in (("distance_m", h), ("time_s", t), ("force_N", force)):
         if not np.isfinite(values).all():
             raise PalmfieldError(f"{name}[{int(np.argmin(np.isfinite(values)))}] is not finite; give a number")
     if not np.isin(on, (0.0, 1.0)).all():
-        raise PalmfieldError(f"on = {on[~np.isin(on, (0.0, 1.0))][0]:g}; give 1 while the array sounds, else 0")
+        raise PalmfieldError(f"on = {on[~np.isin(on, (0.0, 1.0))][0]:g}; give 1 while the array emits, else 0")
     if h.min() <= 0.0 or min(size_m) <= 0.0:
         raise PalmfieldError(f"a distance of {h.min():g} m and a plate of {size_m} m: give lengths above 0")

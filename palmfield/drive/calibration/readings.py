@@ -96,28 +96,28 @@ def put_elements(
     strange: tuple[str, ...] = ()
     if fit.swapped:
         strange += (
-            f"wires: transducers {_few(fit.swapped)} hang on one another's signals; their addresses are written, and "
-            "the board is driven by them",
+            f"wires: transducers {_few(fit.swapped)} have exchanged signals; their addresses are stored, and the "
+            "board is driven accordingly",
         )
     if fit.unfit:
         strange += (
-            f"loud, but fit no place: signals {_few(fit.unfit)}; they are off: check their readings and wires, and "
-            "measure again",
+            f"signals {_few(fit.unfit)} are loud but fit no position; they are switched off: check their readings "
+            "and wires, and measure again",
         )
     turned = elements.polarity.count(-1)
     alive = np.array(elements.enabled)
     told = (
-        f"transducers: {len(array) - len(dead)} of {len(array)} sound, {turned} wired the other way round"
+        f"transducers: {len(array) - len(dead)} of {len(array)} emit, {turned} with reversed polarity"
         + (f"; off: {_few(dead)}" if dead else ""),
         *strange,
-        f"phases: {_degrees(np.std(np.array(elements.phase_rad)[alive]))} deg rms, each known to "
-        f"{_degrees(np.median(np.array(phase_sd)[alive]))} deg",
-        f"gains: {100 * np.std(np.array(elements.gain)[alive]):.1f} % rms, each known to "
-        f"{100 * np.median(np.array(gain_sd)[alive]):.1f} %",
+        f"phases: {_degrees(np.std(np.array(elements.phase_rad)[alive]))} deg rms, standard error "
+        f"{_degrees(np.median(np.array(phase_sd)[alive]))} deg each",
+        f"gains: {100 * np.std(np.array(elements.gain)[alive]):.1f} % rms, standard error "
+        f"{100 * np.median(np.array(gain_sd)[alive]):.1f} % each",
         f"p0 {p0.value:.3g} Pa m ({p0.low:.3g} to {p0.high:.3g})",
-        f"microphone {1e3 * float(np.sqrt((fit.moved_m**2).mean())):.2f} mm rms from where it was thought to be; sound "
-        f"{fit.sound_speed_m_s:.1f} +- {1.96 * fit.sound_speed_sd_m_s:.1f} m/s; {100 * fit.misfit:.1f} % of it is "
-        "not explained (echoes, noise, directivity)",
+        f"microphone: {1e3 * float(np.sqrt((fit.moved_m**2).mean())):.2f} mm rms from the given positions; speed "
+        f"of sound {fit.sound_speed_m_s:.1f} +- {1.96 * fit.sound_speed_sd_m_s:.1f} m/s; residual "
+        f"{100 * fit.misfit:.1f} % (echoes, noise, directivity)",
     )
     return Measured(calibration.model_copy(update={"elements": elements, "p0": p0}), told)
 
@@ -132,7 +132,10 @@ def put_level(
     seen = columns[has[0]]
     level = fit_level(columns["level"], np.sqrt(np.maximum(seen, 0.0)) if has[0] == "force_N" else seen)
     end = "to full drive" if level.linear_to == 1.0 else f"to level {level.linear_to:g}, and saturates above it"
-    told = f"pressure goes with the level to the power {level.exponent:.3f} +- {1.96 * level.exponent_sd:.3f} {end}"
+    told = (
+        f"pressure is proportional to the level to the power {level.exponent:.3f} +- "
+        f"{1.96 * level.exponent_sd:.3f} {end}"
+    )
     return Measured(calibration.model_copy(update={"level": level}), (told,))
 
 
@@ -141,7 +144,7 @@ def put_plate(
 ) -> Measured:
     """Forces on a plate: see `fit_plate`."""
     if under.plate_m is None:
-        raise SceneError(f"{file}: the plate's sides are not told; give them (--plate 0.1 0.1, in metres)")
+        raise SceneError(f"{file}: the side lengths of the plate are missing; give them (--plate 0.1 0.1, in metres)")
     known = calibrated(array, calibration)
     fit = fit_plate(
         known, under.air, _drive(known, under), under.plate_m, columns["distance_m"], columns["time_s"],
@@ -149,15 +152,16 @@ def put_plate(
     )  # fmt: skip
     p0 = Estimate(fit.p0_Pa_m, fit.low_Pa_m, fit.high_Pa_m, "measured", under.source)
     told: tuple[str, ...] = (
-        f"p0 {p0.value:.3g} Pa m ({p0.low:.3g} to {p0.high:.3g}; scatter alone "
+        f"p0 {p0.value:.3g} Pa m ({p0.low:.3g} to {p0.high:.3g}; scatter of the readings "
         f"{100 * fit.p0_sd_Pa_m / fit.p0_Pa_m:.2g} %)",
-        f"fringes of {100 * fit.fringe:.0f} % of the force from sound between plate and array; the scale drifts by "
+        f"fringes: {100 * fit.fringe:.0f} % of the force, by sound between plate and array; drift of the scale: "
         f"{1e6 * fit.drift_N_s:.3g} uN/s",
     )
     if calibration.p0 is not None and not calibration.p0.low <= p0.value <= calibration.p0.high:
         before = calibration.p0
         told += (
-            f"this lies outside what was measured before: {before.value:.3g} ({before.low:.3g} to {before.high:.3g})",
+            f"this value lies outside the earlier measurement: {before.value:.3g} ({before.low:.3g} to "
+            f"{before.high:.3g})",
         )
     return Measured(calibration.model_copy(update={"p0": p0}), told)
 
@@ -170,7 +174,7 @@ def put_focus(
         told = np.column_stack([_taken(file, columns, name) for name in FOCUS_XYZ])
     elif under.focus_m is None:
         raise SceneError(
-            f"{file}: the focus is not told; give columns {', '.join(FOCUS_XYZ)}, or one focus (--focus X Y Z)"
+            f"{file}: the focus is missing; give columns {', '.join(FOCUS_XYZ)}, or one focus (--focus X Y Z)"
         )
     else:
         told = np.tile(under.focus_m, (len(columns["x_m"]), 1))
@@ -184,9 +188,9 @@ def put_focus(
     turn = ", ".join(
         f"{_degrees(x)} +- {_degrees(1.96 * sd)}" for x, sd in zip(pose.turn_rad, pose.turn_sd_rad, strict=True)
     )
-    lines: tuple[str, ...] = (f"the board is off by {offset} mm along x, y, z",)
-    lines += (f"and turned by {turn} deg about them",) if any(pose.turn_sd_rad) else (
-        "turns are not told: scan three foci that are apart",
+    lines: tuple[str, ...] = (f"the board is displaced by {offset} mm along x, y, z",)
+    lines += (f"and rotated by {turn} deg about these axes",) if any(pose.turn_sd_rad) else (
+        "the rotation is not determined: scan three separate foci",
     )  # fmt: skip
     return Measured(calibration.model_copy(update={"pose": pose}), lines)
 
@@ -202,7 +206,7 @@ def put_sweep(
     if np.isnan(seen).any():
         m, q = np.argwhere(np.isnan(seen))[0]
         raise SceneError(
-            f"{file}: no reading at {at[m].tolist()} m and {f[q]:g} Hz; give one for each place and frequency"
+            f"{file}: no reading at {at[m].tolist()} m and {f[q]:g} Hz; give one for each position and frequency"
         )
     known = calibrated(array, calibration)
     fit = fit_sweep(known, under.air, _drive(known, under), at, f, seen)
@@ -210,8 +214,7 @@ def put_sweep(
     resonance = _estimate(fit.resonance_Hz, 1.96 * fit.resonance_sd_Hz / fit.resonance_Hz, under.source)
     told = (
         f"resonance {resonance.value:.0f} Hz ({resonance.low:.0f} to {resonance.high:.0f}), Q {quality.value:.1f} "
-        f"({quality.low:.1f} to {quality.high:.1f}), of all transducers together; "
-        f"{100 * fit.misfit:.1f} % is not explained",
+        f"({quality.low:.1f} to {quality.high:.1f}), of all transducers together; residual {100 * fit.misfit:.1f} %",
     )
     return Measured(calibration.model_copy(update={"quality": quality, "resonance_Hz": resonance}), told)
 
@@ -223,34 +226,36 @@ def put_warm_up(
     warm_up = fit_warm_up(columns["time_s"], columns["pressure_Pa"])
     within = warm_up.time_s * max(math.log(abs(warm_up.drop) / 0.01), 0.0)
     told = (
-        f"the level begins {100 * warm_up.drop:+.1f} % (+- {196 * warm_up.drop_sd:.1f}) from that in the end, and is "
-        f"within 1 % after {within:.0f} s"
+        f"the level starts {100 * warm_up.drop:+.1f} % (+- {196 * warm_up.drop_sd:.1f}) from its final value, and "
+        f"is within 1 % after {within:.0f} s"
     )
     return Measured(calibration.model_copy(update={"warm_up": warm_up}), (told,))
 
 
 MEASUREMENTS: dict[str, Measurement] = {
     "elements": Measurement(
-        "one transducer at a time at full drive with phase 0, before a microphone at 3 places or more (8 are better)",
+        "one transducer at a time at full drive with phase 0, in front of a microphone at 3 or more positions "
+        "(better 8)",
         ("element", *XYZ, "pressure_Pa", "phase_deg"), put_elements, ("layout_version",),
     ),
     "level": Measurement(
-        "rising levels of the drive, before a microphone or a scale", ("level",), put_level,
+        "rising levels of the drive, in front of a microphone or a scale", ("level",), put_level,
         ("pressure_Pa", "force_N"),
     ),
     "plate": Measurement(
-        "a plate on a scale across the axis at 4 distances or more within half a wavelength, on and off in turn",
+        "a plate on a scale, perpendicular to the axis, at 4 or more distances within half a wavelength, with the "
+        "array on and off in turn",
         ("distance_m", "time_s", "on", "force_N"), put_plate,
     ),
     "focus": Measurement(
-        "a microphone moved about one focus, or several", (*XYZ, "pressure_Pa"), put_focus, FOCUS_XYZ
+        "a microphone moved around one or more foci", (*XYZ, "pressure_Pa"), put_focus, FOCUS_XYZ
     ),
     "sweep": Measurement(
-        "the carrier swept from 38 to 42 kHz, before a microphone at 8 places or more",
+        "the carrier swept from 38 to 42 kHz, in front of a microphone at 8 or more positions",
         (*XYZ, "frequency_Hz", "pressure_Pa", "phase_deg"), put_sweep,
     ),
     "warm_up": Measurement(
-        "the level since the array was switched on, until it stands still", ("time_s", "pressure_Pa"), put_warm_up
+        "the level from switching the array on until it is constant", ("time_s", "pressure_Pa"), put_warm_up
     ),
 }  # fmt: skip
 """Kinds of measurements, in an order in which each uses the results of earlier ones."""
@@ -293,7 +298,7 @@ def _whole(file: Path, columns: dict[str, Float], name: str, count: int) -> np.n
     values = columns[name]
     bad = (values != np.rint(values)) | (values < 0) | (values >= count)
     if bad.any():
-        raise SceneError(f"{file}: {name} {values[bad][0]:g} is none of the array's; give 0 to {count - 1}")
+        raise SceneError(f"{file}: {name} {values[bad][0]:g} does not exist in the array; give 0 to {count - 1}")
     return values.astype(int)
 
 
@@ -304,8 +309,8 @@ def _check_version(file: Path, columns: dict[str, Float], name: str) -> None:
     if (said != now).any():
         old, earlier = said[said != now][0], LAYOUTS[name].earlier
         raise SceneError(
-            f"{file}: its transducers are counted as in version {old:g} of a layout (column layout_version, 1 where "
-            f"there is none); allowed: {now} for '{name}': read them again (`palmfield calibrate sound`)"
+            f"{file}: the transducers are numbered as in version {old:g} of the layout (column layout_version, 1 "
+            f"if absent); allowed: {now} for '{name}': measure again (`palmfield calibrate sound`)"
             + (f", or give --layout {earlier[-1]}" if earlier else "")
         )
 
@@ -316,7 +321,7 @@ def _few(numbers: Sequence[int]) -> str:
 
 def _drive(array: Array, under: Circumstances) -> Complex:
     if under.focus_m is None:
-        raise SceneError("the focus that the board was told to make is not told; give it (--focus X Y Z, in metres)")
+        raise SceneError("the commanded focus is missing; give it (--focus X Y Z, in metres)")
     return compensate(array, focus(array, under.air, under.focus_m))
 
 

@@ -34,7 +34,7 @@ def rehearse(array: Array, folder: Path, seed: int) -> list[Path]:
     array: the layout; folder: made if missing. Raises OutputError for a folder with other content.
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise OutputError(f"{folder} is there already and not empty: choose another folder")
+        raise OutputError(f"{folder} already exists and is not empty: choose another folder")
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

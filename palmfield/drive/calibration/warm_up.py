@@ -16,7 +16,7 @@ def fit_warm_up(times_s: ArrayLike, pressures_Pa: ArrayLike) -> WarmUp:
     """
     t, p = np.asarray(times_s, float), np.asarray(pressures_Pa, float)
     if t.shape != p.shape or t.ndim != 1 or len(t) < 6:
-        raise PalmfieldError(f"{t.size} times and {p.size} readings: give 6 of each at least")
+        raise PalmfieldError(f"{t.size} times and {p.size} readings; needed: at least 6 of each")
     if not (np.isfinite(t).all() and np.all(np.isfinite(p) & (p > 0.0)) and t.min() >= 0.0 and np.ptp(t) > 0.0):
         raise PalmfieldError("times_s must be 0 or more and differ, pressures_Pa above 0, all finite")
     end, span = float(p[np.argmax(t)]), float(np.ptp(t))
@@ -29,10 +29,10 @@ def fit_warm_up(times_s: ArrayLike, pressures_Pa: ArrayLike) -> WarmUp:
             course, t, p, [end, p[np.argmin(t)] / end - 1.0, np.log(3.0 / span)], maxfev=10_000
         )
     except RuntimeError:
-        raise PalmfieldError("the readings do not settle to one course: record until the level stands still") from None
+        raise PalmfieldError(
+            "the readings do not fit an exponential approach to a constant level: record until the level is constant"
+        ) from None
     time_s = float(np.exp(-found[2]))
     if not (np.isfinite(covariance).all() and time_s < span):
-        raise PalmfieldError(
-            f"the level still changes at the end of {span:g} s, or doesn't change at all: record for longer"
-        )
+        raise PalmfieldError(f"the level still changes after {span:g} s, or does not change at all: record for longer")
     return WarmUp(drop=float(found[1]), drop_sd=float(np.sqrt(covariance[1, 1])), time_s=time_s)

@@ -75,7 +75,7 @@ class BoardEnd:
         return 0.0 if self._refused_s is None else self._refused_s + RETRY_S
 
     def _stuck(self) -> PortStuck:
-        return PortStuck(f"{self.job.port} has taken no bytes for {self.job.lost_s:g} s")
+        return PortStuck(f"{self.job.port} has accepted no bytes for {self.job.lost_s:g} s")
 
     def _hear(self, now: float) -> None:
         port = self._open_port()
@@ -194,7 +194,7 @@ class BoardEnd:
             try:
                 os.write(self._log, self._unwritten.popleft().encode())
             except OSError as error:
-                self.log_error = error.strerror or "the disk took no more"
+                self.log_error = error.strerror or "the disk is full"
                 self._unwritten.clear()
                 os.close(self._log)
                 self._log = -1

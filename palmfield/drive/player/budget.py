@@ -28,9 +28,9 @@ class SoundBudget:
             self.sounded_s += passed
             self._saved_s -= passed
         if self.on_time_s and self.sounded_s >= self.on_time_s:
-            self.said = f"it has sounded for {self.on_time_s:g} s, all that on_time_s allows"
+            self.said = f"the time with sound has reached {self.on_time_s:g} s, the limit on_time_s"
         elif self.duty < 1.0 and self._saved_s <= 0.0:
-            self.said = f"it sounds more than {self.duty:g} of the time, which duty allows"
+            self.said = f"the share of time with sound exceeds {self.duty:g}, the limit duty"
         elif self._saved_s >= 0.5 * most or self.duty >= 1.0:
             self.said = ""
         return not self.said

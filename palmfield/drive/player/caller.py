@@ -86,11 +86,11 @@ class Player:
         """
         if not POSIX:
             raise DeviceError(
-                "a board is played by a process of its own, which needs Linux or macOS; here bytes can be written to a "
-                "file (--record)"
+                "playing a board needs a separate process, which needs Linux or macOS; on this system write the "
+                "bytes to a file (--record)"
             )
         if board.line is None:
-            raise DeviceError(f"board '{board.name}' takes no bytes, so that no port plays it; allowed: another board")
+            raise DeviceError(f"board '{board.name}' takes no bytes, so it has no port; use another board")
         self.board, self.port = board, port
         self.priority = self.silent = self.log_error = ""
         self.begin_s = 0.0
@@ -176,7 +176,7 @@ class Player:
     def played(self) -> PlayReport:
         """Return `report`, once this is closed. Raises DeviceError where the player's process ended without one."""
         if self.report is None:
-            raise DeviceError(f"it is not known what was played on {self.port}: the player's process ended unasked")
+            raise DeviceError(f"the player process ended unexpectedly, so the output on {self.port} is unknown")
         return self.report
 
     def check(self) -> None:
@@ -214,8 +214,10 @@ class Player:
                 if "sounds_s" in line and on_sound is not None:
                     on_sound(float(line["sounds_s"]))
             if self._ended is not None:
-                raise DeviceError(f"the player has ended: {self._ended['ended']}; the board is off")
-        raise DeviceError(f"the player's process said nothing for {STARTS_WITHIN_S:g} s; is the machine overloaded?")
+                raise DeviceError(f"the player has ended: {self._ended['ended']}; the board is switched off")
+        raise DeviceError(
+            f"the player process did not respond for {STARTS_WITHIN_S:g} s; check whether the machine is overloaded"
+        )
 
     def _take_lines(self) -> list[dict[str, Any]]:
         self._inbox.read()
@@ -226,7 +228,7 @@ class Player:
             if "silent" in line:
                 self.silent = line["silent"]
             if "trying" in line and self._on_trouble is not None:
-                self._on_trouble(f"{line['lost']}; trying to silence the board (Ctrl-C gives up)")
+                self._on_trouble(f"{line['lost']}; trying to silence the board (press Ctrl-C to stop trying)")
             if "ended" in line:
                 self._ended, self.report = line, _report(line["played"])
                 self.log_error = line["log_error"]
@@ -261,10 +263,10 @@ class Player:
             _silence(self.board, self.port)
         except DeviceError as error:
             raise DeviceError(
-                f"the player's process on {self.port} was ended {how}, and the board could not be silenced "
+                f"the player process on {self.port} was ended {how}, and the board could not be silenced "
                 f"({error}); {self.board.when_host_dies}"
             ) from None
-        raise DeviceError(f"the player's process on {self.port} was ended {how}; the board is off")
+        raise DeviceError(f"the player process on {self.port} was ended {how}; the board is switched off")
 
     def close(self) -> None:
         """Silence the board and free the port; returns when that is done.

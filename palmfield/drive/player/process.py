@@ -100,13 +100,13 @@ class Caller:
             pass
         self.inbox.read()
         if self.inbox.closed:
-            self.end("the caller is gone")
+            self.end("the parent process has ended")
         self._look()
         return list(self.inbox.messages())
 
     def _signal(self, number: int) -> None:
         if number in [getattr(signal, name, 0) for name in ENDS]:
-            self.end(f"the caller got {signal.Signals(number).name}", by_signal=True)
+            self.end(f"the parent process received {signal.Signals(number).name}", by_signal=True)
         elif number in (STOPS, GOES_ON):
             self._paused = number == STOPS
 
@@ -117,7 +117,7 @@ class Caller:
             return
         self._looked_s = now
         if os.getppid() != self._parent:
-            self.end("the caller is gone")
+            self.end("the parent process has ended")
             return
         with contextlib.suppress(OSError, IndexError), open(f"/proc/{self._parent}/stat", "rb") as file:
             self._stopped = file.read().rpartition(b")")[2].split()[0] in (b"T", b"t")
@@ -297,19 +297,19 @@ def silence(board: BoardEnd, caller: Caller, lost: str) -> str:
         if board.exists():
             gone_since = None
             if patience and now - began > patience:
-                return f"the port has taken no bytes for {patience:g} s"
+                return f"the port has accepted no bytes for {patience:g} s"
         else:
             gone_since = gone_since or now
             # A URL has no file that could come back: it is reopened
             if board.is_url and board.try_stop():
                 return ""
             if board.job.port.startswith("/dev/pts/"):
-                return "the port is gone"
+                return "the port has disappeared"
             if now - gone_since > board.job.replug_s:
-                return f"the port is gone and has not come back within {board.job.replug_s:g} s"
+                return f"the port has disappeared and did not return within {board.job.replug_s:g} s"
         if not told:
             told = True
-            caller.tell(lost=lost or "the port takes no bytes", trying=True)
+            caller.tell(lost=lost or "the port accepts no bytes", trying=True)
         caller.wait(now + LOOK_S)
 
 
@@ -323,12 +323,12 @@ def main() -> int:
     for name in ENDS:
         if hasattr(signal, name):
             number = getattr(signal, name)
-            signal.signal(number, lambda got, _: caller.end(f"the player got {signal.Signals(got).name}", True))
+            signal.signal(number, lambda got, _: caller.end(f"the player received {signal.Signals(got).name}", True))
     alarm.setblocking(False)
     job = first_job(talk)
     talk.setblocking(False)
     collect_no_garbage()
-    priority = take_priority() if job.realtime else "normal priority (asked for)"
+    priority = take_priority() if job.realtime else "normal priority (requested)"
     try:
         board = BoardEnd(job)
     except PalmfieldError as error:
@@ -370,7 +370,7 @@ def first_job(talk: socket.socket) -> Job:
             if kind == JOB:
                 return Job.unpacked(data)
         if inbox.closed:
-            raise EOFError("the caller is gone")
+            raise EOFError("the parent process has ended")
 
 
 if __name__ == "__main__":

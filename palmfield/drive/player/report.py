@@ -44,10 +44,7 @@ class PlayReport:
         """Warning for users; empty if the unsent share is at most UNSENT_SHARE."""
         if self.unsent <= UNSENT_SHARE:
             return ""
-        return (
-            f"{self.skipped} of {self.frames + self.skipped} frames that were due were not sent "
-            f"({100.0 * self.unsent:.1f} %)"
-        )
+        return f"{self.skipped} of {self.frames + self.skipped} due frames were not sent ({100.0 * self.unsent:.1f} %)"
 
 
 def quantile(values: Sequence[float], share: float) -> float:

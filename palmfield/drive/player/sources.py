@@ -208,7 +208,7 @@ class LiveSource:
         old = now_s - max(frame.made_s, frame.due_s) > self.stale_s
         self.said = "" if within else self.budget.said
         if old and not self.said:
-            self.said = f"no frame came for {self.stale_s:g} s"
+            self.said = f"no frame arrived for {self.stale_s:g} s"
         target = 0.0 if self.muted or self.said else 1.0
         passed = now_s - self._gain_s if self._gain_s > -math.inf else 0.0
         self._gain_s = now_s

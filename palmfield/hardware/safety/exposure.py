@@ -106,13 +106,16 @@ def at_head(moments: Sequence[SoundMoment], driver: DriverConfig, transducers: F
     Raises SceneError if no head is given, and if transducers are in the sphere.
     """
     if driver.head_m is None:
-        raise SceneError("no head is declared; give driver key head_m, the middle of a ball in which it may be [m]")
+        raise SceneError(
+            "the position of the head is not declared; give driver key head_m, the centre of the "
+            "ball in which the head may be [m]"
+        )
     middle = np.array(driver.head_m)
     nearest = float(np.linalg.norm(transducers - middle, axis=1).min())
     if nearest <= driver.head_radius_m:
         raise SceneError(
-            f"driver key head_m has value {' '.join(f'{x:g}' for x in driver.head_m)}, with a transducer {nearest:.3g} "
-            f"m from there; allowed: a ball of head_radius_m ({driver.head_radius_m:g} m) without any"
+            f"driver key head_m has value {' '.join(f'{x:g}' for x in driver.head_m)}, which is {nearest:.3g} m "
+            f"from a transducer; allowed: no transducer within head_radius_m ({driver.head_radius_m:g} m)"
         )
 
     def inside(points: Float) -> Float:
@@ -147,11 +150,11 @@ def check_head(heard: Heard, driver: DriverConfig) -> list[str]:
     where = "(" + ", ".join(f"{1e3 * x:.0f}" for x in heard.place) + ") mm"
     level = f"{heard.level_dB:.0f} dB SPL at {where} within head_radius_m of head_m"
     if heard.band_dB[1] >= 0.5:
-        level += f", up to {heard.most_dB:.0f} dB as far as p0 is known"
+        level += f", up to {heard.most_dB:.0f} dB within the range of p0"
     if driver.head_limit_dB is not None and heard.most_dB > driver.head_limit_dB:
         raise DeviceError(
-            f"it would make {level}; driver key head_limit_dB allows {driver.head_limit_dB:g}: play it softer "
-            "(drive_amplitude), keep the head farther away (head_m), or calibrate the array"
+            f"the level would be {level}; driver key head_limit_dB allows {driver.head_limit_dB:g}: reduce "
+            "drive_amplitude, keep the head farther away (head_m), or calibrate the array"
         )
     if heard.most_dB > OCCUPATIONAL_DB:
         return [f"{level}: above {OCCUPATIONAL_DB:g} dB, an interim limit for people at work"]

@@ -44,7 +44,7 @@ def head_map(moments: Sequence[SoundMoment], driver: DriverConfig, heard: Heard,
     plane = plane[np.linalg.norm(plane, axis=1) <= radius * (1.0 + 1e-9)]
     peaks, _ = peaks_at(moments, middle + plane[:, :1] * across + plane[:, 1:] * along)
     loudest = np.array([(heard.place - middle) @ across, (heard.place - middle) @ along])
-    axes = "across, through the loudest place", "away from the array"
+    axes = "across, through the loudest point", "away from the array"
     return LevelMap("head", plane, levels_dB(peaks), loudest, heard.level_dB, head_limits(driver), axes)
 
 

@@ -19,42 +19,45 @@ def as_markdown(sheet: SafetySheet, picture: str | None = None) -> str:
     declared = (
         "declared by driver keys head_m and head_radius_m"
         if sheet.head_declared
-        else "**not declared by the scene**: a default place, one who sits before an array that faces up"
+        else "**not declared by the scene**: default position of a person who sits in front of an array that faces up"
     )
     computed = f"computed, free field, {MOMENTS} moments; band: range of p0"
     rows = [
-        ("SPL at the head, loudest moment and place", _level(head.level_dB, head), computed),
+        ("SPL at the head, loudest moment and point", _level(head.level_dB, head), computed),
         ("SPL at the head, mean over the play", _level(head.mean_level_dB, head), computed),
-        ("dose at the head of one play, as a level over 8 h", _level(head.dose_dB(sheet.duration_s), head), computed),
-        ("dose at the head of such sound for 1 h", _level(head.dose_dB(3600.0), head), computed),
+        (
+            "dose at the head for one play, as equivalent level over 8 h",
+            _level(head.dose_dB(sheet.duration_s), head),
+            computed,
+        ),
+        ("dose at the head for 1 h of this sound", _level(head.dose_dB(3600.0), head), computed),
     ]
     for hand in sheet.hands:
         heard = hand.heard
-        rows.append((f"SPL at {hand.skin}, loudest moment and place", _level(heard.level_dB, heard), computed))
+        rows.append((f"SPL at {hand.skin}, loudest moment and point", _level(heard.level_dB, heard), computed))
         low, high = (hand.arp_Pa * 10.0 ** (end / 10.0) for end in heard.band_dB)
         value = f"{hand.arp_Pa:.3g} Pa ({low:.3g} to {high:.3g})"
         rows.append((f"largest ARP at {hand.skin}", value, "computed by the scene's key arp_law; band: range of p0"))
     lines = [
         f"# Safety sheet of {sheet.scene}",
         "",
-        f"One play of {sheet.duration_s:g} s by board {board.name}. Carrier {1e-3 * sheet.carrier_Hz:g} kHz. This page "
-        "gives exposures and limits; it doesn't judge whether a study may be done. "
-        "Nothing here was measured unless it says so.",
+        f"One play of {sheet.duration_s:g} s by board {board.name}. Carrier {1e-3 * sheet.carrier_Hz:g} kHz. This "
+        "page states exposures and limits; it does not decide whether a study may be done. All values are "
+        "computed unless marked as measured.",
         "",
         f"Head: a ball of {1e3 * driver.head_radius_m:.0f} mm round ({where}) mm in the frame of "
         f"the first array, {declared}.",
         "",
         "## Exposure",
         "",
-        "| what | value (band) | source |",
+        "| quantity | value (band) | source |",
         "|---|---|---|",
         *(f"| {what} | {value} | {source} |" for what, value, source in rows),
         "",
         f"Interim guidelines for airborne ultrasound of 25 to 50 kHz name {PUBLIC_DB:g} dB for the public and "
-        f"{OCCUPATIONAL_DB:g} dB at work, as levels. Levels are of incident sound: a hand or a wall that "
-        "reflects it can raise "
-        "them by up to 6 dB, or throw a beam to where none is now. "
-        "Transducers' ring-up and sound that nonlinearity takes away are left out.",
+        f"{OCCUPATIONAL_DB:g} dB at work, as levels. The levels here are of incident sound: reflection by a hand "
+        "or a wall can raise them by up to 6 dB, or send a beam to another place. Ring-up of the transducers and "
+        "nonlinear losses are not included.",
         *(f"- {said}" for said in sheet.head_said),
         *_looked_at(sheet),
         *(() if picture is None else ("", f"![levels at the head and the hand]({picture})")),
@@ -84,14 +87,14 @@ def as_markdown(sheet: SafetySheet, picture: str | None = None) -> str:
 def _looked_at(sheet: SafetySheet) -> list[str]:
     """Describe the region of the search for the loudest places."""
     if sheet.moves:
-        said = f"its hands and arrays are where its motion has them at each of the {MOMENTS} moments"
+        said = f"hands and arrays follow the motion of the scene at each of the {MOMENTS} moments"
     else:
-        said = f"nothing in it moves, and its sound is looked at in {MOMENTS} moments"
-    warned = "with p0 at the high end of its range" if sheet.head.band_dB[1] > 0.0 else "as far as p0 is known"
+        said = f"the scene has no motion; its sound is evaluated at {MOMENTS} moments"
+    warned = "with p0 at the high end of its range" if sheet.head.band_dB[1] > 0.0 else "at the nominal p0"
     return [
         "",
-        f"Of one play of the scene: {said}. What is compared with limits is the loudest place of a region at its "
-        f"loudest moment, {warned}, and never a mean.",
+        f"One play of the scene: {said}. Limits are compared with the loudest point of a region at its loudest "
+        f"moment, {warned}, never with a mean.",
     ]
 
 
@@ -110,30 +113,28 @@ def _stepped(sound: Byproduct) -> bool:
 def _audible(sheet: SafetySheet) -> list[str]:
     sound = sheet.byproduct
     if sound is None:
-        return ["Not estimated: the head's ball lies in the beam, where the formulas don't hold."]
+        return ["Not estimated: the ball of the head lies in the beam, where the formulas do not apply."]
     if sound.level_dBA == -math.inf:
-        return ["None: the sound's intensity doesn't change over the quarter of a second that was looked at."]
+        return ["None: the intensity of the sound does not change over the evaluated quarter of a second."]
     low, high = (2.0 * end for end in max(sheet.hands, key=lambda hand: hand.heard.peak_Pa).heard.band_dB)
     if _stepped(sound):
         return [
-            f"Not estimated: the sound's loudest part lies where the estimate ends, at {0.5e-3 * RATE_HZ:g} kHz. "
-            "Expect clicks and a buzz at the rate of frames, and measure them."
+            "Not estimated: the loudest part of the sound lies at the upper end of the estimate, "
+            f"{0.5e-3 * RATE_HZ:g} kHz. Expect clicks and a buzz at the frame rate, and measure them."
         ]
     level = sound.level_dBA
     return [
-        f"A rough estimate: {level:.0f} dB(A) ({level + low:.0f} to {level + high:.0f}), "
+        f"Rough estimate: {level:.0f} dB(A) ({level + low:.0f} to {level + high:.0f}), "
         f"{1e3 * sheet.distance_m:.0f} mm from the beam, strongest near {sound.strongest_Hz:.0f} Hz: "
-        f"{sound.air_dBA:.0f} dB(A) made in the air along "
-        f"the beam (Westervelt 1963, Berktay 1965), {sound.force_dBA:.0f} dB(A) by the force "
-        "on the hand (Morse and Ingard 1968); "
-        "A-weighting by IEC 61672-1.",
+        f"{sound.air_dBA:.0f} dB(A) generated in the air along the beam (Westervelt 1963, Berktay 1965), "
+        f"{sound.force_dBA:.0f} dB(A) generated by the force on the hand (Morse and Ingard 1968); A-weighting by "
+        "IEC 61672-1.",
         "",
-        "The estimate is rough, and mostly too high: all of the ultrasound is taken to come and go as it does at the "
-        "loudest place of the "
-        "skin, which overstates a focus that moves; the beam is a straight line as long as absorption lets it be; the "
-        "hand stops all of it. Steps of the drive are as smooth as one resonance makes them. It "
-        f"leaves out what lies above {0.5e-3 * RATE_HZ:g} kHz, rooms, and noise of transducers and "
-        "electronics, which can be louder. Measure it.",
+        "The estimate is rough and usually too high. Assumptions: all ultrasound has the time course of the "
+        "loudest skin point, which overstates a moving focus; the beam is straight and as long as absorption "
+        "allows; the hand stops all of it; steps of the drive are smoothed by one resonance. Not included: sound "
+        f"above {0.5e-3 * RATE_HZ:g} kHz, the room, and noise of transducers and electronics, which can be louder. "
+        "Measure it.",
     ]
 
 
@@ -143,10 +144,10 @@ def _limits(sheet: SafetySheet) -> list[str]:
     duty = "none is set" if limits.duty >= 1.0 else f"{100 * limits.duty:g} % of any {WINDOW_S:g} s"
     head = "none is set" if sheet.driver.head_limit_dB is None else f"{sheet.driver.head_limit_dB:g} dB"
     return [
-        f"- Sounds in {100 * sheet.sounding_share:.0f} % of {MOMENTS} moments of the play (computed).",
+        f"- Sound on: {100 * sheet.sounding_share:.0f} % of {MOMENTS} moments of the play (computed).",
         f"- Longest sound in one play: {longest} (driver key on_time_s).",
-        f"- Largest share of time: {duty} (driver key duty_limit).",
-        f"- Level at the head above which nothing is played: {head} (driver key head_limit_dB).",
+        f"- Largest share of time with sound: {duty} (driver key duty_limit).",
+        f"- Highest level at the head at which the board plays: {head} (driver key head_limit_dB).",
         f"- Ramp: {limits.in_words(sheet.board) or 'none is set'} (driver key ramp_s).",
     ]
 
@@ -154,12 +155,12 @@ def _limits(sheet: SafetySheet) -> list[str]:
 def _board(sheet: SafetySheet) -> list[str]:
     board = sheet.board
     if board.exact:
-        return [f"{board.name} is no real board: nothing is sent. Give the board of the study by --board."]
+        return [f"{board.name} is not a real board and receives no bytes. Give the board of the study by --board."]
     return [
         f"{board.name}: {board.description} (palmfield's registry of boards).",
-        f"- When the host dies: {board.when_host_dies}.",
-        f"- What it can't guarantee: {board.cannot_guarantee}",
-        "- Limits above are kept by the host's program. None of them replaces a switch that cuts power.",
+        f"- If the host stops: {board.when_host_dies}.",
+        f"- Limits of the board: {board.cannot_guarantee}",
+        "- The limits above are enforced by the program on the host. They do not replace a switch that cuts power.",
     ]
 
 

@@ -103,7 +103,7 @@ def _numbers(option: str, text: str, count: int) -> list[float]:
     except ValueError:
         values = []
     if len(values) != count or not np.isfinite(values).all():
-        raise OutputError(f"{option} has value '{text}'; allowed: {count} numbers with commas between them")
+        raise OutputError(f"{option} has value '{text}'; allowed: {count} numbers separated by commas")
     return values
 
 
@@ -173,8 +173,8 @@ def chosen_vertices(result: xr.DataTree, name: str, skin: xr.Dataset, asked: Ask
         if away[vertex] > FAR_M:
             middle = ", ".join(f"{1e3 * x:.0f}" for x in vertices.mean(axis=0))
             raise OutputError(
-                f"--place has value {told} mm, {1e3 * away[vertex]:.3g} mm from skin '{name}'; allowed: up to "
-                f"{1e3 * FAR_M:g} mm (the skin's middle is at {middle} mm)"
+                f"--place has value {told} mm, {1e3 * away[vertex]:.3g} mm from skin '{name}'; allowed: at most "
+                f"{1e3 * FAR_M:g} mm (the centre of the skin is at {middle} mm)"
             )
         off = f", vertex {1e3 * away[vertex]:.1f} mm away" if away[vertex] > TOLD_M else ""
         out.append((vertex, f"({told}) mm{off}"))

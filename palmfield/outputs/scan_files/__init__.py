@@ -31,7 +31,8 @@ def read_scan(path: str | Path) -> Scan:
     reader = READERS.get(file.suffix.lower())
     if file.suffix.lower() == ".txt":
         raise MeasurementError(
-            f"{file}: is a text file; of Polytec's, one for each point, give the folder that holds them and places.csv"
+            f"{file}: is a text file; for Polytec text files, one per point, give the folder with these files and "
+            "places.csv"
         )
     if reader is None:
         raise MeasurementError(
@@ -41,7 +42,7 @@ def read_scan(path: str | Path) -> Scan:
     apart = float(np.ptp(scan.points, axis=0).max())
     if apart > LARGEST_M:
         raise MeasurementError(
-            f"{file}: its points are {apart:.3g} m apart; allowed: at most {LARGEST_M:g} m: give places in metres"
+            f"{file}: its points are {apart:.3g} m apart; allowed: at most {LARGEST_M:g} m: give positions in metres"
         )
     return scan
 

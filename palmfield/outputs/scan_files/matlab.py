@@ -29,13 +29,15 @@ def read_mat(file: Path) -> Scan:
         raise MeasurementError(f"{file}: cannot be read: {error}; give a MATLAB file") from None
     there = [name for name in VALUES if name in found]
     if len(there) != 1:
-        raise MeasurementError(f"{file}: has {' and '.join(there) or 'neither'}; give one of {', '.join(VALUES)}")
+        raise MeasurementError(
+            f"{file}: has {' and '.join(there) or 'neither'} as values; give exactly one of {', '.join(VALUES)}"
+        )
     for name in ("time_s", "points_m"):
         if name not in found:
             raise MeasurementError(f"{file}: has no variable '{name}'; give {', '.join(KNOWN)}")
     for name in KNOWN:
         if name in found and (np.asarray(found[name]).dtype.kind not in "fiu"):
-            raise MeasurementError(f"{file}: variable {name} is not of real numbers")
+            raise MeasurementError(f"{file}: variable {name} does not hold real numbers")
     arrays = {name: np.asarray(found[name], dtype=float) for name in KNOWN if name in found}
     return Scan(
         VALUES[there[0]],
@@ -62,4 +64,4 @@ def write_mat(file: Path, scan: Scan) -> None:
     try:
         savemat(file, variables | ({} if scan.sights is None else {"sights": scan.sights}), appendmat=False)
     except OSError as error:
-        raise OutputError(f"{file}: cannot be written: {error}; give a place that can be written to") from None
+        raise OutputError(f"{file}: cannot be written: {error}; give a writable path") from None

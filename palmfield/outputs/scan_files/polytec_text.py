@@ -58,11 +58,13 @@ def read_polytec(folder: Path) -> Scan:
     first = points[0]
     for file, one in zip(files, points, strict=True):
         if one.number not in places:
-            raise MeasurementError(f"{file}: is of point {one.number}, which {PLACES} has no line for")
+            raise MeasurementError(f"{file}: belongs to point {one.number}, but {PLACES} has no line for it")
         if one.quantity != first.quantity:
-            raise MeasurementError(f"{file}: is of {one.quantity}, {files[0].name} of {first.quantity}; give one kind")
+            raise MeasurementError(
+                f"{file}: holds {one.quantity}, but {files[0].name} holds {first.quantity}; give files of one quantity"
+            )
         if one.times_s.shape != first.times_s.shape or np.abs(one.times_s - first.times_s).max() > 1e-9:
-            raise MeasurementError(f"{file}: its times are not those of {files[0].name}")
+            raise MeasurementError(f"{file}: its times differ from those of {files[0].name}; give equal times")
     numbers = [one.number for one in points]
     twice = [number for number, count in Counter(numbers).items() if count > 1]
     if twice:
@@ -79,7 +81,7 @@ def _places(file: Path) -> tuple[dict[int, Float], dict[int, Float] | None]:
         columns, _ = read_table(file)
     except SceneError as error:
         raise MeasurementError(
-            f"{error} (the places of the points: columns {', '.join(COLUMNS)} and, if known, {', '.join(SIGHTS)})"
+            f"{error} (positions of the points: columns {', '.join(COLUMNS)} and, if known, {', '.join(SIGHTS)})"
         ) from None
     known = any(name in columns for name in SIGHTS)
     for name in (*COLUMNS, *(SIGHTS if known else ())):
@@ -105,18 +107,20 @@ def _point(file: Path) -> _Point:
         name, colon, value = line.partition(":")
         if not colon or name.strip() not in HEADINGS:
             raise MeasurementError(
-                f"{file}: line {at + 1} is '{line.strip()[:60]}'; its head has lines {', '.join(HEADINGS)} and ends "
-                "with an empty one"
+                f"{file}: line {at + 1} is '{line.strip()[:60]}'; the head has lines {', '.join(HEADINGS)} and "
+                "ends with an empty line"
             )
         heading[name.strip()] = value.strip()
     else:
-        raise MeasurementError(f"{file}: has no empty line after its head, as Polytec's text files do")
+        raise MeasurementError(f"{file}: the empty line after the head is missing; give a Polytec text file")
     for name in ("Point Index", "Signal"):
         if name not in heading:
-            raise MeasurementError(f"{file}: its head has no line '{name}:', so that its {name.lower()} is not known")
+            raise MeasurementError(f"{file}: the head has no line '{name}:', so its {name.lower()} is unknown")
     number = re.match(r"\d+", heading["Point Index"])
     if number is None:
-        raise MeasurementError(f"{file}: Point Index is '{heading['Point Index']}'; it begins with a whole number")
+        raise MeasurementError(
+            f"{file}: Point Index is '{heading['Point Index']}'; allowed: a text that begins with a whole number"
+        )
     quantity = _quantity(file, heading["Signal"])
     table = _table(file, lines[at + 1 :], at + 2, quantity)
     return _Point(int(number.group()), quantity, table[:, 0], table[:, 1])
@@ -130,14 +134,14 @@ def _text(file: Path) -> list[str]:
             continue
         except OSError as error:
             raise MeasurementError(f"{file}: cannot be read: {error.strerror}; give a text file") from None
-    raise MeasurementError(f"{file}: is no text")
+    raise MeasurementError(f"{file}: is not text")
 
 
 def _quantity(file: Path, signal: str) -> Quantity:
     parts = [part.strip() for part in signal.split(" - ")]
     if len(parts) != 3 or parts[0] != "Time" or parts[2] != "Samples" or parts[1] not in QUANTITIES:
         raise MeasurementError(
-            f"{file}: Signal is '{signal}'; read are samples over time along one beam: "
+            f"{file}: Signal is '{signal}'; allowed: samples over time along one beam: "
             + " and ".join(f"'Time - {name} - Samples'" for name in QUANTITIES)
         )
     return QUANTITIES[parts[1]]
@@ -148,7 +152,7 @@ def _table(file: Path, lines: list[str], first: int, quantity: Quantity) -> Floa
     names, units = ([cell.strip() for cell in line.split("\t")] for line in (*lines[:2], "", "")[:2])
     if len(names) != 2 or names[0] != "Time" or len(units) != 2:
         raise MeasurementError(
-            f"{file}: line {first} is '{' '.join(names)[:60]}'; two columns follow the head, Time and the signal"
+            f"{file}: line {first} is '{' '.join(names)[:60]}'; needed after the head: two columns, Time and the signal"
         )
     time, unit = (re.fullmatch(r"\[\s*(.*?)\s*\]", cell) for cell in units)
     kind = "" if unit is None else unit.group(1).replace("\u00b5", "u").replace("\u03bc", "u")
@@ -166,7 +170,7 @@ def _table(file: Path, lines: list[str], first: int, quantity: Quantity) -> Floa
             rows.append([float(cells[0]), float(cells[1])])
         except (ValueError, IndexError):
             raise MeasurementError(
-                f"{file}: line {at} is '{line.strip()[:40]}'; give two numbers, a tab between them, decimals by points"
+                f"{file}: line {at} is '{line.strip()[:40]}'; give two numbers separated by a tab, with decimal points"
             ) from None
         if len(cells) > 2 or not np.isfinite(rows[-1]).all():
             raise MeasurementError(f"{file}: line {at} is '{line.strip()[:40]}'; give two finite numbers")

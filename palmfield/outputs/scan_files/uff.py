@@ -48,12 +48,14 @@ def _sets(file: Path) -> list[dict[str, Any]]:
         found = [opened.read_sets(n) for n, kind in enumerate(opened.get_set_types()) if int(kind) in wanted]
     except Exception as error:
         text = " ".join(str(error).split())[:LONGEST_PATH]
-        raise MeasurementError(f"{file}: is not readable as UFF: {text or type(error).__name__}") from None
+        raise MeasurementError(
+            f"{file}: cannot be read as UFF: {text or type(error).__name__}; give a UFF file"
+        ) from None
     if not found:
         raise MeasurementError(f"{file}: holds no data sets 15, 2411 or 58; give a UFF file of a scan")
     # pyuff drops a set without an end, so that a point would be missing without a message
     if not file.read_bytes()[-TAIL:].rstrip().endswith(DELIMITER):
-        raise MeasurementError(f"{file}: ends within a data set: it was cut off; give the whole file")
+        raise MeasurementError(f"{file}: ends within a data set; give the complete file")
     return [one for one in found if one]
 
 
@@ -67,7 +69,9 @@ def _nodes(file: Path, sets: list[dict[str, Any]]) -> tuple[dict[int, Float], fl
             table = np.column_stack([one["x"], one["y"], one["z"]]) * metre
             places |= {int(number): place for number, place in zip(one["node_nums"], table, strict=True)}
     if not places:
-        raise MeasurementError(f"{file}: has no nodes (data sets 15 or 2411), so that no place is known")
+        raise MeasurementError(
+            f"{file}: has no nodes (data sets 15 or 2411), so positions are unknown; export the nodes"
+        )
     return places, metre
 
 
@@ -84,8 +88,8 @@ def read_uff(file: Path) -> Scan:
     kinds = {int(one["ordinate_spec_data_type"]) for one in functions}
     if len(kinds) != 1 or not kinds <= set(KINDS):
         raise MeasurementError(
-            f"{file}: time responses are of data types {', '.join(map(str, sorted(kinds)))}; allowed: one of 8 "
-            "(displacement) and 11 (velocity)"
+            f"{file}: time responses have data types {', '.join(map(str, sorted(kinds)))}; allowed: 8 "
+            "(displacement) or 11 (velocity)"
         )
     first = functions[0]
     times = np.asarray(first["x"], dtype=float)
@@ -96,16 +100,18 @@ def read_uff(file: Path) -> Scan:
     for one in functions:
         node = int(one["rsp_node"])
         if node not in places:
-            raise MeasurementError(f"{file}: a time response is of node {node}, which has no place")
+            raise MeasurementError(f"{file}: a time response belongs to node {node}, which has no position")
         direction = int(one.get("rsp_dir", 0))
         if abs(direction) not in ALONG_BEAM:
             raise MeasurementError(
-                f"{file}: a time response of node {node} is in direction {direction}; read are those along z, 3 and "
-                "-3, in which one head's beam is told, and 0"
+                f"{file}: a time response of node {node} has direction {direction}; allowed: 3 and -3 (z, the beam "
+                "of one head), and 0"
             )
         record = np.asarray(one["data"])
         if len(record) != len(times) or np.abs(np.asarray(one["x"]) - np.asarray(first["x"])).max() > 1e-9:
-            raise MeasurementError(f"{file}: the times of node {node} are not those of node {int(first['rsp_node'])}")
+            raise MeasurementError(
+                f"{file}: the times of node {node} differ from those of node {int(first['rsp_node'])}"
+            )
         # A direction of the node's axes; -3 means motion away along z
         unit = _unit(file, one, KINDS[int(one["ordinate_spec_data_type"])], metre if scaled else None)
         values.append((-unit if direction < 0 else unit) * record.real)
@@ -121,19 +127,19 @@ def _unit(file: Path, function: dict[str, Any], quantity: Quantity, by_set: floa
     """Return the unit of values [m or m/s]: from its label if it has one, which data set 164 must not contradict."""
     time = str(function.get("abscissa_axis_units_lab") or "").strip()
     if time.lower() not in ("", "none", "s", "sec", "seconds"):
-        raise MeasurementError(f"{file}: times carry the unit label '{time[:20]}'; allowed: s; export it in seconds")
+        raise MeasurementError(f"{file}: times have the unit label '{time[:20]}'; allowed: s; export in seconds")
     label = str(function.get("ordinate_axis_units_lab") or "").strip().replace("\u00b5", "u").replace("\u03bc", "u")
     if label.lower() in ("", "none"):
         return 1.0 if by_set is None else by_set
     if label not in UNITS[quantity]:
         raise MeasurementError(
-            f"{file}: {quantity} carries the unit label '{label[:20]}'; allowed: {', '.join(UNITS[quantity])}, or none"
+            f"{file}: {quantity} has the unit label '{label[:20]}'; allowed: {', '.join(UNITS[quantity])}, or none"
         )
     factor = UNITS[quantity][label]
     if by_set is not None and not math.isclose(factor, by_set, rel_tol=1e-6):
         raise MeasurementError(
-            f"{file}: values carry the unit label '{label}', and data set 164 has lengths of {by_set:g} m; allowed: "
-            "the same in both; mend one of them"
+            f"{file}: values have the unit label '{label}', but data set 164 has lengths of {by_set:g} m; allowed: "
+            "the same unit in both; correct one of them"
         )
     return factor
 
@@ -197,6 +203,6 @@ def _write(file: Path, sets: list[dict[str, Any]]) -> None:
         file.write_bytes(b"")
         pyuff.UFF(str(file)).write_sets(sets, mode="overwrite")
     except OSError as error:
-        raise OutputError(f"{file}: cannot be written: {error}; give a place that can be written to") from None
+        raise OutputError(f"{file}: cannot be written: {error}; give a writable path") from None
     except Exception as error:
         raise OutputError(f"{file}: cannot be written: {' '.join(str(error).split())[:LONGEST_PATH]}") from None

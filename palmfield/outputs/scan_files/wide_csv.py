@@ -45,7 +45,8 @@ def read_csv(file: Path) -> Scan:
     if not rows or rows[0][1][0] != "time_s" or len(rows[0][1]) < 2:
         found = rows[0][1][0] if rows else "nothing"
         raise MeasurementError(
-            f"{file}: begins with '{found[:40]}'; the first line of values is time_s and the points' names, by commas"
+            f"{file}: begins with '{found[:40]}'; needed: a first line with time_s and the names of the points, "
+            "separated by commas"
         )
     names = rows[0][1][1:]
     labelled: dict[str, list[float]] = {}
@@ -53,23 +54,23 @@ def read_csv(file: Path) -> Scan:
     for line_number, cells in rows[1:]:
         if len(cells) != len(names) + 1:
             raise MeasurementError(
-                f"{file}: line {line_number} has {len(cells)} values for {len(names) + 1} columns; give one for each"
+                f"{file}: line {line_number} has {len(cells)} values for {len(names) + 1} columns; give one per column"
             )
         if cells[0] in labelled:
-            raise MeasurementError(f"{file}: line {line_number} gives '{cells[0]}' again; give it once")
+            raise MeasurementError(f"{file}: line {line_number} repeats '{cells[0]}'; give it once")
         if cells[0] in (*PLACES, *SIGHTS):
             labelled[cells[0]] = [_number(file, line_number, n, c) for n, c in zip(names, cells[1:], strict=True)]
         elif cells[0][:1].isalpha() and cells[0].lower() not in ("nan", "inf", "infinity"):
             raise MeasurementError(
                 f"{file}: line {line_number} begins with '{cells[0]}'{did_you_mean(cells[0], (*PLACES, *SIGHTS))}; "
-                f"allowed: a time, or {', '.join((*PLACES, *SIGHTS))}, places in metres"
+                f"allowed: a time, or {', '.join((*PLACES, *SIGHTS))}, positions in metres"
             )
         else:
             columns = zip(("time_s", *names), cells, strict=True)
             numbers.append([_number(file, line_number, n, c) for n, c in columns])
     for name in PLACES if not set(SIGHTS) & set(labelled) else (*PLACES, *SIGHTS):
         if name not in labelled:
-            raise MeasurementError(f"{file}: has no line '{name},...'; give the points' {', '.join(PLACES)}")
+            raise MeasurementError(f"{file}: has no line '{name},...'; give the {', '.join(PLACES)} of the points")
     table = np.array(numbers).reshape(-1, len(names) + 1)
     for first, second in pairwise(range(len(table))):
         if table[second, 0] <= table[first, 0]:
@@ -82,7 +83,7 @@ def read_csv(file: Path) -> Scan:
 
 
 def _quantity(file: Path, head: dict[str, str]) -> tuple[Quantity, float]:
-    example = "begin with lines '# quantity: velocity' and '# unit: mm/s'"
+    example = "begin the file with lines '# quantity: velocity' and '# unit: mm/s'"
     for name in ("quantity", "unit"):
         if name not in head:
             raise MeasurementError(f"{file}: has no line '# {name}: ...'; {example}")
@@ -102,7 +103,7 @@ def _number(file: Path, line: int, column: str, cell: str) -> float:
         raise MeasurementError(f"{file}: line {line}, column {column}: '{cell}' is not a number") from None
     if not np.isfinite(value):
         raise MeasurementError(
-            f"{file}: line {line}, column {column}: {cell}; give a finite number, or leave the column out"
+            f"{file}: line {line}, column {column}: {cell}; give a finite number, or remove the column"
         )
     return value
 
@@ -120,4 +121,4 @@ def write_csv(file: Path, scan: Scan) -> None:
                     writer.writerows([name, *row] for name, row in zip(names, columns.T.tolist(), strict=True))
             writer.writerows(np.column_stack([scan.times_s, scan.values]).tolist())
     except OSError as error:
-        raise OutputError(f"{file}: cannot be written: {error}; give a place that can be written to") from None
+        raise OutputError(f"{file}: cannot be written: {error}; give a writable path") from None

@@ -59,7 +59,7 @@ class ArrayWriter:
         face = add_mesh(stage, f"{path}/Drive", discs, faces, None)
         colour = paint(
             face, self._palette, "uniform", quantity="drive_phase", units="rad",
-            last="the last colour is of transducers that are silent",
+            last="the last colour marks silent transducers",
         )  # fmt: skip
         self._frame_times: Float = array["frame_time"].values
         largest = float(array["drive_amplitude"].max())

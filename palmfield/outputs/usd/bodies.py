@@ -87,9 +87,12 @@ class BodyWriter:
         first, everything = surfaces[0], slice(None)
         points, faces = first["rest_position"].values, first["face"].values
         mesh = add_mesh(stage, f"{path}/Surface", points, faces, colour)
-        about(mesh.GetPrim(), holds="the body's surface as computed with; Drawn is the same, sunk below its skins")
+        about(
+            mesh.GetPrim(),
+            holds="surface of the body in the computation; Drawn is the same surface, lowered below its skins",
+        )
         for name, sign in (
-            ("loudest_arp", "at the loudest instant; positive pushes into the surface"),
+            ("loudest_arp", "at the loudest instant; positive values push into the surface"),
             ("loudest_pressure", "peak amplitude at the loudest instant"),
         ):
             # Skins on one body share its surface; each brings its own loudest instant
@@ -101,7 +104,12 @@ class BodyWriter:
             rounded = rounding(low, high, face_normals(points, faces)[1], FORCE_PART)
             told = rounding_told(rounded) | {"quantisation": FORCE_ROUNDING}
             primvar = add_primvar(
-                mesh.GetPrim(), "arp", "Pa", "mean over the step; positive pushes into the surface", told, "uniform"
+                mesh.GetPrim(),
+                "arp",
+                "Pa",
+                "mean over the step; positive values push into the surface",
+                told,
+                "uniform",
             )
             self._pressed = first, rounded, Samples(primvar.GetAttr(), floats)
         mesh.CreatePurposeAttr(UsdGeom.Tokens.guide)

@@ -48,8 +48,8 @@ def clock_of(result: xr.DataTree, shown: Shown) -> Clock:
     end = times[-1] if shown.end_s is None else shown.end_s
     if not times[0] <= start <= end <= times[-1]:
         raise OutputError(
-            f"the scene would go from {1e3 * start:g} to {1e3 * end:g} ms; allowed: rising, within {1e3 * times[0]:g} "
-            f"to {1e3 * times[-1]:g} ms"
+            f"the scene would run from {1e3 * start:g} to {1e3 * end:g} ms; allowed: rising times within "
+            f"{1e3 * times[0]:g} to {1e3 * times[-1]:g} ms"
         )
     slack = 1e-9 * max(1.0, abs(float(times[-1])))
     first, last = int(np.searchsorted(times, start - slack)), int(np.searchsorted(times, end + slack, "right"))

@@ -36,14 +36,14 @@ QUANTITIES: dict[str, Quantity] = {
     ),
     "normal_velocity": Quantity("velocity", True, "m/s", OUTWARD, "normal velocity", "mm/s", 1e3, True, False),
     "arp": Quantity(
-        "arp", False, "Pa", "positive pushes into the surface", "radiation pressure", "Pa", 1.0, False, True
+        "arp", False, "Pa", "positive values push into the surface", "radiation pressure", "Pa", 1.0, False, True
     ),
     "pressure": Quantity(
         "pressure", False, "Pa", "peak amplitude of the sound pressure, never negative", "sound pressure", "Pa",
         1.0, False, False,
     ),
     "level": Quantity(
-        "", False, "dB", "dB SL: above 0 is felt", "level", "dB SL", 1.0, False, False
+        "", False, "dB", "dB SL: values above 0 are felt", "level", "dB SL", 1.0, False, False
     ),
 }  # fmt: skip
 

@@ -102,7 +102,7 @@ class SkinWriter:
         numbers.Set(integers(self.order))
         about(numbers.GetAttr(), units="1", sign="number of the vertex in result.nc, from 0")
         for name, unit, sign in (
-            ("loudest_arp", "Pa", "at the loudest instant; positive pushes into the surface"),
+            ("loudest_arp", "Pa", "at the loudest instant; positive values push into the surface"),
             ("loudest_pressure", "Pa", "peak amplitude at the loudest instant"),
         ):
             if has_records(skin, name):

@@ -21,8 +21,8 @@ def partial_of(path: Path) -> Path:
 
 def left_scenes(folder: Path) -> list[tuple[Path, str]]:
     """Return files in a folder of an interrupted or running USD export, and their descriptions."""
-    readable = "what a USD scene that was cut off holds so far: it can be opened, or `palmfield usd` writes it whole"
-    broken = "a part of a USD scene that was cut off: remove it if nothing writes there"
+    readable = "content of an interrupted USD scene: it can be opened; `palmfield usd` writes the complete scene"
+    broken = "part of an interrupted USD scene: remove it if no program writes there"
     hidden = [path for kind in ("tmp.usdc", "copy.usdc", "whole.usd[az]") for path in folder.glob(f".*.{kind}")]
     inner = folder.glob("*.inner.usdc")
     return [(path, readable) for path in sorted(folder.glob("*.partial.usdc"))] + [
@@ -41,7 +41,7 @@ class StageFile:
         """Raises OutputError for a name that ends in none of SUFFIXES and for a folder that cannot be written."""
         self.path = path
         if path.suffix not in SUFFIXES:
-            raise OutputError(f"cannot write {path}: name a file that ends in {', '.join(SUFFIXES)}")
+            raise OutputError(f"cannot write {path}: give a file name that ends in {', '.join(SUFFIXES)}")
         self._growing = path.with_name(f".{path.stem}.tmp.usdc")
         self._copied = path.with_name(f".{path.stem}.copy.usdc")
         self._whole = path.with_name(f".{path.stem}.whole{path.suffix}")
@@ -107,4 +107,4 @@ def unwritable_scene(path: Path, error: Exception) -> OutputError:
     else:
         quoted = re.findall("'([^']*)'", str(error))
         cause = quoted[1] if len(quoted) > 1 else "USD could not save it"
-    return OutputError(f"cannot write {path}: {cause}; choose a folder on a disk with room for it")
+    return OutputError(f"cannot write {path}: {cause}; choose a folder on a disk with enough space")

@@ -78,7 +78,7 @@ def write_usd(
     told = shown or Shown()
     check_shown(told)
     if not fps > 0:
-        raise OutputError(f"{fps} frames per second is not possible; give a number above 0")
+        raise OutputError(f"frames per second is {fps}; allowed: above 0")
     clock = clock_of(result, told)
     with _written(StageFile(Path(path))) as file:
         _write(result, file, told, clock, fps, on_frame)
@@ -178,7 +178,7 @@ def _ranges(result: xr.DataTree, shown: Shown, clock: Clock) -> _Ranges:
     for name, skin in instances(result, "skin").items():
         recorded = recorded_quantities(skin)
         ranges.own[name] = ranges_of(skin, clock, [one for one in names if one in recorded])
-        ranges.missing.extend(f"{name}: {one}: the result does not hold it over time" for one in names
+        ranges.missing.extend(f"{name}: {one}: the result does not store it over time" for one in names
                               if one not in recorded and one != "level")  # fmt: skip
         if "level" not in names:
             continue
@@ -202,7 +202,7 @@ def _palette(shown: Shown, ranges: _Ranges) -> Palette | None:
     if whole is None:
         why = [text for text in ranges.missing if f": {shown.colour}: " in text]
         if why and shown.colour != Shown().colour:
-            raise OutputError(f"no skin can be coloured by '{shown.colour}': {why[0]}")
+            raise OutputError(f"'{shown.colour}' is not available for any skin: {why[0]}")
         return None
     limits = shown.limits
     if limits is None and shown.colour == "level":

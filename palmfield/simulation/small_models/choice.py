@@ -42,7 +42,7 @@ def choose_stepper(
     what, why_not = missing.get(requested, ("", None))
     if why_not is not None:
         raise SceneError(
-            f"{layer.element}: key 'solver' has value '{requested}', but no {what}: {why_not}: set it to auto"
+            f"{layer.element}: key 'solver' has value '{requested}', but there is no {what}: {why_not}: set it to auto"
         )
     sounding = [stimulus for stimulus in stimuli if not stimulus.silent]
     vectors = 0 if reason is not None else known_load.expected_vectors(sounding[0], pole, response_on)
@@ -52,20 +52,23 @@ def choose_stepper(
     seconds = {choice.name: choice.seconds for choice in choices}
     name: str = requested
     if requested != "auto":
-        why = "asked for" if reason is None or requested != "wedges" else f"no small model: {reason}"
+        why = "asked for" if reason is None or requested != "wedges" else f"no reduced model: {reason}"
     elif reason is None:
         # If the load is predicted, a model for it alone is smaller than one for every load
         name = "reduced" if seconds["reduced"] < seconds["wedges"] else "wedges"
         small_s, whole_s = seconds["reduced"], seconds["wedges"]
-        why = f"the load is known ahead; reduced about {small_s:.1f} s, wedges about {whole_s:.1f} s"
+        why = f"the load is predictable; reduced about {small_s:.1f} s, wedges about {whole_s:.1f} s"
     else:
-        name, why = choices[0].name, f"no small model: {reason}"
+        name, why = choices[0].name, f"no reduced model: {reason}"
         if name == "modal":
-            why = f"{reason}, so that no load is known ahead"
+            why = f"{reason}, so the load is not predictable"
         if name == "modal" and scene_choices(*size, kept=False)[0].name != name:
-            why += f"; making the modes counts as 1/{RUNS}, since the cache keeps them: without one wedges is chosen"
+            why += (
+                f"; building the modes counts as 1/{RUNS}, because the cache stores them; without a cache wedges "
+                "would be chosen"
+            )
         elif name == "wedges" and scene_choices(*size, kept=True)[0].name != name:
-            why += "; modes do not pay, since no cache keeps them: with one modal is chosen"
+            why += "; there is no cache, so modes are too expensive; with a cache modal would be chosen"
     return StepperChoice(name, why, seconds[name], seconds["wedges"])
 
 
@@ -79,7 +82,7 @@ def common_choice(
     names = {choice.name for choice in choices}
     if len(names) == 1 and (names != {"reduced"} or loads <= MOST_SMALL_MODELS or skin.config.solver != "auto"):
         return choices[0]
-    why = f"{loads} different loads, at most {MOST_SMALL_MODELS} of which get a small model each"
+    why = f"{loads} different loads; reduced models are limited to {MOST_SMALL_MODELS}"
     substeps = len(choices) * spec.duration_s / layer.sizes.step_s
     modes, refusal = load_class.expected_modes(skin, layer), load_class.refusal(skin, layer)
     ranked = scene_choices(layer.dofs, substeps, 0.0, why, modes, refusal, load_class.laws(layer))

@@ -76,33 +76,33 @@ def refusal(
 ) -> str | None:
     """Why a skin can't be reduced for these stimuli, in words, or None."""
     if skin.config.solver == "wedges":
-        return "solver 'wedges' is asked for"
+        return "key solver is 'wedges'"
     if skin.moves:
         return "a script moves something in the scene"
     sounding = [stimulus for stimulus in stimuli if not stimulus.silent]
     if not sounding:
         return "the stimulus is silent"
     if len(sounding) > 1:
-        return f"{len(sounding)} stimuli sound together"
+        return f"{len(sounding)} stimuli are active together"
     if one_shape(sounding[0], pole, response_on):
         return None
     config = sounding[0].config
     if not repeats(config):
-        return "bursts, a path that runs once, or a file's course don't come round"
+        return "bursts, a path that runs once, or a course from a file do not repeat"
     if level_jumps(config):
         return "the level jumps in each period of the modulation"
     if config.path == "letters" or (config.path_end == "jump" and not is_closed(config)):
         return "the focus jumps from one end of its path to the other"
     if config.path != "point" and config.control_rate_Hz > 0.0:
-        return "control_rate_Hz holds the focus at moments that don't come round with the path"
+        return "control_rate_Hz holds the focus at moments that do not repeat with the path"
     expected = expected_vectors(sounding[0], pole, response_on)
     if expected > MOST_VECTORS:
-        return f"the focus rests at {points_a_turn(config)} points in turn, which takes about {expected} vectors"
+        return f"the focus rests at {points_a_turn(config)} points in turn, which needs about {expected} vectors"
     turn = period_s(config)
     if turn is None:
-        return f"path and modulation come round together after more than {MOST_TURNS} turns"
+        return f"path and modulation repeat together only after more than {MOST_TURNS} turns"
     if samples(config, turn, layer.demand.max_frequency_Hz) > MOST_SAMPLES:
-        return f"the load comes round after {turn:.3g} s only"
+        return f"the load repeats only after {turn:.3g} s"
     return None
 
 

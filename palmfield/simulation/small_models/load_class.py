@@ -77,7 +77,7 @@ def refusal(skin: SkinSpec, layer: SceneLayer) -> str | None:
     """Why a skin can't move by modes for every load, in words, or None; reasons that need its matrices come later."""
     config = skin.config
     if config.body_sound == "scattering":
-        return "boundary elements for every example of its loads cost more than a run"
+        return "boundary elements for every sample load would cost more than a run"
     if config.side == "absorbing":
         return "absorbing sides couple the modes"
     return None
@@ -137,8 +137,8 @@ def class_stepper(model: HapticModel, skin: int, blocks: int | None = None) -> M
             )  # fmt: skip
             if not len(made.modes.elastic):
                 raise SceneError(
-                    f"{layer.element}: no focus of its class moves its layer, which has a radius of "
-                    f"{1e3 * layer.sizes.radius_m:.3g} mm; allowed: about the spot's width, "
+                    f"{layer.element}: the layer has a radius of {1e3 * layer.sizes.radius_m:.3g} mm, and no "
+                    "expected focus moves it; allowed: about the width of the spot, "
                     f"{1e3 * layer.demand.spot_fwhm_m:.3g} mm, or more; set patch_radius_m larger, or solver wedges"
                 )
             known = _bodies[layer] = mark, made
@@ -301,7 +301,7 @@ def _drives(
         ]  # fmt: skip
     heard = [(number, drive) for number, drive in made if drive is not None]
     if not heard:
-        raise SceneError("no modes of this skin: none of the arrays' transducers faces it in the reference pose")
+        raise SceneError("no modes for this skin: no transducer faces it in the reference pose")
     return np.array([drive for _, drive in heard]), np.array([number for number, _ in heard], dtype=np.int32)
 
 

@@ -39,7 +39,7 @@ def layer_compliance(
     support, under static uniform pressure.
     """
     if base not in BASES:
-        raise SceneError(f"base '{base}' is not known; use one of {', '.join(BASES)}")
+        raise SceneError(f"base '{base}' is unknown; use one of {', '.join(BASES)}")
     if not thickness_m > 0.0 or not f_Hz >= 0.0:
         raise SceneError(f"thickness {thickness_m} m, frequency {f_Hz} Hz; thickness must be > 0, frequency >= 0")
     shape = np.shape(k)
@@ -183,7 +183,9 @@ def _hankel(f_Hz: Float, material: Material, h: float, spread: float, r: Float, 
             if len(left) == 0:
                 return response
         previous = value
-    raise SceneError(f"the layer's wave integral at {f_Hz[left[0]]} Hz does not settle; give it a damping branch")
+    raise SceneError(
+        f"the wave integral of the layer does not converge at {f_Hz[left[0]]} Hz; add a damping branch to the material"
+    )
 
 
 def _fourier_bessel(

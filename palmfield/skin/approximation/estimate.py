@@ -70,5 +70,5 @@ def largest_change(answers: Complex | Float, reference: Complex | Float) -> floa
     """Largest relative difference of some results from those of another mesh, shape (n,). Raises SceneError for a 0."""
     size = np.abs(reference)
     if not np.all(size > 0.0):
-        raise SceneError(f"answers {reference}: what doesn't move has no relative error, so give answers not 0")
+        raise SceneError(f"reference values are {reference}; a relative error needs values other than 0")
     return float(np.max(np.abs(answers - reference) / size))

@@ -33,7 +33,7 @@ def load_width(load: Load) -> float:
     square = (pressure**2) @ load.weights_m2
     acting = square > 1e-12 * square.max(initial=0.0)
     if not acting.any():
-        raise SceneError("traction: pressure_Pa is 0 everywhere; give one that acts")
+        raise SceneError("traction: pressure_Pa is 0 everywhere; give a nonzero pressure")
     area = (np.abs(pressure[acting]) @ load.weights_m2) ** 2 / square[acting]
     return float(math.sqrt(GAUSSIAN * area.min() / (2.0 * math.pi)))
 

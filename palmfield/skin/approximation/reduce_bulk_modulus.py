@@ -43,12 +43,13 @@ def reduce_bulk_modulus(
         return body, 0.0
     if nu_at_most is not None:
         if not plain:
-            raise SceneError("solver 'spectral_elements': nu_at_most needs one sheet on a plain base; leave it out")
+            raise SceneError("solver 'spectral_elements': nu_at_most needs one sheet on a plain base; omit it")
         result, change = _tried(body, relative_change(body, load, end_s, at), nu_at_most)
         if change > accuracy:
             raise SceneError(
-                f"solver 'spectral_elements': nu_at_most {nu_at_most} would change this layer's motion by "
-                f"{change:.2g}, above the accuracy of {accuracy:g}: leave it out, or use wedges or lateral_waves"
+                f"solver 'spectral_elements': nu_at_most {nu_at_most} would change the motion of this layer by "
+                f"{change:.2g}, more than the target accuracy of {accuracy:g}: omit it, or use wedges or "
+                "lateral_waves"
             )
         return result, change
     material = body.sheets[0].material

@@ -22,8 +22,8 @@ def refusal_of_spot(body: Body, load: Load) -> str | None:
         return None
     if not body.patch.rim.any() or abs(outward(body.patch)[2]) < FLATTEST:
         return (
-            "a spot presses by its distance in x and y, and this layer's face is not seen along z: turn the patch, or "
-            "give pressures at points (Traction)"
+            "a Spot is defined in x and y, but the normal of this layer is not along z: rotate the patch, or give "
+            "pressures at points (Traction)"
         )
     return None
 

@@ -390,7 +390,9 @@ def _free_directions(mesh: WedgeMesh, base: Base, side: Side, deeper: int) -> sp
         held = {int(n): [d] for n, d in zip(on_base, mesh.surface_normals(mesh.levels - 1), strict=True)}
     if side == "roller":
         if mesh.axis is None:
-            raise SceneError("roller sides need a patch with an axis; this one has none: use side 'fixed' or 'free'")
+            raise SceneError(
+                "roller sides need a patch with an axis, which this patch lacks: use side 'fixed' or 'free'"
+            )
         for n, d in zip(on_side, np.tile(mesh.side_normals[: len(rim)], (levels, 1)), strict=True):
             held.setdefault(int(n), []).append(d)
     for node, directions in held.items():

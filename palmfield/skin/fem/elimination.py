@@ -191,8 +191,8 @@ def eliminate(
                 inverse = root(panel[:size])
             except np.linalg.LinAlgError:
                 raise RuntimeError(
-                    f"the matrix of {matrix.shape[0]} unknowns is not positive definite: unknowns {node.first} to "
-                    f"{node.last - 1} in order of elimination"
+                    f"the matrix of {matrix.shape[0]} unknowns is not positive definite at unknowns {node.first} "
+                    f"to {node.last - 1} (elimination order): check the support and the material of the layer"
                 ) from None
             below = panel[size:] @ inverse.T
             if len(node.rows):

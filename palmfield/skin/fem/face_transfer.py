@@ -44,8 +44,8 @@ class FaceTransfer:
         below = np.abs((matrix @ self._below).data).max(initial=0.0)
         if below > 1e-9 * np.abs(matrix.data).max(initial=0.0):
             raise SceneError(
-                f"skin reader: the operator reads below the skin's surface, with weights up to {below:.3g}; a solver "
-                "on a mesh of its own gives the motion of the surface only: use solver 'wedges'"
+                f"skin reader: the operator reads below the surface of the skin, with weights up to {below:.3g}; a "
+                "solver with its own mesh gives only the motion of the surface: use solver 'wedges'"
             )
         return Reader(matrix.shape[0], sparse.csr_matrix(matrix @ self.motion))
 

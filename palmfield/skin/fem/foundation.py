@@ -164,7 +164,7 @@ def fit_foundation(
     if not above or not below or not (np.isfinite(numbers).all() and (numbers > 0.0).all()):
         raise SceneError(
             f"foundation: {len(above)} sheets above, {len(below)} below, spots of {widths.tolist()} m, frequencies "
-            f"{list(frequencies_Hz)} Hz: give sheets on both sides, and numbers above 0"
+            f"{list(frequencies_Hz)} Hz: needed: sheets on both sides, and numbers above 0"
         )
     cases = [_Case(above, below, base, float(width), f) for f in frequencies_Hz for width in widths]
     misfit = np.zeros(len(frequencies_Hz))
@@ -177,9 +177,9 @@ def fit_foundation(
             )  # fmt: skip
     worst = int(np.argmax(misfit))
     raise SceneError(
-        f"foundation: at degree {MOST_DEGREE} it still misses by {100 * misfit[worst]:.3g} % at "
-        f"{frequencies_Hz[worst]:g} Hz, {100 * target:g} % are wanted: mesh more of the depth, or give the part below "
-        "as several sheets"
+        f"foundation: at degree {MOST_DEGREE} the error is still {100 * misfit[worst]:.3g} % at "
+        f"{frequencies_Hz[worst]:g} Hz; target {100 * target:g} %: mesh more of the depth, or split the part below "
+        "into several sheets"
     )
 
 

@@ -82,8 +82,8 @@ class PardisoFactor:
         """
         if os.getpid() != self._process:
             raise RuntimeError(
-                f"a factor made in process {self._process} is used in process {os.getpid()}, which was forked from it; "
-                f"make it there, or set {SWITCH}=off"
+                f"a factor of process {self._process} is used in process {os.getpid()}, which was forked from it; "
+                f"factorise again there, or set {SWITCH}=off"
             )
         if right.dtype.kind == "c":
             return self.solve(right.real) + 1j * self.solve(right.imag)

@@ -24,8 +24,8 @@ def static(system: SkinSystem, force: Float) -> Float:
     """
     if not system.supported:
         raise SceneError(
-            "a static answer needs a support: this body's base and sides leave it free to move away; bond the base, "
-            "give it Springs, or fix a side"
+            "a static solution needs a support: base and sides leave this body free to move; bond the base, give "
+            "it Springs, or fix a side"
         )
     matrix = system.elastic + sum(part.stiffness for part in system.parts)
     return factorise(matrix, system.elimination_order()).solve(np.asarray(force, dtype=float))

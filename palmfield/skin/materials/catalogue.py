@@ -17,8 +17,8 @@ from palmfield.skin.materials.sheet import Sheet
 MANFREDI = "Manfredi et al. 2012, PLoS ONE 7:e31203"
 ZHANG = "Zhang et al. 2011, Med. Eng. Phys. 33:31 (doi 10.1016/j.medengphy.2010.08.016)"
 MIZUSHIMA = "Mizushima & Sato 2024 (doi 10.18494/SAM5054)"
-READING = f"this project's reading of a curve that rises to a plateau near 7 m/s ({MANFREDI}), not a table of theirs"
-POWER_LAW = f"finger, amplitude falls as distance to the power -1.1 to -1.3 ({MANFREDI}, exponents of fig. 3)"
+READING = f"read by this project from a curve that rises to a plateau near 7 m/s ({MANFREDI}); not tabulated there"
+POWER_LAW = f"finger; amplitude proportional to distance to the power -1.1 to -1.3 ({MANFREDI}, exponents of fig. 3)"
 SITE_SPEEDS = tuple(
     Observation("surface speed", f, speed, None, READING)
     for f, speed in ((50.0, 3.6), (100.0, 4.6), (200.0, 6.0), (400.0, 7.1))
@@ -39,20 +39,22 @@ def gel(name: str, relaxed_Pa: float, branches_Pa: tuple[float, ...], times_s: t
         relaxed_Pa,
         branches_Pa,
         times_s,
-        source=f"HITOHADA gel of Asker C {hardness}, {MIZUSHIMA}: E' at 10 Hz as printed. Its change with frequency is "
-        "assumed, since only a figure has it: fractional Kelvin-Voigt of exponent 0.2 by 4 branches over 1 to 1000 Hz "
-        "(scripts/fit_palm_material.py), loss tangent rising to 100 Hz and flat above as they say. They also say that "
-        "the three gels' loss moduli are similar; here they go with the storage. Density assumed. nu 0.4999 beside the "
-        "instantaneous modulus",
+        source=f"HITOHADA gel, Asker C {hardness}, {MIZUSHIMA}: E' at 10 Hz as printed. Frequency dependence "
+        "assumed, because it is only in a figure: fractional Kelvin-Voigt with exponent 0.2, 4 branches over 1 to "
+        "1000 Hz (scripts/fit_palm_material.py); the loss tangent rises to 100 Hz and is constant above, as "
+        "stated there. The paper states similar loss moduli for the three gels; here they scale with the storage "
+        "modulus. Density assumed. nu 0.4999 with the instantaneous modulus",
     )
     factors = Range(
         "shear",
         0.67,
         1.0,
-        "discs of 2 mm, 1 mm thick, were clamped: were they bonded, E' would be 1 + 2 S^2 = 1.5 of the material's own "
-        "(Gent & Lindley's law, S = 0.5)",
+        "discs of 2 mm, 1 mm thick, were clamped; if they were bonded, the measured E' is 1 + 2 S^2 = 1.5 times "
+        "that of the material (Gent & Lindley, S = 0.5)",
     )
-    seen = Observation("storage in compression", 10.0, GEL_STORAGE_PA[name], None, f"{MIZUSHIMA}, as if free to widen")
+    seen = Observation(
+        "storage in compression", 10.0, GEL_STORAGE_PA[name], None, f"{MIZUSHIMA}, assuming free lateral expansion"
+    )
     return Preset(material, (factors,), (seen,))
 
 
@@ -64,16 +66,16 @@ CATALOGUE: dict[str, Preset] = {
             shear_relaxed_Pa=12.5e3,
             branches=(Branch(20e3, 3.42 / 20e3),),
             bulk_Pa=bulk_from_poisson(0.495, 12.5e3),
-            source="Chilles et al., Ecoflex 00-10 phantom: G_r 12.5 kPa, G_m 20 kPa, eta 3.42 Pa s (tau = eta/G_m = "
-            "171 us), nu 0.495 read as printed, that is on the relaxed modulus",
+            source="Chilles et al., Ecoflex 00-10 phantom: G_r 12.5 kPa, G_m 20 kPa, eta 3.42 Pa s (tau = eta/G_m "
+            "= 171 us), nu 0.495 as printed, with the relaxed modulus",
         ),
         (
             Range(
                 "shear",
                 0.5,
                 1.5,
-                "one standard deviation of the moduli, 50 % (Chilles et al. 2019, whose model of it moved 1.8 to 3.8 "
-                "times as far as the gel that they measured)",
+                "one standard deviation of the moduli, 50 % (Chilles et al. 2019; their model moved 1.8 to 3.8 "
+                "times as far as their measured gel)",
             ),
         ),
     ),
@@ -83,17 +85,17 @@ CATALOGUE: dict[str, Preset] = {
             923.5,
             23087.5,
             0.0202,
-            source="Humimic gelatin #2, Reardon et al. 2023 (doi 10.1126/sciadv.adf2037), as they simulated it: "
-            "density 923.5 kg/m^3, shear speed 5 m/s, absorption 3e5 dB/(MHz^2 cm), which is eta = 2 rho c^3 alpha = "
-            "0.0202 Pa s. nu is not printed: 0.4999",
+            source="Humimic gelatin #2, Reardon et al. 2023 (doi 10.1126/sciadv.adf2037), parameters of their "
+            "simulation: density 923.5 kg/m^3, shear speed 5 m/s, absorption 3e5 dB/(MHz^2 cm), which is eta = 2 "
+            "rho c^3 alpha = 0.0202 Pa s. nu is not printed: 0.4999",
         ),
         (
             Range(
                 "viscosity_Pa_s",
                 0.0202,
                 1.0,
-                "as printed it is almost lossless; at 1 Pa s a shear wave of 400 Hz falls to a tenth in 8 cm, below "
-                "the 10 cm of their shortest wakes on the gel",
+                "almost lossless as printed; with 1 Pa s a shear wave of 400 Hz decays to a tenth in 8 cm, less "
+                "than their shortest wakes of 10 cm on the gel",
             ),
         ),
         (Observation("shear speed", 200.0, 5.0, None, "Reardon et al. 2023, of their simulated tissue"),),
@@ -108,16 +110,16 @@ CATALOGUE: dict[str, Preset] = {
             10.3e3,
             (65.4e3,),
             (0.412e-3,),
-            source="fitted by scripts/fit_palm_material.py to speed alone, a surface wave rising to 7 m/s as on the "
-            f"finger pad ({MANFREDI}); it decays much faster with distance than theirs. nu 0.4999 on the instantaneous "
-            "modulus",
+            source="fitted by scripts/fit_palm_material.py to the wave speed only, which rises to 7 m/s as on the "
+            f"finger pad ({MANFREDI}); the wave decays much faster with distance than measured. nu 0.4999 with the "
+            "instantaneous modulus",
         ),
         (
             Range(
                 "shear",
                 0.5,
                 1.5,
-                "assumed as for ecoflex_00-10: the readings that it is fitted to have no spread, and hands differ",
+                "assumed as for ecoflex_00-10: the fitted readings have no spread, and hands differ",
             ),
         ),
         observations=(*SITE_SPEEDS, SITE_DECAY),
@@ -129,20 +131,21 @@ CATALOGUE: dict[str, Preset] = {
             shear_relaxed_Pa=19.9e3,
             branches=(Branch(17.3e3, 1.56e-3),),
             bulk_Pa=bulk_from_poisson(0.4999, 37.2e3),
-            source="fitted by scripts/fit_palm_material.py to speed and decay at once: surface wave 4.5/5.0/5.4/5.5 "
-            "m/s at 50/100/200/400 Hz against an aim of 3.6/4.6/6.0/7.1 m/s, rising to 7 m/s as on the finger pad "
-            "(Manfredi et al. 2012): misfit +26/+9/-11/-23 %; |u(40 mm)/u(5 mm)| at 200 Hz 0.085 on 12 mm bonded to "
-            "bone (0.081 at 16 mm, 0.086 at 20 mm) against 0.085. No causal, passive solid meets both, whatever its "
-            "branches: a speed that rises so fast goes with losses (Kramers-Kronig) by which a shear wave of 200 Hz "
-            "falls to 1/e in 11 mm, as the finger_pad's does, and not in 43 mm. nu 0.4999 on the instantaneous modulus",
+            source="fitted by scripts/fit_palm_material.py to speed and decay together. Surface wave "
+            "4.5/5.0/5.4/5.5 m/s at 50/100/200/400 Hz, target 3.6/4.6/6.0/7.1 m/s, rising to 7 m/s as on the "
+            "finger pad (Manfredi et al. 2012): misfit +26/+9/-11/-23 %. |u(40 mm)/u(5 mm)| at 200 Hz 0.085 on 12 "
+            "mm bonded to bone (0.081 at 16 mm, 0.086 at 20 mm), target 0.085. No causal, passive solid can meet "
+            "both targets: a speed that rises so fast implies losses (Kramers-Kronig) with which a shear wave of "
+            "200 Hz decays to 1/e in 11 mm, as in finger_pad, not in 43 mm. nu 0.4999 with the instantaneous "
+            "modulus",
         ),
         (
             Range(
                 "shear",
                 0.64,
                 1.67,
-                "inferred from its misfit: the modulus goes with the square of the speed, which it misses by +26 % at "
-                "50 Hz and by -23 % at 400 Hz",
+                "inferred from the misfit of the speed, +26 % at 50 Hz and -23 % at 400 Hz; the modulus is "
+                "proportional to its square",
             ),
         ),
         observations=(*SITE_SPEEDS, SITE_DECAY),
@@ -153,8 +156,9 @@ CATALOGUE: dict[str, Preset] = {
             1100.0,
             7.86e3,
             5.03,
-            source=f"forearm in vivo, {ZHANG}: Voigt solid of 7.86 kPa and 5.03 Pa s, fitted by them to surface "
-            "waves of 100 to 400 Hz; above, its speed goes on rising, which tissue's does not. nu 0.4999",
+            source=f"forearm in vivo, {ZHANG}: Voigt solid of 7.86 kPa and 5.03 Pa s, fitted there to surface "
+            "waves of 100 to 400 Hz; above this range its speed continues to rise, unlike that of tissue. nu "
+            "0.4999",
         ),
         (
             Range("shear_relaxed_Pa", 6.00e3, 9.72e3, f"one standard deviation, {ZHANG}"),
@@ -180,7 +184,7 @@ def preset(name: str) -> Material:
     """The material of that name in PRESETS. Raises SceneError, with the available names, for another."""
     if name not in PRESETS:
         near = did_you_mean(name, PRESETS)
-        raise SceneError(f"skin material '{name}' is not known{near}; use one of {', '.join(sorted(PRESETS))}")
+        raise SceneError(f"skin material '{name}' is unknown{near}; use one of {', '.join(sorted(PRESETS))}")
     return PRESETS[name]
 
 
@@ -200,7 +204,7 @@ class Tissue:
 
 DEPTH_M = {"palm": 0.012, "finger_pad": 0.005}
 """Skin to bone: palm 8 to 20 mm, pulp of the finger 4 to 6 mm."""
-MAENO = "attributed to Maeno et al. 1998, not checked against the paper"
+MAENO = "attributed to Maeno et al. 1998; not checked against the paper"
 TISSUES = (
     Tissue(
         "stratum corneum",
@@ -218,7 +222,9 @@ TISSUES = (
         f"{MAENO}; with the stratum corneum 0.4 to 0.7 mm thick",
     ),
     Tissue("dermis", 80e3, 1100.0, {"palm": 1.15e-3, "finger_pad": 1.15e-3}, f"{MAENO}; 0.8 to 1.5 mm thick"),
-    Tissue("subcutis", 34e3, 911.0, {"palm": None, "finger_pad": None}, f"{MAENO}; density of fat; down to the bone"),
+    Tissue(
+        "subcutis", 34e3, 911.0, {"palm": None, "finger_pad": None}, f"{MAENO}; density of fat; extends to the bone"
+    ),
 )
 
 
@@ -232,13 +238,15 @@ def hand_skin(site: str, depth_m: float | None = None) -> tuple[Sheet, ...]:
     Raises SceneError for another site and a depth that leaves no subcutis.
     """
     if site not in DEPTH_M:
-        raise SceneError(f"hand skin: site '{site}' is not known; use one of {', '.join(DEPTH_M)}")
+        raise SceneError(f"hand skin: site '{site}' is unknown; use one of {', '.join(DEPTH_M)}")
     depth = DEPTH_M[site] if depth_m is None else depth_m
     whole = preset(site)
     given = [tissue.thickness_m[site] for tissue in TISSUES]
     rest = depth - sum(thickness for thickness in given if thickness is not None)
     if not rest > 0.0:
-        raise SceneError(f"hand skin: depth is {depth} m; the layers above the subcutis need {depth - rest:.4f} m")
+        raise SceneError(
+            f"hand skin: depth is {depth} m; allowed: more than {depth - rest:.4f} m, the layers above the subcutis"
+        )
     sheets = []
     for tissue, thickness in zip(TISSUES, given, strict=True):
         shear = tissue.young_Pa / 3.0
@@ -248,7 +256,7 @@ def hand_skin(site: str, depth_m: float | None = None) -> tuple[Sheet, ...]:
             shear,
             [ratio * shear for ratio, _ in whole.relaxation.branches],
             [time_s for _, time_s in whole.relaxation.branches],
-            source=f"{tissue.source}; relaxes as '{site}'",
+            source=f"{tissue.source}; relaxes like '{site}'",
         )
         sheets.append(Sheet(material, rest if thickness is None else thickness))
     return tuple(sheets)

@@ -75,7 +75,10 @@ def rayleigh_wavenumber(material: Material, f_Hz: float) -> complex:
     decays = [decaying(wavenumber * cmath.sqrt(1.0 - part * root)) for part in (1.0, ratio)]
     left = (2.0 - root) ** 2 * wavenumber**2
     if abs(left - 4.0 * decays[0] * decays[1]) > 1e-8 * abs(left):
-        raise SceneError(f"material '{material.name}' at {f_Hz} Hz carries no Rayleigh wave: its loss is too high")
+        raise SceneError(
+            f"material '{material.name}' carries no Rayleigh wave at {f_Hz} Hz, because its loss is "
+            "too high; use a lower frequency"
+        )
     return wavenumber
 
 

@@ -98,7 +98,7 @@ class Material:
                 raise SceneError(f"material '{self.name}': {name} is {value}; give a finite number{least}")
         at_rest = complex(self.stiffening(0.0))
         if not abs(at_rest - 1.0) < 1e-9:
-            raise SceneError(f"material '{self.name}': G(0) is {at_rest:g} G_r; give a law that has G_r at rest")
+            raise SceneError(f"material '{self.name}': G(0) is {at_rest:g} G_r; give a law with G(0) = G_r")
 
     @property
     def series(self) -> tuple[Branch, ...]:
@@ -259,7 +259,7 @@ def shear_wave(material: Material, f_Hz: float) -> tuple[float, float]:
     Raises SceneError for f <= 0. The length is infinite where the material is elastic.
     """
     if not f_Hz > 0.0:
-        raise SceneError(f"frequency is {f_Hz} Hz; a wave needs one above 0")
+        raise SceneError(f"frequency is {f_Hz} Hz; allowed: above 0")
     omega = 2.0 * math.pi * f_Hz
     wavenumber = omega * cmath.sqrt(material.density_kg_m3 / complex_shear(material, f_Hz))
     return omega / wavenumber.real, 1.0 / wavenumber.imag if wavenumber.imag > 0.0 else math.inf

@@ -26,8 +26,8 @@ def cylinder_patch(radius_m: float, length_m: float, thickness_m: float, edge_m:
     _check(radius_m, length_m, edge_m)
     if not 0.0 < thickness_m < radius_m:
         raise SceneError(
-            f"cylinder: a layer of {thickness_m} m round a radius of {radius_m} m leaves no bone; give a thickness "
-            "above 0 and below the radius"
+            f"cylinder: a layer of {thickness_m} m with outer radius {radius_m} m leaves no room for bone; give a "
+            "thickness above 0 and below the radius"
         )
     vertices, faces, around = _tube(radius_m, length_m, edge_m)
     count = len(vertices)
@@ -90,6 +90,6 @@ def _check(radius_m: float, length_m: float, edge_m: tuple[float, float]) -> Non
     good = all(math.isfinite(x) and x > 0.0 for x in (radius_m, length_m, *edge_m))
     if not good or edge_m[0] > girth / FEWEST or edge_m[1] > length_m:
         raise SceneError(
-            f"cylinder of radius {radius_m} m and length {length_m} m with edges of {edge_m} m: give lengths above 0, "
-            f"edges of at most a {FEWEST}th of the girth round it and its length along it"
+            f"cylinder of radius {radius_m} m and length {length_m} m with edges of {edge_m} m: give lengths above "
+            f"0, and edges of at most 1/{FEWEST} of the circumference and at most the length"
         )

@@ -140,7 +140,7 @@ def _check_volumes(nodes: Float, elements: Int) -> None:
     if not shape[worst] > 1e-9:
         place = ", ".join(f"{x:.4g}" for x in corners[worst].mean(axis=0))
         raise SceneError(
-            f"skin element {worst} near ({place}) m is flat or inside out: make the layer thinner there, or smooth "
+            f"skin element {worst} near ({place}) m is flat or inverted: make the layer thinner there, or smooth "
             "the surface and its inward directions"
         )
 

@@ -55,12 +55,12 @@ def load_shapes(examples: Float | Float32, weights: Float, tolerance: float, poi
     Raises SceneError for examples without sound, or with a number that is not finite.
     """
     if not np.isfinite(examples).all():
-        raise SceneError("examples of a load are not finite: mend what computes them")
+        raise SceneError("sample loads are not finite: correct their source")
     root = np.sqrt(weights)
     products = _products(examples, root)
     size = float(np.trace(products))
     if not size > 0.0:
-        raise SceneError("the arrays' sound does not reach the skin: no class of loads to be made of it")
+        raise SceneError("the sound of the arrays does not reach the skin, so there are no sample loads for modes")
     taken, shares = _taken(products, (CLOSENESS * tolerance) ** 2)
     basis = linalg.solve_triangular(shares[taken], examples[taken] * root, lower=True)
     values, turn = np.linalg.eigh(shares.T @ shares)

@@ -87,14 +87,14 @@ def modal_body(
     def make() -> cache.Arrays:
         reason = refusal(system)
         if reason is not None:
-            raise SceneError(f"no modes of this skin: {reason}")
+            raise SceneError(f"no modes for this skin: {reason}")
         with one_blas_thread:
             shapes = load_shapes(examples(), quadrature.weights, tolerance, points)
             fitting, least = int(MOST_SHARE * system.ndof / len(shapes.sizes)), 2 if len(system.parts) == 1 else 4
             if fitting < least:
                 raise SceneError(
-                    f"no modes of this skin: {least} blocks of {len(shapes.sizes)} load shapes are more than "
-                    f"{MOST_SHARE:g} of its {system.ndof} unknowns, which cost no more"
+                    f"no modes for this skin: {least} blocks of {len(shapes.sizes)} load shapes exceed "
+                    f"{MOST_SHARE:g} of its {system.ndof} unknowns, so the full model costs no more"
                 )
             stiffened = Scheme(system, step_s, RHO_INF).stiffened(len(system.parts))
             nodal: Float = quadrature.operator @ shapes.shapes.T

@@ -60,7 +60,9 @@ class PointModel:
     def static(self) -> float:
         """Displacement at rest under the force [m]. Raises SceneError for a body without support."""
         if not self.supported:
-            raise SceneError("a static answer needs a support: nothing holds this body, neither base nor sides")
+            raise SceneError(
+                "a static solution needs a support: neither base nor sides hold this body; bond the base, or fix a side"
+            )
         _, _, elastic, *stiffness = self.projection.matrices
         moved = np.linalg.solve(elastic + sum(stiffness), self.projection.force[:, 0])
         return float((self.projection.read @ moved)[0])
@@ -105,7 +107,7 @@ def point_model(system: SkinSystem, force: Float, read: Float, highest_Hz: float
     Raises SceneError for a force or a reading of 0.
     """
     if not np.any(force) or not np.any(read):
-        raise SceneError("a force or a reading of 0 moves nothing: a point's model needs answers not 0")
+        raise SceneError("a point model needs a force and a reading that are not 0")
 
     def make() -> cache.Arrays:
         dynamics = DynamicStiffness(system, system.elimination_order())

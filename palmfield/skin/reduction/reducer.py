@@ -72,8 +72,8 @@ def grow_until(
             return now, error
         if krylov.order > most_vectors:
             raise TooManyVectorsError(
-                f"reduced model of the skin: error {error:.2g} with {krylov.order} vectors, {tolerance:.2g} wanted; "
-                "use solver 'wedges'",
+                f"reduced model of the skin: error {error:.2g} with {krylov.order} vectors, target "
+                f"{tolerance:.2g}; use solver 'wedges'",
                 now,
             )
         before = now

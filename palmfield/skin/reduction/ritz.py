@@ -132,7 +132,7 @@ def ritz_modes(
     """
     reason = refusal(system)
     if reason is not None:
-        raise SceneError(f"no modes of this skin: {reason}")
+        raise SceneError(f"no modes for this skin: {reason}")
     materials = [part.material for part in system.parts]
     # As stiff as the materials are at a middle frequency: modes are not coupled there
     means = laws_at(materials, -2j * np.pi * UNCOUPLED_Hz).real

@@ -59,11 +59,11 @@ that were given."""
 def refusal_reduced(body: Body, load: Load) -> str | None:
     """Why this solver can't, in a sentence, or None."""
     if isinstance(load, Spot) and len(np.unique(load.centres(), axis=0)) > 1:
-        return "a reduced model is made for loads that keep their shape, and this spot moves"
+        return "a reduced model needs loads of constant shape, but this spot moves"
     if isinstance(load, Traction) and at_least(load) > MOST_SHAPES:
-        return f"a reduced model takes pressures that are sums of at most {MOST_SHAPES} patterns"
+        return f"a reduced model needs pressures that are sums of at most {MOST_SHAPES} patterns"
     if isinstance(body, Slab) and body.shape == "infinite":
-        return "a reduced model needs a body with an end: give the slab a shape 'box' or 'disc'"
+        return "a reduced model needs a finite body: give the slab a shape 'box' or 'disc'"
     return refusal_wedges(body, load)
 
 

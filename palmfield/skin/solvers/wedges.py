@@ -57,13 +57,16 @@ from palmfield.types import Float
 def refusal_wedges(body: Body, load: Load) -> str | None:
     """Why this solver can't, in a sentence, or None."""
     if isinstance(body, Layer) and body.side == "roller" and body.patch.axis is None:
-        return "roller sides need a patch with an axis; this layer's has none"
+        return "roller sides need a patch with an axis, which this layer lacks"
     turned = refusal_of_spot(body, load)
     if turned is not None:
         return turned
     dofs = expected_dofs(body, first_sizes(body, load, np.zeros((0, 3)), 0.05))
     if dofs > MOST_DOFS:
-        return f"the mesh would have about {dofs:.0f} unknowns, above {MOST_DOFS}: its matrix can't be factorised here"
+        return (
+            f"the mesh would have about {dofs:.0f} unknowns; allowed: at most {MOST_DOFS}, because larger matrices "
+            "cannot be factorised"
+        )
     return None
 
 
@@ -140,7 +143,7 @@ def solve_wedges(
     points = problem.points
     _check_pinned(body, load, sizes)
     if step_s is not None and not 0.0 < step_s < math.inf:
-        raise SceneError(f"solver 'wedges': step_s is {step_s}; give a time above 0 s, or leave it out")
+        raise SceneError(f"solver 'wedges': step_s is {step_s}; give a time above 0 s, or omit it")
     now = Discretisation(
         sizes or first_sizes(body, load, points, accuracy),
         step_s or first_step(body, load, accuracy),
@@ -292,8 +295,8 @@ def _check_pinned(body: Body, load: Load, sizes: Sizes | None) -> None:
     """Refuse edges so large that a spot falls between the quadrature points of its load, some 0.4 of an edge apart."""
     if isinstance(body, Slab) and sizes is not None and sizes.fine_m > 2.0 * load_width(load):
         raise SceneError(
-            f"sizes: edges of {sizes.fine_m:.3g} m don't see a spot {load_width(load):.3g} m wide; give fine_m of at "
-            "most twice that, or leave sizes out"
+            f"sizes: edges of {sizes.fine_m:.3g} m do not resolve a spot {load_width(load):.3g} m wide; give "
+            "fine_m of at most twice its width, or omit sizes"
         )
 
 

@@ -90,7 +90,7 @@ def main(
     chosen = [(module, method) for module, method in methods if only in method.name]
     if not chosen:
         names = ", ".join(method.name for _, method in methods)
-        raise PalmfieldError(f"--only '{only}' is in no method's name: use part of {names}")
+        raise PalmfieldError(f"--only '{only}' matches no method; use part of {names}")
     device = resolve(device)
     for option, path in (("--out", out), ("--picture", picture)):
         if path is not None:
@@ -141,7 +141,7 @@ def main(
             draw(rows, MODELS, picture)
     except (OSError, OutputError) as error:
         print(report, end="")  # minutes of measurements must not be lost
-        raise OutputError(f"the report above is not in its files: {error}") from error
+        raise OutputError(f"the files of the report above could not be written: {error}") from error
     return report
 
 

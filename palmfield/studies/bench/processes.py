@@ -110,8 +110,8 @@ class Process:
             self.child.wait()
             words = self.words.read_text().strip().splitlines()
             raise PalmfieldError(
-                f"benchmark of '{self.name}' failed at '{order}': {words[-1] if words else 'no message'}; "
-                "mend that, or choose other methods with --only"
+                f"benchmark of '{self.name}' failed at '{order}': {words[-1] if words else 'no message'}; correct "
+                "this, or choose other methods with --only"
             )
         return json.loads(answer)
 

@@ -20,7 +20,7 @@ def speed_picture(path: Path) -> Figure:
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, ValueError) as error:
-        raise OutputError(f"{path} cannot be read: {error}; name a report that palmfield bench wrote") from None
+        raise OutputError(f"{path} cannot be read: {error}; give a report of palmfield bench") from None
     models = {name[0].upper() + name[1:]: key for key, name in field.MODELS.items()}
     of_skin: list[skin.SkinRow] = []
     of_field: list[table.FieldRow] = []
@@ -31,12 +31,14 @@ def speed_picture(path: Path) -> Figure:
             elif columns == FIELD and heading in models:
                 of_field.append(_field_row(models[heading], cells))
         except ValueError:
-            raise OutputError(f"{path}: the row of '{cells[0]}' has something else than numbers in it") from None
+            raise OutputError(
+                f"{path}: the row of '{cells[0]}' has cells that are not numbers; write the report again"
+            ) from None
     if any(row.worst > 0.0 for row in of_skin):
         return skin.speed_figure([row for row in of_skin if not row.missing])
     if any(not row.missing for row in of_field):
         return chart.speed_figure(of_field, field.MODELS)
-    raise OutputError(f"{path} has no table of palmfield bench skin or field; name a report that one of them wrote")
+    raise OutputError(f"{path} has no table of palmfield bench skin or field; give a report of one of them")
 
 
 def _rows(lines: list[str]) -> Iterator[tuple[str, list[str], list[str]]]:

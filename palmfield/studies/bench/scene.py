@@ -101,7 +101,7 @@ def main(
             out.write_text(report)
         except OSError as failure:
             print(report, end="")  # minutes of measurements must not be lost
-            raise OutputError(f"the report above is not in {out}: {failure.strerror}") from failure
+            raise OutputError(f"the report above could not be written to {out}: {failure.strerror}") from failure
     return report
 
 
@@ -112,7 +112,7 @@ def found(name: str) -> Path:
         if path.is_file():
             return path.resolve()
     known = sorted(path.stem for path in shipped.glob("*.xml") if not path.name.startswith("plain_"))
-    raise PalmfieldError(f"there is no scene {name}; allowed: a file, or one of {', '.join(known)}")
+    raise PalmfieldError(f"scene {name} does not exist; allowed: a file, or one of {', '.join(known)}")
 
 
 def asked(job: Job, cache: Path) -> dict[str, Any]:
@@ -141,30 +141,31 @@ def as_markdown(results: list[tuple[str, dict[str, Any]]], command: str, job: Jo
         f"`{command}`; {processor()}, {os.cpu_count()} cores, load average {load:.1f} before; scenes on "
         f"{device_name(job.device)}; commit {commit}.",
         "",
-        "Wall milliseconds for a simulated one, in plain `mj_step` over whole runs from reset, until "
-        f"{job.steps} steps have sounded; silent ones are left out. Sensors and forces are on, and skins move in every "
-        f"substep. {about(job)} First step: from opening the scene to the end of its first step, with an empty cache "
-        "and with what that left there. Memory: the process's peak. Yardstick: a product of 600 x 600 matrices and a "
-        "walk through 64 MB, beside the runs; compare times only where it is alike.",
+        f"Wall time per simulated time [ms/ms], with plain `mj_step` from reset until {job.steps} steps with "
+        "sound; silent steps are not counted. Sensors and forces are on, and skins are computed in every substep. "
+        f"{about(job)} First step: from opening the scene to the end of the first step, with an empty cache and "
+        "with the cache of that run. Memory: peak of the process. Yardstick: a product of 600 x 600 matrices and "
+        "a pass through 64 MB, during the runs; compare times only at similar yardsticks.",
         "",
         "| scene | stepper | unknowns | modes or vectors | steps | p50 [ms/ms] | p90 | p99 | max | goal p50, p99 "
         "| first step, cold [s] | from the cache [s] | memory [MiB] | yardstick [ms] | 12 GB GPU, predicted [ms/ms] |",
         "|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|",
         *(speed_row(name, answers, job.device) for name, answers in results),
         "",
-        f"The last column is a prediction, not a measurement: sound and skins of one step on a {CARD.name}, from bytes "
-        "and operations (`palmfield.studies.bench.consumer_card`), without what MuJoCo and Python do on the host and "
-        "without shadows; none for whole layers, whose sparse solves depend on one another.",
+        f"The last column is a prediction, not a measurement: sound and skins of one step on a {CARD.name}, from "
+        "bytes and operations (`palmfield.studies.bench.consumer_card`), without the host work of MuJoCo and "
+        "Python and without shadows. There is none for the full wedge model, because its sparse solves are "
+        "sequential.",
         "",
     ]
     if any("reference" in answers for _, answers in results):
         lines += [
             "## Error of these runs",
             "",
-            "Of the very run that is measured, against the whole layer under the same sound: L2 over the skin's "
-            "surface and all times of a run, of the motion along the outward normal, read at the same places. Stated: "
-            "what modes say themselves of leaving out others and of loads outside their class; the meshes differ in "
-            "what they make of the same load as well. Against the same mesh only what the stepper adds is seen.",
+            "Error of the measured run against the full wedge model under the same sound: L2 of the normal motion "
+            "over the skin surface and all times, at the same points. Stated: the estimate of the modes for "
+            "omitted modes and for loads outside their class. Different meshes also discretise the load "
+            "differently; a reference on the same mesh shows only the error of the stepper.",
             "",
             "| scene | stepper | displacement | velocity | stated: displacement | velocity | reference |",
             "|---|---|---|---|---|---|---|",
@@ -172,7 +173,7 @@ def as_markdown(results: list[tuple[str, dict[str, Any]]], command: str, job: Jo
             "",
         ]
     remarks = dict.fromkeys(
-        f"{name} is stepped as a whole layer: {answers['measure']['remark']}."
+        f"{name} uses the full wedge model: {answers['measure']['remark']}."
         for name, answers in results
         if answers["measure"]["remark"]
     )
@@ -182,12 +183,12 @@ def as_markdown(results: list[tuple[str, dict[str, Any]]], command: str, job: Jo
 def about(job: Job) -> str:
     """Describe the runs in a sentence."""
     if not job.drawn:
-        return "Scenes are as they are shipped, their load known before the run."
+        return "Scenes are unchanged, and their loads are predicted before the run."
     return (
-        f"After the model was built, random numbers (seed {job.seed}) moved each focus by up to {1e3 * ASIDE_m:g} mm "
-        f"in x and y, took {LEVELS[0]:g} to {LEVELS[1]:g} of its ARP, {SIZES[0]:g} to {SIZES[1]:g} of its path's size "
-        f"and {SPEEDS[0]:g} to {SPEEDS[1]:g} of its speed, and put the arrays up to {1e3 * ASIDE_m:g} mm off along "
-        f"each axis and {TILT_rad:g} rad about each."
+        f"After the model was built, random numbers (seed {job.seed}) moved each focus by up to {1e3 * ASIDE_m:g} "
+        f"mm in x and y, scaled its ARP by {LEVELS[0]:g} to {LEVELS[1]:g}, the size of its path by {SIZES[0]:g} to "
+        f"{SIZES[1]:g} and its speed by {SPEEDS[0]:g} to {SPEEDS[1]:g}, and moved the arrays by up to "
+        f"{1e3 * ASIDE_m:g} mm along and {TILT_rad:g} rad about each axis."
     )
 
 

@@ -96,7 +96,7 @@ def opened(job: Job) -> tuple[Simulation, str]:
         sim = Simulation(Path(job.scene), device=job.device, keys={f"{SKIN}.solver": job.solver})
         names = [lazy.value.name for lazy in sim.runtime.model.begin]
         known = job.drawn and "reduced" in names
-        remark = "a small model is made for one stimulus" if known else ""
+        remark = "a reduced model is built for one stimulus" if known else ""
     except SceneError as error:
         if job.solver != "modal":
             raise
@@ -129,7 +129,7 @@ def measured(job: Job, sim: Simulation) -> dict[str, Any]:
     count = step_count(sim.duration_s, model.opt.timestep)
     counted = sounding(runtime.model, count)
     if not any(counted):
-        raise SceneError(f"{sim.name} is silent in all of its {count} steps; choose one that sounds")
+        raise SceneError(f"{sim.name} is silent in all of its {count} steps; choose a scene with sound")
     yardstick = Yardstick()
     yardstick.ms()
     yards = [yardstick.ms()]

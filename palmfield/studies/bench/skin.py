@@ -131,7 +131,7 @@ def main(
     names = list(dict.fromkeys(name for name, _ in jobs))
     jobs = [job for job in jobs if only in job[0]]
     if not jobs:
-        raise PalmfieldError(f"--only '{only}' is in no method's name: use part of {', '.join(names)}")
+        raise PalmfieldError(f"--only '{only}' matches no method; use part of {', '.join(names)}")
     rows = []
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as progress, threadpool_limits(1):
@@ -149,7 +149,7 @@ def main(
             draw([row for row in rows if not row.missing], picture)
     except (OSError, OutputError) as error:
         print(report, end="")  # minutes of measurements must not be lost
-        raise OutputError(f"the report above is not in its files: {error}") from error
+        raise OutputError(f"the files of the report above could not be written: {error}") from error
     return report
 
 
@@ -170,14 +170,16 @@ def as_markdown(
         f"{processor()}, one thread; palmfield on {device_name(device)}; commit {commit}. Yardstick: one float64 "
         f"product of 1000 x 1000 matrices took {1e3 * yard_s:.1f} ms.",
         "",
-        f"An endless slab of {CASE.material.name}, {1e3 * CASE.depth_m:g} mm, bonded, under a spot of "
-        f"{1e3 * CASE.fwhm_m:g} mm: the centre's push at rest, and its complex amplitude at {F_Hz:g} Hz, against plane "
-        f"waves in depth. Ours run {END_s:g} s of amplitude modulation from rest, with their own estimate (which takes "
-        "a second solution) and, where it misses, a finer one; answers come from the last "
-        f"{1e3 * LAST_s:g} ms. disc and particles take a disc of {1e3 * RADIUS_M:g} mm radius, the others a piece of "
-        "their own choice. " + (f"{peers.about} " if peers is not None else "") + "Times without compiling.",
+        f"An infinite bonded slab of {CASE.material.name}, {1e3 * CASE.depth_m:g} mm thick, under a spot of "
+        f"{1e3 * CASE.fwhm_m:g} mm: static displacement of the centre and its complex amplitude at {F_Hz:g} Hz, "
+        f"compared with plane waves in depth. The solvers of palmfield run {END_s:g} s of amplitude modulation "
+        "from rest, with their error estimate (a second solution) and, if it exceeds the target, a finer one; "
+        f"values come from the last {1e3 * LAST_s:g} ms. axisymmetric and particles use a disc of "
+        f"{1e3 * RADIUS_M:g} mm radius, the others a domain of their own choice. "
+        + (f"{peers.about} " if peers is not None else "")
+        + "Times without compiling.",
         "",
-        "| method | size | seconds | error at rest | error at 200 Hz | stated |",
+        "| method | size | seconds | static error | error at 200 Hz | stated |",
         "|---|---|---|---|---|---|",
     ]
 
@@ -216,7 +218,7 @@ def speed_figure(rows: list[SkinRow]) -> Figure:
             )  # fmt: skip
         axis.set_xscale("log")
         axis.set_yscale("log")
-        axis.set_xlabel("error of the centre's push [%], the larger of rest and 200 Hz")
+        axis.set_xlabel("error of the centre displacement [%], the larger of static and 200 Hz")
         axis.set_ylabel("seconds")
         axis.legend(fontsize="small")
     return figure

@@ -57,17 +57,17 @@ def doubts(measured: Scan, computed: Scan, motion: SurfaceMotion, numbers: Agree
     gain = float(np.median(np.abs(numbers.gain)))
     if not 1.0 / UNIT < gain < UNIT:
         found.append(
-            f"the gain of {gain:.3g} looks like another unit (mm/s for m/s), displacement for velocity, or another "
-            "level of the sound"
+            f"the gain is {gain:.3g}: check the unit (mm/s or m/s), the quantity (displacement or velocity) and "
+            "the sound level"
         )
     if float(np.median(numbers.gain)) < 0.0:
-        found.append("most points are turned round: the beam's sign, or the trigger, may be another")
+        found.append("most points have the opposite sign: check the sign of the beam and the trigger")
     peak = np.abs(measured.values).max()
     offset, drift = (float(np.median(np.abs(part)) / peak) for part in (numbers.offset, numbers.drift))
     if max(offset, drift) > OFFSET:
         found.append(
-            f"the scan has a constant offset of {100 * offset:.2g} % of its peak, and a drift of {100 * drift:.2g} % "
-            "over the record: both are taken out of gain, delay and shape, and stay in the difference"
+            f"the scan has a constant offset of {100 * offset:.2g} % of its peak and a drift of {100 * drift:.2g} "
+            "% over the record; both are removed for gain, delay and shape, and remain in the difference"
         )
     step = even_step(measured.times_s)
     theirs, ours = detrend(measured.values, axis=0), detrend(computed.values, axis=0)
@@ -76,20 +76,21 @@ def doubts(measured: Scan, computed: Scan, motion: SurfaceMotion, numbers: Agree
     late = float(np.median(wide))
     if beyond.mean() > 0.5 and np.abs(wide - late).max(where=beyond, initial=0.0) < most_delay_s:
         found.append(
-            f"a delay of {1e3 * late:.4g} ms fits better than any within {1e3 * most_delay_s:.3g}: mend trigger_s, or "
-            "give a larger --most-delay"
+            f"a delay of {1e3 * late:.4g} ms fits better than any within {1e3 * most_delay_s:.3g}: correct "
+            "trigger_s, or give a larger --most-delay"
         )
     apart = float(np.linalg.norm(middle(measured) - middle(computed)))
     if len(measured.points) > 3 and apart > max(LEAST_APART_M, 0.5 * pitch(measured.points)):
         found.append(
-            f"the loudest place of the measured motion lies {1e3 * apart:.2g} mm from that of ours: the scan may lie "
-            "elsewhere on the skin, or the sound's focus on the specimen"
+            f"the maximum of the measured motion lies {1e3 * apart:.2g} mm from that of the computed motion: check "
+            "the position of the scan on the skin, and of the focus on the specimen"
         )
     folded = above(motion, 0.5 / step)
     if folded > FOLDED:
         found.append(
-            f"{100 * folded:.2g} % of our motion's power lies above half of the scan's rate, {0.5 / step:.4g} Hz: ours "
-            "has passed a low-pass; what was measured without one has folded back"
+            f"{100 * folded:.2g} % of the power of the computed motion lies above half of the sampling rate of the "
+            f"scan, {0.5 / step:.4g} Hz: the computed motion was low-pass filtered; a measurement without such a "
+            "filter contains aliases"
         )
     return found
 

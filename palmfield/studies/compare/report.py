@@ -96,7 +96,7 @@ class Comparison:
         rms, most = 1e3 * place.rms_m, 1e3 * place.residual_m.max()
         lines = [
             f"scan            {self.measured}: {self.quantity} at {len(self.near)} points"
-            + (f", {left_out} of them left out" if left_out else ""),
+            + (f", {left_out} of them excluded" if left_out else ""),
             f"registration    {rms:.2f} mm rms from skin '{self.skin}', {most:.2f} "
             f"at most; moved by {1e3 * np.linalg.norm(place.transform.position):.2f} mm and "
             f"{np.linalg.norm(numbers['rotation_vector_deg']):.2f} deg",
@@ -106,12 +106,12 @@ class Comparison:
         elif place.undetermined:
             shifts = place.undetermined - place.turns
             lines.append(
-                f"                {place.undetermined} of 6 directions are not told by the skin's shape and stay as "
-                f"the file has them ({shifts} {'shift' if shifts == 1 else 'shifts'}, {place.turns} "
+                f"                {place.undetermined} of 6 directions are not determined by the shape of the skin "
+                f"and keep the values of the file ({shifts} {'shift' if shifts == 1 else 'shifts'}, {place.turns} "
                 f"{'turn' if place.turns == 1 else 'turns'})"
             )
-            lines.append("                an error in these shows in no residual, but in all numbers below: give "
-                         "--fiducials, three pairs or more")  # fmt: skip
+            lines.append("                an error in these is not visible in the residual, but affects all "
+                         "numbers below: give --fiducials, three pairs or more")  # fmt: skip
         for name, unit, factor in (("gain", "", 1.0), ("delay_s", " ms", 1e3), ("l2", "", 1.0), ("l2_shape", "", 1.0),
                                    ("coherence", "", 1.0)):  # fmt: skip
             middle, low, high = (factor * value for value in self.median(name))
@@ -119,7 +119,7 @@ class Comparison:
         count = numbers["ambiguous_delays"]
         if count:
             lines.append(
-                f"                {count} points fit nearly as well with another delay, as periodic motion does"
+                f"                {count} points fit nearly as well with another delay, because the motion is periodic"
             )
         lines.append(f"                medians of the {numbers['points_in_medians']} points that move more than "
                      f"{QUIET:g} of the loudest")  # fmt: skip
@@ -128,10 +128,10 @@ class Comparison:
                 lines.append(f"{f'{self.mode_Hz:g} Hz wave':16}{name} {in_words(mode, self.mode_Hz)}")
         lines += [f"{'doubt':16}{text}" for text in self.doubts]
         if self.bare:
-            lines.append("instrument      none told: ours is seen along the skin's mean normal, or the scan's lines of "
-                         "sight, without filters")  # fmt: skip
+            lines.append("instrument      not given: computed motion along the mean normal of the skin, or along "
+                         "the lines of sight of the scan, without filters")  # fmt: skip
         if self.cut_s > 0.0:
-            lines.append(f"cut off         the last {self.cut_s:.4g} s of the scan, which the run has not simulated")
+            lines.append(f"cut off         the last {self.cut_s:.4g} s of the scan, which the run does not cover")
         return "\n".join(lines)
 
 

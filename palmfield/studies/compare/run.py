@@ -78,15 +78,17 @@ def compare(
         if near.sum() < 2:
             raise MeasurementError(
                 f"{scan.name}: {near.sum()} of {len(near)} points lie within {1e3 * OFF_M:g} mm of the skin, the "
-                f"nearest at {1e3 * place.residual_m.min():.3g} mm; give it in the resting body's frame, or fiducials"
-                + _in_millimetres(scan, data["rest_position"].values)
+                f"nearest at {1e3 * place.residual_m.min():.3g} mm; give the scan in the frame of the body at "
+                "rest, or give fiducials" + _in_millimetres(scan, data["rest_position"].values)
             )
         motion = of_skin(data, place.transform.points(scan.points[near]), OFF_M)
     ours = _through_instrument(motion, scan.at_points(near), place, settings)
     count = len(ours.times_s)
     moves = (np.abs(ours.values).max(axis=0) > 0.0) & (np.abs(scan.values[:count, near]).max(axis=0) > 0.0)
     if moves.sum() < 2:
-        raise MeasurementError(f"{scan.name}: fewer than two points move both in the scan and in the run")
+        raise MeasurementError(
+            f"{scan.name}: fewer than two points move both in the scan and in the run; check the position of the scan"
+        )
     still, ours = int((~moves).sum()), ours.at_points(moves)
     near[near] = moves
     theirs = Scan(scan.quantity, scan.times_s[:count], scan.points[near], scan.values[:count, near], name=scan.name)
@@ -105,22 +107,21 @@ def compare(
     if still:
         one = still == 1
         odd.append(
-            f"{still} point{'' if one else 's'} keep{'s' if one else ''} still, in the scan or where the run holds the "
-            f"skin at its rim: {'it is' if one else 'they are'} left out"
+            f"{still} point{'' if one else 's'} without motion, in the scan or at the fixed rim of the skin: excluded"
         )
     if len(lost):
         odd.append(
-            f"the channel of point{'' if len(lost) == 1 else 's'} {', '.join(map(str, lost))} seems broken: it is over "
-            f"{WILD:g} times louder than all neighbours, and than the scan can be by ours; left out"
+            f"the channel of point{'' if len(lost) == 1 else 's'} {', '.join(map(str, lost))} seems faulty: its "
+            f"signal is over {WILD:g} times that of all neighbours and of the computed motion; excluded"
         )
     moved = float(np.linalg.norm(place.transform.points(scan.points).mean(axis=0) - scan.points.mean(axis=0)))
     if fiducials is None and moved > float(np.linalg.norm(np.ptp(scan.points, axis=0))):
         odd.append(
-            f"the scan was moved by {1e3 * moved:.3g} mm until it lay on the skin, farther than it is wide, and may "
-            "have met another part of it: give --fiducials"
+            f"the scan was moved by {1e3 * moved:.3g} mm, more than its width, to lie on the skin, and may lie on "
+            "another part of it: give --fiducials"
         )
     if near.mean() < 0.5:
-        odd.append("more than half of the points are left out: the scan's place, unit or axes may be wrong")
+        odd.append("more than half of the points are excluded: check position, unit and axes of the scan")
     modes = None
     if mode_Hz is not None:
         source = None if source_m is None else np.asarray(source_m, dtype=float)
@@ -146,10 +147,10 @@ def compare(
 def _skin(result: xr.DataTree, name: str | None) -> tuple[str, xr.Dataset]:
     skins = instances(result, "skin")
     if not skins:
-        raise OutputError("the result has no skin to hold a scan against")
+        raise OutputError("the result has no skin to compare with a scan")
     if name is None:
         if len(skins) > 1:
-            raise MeasurementError(f"the run has skins {', '.join(skins)}; name one by --skin")
+            raise MeasurementError(f"the run has skins {', '.join(skins)}; give one by --skin")
         name = next(iter(skins))
     if name not in skins:
         raise MeasurementError(f"skin '{name}' is not in the run{did_you_mean(name, skins)}; it has {', '.join(skins)}")
@@ -172,7 +173,7 @@ def _in_millimetres(scan: Scan, vertices: Float) -> str:
     sizes = [float(np.linalg.norm(np.ptp(points, axis=0))) for points in (scan.points, vertices)]
     if sizes[0] < HUGE * sizes[1]:
         return ""
-    return f" (it is {sizes[0]:.3g} m large, the skin {sizes[1]:.2g} m: places are in metres)"
+    return f" (its size is {sizes[0]:.3g} m, that of the skin {sizes[1]:.2g} m: positions are in metres)"
 
 
 def _through_instrument(motion: SurfaceMotion, scan: Scan, place: Registration, settings: Vibrometer | None) -> Scan:
@@ -184,8 +185,8 @@ def _through_instrument(motion: SurfaceMotion, scan: Scan, place: Registration, 
     count = min(len(scan.times_s), int(np.floor(room * rate + 1e-6)) + 1)
     if count < 16:
         raise MeasurementError(
-            f"{scan.name}: {max(count, 0)} of its samples lie within the run, which ends at {motion.times_s[-1]:g} s; "
-            "simulate for longer, or mend trigger_s"
+            f"{scan.name}: {max(count, 0)} of its samples lie within the run, which ends at {motion.times_s[-1]:g} "
+            "s; simulate for longer, or correct trigger_s"
         )
     chosen = head.model_copy(
         update={"sampling_rate_Hz": rate, "duration_s": count / rate, "reading": scan.quantity, "trigger_s": trigger}

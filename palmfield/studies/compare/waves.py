@@ -31,8 +31,8 @@ def guided_modes(
     width = float(np.ptp(placed[:, :2], axis=0).max())
     if np.abs(placed[:, 2]).max() > FLAT * width:
         raise MeasurementError(
-            f"the skin leaves a plane by {1e3 * np.abs(placed[:, 2]).max():.3g} mm over {1e3 * width:.3g} mm; a guided "
-            "mode is fitted on flat skin"
+            f"the skin deviates from a plane by {1e3 * np.abs(placed[:, 2]).max():.3g} mm over {1e3 * width:.3g} "
+            "mm; a guided mode can only be fitted on flat skin"
         )
     amplitudes = [line_amplitudes(scan.times_s, scan.values, frequency_Hz) for scan in (measured, computed)]
     source = points[np.abs(amplitudes[1]).argmax()] if source_m is None else np.asarray(source_m, dtype=float)
@@ -47,7 +47,7 @@ def in_words(mode: GuidedMode, frequency_Hz: float) -> str:
     told = [_wave_in_words(mode, frequency_Hz)]
     for other in mode.others:
         share = other.motion / mode.motion
-        told.append(f"beside it {share:.2g} of its motion: {_wave_in_words(other, frequency_Hz)}")
+        told.append(f"other waves {share:.2g} of its motion: {_wave_in_words(other, frequency_Hz)}")
     return "; ".join(told)
 
 

@@ -153,18 +153,20 @@ class Design(_Part):
         varied = self.varied.key
         twice = [key for keys in (self.keys, *(c.keys for c in self.conditions)) for key in keys if key == varied]
         if twice:
-            raise ValueError(f"key '{varied}' is varied and set; allowed: one of both")
+            raise ValueError(f"key '{varied}' is both varied and set; allowed: one of the two")
         kind = self.procedure.get("kind")
         if kind not in KINDS:
             raise ValueError(f"procedure.kind is {kind!r}; allowed: {', '.join(KINDS)}")
         if kind in ONE_LEVEL and self.task.kind != "yes_no":
-            raise ValueError(f"task.kind is 'nafc'; allowed with procedure '{kind}': yes_no, as one level is heard")
+            raise ValueError(
+                f"task.kind is 'nafc'; allowed with procedure '{kind}': yes_no, because each trial has one level"
+            )
         if self.procedure.get("scale", self.varied.scale) != self.varied.scale:
             raise ValueError(
                 f"procedure.scale is '{self.procedure['scale']}' and varied.scale '{self.varied.scale}'; allowed: equal"
             )
         if "seed" in self.procedure:
-            raise ValueError("procedure.seed is given; allowed: seed of the whole experiment")
+            raise ValueError("procedure.seed is not a key; set seed of the whole experiment")
         if self.simulated is not None and (stray := set(self.simulated.thresholds) - set(names)):
             raise ValueError(f"simulated.thresholds names '{min(stray)}'; allowed: {', '.join(names)}")
         self.procedure_of(0, 0)

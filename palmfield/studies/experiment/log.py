@@ -64,10 +64,10 @@ def read_experiment_log(path: Path) -> Log:
         try:
             rows.append(plain(json.loads, line))
         except ValueError:
-            raise OutputError(f"{path}: line {number} is no JSON; give a log that nobody has edited") from None
+            raise OutputError(f"{path}: line {number} is not JSON; give an unedited log") from None
     if not rows or not isinstance(rows[0], dict) or rows[0].get("palmfield_experiment") != VERSION:
         raise OutputError(
-            f"{path} is no log of an experiment of version {VERSION}; give one of `palmfield experiment run`"
+            f"{path} is not an experiment log of version {VERSION}; give a log of `palmfield experiment run`"
         )
     head, design = rows[0], Design.model_validate(rows[0]["design"])
     names = [condition.name for condition in design.conditions]

@@ -29,7 +29,7 @@ class LslMarker:
         try:
             import pylsl
         except (ImportError, RuntimeError) as error:
-            raise OutputError(f"Lab Streaming Layer is not there ({error}): pip install 'palmfield[lsl]'") from None
+            raise OutputError(f"Lab Streaming Layer is not installed ({error}): pip install 'palmfield[lsl]'") from None
         self._clock, self.source_id = pylsl.local_clock, f"palmfield-{name}"
         info = pylsl.StreamInfo(
             "palmfield", "Markers", 1, pylsl.IRREGULAR_RATE, pylsl.cf_string, self.source_id

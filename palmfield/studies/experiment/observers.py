@@ -112,7 +112,7 @@ class SimulatedObserver:
 
     def __init__(self, design: Design) -> None:
         if design.simulated is None:
-            raise OutputError(f"experiment '{design.name}' has no part `simulated`; give threshold and spread of one")
+            raise OutputError(f"experiment '{design.name}' has no table [simulated]; give its thresholds and spread")
         self.design, self.lapse = design, design.simulated.lapse
 
     def detected(self, shown: Shown, interval: int) -> float:
@@ -184,7 +184,7 @@ class FeelingObserver(SimulatedObserver):
         level = float(point["level"][number, which])
         if math.isnan(level):
             why = point["level_why"][number, which] or "duration_s is shorter than two periods of the main frequency"
-            raise OutputError(f"observer '{self.design.skin.observer}' has no level for {dict(keys)}: {why}")
+            raise OutputError(f"observer '{self.design.skin.observer}' has no threshold for {dict(keys)}: {why}")
         return level
 
 

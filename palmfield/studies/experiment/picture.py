@@ -59,7 +59,7 @@ def _runs(axes: Axes, condition: ConditionReport, design: Design) -> None:
             if np.isfinite(estimate):
                 axes.plot(x[[0, -1]], [design.varied.told(estimate)] * 2, "--", color=ORANGE, linewidth=1.2)
         begin += len(run)
-    axes.set_title(f"{condition.name}: filled right, open wrong, squares turns", fontsize=9)
+    axes.set_title(f"{condition.name}: filled: right, open: wrong, squares: reversals", fontsize=9)
     axes.set_xlabel("trial", fontsize=9)
     axes.set_ylabel(_level_name(design), fontsize=9)
     axes.tick_params(labelsize=8)

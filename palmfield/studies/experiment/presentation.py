@@ -67,7 +67,7 @@ def presentation(
     view = preview(scene, board=board, keys=keys)
     model = view.runtime.model
     if model.board.exact:
-        raise DeviceError(f"{view.name} is played by board '{model.board.name}', which takes no bytes; give --board")
+        raise DeviceError(f"{view.name} uses board '{model.board.name}', which takes no bytes; give another by --board")
     driver = model.spec.driver
     if driver.head_m is not None:
         for line in check_head(scene_at_head(view, duration_s), driver):
@@ -110,7 +110,7 @@ class Sender:
         log, player = self._player(what, self.port)
         report = player.play(what.frames, duration_s=what.duration_s, on_sound=heard)
         if report.first_s is None or report.last_s is None:
-            raise DeviceError(f"nothing got through to {self.port} in {what.duration_s:g} s; give a longer duration_s")
+            raise DeviceError(f"no frame reached {self.port} in {what.duration_s:g} s; give a longer duration_s")
         file = f"{log.parent.name}/{log.name}"
         begun_s = report.first_s - player.begin_s
         return Emission(report.first_s, report.last_s, report.frames, report.skipped, file, begun_s)
@@ -126,7 +126,9 @@ class Sender:
         try:
             log.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise OutputError(f"cannot make {log.parent}: {error.strerror}; choose a folder with room") from None
+            raise OutputError(
+                f"cannot create {log.parent}: {error.strerror}; choose a folder with enough space"
+            ) from None
         FrameLog(log, what.head).close()
         self._open = what.board, log, Player(what.board, port, log=log)
         return self._open[1:]

@@ -84,8 +84,8 @@ def report_of(
     log = read_experiment_log(path)
     design = log.design
     if shape == "weibull" and design.varied.scale == "log":
-        raise OutputError("shape 'weibull' is for levels of ratios, which this log's scale 'log' tells in dB; allowed: "
-                          "normal, logistic")  # fmt: skip
+        raise OutputError("shape 'weibull' needs linear levels, but the scale 'log' of this log is in dB; "
+                          "allowed: normal, logistic")  # fmt: skip
     settings = _Settings(shape, lapse, spread, confidence)
     conditions = tuple(
         _condition(design, number, [trial for trial in log.trials if trial.condition == number], settings)
@@ -111,17 +111,22 @@ def _condition(design: Design, number: int, trials: Sequence[Trial], settings: _
     heard = [(level, right) for level, right in told if math.isfinite(level)]
     name = design.conditions[number].name
     if not heard or adjusted:
-        why = "settings are no answers to levels" if adjusted else "no trial yet"
+        why = "settings are not answers to levels" if adjusted else "no trial yet"
         return ConditionReport(name, tuple(runs), tuple(estimates), (), (), (), None, why)
     levels, count, right = counts([level for level, _ in heard], [right for _, right in heard])
     adaptive = design.procedure["kind"] in ("staircase", "limits")
-    found, notes = None, [f"{silent} trials of level 0 are left out"] if silent else []
+    found, notes = None, [f"{silent} trials with level 0 are excluded"] if silent else []
     try:
         found = fit(levels, count, right, guess=design.task.chance, adaptive=adaptive, **settings._asdict())
         if not found.settled:
-            notes.append("the threshold lies outside the levels, or the spread at its bound: too few answers near it")
+            notes.append(
+                "the threshold lies outside the levels, or the spread is at its bound: there are too few "
+                "answers near the threshold"
+            )
         elif settings.spread is None and found.spread < STEEP * float(np.diff(levels).min()):
-            notes.append("the spread is small against the distances of levels, so that it is only known to be small")
+            notes.append(
+                "the spread is small compared with the distance of the levels, so only an upper bound is known"
+            )
     except OutputError as error:
         notes.append(str(error))
     return ConditionReport(
@@ -197,10 +202,12 @@ def as_text(report: Report) -> str:
         f"session{'' if report.log.sessions == 1 else 's'}, {state}",
     ]
     if report.convergence is not None:
-        lines.append(f"staircases converge to {100 * report.convergence:.1f} % right; their estimate is of that level")
+        lines.append(
+            f"staircases converge to {100 * report.convergence:.1f} % right; their estimates are for that level"
+        )
     half = 0.5 * (1.0 + report.design.task.chance)
     unit = f" [{varied.unit}]" if varied.unit else ""
-    lines.append(f"threshold of {varied.key}{unit}: where F = 1/2, {100 * half:.0f} % right but for lapses")
+    lines.append(f"threshold of {varied.key}{unit}: F = 1/2, {100 * half:.0f} % right without lapses")
     width = max(9, *(len(one.name) for one in report.conditions))
     lines.append(f"{'condition':<{width}}  trials  threshold  interval               spread  procedure's estimates")
     for one in report.conditions:
@@ -216,12 +223,12 @@ def as_text(report: Report) -> str:
             lines.append(f"note: {one.name}: {one.why}")
         if one.fit is not None and one.fit.deviance_share < 0.05:
             lines.append(
-                f"note: {one.name}: the function does not fit: only {100 * one.fit.deviance_share:.0f} % of its own "
-                f"samples have a deviance above {one.fit.deviance:.1f}"
+                f"note: {one.name}: poor fit: only {100 * one.fit.deviance_share:.0f} % of samples from the fitted "
+                f"function have a deviance above {one.fit.deviance:.1f}"
             )
     if isinstance(report.design.procedure_of(0, 0), Staircase) and not report.spread_known:
         lines.append(
-            "note: spreads of a staircase's trials come out too small, and intervals of thresholds are made wide: "
-            "give --spread if it is known (docs/experiments.md)"
+            "note: spreads fitted to staircases are biased low, so the threshold intervals are widened: give "
+            "--spread if it is known (docs/experiments.md)"
         )
     return "\n".join(lines)

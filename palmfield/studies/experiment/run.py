@@ -60,7 +60,7 @@ def run_experiment(
     if not scene.is_file():
         raise OutputError(f"{experiment}: scene: {no_scene(scene)}")
     if port is not None and virtual:
-        raise DeviceError(f"a port ({port}) and --virtual are given; allowed: one of them")
+        raise DeviceError(f"port {port} and --virtual exclude each other; give one of them")
     if port is not None:
         check_port(port)
     plays = virtual or port is not None
@@ -75,7 +75,7 @@ def run_experiment(
             _checked(design, experiment, scene, wanted, number)
         played = first.runtime.model.board
         if plays and played.exact:
-            raise DeviceError(f"{scene} is played by board '{played.name}', which takes no bytes; give --board")
+            raise DeviceError(f"{scene} uses board '{played.name}', which takes no bytes; give another by --board")
         if plays and first.runtime.spec.driver.model_fields_set & set(SAFETY_KEYS):
             _allowed(design, experiment, scene, wanted)
         name = played.name if plays else wanted or "none"

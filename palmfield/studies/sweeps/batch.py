@@ -104,7 +104,7 @@ def _run(task: Task, base: Keys, shared: Shared | None, point: Point) -> Numbers
         error.about = tuple(name for name in error.about if name != "world 0")
         return Failed(str(error))
     except MemoryError:
-        return Failed("there is not enough memory; give fewer workers, or a larger --accuracy")
+        return Failed("the memory is not sufficient; give fewer workers, or a larger --accuracy")
     except Exception as error:
         # A failure here must not affect the other points
         return Failed(f"{type(error).__name__}: {' '.join(str(error).split())}")

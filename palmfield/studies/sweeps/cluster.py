@@ -58,7 +58,7 @@ def local_cluster(workers: int, gpus: list[str]) -> Iterator[Any]:
     try:
         cluster = SpecCluster(workers=specs, scheduler=scheduler, silence_logs=logging.CRITICAL)
     except Exception as error:
-        raise PalmfieldError(f"the local workers do not start: {_line(error)}; --workers 0 does without") from error
+        raise PalmfieldError(f"the local workers did not start: {_line(error)}; use --workers 0") from error
     try:
         with Client(cluster, set_as_default=False) as client:
             try:
@@ -69,11 +69,11 @@ def local_cluster(workers: int, gpus: list[str]) -> Iterator[Any]:
                 cause = (
                     f"the machine is busy ({busy:.0f} programs on {cores()} cores)"
                     if busy > cores()
-                    else "no cause is known"
+                    else "the cause is unknown"
                 )
                 raise PalmfieldError(
-                    f"{there} of {workers} local workers started within {WORKERS_S:g} s: {cause}; end other programs, "
-                    "take fewer with --workers, or --workers 0, which needs none"
+                    f"only {there} of {workers} local workers started within {WORKERS_S:g} s: {cause}; close other "
+                    "programs, give fewer by --workers, or --workers 0"
                 ) from None
             yield client
     finally:
@@ -92,7 +92,7 @@ def remote_cluster(address: str) -> Iterator[Any]:
         client = Client(address, timeout=REACH_S, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
         raise PalmfieldError(
-            f"--scheduler {address} can't be reached within {REACH_S:g} s ({_line(error)}); allowed: the address of a "
+            f"--scheduler {address} was not reached within {REACH_S:g} s ({_line(error)}); give the address of a "
             f"running `dask scheduler`, {EXAMPLE}"
         ) from None
     try:
@@ -113,7 +113,7 @@ def slots(client: Any, scene: Path) -> list[Slot]:
         known: dict[str, dict[str, Any]] = client.run(worker_facts, str(scene))
     except Exception as error:
         raise PalmfieldError(
-            f"the workers can't run palmfield: {_line(error)}; install the same palmfield there, with extra [sweep]"
+            f"the workers cannot run palmfield: {_line(error)}; install the same palmfield there, with extra [sweep]"
         ) from None
     for address, facts in known.items():
         if facts["mark"] != own:
@@ -162,7 +162,7 @@ def _wait(client: Any, count: int, what: str, timeout_s: float) -> None:
     try:
         client.wait_for_workers(count, timeout=timeout_s)
     except TimeoutError:
-        raise PalmfieldError(f"{what}: not there within {timeout_s:g} s; allowed: workers that answer") from None
+        raise PalmfieldError(f"{what}: no reply within {timeout_s:g} s; check that the workers run") from None
 
 
 def _line(error: BaseException) -> str:

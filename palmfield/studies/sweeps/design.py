@@ -131,13 +131,13 @@ def _check_drawn(values: Mapping[str, Any], count: int, kind: str) -> None:
     if not values:
         raise SceneError(f"a {kind} design has no key to draw; give at least one with a range, such as a:b")
     if count < 1:
-        raise SceneError(f"a {kind} design of {count} points; allowed: at least 1")
+        raise SceneError(f"a {kind} design has {count} points; allowed: at least 1")
     _check_count(count)
 
 
 def _check_count(count: int) -> None:
     if count > MOST_POINTS:
-        raise SceneError(f"the design has {count} points; allowed: at most {MOST_POINTS}; leave out keys or values")
+        raise SceneError(f"the design has {count} points; allowed: at most {MOST_POINTS}; remove keys or values")
 
 
 def _spread(values: Mapping[str, Range | Sequence[Any]], unit: np.ndarray) -> dict[str, tuple[Value, ...]]:

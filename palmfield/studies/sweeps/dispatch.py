@@ -71,8 +71,8 @@ def computed(
                 results = dict.fromkeys(points, _failure(error))
         else:
             raise PalmfieldError(
-                f"the scheduler is gone, with {len(points)} points or more under way; the same command goes on with "
-                "what is not done yet"
+                f"the connection to the scheduler is lost, with at least {len(points)} points in progress; repeat "
+                "the command to continue"
             )
         future.release()
         # Before the results are written, so that the worker does not wait for that
@@ -96,5 +96,5 @@ def _failure(error: BaseException) -> Failed:
     from distributed import KilledWorker
 
     if isinstance(error, KilledWorker):
-        return Failed("its worker was killed, also when it had nothing else to do: is there enough memory?")
+        return Failed("its worker was killed, also when it ran no other point; check the memory")
     return Failed(f"{type(error).__name__}: {' '.join(str(error).split())}")

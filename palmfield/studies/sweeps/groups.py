@@ -183,6 +183,6 @@ def in_words(groups: Sequence[Group]) -> str:
     count = sum(len(group.points) for group in many)
     layers = "one layer" if len(many) == 1 else f"{len(many)} layers, each"
     return (
-        f"modes for every load step the skins of {count} points, on {layers} made for the strictest of its points: the "
-        "smallest focus, the highest frequency and the longest way"
+        f"{count} points share modes for every load, on {layers} built for the most demanding point: smallest "
+        "focus, highest frequency, longest path"
     )

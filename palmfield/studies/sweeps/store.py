@@ -83,8 +83,8 @@ class SweepStore:
             self._flush([self.design.index(number)[0] for number in results])
         except OSError as error:
             raise OutputError(
-                f"cannot write {self.path}: {_reason(error)}; {self.done} points are safe: free some space and give "
-                "the same command again"
+                f"cannot write {self.path}: {_reason(error)}; {self.done} points are saved: free some space, and "
+                "repeat the command"
             ) from error
 
     @property
@@ -196,7 +196,7 @@ class SweepStore:
             name = differing[0]
             raise OutputError(
                 f"{self.path} holds another sweep: its {name} is {_short(there.get(name))}, not "
-                f"{_short(wanted[name])}; choose another folder, or remove that one"
+                f"{_short(wanted[name])}; choose another folder, or delete this one"
             )
 
     def _open(self) -> None:
@@ -219,7 +219,7 @@ def open_dataset(path: Path) -> xr.Dataset:
         # Zarr does not keep their order
         return dataset[[name for name in variables(True) if name in dataset]]
     except (OSError, KeyError, ValueError) as error:
-        raise OutputError(f"{path} is no sweep's dataset: {_reason(error)}") from error
+        raise OutputError(f"{path} is not a dataset of a sweep: {_reason(error)}") from error
 
 
 def swept_keys(dataset: xr.Dataset) -> list[str]:

@@ -12,12 +12,10 @@ from palmfield.given_files import regular
 from palmfield.studies.sweeps.design import Design, Range, Value, check_range, grid, listed, random, sobol
 
 FORMS = (
-    "KEY=a:b:n (n numbers from a to b), KEY=a:b:n:log (each a fixed factor above the last), KEY=v1,v2,..., KEY=value "
-    "(the same for all points) or KEY= (taken out)"
+    "KEY=a:b:n (n numbers from a to b), KEY=a:b:n:log (logarithmic spacing), KEY=v1,v2,..., KEY=value (the same "
+    "for all points) or KEY= (removed)"
 )
-DRAWN_FORMS = (
-    "KEY=a:b, KEY=a:b:log, KEY=v1,v2,... (one of them), KEY=value (the same for all points) or KEY= (taken out)"
-)
+DRAWN_FORMS = "KEY=a:b, KEY=a:b:log, KEY=v1,v2,... (one of them), KEY=value (the same for all points) or KEY= (removed)"
 
 
 def read_design(
@@ -38,7 +36,7 @@ def read_design(
     """
     kinds = [random_points is not None, sobol_points is not None, table is not None]
     if sum(kinds) > 1:
-        raise SceneError("--random, --sobol and --list each make the points of a sweep; give one of them")
+        raise SceneError("--random, --sobol and --list exclude each other; give one of them")
     drawn = random_points is not None or sobol_points is not None
     swept: dict[str, Range | list[Value]] = {}
     fixed: dict[str, Value | None] = {}
@@ -56,14 +54,17 @@ def read_design(
             fixed[key] = wanted
     if table is not None:
         if swept:
-            raise SceneError(f"--set {next(iter(swept))} has several values, and --list holds the points; give one")
+            raise SceneError(
+                f"--set {next(iter(swept))} has several values, but --list already holds the points; "
+                "give one of the two"
+            )
         return _read_table(table, fixed), fixed
     if random_points is not None:
         return random(swept, random_points, seed), fixed
     if sobol_points is not None:
         return sobol(swept, sobol_points, seed), fixed
     if not swept:
-        raise SceneError(f"nothing is swept; give --set with several values: {FORMS}")
+        raise SceneError(f"the sweep has no values; give --set with several values: {FORMS}")
     return grid({key: wanted for key, wanted in swept.items() if not isinstance(wanted, Range)}), fixed
 
 
@@ -85,12 +86,12 @@ def _values(key: str, text: str, drawn: bool) -> list[Value] | Range | Value:
 def _range(key: str, text: str, parts: list[str], logarithmic: bool, drawn: bool) -> list[Value] | Range:
     forms = DRAWN_FORMS if drawn else FORMS
     if len(parts) != (2 if drawn else 3):
-        raise SceneError(f"--set {key}={text} is no range; write {forms}")
+        raise SceneError(f"--set {key}={text} is not a range; write {forms}")
     try:
         low, high = float(parts[0]), float(parts[1])
         count = 2 if drawn else int(parts[2])
     except ValueError:
-        raise SceneError(f"--set {key}={text} is no range of numbers; write {forms}") from None
+        raise SceneError(f"--set {key}={text} is not a range of numbers; write {forms}") from None
     if count < 1:
         raise SceneError(f"--set {key}={text} is empty: it has {count} values; allowed: at least 1")
     if count == 1 and low == high:
@@ -119,7 +120,7 @@ def _read_table(path: Path, fixed: dict[str, Value | None]) -> Design:
         with regular(path).open(newline="", encoding="utf-8-sig") as file:
             rows = [row for row in csv.reader(file, skipinitialspace=True) if any(cell.strip() for cell in row)]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise SceneError(f"--list {path} can't be read: {getattr(error, 'strerror', None) or error}") from None
+        raise SceneError(f"--list {path} cannot be read: {getattr(error, 'strerror', None) or error}") from None
     if len(rows) < 2:
         raise SceneError(f"--list {path} has {len(rows)} lines; allowed: a line of keys, then a line for each point")
     head = [cell.strip() for cell in rows[0]]

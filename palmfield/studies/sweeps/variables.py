@@ -11,10 +11,10 @@ _MOST = "at the vertex that moves most"
 
 VARIABLES: dict[str, Variable] = {
     "peak_displacement": Variable(
-        ("skin",), "float64", "m", "largest size of the normal displacement, of all vertices and substeps"
+        ("skin",), "float64", "m", "largest magnitude of the normal displacement, over all vertices and substeps"
     ),
     "peak_velocity": Variable(
-        ("skin",), "float64", "m s-1", "largest size of the normal velocity, of all vertices and substeps"
+        ("skin",), "float64", "m s-1", "largest magnitude of the normal velocity, over all vertices and substeps"
     ),
     "rms_displacement": Variable(
         ("skin",), "float64", "m", f"root mean square of the normal displacement over the run, {_MOST}"
@@ -34,8 +34,8 @@ VARIABLES: dict[str, Variable] = {
         f"root mean square of the normal velocity over the last period of main_frequency, {_MOST}",
     ),
     "peak_arp": Variable(
-        ("skin",), "float64", "Pa", "largest acoustic radiation pressure (ARP), of all vertices and substeps",
-        sign="positive pushes into the surface",
+        ("skin",), "float64", "Pa", "largest acoustic radiation pressure (ARP), over all vertices and substeps",
+        sign="positive values push into the surface",
     ),
     "loudest_position": Variable(
         ("skin", "xyz"), "float64", "m", "vertex whose normal displacement is largest", "body frame at rest",
@@ -48,47 +48,47 @@ VARIABLES: dict[str, Variable] = {
         sign=_NORMAL,
     ),
     "peak_force": Variable(
-        ("skin",), "float64", "N", "largest size of the sound's force on the skin's body, mean over a step"
+        ("skin",), "float64", "N", "largest magnitude of the acoustic force on the body of the skin, mean over a step"
     ),
     "mean_force": Variable(
-        ("skin", "xyz"), "float64", "N", "force of the sound on the skin's body, mean over the run", "world",
+        ("skin", "xyz"), "float64", "N", "acoustic force on the body of the skin, mean over the run", "world",
         "acts on the body",
     ),
     "drive_level": Variable(
-        ("stimulus",), "float64", "1", "largest amplitude of the stimulus's transducers when the skin is loudest, 1 is "
-        "full drive",
+        ("stimulus",), "float64", "1",
+        "largest amplitude of the transducers of the stimulus at the highest ARP, 1 is full drive",
     ),
     "main_frequency": Variable(
-        ("skin",), "float64", "Hz", "frequency in which most of the skin's response lies; none for a load that does "
-        "not repeat",
+        ("skin",), "float64", "Hz",
+        "frequency of the strongest response of the skin; none for a load that does not repeat",
     ),
     "level": Variable(
         ("skin", "observer"), "float64", "dB",
-        f"level above the observer's threshold of the line at main_frequency (dB SL), {_MOST}; of hasegawa_2018 that "
-        "of the force",
+        f"level of the line at main_frequency above the threshold of the observer (dB SL), {_MOST}; for "
+        "hasegawa_2018 that of the force",
     ),
     "level_all_lines": Variable(
         ("skin", "observer"), "float64", "dB",
-        f"level above the observer's threshold of all main lines together (dB SL), {_MOST}",
+        f"level of all main lines together above the threshold of the observer (dB SL), {_MOST}",
     ),
     "level_with_area": Variable(
         ("skin", "observer"), "float64", "dB",
-        "level_all_lines, with thresholds for the area that moves by half of the most or more",
+        "level_all_lines, with thresholds for the area that moves by half of the maximum or more",
     ),
-    "level_why": Variable(("skin", "observer"), "str", "", "why the observer applies or is refused"),
+    "level_why": Variable(("skin", "observer"), "str", "", "reason why the observer applies or is refused"),
 }  # fmt: skip
 """Of every sweep. NaN where a point has failed, is not there yet, or has no such number."""
 ERRORS: dict[str, Variable] = {
     "displacement_error": Variable(
         ("skin",), "float64", "1", "estimated relative error of the displacement: mesh, step, reduction, cut edges"
     ),
-    "displacement_error_missing": Variable(("skin",), "str", "", "why there is no estimate"),
+    "displacement_error_missing": Variable(("skin",), "str", "", "reason for a missing estimate"),
 }
 """Variables of a sweep with estimates of errors."""
 RECORDS: dict[str, Variable] = {
     "substep": Variable((), "float64", "s", "substep of the skins; normal_displacement is resampled where it differs"),
-    "wall_time": Variable((), "float64", "s", "time that the point took"),
-    "failure": Variable((), "str", "", "why a point has failed"),
+    "wall_time": Variable((), "float64", "s", "wall time of the point"),
+    "failure": Variable((), "str", "", "cause of a failed point"),
     "status": Variable((), "int8", "1", "0 not computed yet, 1 done, 2 failed"),
 }
 """About the computing."""

@@ -142,7 +142,7 @@ def sweep(
     store = SweepStore(out, design, view.labels, _attributes(view, design, known, accuracy, errors, stepped), errors)
     missing = [int(number) for number in np.flatnonzero(store.status.ravel() != DONE)]
     if len(missing) < design.count:
-        LOG.info("going on: %d points are there", design.count - len(missing))
+        LOG.info("continuing: %d points are done", design.count - len(missing))
     # A worker sees one GPU, always as number 0
     where = "cuda:0" if gpus else device
     task = Task(path, where, accuracy, view.duration_s, view.times, errors)
@@ -174,7 +174,7 @@ def _check_arguments(scene: str | Path, workers: int | None, scheduler: str | No
     if missing:
         raise PalmfieldError(f"sweeps need {', '.join(missing)}; install the extra: pip install 'palmfield[sweep]'")
     if not isinstance(scene, str | Path):
-        raise SceneError(f"scene is {scene!r}; allowed: the path of a file, which workers read")
+        raise SceneError(f"scene is {scene!r}; allowed: the path of a file, which the workers read")
     if workers is not None and scheduler is not None:
         raise PalmfieldError("--workers starts workers here and --scheduler uses others; give one of them")
     if workers is not None and workers < 0:
@@ -224,7 +224,7 @@ def _confirm(what: str, yes: bool, ask: Ask | None) -> None:
     """Raises OutputError if a very large sweep is not confirmed."""
     if yes or (ask is not None and ask(f"{what}. Go on?")):
         return
-    raise OutputError(f"{what}: not gone on with; give --yes (yes=True), or fewer points")
+    raise OutputError(f"{what}: not confirmed; give --yes (yes=True), or fewer points")
 
 
 def _attributes(
@@ -235,7 +235,7 @@ def _attributes(
         "title": "palmfield: a sweep over keys of a scene",
         "scene": view.name,
         "keys": json.dumps(keys.fixed, sort_keys=True),
-        "solver": stepped or "each point has the layer and the solver of a run by itself",
+        "solver": stepped or "each point uses the layer and the solver of a separate run",
         "conventions": json.dumps(CONVENTIONS),
         "versions": json.dumps({name: version(name) for name in packages} | {"python": platform.python_version()}),
         # Settings that must be the same for a sweep to continue

@@ -46,10 +46,7 @@ class Tracker:
             if not 0.0 <= value <= most:
                 raise SceneError(f"tracker {name} has value {value:g}; allowed: 0 to {most:g}")
         if self.rate_Hz == 0.0 and self.ahead_s != 0.0:
-            raise SceneError(
-                "tracker rate has value 0, a sample whenever it is asked, from which nothing can be predicted; allowed "
-                "with it: ahead 0"
-            )
+            raise SceneError("tracker rate 0 gives no history to predict from; use ahead 0, or a rate above 0")
 
 
 class Believed(NamedTuple):

@@ -58,13 +58,13 @@ class Latency:
     def __str__(self) -> str:
         low, high = (1e3 * value for value in TRACKERS_OWN_S)
         lines = [
-            f"from a sample's sending to its sound on a virtual {self.board}, {self.frames} frames in "
-            f"{self.seconds:g} s, {100 * LINE_SHARE:.0f} % of what the line takes ({self.dropped} dropped), "
-            f"{self.samples} samples at {self.rate_Hz:g} a second by {self.by}:",
-            f"median {self.p50_ms:.1f} ms, 95 % {self.p95_ms:.1f} ms, largest {self.largest_ms:.1f} ms; of these "
+            f"delay from sending a sample to its sound on a virtual {self.board}: {self.frames} frames in "
+            f"{self.seconds:g} s, {100 * LINE_SHARE:.0f} % of the capacity of the line ({self.dropped} dropped), "
+            f"{self.samples} samples at {self.rate_Hz:g} per second by {self.by}:",
+            f"median {self.p50_ms:.1f} ms, 95 % {self.p95_ms:.1f} ms, largest {self.largest_ms:.1f} ms, of which "
             f"{self.line_ms:.1f} ms are a frame on the line",
-            f"with a tracker's own {low:g} to {high:g} ms {self.p95_ms + low:.0f} to {self.p95_ms + high:.0f} ms at "
-            f"95 %; a lag of {1e3 * ALLOWED_S:g} ms is noticed",
+            f"with a tracker latency of {low:g} to {high:g} ms: {self.p95_ms + low:.0f} to "
+            f"{self.p95_ms + high:.0f} ms at 95 %; a lag of {1e3 * ALLOWED_S:g} ms is noticeable",
         ]
         return "\n".join([*lines, *self.notes])
 
@@ -93,9 +93,7 @@ def measure_latency(
         at_line_rate = {"stimulus.control_rate_Hz": LINE_SHARE * played_by.max_frame_rate_Hz}
         view = preview(scene, device="cpu", board=board, keys={**(keys or {}), **at_line_rate})
     else:
-        raise DeviceError(
-            f"{view.name} is played by board '{played_by.name}', which has no line; give another by --board"
-        )
+        raise DeviceError(f"{view.name} uses board '{played_by.name}', which has no line; give another by --board")
     with TemporaryDirectory() as folder:
         file = Path(folder) / "hand.npz"
         write_stream(file, scene_stream(view, rate_Hz, seconds + 2.0 * LEAD_S))
@@ -119,7 +117,7 @@ def measure_latency(
                 process.wait()
     late = latencies(played, played_by)
     if not len(late):
-        raise DeviceError("no frame of a sample was emitted; let nothing else use this machine")
+        raise DeviceError("no frame of a sample was emitted; close other programs on this machine")
     return Latency(
         board=played_by.name,
         seconds=seconds,

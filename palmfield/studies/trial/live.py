@@ -161,13 +161,15 @@ def play_live(
         notes = [
             f"tracker: {listener.report()}",
             *(f"tracker: {text}" for text in listener.told),
-            f"tracker: a sample took {np.median(fitted):.1f} ms to fit the hand to ({fitted.max():.1f} at most)",
+            f"tracker: fitting the hand to a sample took {np.median(fitted):.1f} ms (maximum {fitted.max():.1f})",
         ]
         if silenced:
-            notes.append(f"tracker: {silenced} frames were silent, as the hand was not seen for {1e3 * STALE_S:g} ms")
+            notes.append(
+                f"tracker: {silenced} frames were silent, because the hand was not tracked for {1e3 * STALE_S:g} ms"
+            )
         if unreachable:
             notes.append(
-                f"tracker: {len(unreachable)} frames were silent, as no focus can be made there: {unreachable[0]}"
+                f"tracker: {len(unreachable)} frames were silent, because no focus is possible there: {unreachable[0]}"
             )
         stream = listener.stream()
     return LivePlayed(sent, scene.motion, stream, start_s, notes, times)

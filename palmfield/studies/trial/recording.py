@@ -73,8 +73,8 @@ class Compared:
         return (
             f"recording       {self.name}: {self.quantity}, shifted by {1e3 * self.shift_s:+.2f} ms, "
             f"{self.overlap_s:.3g} s in common\n"
-            f"                correlation {self.correlation:.3f}, rms difference {100 * self.rms:.1f} % of what is "
-            f"computed; {self.ratio:.3f} of it in amplitude ({low:.2g} to {high:.2g} by what is known of p0)"
+            f"                correlation {self.correlation:.3f}, rms difference {100 * self.rms:.1f} % of the "
+            f"computed signal; amplitude ratio {self.ratio:.3f} ({low:.2g} to {high:.2g} within the range of p0)"
         )
 
 
@@ -110,15 +110,19 @@ def read_recording(path: str | Path) -> Recording:
             f"recording {file}: unit of {quantity} is '{head['unit']}'; allowed: {', '.join(UNITS[quantity])}"
         )
     if begin == len(lines) or [cell.strip() for cell in lines[begin].split(",")] != ["t", "value"]:
-        raise SceneError(f"recording {file}: line {begin + 1} is no line of names; give 't,value' after the head")
+        raise SceneError(
+            f"recording {file}: line {begin + 1} does not hold column names; give 't,value' after the head"
+        )
     rows = [_row(file, number, line) for number, line in enumerate(lines[begin + 1 :], begin + 2) if line.strip()]
     table = np.array(rows).reshape(-1, 2)
     if len(table) < FEWEST:
-        raise SceneError(f"recording {file} has {len(table)} rows; give {FEWEST} or more")
+        raise SceneError(f"recording {file} has {len(table)} rows; needed: {FEWEST} or more")
     late = np.flatnonzero(np.diff(table[:, 0]) <= 0.0)
     if len(late):
         n = int(late[0])
-        raise SceneError(f"recording {file}: t = {table[n + 1, 0]:g} s comes after {table[n, 0]:g} s; let t rise")
+        raise SceneError(
+            f"recording {file}: t = {table[n + 1, 0]:g} s comes after {table[n, 0]:g} s; allowed: rising times"
+        )
     scale = UNITS[quantity][head["unit"]]
     return Recording(quantity, table[:, 0], scale * table[:, 1], _place(file, head["place_m"]), file.name)
 
@@ -156,7 +160,7 @@ def compare(
         power = 0.5
     else:
         if skin is None:
-            raise SceneError(f"recording of {recording.quantity} needs the skin's motion: leave out --no-skin")
+            raise SceneError(f"recording of {recording.quantity} needs the motion of the skin: remove --no-skin")
         times, values = skin.times, skin.motion[-1][0 if recording.quantity == "displacement" else 1]
         power = 1.0
     shift, overlap, rms, correlation, ratio = aligned(recording.times, recording.values, times, values)
@@ -206,9 +210,7 @@ def aligned(
         if size > 0.0 and (best is None or a @ b / size > best[1]):
             best = float(shift), float(a @ b / size)
     if best is None:
-        raise SceneError(
-            "the recording can't be aligned: it has less than half of its time in common, or never changes"
-        )
+        raise SceneError("the recording cannot be aligned: it overlaps the trial by less than half, or is constant")
     shift, correlation = best
     inside = (grid + shift >= times[0]) & (grid + shift <= times[-1])
     theirs, own = np.interp(grid[inside] + shift, times, values), ours[inside]

@@ -121,7 +121,7 @@ def numbers_of(
     return Numbers(
         scene=scene,
         board=board.name,
-        port="its twin, without waiting" if port is None else port,
+        port="its virtual twin, without waiting" if port is None else port,
         stimulus=sound.model.stimuli[sound.number].spec.name,
         duration_s=duration_s,
         ended_s=sent.end_s,
@@ -194,30 +194,30 @@ def as_text(numbers: Numbers, compared: Compared | None) -> str:
         f"trial of {n.scene}: {n.duration_s:g} s of stimulus '{n.stimulus}' on board {n.board} "
         f"({'paced in real time' if n.port == VIRTUAL else n.port}){cut}",
         f"tracker         {_tracker(n)}",
-        f"frames          {n.frames_due} due, {n.frames_sent} sent, {n.frames_dropped} dropped; the worst "
-        f"{n.late_ms:.1f} ms late",
-        f"age of sample   {_of(n.age_ms)} ms when it is felt",
+        f"frames          {n.frames_due} due, {n.frames_sent} sent, {n.frames_dropped} dropped; largest delay "
+        f"{n.late_ms:.1f} ms",
+        f"age of sample   {_of(n.age_ms)} ms when it acts on the skin",
         f"focus error     lateral {_of(n.lateral_mm)} mm, depth {_of(n.depth_mm)} mm",
     ]
     if n.without_focus > 0.0:
-        lines.append(f"                no focus in {100.0 * n.without_focus:.1f} % of the time")
+        lines.append(f"                no focus for {100.0 * n.without_focus:.1f} % of the time")
     lines += [
         f"pressure kept   {_kept(n.kept)} of {n.wanted_Pa:.0f} Pa at the hand",
         f"  by latency    {_kept(n.kept_late)}",
-        f"  by the board  {_kept(n.kept_rounded)}: what it rounds, and what it makes of a focus by itself",
+        f"  by the board  {_kept(n.kept_rounded)}: its rounding, and its own focus computation",
     ]
     if n.kept_calibration is None:
-        lines.append("  by calibration  not known: transducers are taken for what the scene says of them (--truth)")
+        lines.append("  by calibration  unknown: transducers are assumed as in the scene (--truth)")
     else:
         lines.append(f"  by calibration {_kept(n.kept_calibration)}")
     if n.push_um is not None and n.push_ideal_um:
         lines.append(
-            f"skin            moved by {n.push_um:.3g} um (rms) where the focus should be, "
-            f"{n.push_um / n.push_ideal_um:.3f} of what it would be without these losses"
+            f"skin            displacement {n.push_um:.3g} um (rms) at the intended focus, "
+            f"{n.push_um / n.push_ideal_um:.3f} of that without these losses"
         )
     lines += [f"board noticed   {flag}" for flag in n.flags[:5]]
     if len(n.flags) > 5:
-        lines.append(f"                and {len(n.flags) - 5} more like these")
+        lines.append(f"                and {len(n.flags) - 5} more of this kind")
     lines += n.notes
     if compared is not None:
         lines += str(compared).split("\n")
@@ -225,10 +225,10 @@ def as_text(numbers: Numbers, compared: Compared | None) -> str:
 
 
 def _tracker(n: Numbers) -> str:
-    rate = "a sample whenever it is asked" if n.tracker_rate_Hz == 0.0 else f"{n.tracker_rate_Hz:g} samples/s"
+    rate = "one sample per frame" if n.tracker_rate_Hz == 0.0 else f"{n.tracker_rate_Hz:g} samples/s"
     ahead = "predicted to the middle of each frame"
     if n.ahead_ms is not None:
-        ahead = "taken as they are" if n.ahead_ms == 0.0 else f"predicted {n.ahead_ms:g} ms ahead"
+        ahead = "without prediction" if n.ahead_ms == 0.0 else f"predicted {n.ahead_ms:g} ms ahead"
     noise = f", noise {n.tracker_noise_mm:g} mm" if n.tracker_noise_mm else ""
     return f"{rate}, {n.tracker_latency_ms:g} ms late{noise}, {ahead}"
 

@@ -109,8 +109,7 @@ def trial(
     played = view.runtime.model.board
     if played.exact and (port is not None or live is not None):
         raise DeviceError(
-            f"{view.name} is played by board '{played.name}', which takes no bytes, so that it has no port; give "
-            "another by --board"
+            f"{view.name} uses board '{played.name}', which takes no bytes and has no port; give another by --board"
         )
     duration = view.duration_s if duration_s is None else duration_s
     driver = view.runtime.spec.driver
@@ -130,7 +129,7 @@ def trial(
         moments = _course(sent, _moments(done.sound.course, duration), done.times, heard, done.sound, told)
         motion = ideal_motion = None
         if skin and moments and not sent.interrupted:
-            told("stepping the skin under what was emitted", None)
+            told("computing the skin under the emitted sound", None)
             motion, ideal_motion = _skins(scene, board, given, done, moments, real, recording)
     numbers = numbers_of(
         view.name, played, done.sound, sent, moments, watched, duration, motion, ideal_motion, port, real,
@@ -201,14 +200,14 @@ def _followed(
     played = play_live(
         view, live, tracker, duration_s, number, port=port, log=log, on_progress=lambda at: told(None, at)
     )
-    told("stepping the scene as the tracker saw it", None)
+    told("computing the scene with the tracked motion", None)
     write_stream(folder / "tracked.npz", played.stream)
     own = live.keys(played.motion, folder / "tracked.npz", played.start_s)
     seen = preview(scene, device="cpu", board=board, keys={**keys, **own})
     course = SceneCourse(seen, duration_s, as_far_as_it_goes=True)
     notes = list(played.notes)
     if course.refused:
-        notes.append(f"the sound at the hand is told up to {course.end_s:.3f} s: {course.refused}")
+        notes.append(f"the sound at the hand is computed up to {course.end_s:.3f} s: {course.refused}")
         played.sent.end_s = min(played.sent.end_s, course.end_s)
     sound = TrueSound(course, number, truth, flight=flight, share=_share(course.model, duration_s))
     return _Done(sound, played.sent, played.times, notes, own)
@@ -319,7 +318,7 @@ def _folder(out: Path, overwrite: bool) -> Path:
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise OutputError(f"cannot make {out}: {error.strerror}; choose a folder that can be written to") from None
+        raise OutputError(f"cannot create {out}: {error.strerror}; choose a writable folder") from None
     return out
 
 

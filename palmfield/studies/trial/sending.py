@@ -273,11 +273,11 @@ def _play_on_port(
         sent.add(SentFrame(number, times_s[number], made_s, begun_s, frame), takes_s)
     sent.end_s = sent.end_s if sent.interrupted else max(sent.end_s, ended_s)
     late = len(given) - len(sent.frames)
-    sent.notes.append(f"sent by a player at {player.priority}; {late} frames that were made came too late for the line")
+    sent.notes.append(f"sent by a player at {player.priority}; {late} computed frames were too late for the line")
     if player.log_error:
         sent.notes.append(f"the log ends early: {player.log_error}")
     if player.silent:
-        sent.notes.append(f"the player fell silent: {player.silent}")
+        sent.notes.append(f"the player was silenced: {player.silent}")
     return sent
 
 
@@ -315,7 +315,7 @@ def _make_and_give(
             rested_s = done_s + REST * (done_s - now)
         time.sleep(max(0.0, sent.zero_s + max(duration_s, first_s + takes_s) - time.monotonic()))
         sent.interrupted, sent.end_s = False, duration_s
-    sent.notes.append(f"frames made at {priority}: {making}")
+    sent.notes.append(f"frames computed at {priority}: {making}")
     return sent
 
 
@@ -335,7 +335,7 @@ class _Making:
 
     def __str__(self) -> str:
         median, most = float(np.median(self._seconds or [0.0])), max(self._seconds, default=0.0)
-        return f"one took {1e3 * median:.2g} ms ({1e3 * most:.2g} at most)"
+        return f"{1e3 * median:.2g} ms each (maximum {1e3 * most:.2g})"
 
 
 def _practised(make: Make, times_s: Sequence[float]) -> _Making:

@@ -68,7 +68,7 @@ def only_for_gate(secret: str, head: str) -> Iterator[None]:
     finally:
         library.serve = plain  # type: ignore[misc]
     if not guarded:
-        raise OutputError("this version of viser can't be closed to other programs; install viser 1.1")
+        raise OutputError("this version of viser cannot be protected from other programs; install viser 1.1")
 
 
 def is_loopback(host: str) -> bool:
@@ -135,7 +135,7 @@ def check(head: Head, token: str, cookie: str) -> None:
     if not token:
         if not is_loopback(urlsplit(f"//{host}").hostname or ""):
             # A foreign name that resolves to this machine
-            raise Refused(http.HTTPStatus.FORBIDDEN, f"this page is at {' or '.join(LOCAL)}, not at '{host}'")
+            raise Refused(http.HTTPStatus.FORBIDDEN, f"this page is served at {' or '.join(LOCAL)}, not at '{host}'")
         return
     target = urlsplit(head.target)
     given = parse_qs(target.query).get("token", [])
@@ -174,7 +174,7 @@ class Gate:
                         f"cannot listen at {host}, port {number}; give another --host or --port"
                     ) from None
         ports = f"port {tried[0]} is" if len(tried) == 1 else f"ports {tried[0]} to {tried[-1]} are"
-        raise OutputError(f"{ports} taken at {host}; give another --port")
+        raise OutputError(f"{ports} in use at {host}; give another --port")
 
     async def _listen(self, host: str, port: int) -> None:
         server = await asyncio.start_server(self._meet, host, port, limit=HEAD_BYTES)
@@ -186,7 +186,7 @@ class Gate:
                 raw = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), HEAD_S)
                 check(Head(raw[:-4]), self._token, f"palmfield_{self.port}")
             except ValueError:
-                writer.write(Refused(http.HTTPStatus.BAD_REQUEST, "this is no request of HTTP/1.1").answer)
+                writer.write(Refused(http.HTTPStatus.BAD_REQUEST, "this is not an HTTP/1.1 request").answer)
                 await writer.drain()
             except Refused as refused:
                 writer.write(refused.answer)

@@ -14,7 +14,7 @@ from palmfield.types import Float
 
 AXES = "xyz"
 ASIDE_mm, TURN_deg = 60.0, 60.0
-NO_HAND = "no palmfield.motion moves a hand in this scene"
+NO_HAND = "this scene has no palmfield.motion that moves a hand"
 
 
 @dataclass(frozen=True)

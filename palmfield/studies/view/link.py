@@ -47,10 +47,12 @@ class Link:
     def _first_word(self) -> str:
         try:
             if not self._talk.poll(STARTS_WITHIN_S):
-                raise OutputError(f"the page said nothing for {STARTS_WITHIN_S:g} s; is the machine overloaded?")
+                raise OutputError(
+                    f"the page did not respond for {STARTS_WITHIN_S:g} s; check whether the machine is overloaded"
+                )
             ready = self._talk.recv()
         except (EOFError, ConnectionError):
-            raise OutputError("the page's process has ended before it began; its own words are above") from None
+            raise OutputError("the page process ended during its start; its output is above") from None
         assert isinstance(ready, Ready)
         if ready.failed:
             raise OutputError(ready.failed)

@@ -60,7 +60,7 @@ SHOWN = (*REPLAYS, *STILL, *NOWS)
 PACES = {
     "real time": 1.0, "1/10 of real time": 0.1, "1/100 of real time": 0.01, "as fast as it goes": math.inf,
 }  # fmt: skip
-NOW_WORDS = "the state at each picture (what is faster than the pictures is seen at a slower pace only)"
+NOW_WORDS = "the state at each picture (motion faster than the picture rate is visible only at a slower pace)"
 TURNS_IN_s = 2.0
 """Approximate duration of a slowed-down stretch."""
 DISC_SIDES = 12
@@ -282,7 +282,9 @@ class Page:
         self._on_press(self._record, self._record_pressed)
         with gui.add_folder("What is seen"):
             self._shown = gui.add_dropdown("on the skin", SHOWN, initial_value=SHOWN[0])
-            self._magnify = gui.add_slider("magnify", -2.0, 2.0, 0.1, 0.0, hint="powers of ten beside its own factor")
+            self._magnify = gui.add_slider(
+                "magnify", -2.0, 2.0, 0.1, 0.0, hint="powers of ten relative to the current factor"
+            )
             self._pace = gui.add_dropdown("at most", tuple(PACES), initial_value="real time")
             self._legend = gui.add_html("")
             gui.add_html(phase_legend())
@@ -290,7 +292,7 @@ class Page:
             self._meter = gui.add_html("")
         self._pace.on_update(lambda event: self._say(Pace(PACES[self._pace.value])) if event.client else None)
         with gui.add_folder("Any key", expand_by_default=False):
-            text = gui.add_text("INSTANCE.key=VALUE", "", hint="several with ; between them")
+            text = gui.add_text("INSTANCE.key=VALUE", "", hint="separate several by ;")
             self._on_press(gui.add_button("Set it"), lambda: self._say(SetKey(text.value)))
         self._add_sliders(scene)
 

@@ -118,7 +118,7 @@ def _levels(
         times, normal, arp_peaks, begun_s=recorder.begun_s,
     )  # fmt: skip
     period = period_s(sim)
-    nothing = "the sound doesn't repeat itself" if period is None else f"it takes {PERIODS} periods of {period:.3g} s"
+    nothing = "the sound does not repeat" if period is None else f"it takes {PERIODS} periods of {period:.3g} s"
     levels = []
     for name in (FORCE_OBSERVER.name, *OBSERVERS):
         level, lines = shown_level(told, name)

@@ -159,10 +159,12 @@ class ShownScene:
         for part in NEXT_KEY.split(text):
             name, equals, value = part.partition("=")
             if not equals or not name.strip():
-                raise SceneError(f"'{part}' sets no key; write INSTANCE.key=VALUE, for example stimulus.ramp_s=0.05")
+                raise SceneError(
+                    f"'{part}' is not a setting; write INSTANCE.key=VALUE, for example stimulus.ramp_s=0.05"
+                )
             if name.strip().rpartition(".")[2] in NOT_FROM_A_PAGE:
                 raise SceneError(
-                    f"key '{name.strip()}' names code or files of this machine, which a page can't choose; end the "
+                    f"key '{name.strip()}' names code or files of this machine, which the page cannot set; end the "
                     "view, and give it to `palmfield view` with --set"
                 )
             given[name.strip()] = value.strip()
@@ -193,8 +195,8 @@ class ShownScene:
             return False
         except Exception as error:
             # A fault of palmfield must not end the view: the scene is unchanged, and keys can be set back
-            LOG.exception("the live view has a fault")
-            self.send(Told("error", f"a fault of palmfield's, not yours: {type(error).__name__}: {error}"))
+            LOG.exception("internal error of the live view")
+            self.send(Told("error", f"internal error of palmfield: {type(error).__name__}: {error}"))
             return False
         return True
 
@@ -231,7 +233,7 @@ class ShownScene:
         self._unwatched += 1
         if self._recording is not None:
             if not self._guarded(self._recording.step):
-                self.stop_recording("it could not be written any further")
+                self.stop_recording("writing failed")
         elif self._periods is not None and not self._guarded(self._watch):
             # A failed report must not stop the scene
             self._stop_watching()
@@ -322,9 +324,9 @@ class ShownScene:
                 self.keys |= texts
                 self._texts = own
                 self._watch_soon()
-                self.send(Told("info", f"{told}: goes on as it was"))
+                self.send(Told("info", f"{told}: the scene is unchanged"))
                 return
-        self.send(Told("busy", f"rebuilding with {told}; what you see is still the scene before"))
+        self.send(Told("busy", f"rebuilding with {told}; the page still shows the previous scene"))
         started = time.monotonic()
         keys = self.keys | {name: value or None for name, value in texts.items()}
         new = self.wanted.open(keys)
@@ -392,9 +394,9 @@ def view(
     need_viser()
     path = Path(scene)
     if rate_Hz is not None and not 1.0 <= rate_Hz <= 60.0:
-        raise SceneError(f"--rate has value {rate_Hz:g}; allowed: 1 to 60 pictures a second")
+        raise SceneError(f"--rate has value {rate_Hz:g}; allowed: 1 to 60 pictures per second")
     if not pace > 0.0:
-        raise SceneError(f"--pace has value {pace:g}; allowed: above 0, inf for as fast as it goes")
+        raise SceneError(f"--pace has value {pace:g}; allowed: above 0, inf for the highest speed")
     given = dict(keys or {})
     if modes:
         given.setdefault("palmfield.skin.solver", "modal")
@@ -419,7 +421,7 @@ def view(
         finally:
             live.stop_recording("the live view has ended")
         if link.gone and not end.asked:
-            raise OutputError("the page's process has ended, and the view with it; what was recorded is finished")
+            raise OutputError("the page process has ended, and so has the view; the recordings are complete")
 
 
 class Ending:

@@ -116,7 +116,7 @@ def test_loud_readings_that_fit_no_place_are_named_and_off() -> None:
 
 def test_readings_in_another_order_are_refused() -> None:
     at, readings, _ = readings_of(np.random.default_rng(0).permutation(len(BOARD)), 1)
-    with pytest.raises(PalmfieldError, match="check the layout and the order of its transducers"):
+    with pytest.raises(PalmfieldError, match="check the layout, the order of its transducers"):
         fit_elements(BOARD, Air(), at, readings)
 
 

@@ -44,7 +44,7 @@ def test_saturation_is_told_from_the_exponent() -> None:
         ([0.1, 0.2, 0.3, 0.4], [1, 2, 3, 4], "5 at least"),
         ([0.0, 0.2, 0.3, 0.4, 0.5], [1, 2, 3, 4, 5], "level 0"),
         ([0.1, 0.2, 0.3, 0.4, 0.5], [1, 2, -3, 4, 5], "-3 Pa"),
-        ([0.1, 0.2, 0.3, 0.4, 0.5], [5, 1, 9, 2, 7], "no power of the level"),
+        ([0.1, 0.2, 0.3, 0.4, 0.5], [5, 1, 9, 2, 7], "do not follow a power of the level"),
     ],
 )
 def test_ladders_that_do_not_serve(levels: list[float], pressures: list[float], told: str) -> None:
@@ -96,7 +96,7 @@ def test_plates_that_do_not_serve() -> None:
     some = h < 0.152
     for told, given in (
         ("distances over", (h[some], time[some], on[some], shown[some])),
-        ("on and off at each", (h, time, np.ones(50), shown)),
+        ("array on or off: give both at each", (h, time, np.ones(50), shown)),
         ("pulls the plate", (h, time, on, -shown)),
         (r"force_N\[0\]", (h, time, on, np.where(np.arange(50) == 0, np.nan, shown))),
         ("on = 2", (h, time, 2 * on, shown)),

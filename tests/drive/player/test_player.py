@@ -154,7 +154,7 @@ def test_a_live_source_that_ends_early_falls_within_its_ramp(ramp_s):
 
 def test_without_posix_it_says_what_else_there_is(monkeypatch):
     monkeypatch.setattr("palmfield.drive.player.caller.POSIX", False)
-    with pytest.raises(DeviceError, match="needs Linux or macOS; here bytes can be written to a file"):
+    with pytest.raises(DeviceError, match="needs Linux or macOS; on this system write the bytes to a file"):
         Player(BOARD, "COM3")
 
 
@@ -162,20 +162,20 @@ def test_without_posix_it_says_what_else_there_is(monkeypatch):
 def test_a_port_that_is_not_there_is_told_in_a_sentence(port):
     with pytest.raises(DeviceError, match=f"cannot open {port}: "):
         Player(BOARD, port)
-    with pytest.raises(DeviceError, match="takes no bytes, so that no port plays it"):
+    with pytest.raises(DeviceError, match="takes no bytes, so it has no port"):
         Player(BOARDS["ideal"], port)
 
 
 def test_a_port_that_is_held_is_told_in_a_sentence():
     with VirtualBoard(BOARD) as virtual, Player(BOARD, virtual.port) as player:
-        with pytest.raises(DeviceError, match="another program holds it"):
+        with pytest.raises(DeviceError, match="another program uses it"):
             Player(BOARD, virtual.port)
         assert player.play([(0.0, frame())]).frames == 1
 
 
 def test_more_than_a_hundredth_unsent_is_a_warning():
     assert PlayReport(99, 1, 0.0).warning == ""
-    assert PlayReport(98, 2, 0.0).warning == "2 of 100 frames that were due were not sent (2.0 %)"
+    assert PlayReport(98, 2, 0.0).warning == "2 of 100 due frames were not sent (2.0 %)"
     assert PlayReport(0, 0, 0.0).warning == ""
 
 
@@ -190,7 +190,7 @@ def test_drive_ends_with_code_4_where_frames_were_left_out(tmp_path):
         command = [sys.executable, "-m", "palmfield", "replay", str(path), "--port", virtual.port]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 4, done.stderr
-    assert "warning: " in done.stderr and "frames that were due were not sent" in done.stderr
+    assert "warning: " in done.stderr and "due frames were not sent" in done.stderr
     assert json.loads(path.read_text().splitlines()[1])["t"] == 0.0
 
 

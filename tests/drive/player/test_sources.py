@@ -143,7 +143,7 @@ def test_what_is_old_falls_silent_and_sounds_again_with_a_new_frame():
     assert stops == [pytest.approx(0.28 + 0.1, abs=0.012), pytest.approx(0.98 + 0.1, abs=0.012)]
     between = [at for at, *_ in sent if stops[0] < at < 0.79]
     assert between == []
-    assert source.said == "no frame came for 0.1 s"
+    assert source.said == "no frame arrived for 0.1 s"
 
 
 def test_sound_rises_and_falls_within_the_ramp():

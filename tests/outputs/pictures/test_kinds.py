@@ -255,11 +255,11 @@ def test_a_slice_of_an_earlier_calibrated_result_is_refused(with_keys):
 
 def test_what_is_asked_is_heeded_or_refused(result, tmp_path):
     for kinds, asked, words in (
-        (["rms"], Asked(time_s=0.01), r"--time changes nothing in rms; it is for: pressure, field, drives, motion"),
-        (["pressure"], Asked(limits=(0.0, 1.0)), r"--limits changes nothing in pressure"),
-        (["drives"], Asked(skin="palm"), r"--skin changes nothing in drives"),
-        (["motion", "field"], Asked(limits=(0.0, 1.0)), r"--limits would be of several units"),
-        ([], Asked(limits=(0.0, 1.0)), r"--limits would be of several units"),
+        (["rms"], Asked(time_s=0.01), r"--time has no effect on rms; allowed with: pressure, field, drives, motion"),
+        (["pressure"], Asked(limits=(0.0, 1.0)), r"--limits has no effect on pressure"),
+        (["drives"], Asked(skin="palm"), r"--skin has no effect on drives"),
+        (["motion", "field"], Asked(limits=(0.0, 1.0)), r"--limits would apply to several units"),
+        ([], Asked(limits=(0.0, 1.0)), r"--limits would apply to several units"),
     ):
         with pytest.raises(OutputError, match=words):
             draw_pictures(result, tmp_path, kinds, asked)

@@ -125,8 +125,8 @@ def test_levels_colour_from_the_threshold_on(stage):
         (Shown(magnify=-1.0), "magnify has value -1"),
         (Shown(frames=0), "frames has value 0"),
         (Shown(level_Pa=float("nan")), "level_Pa has value nan"),
-        (Shown(start_s=0.05, end_s=0.04), "from 50 to 40 ms; allowed: rising, within 0 to 99.8 ms"),
-        (Shown("level", observer="nobody"), "no skin can be coloured by 'level'.*observer 'nobody'"),
+        (Shown(start_s=0.05, end_s=0.04), "from 50 to 40 ms; allowed: rising times within 0 to 99.8 ms"),
+        (Shown("level", observer="nobody"), "'level' is not available for any skin.*observer 'nobody'"),
     ],
 )
 def test_what_cannot_be_shown_is_named(result, tmp_path, shown, words):

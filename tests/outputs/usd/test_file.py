@@ -139,8 +139,8 @@ def test_what_a_killed_writing_leaves_is_named_by_recover(tmp_path, capsys):
     with pytest.raises(OutputError, match="no unfinished run"):
         palmfield.recover(tmp_path)
     said = capsys.readouterr().err
-    assert "scene.partial.usdc is what a USD scene that was cut off holds so far" in said
-    assert ".scene.tmp.usdc is a part of a USD scene that was cut off: remove it" in said
+    assert "scene.partial.usdc is content of an interrupted USD scene" in said
+    assert ".scene.tmp.usdc is part of an interrupted USD scene: remove it" in said
     assert len(list(tmp_path.iterdir())) == 2
 
 

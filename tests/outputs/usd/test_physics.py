@@ -168,4 +168,4 @@ def test_results_without_mujocos_scene_go_without(tmp_path, whole, keep):
     assert validate_usd(tmp_path / "s.usdc") == []
     stage = Usd.Stage.Open(str(tmp_path / "s.usdc"))
     assert not stage.GetPrimAtPath("/Scene/MuJoCo")
-    assert "pressure: the result does not hold it" in stage.GetRootLayer().customLayerData["palmfield"]["left_out"]
+    assert "pressure: the result does not store it" in stage.GetRootLayer().customLayerData["palmfield"]["left_out"]

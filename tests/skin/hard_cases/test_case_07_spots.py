@@ -32,7 +32,7 @@ def test_a_spot_of_four_millimetres(name, solve_by):
 
 def test_implicit_refuses_elements_that_a_spot_falls_through(solve_by):
     """Pinned edges of 5.5 mm, a spot of 1.4: the far field missed by 480 % where 31 % were stated."""
-    with pytest.raises(SceneError, match=r"don't see a spot 0\.0014 m wide"):
+    with pytest.raises(SceneError, match=r"do not resolve a spot 0\.0014 m wide"):
         solve_by("wedges", disc(), Spot(1.4e-3, np.zeros(1), np.ones(1), law="held"), np.array([0.05]), AT)
 
 
@@ -91,7 +91,7 @@ def test_a_spot_at_the_rim_presses_with_what_falls_on_the_body(name, solve_by, s
 
 def test_spectral_refuses_the_rim(refusal_by):
     near = Spot(0.0103, np.array([0.0]), np.array([1.0]), np.array([0.02, 0.0]), "held")
-    assert "spot at rest in the middle" in refusal_by("lateral_waves", disc(), near)
+    assert "stationary spot at the centre" in refusal_by("lateral_waves", disc(), near)
     box = Slab((Sheet(GEL, 0.008),), "box", "bonded", "roller", size_m=(0.04, 0.04))
     assert "of a side" in refusal_by("lateral_waves", box, near)
 

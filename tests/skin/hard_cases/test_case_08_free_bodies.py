@@ -45,5 +45,5 @@ def test_a_held_spot_is_a_free_fall(name, solve_by):
 
 @pytest.mark.parametrize("solve", [static_lateral_waves, static_wedges])
 def test_a_static_answer_needs_a_support(solve):
-    with pytest.raises(SceneError, match=r"state of rest|needs a support"):
+    with pytest.raises(SceneError, match=r"no static solution|needs a support"):
         solve(FREE, HELD, np.zeros((1, 2)))

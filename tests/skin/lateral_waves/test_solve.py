@@ -262,7 +262,7 @@ def test_refusals():
     with pytest.raises(SceneError, match="rising"):
         solve_lateral_waves(SkinProblem(C0, STILL, np.array([1.0, 0.5]), AT))
     for base in ("free", Springs(0.0, 1e5)):
-        with pytest.raises(SceneError, match="no state of rest"):
+        with pytest.raises(SceneError, match="no static solution"):
             static_lateral_waves(dataclasses.replace(C0, base=base), STILL, AT)
 
 

@@ -75,7 +75,7 @@ def test_steps_as_its_transform(gel, solver, least):
     print(solver, error, found.error)
     assert error < least
     assert error < found.error
-    assert "branches in place of a material's law" in found.error_source
+    assert "branches in place of the law of a material" in found.error_source
 
 
 @pytest.mark.parametrize("f_Hz", [60.0, 250.0, 500.0])
@@ -124,7 +124,7 @@ def test_scenes_find_it_and_refuse_branches_for_it(gel):
     keys = {"shape": "disc", "radius_m": 0.02, "thickness_m": 0.01}
     changed = material_of(SkinConfig(material=NAME, shear_relaxed_Pa=1e4, **keys))
     assert complex_shear(changed, 200.0) == pytest.approx(2.0 * shear(-400j * np.pi), rel=1e-12)
-    with pytest.raises(SceneError, match=r"'fractional gel' follows a law of its own: leave out shear_branch_Pa"):
+    with pytest.raises(SceneError, match=r"'fractional gel' has its own law: remove shear_branch_Pa"):
         material_of(SkinConfig(material=NAME, shear_branch_Pa=1e3, **keys))
     with pytest.raises(SceneError, match=r"did you mean.*fractional gel"):
         catalogue.preset("fractional gell")

@@ -241,5 +241,7 @@ def test_a_held_load_jumps_in_the_middle_of_a_step():
 def test_a_step_above_the_stable_one_is_named():
     model = block((Sheet(SOFT, 0.005),))
     stable = model.stable_step()
-    with pytest.raises(SceneError, match=rf"step {1.01 * stable:.4g} s is above the stable one, {stable:.4g} s"):
+    with pytest.raises(
+        SceneError, match=rf"step_s is {1.01 * stable:.4g} s; allowed: above 0, at most the stable step {stable:.4g} s"
+    ):
         stepper(model, "bonded", "free", 10, step_s=1.01 * stable)

@@ -60,7 +60,7 @@ def test_gain_delay_and_place_are_found_again(run, tmp_path):
     table = np.genfromtxt(tmp_path / "points.csv", delimiter=",", names=True)
     assert len(table) == len(done.near) and table["gain"] == pytest.approx(done.numbers.gain)
     assert read_scan(tmp_path / "computed.csv").values == pytest.approx(done.computed.values)
-    for words in ("registration    0.00 mm rms", "3 of 6 directions are not told", "gain            1."):
+    for words in ("registration    0.00 mm rms", "3 of 6 directions are not determined", "gain            1."):
         assert words in str(done)
     with pytest.raises(OutputError, match="holds another comparison"):
         compare(run / "run", run / "scan.csv", out=tmp_path)
@@ -94,11 +94,11 @@ def test_what_looks_like_a_fault_of_the_scan_is_said(run):
         return str(compare(run / "run", replace(scan, **changed), instrument=run / "head.toml"))
 
     assert "doubt" not in said()
-    assert "not told by the skin's shape and stay as the file has them (2 shifts, 1 turn)" in said()
+    assert "not determined by the shape of the skin and keep the values of the file (2 shifts, 1 turn)" in said()
     assert "loudest place of the measured motion lies 3.9 mm from" in said(points=scan.points + np.array([4e-3, 0, 0]))
-    assert "was moved by 102 mm until it lay on the skin" in said(points=scan.points + np.array([0, 0, 0.1]))
-    assert "looks like another unit" in said(values=1e3 * scan.values)
-    assert "most points are turned round" in said(values=-scan.values)
+    assert "was moved by 102 mm, more than its width" in said(points=scan.points + np.array([0, 0, 0.1]))
+    assert "check the unit" in said(values=1e3 * scan.values)
+    assert "most points have the opposite sign" in said(values=-scan.values)
     wild = np.random.default_rng(0).normal(scale=20 * np.abs(scan.values).max(), size=len(scan.values))
     loose = compare(run / "run", replace(scan, values=np.where(np.arange(49) == 7, wild[:, None], scan.values)),
                     instrument=run / "head.toml")  # fmt: skip
@@ -107,9 +107,9 @@ def test_what_looks_like_a_fault_of_the_scan_is_said(run):
     assert "1 point keeps still" in said(values=np.where(np.arange(49) == 4, 0.0, scan.values))
     late = np.vstack([np.zeros((90, 49)), scan.values[:-90]])
     assert re.search(r"a delay of 7\.\d+ ms fits better than any within 5", said(values=late))
-    with pytest.raises(MeasurementError, match=r"scan\.csv: point 4 has a value that is no finite number, at sample 0"):
+    with pytest.raises(MeasurementError, match=r"scan\.csv: point 4 has a value that is not finite, at sample 0"):
         said(values=np.where(np.arange(49) == 4, np.nan, scan.values))
-    with pytest.raises(MeasurementError, match=r"the skin 0.056 m: places are in metres\)"):
+    with pytest.raises(MeasurementError, match=r"that of the skin 0.056 m: positions are in metres\)"):
         said(points=1e3 * scan.points)
     with pytest.raises(MeasurementError, match=r"scan.csv: times have shape \(18,\); give a row of at least 32"):
         said(times_s=scan.times_s[::20], values=scan.values[::20])
@@ -173,5 +173,5 @@ def test_two_scans_of_one_mode_show_its_speed_and_length():
     assert "m/s, 1/e length 25" in in_words(mode, 200.0)
     bent = [Scan("velocity", times, one.points + np.outer(points[:, 0] ** 2 * 4, tilt[:, 2]), one.values, sights)
             for one in scans]  # fmt: skip
-    with pytest.raises(MeasurementError, match="is fitted on flat skin"):
+    with pytest.raises(MeasurementError, match="can only be fitted on flat skin"):
         guided_modes(*bent, 200.0, None, 0.016)

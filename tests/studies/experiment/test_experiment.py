@@ -200,7 +200,7 @@ def test_yes_no_and_adjustment_end_at_the_threshold(experiment):
     run(path, "adjusted.jsonl")
     report = report_of(path.with_name("adjusted.jsonl"))
     assert [20 * np.log10(one.estimates[0]) for one in report.conditions] == pytest.approx([-20.0, -26.0], abs=0.75)
-    assert report.conditions[0].fit is None and "settings are no answers" in report.conditions[0].why
+    assert report.conditions[0].fit is None and "settings are not answers" in report.conditions[0].why
 
 
 def test_limits_of_an_experiment_end_at_the_threshold(experiment):
@@ -316,9 +316,9 @@ def test_what_cannot_be_played_is_refused_before_anything_begins(experiment, tmp
     path = experiment()
     for more, kind, what in (
         ({"observer": "keyboard"}, DeviceError, "a person needs a board to feel anything"),
-        ({"virtual": True, "port": "/dev/null"}, DeviceError, r"a port ./dev/null. and --virtual are given"),
+        ({"virtual": True, "port": "/dev/null"}, DeviceError, r"port /dev/null and --virtual exclude"),
         ({"virtual": True, "board": "sonicsurface"}, DeviceError, "condition '100 Hz': .*frames/s"),
-        ({"virtual": True, "board": "ideal"}, DeviceError, "takes no bytes; give --board"),
+        ({"virtual": True, "board": "ideal"}, DeviceError, "takes no bytes; give another by --board"),
         ({"observer": "cat"}, OutputError, "--observer has value 'cat'; allowed: keyboard, simulated, skin"),
     ):
         with pytest.raises(kind, match=what):

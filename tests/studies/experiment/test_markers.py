@@ -52,7 +52,7 @@ def test_a_byte_is_sent_through_a_port():
 
 
 def test_a_port_that_is_not_there_is_told():
-    with pytest.raises(DeviceError, match=r"trigger.port '/dev/ttyNONE' can't be opened"):
+    with pytest.raises(DeviceError, match=r"trigger.port '/dev/ttyNONE' cannot be opened"):
         TriggerLine("/dev/ttyNONE", "dtr")
 
 

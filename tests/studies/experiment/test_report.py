@@ -52,9 +52,9 @@ def test_numbers_of_a_fit_are_in_the_varied_keys_unit(logged):
     for row, fit in zip((first, second), (one.fit for one in report.conditions), strict=True):
         assert row["threshold"] == pytest.approx(10 ** (fit.threshold / 20))
         assert row["threshold_low"] < row["threshold"] < row["threshold_high"]
-        assert row["note"].startswith("12 trials of level 0 are left out")
+        assert row["note"].startswith("12 trials with level 0 are excluded")
     assert second["threshold"] < first["threshold"]
-    assert f"{first['threshold']:.4g}" in as_text(report) and "75 % right but for lapses" in as_text(report)
+    assert f"{first['threshold']:.4g}" in as_text(report) and "75 % right without lapses" in as_text(report)
 
 
 def test_an_interval_that_leaves_what_can_be_played_is_not_bounded(logged):
@@ -137,4 +137,4 @@ def test_the_commands_run_and_report(experiment, tmp_path):
     known = CliRunner().invoke(app, ["experiment", "report", str(log), "--spread", "3", "--lapse", "-1"])
     assert "3 dB" in known.stdout and "--spread" not in known.stdout
     weibull = CliRunner().invoke(app, ["experiment", "report", str(log), "--shape", "weibull"])
-    assert "which this log's scale 'log' tells in dB" in str(weibull.exception)
+    assert "but the scale 'log' of this log is in dB" in str(weibull.exception)

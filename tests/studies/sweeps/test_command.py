@@ -36,7 +36,7 @@ def test_a_sweep_from_the_command_line(small_scene, tmp_path):
     [
         (["stimulus.am_frequency_Hz=1:2:0"], "is empty: it has 0 values; allowed: at least 1"),
         (["stimulus.nose=1:2:3"], "unknown key 'nose'; allowed: arrays"),
-        ([], "nothing is swept; give --set with several values: KEY=a:b:n"),
+        ([], "the sweep has no values; give --set with several values: KEY=a:b:n"),
     ],
 )
 def test_what_is_refused_is_said_in_one_line(settings, said, small_scene, tmp_path):
@@ -50,5 +50,5 @@ def test_what_is_refused_is_said_in_one_line(settings, said, small_scene, tmp_pa
 def test_failures_are_told_by_reason(tmp_path):
     failed = {3: "too near", 5: "too near", 7: "one", 8: "two", 9: "three"}
     said = command.in_words(Sweep(tmp_path, {"sweep.zarr": tmp_path / "sweep.zarr"}, 10, 5, failed))
-    assert "5 of 10 points are done" in said and "2 failed, the first of them point 3: too near" in said
+    assert "5 of 10 points are done" in said and "2 failed; the first is point 3: too near" in said
     assert "1 other reasons" in said and "three" not in said

@@ -81,11 +81,11 @@ def test_a_table_is_read_row_by_row(tmp_path):
         (["a.x"], r"--set a\.x has no values; write KEY=a:b:n"),
         (["=1:2:3"], "has no values"),
         (["a.x=1:2:0"], "is empty: it has 0 values; allowed: at least 1"),
-        (["a.x=1:2:2.5"], "no range of numbers"),
-        (["a.x=one:2:3"], "no range of numbers"),
+        (["a.x=1:2:2.5"], "not a range of numbers"),
+        (["a.x=one:2:3"], "not a range of numbers"),
         (["a.x=1:1:3"], "two different finite numbers"),
         (["a.x=0:nan:3"], "two different finite numbers"),
-        (["a.x=1:2"], "is no range; write KEY=a:b:n"),
+        (["a.x=1:2"], "is not a range; write KEY=a:b:n"),
         (["a.x=-1:1:3:log"], "allowed: both ends above 0"),
         (["a.x=1,,2"], "an empty value between commas"),
         (["a.x=1,1"], "the value 1.0 twice"),
@@ -103,7 +103,7 @@ def test_settings_that_are_refused(settings, said):
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        (None, "can't be read: No such file"),
+        (None, "cannot be read: No such file"),
         ("a.x\n", "has 1 lines; allowed"),
         ("a.x,a.x\n1,2\n", "'a.x' is given twice"),
         ("a.x,a.y\n1,2\n3\n", "line 3 has 1 values for 2 keys"),
@@ -123,7 +123,7 @@ def test_kinds_of_design_that_are_refused(tmp_path):
         read_design(["a.x=1:2"], random_points=4, sobol_points=4)
     with pytest.raises(SceneError, match="of 0 points; allowed: at least 1"):
         read_design(["a.x=1:2"], random_points=0)
-    with pytest.raises(SceneError, match="is no range; write KEY=a:b,"):
+    with pytest.raises(SceneError, match="is not a range; write KEY=a:b,"):
         read_design(["a.x=1:2:3"], random_points=4)
     with pytest.raises(SceneError, match="no key to draw"):
         read_design(["a.x=1"], sobol_points=4)

@@ -44,7 +44,7 @@ def test_a_plugins_key_is_of_all_its_instances_and_stimuli_share_a_model(small_s
 @pytest.mark.parametrize(
     ("values", "fixed", "said"),
     [
-        ({"nose.x": [1, 2]}, {}, "'nose.x' is not of an instance or plugin of this scene; it has: array, driver"),
+        ({"nose.x": [1, 2]}, {}, "'nose.x' belongs to no instance or plugin of this scene; it has: array, driver"),
         ({"stimulus.nose": [1, 2]}, {}, "unknown key 'nose'; allowed: arrays, focus_m"),
         ({FREQUENCY: [100, 200]}, {"skin.nose": 1}, "unknown key 'nose'"),
         ({FREQUENCY: [100, "loud"]}, {}, "value 'loud'; allowed: finite number > 0"),

@@ -118,5 +118,5 @@ def test_anything_else_is_drawn_point_by_point(design, drawn):
 
 
 def test_nothing_is_drawn_of_failures_alone(tmp_path):
-    with pytest.raises(OutputError, match="no point of the sweep has numbers yet"):
+    with pytest.raises(OutputError, match="no point of the sweep has results yet"):
         picture.plot_sweep(dataset(grid({"a.x": [1.0, 2.0]}), [FAILED, NOT_DONE]), tmp_path / "sweep.png")

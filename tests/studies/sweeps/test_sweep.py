@@ -171,7 +171,7 @@ def test_a_sweep_that_is_cut_off_goes_on_to_the_same_dataset(stop, small_scene, 
 
     with monkeypatch.context() as patch:
         patch.setattr(store.SweepStore, "_flush", flush)
-        with pytest.raises(kind, match=None if kind is KeyboardInterrupt else "2 points are safe: free some space"):
+        with pytest.raises(kind, match=None if kind is KeyboardInterrupt else "2 points are saved: free some space"):
             swept(scene, design, tmp_path / "cut")
     cut = store.open_dataset(tmp_path / "cut" / "sweep.zarr").load()
     assert cut["status"].values.tolist() == [DONE, DONE, NOT_DONE, NOT_DONE]
@@ -222,7 +222,7 @@ def test_what_is_out_of_proportion_asks_first(small_scene, tmp_path, monkeypatch
         return False
 
     monkeypatch.setattr(whole_sweep, "LARGE_BYTES", 1e3)
-    with pytest.raises(OutputError, match="not gone on with; give --yes"):
+    with pytest.raises(OutputError, match="not confirmed; give --yes"):
         swept(scene, design, tmp_path / "out")
     with pytest.raises(OutputError, match="may be written"):
         swept(scene, design, tmp_path / "out", ask=no)

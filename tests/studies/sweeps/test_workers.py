@@ -103,9 +103,7 @@ def test_workers_that_do_not_start_in_time_name_the_cause_and_the_mend(monkeypat
     monkeypatch.setattr(os, "getloadavg", lambda: (99.0, 99.0, 99.0))
     monkeypatch.setattr("distributed.Client.wait_for_workers", _late)
     with (
-        pytest.raises(
-            PalmfieldError, match=r"of 1 local workers started.*busy \(99 programs.*--workers 0, which needs"
-        ),
+        pytest.raises(PalmfieldError, match=r"of 1 local workers started.*busy \(99 programs.*or --workers 0"),
         local_cluster(1, []),
     ):
         pass
@@ -116,6 +114,6 @@ def _late(*_args, **_options):
 
 
 def test_an_unreachable_scheduler_is_said_before_a_folder_is_made(small_scene, tmp_path):
-    with pytest.raises(PalmfieldError, match=r"--scheduler tcp://127\.0\.0\.1:1 can't be reached within 5 s"):
+    with pytest.raises(PalmfieldError, match=r"--scheduler tcp://127\.0\.0\.1:1 was not reached within 5 s"):
         palmfield.sweep(small_scene(), DESIGN, tmp_path / "out", scheduler="tcp://127.0.0.1:1", progress=False)
     assert not (tmp_path / "out").exists()

@@ -118,7 +118,7 @@ def test_a_focus_that_cannot_be_made_is_silence_and_no_end(view, followed, monke
 
     monkeypatch.setattr(Frames, "at", at)
     result = followed(straight(view, 1.6), tracker=Tracker(latency_s=0.0, ahead_s=0.0), duration_s=0.4)
-    assert any("silent, as no focus can be made there: focus" in note for note in result.numbers.notes)
+    assert any("silent, because no focus is possible there: focus" in note for note in result.numbers.notes)
     sounds = {one.number: one.frame.sounds for one in result.sent.frames}
     assert set(sounds.values()) == {True, False}
     assert all(on == (int(10 * result.sent.frames[n].due_s) % 2 == 0) for n, on in enumerate(sounds.values()))
@@ -129,7 +129,7 @@ def test_the_loop_is_longer_than_a_frame_on_the_line_and_shorter_than_what_is_st
     assert found.line_ms < found.p50_ms <= found.p95_ms <= found.largest_ms
     # A sample waits for the next frame, and that for the line: three frames where nothing is late
     assert found.p50_ms < 6.0 * found.line_ms
-    assert found.samples > 45 and "a lag of 40 ms is noticed" in str(found)
+    assert found.samples > 45 and "a lag of 40 ms is noticeable" in str(found)
 
 
 def test_what_cannot_be_followed_is_refused(small_scene):
@@ -138,5 +138,5 @@ def test_what_cannot_be_followed_is_refused(small_scene):
     still = {"stimulus.modulation": "none"}
     with pytest.raises(palmfield.SceneError, match=r"has 0 instances of plugin 'palmfield\.motion' with key hand"):
         trial(small_scene(), board="sonicsurface", keys=still, live=Live(wait_s=0.1), skin=False)
-    with pytest.raises(palmfield.SceneError, match="no hand was seen within"):
+    with pytest.raises(palmfield.SceneError, match="no hand was tracked within"):
         trial(SCENE, board="sonicsurface", keys=KEYS, live=Live(wait_s=0.1), skin=False)

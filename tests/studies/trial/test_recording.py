@@ -29,10 +29,10 @@ def test_a_recording_is_read_in_its_unit(tmp_path):
         (HEAD.replace("pressure", "presure") + "t,value\n" + ROWS, "did you mean 'pressure'"),
         (HEAD.replace("# unit: kPa\n", "") + "t,value\n" + ROWS, "no '# unit: ...'"),
         (HEAD.replace("0 0 0.12", "0 0 120") + "t,value\n" + ROWS, "three finite numbers in metres"),
-        (HEAD + "time,p\n" + ROWS, "line 4 is no line of names"),
+        (HEAD + "time,p\n" + ROWS, "line 4 does not hold column names"),
         (HEAD + "t,value\n" + ROWS.replace("0.2,", "x,").replace("0.005,", "nan,"), "line 10 is 'nan,0.15"),
         (HEAD + "t,value\n" + ROWS.replace("0.005,", "0.004,"), "t = 0.004 s comes after 0.004 s"),
-        (HEAD + "t,value\n0.0,1.0\n", "1 rows; give 16 or more"),
+        (HEAD + "t,value\n0.0,1.0\n", "1 rows; needed: 16 or more"),
         ("", "no '# quantity: ...'"),
     ],
 )
@@ -82,7 +82,7 @@ def test_a_recording_of_a_trial_is_recognised_by_the_next(moving_scene, tmp_path
     assert found.correlation > 0.99 and found.ratio == pytest.approx(share, abs=0.02)
     # uhev1: 0.7 to 2.6 Pa m about 1.27
     assert found.band == pytest.approx((0.7 / 1.27, 2.6 / 1.27), rel=1e-6)
-    with pytest.raises(palmfield.SceneError, match="needs the skin's motion"):
+    with pytest.raises(palmfield.SceneError, match="needs the motion of the skin"):
         moved = read_recording(
             written(tmp_path / "v.csv", text.replace("pressure", "velocity").replace(": Pa", ": m/s"))
         )

@@ -149,7 +149,7 @@ def test_half_of_all_transducers_turned_make_no_focus(moving_scene, tmp_path):
     path = moving_scene(array={"layout": "sonicsurface"}, driver={"board": "sonicsurface"})
     tracker, truth = Tracker(ahead_s=0.0), tmp_path / "truth.json"
     result = trial(path, board="sonicsurface", tracker=tracker, truth=truth, skin=False, duration_s=0.05)
-    assert result.numbers.without_focus == 1.0 and "no focus in 100.0 %" in str(result)
+    assert result.numbers.without_focus == 1.0 and "no focus for 100.0 %" in str(result)
     assert result.numbers.kept_calibration.mean < 0.3
     known = {"array.calibration": str(truth)}
     mended = trial(path, board="sonicsurface", tracker=tracker, keys=known, truth=truth, skin=False, duration_s=0.05)
@@ -247,7 +247,7 @@ def test_on_a_port_the_drivers_limits_hold(moving_scene):
     keys = {"driver.on_time_s": "0.05"}
     result = trial(moving_scene(), board="sonicsurface", port="virtual", keys=keys, skin=False, duration_s=0.25)
     assert any(
-        "fell silent: it has sounded for 0.05 s, all that on_time_s allows" in text for text in result.sent.notes
+        "fell silent: the time with sound has reached 0.05 s, the limit on_time_s" in text for text in result.sent.notes
     )
     assert result.numbers.frames_sent < result.numbers.frames_due
     too_loud = {"driver.head_m": "0 0 0.5", "driver.head_limit_dB": "60"}
@@ -257,7 +257,7 @@ def test_on_a_port_the_drivers_limits_hold(moving_scene):
 
 def test_what_cannot_be_tried_is_refused(moving_scene):
     path = moving_scene()
-    with pytest.raises(palmfield.DeviceError, match="takes no bytes, so that it has no port"):
+    with pytest.raises(palmfield.DeviceError, match="takes no bytes and has no port"):
         trial(path, port="virtual")
     modulated = {"stimulus.modulation": "am", "stimulus.am_quantity": "arp", "stimulus.am_frequency_Hz": 200,
                  "stimulus.am_depth": 1}  # fmt: skip
@@ -265,5 +265,5 @@ def test_what_cannot_be_tried_is_refused(moving_scene):
         trial(path, board="sonicsurface", keys=modulated)
     with pytest.raises(palmfield.SceneError, match="tracker latency has value 2; allowed: 0 to 1"):
         Tracker(latency_s=2.0)
-    with pytest.raises(palmfield.SceneError, match="from which nothing can be predicted"):
+    with pytest.raises(palmfield.SceneError, match="no history to predict from"):
         Tracker(rate_Hz=0.0)

@@ -244,7 +244,7 @@ def test_a_command_whose_page_is_killed_says_so_and_fails(module_scene, tmp_path
         if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes():
             os.kill(pid, signal.SIGKILL)
     told = process.communicate(timeout=30.0)[1]
-    assert process.returncode == 2 and "the page's process has ended" in told
+    assert process.returncode == 2 and "the page process has ended" in told
 
 
 def test_a_page_is_found_where_it_listens(module_scene, tmp_path):

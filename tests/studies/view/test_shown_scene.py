@@ -251,7 +251,7 @@ def test_modes_go_on_with_another_sound_as_they_stood(modal):
     time_s = sim.time
     modal.change(Turn(DEPTH, 0.5))
     assert scene.sim is sim and len(modal.all(SceneShown)) == 1
-    assert modal.last(Told).text.endswith("goes on as it was")
+    assert modal.last(Told).text.endswith("the scene is unchanged")
     assert sim.time == pytest.approx(time_s + sim.model.opt.timestep)
     modal.go_on(4)
     ended = palmfield.Simulation(path, device="cpu", keys=keys)

@@ -29,7 +29,7 @@ def check_heeded(kinds: Sequence[str], asked: Asked) -> None:
     for name, option in OPTIONS.items():
         if getattr(asked, name) != getattr(Asked(), name) and not any(name in KINDS[kind].heeds for kind in kinds):
             able = [kind for kind, one in KINDS.items() if name in one.heeds]
-            raise OutputError(f"{option} changes nothing in {', '.join(kinds)}; it is for: {', '.join(able)}")
+            raise OutputError(f"{option} has no effect on {', '.join(kinds)}; allowed with: {', '.join(able)}")
     units = list(dict.fromkeys(KINDS[kind].unit for kind in kinds if KINDS[kind].unit))
     if asked.limits is not None and len(units) > 1:
-        raise OutputError(f"--limits would be of several units ({', '.join(units)}); name kinds of one unit")
+        raise OutputError(f"--limits would apply to several units ({', '.join(units)}); give kinds with one unit")

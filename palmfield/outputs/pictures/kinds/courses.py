@@ -57,7 +57,9 @@ def spectrum(result: xr.DataTree, asked: Asked) -> Figure:
     axes.set(xlabel="frequency [Hz]", ylabel=f"amplitude [{UNITS[asked.quantity]}]")
     axes.set_xlim(0.0, min(LEAST_Hz, float(at[-1])))
     if asked.limits is not None and asked.limits[0] <= 0.0:
-        raise OutputError(f"--limits has value {asked.limits[0]:g},{asked.limits[1]:g}; allowed of a spectrum: above 0")
+        raise OutputError(
+            f"--limits has value {asked.limits[0]:g},{asked.limits[1]:g}; allowed for a spectrum: above 0"
+        )
     axes.set_ylim(*limits_of(asked, 1e-4 * max(top, 1e-9), 2.0 * max(top, 1e-9)))
     axes.set_title(f"Amplitude spectrum of the normal {asked.quantity} (bins of {at[0]:.3g} Hz)")
     axes.legend(loc="best")
@@ -73,7 +75,9 @@ def spectrogram(result: xr.DataTree, asked: Asked) -> Figure:
     step_s = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
     count = min(round(WINDOW_S / step_s), len(times) // 2) if step_s > 0.0 else 0
     if count < 8:
-        raise OutputError(f"a spectrogram of {len(times)} samples says nothing; run for longer, or record more often")
+        raise OutputError(
+            f"a spectrogram of {len(times)} samples is not meaningful; run for longer, or record more often"
+        )
     hop = max(1, count // 16)
     transform = ShortTimeFFT(hann(count, sym=False), hop, 1.0 / step_s, scale_to="magnitude")
     # Windows that reach beyond an end would see a jump there
@@ -94,7 +98,7 @@ def spectrogram(result: xr.DataTree, asked: Asked) -> Figure:
 
 
 KINDS = {
-    "course": Kind.of_motion(course, "the skin's motion over time at a few places", place=20),
+    "course": Kind.of_motion(course, "motion of the skin over time at a few points", place=20),
     "spectrum": Kind.of_motion(spectrum, "its amplitude spectrum", place=21),
-    "spectrogram": Kind.of_motion(spectrogram, "its power over time and frequency", place=22, unit="dB"),
+    "spectrogram": Kind.of_motion(spectrogram, "power of the motion over time and frequency", place=22, unit="dB"),
 }

@@ -24,7 +24,7 @@ def drives(result: xr.DataTree, asked: Asked) -> Figure:
         drawn = axes.scatter(x, y, s=areas, c=phase, cmap="twilight", vmin=0.0, vmax=2.0 * np.pi)
         axes.set(xlabel="array x [mm]", ylabel="array y [mm]", aspect="equal")
         axes.grid(visible=False)
-        most = f"area: amplitude, {amplitude[index].max():.2f} at most"
+        most = f"area: amplitude, maximum {amplitude[index].max():.2f}"
         axes.set_title(f"Drive of '{name}' at {1e3 * time_s:.2f} ms\n({most})")
         bar = figure.colorbar(drawn, ax=axes, shrink=0.85, label="phase [rad] (positive: delay)")
         bar.set_ticks([0.0, np.pi, 2.0 * np.pi], labels=["0", "π", "2π"])

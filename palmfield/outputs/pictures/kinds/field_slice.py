@@ -50,7 +50,7 @@ def field_slice(result: xr.DataTree, asked: Asked) -> Figure:
     panel.set(xlabel="array x [mm]", ylabel="array z [mm]", aspect="equal")
     panel.grid(visible=False)
     where = f"y = {1e3 * focus[1]:.0f} mm, {1e3 * time_s:.2f} ms"
-    panel.set_title(f"Incident pressure at {where},\nin free air: {size.max():.0f} Pa at most")
+    panel.set_title(f"Incident pressure at {where},\nin free air: maximum {size.max():.0f} Pa")
     figure.colorbar(drawn, ax=panel, shrink=0.85, label="peak amplitude [Pa]", extend=beyond(size, low, high))
     return figure
 

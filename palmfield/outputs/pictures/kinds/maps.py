@@ -68,7 +68,7 @@ def rms_map(result: xr.DataTree, asked: Asked) -> Figure:
     name, skin = chosen_skin(result, asked, asked.quantity)
     values = IN_MICRO * np.sqrt(extremes(skin, asked.quantity).mean_square)
     unit = UNITS[asked.quantity]
-    title = f"RMS of the normal {asked.quantity} over the run\n(mean kept), at most {values.max():.3g} {unit}"
+    title = f"RMS of the normal {asked.quantity} over the run\n(mean included), maximum {values.max():.3g} {unit}"
     limits = limits_of(asked, 0.0, float(values.max()))
     marks = _marked(result, name, skin, asked)
     return _one(view_of_skin(result, name, skin), skin, values, SIZES, limits, unit, title, marks)
@@ -99,7 +99,7 @@ def level_map_of(result: xr.DataTree, asked: Asked) -> Figure:
     for axes, (key, levels) in zip(figure.subplots(1, len(shown), squeeze=False)[0], shown, strict=True):
         draw_patch(figure, axes, skin["face"].values, view.vertices, levels, SIZES, limits, "dB above threshold")
         _mark(axes, view.vertices, levels, "dB SL", marks)
-        felt = f"{levels.max():.0f} dB SL at most" if levels.max() > 0.0 else "below threshold"
+        felt = f"maximum {levels.max():.0f} dB SL" if levels.max() > 0.0 else "below threshold"
         of = f"all {len(lines)} lines" if len(lines) > 1 else f"line at {lines[0]:g} Hz"
         axes.set_title(f"{OBSERVERS[key].name}, {of}\n{felt}")
     return figure
@@ -118,8 +118,8 @@ def _repeating(result: xr.DataTree, skin: xr.Dataset) -> tuple[slice, list[float
         if lines := felt_lines(times[stretch], config):
             return stretch, lines
     raise OutputError(
-        "nothing repeats for two periods between ramp and silence, so that no level above threshold is told; "
-        "give AM or a closed path, or run for longer"
+        "the load does not repeat for two periods between ramp and silence, so no level above threshold can be "
+        "computed; use AM or a closed path, or run for longer"
     )
 
 
@@ -160,9 +160,9 @@ def _one(
 LEVELS_HEED = frozenset({"places", "limits", "skin", "observer"})
 KINDS = {
     "pressure": Kind(
-        pressure, "peak pressure and ARP on each skin when they are largest", frozenset({"time_s", "skin"}), place=1
+        pressure, "peak pressure and ARP on each skin at their largest", frozenset({"time_s", "skin"}), place=1
     ),
-    "motion": Kind.of_motion(motion_map, "normal displacement or velocity of the skin at a time", "time_s", place=10),
-    "rms": Kind.of_motion(rms_map, "root mean square of the skin's motion over the run", place=11),
+    "motion": Kind.of_motion(motion_map, "normal displacement or velocity of the skin at one time", "time_s", place=10),
+    "rms": Kind.of_motion(rms_map, "root mean square of the skin motion over the run", place=11),
     "levels": Kind(level_map_of, "level above threshold on the skin, by observer", LEVELS_HEED, "dB SL", 12),
 }

@@ -25,11 +25,11 @@ def wavefronts(result: xr.DataTree, asked: Asked) -> Figure:
     name, skin = chosen_skin(result, asked, asked.quantity)
     at_rest = in_world(skin, instances(result, "body").get(name), float(skin["time"].values[0]))
     if len(asked.places) == 1:
-        raise OutputError("wavefronts run along a line; give --place twice, or not at all")
+        raise OutputError("wavefronts need a line; give --place twice, or omit it")
     if asked.places:
         (first, _), (second, _) = chosen_vertices(result, name, skin, asked)[:2]
         if first == second:
-            raise OutputError("both ends of the line are nearest to one vertex; give --place farther apart")
+            raise OutputError("both ends of the line have the same nearest vertex; give --place values farther apart")
         middle, way = at_rest[first], at_rest[second] - at_rest[first]
     else:
         middle = at_rest[int(extremes(skin, asked.quantity).peak.argmax())]
@@ -41,7 +41,7 @@ def wavefronts(result: xr.DataTree, asked: Asked) -> Figure:
     beside = np.linalg.norm(at_rest - middle - along[:, None] * way, axis=1)
     near = np.flatnonzero(beside <= spacing)
     if len(near) < FEWEST:
-        raise OutputError(f"{len(near)} vertices lie near the line; allowed: {FEWEST} or more, give places on the skin")
+        raise OutputError(f"{len(near)} vertices lie near the line; needed: {FEWEST} or more; give points on the skin")
     order = near[np.argsort(along[near])]
     motion = IN_MICRO * normal_component(skin.isel(vertex=order), asked.quantity).values.astype(float)
     largest = max(float(np.abs(motion).max()), 1e-9)
@@ -53,9 +53,9 @@ def wavefronts(result: xr.DataTree, asked: Asked) -> Figure:
     drawn = axes.pcolormesh(times, 1e3 * along[order], motion.T, cmap=colours, vmin=low, vmax=high, shading="nearest")
     axes.set(xlabel="time [ms]", ylabel="along the line [mm]")
     axes.grid(visible=False)
-    axes.set_title(f"Normal {asked.quantity} along a line over the skin ({len(order)} vertices, negative: inward)")
+    axes.set_title(f"Normal {asked.quantity} along a line on the skin ({len(order)} vertices, negative: inward)")
     figure.colorbar(drawn, ax=axes, label=UNITS[asked.quantity], extend=beyond(motion, low, high))
     return figure
 
 
-KINDS = {"wavefronts": Kind.of_motion(wavefronts, "motion along a line over the skin, over time", place=23)}
+KINDS = {"wavefronts": Kind.of_motion(wavefronts, "motion along a line on the skin, over time", place=23)}

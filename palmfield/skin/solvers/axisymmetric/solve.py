@@ -71,13 +71,13 @@ GRIDS, KEPT = 8, 160
 def refusal_axisymmetric(body: Body, load: Load) -> str | None:
     """Why this solver cannot, in a sentence, or None."""
     if not isinstance(body, Slab) or body.shape != "disc":
-        return "solver 'axisymmetric' takes slabs of shape 'disc' only"
+        return "solver 'axisymmetric' supports slabs of shape 'disc' only"
     if isinstance(body.base, Foundation):
         return ONLY_WEDGES
     if body.side == "absorbing":
-        return "solver 'axisymmetric' knows sides fixed, free and roller, not absorbing"
+        return "solver 'axisymmetric' supports sides fixed, free and roller, not absorbing"
     if not isinstance(load, Spot):
-        return "solver 'axisymmetric' takes Spot loads only"
+        return "solver 'axisymmetric' supports Spot loads only"
     return None
 
 
@@ -113,9 +113,8 @@ def solve_axisymmetric(
         result.moved[0],
         result.moved[1],
         errors,
-        f"{SAFETY[judged]:g} times the difference from a run finer in everything, of degree {first + 1}: "
-        f"{difference[judged]:.2g}; harmonics that it leaves out: {finer.dropped[judged]:.2g}; its path: "
-        f"{tighter.path:.2g}",
+        f"{SAFETY[judged]:g} times the difference to a run with all resolutions finer, degree {first + 1}: "
+        f"{difference[judged]:.2g}; omitted harmonics: {finer.dropped[judged]:.2g}; path: {tighter.path:.2g}",
         f"axisymmetric, {result.elements} elements of degree {first} (r x z), {len(disc.numbers)} harmonics, "
         f"{len(disc.samples.times_s)} times",
         begin,
@@ -148,8 +147,8 @@ def static_axisymmetric(body: Body, load: Load, at: Float, *, accuracy: float = 
         result.moved[0],
         result.moved[1],
         errors,
-        f"{STATIC_SAFETY} times the difference from a run finer in everything, of degree {first + 1}: "
-        f"{difference[0]:.2g}; harmonics that it leaves out: {finer.dropped[0]:.2g}",
+        f"{STATIC_SAFETY} times the difference to a run with all resolutions finer, degree {first + 1}: "
+        f"{difference[0]:.2g}; omitted harmonics: {finer.dropped[0]:.2g}",
         f"axisymmetric, static, {result.elements} elements of degree {first} (r x z), {len(disc.numbers)} harmonics",
         begin,
     )
@@ -163,7 +162,7 @@ def check_held(body: Slab) -> None:
     along = base == "bonded" or springs.tangential_Pa_m > 0.0 or body.side in ("fixed", "roller")
     if not (upright and along):
         raise SceneError(
-            f"a static answer needs a support: base {base} and side '{body.side}' leave this disc free to move away; "
+            f"a static solution needs a support: base {base} and side '{body.side}' leave this disc free to move; "
             "bond the base, give it Springs, or fix the side"
         )
 

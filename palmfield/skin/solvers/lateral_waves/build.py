@@ -49,30 +49,29 @@ RINGS = 60
 def refusal_lateral_waves(body: Body, load: Load) -> str | None:
     """Why solver lateral_waves can't solve this, in one sentence, or None."""
     if not isinstance(body, Slab):
-        return "it solves flat slabs, and this is a layer on a surface"
+        return "it solves flat slabs, but this is a layer on a surface"
     if isinstance(body.base, Foundation):
         return ONLY_WEDGES
     if body.shape != "infinite" and body.side != "roller":
-        return f"a {body.shape} with {body.side} sides has no simple lateral waves; it needs side='roller'"
+        return f"a {body.shape} with {body.side} sides has no simple lateral waves; use side='roller'"
     if body.shape == "disc" and not (isinstance(load, Spot) and is_still(load) and not load.centres().any()):
-        return "on a disc it takes a spot at rest in the middle"
+        return "on a disc it needs a stationary spot at the centre"
     for material in (sheet.material for sheet in body.sheets):
         # Of a wave as short as the load: stopping rate times creep rate
         rate = material.viscosity_Pa_s / material.density_kg_m3 * (SHORTEST / spread(load_width(load))) ** 2
         rate *= material.relaxation.viscous_time_s
         if rate > MOST_RATES:
             return (
-                f"'{material.name}' has a viscosity of {material.viscosity_Pa_s:.3g} Pa s: waves would stop "
-                f"{rate:.2g} times as fast as they creep, at most {MOST_RATES:g} is solved: "
-                "use solver 'wedges'"
+                f"'{material.name}' has a viscosity of {material.viscosity_Pa_s:.3g} Pa s, which makes the ratio "
+                f"of fastest to slowest decay rate {rate:.2g}; allowed: at most {MOST_RATES:g}: use solver 'wedges'"
             )
     if isinstance(load, Spot):
         room = float(distance_to_sides(body, load.centres()).min())
         if room < RIM_WIDTHS * load.fwhm_m and unevenness(body, load) > EVEN:
             other = "axisymmetric" if body.shape == "disc" else "wedges"
             return (
-                f"the spot comes within {room:.3g} m of a side; here it must keep {RIM_WIDTHS * load.fwhm_m:.3g} m, "
-                f"{RIM_WIDTHS} widths, away: use solver '{other}'"
+                f"the spot comes within {room:.3g} m of a side; allowed: at least {RIM_WIDTHS * load.fwhm_m:.3g} m "
+                f"({RIM_WIDTHS} widths): use solver '{other}'"
             )
     return None
 
@@ -100,9 +99,9 @@ def check_sides(body: Slab, load: Load, accuracy: float) -> float:
     share = pressure_at_sides(body, load)
     if share > AT_SIDES * accuracy:
         raise SceneError(
-            f"solver 'lateral_waves': the spot's pressure at the nearest side is {share:.2g} of its peak, at most "
-            f"{AT_SIDES * accuracy:.2g} may be left out at an accuracy of {accuracy:g}: use solver 'axisymmetric' or "
-            "'wedges'"
+            f"solver 'lateral_waves': the pressure of the spot at the nearest side is {share:.2g} of its peak; "
+            f"allowed: at most {AT_SIDES * accuracy:.2g} at an accuracy of {accuracy:g}: use solver 'axisymmetric' "
+            "or 'wedges'"
         )
     return share
 

@@ -121,7 +121,7 @@ class PeriodicSlab:
         numbers = np.round(self.waves.vectors / (2.0 * math.pi / self.period_m)).astype(np.int32)
         most = int(np.abs(numbers).max())
         if cells < 2 * most + 1:
-            raise SceneError(f"cells is {cells}; waves of {self.fwhm_m:g} m spots need at least {2 * most + 1}")
+            raise SceneError(f"cells is {cells}; spots of {self.fwhm_m:g} m need at least {2 * most + 1}")
         return numbers, self._shown(half_m, cells)
 
     def _amplitudes(self, spot: Spot, times: Float, device: str) -> Complex:
@@ -189,7 +189,7 @@ class WalledDisc:
     def __post_init__(self) -> None:
         _check(self.slab, "disc", fwhm_m=self.fwhm_m)
         if self.slab.side != "roller":
-            raise SceneError(f"slab: side is '{self.slab.side}'; the wall is smooth: use 'roller'")
+            raise SceneError(f"slab: side is '{self.slab.side}'; allowed: 'roller' (a smooth wall)")
 
     @property
     def radius_m(self) -> float:
@@ -285,8 +285,8 @@ class WalledDisc:
         radius, angle = np.hypot(*centres.T), np.arctan2(centres[:, 1], centres[:, 0])
         if radius.max() > self.radius_m - CLEAR_WIDTHS * self.fwhm_m:
             raise SceneError(
-                f"the spot comes to {radius.max():g} m from the middle; on a disc of {self.radius_m:g} m it must keep "
-                f"{CLEAR_WIDTHS * self.fwhm_m:g} m from the wall"
+                f"the spot comes to {radius.max():g} m from the centre; on a disc of {self.radius_m:g} m it must "
+                f"stay {CLEAR_WIDTHS * self.fwhm_m:g} m from the wall"
             )
         turns = np.exp(-1j * np.outer(np.arange(int(orders.max()) + 1), angle))
 
@@ -396,5 +396,7 @@ def _check(slab: Slab, shape: str, **sizes: float) -> None:
 
 def _asked(spot: Spot, times_s: Float, fwhm_m: float) -> Float:
     if spot.fwhm_m != fwhm_m:
-        raise SceneError(f"spot: fwhm_m is {spot.fwhm_m:g}; the waves are those of a spot of {fwhm_m:g} m")
+        raise SceneError(
+            f"spot: fwhm_m is {spot.fwhm_m:g}; the waves were built for a spot of {fwhm_m:g} m; use that width"
+        )
     return rising("times", times_s)

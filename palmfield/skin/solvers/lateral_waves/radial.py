@@ -113,8 +113,8 @@ def radial_rule(
         bad = [ends for ends, value in size.items() if value > 0.5 * tolerance / len(done)]
         if len(done) + len(bad) > MOST_PANELS:
             raise SceneError(
-                f"solver 'lateral_waves': {MOST_PANELS} wavenumber panels do not resolve waves over {horizon_s:.3g} s; "
-                "ask for a shorter time, or give the material some damping"
+                f"solver 'lateral_waves': {MOST_PANELS} wavenumber panels do not resolve waves over "
+                f"{horizon_s:.3g} s; use a shorter time, or a material with damping"
             )
         for ends in bad:
             del done[ends]

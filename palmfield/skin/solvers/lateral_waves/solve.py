@@ -85,7 +85,7 @@ def static_lateral_waves(
     slab = accepted(problem)
     if is_unheld(slab.base):
         raise SceneError(
-            "solver 'lateral_waves': a slab on nothing has no state of rest under a load; give a base that holds"
+            "solver 'lateral_waves': a slab with a free base has no static solution; give a base with support"
         )
     motion = _solve(slab, problem, settings_of(tolerance, device, threads, still=True))
     return replace(motion, times_s=load.times_s[-1:])
@@ -115,7 +115,7 @@ def accepted(problem: SkinProblem) -> Slab:
 def settings_of(tolerance: float | None, device: str, threads: int | None, still: bool = False) -> Settings:
     """Raises SceneError for a tolerance out of range."""
     if tolerance is not None and not FINEST <= tolerance <= 0.25:
-        raise SceneError(f"tolerance is {tolerance}; give {FINEST} to 0.25, or leave it out")
+        raise SceneError(f"tolerance is {tolerance}; give {FINEST} to 0.25, or omit it")
     return Settings(tolerance, resolve(device), threads, still)
 
 
@@ -125,7 +125,7 @@ def _solve(body: Slab, problem: SkinProblem, settings: Settings) -> Motion:
     at_sides = check_sides(body, load, problem.accuracy)
     if timeline(load, requested) is None or not np.any(load.peak_Pa if isinstance(load, Spot) else load.pressure_Pa):
         still = np.zeros((len(requested), len(points), 3))
-        return problem.solved(still, still.copy(), np.zeros(3), "no load yet: all is at rest", "lateral_waves", begun)
+        return problem.solved(still, still.copy(), np.zeros(3), "no load yet: the motion is 0", "lateral_waves", begun)
     part = PART * problem.accuracy if settings.tolerance is None else settings.tolerance
     result = run(body, load, requested, points, part, settings)
     picture = is_picture(len(requested), len(points)) and not settings.still
@@ -147,7 +147,7 @@ def _solve(body: Slab, problem: SkinProblem, settings: Settings) -> Motion:
         result.displacement,
         result.velocity,
         errors,
-        f"{safety} times the difference from a run with {share} of the tolerance, at {len(chosen)} points",
+        f"{safety} times the difference to a run with {share} of the tolerance, at {len(chosen)} points",
         f"lateral_waves: {result.wavenumbers} wavenumbers, {result.waves} waves, {result.poles:.0f} poles each, "
         f"tolerance {part:.2g}",
         begun,

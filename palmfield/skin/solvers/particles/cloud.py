@@ -176,7 +176,7 @@ def _check_cells(determinant: Float, jacobian: Float, corners: Float) -> None:
     worst = int(np.argmin(shape))
     if not shape[worst] > 1e-9:
         place = ", ".join(f"{x:.4g}" for x in corners[worst].mean(axis=0))
-        raise SceneError(f"the cell between particles near ({place}) m is flat or inside out: smooth the surface there")
+        raise SceneError(f"the cell between particles near ({place}) m is flat or inverted: smooth the surface there")
 
 
 def _face_rule(corners: int) -> tuple[Float, Float, Float]:

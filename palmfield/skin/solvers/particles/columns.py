@@ -63,7 +63,7 @@ def columns_of(body: Body, spacing_m: float, fewest_cells: int = FEWEST_CELLS) -
     across = min(body.size_m) if body.size_m is not None else 2.0 * (body.radius_m or 0.0)
     if spacing_m > 0.5 * across:
         raise SceneError(
-            f"particles: spacing_m is {spacing_m}, but the body is {across} m across; give at most half of that"
+            f"particles: spacing_m is {spacing_m}, but the body is {across} m wide; give at most half of that"
         )
     thicknesses = np.array([sheet.thickness_m for sheet in body.sheets])
     shares, sheet_of = _levels(thicknesses / thicknesses.sum(), body.thickness_m, spacing_m, fewest_cells)
@@ -173,7 +173,7 @@ def _below_patch(body: Layer, spacing_m: float, fewest_cells: int) -> Columns:
     whole = extrude(patch, np.array([0.0, 1.0]))  # names the place of an inside-out column
     rim = np.flatnonzero(patch.rim).astype(np.int32)
     if body.side == "roller" and patch.axis is None:
-        raise SceneError("roller sides need a patch with an axis; this one has none: use side 'fixed' or 'free'")
+        raise SceneError("roller sides need a patch with an axis, which this patch lacks: use side 'fixed' or 'free'")
     normals = whole.side_normals[: len(rim)] if patch.axis is not None else np.full((len(rim), 3), np.nan)
     thicknesses = np.array([sheet.thickness_m for sheet in body.sheets])
     shares, sheet_of = _levels(thicknesses / thicknesses.sum(), float(np.median(patch.depth)), spacing_m, fewest_cells)

@@ -29,8 +29,8 @@ def point_weights(columns: Columns, normals: Float, at: Float) -> tuple[Float, I
     far = int(np.argmax(distance[:, 0])) if len(points) else 0
     if len(points) and distance[far, 0] > 2.0 * columns.spacing_m:
         raise SceneError(
-            f"point {np.round(points[far], 6).tolist()} m is {distance[far, 0]:.3g} m off the face; "
-            "give points on the face"
+            f"point {np.round(points[far], 6).tolist()} m is {distance[far, 0]:.3g} m from the face; give points "
+            "on the face"
         )
     weights = np.empty(particles.shape)
     for row, (point, near) in enumerate(zip(points, particles, strict=True)):

@@ -31,28 +31,29 @@ COARSE_CELLS = 2
 def refusal_particles(body: Body, load: Load) -> str | None:
     """Why particles can't solve this, or None."""
     if isinstance(body, Slab) and body.shape == "infinite":
-        return "particles need a body with an end: give the slab a shape 'box' or 'disc'"
+        return "particles need a finite body: give the slab a shape 'box' or 'disc'"
     if isinstance(body.base, Foundation):
         return ONLY_WEDGES
     if isinstance(body.base, Springs):
-        return "particles have no spring base: use base 'bonded', 'free_slip' or 'free'"
+        return "particles do not support a spring base: use base 'bonded', 'free_slip' or 'free'"
     if body.side == "absorbing":
-        return "particles have no absorbing side: use side 'fixed', 'free' or 'roller'"
+        return "particles do not support absorbing sides: use side 'fixed', 'free' or 'roller'"
     if isinstance(body, Layer) and body.side == "roller" and body.patch.axis is None:
-        return "roller sides need a patch with an axis; this one has none: use side 'fixed' or 'free'"
+        return "roller sides need a patch with an axis, which this patch lacks: use side 'fixed' or 'free'"
     for material in (sheet.material for sheet in body.sheets):
         if material.bulk_Pa > STIFFEST * material.shear_instant_Pa:
             return (
-                f"particles step with the pressure wave, and '{material.name}' has a bulk modulus of "
-                f"{material.bulk_Pa / material.shear_instant_Pa:.3g} times its shear modulus (at most {STIFFEST:g}): "
-                "use solver 'wedges' or 'lateral_waves'"
+                f"particle steps resolve the pressure wave, and '{material.name}' has a bulk modulus of "
+                f"{material.bulk_Pa / material.shear_instant_Pa:.3g} times its shear modulus; allowed: at most "
+                f"{STIFFEST:g}: use solver 'wedges' or 'lateral_waves'"
             )
     for upper, lower in itertools.combinations([sheet.material for sheet in body.sheets], 2):
         ratio = upper.shear_instant_Pa / lower.shear_instant_Pa
         if ratio > STIFFER:
             return (
-                f"'{upper.name}' is {ratio:.3g} times as stiff as '{lower.name}' below it (at most {STIFFER:g}): "
-                "particles bend such a sheet too little; use solver 'wedges' or 'lateral_waves'"
+                f"'{upper.name}' is {ratio:.3g} times as stiff as '{lower.name}' below it; allowed: at most "
+                f"{STIFFER:g}, because particles underestimate the bending of such a sheet: use solver 'wedges' or "
+                "'lateral_waves'"
             )
     return None
 
@@ -88,7 +89,7 @@ def choose_spacing(body: Body, load: Load, accuracy: float) -> float:
     Below FINEST it is that of FINEST. Raises SceneError for an accuracy that is not above 0 and at most 1.
     """
     if not 0.0 < accuracy <= 1.0:
-        raise SceneError(f"particles: accuracy is {accuracy}; give 0.002 to 1 (5 % is what they are good for)")
+        raise SceneError(f"particles: accuracy is {accuracy}; give 0.002 to 1 (5 % is typical)")
     accuracy = max(accuracy, FINEST)
     # Below two particles a width in the run that estimates the error, the estimate has no value.
     high = min(length_of(body) / 4.0, motion_width(body, load) / 3.0)

@@ -36,7 +36,7 @@ class StepTooLongError(Exception):
     """Strain has stiffened the body beyond its step; `step_s` is one that would do."""
 
     def __init__(self, step_s: float) -> None:
-        super().__init__(f"a step of {step_s:.3g} s would do")
+        super().__init__(f"a step of {step_s:.3g} s is stable")
         self.step_s = step_s
 
 
@@ -193,8 +193,8 @@ class Particles:
         if broken.any():
             place = self.cloud.points[self.cloud.owner[np.argmax(broken)]]
             raise CrushedError(
-                f"the body is crushed or turned inside out near ({', '.join(f'{x:.4g}' for x in place)}) m: "
-                "lower the pressure, take a thicker or stiffer body, or a shorter step_s where it is pinned"
+                f"the body is crushed or inverted near ({', '.join(f'{x:.4g}' for x in place)}) m: lower the "
+                "pressure, use a thicker or stiffer body, or a shorter step_s if it is fixed"
             )
         stretch = np.linalg.svd(deformation, compute_uv=False)
         # Bulk stiffness follows the square of the cofactor of F, shear stiffness at most that of F^-1; frequencies go

@@ -69,7 +69,7 @@ def solve_particles(
     spacing = choose_spacing(body, load, problem.accuracy) if spacing_m is None else spacing_m
     longest = length_of(body) / (2.0 * COARSER)
     if isinstance(body, Slab) and spacing > longest:
-        raise SceneError(f"particles: spacing_m is {spacing}; the body's size allows at most {longest:.4g}")
+        raise SceneError(f"particles: spacing_m is {spacing}; allowed by the size of the body: at most {longest:.4g}")
     cloud = build_cloud(body, spacing)
     points, u, v, step = run_particles(cloud, load, requested, at, device=device, step_s=step_s, follower=follower)
     known = law_error(body, load, cloud.columns.spacing_m)
@@ -83,7 +83,7 @@ def solve_particles(
         # Few particles across a narrow body err at its sides as well, differently at each spacing
         least = 1.0 if motion_width(body, load) < load_width(load) else 0.5
         errors = np.maximum(error_of_finer(gap, ratio, ORDER), least * known)
-        source = f"particles {ratio:.2f} times as far apart, order {ORDER:g}, and at least {least:g} of the {source}"
+        source = f"particles {ratio:.2f} times as far apart, order {ORDER:g}, and at least {least:g} of {source}"
     count = len(cloud.points)
     words = f"particles: {count}, {1e3 * cloud.columns.spacing_m:.3g} mm apart, step {1e6 * step:.3g} us"
     return problem.solved(u, v, errors, source, words, begun, points)
@@ -126,12 +126,13 @@ def run_particles(
             step = stiffened.step_s
             if step_s is not None:
                 raise SceneError(
-                    f"particles: strain has made step_s = {step_s} s too long; give at most {step:.4g} s"
+                    f"particles: under strain step_s = {step_s} s is too long; give at most {step:.4g} s"
                 ) from stiffened
         else:
             return points, *history, step
     raise SceneError(
-        f"particles: the body stiffens without end; its step has come down to {step:.3g} s: lower the pressure"
+        f"particles: the body stiffens without limit, and its stable step has fallen to {step:.3g} s: lower the "
+        "pressure"
     )
 
 
@@ -145,8 +146,9 @@ def _refuse_hours(cloud: Cloud, steps: float, step_s: float, device: str) -> Non
     closest = np.where(difference > 0.0, difference, np.inf).min(axis=1)
     place = ", ".join(f"{x:.4g}" for x in cloud.points[cloud.owner[np.argmin(closest)]])
     raise SceneError(
-        f"particles: {steps:.2g} steps of {step_s:.3g} s would take about {seconds:.2g} s, above {LONGEST_S:g} s: near "
-        f"({place}) m particles lie {closest.min():.2g} m apart; make the body even there, or use solver 'wedges'"
+        f"particles: {steps:.2g} steps of {step_s:.3g} s would take about {seconds:.2g} s; allowed: {LONGEST_S:g} "
+        f"s; near ({place}) m the particle distance is only {closest.min():.2g} m: smooth the body there, or use "
+        "solver 'wedges'"
     )
 
 

@@ -26,7 +26,9 @@ class ParticleLayer(OwnMesh):
 
     preview, stiffest = True, spacing.STIFFEST
     refusal = staticmethod(spacing.refusal_particles)
-    sizes_follow = "what such particles had on discs (docs/bench/skin_particles.md); the run states at least as much"
+    sizes_follow = (
+        "error measured on discs with this spacing (docs/bench/skin_particles.md); the run states at least this value"
+    )
 
     @locked_cached_property
     def spacing_m(self) -> float:
@@ -132,8 +134,8 @@ class ParticleStepper(OwnMeshStepper):
                     continue
                 raise SceneError(
                     f"skin under {np.abs(ends).max():.3g} Pa from {t0:g} to {t1:g} s: {error}, even in steps of "
-                    f"{body.step_s:.3g} s; solver 'particles' follows strain up to a step {2**HALVINGS} times shorter "
-                    "than at rest: lower the pressure, or use solver 'wedges'"
+                    f"{body.step_s:.3g} s; solver 'particles' allows strain that shortens the step by up to "
+                    f"{2**HALVINGS} times: lower the pressure, or use solver 'wedges'"
                 ) from error
             break
         body.numbers(state)

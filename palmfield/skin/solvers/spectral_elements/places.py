@@ -46,8 +46,8 @@ def find(solid: Solid, at: Float) -> tuple[Int, Float]:
     worst = int(np.argmax(far)) if len(points) else 0
     if len(points) and far[worst] > 1.0:
         raise SceneError(
-            f"skin point {worst}, ({', '.join(f'{c:.4g}' for c in points[worst])}) m, is {best[worst]:.3g} m off the "
-            "face: move it there"
+            f"skin point {worst}, ({', '.join(f'{c:.4g}' for c in points[worst])}) m, is {best[worst]:.3g} m from "
+            "the face: move it onto the face"
         )
     a, b = _lines(where, solid.order)
     return cells[chosen].reshape(len(points), n * n), (a[:, :, None] * b[:, None, :]).reshape(len(points), n * n)

@@ -103,8 +103,8 @@ class Stepper:
     ) -> None:
         if not 0.0 < step_s <= stable_s:
             raise SceneError(
-                f"solver 'spectral_elements': step {step_s:.4g} s is above the stable one, {stable_s:.4g} s, or not "
-                "above 0; leave step_s out, or give one between them"
+                f"solver 'spectral_elements': step_s is {step_s:.4g} s; allowed: above 0, at most the stable step "
+                f"{stable_s:.4g} s; or omit it"
             )
         self.model, self.holds, self.step_s, self.table = model, holds, step_s, table
         device, real, put = model.device, model.real, model.put
@@ -213,8 +213,8 @@ class Stepper:
         """Take that many steps. Raises SceneError if the table of the load ends before."""
         if self.done + steps > self.table.steps:
             raise SceneError(
-                f"solver 'spectral_elements': {self.done + steps} steps asked, the load is tabled for "
-                f"{self.table.steps}; table more"
+                f"solver 'spectral_elements': {self.done + steps} steps are requested, but the load table has "
+                f"{self.table.steps}; give a longer table"
             )
         left = steps
         if self.model.layout.gpu and left >= self.graph_steps:

@@ -84,8 +84,8 @@ def _check_turns(solid: Solid) -> None:
 
 def inside_out(solid: Solid, element: int) -> str:
     return (
-        f"skin element {element} near ({solid.place(element)}) m is flat or inside out: make the layer thinner there, "
-        "or smooth the surface and its inward directions"
+        f"skin element {element} near ({solid.place(element)}) m is flat or inverted: make the layer thinner "
+        "there, or smooth the surface and its inward directions"
     )
 
 

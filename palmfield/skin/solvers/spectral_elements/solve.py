@@ -93,8 +93,8 @@ def refusal_spectral_elements(body: Body, load: Load) -> str | None:
         return ONLY_WEDGES
     if isinstance(body, Layer) and body.side == "absorbing":
         return (
-            "spectral elements have dashpots only at a layer's sides, which send slow waves back, and nothing to tell "
-            "how much: use solver 'wedges'"
+            "spectral elements have only dashpots at absorbing sides, which reflect slow waves by an unknown "
+            "amount: use solver 'wedges'"
         )
     turned = refusal_of_spot(body, load)
     if turned is not None:
@@ -103,9 +103,9 @@ def refusal_spectral_elements(body: Body, load: Load) -> str | None:
         material = sheet.material
         if material.bulk_Pa > STIFFEST * material.shear_instant_Pa:
             return (
-                f"spectral elements step with the pressure wave, and '{material.name}' has a bulk modulus of "
-                f"{material.bulk_Pa / material.shear_instant_Pa:.3g} times its shear modulus (at most {STIFFEST:g}): "
-                "use solver 'wedges' or 'lateral_waves', or nu_at_most"
+                f"spectral-element steps resolve the pressure wave, and '{material.name}' has a bulk modulus of "
+                f"{material.bulk_Pa / material.shear_instant_Pa:.3g} times its shear modulus; allowed: at most "
+                f"{STIFFEST:g}: use solver 'wedges' or 'lateral_waves', or nu_at_most"
             )
     return None
 
@@ -132,8 +132,8 @@ def cost_spectral_elements(problem: SkinProblem) -> float:
         total += steps * step_seconds(solid, device != "cpu") + MAKING[0] + MAKING[1] * len(solid.elements)
         if not total <= LONGEST_S:
             raise SceneError(
-                f"spectral elements would take about {total:.2g} s in steps of {step:.2g} s, above {LONGEST_S:g} s: "
-                "use solver 'wedges'"
+                f"spectral elements would take about {total:.2g} s in steps of {step:.2g} s; allowed: "
+                f"{LONGEST_S:g} s: use solver 'wedges'"
             )
     if isinstance(body, Layer):
         return total
@@ -241,7 +241,7 @@ def solve_spectral_elements(
     if order is not None and not 1 <= order <= 7:
         raise SceneError(f"solver 'spectral_elements': order is {order}; give 1 to 7")
     if step_s is not None and not 0.0 < step_s < math.inf:
-        raise SceneError(f"solver 'spectral_elements': step_s is {step_s}; give a time above 0 s, or leave it out")
+        raise SceneError(f"solver 'spectral_elements': step_s is {step_s}; give a time above 0 s, or omit it")
     if deep is not None and (len(deep) != len(body.sheets) or min(deep) < 1):
         raise SceneError(
             f"solver 'spectral_elements': deep is {deep}; give 1 or more for each of {len(body.sheets)} sheets"
@@ -377,7 +377,7 @@ def check_time(model: Model, steps: int, step_s: float) -> None:
     if seconds > LONGEST_S:
         worst = int(np.argmin(model.volume.sum(axis=1)))
         raise SceneError(
-            f"solver 'spectral_elements': {steps} steps of {step_s:.3g} s would take about {seconds:.2g} s, above "
-            f"{LONGEST_S:g}: the smallest element is near ({solid.place(worst)}) m; make the mesh even there, or "
-            "use solver 'wedges'"
+            f"solver 'spectral_elements': {steps} steps of {step_s:.3g} s would take about {seconds:.2g} s; "
+            f"allowed: {LONGEST_S:g} s; the smallest element is near ({solid.place(worst)}) m: make the mesh "
+            "uniform there, or use solver 'wedges'"
         )

@@ -27,9 +27,7 @@ class ElementLayer(OwnMesh):
 
     stiffest = solve.STIFFEST
     refusal = staticmethod(solve.refusal_spectral_elements)
-    sizes_follow = (
-        "elements follow studies on discs (docs/bench/skin_spectral_elements.md); the run estimates what was reached"
-    )
+    sizes_follow = "sizes follow studies on discs (docs/bench/skin_spectral_elements.md); the run estimates the error"
 
     @locked_cached_property
     def _reduced(self) -> tuple[Body, float]:
