@@ -187,18 +187,18 @@ def report(rows: list[dict[str, Any]], out: Path, count: int) -> None:
         f"| truth by another solver | {cells([row for row in rows if 'by' in row and not _own(row)])} |",
         f"| truth by the same, finer | {cells([row for row in rows if 'by' in row and _own(row)])} |",
         "",
-        "| case | kind | accuracy of | asked % | estimate % | true % | truth, its error % | s | solver |",
+        "Cases with an estimate below the true error:",
+        "",
+        "| case | kind | accuracy of | target % | estimate % | true % | truth, its error % | s | solver |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
-    for row in rows:
+    for row in (row for row in rows if counted(row) and row["estimate"] < row["true"]):
         numbers = [f"{100 * row[key]:.2g}" if key in row else "-" for key in ("accuracy", "estimate", "true")]
         own = "own " if "by" in row and _own(row) else ""
         by = f"{own}{row['by']}, {100 * row['truth_error']:.2g}" if "by" in row else "none"
-        low = " **low**" if counted(row) and row["estimate"] < row["true"] else ""
         words = row.get("solver", row.get("missing", "")).split("(")[0].replace("|", "/").strip()[:80]
-        kind = row["kind"] + (low if counted(row) else " (not judged)")
         lines.append(
-            f"| {row['key']} | {kind} | {row['accuracy_of']} | {' | '.join(numbers)} | {by} "
+            f"| {row['key']} | {row['kind']} | {row['accuracy_of']} | {' | '.join(numbers)} | {by} "
             f"| {row.get('seconds', math.nan):.2g} | {words} |"
         )
     out.write_text("\n".join(lines) + "\n")

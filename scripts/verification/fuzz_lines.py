@@ -231,7 +231,10 @@ def main() -> int:
     for door in DOORS:
         outcomes, own, repeated = sent(door, arguments.lines // len(DOORS), arguments.seed)
         faults, again = faults + own, again + repeated
-        rows += [f"| {door} | {kind} | {name} | {count} |" for (kind, name), count in sorted(outcomes.items()) if count]
+        for kind in sorted({kind for kind, _ in outcomes}):
+            taken = outcomes.get((kind, "taken"), 0)
+            bad = sum(count for (own_kind, _), count in outcomes.items() if own_kind == kind) - taken
+            rows.append(f"| {door} | {kind} | {taken} | {bad} |")
     commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True).stdout.strip()
     part = [
         HEADING,
@@ -246,7 +249,7 @@ def main() -> int:
         f"for this. Batches of {BATCH} sent again, as the machine was busy and they had waited for 0.1 s: {again}. "
         f"Faults: {len(faults)}.",
         "",
-        "| listener | what was done to the line | counted as | lines |",
+        "| listener | change of the line | taken | refused |",
         "|---|---|---|---|",
         *rows,
         "",

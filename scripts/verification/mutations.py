@@ -202,25 +202,25 @@ def page(outcomes: Sequence[Outcome]) -> str:
         "    python scripts/verification/mutations.py --write docs/bench/mutations.md",
         "",
         f"{len(outcomes)} faults are put into a copy of the package one at a time "
-        "(`scripts/verification/mutation_table.py`), and the test named beside each is run there in a process of its "
-        "own: it must fail by its own assertion or by an error that palmfield raises on purpose, and pass without the "
-        f"fault. {red} of {len(outcomes)} do. CI runs them all (`tests/test_mutations.py`).",
+        "(`scripts/verification/mutation_table.py` names fault, file and test). The named test runs there in a process "
+        "of its own: it must fail by its own assertion or by an error that palmfield raises on purpose, and pass "
+        f"without the fault. {red} of {len(outcomes)} do. CI runs them all (`tests/test_mutations.py`).",
         "",
         "Where there is one, the test is one of accuracy: it compares with an exact solution, a measurement, or a "
         "float64 code that shares nothing with palmfield. What compares palmfield with itself is called consistency.",
         "",
-        "| stage | fault | in | test | red | s |",
-        "|---|---|---|---|---|---|",
+        "| stage | faults | found | s |",
+        "|---|---|---|---|",
     ]
-    lines += [
-        f"| {one.mutation.stage} | {one.mutation.name} | `{one.mutation.file}` | `{one.mutation.test}` | "
-        f"{'yes' if one.red else 'no: ' + one.said} | {one.seconds:.1f} |"
-        for one in outcomes
-    ]
+    for stage in dict.fromkeys(one.mutation.stage for one in outcomes):
+        own = [one for one in outcomes if one.mutation.stage == stage]
+        found, seconds = sum(one.red for one in own), sum(one.seconds for one in own)
+        lines.append(f"| {stage} | {len(own)} | {found} | {seconds:.0f} |")
+    lines += ["", *(f"- not found: `{one.mutation.test}`: {one.said}" for one in outcomes if not one.red)]
     seconds = sum(one.seconds for one in outcomes)
     load = f"at a load average of {os.getloadavg()[0]:.1f}"
     said = f"Seconds are of one process each, its start included; {seconds:.0f} together, {load}."
-    return "\n".join([*lines, "", said, ""])
+    return "\n".join([*lines, said, ""])
 
 
 def main() -> int:
