@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""How often the guided mode of a scan is told, and how far from the truth: docs/bench/guided_modes.md.
+"""How often the guided mode of a scan is resolved, and its error: docs/bench/guided_modes.md.
 
 python scripts/bench/guided_modes.py --seed SEED [--again SEED ...] [--random 100] [--out docs/bench/guided_modes.md]
 
@@ -31,6 +31,14 @@ from guided_layer import GuidedLayer, fractional  # noqa: E402 - tests' helpers 
 THICKNESSES_M = (0.004, 0.006, 0.008, 0.01, 0.015, 0.02)
 FREQUENCIES_HZ = (120.0, 160.0, 200.0, 250.0, 300.0, 350.0, 400.0)
 LIMIT = 0.03
+REASONS = {
+    "wavelengths; needed": "scan too short",
+    "points per wavelength; needed": "points too sparse",
+    "decays": "decays too fast",
+    "below the noise": "possible hidden wave",
+    "uncertainty": "noise",
+}
+"""Kinds of reasons, by words of `palmfield.instruments.guided_mode.guided_mode_fit`"""
 COUNTED = 0.03
 """Waves that carry less of the motion are left out of the bound: their amplitudes would only widen it."""
 
@@ -162,11 +170,16 @@ def summary(answers: list[Answer]) -> str:
     return (
         f"{len(answers)} scans, {len(wide)} of them wide and fine enough for their strongest wave; {len(told)} resolved"
         f" ({sum(one.wide for one in told)} of the wide and fine), errors {100 * np.median(errors):.2g} % (median) and "
-        f"{100 * errors[-1]:.2g} % (largest), beside them {sum(one.others for one in answers)} other waves; wrong "
+        f"{100 * errors[-1]:.2g} % (largest); other resolved waves: {sum(one.others for one in answers)}; wrong "
         f"answers: {wrong}. The bound of the noise is above {100 * SURE:.2g} % for {len(wide) - len(bounded)} of the "
         f"wide and fine; of the {len(bounded)} others {len(missed)} were not resolved. Median time "
         f"{np.median([one.seconds for one in answers]):.2g} s."
     )
+
+
+def short(reason: str) -> str:
+    """Return the kind of a reason of `guided_mode_fit` for a wave that is not resolved."""
+    return next((kind for words, kind in REASONS.items() if words in reason), reason)
 
 
 def table(answers: list[Answer]) -> list[str]:
@@ -174,7 +187,7 @@ def table(answers: list[Answer]) -> list[str]:
     for one in answers:
         if one.true is None:
             continue
-        said = f"{100 * one.error:.2g} % off" if one.told is not None else one.reason
+        said = f"{100 * one.error:.2g} % off" if one.told is not None else short(one.reason)
         said += "" if one.others == 0 else f", and {one.others} more"
         lines.append(
             f"| {1e3 * one.case.thickness_m:g} | {one.case.f_Hz:g} | {one.true.real:.0f} + {one.true.imag:.0f}i | "
@@ -215,19 +228,18 @@ def main() -> None:
         options.out.write_text(HEAD + "\n".join(lines).lstrip("\n") + "\n", encoding="utf-8")
 
 
-HEAD = """# The guided mode of a scan, told or not
+HEAD = """# Guided mode of a scan: resolved or not
 
 `scripts/bench/guided_modes.py` fits the strongest wave ([instruments](../instruments.md#the-guided-mode)) of scans
-that another model makes: elements through the depth of a bonded layer of a fractional material, all its waves at
-once; beams at 45 degrees, which see motion along the surface too; a grid told 1 mm off its place; 20 dB of noise; 120
-mm with points 5 mm apart. Seeds were drawn after the code was finished. An answer is wrong where a wavenumber that is
-told, the strongest's or another's, is more than 3 % from each of the layer's waves, or where it isn't the strongest's
-and that carries over 1.25 times as much.
+from another model: finite elements through the depth of a bonded layer of a fractional material, with all its waves.
+The beams have 45 degrees, so they also see motion along the surface; the grid is displaced by 1 mm; noise 20 dB; 120
+mm with points 5 mm apart. Seeds were drawn after the code was finished. An answer is wrong if a resolved wavenumber
+is more than 3 % from each wave of the layer, or if it is not that of the strongest wave and this wave carries more
+than 1.25 times as much.
 
-"Bound" is the Cramer-Rao bound of the strongest wave's wavenumber: no estimator without bias, told how many waves
-carry 3 % of the motion or more, has a smaller standard deviation in this noise. Where it is above 1.3 % the noise is
-why nothing is told: an answer within 3 % would be luck. With 34 dB, which 25 times as many averages of records give,
-the same layers say more. Layers of which no wave travels are left out. Times are of one core of a busy machine.
+"Bound" is the Cramer-Rao bound of the strongest wavenumber: no unbiased estimator that knows how many waves carry 3 %
+of the motion or more has a smaller standard deviation. Above 1.3 % the noise prevents an answer. 34 dB correspond to
+25 times as many averages. Layers without a travelling wave are omitted. Times are for one core of a busy machine.
 
 """
 

@@ -151,10 +151,14 @@ def page(seed: int, rows: list[dict[str, Any]]) -> str:
             )
     lines += [
         "",
+        "Cases outside a factor of 3:",
+        "",
         "| case | kind | solver | accuracy | predicted [s] | measured [s] | ratio |",
         "|---|---|---|---|---|---|---|",
     ]
     for row, ratio in zip(rows, ratios, strict=True):
+        if 1 / 3 <= ratio <= 3:
+            continue
         took = f"{row['measured_s']:.2g}" + (" (stopped)" if row["words"].startswith("stopped") else "")
         cells = (row["number"], row["kind"], row["solver"], f"{row['accuracy']:.2g}", f"{row['predicted_s']:.2g}", took)
         lines.append("| " + " | ".join(map(str, cells)) + f" | {ratio:.2f} |")
