@@ -16,9 +16,9 @@ from palmfield.estimate.biases import response_biases
 from palmfield.planning.array_advice import array_advice
 from palmfield.planning.costs import scatterings
 from palmfield.planning.facts import first_drive, where_it_arrives
-from palmfield.planning.in_the_way import in_the_way
+from palmfield.planning.obstructions import obstructions
 from palmfield.planning.pins import coarse_pins
-from palmfield.planning.sight import out_of_sight
+from palmfield.planning.visibility import out_of_sight
 from palmfield.session.duration import step_count
 from palmfield.session.preview import Preview
 from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
@@ -77,7 +77,7 @@ def advice(view: Preview) -> list[str]:
     model = view.runtime.model
     result = [text for number in range(len(model.skins)) for text in _far_focus(view, number)]
     result += out_of_sight(view)
-    result += in_the_way(view)
+    result += obstructions(view)
     result += _rounded_duration(view)
     result += _disabled_sensors(view)
     result += array_advice(model)

@@ -13,10 +13,10 @@ from palmfield.estimate.error_budget import QUANTITY
 from palmfield.planning.advice import advice
 from palmfield.planning.costs import run_s
 from palmfield.planning.expected_error import expected_errors
-from palmfield.planning.left_out import besides, left_out
 from palmfield.planning.modelled import modelled
 from palmfield.planning.numbers import plan_numbers
 from palmfield.planning.rows import Row, merged
+from palmfield.planning.unmodelled import effects_on_skin, other_effects
 from palmfield.session.duration import check_duration
 from palmfield.session.open_scene import Source
 from palmfield.session.preview import preview
@@ -118,8 +118,8 @@ def plan(
     return Plan(
         view.name,
         merged(modelled(model, view.duration_s, view.runtime.felt)),
-        merged(left_out(model)),
-        merged(besides(model)),
+        merged(effects_on_skin(model)),
+        merged(other_effects(model)),
         merged(expected_errors(model)),
         run_s(view),
         tuple(advice(view)),

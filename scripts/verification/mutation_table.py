@@ -903,10 +903,10 @@ MUTATIONS = (
     Mutation(
         "ways from the transducers for those to them",
         "planning",
-        "palmfield/planning/sight.py",
+        "palmfield/planning/visibility.py",
         "ways = sources[None] - points[:, None]",
         "ways = points[:, None] - sources[None]",
-        "tests/planning/test_sight.py::test_a_patch_at_an_angle",
+        "tests/planning/test_visibility.py::test_a_patch_at_an_angle",
     ),
     Mutation(
         "state before a reset kept on the device",

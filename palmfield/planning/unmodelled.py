@@ -13,7 +13,7 @@ from palmfield.simulation.posed_scene import reference_scene
 from palmfield.skin.from_config import cutoff_Hz
 
 
-def left_out(model: HapticModel) -> list[Row]:
+def effects_on_skin(model: HapticModel) -> list[Row]:
     """Return rows of ignored effects, and their influence on the displacement of each skin under the focus."""
     rows, posed = [], reference_scene(model)
     for number, skin in enumerate(model.skins):
@@ -26,7 +26,7 @@ def left_out(model: HapticModel) -> list[Row]:
     return rows
 
 
-def besides(model: HapticModel) -> list[Row]:
+def other_effects(model: HapticModel) -> list[Row]:
     """Return rows of further ignored effects, without a figure for the displacement of a skin."""
     rows = []
     for skin in model.skins:

@@ -19,7 +19,7 @@ MOST_HITS = 64
 """Largest number of geoms that one ray may hit."""
 
 
-def in_the_way(view: Preview) -> list[str]:
+def obstructions(view: Preview) -> list[str]:
     """Return a sentence for each skin and each body whose geoms the sound passes through, in the present pose.
 
     Bodies with skins or arrays, their descendants, and those in key `obstacles` are left out.

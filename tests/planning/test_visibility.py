@@ -11,7 +11,7 @@ from refusals import changed
 import palmfield
 from palmfield.outputs.summary_table import format_summary
 from palmfield.planning.scene_plan import warnings
-from palmfield.planning.sight import KINDS, MOMENTS, out_of_sight
+from palmfield.planning.visibility import KINDS, MOMENTS, out_of_sight
 from palmfield.session.preview import preview
 
 SCENES = Path(__file__).parents[2] / "mjcf" / "scenes"
