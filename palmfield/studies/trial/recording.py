@@ -16,9 +16,9 @@ import numpy as np
 from palmfield.errors import SceneError, did_you_mean
 from palmfield.estimate.array_inputs import p0_band
 from palmfield.given_files import read_text
-from palmfield.studies.trial.felt import Felt
 from palmfield.studies.trial.field import TrialMoment, TrueSound
 from palmfield.studies.trial.sending import Heard
+from palmfield.studies.trial.skin_response import SkinResponse
 from palmfield.types import Float
 
 Quantity = Literal["pressure", "displacement", "velocity"]
@@ -151,7 +151,7 @@ def _place(file: Path, text: str) -> tuple[float, float, float]:
 
 
 def compare(
-    recording: Recording, moments: Sequence[TrialMoment], sound: TrueSound, heard: Heard, skin: Felt | None
+    recording: Recording, moments: Sequence[TrialMoment], sound: TrueSound, heard: Heard, skin: SkinResponse | None
 ) -> Compared:
     """Compare a recording with the same quantity of a trial. Raises SceneError for motion of an unstepped skin."""
     if recording.quantity == "pressure":

@@ -8,11 +8,11 @@ import numpy as np
 
 from palmfield.acoustics.calibration_file import Calibration
 from palmfield.drive.board import Board
-from palmfield.studies.trial.belief import Tracker
-from palmfield.studies.trial.felt import Felt
 from palmfield.studies.trial.field import TrialMoment, TrueSound
+from palmfield.studies.trial.pose_estimate import Tracker
 from palmfield.studies.trial.recording import Compared
 from palmfield.studies.trial.sending import VIRTUAL, Sent
+from palmfield.studies.trial.skin_response import SkinResponse
 from palmfield.types import Float
 
 COLUMNS = (
@@ -105,8 +105,8 @@ def numbers_of(
     moments: Sequence[TrialMoment],
     tracker: Tracker,
     duration_s: float,
-    skin: Felt | None,
-    skin_ideal: Felt | None,
+    skin: SkinResponse | None,
+    skin_ideal: SkinResponse | None,
     port: str | None,
     truth: Calibration | None,
     notes: Sequence[str] = (),
@@ -151,7 +151,7 @@ def numbers_of(
     )
 
 
-def _rms_um(skin: Felt | None) -> float | None:
+def _rms_um(skin: SkinResponse | None) -> float | None:
     return None if skin is None or not len(skin.times) else 1e6 * float(np.sqrt(np.mean(skin.push**2)))
 
 
@@ -170,7 +170,7 @@ def _share(after: Float, before: Float) -> Share:
     return Share(float(ratio.mean()), float(ratio.min()))
 
 
-def table_of(moments: Sequence[TrialMoment], skin: Felt | None) -> tuple[tuple[str, ...], Float]:
+def table_of(moments: Sequence[TrialMoment], skin: SkinResponse | None) -> tuple[tuple[str, ...], Float]:
     """Return names of columns and the course in rows, shape (k, columns); NaN for a skin that was not stepped."""
     rows = []
     for one in moments:

@@ -28,14 +28,14 @@ from palmfield.session.preview import Preview, preview
 from palmfield.simulation.emission import Emission
 from palmfield.simulation.frames import Frames
 from palmfield.simulation.model import HapticModel
-from palmfield.studies.trial.belief import Belief, Tracker
 from palmfield.studies.trial.course import SceneCourse
-from palmfield.studies.trial.felt import Felt, felt
 from palmfield.studies.trial.field import TrialMoment, TrueSound, focus_in, last_due, level_of, same_level
 from palmfield.studies.trial.live import Live, play_live
+from palmfield.studies.trial.pose_estimate import PoseEstimator, Tracker
 from palmfield.studies.trial.recording import Compared, Recording, compare
 from palmfield.studies.trial.report import Numbers, as_text, numbers_of, table_of
 from palmfield.studies.trial.sending import VIRTUAL, Heard, MadeFrame, Sent, send
+from palmfield.studies.trial.skin_response import SkinResponse, skin_response
 from palmfield.tables import write_table
 from palmfield.terminal import bars
 from palmfield.whole_files import whole
@@ -58,8 +58,8 @@ class Trial:
     numbers: Numbers
     moments: list[TrialMoment]
     sent: Sent
-    skin: Felt | None
-    skin_ideal: Felt | None
+    skin: SkinResponse | None
+    skin_ideal: SkinResponse | None
     compared: Compared | None = None
     files: dict[str, Path] = field(default_factory=dict)
 
@@ -117,19 +117,21 @@ def trial(
         for line in check_head(scene_at_head(view, duration), driver):
             LOG.warning(line)
     watched = tracker or Tracker()
-    with TemporaryDirectory() as spare, _bar(progress) as told:
+    with TemporaryDirectory() as spare, _bar(progress) as show_stage:
         log = None if folder is None or played.exact else FrameLog(folder / "sent.jsonl", log_head(view.runtime.model))
         if live is None:
-            done = _scripted(view, watched, duration, real, flight, port, log, told)
+            done = _scripted(view, watched, duration, real, flight, port, log, show_stage)
         else:
             kept = Path(spare) if folder is None else folder
-            done = _followed(view, scene, board, given, live, watched, duration, real, flight, port, log, kept, told)
+            done = _followed(
+                view, scene, board, given, live, watched, duration, real, flight, port, log, kept, show_stage
+            )
             given |= done.keys
         sent, heard = done.sent, Heard(done.sent, played)
-        moments = _course(sent, _moments(done.sound.course, duration), done.times, heard, done.sound, told)
+        moments = _course(sent, _moments(done.sound.course, duration), done.times, heard, done.sound, show_stage)
         motion = ideal_motion = None
         if skin and moments and not sent.interrupted:
-            told("computing the skin under the emitted sound", None)
+            show_stage("computing the skin under the emitted sound", None)
             motion, ideal_motion = _skins(scene, board, given, done, moments, real, recording)
     numbers = numbers_of(
         view.name, played, done.sound, sent, moments, watched, duration, motion, ideal_motion, port, real,
@@ -163,18 +165,18 @@ def _scripted(
     flight: bool,
     port: str | None,
     log: FrameLog | None,
-    told: "Told",
+    show_stage: "ShowStage",
 ) -> _Done:
     """Send a scene with given motion to a system that estimates it by a simulated tracker."""
-    told("stepping the scene", None)
+    show_stage("stepping the scene", None)
     course = SceneCourse(view, duration_s)
     board, limits = course.model.board, SoundLimits.of(course.model.spec.driver)
     sound = TrueSound(course, course.model.sounding, truth, flight=flight, share=_share(course.model, duration_s))
     times = _due(course, board, duration_s)
-    make = _maker(course, sound, Belief(course, tracker), times, duration_s)
-    told("sending", duration_s)
+    make = _maker(course, sound, PoseEstimator(course, tracker), times, duration_s)
+    show_stage("sending", duration_s)
     sent = send(
-        board, times, make, duration_s, port=port, log=log, limits=limits, on_progress=lambda at: told(None, at)
+        board, times, make, duration_s, port=port, log=log, limits=limits, on_progress=lambda at: show_stage(None, at)
     )
     return _Done(sound, sent, times, [], {})
 
@@ -192,15 +194,15 @@ def _followed(
     port: str | None,
     log: FrameLog | None,
     folder: Path,
-    told: "Told",
+    show_stage: "ShowStage",
 ) -> _Done:
     """Send a scene with the hand of a live tracker; the scene then moves by its samples."""
-    told("following the hand", duration_s)
+    show_stage("following the hand", duration_s)
     number = view.runtime.model.sounding
     played = play_live(
-        view, live, tracker, duration_s, number, port=port, log=log, on_progress=lambda at: told(None, at)
+        view, live, tracker, duration_s, number, port=port, log=log, on_progress=lambda at: show_stage(None, at)
     )
-    told("computing the scene with the tracked motion", None)
+    show_stage("computing the scene with the tracked motion", None)
     write_stream(folder / "tracked.npz", played.stream)
     own = live.keys(played.motion, folder / "tracked.npz", played.start_s)
     seen = preview(scene, device="cpu", board=board, keys={**keys, **own})
@@ -220,7 +222,7 @@ def _share(model: HapticModel, duration_s: float) -> Callable[[float], float]:
 
 
 def _maker(
-    course: SceneCourse, sound: TrueSound, belief: Belief, times: list[float], duration_s: float
+    course: SceneCourse, sound: TrueSound, estimator: PoseEstimator, times: list[float], duration_s: float
 ) -> Callable[[float, float], MadeFrame]:
     """Return the function that makes each frame from the estimate at its time."""
     frames, afterwards = (Frames(course.model, Emission(course.model)) for _ in range(2))
@@ -232,7 +234,7 @@ def _maker(
         nonlocal flight_s
         until_s = float(ends[np.searchsorted(times, due_s)])
         middle_s = due_s if exact else 0.5 * (due_s + until_s)
-        known = belief.at(now_s, middle_s + flight_s)
+        known = estimator.at(now_s, middle_s + flight_s)
         share = sound.share(due_s)
         data = b"" if exact else frames.at(known.posed, due_s, share)
         focus = focus_in(course.model, sound.number, known.posed, due_s)
@@ -260,12 +262,12 @@ def _due(course: SceneCourse, board: Board, duration_s: float) -> list[float]:
 
 
 def _course(
-    sent: Sent, moments_s: list[float], times: list[float], heard: Heard, sound: TrueSound, told: "Told"
+    sent: Sent, moments_s: list[float], times: list[float], heard: Heard, sound: TrueSound, show_stage: "ShowStage"
 ) -> list[TrialMoment]:
     """Compute the sound at the hand over the trial so far; Ctrl-C keeps the computed part."""
     loudest = max((level_of(one.frame.wanted) for one in sent.frames), default=0.0)
     moments = []
-    told("computing the sound at the hand", moments_s[-1] if moments_s else None)
+    show_stage("computing the sound at the hand", moments_s[-1] if moments_s else None)
     try:
         with interrupts_held() as check:
             for time_s in moments_s:
@@ -274,7 +276,7 @@ def _course(
                 moment = sound.moment(time_s, times, heard, loudest)
                 if moment is not None:
                     moments.append(moment)
-                told(None, time_s)
+                show_stage(None, time_s)
                 check()
     except KeyboardInterrupt:
         sent.interrupted = True
@@ -289,7 +291,7 @@ def _skins(
     moments: list[TrialMoment],
     truth: Calibration | None,
     recording: Recording | None,
-) -> tuple[Felt, Felt]:
+) -> tuple[SkinResponse, SkinResponse]:
     """Step the skin under the emitted sound of the true array, and under the sound for the true place of the hand."""
     end_s = moments[-1].time_s
     # Target of the focus, and places of recordings
@@ -306,8 +308,8 @@ def _skins(
             file = Path(made) / "as_it_is.json"
             write_calibration(file, same_level(truth, spec.calibration))
             own[f"{spec.name}.calibration"] = str(file)
-        played = felt(scene, emitted, end_s, board=board, keys=own, places=places)
-    return played, felt(scene, ideal, end_s, board=board, keys=keys, places=places)
+        played = skin_response(scene, emitted, end_s, board=board, keys=own, places=places)
+    return played, skin_response(scene, ideal, end_s, board=board, keys=keys, places=places)
 
 
 def _folder(out: Path, overwrite: bool) -> Path:
@@ -339,19 +341,19 @@ def _written(result: Trial, folder: Path, logged: bool) -> dict[str, Path]:
     return files
 
 
-Told = Callable[[str | None, float | None], None]
+ShowStage = Callable[[str | None, float | None], None]
 
 
 @contextmanager
-def _bar(show: bool) -> Iterator[Told]:
+def _bar(show: bool) -> Iterator[ShowStage]:
     """Report the present task and its progress on a terminal's standard error."""
     with bars(show) as bar:
         task = bar.add_task("opening the scene", total=None)
 
-        def told(what: str | None, number: float | None) -> None:
+        def show_stage(what: str | None, number: float | None) -> None:
             if what is None:
                 bar.update(task, completed=number or 0.0)
             else:
                 bar.reset(task, description=what, total=number)
 
-        yield told
+        yield show_stage

@@ -134,15 +134,15 @@ def send(
     early; the board is off at the end. Raises DeviceError if the port cannot be opened or is lost, and for a port on a
     system without POSIX.
     """
-    told = on_progress or (lambda time_s: None)
+    show_progress = on_progress or (lambda time_s: None)
     if board.exact:
         sent = _play_exactly(times_s, make)
         sent.end_s = duration_s
     elif port is None:
-        sent = _play_on_twin(board, times_s, make, duration_s, log, told)
+        sent = _play_on_twin(board, times_s, make, duration_s, log, show_progress)
     elif port == VIRTUAL:
         with VirtualBoard(board, decodes=False, realtime=True) as virtual:
-            sent = _play_on_port(board, virtual.port, times_s, make, duration_s, log, limits, told)
+            sent = _play_on_port(board, virtual.port, times_s, make, duration_s, log, limits, show_progress)
             virtual.settle()
             virtual.decode()
             offset = time.monotonic() - virtual.clock - sent.zero_s
@@ -150,7 +150,7 @@ def send(
         sent.emitted = _not_early(board, sent.frames, emitted)
         sent.flags = [f"at {flag.time_s + offset:.3f} s {flag.kind}: {flag.text}" for flag in virtual.flags]
     else:
-        sent = _play_on_port(board, port, times_s, make, duration_s, log, limits, told)
+        sent = _play_on_port(board, port, times_s, make, duration_s, log, limits, show_progress)
         _emit_by_twin(board, sent, duration_s)
     for one in sent.frames:
         one.frame.wanted  # noqa: B018 - in the order in which they were made
@@ -208,7 +208,7 @@ def _play_on_twin(
     make: Make,
     duration_s: float,
     log: FrameLog | None,
-    told: Callable[[float], None],
+    show_progress: Callable[[float], None],
 ) -> Sent:
     """Return the emission of a virtual board whose line takes its real time, but without waiting."""
     line, takes_s = _line(board), board.frame_time_s
@@ -225,7 +225,7 @@ def _play_on_twin(
             made = SentFrame(choice.number, due_s, now - zero, now - zero, make(now - zero, due_s))
             twin.feed(made.frame.data, now)
             sent.add(made, takes_s)
-            told(made.made_s)
+            show_progress(made.made_s)
         sent.due, sent.end_s, now = len(times_s), duration_s, max(now, zero + sent.end_s, zero + duration_s)
     except KeyboardInterrupt:
         sent.interrupted = True
@@ -249,7 +249,7 @@ def _play_on_port(
     duration_s: float,
     log: FrameLog | None,
     limits: SoundLimits | None,
-    told: Callable[[float], None],
+    show_progress: Callable[[float], None],
 ) -> Sent:
     """Make frames here and send them by a player, which reports when each was on the line."""
     within = limits or SoundLimits()
@@ -262,7 +262,7 @@ def _play_on_port(
         on_time_s=within.on_time_s or 0.0, duty=within.duty,
     )  # fmt: skip
     try:
-        sent = _make_and_give(player, times_s, make, duration_s, given, told)
+        sent = _make_and_give(player, times_s, make, duration_s, given, show_progress)
     finally:
         player.close()
     report = player.played
@@ -287,7 +287,7 @@ def _make_and_give(
     make: Make,
     duration_s: float,
     given: list[tuple[int, float, MadeFrame]],
-    told: Callable[[float], None],
+    show_progress: Callable[[float], None],
 ) -> Sent:
     """Make frames just before they are due, and pass them to a player.
 
@@ -309,7 +309,7 @@ def _make_and_give(
             frame = make(now - sent.zero_s, due_s)
             player.send([frame.data], float(frame.sounds), made_s=now, due_s=sent.zero_s + due_s)
             given.append((number, now - sent.zero_s, frame))
-            told(now - sent.zero_s)
+            show_progress(now - sent.zero_s)
             done_s = time.monotonic()
             making.add(done_s - now)
             rested_s = done_s + REST * (done_s - now)

@@ -13,8 +13,8 @@ from palmfield.drive.frame_log import read_log
 from palmfield.hardware.decode import decode
 from palmfield.session.preview import preview
 from palmfield.studies.trial import Tracker, trial
-from palmfield.studies.trial.belief import Belief
 from palmfield.studies.trial.course import SceneCourse
+from palmfield.studies.trial.pose_estimate import PoseEstimator
 from palmfield.types import Air
 
 SPEED_m_s = np.array([0.2, 0.1, 0.05])
@@ -210,7 +210,7 @@ def test_sound_rises_and_falls_within_the_drivers_ramp(moving_scene, tmp_path):
 
 
 def test_ctrl_c_keeps_what_there_is(moving_scene, tmp_path, monkeypatch):
-    asked, at = [], Belief.at
+    asked, at = [], PoseEstimator.at
 
     def cut(self, now_s, heard_s):
         asked.append(now_s)
@@ -218,7 +218,7 @@ def test_ctrl_c_keeps_what_there_is(moving_scene, tmp_path, monkeypatch):
             raise KeyboardInterrupt
         return at(self, now_s, heard_s)
 
-    monkeypatch.setattr(Belief, "at", cut)
+    monkeypatch.setattr(PoseEstimator, "at", cut)
     result = trial(moving_scene(), board="sonicsurface", skin=False, out=tmp_path / "out")
     assert result.interrupted and result.numbers.frames_sent == 7
     assert 60 < len(result.moments) < 100

@@ -49,14 +49,14 @@ class Tracker:
             raise SceneError("tracker rate 0 gives no history to predict from; use ahead 0, or a rate above 0")
 
 
-class Believed(NamedTuple):
+class EstimatedPose(NamedTuple):
     """posed: the scene as the system estimates it; seen_s: time of the last sample that has arrived [s]"""
 
     posed: PosedScene
     seen_s: float
 
 
-class Belief:
+class PoseEstimator:
     """A tracker that samples the course of a scene."""
 
     def __init__(self, course: SceneCourse, tracker: Tracker) -> None:
@@ -72,7 +72,7 @@ class Belief:
         count = min(MOST_AHEAD, math.floor(course.end_s * tracker.rate_Hz) - self._next + 1) if tracker.rate_Hz else 0
         self._coming = deque(self._seen((self._next + number) / tracker.rate_Hz) for number in range(count))
 
-    def at(self, now_s: float, heard_s: float) -> Believed:
+    def at(self, now_s: float, heard_s: float) -> EstimatedPose:
         """Return the system's estimate at a time of the trial [s], which must not decrease.
 
         heard_s: the middle of the time in which the frame made now will sound [s]
@@ -80,7 +80,7 @@ class Belief:
         rate, known_s = self.tracker.rate_Hz, now_s - self.tracker.latency_s
         if rate == 0.0:
             frames = self._seen(known_s)
-            return Believed(self.course.posed(known_s, frames), known_s)
+            return EstimatedPose(self.course.posed(known_s, frames), known_s)
         while self._last is None or self._next <= math.floor(known_s * rate + 1e-9):
             sample_s = self._next / rate
             self._last = sample_s, self._coming.popleft() if self._coming else self._seen(sample_s)
@@ -92,7 +92,7 @@ class Belief:
             until_s = heard_s if self.tracker.ahead_s is None else sample_s + self.tracker.ahead_s
             positions, turned = self._filter.frames(min(until_s, sample_s + LONGEST_AHEAD_S))
             frames = Frames(positions, matrices(turned), turned)
-        return Believed(self.course.posed(sample_s, frames), sample_s)
+        return EstimatedPose(self.course.posed(sample_s, frames), sample_s)
 
     def _seen(self, time_s: float) -> Frames:
         """Return a sample of the tracker at a time [s]. Fixed parts need no tracker."""

@@ -56,7 +56,7 @@ class PlayedEmission(Emission):
         return of_moments(course, np.add.reduce(moments.first, axis=0) / self.model.substeps)
 
 
-class Felt(NamedTuple):
+class SkinResponse(NamedTuple):
     """A skin over a trial, at the ends of MuJoCo's steps.
 
     times: [s], shape (k,); arp: largest ARP [Pa], shape (k,)
@@ -73,7 +73,7 @@ class Felt(NamedTuple):
         return -self.motion[0, 0]
 
 
-def felt(
+def skin_response(
     scene: str | Path,
     emitted: Sequence[Emitted],
     duration_s: float,
@@ -83,7 +83,7 @@ def felt(
     accuracy: float | None = None,
     places: Float,
     skin: str | None = None,
-) -> Felt:
+) -> SkinResponse:
     """Step a scene with the output of a board; skin: by name, None for the first.
 
     places: of the motion, array frame at the beginning [m], shape (p, 3): the nearest nodes of the skin
@@ -116,4 +116,4 @@ def felt(
     except KeyboardInterrupt:
         pass
     motion = np.array(rows).reshape(-1, 2, len(nodes)).transpose(2, 1, 0)
-    return Felt(np.array(times), np.array(arps), motion)
+    return SkinResponse(np.array(times), np.array(arps), motion)
