@@ -54,7 +54,7 @@ def run_command(
 
     screen = Console(stderr=True)
 
-    def told(trial: Trial, average_s: float) -> None:
+    def show_trial(trial: Trial, average_s: float) -> None:
         content = trial.content
         screen.print(
             f"trial {trial.number + 1} {content['condition']} level {content['level']:.4g}: {content['answer']} "
@@ -64,7 +64,7 @@ def run_command(
     try:
         done = run_experiment(
             file, log, participant=participant, observer=observer, port=port, virtual=virtual, board=board,
-            on_trial=None if observer == "keyboard" else told,
+            on_trial=None if observer == "keyboard" else show_trial,
         )  # fmt: skip
     except KeyboardInterrupt:
         screen.print(f"\ninterrupted; the answers are saved in {log}; repeat the command to continue", markup=False)

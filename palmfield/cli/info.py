@@ -154,10 +154,10 @@ def _arrays(model: "HapticModel") -> Rows:
         rows += _named(array.name, count, [("array", about)])
     for array, instance in zip(model.spec.arrays, array_instances(model.spec), strict=True):
         known = [("p0", instance.p0, " Pa m"), ("quality", instance.quality, "")]
-        told = [(what, _estimate(one, unit)) for what, one, unit in known]
+        estimates = [(what, _estimate(one, unit)) for what, one, unit in known]
         if instance.calibration is None:
-            told[0] = told[0][0], f"uncalibrated: {told[0][1]}"
-        rows += _named(array.name, count, told)
+            estimates[0] = estimates[0][0], f"uncalibrated: {estimates[0][1]}"
+        rows += _named(array.name, count, estimates)
     air, carrier_Hz = model.arrays.air, model.arrays.array.frequency_Hz
     rows.append(
         (

@@ -133,8 +133,8 @@ def write_scene(name: str, where: Path = Path(), stimulus: str | None = None) ->
         comment = f"{chosen.name}: {chosen.about} {chosen.source} Published: {chosen.published}"
         comment += f" Chosen here: {chosen.assumed}" if chosen.assumed else ""
     keys = [f'<config key="{key}" value="{value}"/>' for key, value in chosen.texts().items()]
-    told = textwrap.fill(f"<!-- {comment} -->", 112, subsequent_indent="     ", break_on_hyphens=False)
-    block = "\n".join([*told.splitlines(), *keys]).replace("\n", "\n" + 8 * " ")
+    wrapped = textwrap.fill(f"<!-- {comment} -->", 112, subsequent_indent="     ", break_on_hyphens=False)
+    block = "\n".join([*wrapped.splitlines(), *keys]).replace("\n", "\n" + 8 * " ")
     duration = f"{USUAL_S if stimulus is None else chosen.duration_s:g}"
     haptic = HAPTIC.format(**names, **level, layout=array.stem, stimulus=block, duration=duration)
     texts = {f"{name}.xml": haptic, f"{name}_plain.xml": PLAIN.format(**names), **parts}

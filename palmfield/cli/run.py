@@ -75,8 +75,8 @@ def run(
     given, out = given_keys(keys), out or Path("out") / scene.stem
     with Console(stderr=True, quiet=quiet).status(f"loading {scene}"):
         simulation = palmfield.Simulation(scene, device=device, accuracy=accuracy, board=board, keys=given)
-        told = warnings(simulation, duration)
-    for warning in told:
+        messages = warnings(simulation, duration)
+    for warning in messages:
         LOG.warning(warning)
     try:
         result = palmfield.run(
@@ -91,7 +91,9 @@ def run(
         raise typer.Exit(130) from None
     if as_json:
         files = {name: str(path) for name, path in result.files.items()}
-        print_json({"scene": str(scene), "out": str(out), "files": files, "warnings": told, "summary": result.summary})
+        print_json(
+            {"scene": str(scene), "out": str(out), "files": files, "warnings": messages, "summary": result.summary}
+        )
     elif not quiet:
         print(format_summary(result.summary, details), end="")
         for path in result.files.values():

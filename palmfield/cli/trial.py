@@ -124,10 +124,10 @@ def listening_at(text: str, align: Path | None) -> "Live":
 
     host, port, by = address_by(text)
 
-    def told(host: str, port: int) -> None:
+    def show_address(host: str, port: int) -> None:
         print(f"listening for a tracker at {host}:{port} by {by}", file=sys.stderr, flush=True)
 
-    return Live(host, port, by, align, on_listening=told)
+    return Live(host, port, by, align, on_listening=show_address)
 
 
 def motion_keys(path: Path) -> dict[str, object]:

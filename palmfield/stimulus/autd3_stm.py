@@ -157,8 +157,8 @@ def stm_of_table(
         refused = "between is 'linear', but the units hold each focus; sample it by `palmfield stimulus export --rate`"
     elif abs(divide - round(divide)) > 1e-9 * divide or round(divide) > 65535:
         near = sorted({CARRIER_HZ / max(1, n) for n in (math.floor(divide), math.ceil(divide))})
-        told = " or ".join(f"{rate:g}" for rate in near)
-        refused = f"rate_Hz is {table.rate_Hz:g}; allowed: 40 kHz divided by a whole number, such as {told}"
+        rates = " or ".join(f"{rate:g}" for rate in near)
+        refused = f"rate_Hz is {table.rate_Hz:g}; allowed: 40 kHz divided by a whole number, such as {rates}"
     elif table.foci > 8:
         refused = f"there are {table.foci} foci at once; allowed: 8"
     elif table.length_samples * table.foci > MOST_FOCI:

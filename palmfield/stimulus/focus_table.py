@@ -193,8 +193,8 @@ def focus_table(
         raise SceneError(f"{named(int(row), names[column])}: {wide[row, column]:g}; give a finite number")
     _check_times(times, rate_Hz, named)
     for row, focus in zip(*np.nonzero((loud < 0.0) | (loud > 1.0)), strict=True):
-        told = named(int(row), names[4 + 4 * focus])
-        raise SceneError(f"{told}: {loud[row, focus]:g}; allowed: 0 (silent) to 1 (the level key of the scene)")
+        place = named(int(row), names[4 + 4 * focus])
+        raise SceneError(f"{place}: {loud[row, focus]:g}; allowed: 0 (silent) to 1 (the level key of the scene)")
     for row, focus in zip(*np.nonzero(np.linalg.norm(places, axis=2) > 10.0), strict=True):
         axis = int(np.abs(places[row, focus]).argmax())
         x, y, z = places[row, focus].tolist()
@@ -353,9 +353,9 @@ def _names(file: Path, number: int, line: str) -> list[str]:
     stray = next((name for name in names if name not in wanted), None)
     if stray is not None or len(names) != len(wanted):
         missing = next((name for name in wanted if name not in names), wanted[-1])
-        told = f"column '{missing}' is missing" if stray is None else f"column '{stray}' is unknown"
+        fault = f"column '{missing}' is missing" if stray is None else f"column '{stray}' is unknown"
         raise SceneError(
-            f"{file}: line {number}: {told}; allowed: t, x, y, z, intensity, or t, x1, y1, z1, intensity1, x2, ..."
+            f"{file}: line {number}: {fault}; allowed: t, x, y, z, intensity, or t, x1, y1, z1, intensity1, x2, ..."
         )
     return names
 

@@ -77,5 +77,5 @@ def read_stimulus(path: Path) -> StandardStimulus:
         return StandardStimulus(name=path.stem, **read_toml(path))
     except (OSError, ValueError, TypeError) as error:
         first = error.errors()[0] if isinstance(error, ValidationError) else None
-        told = f"{'.'.join(map(str, first['loc']))}: {first['msg']}" if first else str(error)
-        raise SceneError(f"{path}: {told}; give about, source, published, read, duration_s and [keys]") from None
+        fault = f"{'.'.join(map(str, first['loc']))}: {first['msg']}" if first else str(error)
+        raise SceneError(f"{path}: {fault}; give about, source, published, read, duration_s and [keys]") from None

@@ -23,7 +23,7 @@ from typing import NamedTuple
 from page_client import PageClient, is_picture
 
 from palmfield.studies.view.link import Link
-from palmfield.studies.view.messages import Address, Pace, Told
+from palmfield.studies.view.messages import Address, Notice, Pace
 from palmfield.studies.view.run import GPU_RATE_Hz, RATE_Hz, ShownScene, Wanted
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -102,7 +102,10 @@ def measure(scene: Path, device: str | None, rate_Hz: float | None, stretches: i
     context = get_context("spawn")
     shown, alone = [], []
     with Link(Address("127.0.0.1", None, "", rate)) as link:
-        live.send = lambda message: (sent.append(message) if isinstance(message, Told) else None, link.send(message))[1]
+        live.send = lambda message: (
+            sent.append(message) if isinstance(message, Notice) else None,
+            link.send(message),
+        )[1]
         live.show()
         talk, theirs = context.Pipe()
         client = context.Process(target=count_pictures, args=(link.address, theirs), daemon=True)

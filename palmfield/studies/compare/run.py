@@ -17,8 +17,8 @@ from palmfield.outputs.compare_picture import draw_agreement, draw_wavenumbers
 from palmfield.outputs.scan_files import read_scan, write_scan
 from palmfield.outputs.schema import instances
 from palmfield.outputs.store import open_result
-from palmfield.studies.compare.doubts import WILD, doubts, wild
 from palmfield.studies.compare.report import Comparison, write_report
+from palmfield.studies.compare.suspected_faults import WILD, suspected_faults, wild
 from palmfield.studies.compare.waves import guided_modes
 from palmfield.tables import read_table
 from palmfield.types import Float
@@ -103,7 +103,7 @@ def compare(
     except MeasurementError as error:
         raise MeasurementError(f"{scan.name}: {error}") from None
     on_skin = Scan(theirs.quantity, theirs.times_s, ours.points, theirs.values, name=scan.name)
-    odd = doubts(on_skin, ours, motion, numbers, most_delay_s)
+    odd = suspected_faults(on_skin, ours, motion, numbers, most_delay_s)
     if still:
         one = still == 1
         odd.append(

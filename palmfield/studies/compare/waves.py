@@ -44,11 +44,11 @@ def guided_modes(
 
 def in_words(mode: GuidedMode, frequency_Hz: float) -> str:
     """Report speed and 1/e length, or why there are none, also of other waves that carry much of the motion."""
-    told = [_wave_in_words(mode, frequency_Hz)]
+    words = [_wave_in_words(mode, frequency_Hz)]
     for other in mode.others:
         share = other.motion / mode.motion
-        told.append(f"other waves {share:.2g} of its motion: {_wave_in_words(other, frequency_Hz)}")
-    return "; ".join(told)
+        words.append(f"other waves {share:.2g} of its motion: {_wave_in_words(other, frequency_Hz)}")
+    return "; ".join(words)
 
 
 def _wave_in_words(wave: Wave | GuidedMode, frequency_Hz: float) -> str:

@@ -44,15 +44,15 @@ class Varied(_Part):
     scale: Literal["log", "linear"] = "log"
     unit: str = ""
 
-    def told(self, level: float) -> float:
+    def in_scale(self, level: float) -> float:
         """Return a level as fits and pictures use it: in dB re 1 for a scale of ratios, -inf for 0."""
         if self.scale == "linear":
             return level
         return 20.0 * math.log10(level) if level > 0.0 else -math.inf
 
-    def level(self, told: float) -> float:
-        """The inverse of `told`."""
-        return told if self.scale == "linear" else float(10.0 ** (told / 20.0))
+    def level(self, scaled: float) -> float:
+        """Return the level for a value in the scale; the inverse of `in_scale`."""
+        return scaled if self.scale == "linear" else float(10.0 ** (scaled / 20.0))
 
 
 class Task(_Part):

@@ -144,10 +144,10 @@ class LogWriter:
         for key, what in (("digest", "design"), ("scene_digest", "scene"), ("participant", "participant"),
                           ("observer", "observer"), ("board", "board")):  # fmt: skip
             if known.get(key) != head[key]:
-                told = f"'{known.get(key)}', not '{head[key]}'"
+                difference = f"'{known.get(key)}', not '{head[key]}'"
                 if key == "digest":
-                    told = _difference(known["design"], head["design"])
-                raise OutputError(f"{self.path} holds trials of another {what} ({told}); give another --log")
+                    difference = _difference(known["design"], head["design"])
+                raise OutputError(f"{self.path} holds trials of another {what} ({difference}); give another --log")
 
     def add(self, trial: Mapping[str, Any], condition: int, answered: Answered) -> None:
         """Write a trial; it is on the disk when this returns. Raises OutputError if writing fails."""

@@ -117,9 +117,9 @@ class SimulatedObserver:
 
     def detected(self, shown: Shown, interval: int) -> float:
         """Probability that an interval's sound is felt."""
-        told = self.design.varied.told(shown.levels[interval])
+        scaled = self.design.varied.in_scale(shown.levels[interval])
         assert self.design.simulated is not None
-        return 0.0 if told == -math.inf else float(self.design.simulated.function(shown.condition)(told))
+        return 0.0 if scaled == -math.inf else float(self.design.simulated.function(shown.condition)(scaled))
 
     def answer(self, shown: Shown) -> tuple[str, float]:
         rng = np.random.default_rng((self.design.seed, 4, shown.number))

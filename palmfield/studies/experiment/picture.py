@@ -45,7 +45,7 @@ def _runs(axes: Axes, condition: ConditionReport, design: Design) -> None:
         if not run:
             continue
         x = begin + 1 + np.arange(len(run))
-        y = np.array([design.varied.told(one.level) for one in run])
+        y = np.array([design.varied.in_scale(one.level) for one in run])
         right = np.array([one.right for one in run])
         axes.plot(x, y, color=GREY, linewidth=0.8)
         axes.plot(x[right], y[right], "o", color=BLUE, markersize=4)
@@ -57,7 +57,7 @@ def _runs(axes: Axes, condition: ConditionReport, design: Design) -> None:
         if isinstance(procedure, Staircase | Limits | Adjustment):
             estimate = condition.estimates[block]
             if np.isfinite(estimate):
-                axes.plot(x[[0, -1]], [design.varied.told(estimate)] * 2, "--", color=ORANGE, linewidth=1.2)
+                axes.plot(x[[0, -1]], [design.varied.in_scale(estimate)] * 2, "--", color=ORANGE, linewidth=1.2)
         begin += len(run)
     axes.set_title(f"{condition.name}: filled: right, open: wrong, squares: reversals", fontsize=9)
     axes.set_xlabel("trial", fontsize=9)

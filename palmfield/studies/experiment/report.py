@@ -106,14 +106,14 @@ def _condition(design: Design, number: int, trials: Sequence[Trial], settings: _
             estimates.append(procedure.estimate(run))
     adjusted = design.procedure["kind"] == "adjustment"
     # Steps of ratios return to a level only within rounding
-    told = [(round(design.varied.told(one.level), 6), one.right) for run in runs for one in run]
-    silent = sum(not math.isfinite(level) for level, _ in told)
-    heard = [(level, right) for level, right in told if math.isfinite(level)]
+    answers = [(round(design.varied.in_scale(one.level), 6), one.right) for run in runs for one in run]
+    silent = sum(not math.isfinite(level) for level, _ in answers)
+    finite = [(level, right) for level, right in answers if math.isfinite(level)]
     name = design.conditions[number].name
-    if not heard or adjusted:
+    if not finite or adjusted:
         why = "settings are not answers to levels" if adjusted else "no trial yet"
         return ConditionReport(name, tuple(runs), tuple(estimates), (), (), (), None, why)
-    levels, count, right = counts([level for level, _ in heard], [right for _, right in heard])
+    levels, count, right = counts([level for level, _ in finite], [right for _, right in finite])
     adaptive = design.procedure["kind"] in ("staircase", "limits")
     found, notes = None, [f"{silent} trials with level 0 are excluded"] if silent else []
     try:
@@ -138,7 +138,7 @@ def _condition(design: Design, number: int, trials: Sequence[Trial], settings: _
 def interval_of(design: Design, one: ConditionReport) -> tuple[float | None, float | None]:
     """Return the threshold's interval in the varied key's unit; None for an end outside the playable levels."""
     assert one.fit is not None
-    low, high = (design.varied.level(told) for told in one.fit.threshold_interval)
+    low, high = (design.varied.level(end) for end in one.fit.threshold_interval)
     least, most = design.playable()
     # An end at the limit of the search is not bounded either
     ratios = one.fit.function.shape == "weibull"
@@ -216,8 +216,10 @@ def as_text(report: Report) -> str:
             threshold = threshold_of(report.design, one)[1]
             interval = written(*interval_of(report.design, one))
             spread = f"{one.fit.spread:.3g}{' dB' if varied.scale == 'log' else ''}"
-        told = ", ".join("-" if math.isnan(value) else f"{value:.4g}" for value in one.estimates) or "-"
-        lines.append(f"{one.name:<{width}}  {one.answered:>6}  {threshold:>9}  {interval:<21}  {spread:<6}  {told}")
+        estimates = ", ".join("-" if math.isnan(value) else f"{value:.4g}" for value in one.estimates) or "-"
+        lines.append(
+            f"{one.name:<{width}}  {one.answered:>6}  {threshold:>9}  {interval:<21}  {spread:<6}  {estimates}"
+        )
     for one in report.conditions:
         if one.why:
             lines.append(f"note: {one.name}: {one.why}")

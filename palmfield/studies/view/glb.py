@@ -35,7 +35,7 @@ class GlbMesh:
             {"bufferView": 2, "componentType": UINT32, "count": 3 * len(faces), "type": "SCALAR"},
         ]  # fmt: skip
         self._length = places + colours + len(self._indices)
-        told = {
+        header = {
             "asset": {"version": "2.0"},
             "scene": 0,
             "scenes": [{"nodes": [0]}],
@@ -48,7 +48,7 @@ class GlbMesh:
             "bufferViews": views,
             "buffers": [{"byteLength": self._length}],
         }
-        text = json.dumps(told, separators=(",", ":")).encode()
+        text = json.dumps(header, separators=(",", ":")).encode()
         text += b" " * (-len(text) % 4)
         total = 12 + 8 + len(text) + 8 + self._length
         self._head = (

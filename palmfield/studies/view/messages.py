@@ -1,6 +1,6 @@
 """Messages between the process that simulates and the one that shows.
 
-The simulation sends SceneShown at its start and after each rebuild, Told and Values when needed. It sends Moment and
+The simulation sends SceneShown at its start and after each rebuild, Notice and Values when needed. It sends Moment and
 Replay only on request, so that it never waits for the page. All positions are in the world [m]. All messages are
 pickled between two processes of one program.
 """
@@ -142,7 +142,7 @@ class Replay:
 
 
 @dataclass(frozen=True)
-class Told:
+class Notice:
     """A sentence for the page. kind: `busy` stays until the next one, `error` is red, `info` is not"""
 
     kind: Literal["info", "busy", "error"]
@@ -161,7 +161,7 @@ class End:
     """End of the messages."""
 
 
-FromSimulation = SceneShown | Moment | Replay | Told | Values | End
+FromSimulation = SceneShown | Moment | Replay | Notice | Values | End
 
 
 # -- what the page sends -----------------------------------------------------------------------------------------------

@@ -33,6 +33,7 @@ from palmfield.studies.view.messages import (
     FromPage,
     FromSimulation,
     Moment,
+    Notice,
     Pace,
     Place,
     Pose,
@@ -41,7 +42,6 @@ from palmfield.studies.view.messages import (
     SceneShown,
     SetKey,
     Slider,
-    Told,
     Turn,
     Values,
 )
@@ -206,8 +206,8 @@ class Page:
         elif isinstance(message, Replay):
             self._asked_replay = -math.inf
             self._take_replay(message)
-        elif isinstance(message, Told):
-            self._tell(message)
+        elif isinstance(message, Notice):
+            self._show_notice(message)
         elif isinstance(message, Values):
             for place, value in message.values.items():
                 if place in self._sliders:
@@ -335,14 +335,14 @@ class Page:
 
     # -- what comes ----------------------------------------------------------------------------------------------------
 
-    def _tell(self, told: Told) -> None:
+    def _show_notice(self, notice: Notice) -> None:
         colour, mark = {
             "info": ("inherit", ""), "busy": ("light-dark(#8a5a00, #ffc46b)", "&#8987; "),
             "error": ("light-dark(#b00020, #ff8a94)", "&#9888; "),
-        }[told.kind]  # fmt: skip
+        }[notice.kind]  # fmt: skip
         self._notice.content = (
             f'<div style="margin:0.3em 0.8em;font-size:0.8em;color:{colour};overflow-wrap:anywhere">{mark}'
-            f"{html.escape(told.text)}</div>"
+            f"{html.escape(notice.text)}</div>"
         )
 
     def _take_moment(self, moment: Moment) -> None:

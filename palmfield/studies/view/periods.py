@@ -113,7 +113,7 @@ def _levels(
         # A recording may contain an earlier, louder moment
         unit = runtime.work.radiation.on(loudest.posed, skin, "nodes", loudest.drive).arp
         loudest = replace(loudest, factor=float(arp_peaks.max() / unit.max())) if unit.max() > 0.0 else loudest
-    told = felt_levels(
+    numbers = felt_levels(
         model, skin, loudest if arp_peaks.max() > 0.0 else None, runtime.work.radiation, runtime.work.reference,
         times, normal, arp_peaks, begun_s=recorder.begun_s,
     )  # fmt: skip
@@ -121,7 +121,7 @@ def _levels(
     nothing = "the sound does not repeat" if period is None else f"it takes {PERIODS} periods of {period:.3g} s"
     levels = []
     for name in (FORCE_OBSERVER.name, *OBSERVERS):
-        level, lines = shown_level(told, name)
-        why = str(told.get(f"level_{name}_why", f"refused: {nothing}"))
+        level, lines = shown_level(numbers, name)
+        why = str(numbers.get(f"level_{name}_why", f"refused: {nothing}"))
         levels.append(Level(name, level, why if level is None else f"{lines}; {why}", lines))
     return tuple(levels)

@@ -29,8 +29,8 @@ class Recording:
         self._blocks = Blocks(steps_watched(sim), self._store)
         self._recorder = recorder_of(sim, self._blocks)
         # Each recording has one set of keys, so that this command repeats it
-        told: dict[str, Any] = {"scene": scene, "keys": dict(keys), "begun_s": sim.time}
-        write_json(out / KEYS_FILE, told)
+        start: dict[str, Any] = {"scene": scene, "keys": dict(keys), "begun_s": sim.time}
+        write_json(out / KEYS_FILE, start)
         self._recorder.start()
         self._blocks.kept.clear()
 

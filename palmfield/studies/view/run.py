@@ -24,12 +24,12 @@ from palmfield.studies.view.messages import (
     Ask,
     FromPage,
     FromSimulation,
+    Notice,
     Pace,
     Place,
     Press,
     SetKey,
     Slider,
-    Told,
     Turn,
     Values,
 )
@@ -181,7 +181,7 @@ class ShownScene:
             self._stop_watching()
             folder = next_folder(self.out)
             self._recording = Recording(self.sim, folder, str(self.wanted.scene), self.keys)
-            self.send(Told("info", f"recording to {folder}"))
+            self.send(Notice("info", f"recording to {folder}"))
         elif what == "stop recording":
             self.stop_recording("stopped in the live view")
 
@@ -191,12 +191,12 @@ class ShownScene:
             do()
         except PalmfieldError as error:
             LOG.warning("%s", error)
-            self.send(Told("error", str(error)))
+            self.send(Notice("error", str(error)))
             return False
         except Exception as error:
             # A fault of palmfield must not end the view: the scene is unchanged, and keys can be set back
             LOG.exception("internal error of the live view")
-            self.send(Told("error", f"internal error of palmfield: {type(error).__name__}: {error}"))
+            self.send(Notice("error", f"internal error of palmfield: {type(error).__name__}: {error}"))
             return False
         return True
 
@@ -311,7 +311,7 @@ class ShownScene:
         self.send(self._values())
 
     def _change_to(self, texts: Mapping[str, object], *, only_stimuli: bool) -> None:
-        told = ", ".join(f"{name} = {value}" for name, value in texts.items())
+        changes = ", ".join(f"{name} = {value}" for name, value in texts.items())
         if only_stimuli:
             own = {name: dict(keys) for name, keys in self._texts.items()}
             for name, value in texts.items():
@@ -319,26 +319,26 @@ class ShownScene:
                 own[instance][key] = str(value)
             self._stop_watching()
             if self._recording is not None and self._quick():
-                self.stop_recording(f"then {told}")
+                self.stop_recording(f"then {changes}")
             if change_stimuli(self.sim, own):
                 self.keys |= texts
                 self._texts = own
                 self._watch_soon()
-                self.send(Told("info", f"{told}: the scene is unchanged"))
+                self.send(Notice("info", f"{changes}: the scene is unchanged"))
                 return
-        self.send(Told("busy", f"rebuilding with {told}; the page still shows the previous scene"))
+        self.send(Notice("busy", f"rebuilding with {changes}; the page still shows the previous scene"))
         started = time.monotonic()
         keys = self.keys | {name: value or None for name, value in texts.items()}
         new = self.wanted.open(keys)
         # Only now: until here the scene is unchanged, so that an invalid value has no effect
-        self.stop_recording(f"then {told}")
+        self.stop_recording(f"then {changes}")
         self._stop_watching()
         self.sim, self.keys = new, keys
         self._hands.attach(new)
         new.reset()
         self._attach()
         self.show()
-        self.send(Told("info", f"{told}: rebuilt in {time.monotonic() - started:.1f} s, from time 0"))
+        self.send(Notice("info", f"{changes}: rebuilt in {time.monotonic() - started:.1f} s, from time 0"))
 
     def _reset(self) -> None:
         self.stop_recording("reset in the live view")
@@ -346,7 +346,7 @@ class ShownScene:
         self.sim.reset()
         self._begin_clock()
         self._watch_soon()
-        self.send(Told("info", "back to time 0"))
+        self.send(Notice("info", "back to time 0"))
 
     def stop_recording(self, reason: str) -> None:
         """Finish a recording if there is one, and report its folder."""
@@ -355,7 +355,7 @@ class ShownScene:
         recording, self._recording = self._recording, None
         if self._guarded(lambda: _finish(recording, reason)):
             LOG.info("wrote %s: `palmfield plot %s` draws it", recording.out, recording.out)
-            self.send(Told("info", f"wrote {recording.out}: `palmfield plot {recording.out}` draws it"))
+            self.send(Notice("info", f"wrote {recording.out}: `palmfield plot {recording.out}` draws it"))
 
 
 def _finish(recording: Recording, reason: str) -> None:

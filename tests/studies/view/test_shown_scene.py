@@ -16,7 +16,7 @@ from palmfield.session.changed_stimuli import change_stimuli
 from palmfield.session.recorded_run import known_before, recorder_of, recover, result_attributes
 from palmfield.session.worlds import stimulus_texts
 from palmfield.studies.view.hands import Offset
-from palmfield.studies.view.messages import Ask, Moment, Pace, Press, Replay, SceneShown, SetKey, Told, Turn, Values
+from palmfield.studies.view.messages import Ask, Moment, Notice, Pace, Press, Replay, SceneShown, SetKey, Turn, Values
 from palmfield.studies.view.run import QUIET_s, ShownScene, Wanted
 
 FREQUENCY = ("key", "stimulus.am_frequency_Hz", None)
@@ -152,8 +152,8 @@ def test_a_turned_slider_rebuilds_what_was_made_for_one_sound(shown):
     shown.change(Turn(FOCUS_X, 3.0))
     assert shown.scene.keys == {"stimulus.focus_m": "0.003 0.0 0.12"}
     assert shown.scene.sim.runtime.spec.stimuli[0].config.focus_m == (0.003, 0.0, 0.12)
-    kinds = [told.kind for told in shown.all(Told)]
-    assert kinds == ["busy", "info"] and "rebuilding" in shown.all(Told)[0].text
+    kinds = [told.kind for told in shown.all(Notice)]
+    assert kinds == ["busy", "info"] and "rebuilding" in shown.all(Notice)[0].text
     assert len(shown.all(SceneShown)) == 2
     assert shown.scene.sim.time < 0.005
     assert shown.last(Values).values[FOCUS_X] == pytest.approx(3.0)
@@ -163,7 +163,7 @@ def test_turns_of_one_drag_are_taken_together(shown):
     for value in (1.0, 2.0, 3.0, 4.0):
         shown.scene.take(Turn(FOCUS_X, value))
         shown.go_on()
-    assert not shown.all(Told)
+    assert not shown.all(Notice)
     shown.change(Turn(FOCUS_X, 5.0), Turn(DEPTH, 0.5))
     assert shown.scene.keys == {"stimulus.focus_m": "0.005 0.0 0.12", "stimulus.am_depth": "0.5"}
     assert len(shown.all(SceneShown)) == 2
@@ -190,7 +190,7 @@ def test_a_bad_value_is_told_and_leaves_the_scene_as_it_was(shown, message, name
     shown.go_on(3)
     before, time_s = shown.scene.sim, shown.scene.sim.time
     shown.change(message)
-    told = shown.last(Told)
+    told = shown.last(Notice)
     assert told.kind == "error" and named in told.text
     assert shown.scene.sim is before and shown.scene.keys == {}
     shown.go_on()
@@ -201,7 +201,7 @@ def test_a_bad_value_is_told_and_leaves_the_scene_as_it_was(shown, message, name
 
 def test_a_place_that_is_no_slider_is_passed_over(shown):
     shown.change(Turn(("key", "stimulus.arrays", None), 1.0), Turn(("pose", "motion.shift", 0), 1.0))
-    assert not shown.all(Told) and shown.scene.keys == {}
+    assert not shown.all(Notice) and shown.scene.keys == {}
 
 
 def test_any_key_can_be_set(shown):
@@ -211,7 +211,7 @@ def test_any_key_can_be_set(shown):
 
 def test_keys_that_need_one_another_are_set_at_once_and_get_their_sliders(shown):
     shown.change(SetKey("stimulus.path=circle; stimulus.path_diameter_m=0.01;stimulus.path_rate_Hz=50"))
-    assert shown.last(Told).kind == "info"
+    assert shown.last(Notice).kind == "info"
     places = {slider.place for slider in shown.last(SceneShown).sliders}
     assert {("key", "stimulus.path_diameter_m", None), ("key", "stimulus.path_rate_Hz", None), FREQUENCY} <= places
     shown.change(SetKey("stimulus.path=; stimulus.path_diameter_m=;stimulus.path_rate_Hz="))
@@ -251,7 +251,7 @@ def test_modes_go_on_with_another_sound_as_they_stood(modal):
     time_s = sim.time
     modal.change(Turn(DEPTH, 0.5))
     assert scene.sim is sim and len(modal.all(SceneShown)) == 1
-    assert modal.last(Told).text.endswith("the scene is unchanged")
+    assert modal.last(Notice).text.endswith("the scene is unchanged")
     assert sim.time == pytest.approx(time_s + sim.model.opt.timestep)
     modal.go_on(4)
     ended = palmfield.Simulation(path, device="cpu", keys=keys)
@@ -279,7 +279,7 @@ def test_with_modes_the_focus_moves_at_once(modal):
 def test_modes_are_rebuilt_for_a_sound_that_asks_for_a_finer_mesh(modal):
     frequency = modal.scene.sim.runtime.model.skins[0].layer.demand.max_frequency_Hz
     modal.change(Turn(FREQUENCY, 1.2 * frequency))
-    told = [one.text for one in modal.all(Told)]
+    told = [one.text for one in modal.all(Notice)]
     assert any("rebuilding" in text for text in told[-2:])
 
 
@@ -337,7 +337,7 @@ def test_a_folder_that_cannot_be_written_is_told(shown, tmp_path):
     shown.scene.out = tmp_path / "file"
     shown.scene.out.write_text("")
     shown.scene.take(Press("record"))
-    assert shown.last(Told).kind == "error"
+    assert shown.last(Notice).kind == "error"
     shown.go_on()
     assert shown.scene.playing
 
@@ -388,4 +388,4 @@ def test_a_scripted_body_is_shifted_from_where_its_script_has_it(small_scene, tm
     # Into the array: refused in words, and it pauses where it stands
     view.scene.take(Turn(place, -125.0))
     view.go_on(3)
-    assert view.last(Told).kind == "error" and not view.scene.playing
+    assert view.last(Notice).kind == "error" and not view.scene.playing

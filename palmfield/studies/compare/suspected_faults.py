@@ -47,7 +47,9 @@ def middle(scan: Scan) -> Float:
     return np.asarray(weights @ scan.points / weights.sum())
 
 
-def doubts(measured: Scan, computed: Scan, motion: SurfaceMotion, numbers: Agreement, most_delay_s: float) -> list[str]:
+def suspected_faults(
+    measured: Scan, computed: Scan, motion: SurfaceMotion, numbers: Agreement, most_delay_s: float
+) -> list[str]:
     """Return sentences for a report, none if the comparison looks plausible.
 
     measured, computed: at the same points and times; the places of `measured` are those on the skin
