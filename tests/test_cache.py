@@ -300,10 +300,10 @@ def test_processes_that_ask_for_the_same_make_it_once(place):
 def test_the_command_line_lists_and_clears(place, monkeypatch):
     cache.kept("small-model", [1], Maker(1000))
     listed = CliRunner().invoke(app, ["cache", "list"])
-    assert listed.exit_code == 0 and "small-model-" in listed.output and f"1 kept in {place}" in listed.output
+    assert listed.exit_code == 0 and "small-model-" in listed.output and f"1 entries in {place}" in listed.output
     cleared = CliRunner().invoke(app, ["cache", "clear"])
     assert cleared.exit_code == 0 and "removed 1" in cleared.output
     assert not any(place.iterdir())
     monkeypatch.setenv("PALMFIELD_CACHE", "off")
     for command in ("list", "clear"):
-        assert "nothing is kept" in CliRunner().invoke(app, ["cache", command]).output
+        assert "there is no cache" in CliRunner().invoke(app, ["cache", command]).output

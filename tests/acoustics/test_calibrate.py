@@ -61,7 +61,7 @@ def test_error_falls_with_the_square_root_of_the_number_of_readings() -> None:
     ("points", "readings", "drive", "match"),
     [
         (POINTS, CLEAN[:5], DRIVE, "one reading per point"),
-        (POINTS[:1], CLEAN[:1], DRIVE, "2 at least"),
+        (POINTS[:1], CLEAN[:1], DRIVE, "at least 2"),
         (POINTS, -CLEAN, DRIVE, r"pressures_Pa\[0\]"),
         (POINTS, np.where(np.arange(12) == 4, np.nan, CLEAN), DRIVE, r"pressures_Pa\[4\]"),
         (POINTS, CLEAN, 0 * DRIVE, "no sound"),

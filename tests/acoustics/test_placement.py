@@ -121,7 +121,7 @@ def test_inverting_twice_is_no_fault() -> None:
 
 
 @pytest.mark.parametrize(
-    ("dead", "inverted", "match"), [([256], [], "0 to 255"), ([], [-1], "0 to 255"), ([4], [4], "named twice")]
+    ("dead", "inverted", "match"), [([256], [], "0 to 255"), ([], [-1], "0 to 255"), ([4], [4], "listed twice")]
 )
 def test_faults_must_name_transducers(dead: list[int], inverted: list[int], match: str) -> None:
     with pytest.raises(SceneError, match=match):

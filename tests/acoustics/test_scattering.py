@@ -262,7 +262,7 @@ def test_open_patch_is_refused_and_can_be_closed() -> None:
     assert areas.sum() == pytest.approx(2 * 2e-4 + 0.06 * 0.004)
     tips = points[whole]
     assert np.einsum("ij,ij->", tips[:, 0], np.cross(tips[:, 1], tips[:, 2])) / 6 == pytest.approx(2e-4 * 0.004)
-    with pytest.raises(PalmfieldError, match="closed already"):
+    with pytest.raises(PalmfieldError, match="already closed"):
         closed(points, whole, 0.004)
     with pytest.raises(PalmfieldError, match="thickness_m"):
         closed(sheet, flat, 0.0)

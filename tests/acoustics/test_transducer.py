@@ -105,7 +105,7 @@ def changed(row: int, column: int, value: float) -> Float:
         (changed(4, 1, -0.7), "use magnitudes"),
         (changed(0, 0, 5.0), "5 to 90 deg"),
         (changed(9, 0, 85.0), "0 to 85 deg"),
-        (changed(3, 0, 20.0), "rise"),
+        (changed(3, 0, 20.0), "rising"),
         (changed(3, 1, np.nan), "finite"),
         (T4010A1_DIRECTIVITY[:, :1], "shape"),
         (T4010A1_DIRECTIVITY[[0, 9]], "3 or more"),

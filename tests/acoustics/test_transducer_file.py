@@ -39,7 +39,7 @@ def test_directions_gains_and_phases_are_taken(tmp_path):
     ("text", "told"),
     [
         ("", "the file is empty"),
-        (HEAD, "0 transducers"),
+        (HEAD, "has no transducers"),
         ("x,y,z\n0,0,0\n", "give x_m, y_m, z_m or x_mm"),
         ("x_mm,y_m,z_m\n0,0,0\n", "give x_m, y_m, z_m or x_mm"),
         ("x_mm,y_mm\n0,0\n", "column 'z_mm' is missing"),

@@ -96,7 +96,7 @@ def test_new_scene_runs(tmp_path, monkeypatch, capsys):
     code, out = call(monkeypatch, capsys, *again, "--overwrite", "--set", "skin.accuracy=0.3")
     assert code == 0 and json.loads(Path("o/summary.json").read_text())["steps"] == 5
     code, out = call(monkeypatch, capsys, "new", "first")
-    assert code == 2 and "exists already" in out.err
+    assert code == 2 and "already exists" in out.err
 
 
 @pytest.mark.parametrize("name", names())

@@ -65,7 +65,7 @@ def test_a_tracker_is_aligned_by_a_table_of_touches(tmp_path):
     (tmp_path / "t.csv").write_text("\n".join([head, *rows]) + "\n")
     done = RUN.invoke(app, ["track", "align", str(tmp_path / "t.csv"), str(tmp_path / "a.json")])
     assert done.exit_code == 0, done.output
-    assert "the tracker's origin is at (100.0, 200.0, 300.0) mm of the array" in done.output
+    assert "the tracker's origin is at (100.0, 200.0, 300.0) mm in the array frame" in done.output
     assert "assumed for three points, whose residuals carry little" in done.output
     np.testing.assert_allclose(json.loads((tmp_path / "a.json").read_text())["position_m"], [0.1, 0.2, 0.3])
 

@@ -306,7 +306,7 @@ def test_the_same_seed_gives_the_same_drive() -> None:
         ([(0, 0, 0.2), (0, 0, -0.2)], {}, "focus 1 at .* is behind array"),
         ([(0, 0, 0.2), (0.02, 0, 0.2), (0, 1e-6, 0.2)], {}, "foci 0 and 2 are 1e-06 m apart"),
         ([(0, 0, 0.2)] * 2, {}, "foci 0 and 1 are 0 m apart"),
-        (np.zeros((0, 3)), {}, "no focus is given"),
+        (np.zeros((0, 3)), {}, "list of foci is empty"),
         ([(0, 0, 0.2)], {"amplitudes": [1.0, 2.0]}, r"amplitudes have shape \(2,\) for 1 foci"),
         ([(0, 0, 0.2)], {"amplitudes": [0.0]}, r"amplitudes\[0\] = 0.0 is not positive"),
         ([(0, 0, 0.2)], {"amplitudes": [np.nan]}, r"amplitudes\[0\] = nan"),

@@ -98,7 +98,7 @@ def test_a_board_file_becomes_a_calibration(tmp_path):
         (lambda lines: [*lines[:5], lines[5][:-2], *lines[6:]], "line 6: 255 numbers"),
         (lambda lines: [*lines[:5], "400," * 256, *lines[6:]], "line 6: phase 400"),
         (lambda lines: [*lines[:6], "0.5," * 256], "line 7: amplitude 0.5"),
-        (lambda lines: [*lines[:4], "a," * 256, *lines[5:]], "line 5 is not of numbers"),
+        (lambda lines: [*lines[:4], "a," * 256, *lines[5:]], "line 5 is not numeric"),
     ],
 )
 def test_board_files_that_do_not_fit(change, words, tmp_path):

@@ -128,5 +128,5 @@ def test_after_an_unplug_writing_says_so_and_the_board_goes_on():
 def test_a_port_that_is_taken_is_refused():
     with VirtualBoard(BOARD, by="tcp") as virtual:
         number = int(virtual.port.rpartition(":")[2])
-        with pytest.raises(DeviceError, match=f"TCP port {number} can't be opened"):
+        with pytest.raises(DeviceError, match=f"TCP port {number} cannot be opened"):
             VirtualBoard(BOARD, by="tcp", tcp_port=number)

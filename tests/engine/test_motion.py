@@ -133,7 +133,7 @@ def test_copies_and_resets_follow_the_script_too(hand, wave, tmp_path):
         ({"motion.function": "nowhere:move"}, "nowhere"),
         ({"motion.function": "math:sin", "motion.body": "palm"}, "no body 'palm'"),
         ({"motion.function": "math:sin", "motion.body": "forearm"}, "mocap='true'"),
-        ({"motion.function": "math:sin", "motion.ahead_s": 0.01}, "ahead_s belongs to tracking"),
+        ({"motion.function": "math:sin", "motion.ahead_s": 0.01}, "ahead_s applies to tracking"),
         ({"motion.trajectory": "missing.csv"}, "missing.csv"),
         ({"motion.nose": 1}, "unknown key 'nose'"),
         ({"nose.length_m": 1}, "'nose.length_m' belongs to no instance or plugin"),
@@ -153,7 +153,7 @@ def test_bad_keyframes_are_named_with_their_number(tmp_path):
         ("joints_deg = { index_pip_flexion = 130 }\n", "key 2: .*index_pip_flexion is 130"),
         (
             "joints_deg = { ring_mcp_flexion = 80, ring_pip_flexion = 100 }\n",
-            "key 2: .*crosses",
+            "key 2: .*intersects",
         ),
     ):
         (tmp_path / "keys.toml").write_text(good + bad)

@@ -49,7 +49,7 @@ def test_full_drive_has_no_law_of_level(calibrated) -> None:
 def test_a_level_that_saturates_has_no_figure(calibrated) -> None:
     found = lines(calibrated(0.9, level=LEVEL))
     assert found["saturation of the drive"].low is None
-    assert "beyond level 0.8" in found["saturation of the drive"].why
+    assert "above level 0.8" in found["saturation of the drive"].why
 
 
 def test_what_no_calibration_has_is_not_estimated(calibrated) -> None:

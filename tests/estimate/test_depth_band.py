@@ -47,7 +47,7 @@ def test_the_band_is_what_elements_of_the_least_depth_give(small_scene, thick_mm
 def test_a_run_of_a_body_without_key_depth_m_has_the_band_by_name(small_scene):
     summary = palmfield.run(block(small_scene, 11.0), progress=False).summary
     (depth,) = [one for one in summary["skins"][0]["error_budget"]["inputs"] if one["what"] == "depth to the bone"]
-    assert depth["why"].startswith("4.9 mm under the focus, 4 to 6 mm") and depth["low"] < 0.9 < 1.1 < depth["high"]
+    assert depth["why"].startswith("4.9 mm under the focus; 4 to 6 mm") and depth["low"] < 0.9 < 1.1 < depth["high"]
     said = " ".join(format_summary(summary).replace("│", " ").split())
     assert f"depth to the bone x {depth['low']:.2g} to {depth['high']:.2g}" in said
     assert summary["skins"][0]["verdict"]["low_dB_SL"] < summary["skins"][0]["verdict"]["level_dB_SL"]

@@ -129,7 +129,7 @@ def test_twice_the_force_is_6_dB_more(palm):
         ("mjcf/scenes/tap_button.xml", {}, "the loudest point lies on 'index_"),
         ("mjcf/scenes/phantom_am200.xml", {}, "shape 'disc' has no known palm"),
         ("mjcf/scenes/approach_withdraw.xml", {}, "hand and focus at rest"),
-        ("mjcf/scenes/two_hands_both_feel.xml", {}, "2 stimuli sound"),
+        ("mjcf/scenes/two_hands_both_feel.xml", {}, "2 stimuli are active"),
     ],
 )
 def test_the_force_observer_is_refused_where_it_was_not_asked(scene, keys, reason):

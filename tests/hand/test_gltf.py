@@ -179,7 +179,7 @@ def test_damaged_and_compressed_files(tmp_path):
         return [g.Mesh(primitives=[g.Primitive(attributes=g.Attributes(**names), mode=mode)])]
 
     builder.write(path, mesh(1, POSITION=points), node, [0])
-    with pytest.raises(SceneError, match="mode 1 is not read"):
+    with pytest.raises(SceneError, match="mode 1 is not supported"):
         load_mesh(path, "auto")
     builder.write(path, mesh(), node, [0])
     with pytest.raises(SceneError, match="no POSITION"):
@@ -189,7 +189,7 @@ def test_damaged_and_compressed_files(tmp_path):
         load_mesh(path, "auto")
     packed = ["KHR_draco_mesh_compression"]
     builder.write(path, mesh(POSITION=points), node, [0], extensionsRequired=packed, extensionsUsed=packed)
-    with pytest.raises(SceneError, match="KHR_draco_mesh_compression, which is not read"):
+    with pytest.raises(SceneError, match="KHR_draco_mesh_compression, which is not supported"):
         load_mesh(path, "auto")
 
 

@@ -70,7 +70,7 @@ def test_missing_unreadable_and_empty(tmp_path):
     fails(tmp_path / "none.obj", "mm", "does not exist")
     odd = tmp_path / "hand.doc"
     odd.write_text("hand")
-    fails(odd, "mm", "format '.doc' is not read")
+    fails(odd, "mm", "format '.doc' is not supported")
     broken = tmp_path / "broken.ply"
     broken.write_bytes(b"ply\nformat binary_little_endian 1.0\nelement vertex 900\n")
     fails(broken, "mm", "cannot be read|is empty")

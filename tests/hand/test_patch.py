@@ -198,11 +198,11 @@ def test_inward_directions_at_a_sharp_ridge_see_both_sides():
         ({"fine_m": -0.001}, "fine_m -0.001 must be a positive length"),
         ({"max_depth_m": 0.0}, "max_depth_m 0 must be"),
         ({"fine_radius_m": -1.0}, "must not be negative"),
-        ({"max_fraction": 1.5}, "max_fraction 1.5"),
+        ({"max_fraction": 1.5}, "max_fraction is 1.5"),
         ({"depth": np.ones(3)}, "skin depth has shape"),
         ({"depth": -0.001}, r"skin depth is -0\.001 m at vertex 0"),
         ({"facing": (0, 0, 0)}, "facing .* not all zero"),
-        ({"facing": (0, 0, 1)}, "steeper than 75 degrees"),
+        ({"facing": (0, 0, 1)}, "more than 75 degrees"),
     ],
 )
 def test_errors(change, says):

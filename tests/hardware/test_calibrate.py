@@ -61,7 +61,7 @@ def test_kinds_are_listed_with_their_columns() -> None:
     [
         (["elemnts", "{}/elements.csv", "{}/b.json", "--source", "us"], "did you mean 'elements'"),
         (["elements", "{}/elements.csv", "{}/b.json", "--layout", "sonicsurface"], "source is missing"),
-        (["elements", "{}/elements.csv", "{}/b.json", "--source", "us"], "name the array"),
+        (["elements", "{}/elements.csv", "{}/b.json", "--source", "us"], "give the array layout"),
         (["elements", "{}/elements.csv", "{}/b.json", "--source", "us", "--layout", "autd3"], "give 0 to 248"),
         (
             ["elements", "{}/level.csv", "{}/b.json", "--source", "us", "--layout", "uhev1"],

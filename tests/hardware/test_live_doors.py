@@ -68,7 +68,7 @@ def test_no_web_page_makes_a_board_sound(method):
             page.close()
 
     said, sounding = played(act, seconds=0.6)
-    assert sounding == 0 and said.count("0 foci came") == 1 and " garbled)" in said
+    assert sounding == 0 and said.count("0 foci received") == 1 and " garbled)" in said
 
 
 def test_no_web_page_moves_a_tracked_hand():
@@ -180,7 +180,7 @@ def test_a_second_sender_is_refused_by_name_and_its_lines_never_sound():
                     time.sleep(0.01)
 
         said, _ = played(act, by, 0.5)
-        assert "1 foci came" in said and f"{names[0]} is refused, because " in said
+        assert "1 foci received" in said and f"{names[0]} is refused, because " in said
 
 
 def test_who_connects_and_says_nothing_keeps_nobody_out():
@@ -233,7 +233,7 @@ def test_lines_that_came_while_the_command_was_stopped_never_sound(by):
             assert any(one.amplitudes.any() for one in virtual.emitted[before:])
             run.send_signal(signal.SIGINT)
             said, _ = run.communicate(timeout=20.0)
-            assert run.returncode == 0 and "2 foci came" in said and " stale)" in said
+            assert run.returncode == 0 and "2 foci received" in said and " stale)" in said
         finally:
             run.kill()
             run.wait()

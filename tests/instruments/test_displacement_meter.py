@@ -61,7 +61,7 @@ def test_wrong_beams_and_spots_are_told():
     for place, told in (
         ([np.nan, 0, 0], "give three finite"),
         ([0, 0], "give three finite"),
-        ([1, 0, 0], "m off; allowed"),
+        ([1, 0, 0], "m from the nearest point of the motion; allowed"),
     ):
         with pytest.raises(MeasurementError, match=told):
             displacement_reading(motion, place, DisplacementMeter())

@@ -78,7 +78,7 @@ def test_a_head_needs_directions():
 
 
 def test_a_point_that_turns_its_back_to_the_head_is_named():
-    with pytest.raises(MeasurementError, match=r"point 0 at \(0, 0, 0\) m, whose outward normal is \(0, 0, 1\), turns"):
+    with pytest.raises(MeasurementError, match=r"point 0 at \(0, 0, 0\) m, whose outward normal is \(0, 0, 1\), faces"):
         vibrometer_record(moving(lambda t: only(t, z=1.0)), Vibrometer(normal=(0, 0, -1), sampling_rate_Hz=RATE))
 
 
@@ -220,7 +220,7 @@ def test_settings_are_read_from_a_file_and_wrong_ones_are_named(tmp_path):
         ("[vibrometer]\nphase = 'causel'\n", r"key 'phase' has value 'causel' \(did you mean 'causal'\?\); allowed"),
         ("[vibrometer]\naim_m = [0, 0]\n", r"key 'aim_m' has value \[0, 0\]; allowed: three finite numbers"),
         ("[vibrometer]\nas_normal = 'x'\n", r"allowed: true \| false"),
-        ("[vibrometer\n", "is no TOML"), ("[vibro]\n", r"has \[vibro\]"), ("", r"has no table \[vibrometer\]"),
+        ("[vibrometer\n", "is not TOML"), ("[vibro]\n", r"has \[vibro\]"), ("", r"has no table \[vibrometer\]"),
     ):  # fmt: skip
         file.write_text(text)
         with pytest.raises(MeasurementError, match=words):

@@ -72,7 +72,7 @@ def test_halved_depth_of_a_spherical_wave_is_twice_the_reference():
     depth = np.linspace(0.1, 1.0, 1801)
     assert level_depth(depth, 1.0 / depth, 0.2) == pytest.approx(0.4, abs=1e-6)
     assert level_depth(depth, 1.0 / depth, 0.2, 0.25) == pytest.approx(0.8, abs=1e-6)
-    with pytest.raises(MeasurementError, match="look farther"):
+    with pytest.raises(MeasurementError, match="give a longer curve"):
         level_depth(depth, 1.0 / depth, 0.6)
 
 
@@ -129,7 +129,7 @@ def test_ssim_is_the_mean_of_the_formula_over_windows():
             index.append((2 * mu * mv + 1e-4) * (2 * c + 9e-4) / ((mu**2 + mv**2 + 1e-4) * (vu + vv + 9e-4)))
     assert ssim(a, b, normalised=False) == pytest.approx(np.mean(index), rel=1e-9)
     assert ssim(a, 3.0 * a) == pytest.approx(1.0)
-    with pytest.raises(MeasurementError, match="11 places"):
+    with pytest.raises(MeasurementError, match="11 points"):
         ssim(a[:8], b[:8])
     for wrong in ({"sigma": 0.0}, {"sigma": -1.0}, {"radius": -1}):
         with pytest.raises(MeasurementError, match=f"{next(iter(wrong))} is"):

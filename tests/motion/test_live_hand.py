@@ -133,7 +133,7 @@ def test_a_hand_of_the_other_side_and_no_hand_are_refused(stream):
 def test_addresses_and_speeds_are_checked(stream):
     assert address("9100") == ("127.0.0.1", 9100) and address("lab:80") == ("lab", 80)
     for text in ("", "lab", ":80", "lab:x", "70000"):
-        with pytest.raises(DeviceError, match="is no address"):
+        with pytest.raises(DeviceError, match="is not an address"):
             address(text)
     with pytest.raises(DeviceError, match="speed has value 0; allowed"):
         replay(stream, ("127.0.0.1", 9), speed=0.0)

@@ -141,7 +141,7 @@ def test_streams_without_a_palm_are_refused(median, swing, times):
         retarget(median, seen)
     seen = stream_of(median, swing, times)
     seen.flags[:, WRIST] = 15 - POSITION_VALID
-    with pytest.raises(SceneError, match="no packet has all joints of the palm, wrist is absent"):
+    with pytest.raises(SceneError, match="no packet has all palm joints; wrist is missing"):
         retarget(median, seen)
 
 

@@ -78,7 +78,7 @@ def test_units_of_columns_and_joints_at_rest(table, median):
         ("time_s,x_m,z_m,qw,qx,qy,qz\n0,0,0,1,0,0,0\n1,0,0,1,0,0,0\n", "column 'y_m' or 'y_mm' is missing"),
         ("x_m,y_m,z_m,qw,qx,qy,qz\n0,0,0,1,0,0,0\n", "column 'time_s' is missing"),
         ("time_s,x_m,y_m,z_m,qw,qx,qy\n0,0,0,0,1,0,0\n1,0,0,0,1,0,0\n", "column 'qz' is missing"),
-        (f"{HEADER},x_mm\n0,0,0,0,1,0,0,0,0\n1,0,0,0,1,0,0,0,0\n", "columns x_m and x_mm are both given"),
+        (f"{HEADER},x_mm\n0,0,0,0,1,0,0,0,0\n1,0,0,0,1,0,0,0,0\n", "columns x_m and x_mm exclude each other"),
         (f"{HEADER},elbow_deg\n0,0,0,0,1,0,0,0,5\n1,0,0,0,1,0,0,0,5\n", "column 'elbow_deg' is unknown; .*wrist_flex"),
         (f"{HEADER},wrist_flexion\n0,0,0,0,1,0,0,0,5\n1,0,0,0,1,0,0,0,5\n", "column 'wrist_flexion' is unknown"),
         (
@@ -87,7 +87,7 @@ def test_units_of_columns_and_joints_at_rest(table, median):
         ),
         (
             f"{HEADER},wrist_flexion_rad,wrist_flexion_deg\n0,0,0,0,1,0,0,0,0,0\n1,0,0,0,1,0,0,0,0,0\n",
-            "columns wrist_flexion_deg and wrist_flexion_rad are both given",
+            "columns wrist_flexion_deg and wrist_flexion_rad exclude each other",
         ),
     ],
 )
@@ -111,7 +111,7 @@ def test_wrong_files_are_refused(tmp_path, median):
     with pytest.raises(SceneError, match="arrays of one length"):
         read_trajectory(tmp_path / "ragged.npz", median)
     np.savez(tmp_path / "object.npz", time_s=np.array([{}, {}], dtype=object))
-    with pytest.raises(SceneError, match="column time_s is not of numbers"):
+    with pytest.raises(SceneError, match="column time_s does not hold numbers"):
         read_trajectory(tmp_path / "object.npz", median)
     columns = {name: np.zeros(2) for name in HEADER.split(",")} | {"time_s": np.arange(2.0), "qw": np.ones(2)}
     np.savez(tmp_path / "lost.npz", **columns | {"y_m": np.array([0.0, np.nan])})

@@ -77,7 +77,7 @@ def openxr_line(**changes):
 @pytest.mark.parametrize(
     ("line", "kind", "told"),
     [
-        ("{nothing", "garbled", "no JSON"),
+        ("{nothing", "garbled", "not a JSON"),
         ("[1, 2]", "garbled", "a JSON list"),
         (openxr_line(convention="mano"), "convention", "'mano'; allowed: openxr, leapc"),
         (openxr_line(time_s=float("nan")), "numbers", "time_s is nan"),

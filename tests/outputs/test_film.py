@@ -85,7 +85,7 @@ def test_the_command_says_that_ctrl_c_ended_the_film(tmp_path, monkeypatch, caps
 @pytest.mark.parametrize(
     ("cut", "words"),
     [
-        (Cut(start_s=0.002, end_s=0.001), "rising, within 0 to"),
+        (Cut(start_s=0.002, end_s=0.001), "rising times within 0 to"),
         (Cut(end_s=9.0), "9000 ms"),
         (Cut(slow=0.0), "--slow has value 0"),
         (Cut(magnify=-1.0), "--magnify has value -1"),

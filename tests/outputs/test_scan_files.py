@@ -142,7 +142,7 @@ def test_uff_of_others_with_millimetres_single_nodes_and_turned_axes(tmp_path):
     assert back.values[:, 1] == pytest.approx(-1e-3 * record, abs=1e-8)
     sets[3]["rsp_node"] = 8
     pyuff.UFF(str(tmp_path / "b.uff")).write_sets(sets, mode="overwrite")
-    with pytest.raises(MeasurementError, match="of node 8, which has no place"):
+    with pytest.raises(MeasurementError, match="to node 8, which has no position"):
         read_scan(tmp_path / "b.uff")
     sets[3] |= {"rsp_node": 9, "rsp_dir": 1}
     pyuff.UFF(str(tmp_path / "b.uff")).write_sets(sets, mode="overwrite")
@@ -158,7 +158,7 @@ def test_uff_of_others_with_millimetres_single_nodes_and_turned_axes(tmp_path):
 def test_uff_that_is_none_is_told(tmp_path):
     pytest.importorskip("pyuff")
     (tmp_path / "a.uff").write_text("not a universal file\n")
-    with pytest.raises(MeasurementError, match=r"give a UFF file|not readable"):
+    with pytest.raises(MeasurementError, match=r"give a UFF file|cannot be read as UFF"):
         read_scan(tmp_path / "a.uff")
     with pytest.raises(MeasurementError, match="cannot be read: No such file"):
         read_scan(tmp_path / "none.uff")

@@ -82,7 +82,7 @@ def test_any_name_makes_a_group(name):
         ({"/skin/p": {"rest_position": np.zeros((4, 2))}}, ["2 along 'xyz'", "3"]),
         ({"/skin/p": {"rest_position": np.zeros((4, 3)), "depth": np.zeros(5)}}, ["depth' has 5 along 'vertex'", "4"]),
         ({"/": {"step_time": np.zeros(1)}, "/array/a": {"pose": np.zeros((1, 6))}}, ["6 along 'pose7'", "7"]),
-        ({"/skin/p": {"arp": np.zeros((2, 3), np.float32)}}, ["/skin/p/arp", "without its times", "give 'time'"]),
+        ({"/skin/p": {"arp": np.zeros((2, 3), np.float32)}}, ["/skin/p/arp", "has no times", "give 'time'"]),
         ({"/": {"time": np.zeros(3)}, "/skin/p": {"arp": np.zeros((2, 3), np.float32)}}, ["2 along 'time'", "3"]),
         (
             {"/surface/p": {"obstacle_position": np.zeros((0, 3))}},

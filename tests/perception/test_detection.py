@@ -89,8 +89,8 @@ def test_the_law_of_durations_is_the_closed_form_of_the_sum():
     ("name", "duration", "told"),
     [
         ("afferent_human", 1.0, "has no law for durations: omit duration_s, or use bolanowski_1988"),
-        ("bolanowski_1988", 0.0, "duration_s 0.0 is no time"),
-        ("bolanowski_1988", math.nan, "duration_s nan is no time"),
+        ("bolanowski_1988", 0.0, "duration_s is 0.0"),
+        ("bolanowski_1988", math.nan, "duration_s is nan"),
     ],
 )
 def test_durations_that_can_not_be(name, duration, told):

@@ -187,7 +187,7 @@ def test_a_level_of_0_is_told_and_the_layer_is_as_with_sound(small_scene):
 
 def test_a_stimulus_that_starts_after_the_run_or_has_stopped(small_scene):
     late = small_scene(stimulus={"start_s": 5})
-    said = course_of(late, "makes no sound in this run")
+    said = course_of(late, "emits no sound in this run")
     assert "stimulus 'stimulus'" in said and "starts at 5 s" in said and "ends at 0.015 s" in said
     assert not [text for text in warnings(late, 5.1) if "makes no sound" in text]
     scene = palmfield.Simulation(small_scene(stimulus={"stop_s": 0.001}))

@@ -117,7 +117,7 @@ def test_elements_so_small_that_the_run_cannot_end(element_m, small_scene, meshi
 def test_steps_so_small_that_the_run_cannot_end(step_s, small_scene, meshing_fails):
     path = small_scene(skin={"step_s": step_s})
     refused(
-        path, f"{SKIN}steps of {step_s:.2g} s are {1e-3 / step_s:.2g} in each of MuJoCo's",
+        path, f"{SKIN}the step of {step_s:.2g} s gives {1e-3 / step_s:.2g} substeps per MuJoCo step",
         f"allowed: at most {MOST_SUBSTEPS:,}; set step_s larger, or timestep smaller",
     )  # fmt: skip
 

@@ -107,7 +107,7 @@ def test_a_duration_that_is_no_number_is_refused_by_name(duration_s, small_scene
     sim = palmfield.Simulation(small_scene())
     with pytest.raises(palmfield.SceneError) as caught:
         sim.run(duration_s)
-    assert str(caught.value) == f"duration_s is {duration_s!r}; allowed: a number of seconds > 0"
+    assert str(caught.value) == f"duration_s is {duration_s!r}; allowed: a number of seconds above 0"
     assert sim.time == 0.0
 
 

@@ -552,7 +552,7 @@ def test_ctrl_c_waits_for_the_end_of_the_step(small_scene, monkeypatch):
         ({"skin.material": ["palm", "palm", "ecoflex_00-10"]}, "'skin.material' .*share the skin's mesh and matrices"),
         ({"array.layout": ["uhev1", "uhev1", "uhev1"]}, "'array.layout' .* share the arrays"),
         ({"driver.board": ["ideal", "ideal", "ideal"]}, "share the board"),
-        ({"stimulus.frame": ["array", "array", "centre"]}, "names parts of the scene.*allowed to differ"),
+        ({"stimulus.frame": ["array", "array", "centre"]}, "names parts of the scene.*keys that may differ"),
         ({"stimulus.arrays": [["array"], ["array"], ["array"]]}, "names parts of the scene"),
         ({"stimulus.focus_m": [(0, 0, 0.12), (0, 0, 0.12), (0, 0, -0.1)]}, "focus_m"),
     ],

@@ -211,7 +211,7 @@ def test_other_transducers_run(small_scene, keys):
     ("keys", "match"),
     [
         ({"dead": "256"}, "palmfield.array' instance 'array': .*transducer 256.*0 to 255"),
-        ({"dead": "1 1"}, "named twice"),
+        ({"dead": "1 1"}, "listed twice"),
         ({"dead": "-1"}, "key 'dead' has value '-1'; allowed: whole numbers >= 0"),
         ({"layout": "sites"}, "layout 'sites' and key sites"),
         ({"layout": "sites", "sites": "nose"}, "key 'sites' has value 'nose'"),

@@ -113,4 +113,4 @@ def test_the_plan_says_how_many_and_to_what():
     sound = modelled(model, 0.1, "")[0]
     count = model.bodies[0].sample_count
     assert count == pytest.approx(len(model.bodies[0].sample_mesh.corners), rel=0.02)
-    assert f"about {count} places of the surface for the force, to 1.2 % (rms over foci)" in str(sound)
+    assert f"about {count} surface samples for the force, error 1.2 % (rms over foci)" in str(sound)

@@ -155,7 +155,7 @@ def test_a_board_of_limited_rate_refuses_a_frame_that_moves(small_scene):
         driver={"board": "sonicsurface"},
         stimulus=STEADY | {"frame": "centre", "focus_m": "0 0 0"},
     )
-    with pytest.raises(DeviceError, match="a frame that moves"):
+    with pytest.raises(DeviceError, match="a moving frame"):
         load(path)
 
 

@@ -106,7 +106,7 @@ def test_loads_are_computed_ahead_where_a_path_has_no_small_span(small_scene, mo
         {"stimulus": CIRCLE, "skin": {"solver": "wedges"}},
         {"stimulus": CIRCLE, "skin": SKIN | {"body_sound": "shadows"}},
     ],
-    ids=["no path", "not known ahead", "shadows"],
+    ids=["is not a path", "not known ahead", "shadows"],
 )
 def test_where_it_is_not_for(small_scene, changes):
     sim = load(small_scene(**changes))

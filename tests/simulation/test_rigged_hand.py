@@ -277,7 +277,7 @@ def test_bodies_that_are_missing_or_misplaced_are_named(rest):
     )
     turned = text.replace('<body name="thumb_distal"', '<body name="thumb_distal" euler="0 0 2"')
     (rest / "turned.xml").write_text(turned)
-    refused(rest, "body 'thumb_distal' stands .* mm and 2 degrees off", hand="turned.xml")
+    refused(rest, "body 'thumb_distal' is .* mm and 2 degrees away", hand="turned.xml")
 
 
 def test_command_writes_the_bodies(rest, hand, monkeypatch, capsys):

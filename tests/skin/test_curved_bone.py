@@ -105,7 +105,7 @@ def test_a_closed_cylinder_has_its_volume_and_looks_outwards():
 @pytest.mark.parametrize(
     ("numbers", "told"),
     [
-        ((0.006, 0.02, 0.006, (0.001, 0.002)), "leaves no bone"),
+        ((0.006, 0.02, 0.006, (0.001, 0.002)), "leaves no room for bone"),
         ((0.006, 0.02, 0.001, (0.005, 0.002)), "1/12 of the circumference"),
         ((-0.006, 0.02, 0.001, (0.001, 0.002)), "lengths above 0"),
     ],

@@ -112,7 +112,7 @@ def test_bad_fractions(fractions):
 
 def test_inverted_element_is_an_error_with_its_place():
     patch = dome(disc_patch(0.03, 0.04, 0.01, 0.01, 0.03), 0.035)
-    with pytest.raises(SceneError, match=r"near \(.*\) m is flat or inside out"):
+    with pytest.raises(SceneError, match=r"near \(.*\) m is flat or inverted"):
         extrude(patch, np.array([0.0, 0.5, 1.0]))
 
 

@@ -366,5 +366,5 @@ def test_bodies_without_modes_of_their_own_are_refused(disc, make_spot):
         body(disc, system=absorbing.system)
     count = len(disc.quadrature.weights)
     noise = np.random.default_rng(0).standard_normal((count, count))
-    with pytest.raises(SceneError, match=r"2 blocks of \d+ load shapes are more than 0.4 of its \d+ unknowns"):
+    with pytest.raises(SceneError, match=r"2 blocks of \d+ load shapes exceed 0.4 of its \d+ unknowns"):
         modal_body(disc.system, disc.quadrature, disc.surface, lambda: noise, (), 1e-3, 2, 0.01, STEP)

@@ -65,5 +65,5 @@ def test_it_rests_where_the_layer_rests_and_not_where_nothing_holds_it() -> None
         read @ static(system, force), rel=1e-4
     )
     system, _, force, probe = disc("palm", base="free", side="free")
-    with pytest.raises(SceneError, match="nothing holds"):
+    with pytest.raises(SceneError, match="a static solution needs a support"):
         point_model(system, force, probe.toarray()[2], HIGHEST_Hz).static()

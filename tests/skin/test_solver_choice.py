@@ -114,7 +114,7 @@ def test_bad_arguments_are_named(changes: dict[str, object], words: str) -> None
         (lambda: Sheet(ECOFLEX, -1.0), "thickness_m is -1.0"),
         (lambda: Slab((), side=None), "sheets is empty"),
         (lambda: Slab((Sheet(ECOFLEX, 0.02),), shape="disc", side="free"), "radius_m is None"),
-        (lambda: Slab((Sheet(ECOFLEX, 0.02),), side="free"), "infinite slab has none"),
+        (lambda: Slab((Sheet(ECOFLEX, 0.02),), side="free"), "infinite slab has no sides"),
         (lambda: Slab((Sheet(ECOFLEX, 0.02),), base="glued"), "base is 'glued'"),
     ],
 )
@@ -169,7 +169,7 @@ def test_auto_takes_the_next_where_its_choice_refuses_while_it_solves(monkeypatc
     refusing = set(module.WHERE)
     with pytest.raises(SceneError, match=r"no solver supports this problem: axisymmetric refused.*; wedges refused"):
         solve(ENDLESS, HELD, [0.01], CENTRE, device="cpu")
-    with pytest.raises(SceneError, match="off the slab"):
+    with pytest.raises(SceneError, match="outside the slab"):
         solve(Slab(ENDLESS.sheets, "disc", side="free", radius_m=0.02), HELD, [0.01], [[0.03, 0.0]], device="cpu")
 
 

@@ -60,7 +60,7 @@ def test_many_points_are_judged_one_by_one() -> None:
 def test_a_disc_that_nothing_holds_is_refused() -> None:
     springs = Springs(1e6, 0.0)
     for body in (disc("free", base="free"), disc("roller", base="free"), disc("free", base=springs)):
-        with pytest.raises(SceneError, match="free to move away"):
+        with pytest.raises(SceneError, match="free to move"):
             static_axisymmetric(body, HELD, GRID)
     assert static_axisymmetric(disc("roller", base=springs), HELD, [[0.0, 0.0]], accuracy=0.1).error <= 0.1
 

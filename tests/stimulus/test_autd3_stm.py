@@ -63,7 +63,7 @@ def test_places_are_autd3s_own():
 @pytest.mark.parametrize(
     ("table", "told"),
     [
-        (ring(rate_Hz=999.0), "rate_Hz is 999; allowed: 40 kHz over a whole number, such as 975.61 or 1000"),
+        (ring(rate_Hz=999.0), "rate_Hz is 999; allowed: 40 kHz divided by a whole number, such as 975.61 or 1000"),
         (ring(between="linear"), "between is 'linear'"),
         (ring(frame="skin"), "frame is 'skin'"),
         (ring(9), "there are 9 foci at once; allowed: 8"),

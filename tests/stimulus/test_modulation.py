@@ -289,10 +289,10 @@ def test_a_level_is_in_range_or_refused_with_the_way_out(form, quantity, depth, 
 
 
 def test_more_than_full_drive_is_told():
-    with pytest.raises(SceneError, match=r"drive_amplitude 0\.6 is the carrier's .* takes 1\.2 of full drive; allowed: "
+    with pytest.raises(SceneError, match=r"drive_amplitude 0\.6 is the carrier's .* needs 1\.2 of full drive; allowed: "
                        r"at most 1; set drive_amplitude to 0\.5 or less"):  # fmt: skip
         peak_amplitude(am(drive_amplitude=0.6, am_normalisation="carrier"))
-    with pytest.raises(SceneError, match=r"takes pulses of duty 1; allowed: at most 0\.5"):
+    with pytest.raises(SceneError, match=r"needs pulses of duty 1; allowed: at most 0\.5"):
         peak_amplitude(am("duty", am_normalisation="carrier"))
     with pytest.raises(SceneError, match=r"needs pulses with duty above 0\.5"):
         peak_amplitude(am("duty", am_normalisation="mean"))
@@ -369,7 +369,7 @@ GOOD = {"modulation": "am", "am_quantity": "amplitude", "am_frequency_Hz": "200"
         ({"am_quantity": "pressure"}, "key 'am_quantity' has value 'pressure', which is renamed: use amplitude"),
         ({"am_quantity": "arps"}, r"'arps' \(did you mean 'arp'\?\); allowed: duty | amplitude | arp"),
         ({"am_waveform": "rectangle"}, "modulation 'am' of am_waveform 'rectangle' needs am_waveform_duty"),
-        ({"am_waveform": "rectangle", "am_waveform_duty": "1"}, "am_waveform_duty is 1, so that a rectangle is always"),
+        ({"am_waveform": "rectangle", "am_waveform_duty": "1"}, "am_waveform_duty is 1, so the rectangle is always"),
         ({"am_waveform_duty": "0.5"}, "am_waveform_duty does not apply to am_waveform 'sine', which takes no such"),
         (
             {"am_waveform": "hann", "am_file": "a.csv"},

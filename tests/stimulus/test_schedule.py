@@ -224,7 +224,7 @@ def test_bursts_of_a_modulated_path(window):
             {"foci_m": "0 0 0 0.1 0 0", "foci_arp": "1 nan"},
             "'1 nan'; allowed: finite numbers >= 0",
         ),
-        ({"burst_length_s": 0.1}, "burst_length_s belongs to bursts"),
+        ({"burst_length_s": 0.1}, "burst_length_s applies to bursts"),
         ({"burst_window": "hann", "burst_length_s": 0.2, "burst_period_s": 0.1}, "longer than burst_period_s"),
     ],
 )

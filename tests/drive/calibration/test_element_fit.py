@@ -61,7 +61,7 @@ ONES = np.ones((3, len(BOARD)), complex)
 @pytest.mark.parametrize(
     ("at", "readings", "told"),
     [
-        (AT[:2], ONES[:2], "3 at least"),
+        (AT[:2], ONES[:2], "at least 3"),
         (AT, ONES[:, :7], "a column for each transducer"),
         (AT * [1, 1, -1], ONES, "not in front of all"),
         (AT, np.where(np.arange(len(BOARD)) == 9, np.nan, ONES), "transducer 9 has no finite reading"),

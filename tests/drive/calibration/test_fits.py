@@ -41,7 +41,7 @@ def test_saturation_is_told_from_the_exponent() -> None:
 @pytest.mark.parametrize(
     ("levels", "pressures", "told"),
     [
-        ([0.1, 0.2, 0.3, 0.4], [1, 2, 3, 4], "5 at least"),
+        ([0.1, 0.2, 0.3, 0.4], [1, 2, 3, 4], "at least 5"),
         ([0.0, 0.2, 0.3, 0.4, 0.5], [1, 2, 3, 4, 5], "level 0"),
         ([0.1, 0.2, 0.3, 0.4, 0.5], [1, 2, -3, 4, 5], "-3 Pa"),
         ([0.1, 0.2, 0.3, 0.4, 0.5], [5, 1, 9, 2, 7], "do not follow a power of the level"),
@@ -100,7 +100,7 @@ def test_plates_that_do_not_serve() -> None:
         ("pulls the plate", (h, time, on, -shown)),
         (r"force_N\[0\]", (h, time, on, np.where(np.arange(50) == 0, np.nan, shown))),
         ("on = 2", (h, time, 2 * on, shown)),
-        ("at one time", (h, 0.0 * time, on, shown)),
+        ("the same time", (h, 0.0 * time, on, shown)),
     ):
         with pytest.raises(PalmfieldError, match=told):
             fit_plate(BOARD, AIR, drive, (0.1, 0.1), *given)
@@ -125,8 +125,8 @@ def test_scans_that_do_not_serve() -> None:
     at = point + np.random.default_rng(0).normal(0.0, 5e-3, (8, 3))
     for told, given in (
         ("8 of each", (point[:5], at[:5], np.ones(5))),
-        ("below 0", (point, at, -np.ones(8))),
-        ("beside it", (point, at + np.array([0.1, 0.0, 0.0]), np.ones(8))),
+        ("negative", (point, at, -np.ones(8))),
+        ("mm from it", (point, at + np.array([0.1, 0.0, 0.0]), np.ones(8))),
     ):
         with pytest.raises(PalmfieldError, match=told):
             fit_pose(BOARD, AIR, *given)
@@ -152,7 +152,7 @@ def test_resonance_and_quality_from_a_sweep_in_another_room() -> None:
     assert fit.misfit < 0.05
     with pytest.raises(PalmfieldError, match="outside the sweep"):
         fit_sweep(BOARD, AIR, drive, at, f[:12], seen[:, :12])
-    with pytest.raises(PalmfieldError, match="8 places"):
+    with pytest.raises(PalmfieldError, match="8 positions"):
         fit_sweep(BOARD, AIR, drive, at[:4], f, seen[:4])
 
 
@@ -164,7 +164,7 @@ def test_warm_up() -> None:
     for told, given in (
         ("6 of each", (time[:5], np.ones(5))),
         ("above 0", (time, -np.ones(len(time)))),
-        ("record for longer|one course", (time[:8], 800.0 - time[:8])),
+        ("record for longer|record until", (time[:8], 800.0 - time[:8])),
     ):
         with pytest.raises(PalmfieldError, match=told):
             fit_warm_up(*given)

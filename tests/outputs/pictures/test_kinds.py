@@ -109,7 +109,7 @@ def test_levels_are_told_for_what_repeats_and_refused_else(with_keys, result):
     still = result.copy()
     for name in instances(still, "stimulus"):
         still[f"stimulus/{name}"].attrs["config"] = StimulusConfig().model_dump_json()
-    with pytest.raises(OutputError, match="nothing repeats"):
+    with pytest.raises(OutputError, match="does not repeat"):
         KINDS["levels"].draw(still, Asked(skin="palm"))
     with pytest.raises(OutputError, match=r"--observer has value 'bolanowski'.*bolanowski_1988"):
         KINDS["levels"].draw(with_keys, Asked(observer="bolanowski"))
@@ -270,7 +270,7 @@ def test_what_is_asked_is_heeded_or_refused(result, tmp_path):
         ("drives", Asked(time_s=9.0), "--time has value 9000 ms"),
         ("spectrum", Asked(limits=(-1.0, 1.0)), "above 0"),
         ("motion", Asked(places=((0.5, 0.0, 0.15),), skin="palm"), "--place has value 500, 0, 150 mm"),
-        ("wavefronts", Asked(places=((0.01, 0.0, 0.15),) * 2, skin="palm"), "nearest to one vertex"),
+        ("wavefronts", Asked(places=((0.01, 0.0, 0.15),) * 2, skin="palm"), "same nearest vertex"),
     ):
         with pytest.raises(OutputError, match=words):
             KINDS[kind].draw(result, asked)

@@ -106,5 +106,5 @@ def test_what_is_refused_says_why():
     with pytest.raises(SceneError, match="from the wall"):
         WalledDisc(disc, FWHM).normal_velocity(running(), TIMES[1:])
     fixed = Slab((SHEET,), shape="disc", side="fixed", radius_m=0.04)
-    with pytest.raises(SceneError, match="use 'roller'"):
+    with pytest.raises(SceneError, match="allowed: 'roller'"):
         WalledDisc(fixed, FWHM)

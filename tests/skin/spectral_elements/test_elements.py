@@ -209,7 +209,7 @@ def test_inverted_element_is_named_with_its_place():
     inward = patch.inward.copy()
     inward[5] = -inward[5]
     sheets = (Sheet(gel(), 0.004),)
-    with pytest.raises(SceneError, match=r"skin element \d+ near \(-0\.00.*\) m is flat or inside out"):
+    with pytest.raises(SceneError, match=r"skin element \d+ near \(-0\.00.*\) m is flat or inverted"):
         Model(extrude(patch_quads(replace(patch, inward=inward), 2), sheets, (1,)), sheets, "cpu")
 
 

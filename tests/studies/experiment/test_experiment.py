@@ -141,10 +141,10 @@ def test_two_runs_do_not_write_one_log(experiment, tmp_path):
 def test_a_file_that_is_no_log_is_left_alone(experiment, tmp_path):
     path = experiment()
     (tmp_path / "log.jsonl").write_text('{"my": "data"}\n')
-    with pytest.raises(OutputError, match="is no log of an experiment"):
+    with pytest.raises(OutputError, match="is not an experiment log"):
         run(path)
     (tmp_path / "log.jsonl").write_text("my notes\n")
-    with pytest.raises(OutputError, match="line 1 is no JSON"):
+    with pytest.raises(OutputError, match="line 1 is not JSON"):
         run(path)
     assert (tmp_path / "log.jsonl").read_text() == "my notes\n"
 
@@ -246,7 +246,7 @@ def test_an_observer_feels_the_skin(experiment):
     shown = Shown(0, "100 Hz", (0.1, 0.0), ({"a": 1}, {"a": 2}), 1, False)
     assert observer.detected(shown, 0) == pytest.approx(0.5) and observer.detected(shown, 1) == 0.0
     short = FeelingObserver(read_design(experiment(duration_s="0.004")), path.with_name("small.xml"), None)
-    with pytest.raises(OutputError, match=r"observer 'bolanowski_1988' has no level .*: .*two periods"):
+    with pytest.raises(OutputError, match=r"observer 'bolanowski_1988' has no threshold .*: .*two periods"):
         short.level_dB({"skin.accuracy": 0.5})
 
 

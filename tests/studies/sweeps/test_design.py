@@ -90,8 +90,8 @@ def test_a_table_is_read_row_by_row(tmp_path):
         (["a.x=1,,2"], "an empty value between commas"),
         (["a.x=1,1"], "the value 1.0 twice"),
         (["a.x=1,2", "a.x=3"], "given twice"),
-        (["a.x=1"], "nothing is swept"),
-        ([], "nothing is swept"),
+        (["a.x=1"], "the sweep has no values"),
+        ([], "the sweep has no values"),
         (["a.x=0:1:10000", "a.y=0:1:10000"], "100000000 points; allowed: at most 10000000"),
     ],
 )

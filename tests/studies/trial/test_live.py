@@ -113,7 +113,7 @@ def test_a_focus_that_cannot_be_made_is_silence_and_no_end(view, followed, monke
 
     def at(self, posed, time_s, share=1.0):
         if int(10 * time_s) % 2:
-            raise palmfield.SceneError("focus [0.0, 0.0, -0.1] is behind the array")
+            raise palmfield.SceneError("focus [0.0, 0.0, -0.1] is behind array 'array'")
         return made(self, posed, time_s, share)
 
     monkeypatch.setattr(Frames, "at", at)
