@@ -111,7 +111,7 @@ def test_a_log_can_be_read_half_way(tmp_path):
 
 @pytest.mark.parametrize(
     ("text", "words"),
-    [("hello", "no log"), ('{"palmfield_log": 2}', "version 2; allowed: 1"), ('{"palmfield_log": 1}', "no log")],
+    [("hello", "not a log"), ('{"palmfield_log": 2}', "version 2; allowed: 1"), ('{"palmfield_log": 1}', "not a log")],
 )
 def test_what_is_no_log_is_refused(text, words, tmp_path):
     path = tmp_path / "x.jsonl"
@@ -125,7 +125,7 @@ def test_raw_bytes_need_a_board(tmp_path):
     path.write_bytes(b"\xfe")
     with pytest.raises(palmfield.SceneError, match="give it by --board"):
         decode(path)
-    with pytest.raises(palmfield.SceneError, match="can't be read"):
+    with pytest.raises(palmfield.SceneError, match="cannot be read"):
         decode(tmp_path / "none", "sonicsurface")
 
 

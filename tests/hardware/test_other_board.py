@@ -85,7 +85,7 @@ def test_what_changes_is_said_with_both_sides():
     assert plugins[0].keys == {"layout": "autd2018"}
     assert plugins[1].keys["control_rate_Hz"] == "2000" and plugins[2].keys == {"board": "autd2018"}
     assert "249 transducers over 173 x 132 mm" in said[0] and "256 transducers over 154 x 154 mm" in said[0]
-    assert "p0_Pa_m, dead are left out" in said[0]
+    assert "removed keys of the old layout: p0_Pa_m, dead" in said[0]
     # A focus on the axis of monopoles is the sum of p0/d; the pistons' directivity takes some of it
     array, air = layout("uhev1"), Air()
     distance = np.linalg.norm(array.positions - [0.0, 0.0, 0.2], axis=1)
