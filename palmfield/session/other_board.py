@@ -82,7 +82,7 @@ def _exchange_layout(array: PluginKeys, board: Board, focus: str | None) -> list
     text = f"{array.name}: layout {after} ({_size(after, focus)})"
     if before in LAYOUTS:
         text += f" instead of {before} ({_size(before, focus)})"
-    return [text + (f"; removed keys of the old board: {', '.join(dropped)}" if dropped else "")]
+    return [text + (f"; removed keys of the old layout: {', '.join(dropped)}" if dropped else "")]
 
 
 def _size(name: str, focus: str | None) -> str:

@@ -243,7 +243,7 @@ def solve(
         taken, motion, why = _first_that_can(able, problem)
         name, more = taken.name, taken.found
     else:
-        name, why, more = solver, "asked for", {}
+        name, why, more = solver, "requested", {}
         motion = _by_name(name, problem, resolution)
     again = partial(function(name, "solve"), **more)
     target, mesh = accuracy, dict[str, Any]()

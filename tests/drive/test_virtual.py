@@ -117,7 +117,7 @@ def test_after_an_unplug_writing_says_so_and_the_board_goes_on():
     port.write(sounding(BOARD))
     virtual.settle()
     virtual.unplug()
-    with pytest.raises(PortLost, match="connection to .* lost"):
+    with pytest.raises(PortLost, match=r"connection to .* lost"):
         for _ in range(50):
             port.write(sounding(BOARD))
             time.sleep(0.01)

@@ -191,7 +191,7 @@ def test_plan_names_board_device_and_stepper_with_the_reason(small_scene):
     assert "on cpu (palmfield_device)" in row(plan.modelled, "sound field").why
     assert "key solver is 'wedges'" in row(plan.modelled, "skin solver wedges").why
     reduced = row(palmfield.plan(small_scene(), keys={"skin.solver": "reduced"}).modelled, "skin solver reduced")
-    assert "asked for" in reduced.why and "wedges about" in reduced.size
+    assert "set by key solver" in reduced.why and "wedges about" in reduced.size
 
 
 def test_a_scene_with_one_of_each_needs_no_names(small_scene):

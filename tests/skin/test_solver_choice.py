@@ -46,7 +46,7 @@ def test_choices_are_ranked_and_say_why_not() -> None:
 def test_a_solver_asked_for_runs_or_says_why_not() -> None:
     body = Slab((Sheet(ECOFLEX, 0.02),), shape="disc", side="fixed", radius_m=0.06)
     motion = solve(body, HELD, [2e-3], CENTRE, solver="axisymmetric", accuracy=0.1, device="cpu")
-    assert motion.solver.startswith("axisymmetric") and motion.solver.endswith("(asked for)")
+    assert motion.solver.startswith("axisymmetric") and motion.solver.endswith("(requested)")
     with pytest.raises(SceneError, match="solver 'lateral_waves': a disc with fixed sides"):
         solve(body, HELD, [2e-3], CENTRE, solver="lateral_waves", device="cpu")
 

@@ -34,7 +34,7 @@ def choose_stepper(
     if explicit is not None:
         explicit.refuse()
         own_s = explicit.seconds(spec.duration_s, spec.device)
-        return StepperChoice(skin.config.solver, "asked for", own_s, wedges_s(layer.dofs, substeps))
+        return StepperChoice(skin.config.solver, "set by key solver", own_s, wedges_s(layer.dofs, substeps))
     reason = known_load.refusal(skin, layer, stimuli, pole, response_on)
     requested = skin.config.solver
     modal_reason = load_class.refusal(skin, layer)
@@ -52,7 +52,7 @@ def choose_stepper(
     seconds = {choice.name: choice.seconds for choice in choices}
     name: str = requested
     if requested != "auto":
-        why = "asked for" if reason is None or requested != "wedges" else f"no reduced model: {reason}"
+        why = "set by key solver" if reason is None or requested != "wedges" else f"no reduced model: {reason}"
     elif reason is None:
         # If the load is predicted, a model for it alone is smaller than one for every load
         name = "reduced" if seconds["reduced"] < seconds["wedges"] else "wedges"
