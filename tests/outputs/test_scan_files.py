@@ -201,7 +201,7 @@ def test_what_is_wrong_in_a_mat_is_named(tmp_path):
     one = scan()
     good = {"time_s": one.times_s, "points_m": one.points, "velocity_m_s": one.values}
     for change, words in (
-        ({"velocity_m_s": None}, "has neither; give one of velocity_m_s, displacement_m"),
+        ({"velocity_m_s": None}, "has no values; give exactly one of velocity_m_s, displacement_m"),
         ({"displacement_m": one.values}, "has velocity_m_s and displacement_m"),
         ({"points_m": None}, "has no variable 'points_m'"),
         ({"points_m": one.points[:2]}, "give shapes"),
@@ -249,7 +249,7 @@ def test_polytecs_text_files_are_a_scan_with_a_table_of_places(tmp_path):
     [
         ("Component:\tRoot", "Average:\t3", "line 3 is 'Average"),
         ("Point Index:\t5\n", "", "no line 'Point Index:'"),
-        ("Point Index:\t5", "Point Index:\t9", "of point 9, which places.csv has no line for"),
+        ("Point Index:\t5", "Point Index:\t9", "belongs to point 9, but places.csv has no line for it"),
         ("Point Index:\t5", "Point Index:\t6", "point 6 has several files"),
         ("Vib Velocity", "Vib 3D Velocity", "Signal is 'Time - Vib 3D Velocity"),
         ("Time - Vib", "FFT - Vib", "samples over time along one beam"),
@@ -259,7 +259,7 @@ def test_polytecs_text_files_are_a_scan_with_a_table_of_places(tmp_path):
         ("Time\tTime Signal", "Frequency\tSpectrum", "two columns, Time"),
         ("\n\n", "\n", "the empty line after the head is missing|line 5 is 'Time"),
         ("0.000125\t", "0,000125\t", "line 9 is '0,000125.*with decimal points"),
-        ("0.00025\t", "0.000251\t", "times are not"),
+        ("0.00025\t", "0.000251\t", "times differ from"),
     ],
 )
 def test_what_isnt_known_in_polytecs_text_is_refused(tmp_path, old, new, words):

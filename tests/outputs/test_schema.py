@@ -80,7 +80,10 @@ def test_any_name_makes_a_group(name):
         ({"/skin/p": {"loudest_arp": np.zeros(3)}}, ["/skin/p/loudest_arp", "float64", "float32", ".astype"]),
         ({"/skin/p": {"rest_position": np.zeros(3)}}, ["shape (3,)", "(vertex, xyz)"]),
         ({"/skin/p": {"rest_position": np.zeros((4, 2))}}, ["2 along 'xyz'", "3"]),
-        ({"/skin/p": {"rest_position": np.zeros((4, 3)), "depth": np.zeros(5)}}, ["depth' has 5 along 'vertex'", "4"]),
+        (
+            {"/skin/p": {"rest_position": np.zeros((4, 3)), "depth": np.zeros(5)}},
+            ["depth' has length 5 along 'vertex'", "4"],
+        ),
         ({"/": {"step_time": np.zeros(1)}, "/array/a": {"pose": np.zeros((1, 6))}}, ["6 along 'pose7'", "7"]),
         ({"/skin/p": {"arp": np.zeros((2, 3), np.float32)}}, ["/skin/p/arp", "has no times", "give 'time'"]),
         ({"/": {"time": np.zeros(3)}, "/skin/p": {"arp": np.zeros((2, 3), np.float32)}}, ["2 along 'time'", "3"]),

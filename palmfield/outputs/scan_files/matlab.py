@@ -30,7 +30,7 @@ def read_mat(file: Path) -> Scan:
     there = [name for name in VALUES if name in found]
     if len(there) != 1:
         raise MeasurementError(
-            f"{file}: has {' and '.join(there) or 'neither'} as values; give exactly one of {', '.join(VALUES)}"
+            f"{file}: has {' and '.join(there) or 'no values'}; give exactly one of {', '.join(VALUES)}"
         )
     for name in ("time_s", "points_m"):
         if name not in found:
