@@ -278,7 +278,7 @@ def test_a_file_of_schema_1_is_refused_with_a_sentence(tmp_path):
     xr.Dataset({"skin_position": (("vertex", "xyz"), np.zeros((4, 3)))}, attrs={"run_id": "x"}).to_netcdf(
         path, engine="h5netcdf"
     )
-    with pytest.raises(OutputError, match=r"result\.nc has schema 1, .*reads schema 2; run its scene again, or"):
+    with pytest.raises(OutputError, match=r"result\.nc has schema 1 .*, .*reads schema 2; run its scene again, or"):
         open_result(path)
 
 
