@@ -92,12 +92,15 @@ def test_one_instance_of_two_may_differ(small_scene, add_skin):
 @pytest.mark.parametrize(
     ("custom", "expected"),
     [
-        ('<numeric name="palmfield_duration" data="0.5"/>', ["did you mean 'palmfield_duration_s'?", "is none of"]),
+        (
+            '<numeric name="palmfield_duration" data="0.5"/>',
+            ["did you mean 'palmfield_duration_s'?", "is unknown to palmfield"],
+        ),
         ('<text name="palmfield_devise" data="cpu"/>', ["did you mean 'palmfield_device'?", "text 'palmfield_devise'"]),
         ('<numeric name="palmfeild_duration_s" data="1"/>', ["did you mean 'palmfield_duration_s'?"]),
         ('<text name="palmfield_speed" data="1"/>', ["allowed: numeric 'palmfield_duration_s' and text"]),
-        ('<text name="palmfield_duration_s" data="1"/>', ["of another kind; allowed: <numeric name="]),
-        ('<numeric name="palmfield_device" data="1"/>', ["of another kind; allowed: <text name="]),
+        ('<text name="palmfield_duration_s" data="1"/>', ["the wrong element type; allowed: <numeric name="]),
+        ('<numeric name="palmfield_device" data="1"/>', ["the wrong element type; allowed: <text name="]),
     ],
 )
 def test_a_setting_of_the_scene_that_is_misspelt(custom, expected, small_scene):
@@ -164,7 +167,7 @@ def csv(folder: Path, gains: list[float]) -> Path:
 
 def test_a_gain_beyond_what_transducers_differ_by(small_scene, tmp_path):
     array = {"layout": "csv", "transducers": csv(tmp_path, [1.0, -1.1, 5.0])}
-    refused(small_scene(array=array), "line 4", "column gain: 5; allowed: -2 to 2 relative to p0", "key p0_Pa_m")
+    refused(small_scene(array=array), "line 4", "column gain: 5; allowed: -2 to 2, relative to p0", "key p0_Pa_m")
     csv(tmp_path, [1.0, -1.1, 2.0])
     assert len(palmfield.load(small_scene(array=array)).runtime.model.arrays) == 3
 
@@ -182,16 +185,16 @@ def test_a_level_of_0_is_told_and_the_layer_is_as_with_sound(small_scene):
     loud = palmfield.load(small_scene(stimulus={"drive_amplitude": 1}))
     spots = [scene.runtime.model.skins[0].layer.demand.spot_fwhm_m for scene in (silent, loud)]
     assert spots[0] == spots[1] < 0.03
-    assert "its drive_amplitude is 0" in course_of(small_scene(stimulus={"drive_amplitude": 0}), "makes no sound")
+    assert "its drive_amplitude is 0" in course_of(small_scene(stimulus={"drive_amplitude": 0}), "emits no sound")
 
 
 def test_a_stimulus_that_starts_after_the_run_or_has_stopped(small_scene):
     late = small_scene(stimulus={"start_s": 5})
     said = course_of(late, "emits no sound in this run")
     assert "stimulus 'stimulus'" in said and "starts at 5 s" in said and "ends at 0.015 s" in said
-    assert not [text for text in warnings(late, 5.1) if "makes no sound" in text]
+    assert not [text for text in warnings(late, 5.1) if "emits no sound" in text]
     scene = palmfield.Simulation(small_scene(stimulus={"stop_s": 0.001}))
-    assert not [text for text in warnings(scene) if "makes no sound" in text]
+    assert not [text for text in warnings(scene) if "emits no sound" in text]
     scene.start_at(0.002)
     assert [text for text in warnings(scene) if "it stops at 0.001 s" in text]
 
@@ -212,8 +215,8 @@ def test_a_focus_off_the_skin_is_told_with_what_the_skin_gets(behind_mm, small_s
     on_face = loudness(focus, face)
     loudest = face[on_face.argmax()]
     share = 100.0 * on_face.max() / loudness(loudest, loudest[None])[0]
-    told = float(said.partition("gets ")[2].partition(" %")[0])
-    assert f"stays {behind_mm} mm away" in said and told == pytest.approx(share, rel=0.1) and told > 5.0
+    told = float(said.partition("point has ")[2].partition(" %")[0])
+    assert f"stays {behind_mm} mm from" in said and told == pytest.approx(share, rel=0.1) and told > 5.0
 
 
 def test_a_skin_behind_the_focus_hardly_moves(small_scene):
@@ -228,7 +231,7 @@ def test_a_focus_off_the_skin_is_told_alike_whatever_sets_its_level(small_scene)
         path = small_scene(stimulus=keys | level)
         changed(path.parent / "plain.xml", 'pos="0 0 0.12"', 'pos="0 0 0.2"')
         told.append(course_of(path, "no focus is near skin 'skin'"))
-    assert len(set(told)) == 1 and "stays 140 mm away" in told[0]
+    assert len(set(told)) == 1 and "stays 140 mm from" in told[0]
 
 
 def test_a_focus_off_the_skin_is_told_for_a_board_that_takes_one_focus(small_scene):
@@ -236,7 +239,7 @@ def test_a_focus_off_the_skin_is_told_for_a_board_that_takes_one_focus(small_sce
     path = small_scene(
         array={"layout": "autd2018"}, stimulus={**keys, "control_rate_Hz": 1000}, driver={"board": "autd2018"}
     )
-    assert "stays 80 mm away" in course_of(path, "no focus is near skin 'skin'")
+    assert "stays 80 mm from" in course_of(path, "no focus is near skin 'skin'")
 
 
 def test_a_layer_too_large_for_a_focus_far_aside_says_that_it_misses(small_scene, monkeypatch):
@@ -353,14 +356,16 @@ def test_a_calibration_of_no_board_is_doubted(changes, told, small_scene, tmp_pa
     ("rate_Hz", "told"),
     [
         (150, "the played frequency is 50 Hz"),
-        (390, "played is 190 Hz"),
+        (390, "played frequency is 190 Hz"),
         (400, "depends on the phase of the frames"),
         (401, None),
         (0, None),
     ],
 )
 def test_frames_too_rare_for_a_modulation_are_told(rate_Hz, told, small_scene):
-    said = [text for text in warnings(small_scene(stimulus={"control_rate_Hz": rate_Hz})) if "frames a second" in text]
+    said = [
+        text for text in warnings(small_scene(stimulus={"control_rate_Hz": rate_Hz})) if "frames per second" in text
+    ]
     assert said == [] if told is None else len(said) == 1 and told in said[0]
 
 

@@ -99,7 +99,7 @@ def test_a_still_body_is_solved_for_once(small_scene, solutions):
 
 def test_a_flat_disc_is_told_no_stories_of_hands(small_scene):
     told = flat(palmfield.plan(small_scene(stimulus=STEADY)))
-    assert not re.search(r"\bhands?\b|finger|bone|cup\b", told.replace(str(SCENES.parents[1]), "")), told
+    assert not re.search(r"\bhands?\b|finger|bone|cup", told.replace(str(SCENES.parents[1]), "")), told
     assert row(palmfield.plan(small_scene()).left_out, "cast shadows").size == "0 %"
 
 
@@ -112,8 +112,8 @@ def test_a_body_that_moves_is_told_its_own_inertia():
 
 
 HAND_STORIES, DISC_STORIES = (
-    (r"\bhands?\b", r"\bfingers?\b", r"\bcup\b"),
-    ("a flat face", "flat plate at", "this face is"),
+    (r"\bhands?\b", r"\bfingers?\b", r"\bcupped\b"),
+    ("flat face", "flat plate at", "this face is"),
 )
 
 
