@@ -156,7 +156,7 @@ def test_figures_of_scattering_are_those_of_the_page():
 @pytest.mark.parametrize(
     ("keys", "words"),
     [
-        ({}, "pistons of 4.5 mm radius"),
+        ({}, "pistons with a radius of 4.5 mm"),
         ({"directivity": "point"}, "point sources"),
         ({"directivity": "t4010a1"}, "measured directivity"),
     ],
