@@ -261,7 +261,7 @@ def play_on_port(
             )
         except KeyboardInterrupt:
             player.close()
-            LOG.warning(f"ended by Ctrl-C after {time.monotonic() - begin:.1f} s; the board is switched off")
+            LOG.warning(f"ended by Ctrl-C after {time.monotonic() - begin:.1f} s; the board is off")
             check_log(player, log)
             raise
     done = played_in_words(report, board, port)

@@ -100,7 +100,7 @@ def test_a_way_that_is_none(name: str, autd3: SimpleNamespace) -> None:
 
 def test_bytes_of_another_board(autd3: SimpleNamespace) -> None:
     link = open_port("autd3:emulator", None)
-    with pytest.raises(DeviceError, match=r"begin with 520 bytes: give board autd3"):
+    with pytest.raises(DeviceError, match=r"first frame has 520 bytes: give board autd3"):
         link.write(BOARDS["sonicsurface"].start)
     link.close()
 

@@ -186,7 +186,7 @@ def test_an_error_while_stepping_is_kept_and_shown(small_scene, capfd):
     data.qpos[0] = 0.125  # along the body's z, down into the array
     mujoco.mj_step(model, data)
     assert np.isnan(data.sensordata).all()
-    with pytest.raises(palmfield.SceneError, match="reaches into the array"):
+    with pytest.raises(palmfield.SceneError, match="is too close to the array"):
         raise_errors(data)
 
 

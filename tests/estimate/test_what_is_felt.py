@@ -55,7 +55,7 @@ def test_am_and_path_that_come_round_too_rarely_have_no_level_and_a_reason(small
     stimulus = CIRCLE | {"modulation": "am", "am_quantity": "arp", "am_frequency_Hz": 151}
     verdict = palmfield.run(small_scene(stimulus=stimulus), duration_s=0.04).summary["skins"][0]["verdict"]
     assert verdict["felt"] == "not known"
-    assert "two repeats of path and modulation together, 1 a second, 2000 ms: run for longer" in verdict["because"]
+    assert "two repeats of path and modulation together, 1 per second, 2000 ms: run for longer" in verdict["because"]
 
 
 def test_a_path_too_slow_for_the_run_has_no_level_and_a_reason(small_scene):

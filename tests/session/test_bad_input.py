@@ -133,12 +133,12 @@ def test_a_layer_for_which_memory_is_short(small_scene, meshing_fails, monkeypat
 def test_timesteps_so_small_that_the_run_cannot_end(timestep, small_scene, meshing_fails):
     path = small_scene()
     path.write_text(path.read_text().replace('timestep="0.001"', f'timestep="{timestep}"'))
-    refused(path, f"option 'timestep' has value {timestep:g}: a run of", "would not end", "set timestep larger")
+    refused(path, f"option 'timestep' has value {timestep:g}: a run of", "would take", "set timestep larger")
 
 
 def test_a_duration_so_long_that_the_run_cannot_end(small_scene):
     path = small_scene(duration_s="1e9")
-    refused(path, "a run of 1e+09 s takes 1e+12 steps", "or numeric 'palmfield_duration_s' smaller")
+    refused(path, "a run of 1e+09 s would take 1e+12 steps", "or numeric 'palmfield_duration_s' smaller")
 
 
 def test_the_second_skin_alone_costs_too_much(small_scene, add_skin, meshing_fails):
@@ -259,7 +259,7 @@ def test_a_mesh_needs_no_unit_where_its_format_has_one():
 
 def test_a_skin_that_no_stimulus_comes_near_is_warned_of(small_scene, add_skin):
     path = add_skin(small_scene(), "0.3 0 0.12")
-    (line,) = [text for text in warnings(path) if "comes near" in text]
+    (line,) = [text for text in warnings(path) if "no focus is near" in text]
     assert "no focus is near skin 'second': the focus of stimulus 'stimulus' stays" in line and "\n" not in line
 
 

@@ -81,7 +81,7 @@ def test_a_body_in_the_array_ends_a_run_in_memory_with_what_came_before(small_sc
     plain = path.with_name("plain.xml")
     text = plain.read_text().replace('axis="1 0 0" stiffness="400" damping="10"', 'axis="0 0 1"')
     plain.write_text(text.replace('gravcomp="1"', "").replace('pos="0 0 0.12"', 'pos="0 0 0.02"'))
-    with pytest.raises(palmfield.SceneError, match="reaches into the array") as caught:
+    with pytest.raises(palmfield.SceneError, match="is too close to the array") as caught:
         palmfield.run(path, duration_s=1.0, progress=False)
     assert 10 < caught.value.result.summary["steps"] < 100
 

@@ -221,7 +221,7 @@ def test_body_that_falls_into_the_array_ends_the_run(small_scene, tmp_path):
     text = plain.read_text().replace('axis="1 0 0" stiffness="400" damping="10"', 'axis="0 0 1"')
     plain.write_text(text.replace('gravcomp="1"', "").replace('pos="0 0 0.12"', 'pos="0 0 0.02"'))
     scene = palmfield.load(path)
-    with pytest.raises(palmfield.SceneError, match="reaches into the array"):
+    with pytest.raises(palmfield.SceneError, match="is too close to the array"):
         palmfield.run(scene, tmp_path / "out", duration_s=1.0, progress=False)
     tree = read(tmp_path / "out")
     assert tree.attrs["complete"] == 0 and 10 < tree.sizes["step_time"] < 100

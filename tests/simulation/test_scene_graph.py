@@ -393,7 +393,7 @@ def test_boxes_hold_the_whole_surface_in_any_pose(by_graph: Any, monkeypatch: py
         if clear:
             validate.check_clear(posed)
         else:
-            with pytest.raises(PalmfieldError, match="reaches into the array"):
+            with pytest.raises(PalmfieldError, match="is too close to the array"):
                 validate.check_clear(posed)
         posed.bodies[0].frame.position[:] = moved
 

@@ -206,7 +206,7 @@ def test_what_a_step_and_a_reader_refuse(layer, stepper):
     loads = bells(layer)
     with pytest.raises(SceneError, match="needs shape"):
         stepper.step(np.zeros((2, stepper.state_size)), loads, 0.0, SUBSTEPS * STEP)
-    with pytest.raises(SceneError, match="loads for 4 substeps"):
+    with pytest.raises(SceneError, match="loads cover 4 substeps"):
         stepper.step(rest(stepper), loads, 0.0, 5 * STEP)
     with pytest.raises(SceneError, match="unknowns"):
         stepper.reader(sparse.csr_matrix((2, 5)))

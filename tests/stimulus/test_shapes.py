@@ -135,7 +135,7 @@ def test_a_polyline_that_ends_where_it_began_is_closed_and_repeats_are_dropped()
         (lambda: lissajous(0.01, 0.01, 2, 4, 0.0), "divide both by 2"),
         (lambda: lissajous(0.01, 0.01, 1, 2, math.nan), "phase_deg = nan"),
         (lambda: letters("A+", 0.01), "'\\+'"),
-        (lambda: letters("  ", 0.01), "nothing to draw"),
+        (lambda: letters("  ", 0.01), "no letters or digits"),
         (lambda: letters("A", 0.0), "height_m = 0.0"),
         (lambda: polyline([[0.0, 0.0, 0.0]]), r"\(1, 3\)"),
         (lambda: polyline(np.zeros((0, 2))), "0 distinct"),

@@ -214,7 +214,7 @@ class Player:
                 if "sounds_s" in line and on_sound is not None:
                     on_sound(float(line["sounds_s"]))
             if self._ended is not None:
-                raise DeviceError(f"the player has ended: {self._ended['ended']}; the board is switched off")
+                raise DeviceError(f"the player has ended: {self._ended['ended']}; the board is off")
         raise DeviceError(
             f"the player process did not respond for {STARTS_WITHIN_S:g} s; check whether the machine is overloaded"
         )
@@ -266,7 +266,7 @@ class Player:
                 f"the player process on {self.port} was ended {how}, and the board could not be silenced "
                 f"({error}); {self.board.when_host_dies}"
             ) from None
-        raise DeviceError(f"the player process on {self.port} was ended {how}; the board is switched off")
+        raise DeviceError(f"the player process on {self.port} was ended {how}; the board is off")
 
     def close(self) -> None:
         """Silence the board and free the port; returns when that is done.

@@ -131,5 +131,5 @@ def test_points_off_a_layer_are_told(name):
     ],
 )
 def test_millimetres_taken_for_metres_are_told(sheets, shape, sizes, words):
-    with pytest.raises(SceneError, match=words + r".*20 mm are 0\.02"):
+    with pytest.raises(SceneError, match=words + r".*20 mm is 0\.02"):
         Slab(sheets, shape, **sizes)

@@ -94,7 +94,7 @@ def test_wavenumbers_of_a_wall_are_zeros_and_none_is_missing():
 def test_what_is_refused_says_why():
     slab = Slab((SHEET,), base="free")
     plate = PeriodicSlab(slab, FWHM, period_m=0.2)
-    with pytest.raises(SceneError, match="waves are those"):
+    with pytest.raises(SceneError, match="waves were built"):
         plate.normal_velocity(Spot(0.006, TIMES, np.ones(41)), TIMES[1:], half_m=0.05, cells=200)
     with pytest.raises(SceneError, match="cells is 20"):
         plate.normal_velocity(running(), TIMES[1:], half_m=0.05, cells=20)

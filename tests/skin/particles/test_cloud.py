@@ -140,10 +140,10 @@ def test_points_of_the_face():
 def test_errors():
     with pytest.raises(SceneError, match="spacing_m is 0"):
         build_cloud(BOX, 0.0)
-    with pytest.raises(SceneError, match="across"):
+    with pytest.raises(SceneError, match="wide"):
         build_cloud(BOX, 5e-3)
     cloud = build_cloud(BOX, 1e-3)
-    with pytest.raises(SceneError, match="off the face"):
+    with pytest.raises(SceneError, match="from the face"):
         point_weights(cloud.columns, cloud.face_area, np.array([[0.1, 0.0]]))
     with pytest.raises(SceneError, match="shape"):
         point_weights(cloud.columns, cloud.face_area, np.zeros(3))

@@ -290,7 +290,7 @@ def test_refusals_and_errors():
     box = Slab(sheet, "box", "bonded", "fixed", size_m=(0.02, 0.02))
     assert refusal_particles(box, load) is None
     refused = {
-        "an end": Slab(sheet),
+        "a finite body": Slab(sheet),
         "spring": dataclasses.replace(box, base=Springs(1e5, 1e5)),
         "absorbing": dataclasses.replace(box, side="absorbing"),
         "axis": Layer(

@@ -183,7 +183,7 @@ def test_what_it_cannot_take():
         ({"deep": (2, 2)}, "deep is"),
         ({"precision": "half"}, "precision is 'half'"),
         ({"step_s": 1e-3}, "step_s is 0.001 s; allowed: above 0, at most the stable step"),
-        ({"at": np.array([[0.5, 0.0]])}, "off the face"),
+        ({"at": np.array([[0.5, 0.0]])}, "from the face"),
     ):
         given = {"times": times, "at": PLACES} | arguments
         with pytest.raises(SceneError, match=message):

@@ -95,7 +95,7 @@ def test_many_loads_have_one_layer_for_the_strictest(small_scene, few_are_many):
         layers.append(palmfield.Simulation(scene, keys=keys).runtime.model.skins[0].layer.demand)
     assert demand.max_frequency_Hz == max(layer.max_frequency_Hz for layer in layers) > 200.0
     assert demand.spot_fwhm_m == min(layer.spot_fwhm_m for layer in layers)
-    assert "the skins of 4 points, on one layer" in in_words([group])
+    assert "4 points share modes for every load, on one layer" in in_words([group])
 
 
 @pytest.mark.parametrize(

@@ -176,11 +176,11 @@ def test_the_course_of_a_tracked_hand_ends_where_it_reaches_into_the_array(movin
     path = moving_scene()
     rows = ["0,0,0,0.1,0,1,0,0", "0.1,0,0,-0.1,0,1,0,0", "0.5,0,0,-0.1,0,1,0,0"]
     (tmp_path / "straight.csv").write_text("\n".join(["time_s,x_m,y_m,z_m,qw,qx,qy,qz", *rows]) + "\n")
-    with pytest.raises(palmfield.SceneError, match="reaches into the array"):
+    with pytest.raises(palmfield.SceneError, match="is too close to the array"):
         SceneCourse(preview(path, device="cpu"), 0.1)
     course = SceneCourse(preview(path, device="cpu"), 0.1, as_far_as_it_goes=True)
     # 2 m/s from 100 mm above it on
-    assert "reaches into the array" in course.refused and 0.03 < course.end_s < 0.051
+    assert "is too close to the array" in course.refused and 0.03 < course.end_s < 0.051
     assert course.frames(0.09).positions[-1][2] == course.frames(course.end_s).positions[-1][2] > 0.0
 
 
