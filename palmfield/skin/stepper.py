@@ -222,7 +222,7 @@ def check_step(
     if state.shape != (worlds, stepper.state_size) or worlds == 0 or state.strides[1] != state.itemsize:
         raise SceneError(
             f"skin state has shape {state.shape} for loads of {worlds} worlds; solver '{stepper.name}' needs shape "
-            f"({worlds or 'w'}, {stepper.state_size}), w >= 1, one row per world"
+            f"({worlds or 'w'}, {stepper.state_size}), w >= 1, contiguous rows"
         )
     shape = worlds, patterns, points
     if loads.last.shape != loads.first.shape or loads.pressure_Pa.shape != shape or substeps == 0:

@@ -316,7 +316,7 @@ def test_what_is_refused(disc, stepper):
         stepper.step(np.zeros((1, stepper.state_size + 1)), loads, 0.0, SUBSTEPS * STEP)
     with pytest.raises(SceneError, match="w >= 1"):
         stepper.step(np.zeros((0, stepper.state_size)), worlds_of([]), 0.0, SUBSTEPS * STEP)
-    with pytest.raises(SceneError, match="one row per world"):
+    with pytest.raises(SceneError, match="contiguous rows"):
         stepper.step(np.zeros((stepper.state_size, 1)).T.repeat(2, axis=1)[:, ::2], loads, 0.0, SUBSTEPS * STEP)
     with pytest.raises(SceneError, match="loads cover 6 substeps"):
         stepper.step(rest(stepper), loads, 0.0, 0.0 if stepper.name == "reduced" else 2 * SUBSTEPS * STEP)
