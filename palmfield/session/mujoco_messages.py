@@ -122,7 +122,7 @@ FAULTS: tuple[tuple[str, Words], ...] = (
     (
         r"(?:bad format in|problem reading) attribute '([^']*)'",
         lambda found, element, text, plugins: (
-            f"{_value(found, element)}, not all of which are numbers; allowed: numbers separated by spaces, "
+            f"{_value(found, element)} not all of which are numbers; allowed: numbers separated by spaces, "
             "without units"
         ),
     ),

@@ -62,7 +62,7 @@ BAD = {
     "'focus_m': focus"),
     "too loud": ({"stimulus": {"arp_peak_Pa": 1e6}}, "'stimulus': arp_peak_Pa 1e+06 exceeds the output of the array"),
     "missing am": ({"stimulus": {"am_depth": None}}, "modulation 'am' needs am_depth"),
-    "unknown key": ({"skin": {"radius_mm": 20}}, "unknown key 'radius_mm' (did you mean 'radius_m'?); allowed: what"),
+    "unknown key": ({"skin": {"radius_mm": 20}}, "unknown key 'radius_mm' (did you mean 'radius_m'?); allowed: the keys"),
     "no body": ({"skin": {"body": "paw"}}, "the scene has no body 'paw' (did you mean 'pad'?); it has: world"),
     "missing mesh": (
         {"skin": {"shape": "mesh", "mesh": "gone.obj", "mesh_unit": "mm", "patch_site": "centre", "radius_m": None,
@@ -102,7 +102,7 @@ def test_hand_inside_the_array(small_scene):
     path = small_scene()
     plain = path.with_name("plain.xml")
     plain.write_text(plain.read_text().replace('pos="0 0 0.12"', 'pos="0 0 -0.001"'))
-    refuse(path, "body 'pad' reaches into the array")
+    refuse(path, "body 'pad' is too close to the array")
 
 
 def test_unknown_plugin(small_scene):

@@ -71,7 +71,7 @@ PLUGINS = {
         'key="thickness_m"', 'key="thicknes_m"', "unknown key 'thicknes_m' (did you mean 'thickness_m'?); allowed",
     ),
     "plugin": (
-        "palmfield.stimulus", "palmfield.stimuls", "not installed (did you mean 'palmfield.stimulus'?); palmfield's",
+        "palmfield.stimulus", "palmfield.stimuls", "not installed (did you mean 'palmfield.stimulus'?); palmfield provides",
     ),
     "value": ('value="free"', 'value="fre"', "key 'side' has value 'fre' (did you mean 'free'?); allowed: fixed | "),
     "material": ('"ecoflex_00-10"', '"ecoflex_0010"', "is unknown (did you mean 'ecoflex_00-10'?); use one"),
@@ -181,7 +181,7 @@ TINY = '<geom size=".01"/>'
         ('<asset><model name="m" file="b.xml"/></asset>', r"b\.xml, line 1: model 'scene.xml' attaches itself"),
         ('<compiler assetdir="sub"/><asset><model name="m" file="b.xml"/></asset>', "attaches itself"),
         (COPIES.format(100_000, TINY), "count '100000' makes a total of 100000 copies; allowed: at most 10000"),
-        (COPIES.format(200, f'<replicate count="200">{TINY}</replicate>'), "makes 40200 copies"),
+        (COPIES.format(200, f'<replicate count="200">{TINY}</replicate>'), "makes a total of 40200 copies"),
         (COPIES.format(2, TINY) + SENSORS, "sensor <user> has no object, and MuJoCo 4.0 doubles .* give it objtype"),
         (COPIES.format(16, TINY) + "<sensor><clock/></sensor>", "sensor <clock> has no object"),
         ('<sensor><user dim="1000000000"/></sensor>', "attribute 'dim' has value '1000000000'; allowed: a total"),

@@ -65,7 +65,7 @@ def test_what_stands_behind_the_array_casts_no_shadow(small_scene):
 
 
 def test_an_obstacle_in_the_array_is_refused(small_scene):
-    with pytest.raises(SceneError, match="one of the obstacles reaches into the array"):
+    with pytest.raises(SceneError, match="one of the obstacles is too close to the array"):
         with_ball(small_scene, "0 0 0.01")
 
 
