@@ -62,7 +62,7 @@ BAD = {
     "'focus_m': focus"),
     "too loud": ({"stimulus": {"arp_peak_Pa": 1e6}}, "'stimulus': arp_peak_Pa 1e+06 exceeds the output of the array"),
     "missing am": ({"stimulus": {"am_depth": None}}, "modulation 'am' needs am_depth"),
-    "unknown key": ({"skin": {"radius_mm": 20}}, "unknown key 'radius_mm' (did you mean 'radius_m'?); allowed: the keys"),
+    "unknown key": ({"skin": {"radius_mm": 20}}, "unknown key 'radius_mm' (did you mean 'radius_m'?); allowed: the"),
     "no body": ({"skin": {"body": "paw"}}, "the scene has no body 'paw' (did you mean 'pad'?); it has: world"),
     "missing mesh": (
         {"skin": {"shape": "mesh", "mesh": "gone.obj", "mesh_unit": "mm", "patch_site": "centre", "radius_m": None,
@@ -161,7 +161,7 @@ def test_two_stimuli_that_name_no_array_are_refused(small_scene):
     path.write_text(text[:end] + text[start:end].replace('name="stimulus"', 'name="again"') + text[end:])
     refuse(
         path,
-        "plugin 'palmfield.stimulus' instance 'again': it names no arrays, and neither does instance 'stimulus'; name "
+        "plugin 'palmfield.stimulus' instance 'again': it names no arrays, and neither does instance 'stimulus'; "
         "set key 'arrays' of each stimulus",
     )
 

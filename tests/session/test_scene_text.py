@@ -71,7 +71,7 @@ PLUGINS = {
         'key="thickness_m"', 'key="thicknes_m"', "unknown key 'thicknes_m' (did you mean 'thickness_m'?); allowed",
     ),
     "plugin": (
-        "palmfield.stimulus", "palmfield.stimuls", "not installed (did you mean 'palmfield.stimulus'?); palmfield provides",
+        "palmfield.stimulus", "palmfield.stimuls", "not installed (did you mean 'palmfield.stimulus'?); palmfield",
     ),
     "value": ('value="free"', 'value="fre"', "key 'side' has value 'fre' (did you mean 'free'?); allowed: fixed | "),
     "material": ('"ecoflex_00-10"', '"ecoflex_0010"', "is unknown (did you mean 'ecoflex_00-10'?); use one"),
