@@ -158,7 +158,7 @@ def test_bad_questions_are_refused_with_what_is_allowed(result, tmp_path):
         KINDS["rms"].draw(result, Asked(skin="pa"))
     with pytest.raises(OutputError, match=r"picture 'motions'.*motion"):
         draw_pictures(result, tmp_path, ["motions"])
-    with pytest.raises(OutputError, match="format 'gif'"):
+    with pytest.raises(OutputError, match="'gif' is not a picture format"):
         save(KINDS["rms"].draw(result, Asked()), tmp_path / "a.gif")
     assert loudest(instances(result, "skin")["palm"]).arp_Pa > 0.0
 
