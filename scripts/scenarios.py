@@ -28,15 +28,15 @@ DURATIONS_S = {"stroke_palm": 0.5}
 HEAD = """\
 # Scripted scenarios
 
-Eight scenes in `mjcf/scenes/` in which hands move, or the sound moves over a hand. Made by `python
-scripts/scenarios.py`; do not edit. `[NAME ...]` runs some of them, `--duration S` for so long, `--draw` draws again
-what was run.
+Eight scenes in `mjcf/scenes/` with moving hands, or sound that moves over a hand. Made by `python
+scripts/scenarios.py`; do not edit. `[NAME ...]` runs some of them, `--duration S` sets the duration, `--draw` redraws
+earlier runs.
 
-Figures are of single runs, and each has its own mesh of the skin layer, as its `accuracy` asks (0.2; the stroke 0.1).
-Checks concern motion, sound and, in the stroke, the course of the skin's motion, not the size of its displacement,
-whose estimated error stands with each run: small patches (15 to 32 mm) with fixed cut edges are for speed, and the
-edge is most of it. The machine was shared with other work, so times by the clock are upper bounds. A plus behind a
-commit's hash means that files differed from it.
+Figures are from single runs, each with its own mesh of the skin layer for its `accuracy` (0.2; the stroke 0.1). Checks
+concern motion, sound and, for the stroke, the time course of the skin motion, not the size of the displacement. Its
+estimated error is given for each run: small patches (15 to 32 mm) with fixed cut edges save time, and the edge causes
+most of the error. Other work ran on the machine, so wall times are upper bounds. A plus after a commit hash marks
+uncommitted changes.
 
 ## Writing one
 
@@ -52,21 +52,21 @@ commit's hash means that files differed from it.
 </plugin>
 ```
 
-`hand` names the preset whose joints move; without it the hand is in one piece and only its pose moves. One of
-`keyframes`, `trajectory` (CSV or NPZ), `tracking` (a recorded OpenXR hand) and `function` (`package.module:function`
-of time) says where to ([motion.md](motion.md)); files are relative to the scene. `start_s` shifts it. `follow` is
-`servo` (the hand is led by springs, lags a little, and yields to contacts) or `exact`. A second hand has an instance
-of its own with `body` set to `PREFIXhand_target` (`two_hands.xml`), and feels where it has an instance of
-`palmfield.skin` (`two_hands_both_feel.xml`). With `body_sound` `shadows` bodies with a skin cast shadows on one
-another, and other bodies do where key `obstacles` of `palmfield.skin` names them. Sound bends round their edges; with
-key `shadow_edges` at `rays` a point is lit or dark ([shadows](bench/shadows.md)), which is quicker, and what these do.
+`hand` names the preset whose joints move; without it the hand is rigid and only its pose moves. One of `keyframes`,
+`trajectory` (CSV or NPZ), `tracking` (a recorded OpenXR hand) and `function` (`package.module:function` of time) gives
+the motion ([motion.md](motion.md)); files are relative to the scene. `start_s` shifts it. `follow` is `servo` (springs
+lead the hand, which lags slightly and yields to contacts) or `exact`. A second hand has its own instance with `body` set
+to `PREFIXhand_target` (`two_hands.xml`), and its own instance of `palmfield.skin` if it has skin
+(`two_hands_both_feel.xml`). With `body_sound` `shadows` bodies with skin cast shadows on each other, and so do bodies
+listed in key `obstacles` of `palmfield.skin`. Sound is diffracted at their edges; with `shadow_edges` `rays` a point is
+lit or dark ([shadows](bench/shadows.md)), which is faster and used here.
 
 A keyframe file is TOML, two or more tables `[[key]]` with rising times:
 
 ```toml
 [[key]]
 time_s = 0.0
-position_m = [0.0, 0.0, 0.26]    # of the hand frame: palmar skin at the middle of the palm
+position_m = [0.0, 0.0, 0.26]    # hand frame: palmar skin at the centre of the palm
 pose = "flat"                    # flat, relaxed, splay, point or pinch; default relaxed
 
 [[key]]
@@ -76,13 +76,13 @@ turn_deg = [0.0, 20.0, 0.0]      # rotation vector; or quaternion = [w, x, y, z]
 joints_deg = { index_mcp_flexion = 30 }    # angles that differ from the pose
 ```
 
-Between keys, positions and angles are monotone cubics, at rest at the first and last key. A pose in which the hand's
-skin crosses itself is refused with the key's number.
+Between keys, positions and angles are monotone cubics, at rest at the first and last key. A pose in which the skin of the
+hand intersects itself is refused with the number of the key.
 
-The stimulus goes with the hand where `frame` names one of its sites (`index_pad`, `palm_centre`): `focus_m` and path
-are then given there. `path_on` `skin` draws the path along the surface from the skin nearest to `focus_m`; `path`
-`sites` with `path_sites` takes the shortest way on the skin through the sites named. The path moves with the skin;
-`on_skin` says which one is meant where there are several.
+The stimulus moves with the hand if `frame` names one of its sites (`index_pad`, `palm_centre`): `focus_m` and path are
+then in that frame. `path_on` `skin` draws the path on the surface, from the skin nearest to `focus_m`; `path` `sites` with
+`path_sites` takes the shortest path on the skin through the named sites. The path moves with the skin; `on_skin` selects
+one of several skins.
 
 Any key can be changed without a new file: `palmfield.Simulation(path, keys={"stimulus.path_speed_m_s": 11})`, or on the
 command line `--set stimulus.path_speed_m_s=11`.
@@ -172,8 +172,8 @@ def write_page(results: Path) -> None:
             f"## {name}\n\n{story.text}\n\n```\npalmfield run mjcf/scenes/{name}.xml --out out/{name}{length}\n```\n\n"
             f"![{name}](images/scenario_{name}.png)\n\n**Check.** {facts['check']}\n\n"
             f"{1e3 * facts['simulated_s']:.0f} ms in {facts['steps']} MuJoCo steps and {facts['skin_steps'] - 1} "
-            f"of the skin; {facts['unknowns']} unknowns, solver {facts['solver']}; {facts['processor_s']:.0f} s of "
-            f"processor, {facts['wall_s']:.0f} s by the clock, loading, error estimate and drawing included; "
+            f"skin steps; {facts['unknowns']} unknowns, solver {facts['solver']}; {facts['processor_s']:.0f} s of "
+            f"processor time, {facts['wall_s']:.0f} s of wall time, with loading, error estimate and pictures; "
             f"commit {facts['commit']}. {error_in_words(summary['skins'][0])}\n"
         )
     PAGE.write_text("\n".join(parts), encoding="utf-8")
@@ -185,7 +185,7 @@ def error_in_words(skin: dict[str, Any]) -> str:
         return f"No error estimate: {skin.get('displacement_error_missing', 'the skin did not move')}."
     error, wanted = skin["displacement_error_relative"], skin["accuracy_wanted_relative"]
     return (
-        f"Estimated error of the displacement {100 * error:.0f} % ({100 * wanted:.0f} % wanted): mesh "
+        f"Estimated error of the displacement {100 * error:.0f} % (target {100 * wanted:.0f} %): mesh "
         f"{100 * skin['mesh_error_relative']:.0f} %, cut edge {100 * skin['edge_error_relative']:.0f} %."
     )
 
