@@ -53,13 +53,13 @@ uncommitted changes.
 ```
 
 `hand` names the preset whose joints move; without it the hand is rigid and only its pose moves. One of `keyframes`,
-`trajectory` (CSV or NPZ), `tracking` (a recorded OpenXR hand) and `function` (`package.module:function` of time) gives
-the motion ([motion.md](motion.md)); files are relative to the scene. `start_s` shifts it. `follow` is `servo` (springs
-lead the hand, which lags slightly and yields to contacts) or `exact`. A second hand has its own instance with `body` set
-to `PREFIXhand_target` (`two_hands.xml`), and its own instance of `palmfield.skin` if it has skin
+`trajectory` (CSV or NPZ), `tracking` (a recorded OpenXR hand) and `function` (`package.module:function` of time)
+gives the motion ([motion.md](motion.md)); files are relative to the scene. `start_s` shifts it. `follow` is `servo`
+(springs lead the hand, which lags slightly and yields to contacts) or `exact`. A second hand has its own instance
+with `body` set to `PREFIXhand_target` (`two_hands.xml`), and its own instance of `palmfield.skin` if it has skin
 (`two_hands_both_feel.xml`). With `body_sound` `shadows` bodies with skin cast shadows on each other, and so do bodies
-listed in key `obstacles` of `palmfield.skin`. Sound is diffracted at their edges; with `shadow_edges` `rays` a point is
-lit or dark ([shadows](bench/shadows.md)), which is faster and used here.
+listed in key `obstacles` of `palmfield.skin`. Sound is diffracted at their edges; with `shadow_edges` `rays` a point
+is lit or dark ([shadows](bench/shadows.md)), which is faster and used here.
 
 A keyframe file is TOML, two or more tables `[[key]]` with rising times:
 
@@ -76,13 +76,13 @@ turn_deg = [0.0, 20.0, 0.0]      # rotation vector; or quaternion = [w, x, y, z]
 joints_deg = { index_mcp_flexion = 30 }    # angles that differ from the pose
 ```
 
-Between keys, positions and angles are monotone cubics, at rest at the first and last key. A pose in which the skin of the
-hand intersects itself is refused with the number of the key.
+Between keys, positions and angles are monotone cubics, at rest at the first and last key. A pose in which the skin of
+the hand intersects itself is refused with the number of the key.
 
-The stimulus moves with the hand if `frame` names one of its sites (`index_pad`, `palm_centre`): `focus_m` and path are
-then in that frame. `path_on` `skin` draws the path on the surface, from the skin nearest to `focus_m`; `path` `sites` with
-`path_sites` takes the shortest path on the skin through the named sites. The path moves with the skin; `on_skin` selects
-one of several skins.
+The stimulus moves with the hand if `frame` names one of its sites (`index_pad`, `palm_centre`): `focus_m` and path
+are then in that frame. `path_on` `skin` draws the path on the surface, from the skin nearest to `focus_m`; `path`
+`sites` with `path_sites` takes the shortest path on the skin through the named sites. The path moves with the skin;
+`on_skin` selects one of several skins.
 
 Any key can be changed without a new file: `palmfield.Simulation(path, keys={"stimulus.path_speed_m_s": 11})`, or on the
 command line `--set stimulus.path_speed_m_s=11`.
