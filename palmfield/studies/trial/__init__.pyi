@@ -1,4 +1,4 @@
-from .belief import Tracker as Tracker
+from .pose_estimate import Tracker as Tracker
 from .latency import measure_latency as measure_latency
 from .live import Live as Live
 from .recording import Recording as Recording
