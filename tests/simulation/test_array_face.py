@@ -194,5 +194,5 @@ def test_a_disc_that_is_pushed_aside_is_refused_when_it_happens(fixed_scene):
 
 
 def test_air_that_takes_too_little_is_refused():
-    with pytest.raises(SceneError, match="more than 400 times"):
+    with pytest.raises(SceneError, match="more than 400 round trips"):
         image_shifts(Air(humidity_percent=0.0), 40e3, 0.02, np.array([0.0, 0.0, 1.0]))

@@ -121,7 +121,7 @@ def test_tables_that_are_refused(content, said, tmp_path):
 def test_kinds_of_design_that_are_refused(tmp_path):
     with pytest.raises(SceneError, match="give one of them"):
         read_design(["a.x=1:2"], random_points=4, sobol_points=4)
-    with pytest.raises(SceneError, match="of 0 points; allowed: at least 1"):
+    with pytest.raises(SceneError, match="has 0 points; allowed: at least 1"):
         read_design(["a.x=1:2"], random_points=0)
     with pytest.raises(SceneError, match="is not a range; write KEY=a:b,"):
         read_design(["a.x=1:2:3"], random_points=4)
