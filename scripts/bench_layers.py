@@ -127,7 +127,7 @@ def bodies() -> dict[str, Surface]:
 
 def table() -> list[str]:
     lines = [
-        "| hand | part | faces | asked mm | p10 of got / asked | least mm | thinned area | limited area "
+        "| hand | part | faces | requested mm | p10 of obtained / requested | least mm | thinned area | limited area "
         "| least quality | volume / integral | vertices moved |",
         "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
@@ -205,14 +205,14 @@ def main() -> None:
         f"`python scripts/bench_layers.py`, {processor()}, {os.cpu_count()} cores seen, one used, "
         f"commit {git_commit()}.",
         "",
-        "`palmfield.hand.wholelayer.hand_layer` on closed surfaces and on their palmar side. Got and asked are",
-        "measured across the skin. Thinned is the area that got less than 0.999 of what was asked. Limited is the part",
-        "of it where 0.45 of the way through the hand is less: halfway layers from both sides would meet, so 5 mm",
-        "cannot be had there whatever the mesh. The rest of what is thinned lies at finger webs, tips and creases,",
-        "where thicker wedges would fold. Quality is the scaled Jacobian (a Bernstein bound): above 0 no wedge is",
-        "folded; it is no better than the triangle above. Volume is that of the wedges over the integral of",
-        "t - t^2 H + t^3 K / 3 over the skin, H and K its mean and Gaussian curvature. A few vertices are moved where",
-        "the mesh folds over so far that no direction sees all faces of a vertex from outside.",
+        "Results of `palmfield.hand.wholelayer.hand_layer` on closed surfaces and on their palmar side. Requested",
+        "and obtained thickness are measured along the skin normal. Thinned: area with less than 0.999 of the",
+        "requested thickness. Limited: the part of it where 0.45 of the body thickness is less than requested;",
+        "layers from both sides would meet there, so 5 mm is impossible for any mesh. The other thinned area lies",
+        "at finger webs, tips and creases, where thicker wedges would fold. Quality: scaled Jacobian (a Bernstein",
+        "bound); above 0 no wedge is folded. Volume: that of the wedges over the integral of t - t^2 H + t^3 K / 3",
+        "on the skin, with mean and Gaussian curvature H and K. A few vertices are moved where no direction sees",
+        "all faces of a vertex from outside.",
         "",
         *table(),
         "",

@@ -143,5 +143,5 @@ def write_scene(name: str, where: Path = Path(), stimulus: str | None = None) ->
         for file, text in texts.items():
             (target / file).write_text(text, encoding="utf-8")
     except OSError as error:
-        raise OutputError(f"{target} can't be written ({error.strerror}); choose another folder") from error
+        raise OutputError(f"{target} cannot be written ({error.strerror}); choose another folder") from error
     return [target / file for file in texts]

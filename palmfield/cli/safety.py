@@ -45,7 +45,7 @@ def safety(
             with whole(out) as part:
                 part.write_text(as_markdown(sheet, picture.name), encoding="utf-8")
         except OSError as error:
-            raise OutputError(f"--out {out} can't be written: {error.strerror}; give another file") from error
+            raise OutputError(f"--out {out} cannot be written: {error.strerror}; give another file") from error
         title = f"{Path(sheet.scene).stem} on board {sheet.board.name}: highest levels in {sheet.duration_s:g} s"
         draw_levels(title, sheet.maps, sheet.course, picture)
     if as_json:

@@ -106,7 +106,7 @@ def _frames(drives: ArrayLike, dt: float, pole: Pole, initial: ArrayLike | None)
     if commanded.ndim != 2 or len(commanded) == 0:
         raise DeviceError(f"drives have shape {commanded.shape}: give (frames, transducers), at least one frame")
     if not np.isfinite(commanded).all():
-        raise DeviceError(f"drives[{check.first_bad(commanded)}] is not finite: remove or mend it")
+        raise DeviceError(f"drives[{check.first_bad(commanded)}] is not finite: remove or correct it")
     if not 0.0 < dt < np.inf:
         raise DeviceError(f"dt = {dt} is not positive and finite: give the length of a frame in seconds")
     if len(pole.rate) not in (1, commanded.shape[1]):

@@ -23,21 +23,21 @@ MORE: dict[str, tuple[str, dict[str, object]]] = {
 }
 HEAD = """# Invariants
 
-Made by `python scripts/verification/invariants.py`, commit {commit}; do not edit. {scenes} scenes, {steps} steps of
-MuJoCo's each (moving scenes from a quarter of their time on, or when something is felt), CPU. Each scene is written in
-another way and has to show the same:
+Made by `python scripts/verification/invariants.py`, commit {commit}; do not edit. {scenes} scenes, {steps} steps each
+(moving scenes from a quarter of their time on, or from when something is felt), CPU. Each scene is written in
+another form and must give the same results:
 
-- shifted: by (0.31, -0.17, 0.23) m; turned: all that stands in the world, gravity and scripted motions, by 90 degrees
-  about z, with its axes exchanged (x to y, y to z, z to x), and by 78 degrees about a skew axis with that shift;
-- mirrored: the other hands, paths and motions; scenes without a hand with y turned round;
-- other order: plugins, instances and sensors the other way round; from a file: the layout's transducers as a CSV
-  file, in their order and the other way round;
-- p0 x 2: ARP, force and motion four times as large (the same, where the stimulus says how loud it is);
-- step / 2: MuJoCo's step halved;
-- two worlds: the scene's own stimulus, and beside it one 2 mm away (by sites: of 0.75 of the speed), each against a
-  run by itself.
+- shifted: by (0.31, -0.17, 0.23) m; turned: everything in the world, gravity and scripted motions, by 90 degrees
+  about z, with exchanged axes (x to y, y to z, z to x), and by 78 degrees about a skew axis with that shift;
+- mirrored: the other hands, paths and motions; scenes without a hand with y reversed;
+- other order: plugins, instances and sensors in reverse order; from a file: the transducers of the layout as a CSV
+  file, in their order and in reverse;
+- p0 x 2: ARP, force and motion four times as large (unchanged if the stimulus sets the level);
+- step / 2: half the MuJoCo step;
+- two worlds: the stimulus of the scene and one displaced by 2 mm (by sites: with 0.75 of the speed), each compared
+  with a single run.
 
-Changes are those of all nodes and steps together, ||changed - own|| / ||own||, the largest of a scene's skins.
+Changes are over all nodes and steps, ||changed - own|| / ||own||, the largest of the skins of a scene.
 """
 LAST = """## Limits
 

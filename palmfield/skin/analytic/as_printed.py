@@ -78,7 +78,7 @@ def ecoflex_bulk_corrected() -> Material:
     """
     right = preset("ecoflex_00-10")
     bulk = bulk_from_poisson(0.495, right.shear_instant_Pa)
-    return replace(right, name="ecoflex_00-10, nu beside the instantaneous modulus", bulk_Pa=bulk)
+    return replace(right, name="ecoflex_00-10, nu with the instantaneous modulus", bulk_Pa=bulk)
 
 
 def ecoflex_rate_law_as_printed() -> float:
