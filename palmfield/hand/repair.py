@@ -189,7 +189,7 @@ def _drop_fins(mesh: Repair) -> None:
     whole = float(face_normals(mesh.vertices, mesh.faces)[1].sum())
     removed = 0
     while len(bad):
-        sheet = _sheets(mesh.faces, bad)
+        sheet = face_components(mesh.faces, bad)
         area = np.bincount(sheet, weights=face_normals(mesh.vertices, mesh.faces)[1])
         open_edges = {tuple(edge) for edge in edges[count == 1].tolist()}
         directed = np.sort(directed_edges(mesh.faces), axis=1)
@@ -211,22 +211,6 @@ def _drop_fins(mesh: Repair) -> None:
     where = mesh.vertices[bad].mean(axis=1)
     text = "edges are shared by more than two faces; remove the extra faces"
     mesh.note("non-manifold edges", len(bad), "refused", where, text)
-
-
-def _sheets(faces: Int, bad: Int) -> Int:
-    """Label of each face, with faces connected across edges other than `bad`, shape (m,)."""
-    directed = np.sort(directed_edges(faces), axis=1).astype(np.int64)
-    key = directed[:, 0] * (faces.max() + 1) + directed[:, 1]
-    bad_key = bad[:, 0].astype(np.int64) * (faces.max() + 1) + bad[:, 1]
-    owner = np.tile(np.arange(len(faces)), 3)
-    good = ~np.isin(key, bad_key)
-    order = np.argsort(key[good], kind="stable")
-    sorted_key, sorted_owner = key[good][order], owner[good][order]
-    same = sorted_key[1:] == sorted_key[:-1]
-    links = sparse.coo_array(
-        (np.ones(int(same.sum())), (sorted_owner[:-1][same], sorted_owner[1:][same])), shape=(len(faces), len(faces))
-    )
-    return sparse.csgraph.connected_components(links, directed=False)[1]
 
 
 def _split_pinched(mesh: Repair) -> None:

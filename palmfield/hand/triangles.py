@@ -85,12 +85,18 @@ def neighbour_mean(values: Float, links: sparse.csr_array) -> Float:
     return (links @ values) / np.maximum(count, 1.0)
 
 
-def face_components(faces: Int) -> Int:
-    """Label of the edge-connected part that each face belongs to, shape (m,)."""
-    edges = np.sort(directed_edges(faces), axis=1)
-    owner = np.tile(np.arange(len(faces)), 3)
-    order = np.lexsort((edges[:, 1], edges[:, 0]))
-    same = np.all(edges[order][1:] == edges[order][:-1], axis=1)
+def face_components(faces: Int, cut: Int | None = None) -> Int:
+    """Label of the edge-connected part that each face belongs to, shape (m,).
+
+    cut: edges that connect nothing, shape (k, 2), the lower vertex first
+    """
+    edges, count = np.sort(directed_edges(faces), axis=1).astype(np.int64), int(faces.max(initial=0)) + 1
+    key, owner = edges[:, 0] * count + edges[:, 1], np.tile(np.arange(len(faces)), 3)
+    if cut is not None:
+        kept = ~np.isin(key, cut[:, 0].astype(np.int64) * count + cut[:, 1])
+        key, owner = key[kept], owner[kept]
+    order = np.argsort(key, kind="stable")
+    same = np.diff(key[order]) == 0
     a, b = owner[order][:-1][same], owner[order][1:][same]
     graph = sparse.coo_array((np.ones(len(a)), (a, b)), shape=(len(faces), len(faces)))
     return sparse.csgraph.connected_components(graph, directed=False)[1]
@@ -101,33 +107,18 @@ def consistent_winding(faces: Int) -> Int:
 
     The first face of each part is unchanged. Meant for meshes whose every edge has two faces.
     """
-    directed = directed_edges(faces)
-    edges = np.sort(directed, axis=1)
-    order = np.lexsort((edges[:, 1], edges[:, 0]))
-    owner = np.tile(np.arange(len(faces)), 3)[order].reshape(-1, 2)
+    directed, number = directed_edges(faces), len(faces)
+    order = np.lexsort(np.sort(directed, axis=1).T[::-1])
+    one, other = np.tile(np.arange(number), 3)[order].reshape(-1, 2).T
     forward = (directed[:, 0] < directed[:, 1])[order].reshape(-1, 2)
-    # 1 if the two faces agree already, 2 if one must be flipped.
-    weight = np.where(forward[:, 0] != forward[:, 1], 1, 2)
-    graph = sparse.coo_array((weight, owner.T), shape=(len(faces), len(faces)))
-    links = sparse.csr_array(graph + graph.T)
-    turned = np.zeros(len(faces), dtype=np.bool_)
-    seen = np.zeros(len(faces), dtype=np.bool_)
-    for start in range(len(faces)):
-        if seen[start]:
-            continue
-        seen[start] = True
-        stack = [start]
-        while stack:
-            face = stack.pop()
-            for i in range(links.indptr[face], links.indptr[face + 1]):
-                other = links.indices[i]
-                if not seen[other]:
-                    seen[other] = True
-                    turned[other] = turned[face] ^ (links.data[i] == 2)
-                    stack.append(other)
-    out = faces.copy()
-    out[turned] = out[turned][:, ::-1]
-    return out
+    # Face i as it is and face i + number, the same flipped: each is connected to the neighbour that agrees with it
+    other = other + np.where(forward[:, 0] == forward[:, 1], number, 0)
+    pairs = np.concatenate([one, one + number]), np.concatenate([other, (other + number) % (2 * number)])
+    graph = sparse.coo_array((np.ones(len(pairs[0])), pairs), shape=(2 * number, 2 * number))
+    label = sparse.csgraph.connected_components(graph, directed=False)[1]
+    # Parts are numbered by their first member, so that of the first face as it is comes before its flipped twin
+    turned = label[:number] > label[number:]
+    return np.where(turned[:, None], faces[:, ::-1], faces)
 
 
 def winding_numbers(vertices: Float, faces: Int, points: Float) -> Float:
