@@ -6,6 +6,7 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import Delaunay
 
+from palmfield.hand.region import contains
 from palmfield.hand.triangles import adjacency, face_normals, neighbour_mean, unique_edges
 from palmfield.types import Float, Int
 
@@ -113,10 +114,10 @@ def _flat_cap(points: Float) -> tuple[Float, Int] | None:
     rows = np.arange(low[1], high[1], step * np.sqrt(0.75))
     grid = np.array([(x + (i % 2) * step / 2, y) for i, y in enumerate(rows) for x in np.arange(low[0], high[0], step)])
     gap = np.linalg.norm(grid[:, None] - flat, axis=2).min(axis=1)
-    inner = grid[(gap > 0.7 * step) & _inside(grid, flat)]
+    inner = grid[(gap > 0.7 * step) & contains(flat, grid)]
     plane = np.concatenate([flat, inner])
     triangles = Delaunay(plane).simplices
-    triangles = triangles[_inside(plane[triangles].mean(axis=1), flat)].astype(np.int32)
+    triangles = triangles[contains(flat, plane[triangles].mean(axis=1))].astype(np.int32)
     edges, count = unique_edges(triangles)
     border = np.sort(np.stack([np.arange(number), np.roll(np.arange(number), -1)], axis=1), axis=1)
     if not np.array_equal(np.unique(border, axis=0), edges[count == 1]):
@@ -222,12 +223,3 @@ def _spanned(points: Float, inner: int, edges: Int) -> Float:
     free = np.arange(len(points), number)
     right = -laplacian[free][:, : len(points)] @ points
     return sparse.linalg.splu(sparse.csc_matrix(laplacian[free][:, free])).solve(np.asarray(right))
-
-
-def _inside(points: Float, polygon: Float) -> np.ndarray:
-    """Whether points of the plane lie in a polygon: a ray to +x crosses its sides an odd number of times."""
-    a, b = polygon, np.roll(polygon, -1, axis=0)
-    between = (a[:, 1] > points[:, 1, None]) != (b[:, 1] > points[:, 1, None])
-    rise = np.where(a[:, 1] == b[:, 1], 1.0, b[:, 1] - a[:, 1])
-    x = a[:, 0] + (points[:, 1, None] - a[:, 1]) / rise * (b[:, 0] - a[:, 0])
-    return ((between & (points[:, 0, None] < x)).sum(axis=1) % 2).astype(np.bool_)

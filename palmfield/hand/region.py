@@ -4,10 +4,11 @@ from dataclasses import dataclass
 
 import contourpy
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from palmfield.errors import SceneError
-from palmfield.hand.triangles import face_components, face_normals
+from palmfield.hand.triangles import face_components, face_normals, unique_edges
 from palmfield.types import Float, Int, Surface
 
 FACING_COSINE = float(np.cos(np.deg2rad(75.0)))
@@ -93,9 +94,8 @@ def _outline(plane: Float, faces: Int, value: Float) -> Float:
             if (va > 0.0) != (vb > 0.0):
                 crossing.append(plane[face[a]] + va / (va - vb) * (plane[face[b]] - plane[face[a]]))
         segments.append(crossing)
-    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
-    unique, count = np.unique(edges, axis=0, return_counts=True)
-    for a, b in unique[count == 1]:
+    edges, count = unique_edges(faces)
+    for a, b in edges[count == 1]:
         va, vb = value[a], value[b]
         if va <= 0.0 and vb <= 0.0:
             continue
@@ -160,9 +160,9 @@ def trace_shape(region: Region, step_m: float, spike_m: float) -> Shape:
         for line in contourpy.contour_generator(x, x, distance).lines(0.0)
         if len(line) > 3
     ]
-    around = [loop for loop in loops if _contains(loop, np.zeros(2))]
+    around = [loop for loop in loops if contains(loop, np.zeros((1, 2)))]
     outer = min(around, key=lambda loop: abs(loop_area(loop)))
-    holes = [loop for loop in loops if loop is not outer and _contains(outer, loop[0])]
+    holes = [loop for loop in loops if loop is not outer and contains(outer, loop[:1])]
     return Shape(x, distance, [outer, *(hole for hole in holes if abs(loop_area(hole)) > (2.0 * spike_m) ** 2)])
 
 
@@ -186,6 +186,6 @@ def loop_area(loop: Float) -> float:
     return 0.5 * float((loop[:, 0] * nxt[:, 1] - loop[:, 1] * nxt[:, 0]).sum())
 
 
-def _contains(loop: Float, point: Float) -> bool:
-    ends = np.stack([loop, np.roll(loop, -1, axis=0)], axis=1)
-    return bool(_outline_distance(ends, point[None])[0] < 0.0)
+def contains(loop: Float, points: Float) -> NDArray[np.bool_]:
+    """Whether points, shape (n, 2), lie in a closed polygon, shape (k, 2)."""
+    return _outline_distance(np.stack([loop, np.roll(loop, -1, axis=0)], axis=1), points) < 0.0
