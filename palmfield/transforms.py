@@ -73,36 +73,19 @@ def relative(seen_from: Transform, pose: Transform) -> Transform:
 
 def rotation_matrix(quaternion: Float) -> Float:
     """Rotation matrix, shape (3, 3), of a unit quaternion (w, x, y, z)."""
-    w, x, y, z = np.asarray(quaternion, dtype=np.float64)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    import mujoco  # loads palmfield's plugins, which need this module
+
+    matrix = np.empty(9)
+    mujoco.mju_quat2Mat(matrix, np.asarray(quaternion, dtype=np.float64))
+    return matrix.reshape(3, 3)
 
 
 def quaternion(rotation: Float) -> Float:
-    """Unit quaternion (w, x, y, z), w >= 0, of a rotation matrix, shape (3, 3).
+    """Unit quaternion (w, x, y, z), w >= 0, of a rotation matrix, shape (3, 3)."""
+    import mujoco
 
-    By the largest of the four components, which keeps full precision near half turns (Shepperd 1978).
-    """
-    m = np.asarray(rotation, dtype=np.float64)
-    trace = m[0, 0] + m[1, 1] + m[2, 2]
-    squares = 0.25 * np.array([1 + trace, *(1 + 2 * m[i, i] - trace for i in range(3))])
-    largest = int(squares.argmax())
     q = np.empty(4)
-    q[largest] = np.sqrt(squares[largest])
-    scale = 0.25 / q[largest]
-    if largest == 0:
-        q[1:] = scale * np.array([m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]])
-    else:
-        i = largest - 1
-        j, k = (i + 1) % 3, (i + 2) % 3
-        q[0] = scale * (m[k, j] - m[j, k])
-        q[1 + j] = scale * (m[j, i] + m[i, j])
-        q[1 + k] = scale * (m[k, i] + m[i, k])
+    mujoco.mju_mat2Quat(q, np.asarray(rotation, dtype=np.float64).ravel())
     return q if q[0] >= 0 else -q
 
 

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from palmfield.motion.line_listener import BadLine, By, LineListener, read_object
-from palmfield.transforms import rotation_matrix
+from palmfield.motion.quaternions import matrices
 from palmfield.types import Float
 
 KEYS = "focus_m", "level", "position_m", "quaternion"
@@ -51,7 +51,7 @@ def read_focus(line: bytes, offset: Float) -> LiveFocus:
         length = math.hypot(*turn)
         if not abs(length - 1.0) <= UNIT:
             raise BadLine("numbers", f"quaternion has length {length:g}; allowed: 1, w first")
-        place = rotation_matrix(turn / length) @ place + _numbers(told, "position_m", 3)
+        place = matrices(turn[None] / length)[0] @ place + _numbers(told, "position_m", 3)
     elif "quaternion" in told:
         raise BadLine("keys", "a quaternion is given without position_m; allowed: both, or position_m alone")
     elif "focus_m" not in told:

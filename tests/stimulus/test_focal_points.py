@@ -3,11 +3,12 @@
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from palmfield.stimulus.curves import circle
 from palmfield.stimulus.focal_points import FocalPoints, SurfaceCourse
 from palmfield.stimulus.surface_path import drawn
-from palmfield.transforms import IDENTITY, Transform, rotation_matrix
+from palmfield.transforms import IDENTITY, Transform
 from palmfield.types import Surface
 
 QUATERNIONS = st.tuples(*[st.floats(0.1, 1.0)] * 4).map(lambda q: np.array(q) / np.linalg.norm(q))
@@ -27,10 +28,10 @@ def flat():
 
 @given(quaternion=QUATERNIONS, position=POINTS, point=POINTS)
 def test_points_of_a_frame(quaternion, position, point):
-    frame = Transform(position, rotation_matrix(quaternion))
+    frame = Transform(position, Rotation.from_quat(quaternion, scalar_first=True).as_matrix())
     offsets = np.array([[0.01, 0.0, 0.0], [0.0, -0.02, 0.0]])
     single, several = FocalPoints(frame), FocalPoints(frame, offsets)
-    expected = position + rotation_matrix(quaternion) @ point
+    expected = position + Rotation.from_quat(quaternion, scalar_first=True).as_matrix() @ point
     np.testing.assert_allclose(single.at(point), expected, atol=1e-14)
     np.testing.assert_allclose(single.along(np.array([point, 2 * point]))[0], expected, atol=1e-14)
     # Several go with the frame's axes, and `along` tells their middle
@@ -44,7 +45,7 @@ def test_points_of_a_frame(quaternion, position, point):
 def test_a_path_on_a_surface_goes_with_the_body_and_its_shape(quaternion, position):
     surface = flat()
     path = drawn(surface, [0.0, 0.0, 0.0], [1.0, 0.0, 0.0], circle(0.03))
-    body = Transform(position, rotation_matrix(quaternion))
+    body = Transform(position, Rotation.from_quat(quaternion, scalar_first=True).as_matrix())
     arcs = np.zeros((5, 3))
     arcs[:, 0] = np.linspace(0.0, 0.9 * path.length_m, 5)
     raised = surface.vertices + np.array([0.0, 0.0, 0.01])
