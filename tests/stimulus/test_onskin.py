@@ -187,13 +187,14 @@ def test_the_shortest_way_on_a_sphere_is_a_great_circle_arc(ends):
     lies_on_its_triangles(path, surface)
 
 
+@pytest.mark.smoke
 def test_the_shortest_way_on_a_cylinder_is_that_of_the_unrolled_sheet():
     surface, radius = tube()
     for azimuth, low, high in ((1.0, -0.03, 0.04), (2.9, -0.01, 0.012), (-0.7, -0.045, 0.045)):
         a = np.array([RADIUS_m, 0.0, low])
         turns = round(azimuth / (2 * math.pi / 64)) * 2 * math.pi / 64
         b = np.array([RADIUS_m * math.cos(turns), RADIUS_m * math.sin(turns), high])
-        assert through(surface, [a, b]).length_m == pytest.approx(math.hypot(radius * turns, high - low), rel=1e-4)
+        assert through(surface, [a, b]).length_m == pytest.approx(math.hypot(radius * turns, high - low), rel=1e-9)
 
 
 def test_on_a_plate_the_way_through_points_is_straight_between_them():
@@ -205,6 +206,37 @@ def test_on_a_plate_the_way_through_points_is_straight_between_them():
     assert not path.closed
     positions, _ = path.at([0.0, length[0], length.sum()], surface.vertices, surface.faces)
     assert np.abs(positions - points).max() < 2e-5
+
+
+def test_on_a_plate_the_way_between_any_two_points_is_the_straight_line():
+    """Places inside triangles, on their edges but for rounding, and at their corners; its triangles are irregular."""
+    surface, rng = plate(), np.random.default_rng(2)
+    # And a vertex of no face
+    surface = surface_of(np.vstack([[[1.0, 1.0, 1.0]], surface.vertices]), surface.faces + 1)
+    for least in (0.2, 1e-5, 1e-7, 1e-9, 0.0):
+        for _ in range(12):
+            corners = surface.vertices[surface.faces[rng.integers(0, len(surface.faces), 2)]]
+            weights = rng.dirichlet([1.0, 1.0, 1.0], 2)
+            weights[:, rng.integers(3)] = least
+            if rng.random() < 0.3:
+                weights = np.array([[1.0, least, least], [least, 1.0, least]])
+            ends = np.einsum("ni,nij->nj", weights / weights.sum(axis=1, keepdims=True), corners)
+            path = through(surface, ends)
+            assert path.length_m == pytest.approx(np.linalg.norm(ends[1] - ends[0]), rel=3e-6)
+            lies_on_its_triangles(path, surface)
+
+
+@pytest.mark.parametrize("fault", ["fin", "winding"])
+def test_on_a_mesh_that_is_no_surface_no_way_is_found(fault):
+    surface = plate()
+    vertices = np.vstack([surface.vertices, [[0.0, 0.0, 0.02]]])
+    faces = surface.faces.copy()
+    if fault == "fin":
+        faces = np.vstack([faces, [[*faces[5, :2], len(vertices) - 1]]])
+    else:
+        faces[7] = faces[7, ::-1]
+    with pytest.raises(SceneError, match="more than two faces, or neighbours of opposite winding"):
+        through(surface_of(vertices, faces), [[0.0, 0.0, 0.0], [0.02, 0.01, 0.0]])
 
 
 def test_on_a_cylinder_a_zigzag_is_that_of_the_unrolled_sheet():
