@@ -13,7 +13,6 @@ from palmfield.acoustics.focus import focus
 from palmfield.acoustics.phased_array import only
 from palmfield.acoustics.reference import directivity
 from palmfield.drive.board import Board, play
-from palmfield.drive.foci import leading_vector, solve_foci, together
 from palmfield.errors import DeviceError, SceneError, naming
 from palmfield.locked import next_serial
 from palmfield.stimulus.focal_points import FocalPoints
@@ -344,6 +343,8 @@ class ArrayDrive:
 
     def _several(self, foci: Float, loudness: Float | None) -> Complex:
         """Return phases for several foci [m], shape (m, 3), of the chosen transducers, (n,); loudness: shape (m,)"""
+        from palmfield.drive.foci import together  # here and below: most stimuli have one focus
+
         transfer, facing = self._towards(foci)
         if self._unchecked or np.add.reduce(facing) <= len(foci):
             self._check_several(foci, facing)
@@ -354,6 +355,8 @@ class ArrayDrive:
 
     def leading_of(self, foci: Float, loudness: Float) -> Complex:
         """Return the start phases of simultaneous foci [m], shape (m, 3) (`leading_vector`); loudness: shape (m,)"""
+        from palmfield.drive.foci import leading_vector
+
         return leading_vector(self._towards(foci)[0], loudness)
 
     def _towards(self, foci: Float) -> tuple[Complex, Bool]:
@@ -364,6 +367,8 @@ class ArrayDrive:
 
     def _check_several(self, foci: Float, facing: Bool) -> None:
         """Raises SceneError for simultaneous foci that no transducer faces together, that are too many or coincide."""
+        from palmfield.drive.foci import solve_foci
+
         array = only(self.array.array, self.chosen)
         with naming(*self.about_focus):
             solve_foci(foci, only(array, facing) if np.any(facing) else array, self.array.air, iterations=0)

@@ -2,7 +2,7 @@
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple, Self
 
@@ -370,7 +370,7 @@ def check(
     modulated: bool,
     element: str,
     modulation_Hz: float = 0.0,
-    instead: Sequence[str] = ("ideal",),
+    instead: Callable[[], Sequence[str]] = lambda: ("ideal",),
     plainly: str = "modulation none or a rectangle of am_depth 1",
 ) -> None:
     """Refuse a stimulus that the board cannot play.
@@ -378,7 +378,7 @@ def check(
     frame_rate_Hz: drive frames a second that the stimulus needs, 0 if it is fixed
     points_per_turn: points on each turn of a closed path at that rate, None without a path
     modulated: whether the amplitude takes values between 0 and full; modulation_Hz: its rate, 0 if unknown
-    element: name of the stimulus in the scene, for the message; instead: alternative boards, for it too
+    element: name of the stimulus in the scene, for the message; instead: gives alternative boards, for it too
     plainly: how to request a modulation that an on-off amplitude can play, for it too
     Raises DeviceError with the needs of the scene and the limits of the board.
     """
@@ -397,7 +397,8 @@ def check(
     if points_per_turn is not None and too_fast:
         needs += f" ({points_per_turn:.4g} points a turn)"
         gives += f", {points_per_turn * board.max_frame_rate_Hz / rate:.2g} points a turn"
-    mends = [f"board {', '.join(instead[:-1]) + ' or ' * (len(instead) > 1)}{instead[-1]}"] if instead else []
+    able = instead()
+    mends = [f"board {', '.join(able[:-1]) + ' or ' * (len(able) > 1)}{able[-1]}"] if able else []
     if needs_amplitude:
         gives += f", so on/off AM up to {board.max_frame_rate_Hz / 2:.1f} Hz"
         mends.append(plainly)

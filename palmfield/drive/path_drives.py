@@ -22,25 +22,6 @@ from palmfield.types import Complex, Float, Int
 from warp_kernels import path_drives as kernels
 
 
-class PathStep(NamedTuple):
-    """A focus that moves over a MuJoCo step. moments: of the step
-
-    foci: at each moment, of each of d groups of transducers, and at the step's beginning, first array's frame [m],
-        shape (m d + 1, 3); group: of each transducer, shape (n,), None for a single one
-    levels: of the pressure there relative to the loudest moment's, 0..1, shape (m d,); now: the same at the beginning
-        mean: of the ARP over the step, relative to the loudest moment's; weights: of the moments in the mean emission
-        of transducers that ring, shape (m,)
-    """
-
-    moments: Moments
-    foci: Float
-    group: Int | None
-    levels: Float
-    now: float
-    mean: float
-    weights: Float
-
-
 class PathMemory(NamedTuple):
     """Input and output arrays of the kernels for a step of w worlds on a device.
 

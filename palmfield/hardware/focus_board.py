@@ -130,7 +130,10 @@ def focus_board(board: str, sound: FocusSound, keys: Mapping[str, object]) -> Fo
         else:
             said.append(f"{board} always modulates, at its own frequency; give another by --am-frequency")
     modulated = sound.am_frequency_Hz > 0.0 or sound.level not in (0.0, 1.0)
-    able = [one for one in boards_for(2.0 * sound.am_frequency_Hz, modulated) if not BOARDS[one].exact]
+
+    def able() -> list[str]:
+        return [one for one in boards_for(2.0 * sound.am_frequency_Hz, modulated) if not BOARDS[one].exact]
+
     check(
         chosen, frame_rate_Hz=0.0, modulated=modulated, element="focus", modulation_Hz=sound.am_frequency_Hz,
         instead=able, plainly="no --am-frequency and --level 1",

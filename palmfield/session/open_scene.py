@@ -18,9 +18,7 @@ from palmfield.engine.host import compiling, take_compile_error, world_of
 from palmfield.engine.modules import MODULES
 from palmfield.engine.motion_plugin import place
 from palmfield.errors import PalmfieldError, SceneError, did_you_mean
-from palmfield.session.mujoco_messages import in_words
-from palmfield.session.other_board import PluginKeys, exchange_board
-from palmfield.session.scene_text import SceneText, read_scene_text, sensors_without_objtype
+from palmfield.session.scene_text import Instance, SceneText, read_scene_text, sensors_without_objtype
 from palmfield.simulation.scene_reader import DEVICE
 
 LOG = logging.getLogger("palmfield.session")
@@ -92,7 +90,7 @@ def _compiled_with(
     if device is not None:
         _set_text(spec, DEVICE, device)
     changes = _changes(spec, keys)
-    plugins = [PluginKeys(plugin.name, plugin.plugin_name, dict(plugin.config)) for plugin in spec.plugins]
+    plugins = [Instance(plugin.name, plugin.plugin_name, dict(plugin.config)) for plugin in spec.plugins]
     for _, plugin_name, config in plugins:
         if plugin_name == SKIN and accuracy is not None:
             config["accuracy"] = as_text(accuracy)
@@ -104,6 +102,8 @@ def _compiled_with(
             else:
                 config.pop(key, None)
     if board is not None:
+        from palmfield.session.other_board import exchange_board
+
         for change in exchange_board(name, plugins, board, spec.option.timestep):
             LOG.info("board %s: %s", board, change)
     for plugin, (_, _, config) in zip(spec.plugins, plugins, strict=True):
@@ -185,7 +185,7 @@ def opened(source: str | Path | mujoco.MjSpec) -> Opened:
         return Opened(str(path), mujoco.MjSpec.from_file(str(path)), path.resolve().parent, text)
     # MuJoCo's binding raises RuntimeError for other errors, for instance a lack of memory
     except (ValueError, RuntimeError, MemoryError, mujoco.FatalError) as error:
-        raise SceneError(in_words(str(error), str(path), text, list(configs()))) from None
+        raise SceneError(_in_words(error, str(path), text)) from None
 
 
 def no_scene(path: Path) -> str:
@@ -333,7 +333,13 @@ def _explained(error: Exception, name: str, text: SceneText | None) -> BaseExcep
             cause.args = (f"{cause.args[0]} (`palmfield migrate {name}` rewrites it)",)
         cause.about = (place, *cause.about)
         return cause
-    return cause or SceneError(in_words(str(error), name, text, list(configs())))
+    return cause or SceneError(_in_words(error, name, text))
+
+
+def _in_words(error: Exception, name: str, text: SceneText | None) -> str:
+    from palmfield.session.mujoco_messages import in_words
+
+    return in_words(str(error), name, text, list(configs()))
 
 
 def _place(message: str, name: str, text: SceneText | None) -> str:
@@ -350,14 +356,6 @@ def _place(message: str, name: str, text: SceneText | None) -> str:
     if whole and text is not None:
         element = text.last(whole[1], None if whole[1] == "option" else whole[2])
     return name if element is None else element.where
-
-
-class Instance(NamedTuple):
-    """A plugin instance of a scene. keys: those set in the scene, as texts"""
-
-    name: str
-    plugin: str
-    keys: dict[str, str]
 
 
 def instances_of(source: str | Path, keys: Mapping[str, object]) -> tuple[list[Instance], dict[str, dict[str, object]]]:

@@ -1,7 +1,6 @@
 """Change the keys of a scene for another board: the board, its layout, and its frame rate."""
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -13,6 +12,7 @@ from palmfield.config.driver import SAFETY_KEYS
 from palmfield.drive.board import Board, control_rate_Hz
 from palmfield.drive.boards import board_named
 from palmfield.errors import SceneError
+from palmfield.session.scene_text import Instance
 from palmfield.types import Air
 
 AIR = Air()
@@ -26,15 +26,7 @@ OF_ONE_BOARD = ("board", "compensate", "duty_exponent", *SAFETY_KEYS)
 """Keys of palmfield.driver that every board has."""
 
 
-class PluginKeys(NamedTuple):
-    """A plugin instance and its keys, which are changed in place."""
-
-    name: str
-    plugin: str
-    keys: dict[str, str]
-
-
-def exchange_board(scene: str, plugins: Sequence[PluginKeys], name: str, timestep_s: float) -> list[str]:
+def exchange_board(scene: str, plugins: Sequence[Instance], name: str, timestep_s: float) -> list[str]:
     """Give a scene another board; returns the changes, in words.
 
     Arrays get the board's layout, without calibration data of the old transducers; stimuli without steps get the
@@ -67,12 +59,12 @@ def exchange_board(scene: str, plugins: Sequence[PluginKeys], name: str, timeste
     return said
 
 
-def _in_array(stimulus: PluginKeys) -> bool:
+def _in_array(stimulus: Instance) -> bool:
     """Whether a stimulus gives its focus in the frame of the array."""
     return stimulus.keys.get("frame", "array") == "array" and len(stimulus.keys.get("focus_m", "").split()) == 3
 
 
-def _exchange_layout(array: PluginKeys, board: Board, focus: str | None) -> list[str]:
+def _exchange_layout(array: Instance, board: Board, focus: str | None) -> list[str]:
     before = array.keys.get("layout", "uhev1")
     if not board.layouts or before in board.layouts:
         return []

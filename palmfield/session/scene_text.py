@@ -66,6 +66,14 @@ class Element:
         return holder
 
 
+class Instance(NamedTuple):
+    """A plugin instance of a scene. keys: those set in the scene, as texts, which may be changed in place"""
+
+    name: str
+    plugin: str
+    keys: dict[str, str]
+
+
 class SceneText(NamedTuple):
     """All elements of the files of a scene; those of included files at the place of inclusion.
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,15 +10,17 @@ from numpy.typing import ArrayLike
 from palmfield.drive.transducer_response import rows
 from palmfield.engine.one_world import OneWorld
 from palmfield.engine.scene_runtime import SceneRuntime
-from palmfield.engine.worlds import SceneWorlds
 from palmfield.errors import SceneError
 from palmfield.interrupts import interrupts_held
 from palmfield.session.duration import check_duration, check_steps, check_time, step_count
 from palmfield.session.open_scene import Source, compiled
 from palmfield.session.skin import Skin, chosen_name
-from palmfield.session.worlds import WorldsSkin, open_worlds
 from palmfield.simulation.step import Steps
 from palmfield.types import Complex, Float
+
+if TYPE_CHECKING:  # loaded for several worlds
+    from palmfield.engine.worlds import SceneWorlds
+    from palmfield.session.worlds import WorldsSkin
 
 GATHERED = 64
 """Largest number of steps that are computed together."""
@@ -60,6 +62,8 @@ class Simulation:
         """
         given: dict[str, Any] = {"device": device, "accuracy": accuracy, "board": board, "keys": keys}
         if worlds is not None:
+            from palmfield.session.worlds import open_worlds
+
             self._attach(*open_worlds(scene, worlds, poses=poses, **given), scene, worlds)
             return
         if poses is not None:
@@ -70,13 +74,13 @@ class Simulation:
             self._scenes.look()
 
     @classmethod
-    def of_worlds(cls, name: str, scenes: SceneWorlds) -> "Simulation":
+    def of_worlds(cls, name: str, scenes: "SceneWorlds") -> "Simulation":
         """Return one of several open worlds (`palmfield.session.worlds.open_worlds`)."""
         made = object.__new__(cls)
         made._attach(name, scenes, None, len(scenes.data))
         return made
 
-    def _attach(self, name: str, scenes: OneWorld | SceneWorlds, scene: object, worlds: int | None) -> None:
+    def _attach(self, name: str, scenes: "OneWorld | SceneWorlds", scene: object, worlds: int | None) -> None:
         self.name, self._scenes, self.worlds, self.model = name, scenes, worlds, scenes.mujoco_model
         self.path = Path(scene) if isinstance(scene, str | Path) else None
         self.data: Any = scenes.data[0] if worlds is None else scenes.data
@@ -200,7 +204,12 @@ class Simulation:
         name = chosen_name(names, name)
         if name not in self._skins:
             skins = [Skin(runtime, names.index(name)) for runtime in self._scenes.runtimes]
-            self._skins[name] = skins[0] if self.worlds is None else WorldsSkin(skins, self._scenes.settle)
+            if self.worlds is None:
+                self._skins[name] = skins[0]
+            else:
+                from palmfield.session.worlds import WorldsSkin
+
+                self._skins[name] = WorldsSkin(skins, self._scenes.settle)
         return self._skins[name]
 
     @property

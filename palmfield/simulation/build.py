@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 from weakref import WeakValueDictionary
 
 import numpy as np
@@ -46,9 +47,11 @@ from palmfield.stimulus.focal_points import FocalPoints, SurfaceCourse
 from palmfield.stimulus.modulation import peak_amplitude
 from palmfield.stimulus.resolved import resolved
 from palmfield.stimulus.schedule import frame_at, main_frequencies, plane_path, zigzag_stroke_m
-from palmfield.stimulus.surface_path import SurfacePath, drawn, through, zigzag_through
 from palmfield.transforms import Transform
 from palmfield.types import Float
+
+if TYPE_CHECKING:
+    from palmfield.stimulus.surface_path import SurfacePath
 
 LEAST_FREQUENCY_Hz = 200.0
 """Mesh and step resolve at least this, unless key max_frequency_Hz says otherwise."""
@@ -277,11 +280,13 @@ def at_any_level(config: StimulusConfig) -> StimulusConfig:
     return config.model_copy(update={"arp_peak_Pa": 1.0 if by_pressure else None, "drive_amplitude": None})
 
 
-def _path_on(spec: StimulusSpec, carrier: BodyModel, body: Transform) -> SurfacePath:
+def _path_on(spec: StimulusSpec, carrier: BodyModel, body: Transform) -> "SurfacePath":
     """The path that the focus takes on the resting surface.
 
     body: frame of the surface, seen from the first array, in the reference pose
     """
+    from palmfield.stimulus.surface_path import drawn, through, zigzag_through  # most stimuli have no such path
+
     element = f"plugin 'palmfield.stimulus' instance '{spec.name}': key 'path_on' has value 'skin'"
     if carrier.surface is None:
         raise SceneError(f"{element}, but the skin is a flat disc: set path_on to plane")

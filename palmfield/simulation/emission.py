@@ -11,7 +11,6 @@ import numpy as np
 from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.drive.array_drive import ArrayDrive
 from palmfield.drive.board import Board
-from palmfield.drive.path_drives import PathStep
 from palmfield.drive.transducer_response import (
     NO_LAG,
     Batch,
@@ -29,7 +28,7 @@ from palmfield.simulation.posed_scene import PosedScene
 from palmfield.stimulus.focal_points import FocalPoints
 from palmfield.stimulus.modulation import peak_amplitude
 from palmfield.stimulus.schedule import Moments, first_point, frames_at, mean_arp_factor, substep_moments
-from palmfield.types import Complex, Float
+from palmfield.types import Complex, Float, Int
 
 TICK_S = 1e-9
 """A control tick that is nearer than this counts as reached."""
@@ -58,6 +57,25 @@ class MeanDrives(NamedTuple):
 
 
 SILENCE = MeanDrives(np.zeros((0, 0), np.complex128), np.zeros((0, 0), np.complex128), np.zeros(0), 0)
+
+
+class PathStep(NamedTuple):
+    """A focus that moves over a MuJoCo step. moments: of the step
+
+    foci: at each moment, of each of d groups of transducers, and at the step's beginning, first array's frame [m],
+        shape (m d + 1, 3); group: of each transducer, shape (n,), None for a single one
+    levels: of the pressure there relative to the loudest moment's, 0..1, shape (m d,); now: the same at the beginning
+        mean: of the ARP over the step, relative to the loudest moment's; weights: of the moments in the mean emission
+        of transducers that ring, shape (m,)
+    """
+
+    moments: Moments
+    foci: Float
+    group: Int | None
+    levels: Float
+    now: float
+    mean: float
+    weights: Float
 
 
 class _Coming(NamedTuple):

@@ -7,7 +7,7 @@ when they are first needed, once.
 import threading
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy import sparse
@@ -31,9 +31,11 @@ from palmfield.skin.fem.wedge_stepper import WedgeStepper
 from palmfield.skin.mesh.wedges import closed_boundary, output_triangles
 from palmfield.skin.scene_layer import SceneLayer
 from palmfield.skin.stepper import SkinStepper
-from palmfield.stimulus.surface_path import SurfacePath
 from palmfield.transforms import Transform, corners_of
 from palmfield.types import Float, Int, Surface
+
+if TYPE_CHECKING:  # most stimuli have no path on a surface
+    from palmfield.stimulus.surface_path import SurfacePath
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,7 @@ class StimulusModel:
     spec: StimulusSpec
     config: StimulusConfig
     transducers: Int
-    path: SurfacePath | None
+    path: "SurfacePath | None"
     offsets: Float
     response: TransducerResponse
     reference_foci: Float

@@ -16,11 +16,11 @@ import warp as wp
 from palmfield.acoustics import check
 from palmfield.acoustics.point_sound import Transducers, fill_table
 from palmfield.device import resolve
-from palmfield.drive.path_drives import PathDrives, PathStep, foci_made, push_rows
+from palmfield.drive.path_drives import PathDrives, foci_made, push_rows
 from palmfield.drive.transducer_response import EmittedCourse, of_drives, present_drive
 from palmfield.errors import PalmfieldError
 from palmfield.simulation.backend import Backend
-from palmfield.simulation.emission import MeanDrives
+from palmfield.simulation.emission import MeanDrives, PathStep
 from palmfield.simulation.graph_work import PURPOSES, GraphOf, GraphSizes, GraphWork
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene, PoseLayout

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -268,7 +269,7 @@ def check_board(stimulus: StimulusSpec, board: Board) -> None:
         modulated=modulated,
         element=stimulus.name,
         modulation_Hz=modulation_Hz,
-        instead=boards_for(max(needed, 2.0 * modulation_Hz), modulated, several_foci=several > 1),
+        instead=partial(boards_for, max(needed, 2.0 * modulation_Hz), modulated, several_foci=several > 1),
     )
     if not board.levels and (config.ramp_s > 0 or wants_level):
         raise DeviceError(

@@ -1,13 +1,15 @@
 """Convert the points of a stimulus to places in the frame of the first array, for a fixed pose."""
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from palmfield.stimulus.focus_table import FocusTable
-from palmfield.stimulus.surface_path import SurfacePath
 from palmfield.transforms import Transform
 from palmfield.types import Float, Int
+
+if TYPE_CHECKING:  # most stimuli have no path on a surface
+    from palmfield.stimulus.surface_path import SurfacePath
 
 NO_OFFSETS: Float = np.zeros((0, 3))
 
@@ -19,7 +21,7 @@ class SurfaceCourse(NamedTuple):
     body: that frame relative to the first array
     """
 
-    path: SurfacePath
+    path: "SurfacePath"
     vertices: Float
     faces: Int
     body: Transform

@@ -13,8 +13,9 @@ from palmfield.acoustics.reference import directivity
 from palmfield.drive.boards import BOARDS
 from palmfield.hardware.focus_board import FocusSound
 from palmfield.hardware.play import Target, play_focus, play_scene, scene_frames
-from palmfield.session.other_board import PluginKeys, exchange_board
+from palmfield.session.other_board import exchange_board
 from palmfield.session.preview import preview
+from palmfield.session.scene_text import Instance
 from palmfield.types import Air, Estimate
 
 SCENES = Path(__file__).parents[2] / "mjcf" / "scenes"
@@ -71,8 +72,8 @@ def test_every_shipped_scene_runs_on_a_board(name):
     assert all(np.isfinite(sim.skin(skin).displacement).all() for skin in sim.skins)
 
 
-def keys_of(**plugins: dict[str, str]) -> list[PluginKeys]:
-    return [PluginKeys(name, f"palmfield.{name}", keys) for name, keys in plugins.items()]
+def keys_of(**plugins: dict[str, str]) -> list[Instance]:
+    return [Instance(name, f"palmfield.{name}", keys) for name, keys in plugins.items()]
 
 
 def test_what_changes_is_said_with_both_sides():

@@ -1,5 +1,6 @@
 """Boards of a drive. A board is a module of this package with a `BOARD`; key `board` of palmfield.driver names it."""
 
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from importlib import import_module
 from pkgutil import iter_modules
@@ -12,13 +13,26 @@ from palmfield.drive.board import Board, slow
 from palmfield.errors import DeviceError, did_you_mean
 
 
-def _registered() -> dict[str, Board]:
-    modules = sorted(iter_modules(__path__), key=lambda module: module.name)
-    boards: list[Board] = [import_module(f"{__name__}.{module.name}").BOARD for module in modules]
-    return {board.name: board for board in boards}
+class _Boards(Mapping[str, Board]):
+    """A board has the name of its file, which is loaded when the board is first taken: a scene has one of them."""
+
+    def __init__(self) -> None:
+        self._names = sorted(module.name for module in iter_modules(__path__))
+
+    def __getitem__(self, name: str) -> Board:
+        if name not in self._names:
+            raise KeyError(name)
+        board: Board = import_module(f"{__name__}.{name}").BOARD
+        return board
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
 
 
-BOARDS = _registered()
+BOARDS = _Boards()
 """All boards by name."""
 
 

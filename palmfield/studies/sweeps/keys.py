@@ -10,7 +10,8 @@ from pydantic import ValidationError
 
 from palmfield.config import CONFIGS, allowed
 from palmfield.errors import SceneError
-from palmfield.session.open_scene import FILES, Instance, as_text, instances_of
+from palmfield.session.open_scene import FILES, as_text, instances_of
+from palmfield.session.scene_text import Instance
 from palmfield.session.world_keys import BOUND
 from palmfield.studies.sweeps.design import Design, Value
 
