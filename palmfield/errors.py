@@ -55,6 +55,17 @@ def did_you_mean(word: str, known: Iterable[str], likeness: float = 0.6) -> str:
     return f" (did you mean '{by_lower[near[0]]}'?)" if near else ""
 
 
+def refuse_unknown(error: type[PalmfieldError], told: str, value: str, known: Iterable[str]) -> None:
+    """Raise an error for a value that is none of those known.
+
+    told: what it is, with {} where its value stands: "--by has value {}"
+    """
+    allowed = list(known)
+    if value not in allowed:
+        named = told.format(f"'{value}'{did_you_mean(value, allowed)}")
+        raise error(f"{named}; allowed: {', '.join(allowed)}")
+
+
 MEMORY_SIGNS = ("Failed to allocate", "out of memory", "CUDA error 2:")
 """In messages of Warp, where memory has run out."""
 

@@ -7,8 +7,12 @@ import errno
 import json
 import stat
 import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+from palmfield.errors import PalmfieldError
 
 MOST_BYTES = 1 << 30
 """Of a file of data: a 900,000-sample scan of 60 points has 0.5 GB as text."""
@@ -25,6 +29,19 @@ class Unfit(OSError):
 
     def __str__(self) -> str:
         return str(self.strerror)
+
+
+@contextmanager
+def reading(what: object, error: type[PalmfieldError], wanted: str) -> Iterator[None]:
+    """What the system or a decoder says within the block, of a file that can't be read, becomes an `error`.
+
+    what: the file, or that with its option; wanted: what to give instead, such as "a CSV file in UTF-8"
+    """
+    try:
+        yield
+    except (OSError, ValueError) as said:
+        reason = getattr(said, "strerror", None) or said
+        raise error(f"{what}: cannot be read: {reason}; give {wanted}") from None
 
 
 def regular(path: str | Path, most_bytes: int = MOST_BYTES) -> Path:

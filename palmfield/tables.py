@@ -12,7 +12,7 @@ import numpy as np
 from palmfield.errors import OutputError, SceneError
 from palmfield.given_files import regular
 from palmfield.types import Float
-from palmfield.whole_files import whole
+from palmfield.whole_files import whole, writing
 
 UNREADABLE = (OSError, EOFError, ValueError, NotImplementedError, MemoryError, BadZipFile, zlib.error, csv.Error)
 """What open, csv, zipfile and NumPy raise for a broken file; undecodable text is a ValueError."""
@@ -119,15 +119,13 @@ def write_table(file: Path, names: Sequence[str], table: Float) -> None:
     """
     if file.suffix.lower() not in (".csv", ".npz"):
         raise OutputError(f"{file}: the file's kind is '{file.suffix}'; use .csv or .npz")
-    try:
+    with writing(file), whole(file) as part:
         if file.suffix.lower() == ".npz":
-            with whole(file) as part, part.open("wb") as data:
+            with part.open("wb") as data:
                 # Not with allow_pickle=False, which numpy below 2.2 takes for one more array, and numbers don't need
                 np.savez_compressed(data, **dict(zip(names, table.T, strict=True)))
         else:
-            with whole(file) as part, part.open("w", newline="", encoding="utf-8") as text:
+            with part.open("w", newline="", encoding="utf-8") as text:
                 writer = csv.writer(text)
                 writer.writerow(names)
                 writer.writerows(table.tolist())
-    except OSError as error:
-        raise OutputError(f"{file}: cannot be written: {error}; give a writable path") from None

@@ -5,7 +5,7 @@ import sys
 from collections.abc import Sequence
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, Task, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Column
 from rich.text import Text
 
@@ -45,9 +45,9 @@ class TimeLeft(TimeRemainingColumn):
         return super().render(task) if task.total is not None or left <= 0.0 else Text(f"about {left:.0f} s left")
 
 
-def bars(show: bool = True) -> Progress:
-    """Bars on a terminal's standard error, with the time spent and left; nothing where nobody watches."""
-    columns = TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeLeft()
+def bars(show: bool = True, *more: ProgressColumn) -> Progress:
+    """Bars on a terminal's standard error, with more columns and the time spent and left; nothing unless watched."""
+    columns = TextColumn("{task.description}"), BarColumn(), *more, TimeElapsedColumn(), TimeLeft()
     console = Console(stderr=True)
     # In a pipe, bars would leave an empty line before an error; rich before 14 does so even where they are disabled
     console.quiet = not (show and console.is_terminal)

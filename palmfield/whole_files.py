@@ -4,6 +4,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from palmfield.errors import unwritable
+
 
 @contextmanager
 def whole(path: str | Path) -> Iterator[Path]:
@@ -23,3 +25,25 @@ def whole(path: str | Path) -> Iterator[Path]:
     except BaseException:
         part.unlink(missing_ok=True)
         raise
+
+
+@contextmanager
+def writing(path: str | Path) -> Iterator[None]:
+    """What the system says within the block of a file or folder that can't be written becomes an OutputError."""
+    try:
+        yield
+    except OSError as error:
+        raise unwritable(path, error) from error
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write a text as a `whole` file. Raises OutputError if that fails."""
+    with writing(path), whole(path) as part:
+        part.write_text(text, encoding="utf-8")
+
+
+def made_folder(path: str | Path) -> Path:
+    """The folder, with those around it made where they are missing. Raises OutputError if that fails."""
+    with writing(path):
+        Path(path).mkdir(parents=True, exist_ok=True)
+    return Path(path)

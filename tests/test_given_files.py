@@ -23,7 +23,7 @@ from palmfield.session.migrate import migrated
 from palmfield.session.scene_text import read_scene_text
 from palmfield.stimulus.am_file import read_am_table
 from palmfield.stimulus.autd3_stm import read_foci_stm
-from palmfield.stimulus.focus_table import read_focus_table
+from palmfield.stimulus.focus_table_file import read_focus_table
 from palmfield.stimulus.standard import read_stimulus
 from palmfield.studies.experiment.design import read_design
 from palmfield.studies.experiment.log import read_experiment_log

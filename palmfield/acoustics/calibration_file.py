@@ -11,10 +11,10 @@ from scipy.spatial.transform import Rotation
 
 from palmfield.acoustics.arrays import LAYOUTS, layout_of_version
 from palmfield.acoustics.placement import placed
-from palmfield.errors import OutputError, SceneError
-from palmfield.given_files import MOST_SETTINGS_BYTES, read_bytes
+from palmfield.errors import SceneError
+from palmfield.given_files import MOST_SETTINGS_BYTES, read_bytes, reading
 from palmfield.types import Array, Complex, Estimate
-from palmfield.whole_files import whole
+from palmfield.whole_files import write_text
 
 Place = tuple[float, float, float]
 NonNegative = Annotated[float, Field(ge=0)]
@@ -150,10 +150,10 @@ def read_calibration(path: str | Path) -> Calibration:
     Raises SceneError for a file that cannot be read, and, with its place, for an entry that does not fit.
     """
     file = Path(path)
+    with reading(file, SceneError, "a calibration's JSON file"):
+        data = read_bytes(file, MOST_SETTINGS_BYTES)
     try:
-        calibration = Calibration.model_validate_json(read_bytes(file, MOST_SETTINGS_BYTES))
-    except OSError as error:
-        raise SceneError(f"{file}: cannot be read: {error}; give a calibration's JSON file") from None
+        calibration = Calibration.model_validate_json(data)
     except ValidationError as error:
         raise SceneError(f"{file}: " + _told(error.errors()[0])) from None
     _check_units(file, calibration)
@@ -197,12 +197,7 @@ def _told(error: Any) -> str:
 
 def write_calibration(path: str | Path, calibration: Calibration) -> None:
     """Write a calibration that `read_calibration` reads back. Raises OutputError where it cannot be written."""
-    file, text = Path(path), calibration.model_dump_json(indent=1, exclude_none=True)
-    try:
-        with whole(file) as part:
-            part.write_text(text + "\n", encoding="utf-8")
-    except OSError as error:
-        raise OutputError(f"{file}: cannot be written: {error}; give a writable path") from None
+    write_text(path, calibration.model_dump_json(indent=1, exclude_none=True) + "\n")
 
 
 def response(calibration: Calibration, count: int) -> Complex | None:

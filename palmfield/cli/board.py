@@ -7,7 +7,8 @@ from typing import Annotated, Literal
 import typer
 
 from palmfield.cli.boards import describe
-from palmfield.errors import DeviceError, unwritable
+from palmfield.errors import DeviceError, refuse_unknown
+from palmfield.whole_files import writing
 
 
 def board(
@@ -37,8 +38,7 @@ def board(
         describe(name, False)
         return
     played = playable_board(name)
-    if by not in ("pty", "tcp"):
-        raise DeviceError(f"--by has value '{by}'; allowed: pty or tcp")
+    refuse_unknown(DeviceError, "--by has value {}", by, ("pty", "tcp"))
     kind: Literal["pty", "tcp"] = "pty" if by == "pty" else "tcp"
     with VirtualBoard(played, by=kind, tcp_port=tcp_port, faults=Faults(drop, flip)) as made:
         print(made.port)
@@ -56,10 +56,8 @@ def board(
         except KeyboardInterrupt:
             pass
         if received is not None:
-            try:
+            with writing(received):
                 received.write_bytes(bytes(made.received))
-            except OSError as error:
-                raise unwritable(received, error) from None
         on = int((abs(made.twin.emitted) > 0.0).sum())
         print(
             f"{played.name}: {len(made.received)} bytes; {frames_in_words(made.emitted)}; {on} of "

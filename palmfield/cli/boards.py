@@ -53,13 +53,6 @@ def facts(board: "Board") -> dict[str, Any]:
     }
 
 
-def amplitudes_in_words(board: "Board") -> str:
-    """Which amplitudes each transducer takes."""
-    if board.exact:
-        return "any"
-    return "off or full" if board.amplitude == "on_off" else f"{board.amplitude_steps} pulse widths"
-
-
 def as_text() -> str:
     """All boards, each with its description."""
     from palmfield.drive.boards import BOARDS
@@ -81,25 +74,22 @@ def as_markdown() -> str:
             lines.append(f"| {board.name} | any | any | none | none | any | any | any |")
             continue
         count = f"{board.unit}" + (f", up to {board.most_units} units" if board.most_units > 1 else "")
+        amplitudes = "off or full" if board.amplitude == "on_off" else f"{board.amplitude_steps} pulse widths"
         takes = f"{board.frame_bytes} bytes" + (", a focus and its level" if board.takes == "focus" else "")
         lines.append(
             f"| {board.name} | {', '.join(board.layouts)} | {count} | {takes} | {board.line} | "
-            f"{board.frame_rate} | {board.phase_steps} | {amplitudes_in_words(board)} |"
+            f"{board.frame_rate} | {board.phase_steps} | {amplitudes} |"
         )
     for board in BOARDS.values():
         if board.exact:
             continue
-        lines += ["", f"### {board.name}", "", f"{_capital(board.description)}.", ""]
+        lines += ["", f"### {board.name}", "", f"{board.description[0].upper()}{board.description[1:]}.", ""]
         lines.append(f"- If the host stops: {board.when_host_dies}.")
         lines.append(f"- Limits: {board.cannot_guarantee}")
         lines.append(f"- Start: {_bytes(board.start)}. Stop: {_bytes(board.stop)}.")
         if board.keys:
             lines.append(f"- Keys of `palmfield.driver`: {', '.join(f'`{key}`' for key in board.keys)}.")
     return "\n".join(lines) + "\n"
-
-
-def _capital(text: str) -> str:
-    return text[0].upper() + text[1:]
 
 
 def _bytes(data: bytes) -> str:

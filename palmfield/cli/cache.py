@@ -1,8 +1,13 @@
 """`palmfield cache`: what is kept on disk between runs."""
 
 import time
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
+
+if TYPE_CHECKING:
+    from palmfield.cache import Entry
 
 cache = typer.Typer(
     name="cache",
@@ -21,10 +26,7 @@ def show() -> None:
     """
     from palmfield import cache as disk
 
-    where, kept = disk.folder(), disk.entries()
-    if where is None:
-        print("there is no cache: PALMFIELD_CACHE is off")
-        return
+    where, kept = _held()
     for entry in kept:
         print(f"{entry.size_bytes / 1e6:8.1f} MB  used {_ago(time.time() - entry.used):>9} ago  {entry.path.name}")
     total = sum(entry.size_bytes for entry in kept)
@@ -40,12 +42,20 @@ def clear() -> None:
     """
     from palmfield import cache as disk
 
-    where, kept = disk.folder(), disk.entries()
-    if where is None:
-        print("there is no cache: PALMFIELD_CACHE is off")
-        return
+    where, kept = _held()
     total = sum(entry.size_bytes for entry in kept)
     print(f"removed {disk.clear()} from {where}: {total / 1e6:.1f} MB")
+
+
+def _held() -> tuple[Path, list["Entry"]]:
+    """The folder and what it holds; typer.Exit, once it is said, where nothing is kept."""
+    from palmfield import cache as disk
+
+    where = disk.folder()
+    if where is None:
+        print("nothing is kept: PALMFIELD_CACHE is off")
+        raise typer.Exit()
+    return where, disk.entries()
 
 
 def _ago(seconds: float) -> str:

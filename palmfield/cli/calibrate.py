@@ -66,14 +66,11 @@ def add(
     """
     from palmfield.acoustics.air import check
     from palmfield.drive.calibration.readings import MEASUREMENTS, Circumstances
-    from palmfield.errors import SceneError, did_you_mean
+    from palmfield.errors import SceneError, refuse_unknown
     from palmfield.hardware.calibrate import add_readings
     from palmfield.types import Air
 
-    if kind not in MEASUREMENTS:
-        raise SceneError(
-            f"kind '{kind}' is unknown{did_you_mean(kind, MEASUREMENTS)}; allowed: {', '.join(MEASUREMENTS)}"
-        )
+    refuse_unknown(SceneError, "kind {} is unknown", kind, MEASUREMENTS)
     air = Air(temperature, humidity, pressure)
     check(air)
     circumstances = Circumstances(source, air, microphone_error, place_sd, temperature_sd, focus, plate, level)

@@ -98,12 +98,11 @@ def report_command(
     import json
     from typing import cast, get_args
 
-    from palmfield.errors import OutputError
+    from palmfield.errors import OutputError, refuse_unknown
     from palmfield.perception.psychometric import Shape
     from palmfield.studies.experiment.report import as_dict, as_text, report_of
 
-    if shape not in get_args(Shape):
-        raise OutputError(f"--shape has value '{shape}'; allowed: {', '.join(get_args(Shape))}")
+    refuse_unknown(OutputError, "--shape has value {}", shape, get_args(Shape))
     rate = None if lapse < 0.0 else lapse
     report = report_of(log, shape=cast(Shape, shape), lapse=rate, spread=spread, confidence=confidence)
     if png is not None:

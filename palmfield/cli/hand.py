@@ -5,7 +5,8 @@ from typing import Annotated
 
 import typer
 
-from palmfield.errors import OutputError, SceneError
+from palmfield.errors import SceneError
+from palmfield.whole_files import write_text
 
 
 def hand(
@@ -55,11 +56,7 @@ def hand(
         from palmfield.hand.rigged_mjcf import rigged_mjcf
         from palmfield.hand.skinning import rigged_file
 
-        text = rigged_mjcf(rigged_file(str(mesh), units), mesh.stem)
-        try:
-            mjcf.write_text(text, encoding="utf-8")
-        except OSError as error:
-            raise OutputError(f"{mjcf} cannot be written: {error}; give another file") from error
+        write_text(mjcf, rigged_mjcf(rigged_file(str(mesh), units), mesh.stem))
         print(f"wrote {mjcf}")
     if card.doubts:
         raise typer.Exit(3)

@@ -1,6 +1,7 @@
 """`palmfield info`: what a scene contains, in words and as JSON has it."""
 
 import io
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from palmfield.cli.as_json import print_json
@@ -96,9 +97,7 @@ def scene_facts(view: "Preview") -> dict[str, Any]:
         "device": spec.device,
         "board": model.board.name,
         "air": {
-            "temperature_C": air.temperature_C,
-            "humidity_percent": air.humidity_percent,
-            "pressure_Pa": air.pressure_Pa,
+            **asdict(air),
             "sound_speed_m_s": sound_speed(air),
             "density_kg_m3": density(air),
             "absorption_Np_m": absorption_Np_m(air, carrier_Hz),
@@ -124,12 +123,8 @@ def describe(scene: "Preview") -> str:
         rows += _named(stimulus.spec.name, len(model.stimuli), _drive(model, number))
     for skin in model.skins:
         rows += _named(skin.spec.name, len(model.skins), _skin(skin))
-    rows.append(
-        (
-            "conventions",
-            "e^{-i w t}, pressure as complex peak; ARP positive into the surface; displacement positive outward",
-        )
-    )
+    signs = "e^{-i w t}, pressure as complex peak; ARP positive into the surface; displacement positive outward"
+    rows.append(("conventions", signs))
     grid = Table(*folded(("", "")), show_header=False)
     for name, text in rows:
         grid.add_row(name, text)
@@ -159,14 +154,12 @@ def _arrays(model: "HapticModel") -> Rows:
             estimates[0] = estimates[0][0], f"uncalibrated: {estimates[0][1]}"
         rows += _named(array.name, count, estimates)
     air, carrier_Hz = model.arrays.air, model.arrays.array.frequency_Hz
-    rows.append(
-        (
-            "air",
-            f"{air.temperature_C:g} C, {air.humidity_percent:g} %, {air.pressure_Pa:g} Pa: c {sound_speed(air):.1f} "
-            f"m/s, rho {density(air):.3f} kg/m3, absorption {absorption_Np_m(air, carrier_Hz):.3f} Np/m",
-        )
+    weather = (
+        f"{air.temperature_C:g} C, {air.humidity_percent:g} %, {air.pressure_Pa:g} Pa: c {sound_speed(air):.1f} m/s, "
+        f"rho {density(air):.3f} kg/m3, absorption {absorption_Np_m(air, carrier_Hz):.3f} Np/m"
     )
-    return [*rows, ("device", f"fields are computed on {model.spec.device} (palmfield_device)")]
+    device = f"fields are computed on {model.spec.device} (palmfield_device)"
+    return [*rows, ("air", weather), ("device", device)]
 
 
 def _estimate(one: "Estimate", unit: str) -> str:
@@ -194,14 +187,9 @@ def _skin(skin: "SkinModel") -> Rows:
     for sheet in skin.layer.sheets:
         material, modulus = sheet.material, complex_shear(sheet.material, SOFTNESS_Hz)
         share = "" if len(skin.layer.sheets) == 1 else f", {100 * sheet.thickness_m:.3g} % of the layer"
-        rows += [
-            (
-                "material",
-                f"{material.name}: rho {material.density_kg_m3:g} kg/m3, "
-                f"G*({SOFTNESS_Hz:g} Hz) {modulus.real:.0f}{modulus.imag:+.0f}i Pa{share}",
-            ),
-            ("material source", material.source),
-        ]
+        told = f"{material.name}: rho {material.density_kg_m3:g} kg/m3, G*({SOFTNESS_Hz:g} Hz) "
+        told += f"{modulus.real:.0f}{modulus.imag:+.0f}i Pa{share}"
+        rows += [("material", told), ("material source", material.source)]
     return [
         *rows,
         ("solver", f"{skin.choice.name}: {skin.choice.why}"),

@@ -3,7 +3,7 @@
 import logging
 import sys
 
-from palmfield.errors import SceneError, did_you_mean
+from palmfield.errors import SceneError, refuse_unknown
 
 LEVELS = ("debug", "info", "warning", "error")
 
@@ -25,8 +25,7 @@ class _StandardError(logging.Handler):
 
 def show_log(level: str) -> None:
     """Show the log of logger `palmfield` from a level on. Raises SceneError for an unknown level."""
-    if level not in LEVELS:
-        raise SceneError(f"--log-level has value '{level}'{did_you_mean(level, LEVELS)}; allowed: {', '.join(LEVELS)}")
+    refuse_unknown(SceneError, "--log-level has value {}", level, LEVELS)
     logger = logging.getLogger("palmfield")
     for handler in [handler for handler in logger.handlers if isinstance(handler, _StandardError)]:
         logger.removeHandler(handler)

@@ -8,6 +8,7 @@ import typer
 
 from palmfield.data import folder
 from palmfield.errors import OutputError, SceneError
+from palmfield.whole_files import made_folder, write_text
 
 ARRAY, HAND = "arrays/uhev1.xml", "hands/open_men_p50.xml"
 
@@ -138,10 +139,7 @@ def write_scene(name: str, where: Path = Path(), stimulus: str | None = None) ->
     duration = f"{USUAL_S if stimulus is None else chosen.duration_s:g}"
     haptic = HAPTIC.format(**names, **level, layout=array.stem, stimulus=block, duration=duration)
     texts = {f"{name}.xml": haptic, f"{name}_plain.xml": PLAIN.format(**names), **parts}
-    try:
-        target.mkdir(parents=True)
-        for file, text in texts.items():
-            (target / file).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise OutputError(f"{target} cannot be written ({error.strerror}); choose another folder") from error
+    made_folder(target)
+    for file, text in texts.items():
+        write_text(target / file, text)
     return [target / file for file in texts]

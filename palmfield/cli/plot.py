@@ -8,7 +8,8 @@ import typer
 
 from palmfield.cli.as_json import print_json
 from palmfield.cli.options import AsJson
-from palmfield.errors import OutputError, SceneError, unwritable
+from palmfield.errors import OutputError, SceneError, refuse_unknown
+from palmfield.whole_files import made_folder
 
 if TYPE_CHECKING:
     from palmfield.outputs.pictures.asked import Asked
@@ -128,15 +129,11 @@ def _plot_speed(run: Path, kinds: Sequence[str], asked: "Asked", out: Path | Non
         )
     if set(kinds) - {SPEED} or asked != Asked():
         raise OutputError(f"{run} is a benchmark report; allowed: only picture '{SPEED}', without options")
-    if suffix not in FORMATS:
-        raise OutputError(f"--format has value '{suffix}'; allowed: {', '.join(FORMATS)}")
+    refuse_unknown(OutputError, "--format has value {}", suffix, FORMATS)
     figure = speed_picture(run)
     figure.set_dpi(DPI)
     path = (out or run.parent / "plots") / f"{SPEED}.{suffix}"
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise unwritable(path.parent, error) from None
+    made_folder(path.parent)
     with style():
         save(figure, path, DPI)
     if as_json:

@@ -8,7 +8,7 @@ import typer
 from palmfield.cli.as_json import print_json
 from palmfield.cli.options import AsJson, BoardName, Keys, SceneFile, check_duration, given_keys
 from palmfield.errors import OutputError
-from palmfield.whole_files import whole
+from palmfield.whole_files import made_folder, write_text
 
 
 def safety(
@@ -40,12 +40,8 @@ def safety(
     view = preview(scene, board=board, keys=given)
     sheet = safety_sheet(view, view.duration_s if duration is None else duration)
     if out is not None and picture is not None:
-        try:
-            out.parent.mkdir(parents=True, exist_ok=True)
-            with whole(out) as part:
-                part.write_text(as_markdown(sheet, picture.name), encoding="utf-8")
-        except OSError as error:
-            raise OutputError(f"--out {out} cannot be written: {error.strerror}; give another file") from error
+        made_folder(out.parent)
+        write_text(out, as_markdown(sheet, picture.name))
         title = f"{Path(sheet.scene).stem} on board {sheet.board.name}: highest levels in {sheet.duration_s:g} s"
         draw_levels(title, sheet.maps, sheet.course, picture)
     if as_json:

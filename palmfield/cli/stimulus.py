@@ -97,14 +97,13 @@ def export_command(
     """
     from typing import get_args
 
-    from palmfield.errors import SceneError
+    from palmfield.errors import SceneError, refuse_unknown
     from palmfield.session.stimulus_export import export_stimulus, exported
     from palmfield.stimulus.focus_table import Quantity, TableFrame
 
-    if quantity is not None and quantity not in get_args(Quantity):
-        raise SceneError(f"--quantity has value '{quantity}'; allowed: {' | '.join(get_args(Quantity))}")
-    if frame not in get_args(TableFrame):
-        raise SceneError(f"--frame has value '{frame}'; allowed: array | skin")
+    if quantity is not None:
+        refuse_unknown(SceneError, "--quantity has value {}", quantity, get_args(Quantity))
+    refuse_unknown(SceneError, "--frame has value {}", frame, ("array", "skin"))
     result = exported(
         scene, stimulus=which, rate_Hz=rate, quantity=cast(Quantity | None, quantity), frame=cast(TableFrame, frame),
         duration_s=duration, keys=given_keys(keys),

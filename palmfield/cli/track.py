@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 import typer
 
 from palmfield.cli.as_json import print_json
-from palmfield.errors import SceneError
+from palmfield.errors import SceneError, refuse_unknown
 
 track = typer.Typer(
     name="track",
@@ -40,8 +40,7 @@ def replay(
     from palmfield.motion.tracking import read_stream
     from palmfield.motion.wire import CONVENTIONS
 
-    if convention not in CONVENTIONS:
-        raise SceneError(f"--convention has value '{convention}'; allowed: {', '.join(CONVENTIONS)}")
+    refuse_unknown(SceneError, "--convention has value {}", convention, CONVENTIONS)
     names: Literal["openxr", "leapc"] = "leapc" if convention == "leapc" else "openxr"
     kind, where = checked_by(by), address(to)
     sent = send(read_stream(file), where, by=kind, convention=names, speed=speed, repeat=repeat, stamp=stamp)
@@ -147,6 +146,5 @@ def latency(
 
 
 def checked_by(by: str) -> Literal["udp", "tcp"]:
-    if by not in ("udp", "tcp"):
-        raise SceneError(f"--by has value '{by}'; allowed: udp, tcp")
+    refuse_unknown(SceneError, "--by has value {}", by, ("udp", "tcp"))
     return "tcp" if by == "tcp" else "udp"

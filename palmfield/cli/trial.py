@@ -9,7 +9,7 @@ import typer
 from palmfield.cli.as_json import print_json
 from palmfield.cli.options import AsJson, BoardName, Keys, SceneFile, check_duration, given_keys
 from palmfield.errors import SceneError
-from palmfield.given_files import regular
+from palmfield.given_files import reading, regular
 
 if TYPE_CHECKING:
     from palmfield.studies.trial import Live
@@ -134,11 +134,8 @@ def motion_keys(path: Path) -> dict[str, object]:
     """Keys that give a scene's only palmfield.motion a recorded motion. Raises SceneError for a file that is none."""
     from palmfield.motion.tracking import column_names
 
-    try:
-        with regular(path).open("rb") as file:
-            begin = file.read(4096)
-    except OSError as error:
-        raise SceneError(f"--motion {path} cannot be read: {error.strerror}; give a CSV or NPZ table") from None
+    with reading(f"--motion {path}", SceneError, "a CSV or NPZ table"), regular(path).open("rb") as file:
+        begin = file.read(4096)
     # A tracker's stream has columns of its joints, a table of poses those of the hand and its angles
     kind = "tracking" if column_names()[1].encode() in begin else "trajectory"
     sources = dict.fromkeys(("motion.keyframes", "motion.trajectory", "motion.tracking", "motion.function"))

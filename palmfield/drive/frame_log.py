@@ -23,9 +23,10 @@ from palmfield.config import DriverConfig
 from palmfield.drive.board import Board
 from palmfield.drive.boards import board_of
 from palmfield.drive.log_lines import log_line
-from palmfield.errors import SceneError, unwritable
-from palmfield.given_files import plain, read_text, regular
+from palmfield.errors import SceneError
+from palmfield.given_files import plain, read_text, reading, regular
 from palmfield.types import Air, Array, Complex, Float
+from palmfield.whole_files import writing
 
 VERSION = 1
 
@@ -115,10 +116,8 @@ class FrameLog:
     def __init__(self, path: str | Path, head: LogHead) -> None:
         """Raises OutputError if the file cannot be made."""
         self.path = Path(path)
-        try:
+        with writing(self.path):
             self._file = self.path.open("w", encoding="utf-8", buffering=1)
-        except OSError as error:
-            raise unwritable(self.path, error) from error
         told = {key: value for key, value in asdict(head).items() if value is not None}
         told["layout_version"] = LAYOUTS[head.array].version if head.array in LAYOUTS else 1
         self._write(json.dumps({"palmfield_log": VERSION, **told}) + "\n")
@@ -128,16 +127,12 @@ class FrameLog:
         self._write(log_line(time_s, data, whole=whole))
 
     def _write(self, line: str) -> None:
-        try:
+        with writing(self.path):
             self._file.write(line)
-        except OSError as error:
-            raise unwritable(self.path, error) from error
 
     def close(self) -> None:
-        try:
+        with writing(self.path):
             self._file.close()
-        except OSError as error:
-            raise unwritable(self.path, error) from error
 
 
 def read_log(path: str | Path) -> tuple[LogHead, list[Piece]]:
@@ -146,12 +141,8 @@ def read_log(path: str | Path) -> tuple[LogHead, list[Piece]]:
     Raises SceneError for a file that cannot be read, or is no log of this version.
     """
     file = Path(path)
-    try:
+    with reading(file, SceneError, "a file of --log, or --board for raw bytes"):
         lines = read_text(file).split("\n")
-    except (OSError, UnicodeDecodeError) as error:
-        raise SceneError(
-            f"{file} cannot be read as a log: {error}; give a file of --log, or --board for raw bytes"
-        ) from None
     try:
         head = plain(json.loads, lines[0])
         version = head.pop("palmfield_log")

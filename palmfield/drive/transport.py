@@ -13,6 +13,7 @@ import serial
 from serial.tools.list_ports import comports
 
 from palmfield.errors import DeviceError, OutputError, unwritable
+from palmfield.whole_files import writing
 
 WRITE_TIMEOUT_S = 0.25
 TIMEOUTS_BEFORE_LOST = 8
@@ -196,10 +197,8 @@ class FileTransport:
         self.path = Path(path)
         self.name = str(path)
         self.part = self.path.with_name(self.path.name + ".part")
-        try:
+        with writing(self.path):
             self._file = self.part.open("wb", buffering=0)
-        except OSError as error:
-            raise unwritable(self.path, error) from error
 
     def write(self, data: bytes) -> bool:
         """Always True; raises OutputError if writing fails, or failed before."""
@@ -222,14 +221,10 @@ class FileTransport:
     def close(self) -> None:
         if self._file.closed:
             return
-        try:
+        with writing(self.path), self._file:
             os.fsync(self._file.fileno())
             self._file.close()
             os.replace(self.part, self.path)
-        except OSError as error:
-            raise unwritable(self.path, error) from error
-        finally:
-            self._file.close()
 
 
 def open_serial(port: str, baud: int | None) -> SerialTransport:

@@ -1,8 +1,8 @@
-"""The plugin of one stimulus: its keys."""
+"""The plugins of one stimulus and of the board that plays the drive: their keys."""
 
 from typing import ClassVar
 
-from palmfield.config import Config, StimulusConfig
+from palmfield.config import Config, DriverConfig, StimulusConfig
 from palmfield.engine.host import Module
 from palmfield.mujoco_host.drawing import Drawing
 
@@ -32,3 +32,10 @@ class StimulusModule(Module):
             drawing.spheres(foci[0], FOCUS_m, FOCUS)
             moved = foci[1:][(foci[1:] != foci[0]).any(axis=(1, 2))].reshape(-1, 3)
             drawing.spheres(moved, TRAIL_m, FOCUS)
+
+
+class DriverModule(Module):
+    """Holds the keys of the board."""
+
+    name: ClassVar[str] = DriverConfig.plugin
+    config: ClassVar[type[Config]] = DriverConfig

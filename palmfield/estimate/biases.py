@@ -199,10 +199,13 @@ def _scattered(
     size = TURNED if turned > TURNED_FROM_DEG else CURVED if curved else OPEN_HAND
     around = behind > 0.0 and radius < FEW_WAVELENGTHS * length
     size = AROUND if around else size
+    # Measured on hands; for other bodies only the curvature is available
+    measured = "the figure is that of hands as curved and as turned (docs/bench/scattering.md)"
+    measured = FACE_BY_FACE if part.spec.config.shape in HANDS else measured
     why = (
         f"smallest radius of curvature under the focus {1e3 * radius:.0f} mm, {radius / length:.1f} wavelengths; "
         f"the local law holds from {FEW_WAVELENGTHS:g}; at the highest ARP the angle of incidence is {turned:.0f} "
-        f"degrees; {_measured(part)}{'; sound from behind diffracts around it' if around else ''}. body_sound "
+        f"degrees; {measured}{'; sound from behind diffracts around it' if around else ''}. body_sound "
         "scattering models this"
     )
     return [Bias("scattered sound", -size, size, why)]
@@ -218,13 +221,6 @@ def _turned_deg(posed: PosedScene, drive: Complex, point: Float, outward: Float)
     back = used @ ways / whole
     angle = math.degrees(math.acos(max(-1.0, min(1.0, float(outward @ back / np.linalg.norm(back))))))
     return angle, 1.0 - whole / max(float(loud.sum()), 1e-300)
-
-
-def _measured(skin: SkinModel) -> str:
-    """The error of the law that was measured on hands; for other bodies only the curvature is available."""
-    if skin.spec.config.shape in HANDS:
-        return FACE_BY_FACE
-    return "the figure was measured on hands of this curvature and angle (docs/bench/scattering.md)"
 
 
 def _shadows(model: HapticModel, skin: int) -> list[Bias]:

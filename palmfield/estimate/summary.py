@@ -57,7 +57,7 @@ def skin_numbers(
     left_small_model = _left_small_model(runtime, number)
     result: dict[str, Any] = {
         "dofs": model.begin[number].value.unknowns,
-        "solver": _solver_in_words(model, number, left_small_model),
+        "solver": model.begin[number].value.describe() + ("; then wedges" if left_small_model else ""),
         "solver_why": _why(model, number),
         "accuracy_wanted_relative": skin.spec.config.accuracy,
     }
@@ -199,12 +199,6 @@ def _left_small_model(runtime: SceneRuntime, skin: int) -> bool:
     """Whether a run that began with a small model of a skin went on with its whole layer."""
     begun = runtime.model.begin[skin].value.adds_error is not None
     return begun and bool(runtime.state.skins[skin][0, 0] == WHOLE)
-
-
-def _solver_in_words(model: HapticModel, skin: int, left_small_model: bool) -> str:
-    """Name of the stepper of a skin."""
-    stepper = model.begin[skin].value
-    return f"{stepper.describe()}; then wedges" if left_small_model else stepper.describe()
 
 
 def _why(model: HapticModel, skin: int) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from palmfield.errors import OutputError, SceneError
+from palmfield.errors import SceneError
 from palmfield.hand.chirality import Chirality, chirality
 from palmfield.hand.foretold import foretold_layers
 from palmfield.hand.holes import plane_axes
@@ -23,6 +23,7 @@ from palmfield.hand.triangles import corner_angles, face_components, face_normal
 from palmfield.hand.units import DIGITS, size_of_a_hand
 from palmfield.hand.wholelayer import hand_layer
 from palmfield.types import Float, Int, Surface
+from palmfield.whole_files import write_text
 
 VERDICTS = ("accepted", "accepted with doubts", "refused")
 HAND_SIZES = "hands are 130 to 260 mm long, forearms with a hand 360 to 560"
@@ -228,10 +229,7 @@ def _shape_rows(facts: dict[str, Any]) -> list[tuple[str, str]]:
 
 def write_card(path: Path, facts: dict[str, Any]) -> None:
     """Write the card as a JSON file. Raises OutputError if that fails."""
-    try:
-        path.write_text(json.dumps(facts, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise OutputError(f"{path} cannot be written: {error}; give another file") from error
+    write_text(path, json.dumps(facts, indent=1, allow_nan=False) + "\n")
 
 
 def fault_faces(vertices: Float, faces: Int, places: Float, reach_m: float) -> np.ndarray:

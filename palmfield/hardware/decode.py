@@ -16,11 +16,11 @@ from palmfield.drive.board import Emitted, Flag, frames_in_words
 from palmfield.drive.boards import board_of, playable_board
 from palmfield.drive.focus_fit import fitted_focus
 from palmfield.drive.frame_log import LogHead, Piece, is_log, read_log
-from palmfield.errors import SceneError, unwritable
-from palmfield.given_files import read_bytes
+from palmfield.errors import SceneError
+from palmfield.given_files import read_bytes, reading
 from palmfield.hardware.focus_board import array_named
 from palmfield.types import Float
-from palmfield.whole_files import whole
+from palmfield.whole_files import whole, writing
 
 FREQUENCY_HZ = 40e3
 GOOD_RAD = 1.0
@@ -65,10 +65,8 @@ def pieces_of(
         head, pieces = read_log(path)
         return _measured(head, calibration), pieces
     file = Path(path)
-    try:
+    with reading(file, SceneError, "a file of --record or --log"):
         data = read_bytes(file)
-    except OSError as error:
-        raise SceneError(f"{file} cannot be read: {error.strerror}; give a file of --record or --log") from None
     if board is None:
         raise SceneError(f"{file} is not a log, so its board is unknown; give it by --board")
     chosen = playable_board(board)
@@ -146,14 +144,11 @@ def as_table(decoded: Decoded, most: int | None = None) -> str:
 
 def write_csv(decoded: Decoded, path: Path) -> None:
     """Write all rows, with units in the names of columns. Raises OutputError if that fails."""
-    try:
-        with whole(path) as part, part.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file)
-            writer.writerow(["time_s", "x_m", "y_m", "z_m", "misfit_rad", "sounding", "level"])
-            for row in decoded.foci:
-                writer.writerow([row.time_s, *row.focus, row.misfit_rad, row.sounding, row.level])
-    except OSError as error:
-        raise unwritable(path, error) from None
+    with writing(path), whole(path) as part, part.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(["time_s", "x_m", "y_m", "z_m", "misfit_rad", "sounding", "level"])
+        for row in decoded.foci:
+            writer.writerow([row.time_s, *row.focus, row.misfit_rad, row.sounding, row.level])
 
 
 def draw_foci(times_s: Sequence[float], foci: Float, path: Path) -> None:

@@ -152,7 +152,8 @@ class _Live:
         """Return amplitudes for a focus at full level, shape (N,); None, with a report, if it cannot be played."""
         far = too_far((float(focus.place[0]), float(focus.place[1]), float(focus.place[2])))
         if far is not None:
-            self.listener.skip("place", f"focus at {_mm(focus.place)}, {far}")
+            place = ", ".join(f"{1e3 * x:.4g}" for x in focus.place)
+            self.listener.skip("place", f"focus at ({place}) mm, {far}")
             return None
         try:
             unit = self.made.unit(focus.place)
@@ -171,10 +172,6 @@ class _Live:
             self.came_s[self._sent] = came_s
         self.player.send(steps, level, made_s=came_s, due_s=due_s)
         self._sent += 1
-
-
-def _mm(place: Float) -> str:
-    return "(" + ", ".join(f"{1e3 * x:.4g}" for x in place) + ") mm"
 
 
 def _most_at_head(made: FocusBoard) -> Heard:

@@ -5,7 +5,7 @@ Phasors go with e^{-i w t}, wavenumbers k = w/c + i/L. All waves of a layer are 
 """
 
 import math
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -38,7 +38,8 @@ ALIKE, LEFT = 0.35, 0.05
 FEWEST = 24
 
 
-class Wave(NamedTuple):
+@dataclass(frozen=True)
+class Wave:
     """One wave of a scan.
 
     wavenumber_rad_m: k, Re k = w/c, Im k = 1/L, or None if it is not resolved; reason: why it is not, else empty
@@ -57,22 +58,15 @@ class Wave(NamedTuple):
     points_a_wave: float
 
 
-class GuidedMode(NamedTuple):
+@dataclass(frozen=True)
+class GuidedMode(Wave):
     """The travelling wave with most of the motion outside the source.
 
-    wavenumber_rad_m to points_a_wave: of it, as of `Wave`
     others: other travelling waves with at least COUNTS of its motion, strongest first, each with its own error; if one
         is nearly as strong neither is "the" guided mode
     misfit: share of the motion left by the fit; rings: number of fitted waves; source_m: fitted source, (2,)
     """
 
-    wavenumber_rad_m: complex | None
-    reason: str
-    estimate_rad_m: complex
-    error: float
-    motion: float
-    waves: float
-    points_a_wave: float
     others: tuple[Wave, ...]
     misfit: float
     rings: int
@@ -133,7 +127,7 @@ def guided_mode_fit(
         if one.estimate_rad_m.real > one.estimate_rad_m.imag and one.motion >= COUNTS * strongest.motion
     )  # fmt: skip
     source = np.asarray(source_m, dtype=float) + fit.source
-    return GuidedMode(*strongest, others, fit.misfit, len(fit.k), source)
+    return GuidedMode(**vars(strongest), others=others, misfit=fit.misfit, rings=len(fit.k), source_m=source)
 
 
 def _wave(

@@ -6,7 +6,7 @@ from typing import Literal, get_args
 import numpy as np
 import xarray as xr
 
-from palmfield.errors import MeasurementError
+from palmfield.errors import MeasurementError, naming, refuse_unknown
 from palmfield.metrics.checks import even_step, trace
 from palmfield.types import Float
 
@@ -39,8 +39,8 @@ class Scan:
     name: str = "scan"
 
     def __post_init__(self) -> None:
-        if self.quantity not in QUANTITIES:
-            raise MeasurementError(f"{self.name}: quantity is '{self.quantity}'; allowed: {', '.join(QUANTITIES)}")
+        with naming(self.name):
+            refuse_unknown(MeasurementError, "quantity is {}", self.quantity, QUANTITIES)
         bad = np.argwhere(~np.isfinite(np.atleast_2d(np.asarray(self.values, dtype=float))))
         if len(bad):
             raise MeasurementError(

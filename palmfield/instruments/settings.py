@@ -7,7 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from palmfield.config.base import allowed
 from palmfield.errors import MeasurementError, did_you_mean
-from palmfield.given_files import read_toml
+from palmfield.given_files import read_toml, reading
 
 Vector3 = Annotated[tuple[float, float, float], Field()]
 Positive = Annotated[float, Field(gt=0)]
@@ -52,12 +52,8 @@ def read_settings(path: str | Path, model: type[Model]) -> Model:
     Raises MeasurementError for a file that is unreadable, is no TOML, lacks the table or has others, or has wrong keys.
     """
     file = Path(path)
-    try:
+    with reading(file, MeasurementError, "a TOML file in UTF-8"):
         table = read_toml(file)
-    except OSError as error:
-        raise MeasurementError(f"{file}: cannot be read: {error}; give a TOML file") from None
-    except ValueError as error:
-        raise MeasurementError(f"{file}: is not TOML: {error}; give a TOML file in UTF-8") from None
     name = model.instrument
     for other in table:
         if other != name:

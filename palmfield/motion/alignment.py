@@ -8,12 +8,12 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from scipy.spatial.transform import Rotation
 
-from palmfield.errors import SceneError, unwritable
-from palmfield.given_files import MOST_SETTINGS_BYTES, read_bytes
+from palmfield.errors import SceneError
+from palmfield.given_files import MOST_SETTINGS_BYTES, read_bytes, reading
 from palmfield.tables import read_table
 from palmfield.transforms import Transform
 from palmfield.types import Float
-from palmfield.whole_files import whole
+from palmfield.whole_files import write_text
 
 COLUMNS = tuple(f"{frame}_{axis}_m" for frame in ("array", "tracker") for axis in "xyz")
 FEWEST = 3
@@ -153,10 +153,10 @@ def align(touches: Touches) -> Alignment:
 def read_alignment(path: str | Path) -> Alignment:
     """Read the alignment from a JSON file. Raises SceneError for a file that cannot be read or has other content."""
     file = Path(path)
+    with reading(file, SceneError, "a file of `palmfield track align`"):
+        data = read_bytes(file, MOST_SETTINGS_BYTES)
     try:
-        made = Alignment.model_validate_json(read_bytes(file, MOST_SETTINGS_BYTES))
-    except OSError as error:
-        raise SceneError(f"{file} cannot be read: {error.strerror}; give a file of `palmfield track align`") from None
+        made = Alignment.model_validate_json(data)
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(step) for step in first["loc"])
@@ -169,11 +169,7 @@ def read_alignment(path: str | Path) -> Alignment:
 
 def write_alignment(path: str | Path, alignment: Alignment) -> None:
     """Write an alignment that `read_alignment` reads back. Raises OutputError if that fails."""
-    try:
-        with whole(path) as part:
-            part.write_text(alignment.model_dump_json(indent=1) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise unwritable(path, error) from None
+    write_text(path, alignment.model_dump_json(indent=1) + "\n")
 
 
 def _refuse_mirrored(touches: Touches, rms: float) -> None:

@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from typing import Any, Literal, Self
 
-from palmfield.errors import DeviceError
+from palmfield.errors import DeviceError, refuse_unknown
 from palmfield.realtime import follower
 
 LOG = logging.getLogger(__name__)
@@ -65,8 +65,7 @@ class LineListener(ABC):
 
     def __init__(self, host: str, port: int, by: By) -> None:
         """port: 0 for any free one. Raises DeviceError for an address at which it cannot listen."""
-        if by not in ("udp", "tcp"):
-            raise DeviceError(f"the protocol is '{by}'; allowed: udp, tcp")
+        refuse_unknown(DeviceError, "the protocol is {}", by, ("udp", "tcp"))
         self.by, self.taken = by, 0
         self.bad: Counter[str] = Counter()
         self.told: list[str] = []

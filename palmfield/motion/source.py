@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from palmfield.config import MotionConfig
 from palmfield.errors import SceneError
-from palmfield.given_files import read_toml
+from palmfield.given_files import read_toml, reading
 from palmfield.hand.articulated import ArticulatedHand, articulate, checked_angles
 from palmfield.hand.poses import named_pose, posed_surface
 from palmfield.hand.preset import load_preset
@@ -97,10 +97,8 @@ def read_keyframes(path: Path, hand: ArticulatedHand, preset: str | None) -> Cal
     preset: an articulated hand's, whose skin must not cross itself at any key; None for a hand in one piece
     Raises SceneError with the number of the key and the field.
     """
-    try:
+    with reading(f"keyframes {path}", SceneError, "a TOML file of tables [[key]]"):
         keys = read_toml(path).get("key", [])
-    except (OSError, ValueError) as error:
-        raise SceneError(f"keyframes {path} cannot be read: {error}; give a TOML file of tables [[key]]") from None
     if not isinstance(keys, list) or len(keys) < 2:
         raise SceneError(f"keyframes {path}: give two tables [[key]] or more, each with time_s and position_m")
     times: list[float] = []

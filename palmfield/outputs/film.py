@@ -17,7 +17,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 
-from palmfield.errors import OutputError, did_you_mean, unwritable
+from palmfield.errors import OutputError, refuse_unknown, unwritable
 from palmfield.outputs.camera import Camera, look_along_emission
 from palmfield.outputs.covered import smooth_normals, sunk
 from palmfield.outputs.frames import bodies, in_world, nearest, pose_at
@@ -114,10 +114,7 @@ def _times(result: xr.DataTree, cut: Cut) -> Float:
     for name, value, most in (("--slow", cut.slow, 1e6), ("--magnify", cut.magnify, 1e9)):
         if value is not None and not 0.0 < value <= most:
             raise OutputError(f"{name} has value {value:g}; allowed: above 0, up to {most:g}")
-    if cut.shown not in SHOWN:
-        raise OutputError(
-            f"--show has value '{cut.shown}'{did_you_mean(cut.shown, SHOWN)}; allowed: {', '.join(SHOWN)}"
-        )
+    refuse_unknown(OutputError, "--show has value {}", cut.shown, SHOWN)
     width, height = cut.size
     if not (64 <= width <= 4096 and 64 <= height <= 4096 and width % 2 == height % 2 == 0):
         raise OutputError(f"--size has value {width}x{height}; allowed: even numbers from 64 to 4096")

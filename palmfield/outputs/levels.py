@@ -9,7 +9,7 @@ with open_result("out/palm") as result:
 import numpy as np
 import xarray as xr
 
-from palmfield.errors import OutputError, did_you_mean
+from palmfield.errors import OutputError, refuse_unknown
 from palmfield.outputs.motion import normal_component
 from palmfield.outputs.recorded_keys import keys_of
 from palmfield.outputs.schema import has_records, instances
@@ -98,11 +98,7 @@ def level_course(result: xr.DataTree, skin: str, observer: str) -> LevelCourse:
 
     Raises OutputError for an unknown observer, and for a run without usable lines of its stimuli or record.
     """
-    if observer not in OBSERVERS:
-        known = list(OBSERVERS)
-        raise OutputError(
-            f"observer '{observer}'{did_you_mean(observer, known)} is unknown; allowed: {', '.join(known)}"
-        )
+    refuse_unknown(OutputError, "observer {} is unknown", observer, OBSERVERS)
     data = instances(result, "skin")[skin]
     if not has_records(data, "displacement"):
         raise OutputError(f"skin '{skin}' holds no displacement")
@@ -121,6 +117,5 @@ def _one(result: xr.DataTree, kind: str, name: str | None) -> str:
         return known[0]
     if name is None:
         raise OutputError(f"the result holds {len(known)} instances of {kind}: {', '.join(known)}; name one of them")
-    if name not in known:
-        raise OutputError(f"{kind} '{name}'{did_you_mean(name, known)} is unknown; allowed: {', '.join(known)}")
+    refuse_unknown(OutputError, f"{kind} {{}} is unknown", name, known)
     return name

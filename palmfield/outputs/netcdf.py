@@ -226,7 +226,8 @@ def read_image(data: bytes, *, static: bool = True, records: bool = True) -> tup
             for name in [name for name in known if name in group]:
                 requested = static if record_of(known[name]) is None else records
                 if requested and not _without_values(group[name]):
-                    arrays[path][name] = _loaded(group[name], known[name])
+                    held, kind = group[name], known[name].dtype
+                    arrays[path][name] = np.asarray(held.asstr()[...] if kind == "str" else held[...]).astype(kind)
     return arrays, attributes
 
 
@@ -306,10 +307,6 @@ def _groups(file: Any, path: str) -> Iterator[tuple[str, Any]]:
 def _without_values(dataset: Any) -> bool:
     """Whether a netCDF entry is only the length of a dimension, without a variable."""
     return bytes(dataset.attrs.get("NAME", b"")).startswith(b"This is a netCDF dimension but not a netCDF variable")
-
-
-def _loaded(dataset: Any, variable: Variable) -> NDArray[Any]:
-    return np.asarray(dataset.asstr()[...] if variable.dtype == "str" else dataset[...]).astype(variable.dtype)
 
 
 def _stored(array: NDArray[Any]) -> NDArray[Any]:

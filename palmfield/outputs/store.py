@@ -42,6 +42,7 @@ from palmfield.outputs.schema import (
     variables_of,
 )
 from palmfield.types import json_value
+from palmfield.whole_files import writing
 
 RESULT = "result.nc"
 DERIVED = ("summary.json", "pressure.png", "displacement.png", "scene.png", "scene.usdc", "scene.partial.usdc")
@@ -289,10 +290,8 @@ def write_json(path: Path, obj: object) -> None:
 
 def write_whole(path: Path, data: bytes) -> None:
     """Write a file in one atomic step. Raises OutputError if that fails."""
-    try:
+    with writing(path):
         _write(path, data)
-    except OSError as error:
-        raise unwritable(path, error) from error
 
 
 def _write(path: Path, data: bytes) -> None:

@@ -1,6 +1,5 @@
 """Look of the figures, and how they are saved."""
 
-import os
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +8,9 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from palmfield.errors import OutputError, unwritable
+from palmfield.errors import OutputError
 from palmfield.types import Float
+from palmfield.whole_files import whole, writing
 
 RC: Any = {
     "font.family": "DejaVu Sans",
@@ -85,17 +85,13 @@ def save(figure: Figure, path: Path, dpi: int = 150) -> None:
     kind = path.suffix[1:].lower()
     if kind not in FORMATS:
         raise OutputError(f"cannot write {path}: '{kind}' is not a picture format; allowed: {', '.join(FORMATS)}")
-    temporary = path.with_name(f".{path.stem}.tmp.{kind}")
-    try:
+    with writing(path), whole(path) as part:
         if kind == "png":
-            FigureCanvasAgg(figure).print_png(str(temporary), pil_kwargs={"dpi": (dpi, dpi)})
+            FigureCanvasAgg(figure).print_png(str(part), pil_kwargs={"dpi": (dpi, dpi)})
         else:
             FigureCanvasAgg(figure)
             with mpl.rc_context({"svg.fonttype": "none", "pdf.fonttype": 42}):
-                figure.savefig(temporary, format=kind)
-        os.replace(temporary, path)
-    except OSError as error:
-        raise unwritable(path, error) from error
+                figure.savefig(part, format=kind)
 
 
 def linear_rgb(srgb: Float) -> Float:

@@ -44,7 +44,11 @@ def format_summary(summary: Mapping[str, Any], details: bool = False) -> str:
     """
     skins = summary["skins"]
     level = max((one.get("drive_level", 0.0) for one in summary["stimuli"]), default=0.0)
-    drives = _drives(summary) if details else []
+    drives = []
+    if details:
+        one_alone, stimuli = len(summary["stimuli"]) == 1, [one for one in summary["stimuli"] if "drive_level" in one]
+        drives = [("drive" if one_alone else f"drive, {one['name']}", of_full(one["drive_level"])) for one in stimuli]
+        drives += array_rows(summary["arrays"])
     grid = Table(*folded(("", "")), show_header=False)
     for number, skin in enumerate(skins):
         sound, motion = _sound(skin, level), _motion(skin) if details else _short(skin)
@@ -62,16 +66,6 @@ def format_summary(summary: Mapping[str, Any], details: bool = False) -> str:
     stream = io.StringIO()
     Console(file=stream, width=columns(WIDTH)).print(grid)
     return f"{first_line(summary)}\n{stream.getvalue()}"
-
-
-def _drives(summary: Mapping[str, Any]) -> list[TextRow]:
-    """Return the level of each stimulus, and the uncertainty of p0."""
-    stimuli = summary["stimuli"]
-    return [
-        ("drive" if len(stimuli) == 1 else f"drive, {one['name']}", of_full(one["drive_level"]))
-        for one in stimuli
-        if "drive_level" in one
-    ] + array_rows(summary["arrays"])
 
 
 def _short(skin: Mapping[str, Any]) -> list[TextRow]:

@@ -23,7 +23,7 @@ from scipy.optimize import minimize
 from scipy.special import expit, ndtr
 from scipy.stats import chi2
 
-from palmfield.errors import OutputError
+from palmfield.errors import OutputError, refuse_unknown
 from palmfield.types import Float
 
 Shape = Literal["normal", "logistic", "weibull"]
@@ -56,7 +56,7 @@ class PsychometricFunction:
     lapse: float = 0.0
 
     def __post_init__(self) -> None:
-        _check_shape(self.shape)
+        refuse_unknown(OutputError, "shape {} is unknown", self.shape, get_args(Shape))
         _check_rates(self.guess, self.lapse)
         if not (math.isfinite(self.threshold) and self.spread > 0.0):
             raise OutputError(f"threshold {self.threshold}, spread {self.spread}; allowed: a number, and one above 0")
@@ -163,7 +163,7 @@ def fit(
     Source: F. A. Wichmann, N. J. Hill, Percept. Psychophys. 63, 1293 and 1314 (2001).
     """
     x, n, k = _counts(levels, trials, right, shape)
-    _check_shape(shape)
+    refuse_unknown(OutputError, "shape {} is unknown", shape, get_args(Shape))
     _check_rates(guess, 0.0 if lapse is None else lapse)
     if not 0.0 < confidence < 1.0 or samples < 2:
         raise OutputError(f"confidence {confidence:g}, samples {samples}; allowed: between 0 and 1, and 2 or more")
@@ -234,11 +234,6 @@ def counts(levels: ArrayLike, right: ArrayLike) -> tuple[Float, Float, Float]:
     x, answers = np.asarray(levels, np.float64), np.asarray(right, np.float64)
     values, which = np.unique(np.round(x, 12), return_inverse=True)
     return values, np.bincount(which).astype(np.float64), np.bincount(which, answers).astype(np.float64)
-
-
-def _check_shape(shape: str) -> None:
-    if shape not in get_args(Shape):
-        raise OutputError(f"shape '{shape}' is unknown; allowed: {', '.join(get_args(Shape))}")
 
 
 def _check_rates(guess: float, lapse: float) -> None:

@@ -15,7 +15,7 @@ from palmfield.estimate.array_inputs import stimulus_of
 from palmfield.estimate.biases import response_biases
 from palmfield.planning.array_advice import array_advice
 from palmfield.planning.costs import scatterings
-from palmfield.planning.facts import first_drive, where_it_arrives
+from palmfield.planning.facts import first_drive, turn_times, where_it_arrives
 from palmfield.planning.obstructions import obstructions
 from palmfield.planning.pins import coarse_pins
 from palmfield.planning.visibility import out_of_sight
@@ -25,7 +25,7 @@ from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.skin.from_config import cutoff_Hz
 from palmfield.skin.materials.material import Material
-from palmfield.stimulus.schedule import frames_at, main_frequencies, turn_rate_Hz
+from palmfield.stimulus.schedule import frames_at, main_frequencies
 from palmfield.types import Float
 
 COURSE, POSES = 64, 16
@@ -251,11 +251,7 @@ def _disabled_sensors(view: Preview) -> list[str]:
 
 def _course(stimulus: StimulusModel) -> Float:
     """Return some of the points of a stimulus over one turn of its path, shape (k, 3)."""
-    config = stimulus.config
-    rate = turn_rate_Hz(config)
-    count = COURSE if rate else 1
-    times: Float = config.start_s + np.arange(count) / (count * (rate or 1.0))
-    return frames_at(config, times)[0]
+    return frames_at(stimulus.config, turn_times(stimulus, COURSE))[0]
 
 
 def _keys_without_effect(stimulus: StimulusModel) -> list[str]:

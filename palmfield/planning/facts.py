@@ -3,8 +3,9 @@
 import numpy as np
 
 from palmfield.simulation.emission import array_drives
-from palmfield.simulation.model import HapticModel
+from palmfield.simulation.model import HapticModel, StimulusModel
 from palmfield.simulation.posed_scene import PosedScene
+from palmfield.stimulus.schedule import turn_rate_Hz
 from palmfield.types import Complex, Float
 
 
@@ -27,6 +28,13 @@ def where_it_arrives(posed: PosedScene, skin: int, drive: Complex) -> tuple[Floa
     pressures = np.where(faces, np.abs(posed.arrays.pressure64(nodes, drive)), 0.0)
     highest = int(pressures.argmax())
     return nodes[highest], outwards[highest], float(pressures[highest])
+
+
+def turn_times(stimulus: StimulusModel, count: int) -> Float:
+    """Return times on one turn of the path of a stimulus [s], shape (count,); without turns its start, shape (1,)."""
+    rate = turn_rate_Hz(stimulus.config)
+    count = count if rate else 1
+    return np.asarray(stimulus.config.start_s + np.arange(count) / (count * (rate or 1.0)))
 
 
 def force_samples(model: HapticModel) -> int:

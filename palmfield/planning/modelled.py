@@ -28,11 +28,12 @@ def modelled(model: HapticModel, duration_s: float, felt: str) -> list[Row]:
     if force_samples(model):
         off = ", ".join(dict.fromkeys(f"{100 * body.force_accuracy:.2g} %" for body in model.bodies if body.surface))
         surface += f", about {force_samples(model)} surface samples for the force, error {off} (rms over foci)"
+    directivity = " and ".join(form_of(group.array).words(group.array) for group in model.arrays.groups)
     rows = [
         Row(
             "sound field",
             f"{len(model.arrays)} transducers, {surface}",
-            f"pressure and gradient on the surface only, no volume; {_directivity(model)}; air absorption; on "
+            f"pressure and gradient on the surface only, no volume; {directivity}; air absorption; on "
             f"{model.spec.device} (palmfield_device)",
         )
     ]
@@ -166,11 +167,6 @@ def _solver(skin: SkinModel, still_m: float) -> Row:
         + ("the run ends" if config.solver == "reduced" else "the full wedge model takes over"),
         name,
     )
-
-
-def _directivity(model: HapticModel) -> str:
-    """Describe the directivity of the transducers, in words."""
-    return " and ".join(form_of(group.array).words(group.array) for group in model.arrays.groups)
 
 
 def _ring_up(stimulus: StimulusModel) -> list[Row]:

@@ -30,25 +30,16 @@ def other_effects(model: HapticModel) -> list[Row]:
     """Return rows of further ignored effects, without a figure for the displacement of a skin."""
     rows = []
     for skin in model.skins:
+        name = skin.spec.name
         if skin.spec.moves or skin.carrier.hand is not None:
-            rows.append(
-                Row(
-                    "acceleration of the body",
-                    _inertia(skin),
-                    "not modelled: displacements are relative to the moving frame, and the inertial load changes "
-                    "as slowly as the motion",
-                    skin.spec.name,
-                )
+            why = (
+                "not modelled: displacements are relative to the moving frame, and the inertial load changes as slowly "
+                "as the motion"
             )
+            rows.append(Row("acceleration of the body", _inertia(skin), why, name))
         if skin.carrier.hand is not None:
-            rows.append(
-                Row(
-                    "bending of the skin at joints",
-                    "not estimated",
-                    "the layer keeps its shape at rest, but the sound meets the bent surface",
-                    skin.spec.name,
-                )
-            )
+            why = "the layer keeps its shape at rest, but the sound meets the bent surface"
+            rows.append(Row("bending of the skin at joints", "not estimated", why, name))
     rows += [_common_flight(model, part) for part in model.stimuli]
     for skin in model.skins:
         rows += _cutoff_row(skin)

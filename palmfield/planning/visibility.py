@@ -11,10 +11,11 @@ import warp as wp
 
 from palmfield.acoustics.shadow import shadow_mesh, visibility
 from palmfield.hand.triangles import vertex_normals
+from palmfield.planning.facts import turn_times
 from palmfield.session.preview import Preview
 from palmfield.simulation.model import HapticModel, StimulusModel
 from palmfield.simulation.posed_scene import PosedScene
-from palmfield.stimulus.schedule import frames_at, turn_rate_Hz
+from palmfield.stimulus.schedule import frames_at
 from palmfield.types import Float, Surface
 
 MOMENTS, COURSE = 32, 16
@@ -100,7 +101,7 @@ def _sights(view: Preview) -> list[list[list[Sight]]]:
         for number, stimulus in enumerate(model.stimuli):
             if stimulus.silent:
                 continue
-            times = _sounding(stimulus, now_s) if len(moments) > 1 else _course(stimulus)
+            times = _sounding(stimulus, now_s) if len(moments) > 1 else turn_times(stimulus, COURSE)
             places = posed.focal_points(stimulus, number)
             for time_s, focus in zip(times, frames_at(stimulus.config, times)[0], strict=True):
                 foci = np.atleast_2d(places.at(focus))
@@ -114,13 +115,6 @@ def _sounding(stimulus: StimulusModel, time_s: float) -> Float:
     config = stimulus.config
     on = config.start_s <= time_s < (math.inf if config.stop_s is None else config.stop_s)
     return np.full(int(on), time_s)
-
-
-def _course(stimulus: StimulusModel) -> Float:
-    """Times of one turn of the path of a stimulus [s], shape (k,)."""
-    rate = turn_rate_Hz(stimulus.config)
-    count = COURSE if rate else 1
-    return np.asarray(stimulus.config.start_s + np.arange(count) / (count * (rate or 1.0)))
 
 
 def _everything(posed: PosedScene) -> Surface:

@@ -27,8 +27,11 @@ def in_words(message: str, scene: str, text: SceneText | None, plugins: Sequence
         where = f"{scene}, line {line}"
     for pattern, words in FAULTS:
         found = re.search(pattern, said)
-        if found:
+        if found and not isinstance(words, str):
             return f"{where}: {tag}{words(found, element, text, plugins)}"
+        if found and isinstance(words, str):
+            value = _value(found[1], element) if "{value}" in words else ""
+            return f"{where}: {tag}{found.expand(words).replace('{value}', value)}"
     return f"{where}: {tag}cannot be compiled by MuJoCo: {said}"
 
 
@@ -83,9 +86,15 @@ def _unknown_attribute(found: re.Match[str], element: Element | None, text: obje
     return f"has no attribute '{found[1]}'{near}" + (f"; allowed: {', '.join(known)}" if known else "; drop it")
 
 
-def _value(found: re.Match[str], element: Element | None) -> str:
-    value = None if element is None else element.attributes.get(found[1])
-    return f"attribute '{found[1]}'" + ("" if value is None else f" has value '{value}',")
+def _value(attribute: str, element: Element | None) -> str:
+    value = None if element is None else element.attributes.get(attribute)
+    return f"attribute '{attribute}'" + ("" if value is None else f" has value '{value}',")
+
+
+def _unknown_word(found: re.Match[str], element: Element | None, text: object, plugins: object) -> str:
+    names = [] if element is None else [key for key, own in element.attributes.items() if own == found[1]]
+    attribute = f"attribute '{names[0]}'" if names else "an attribute"
+    return f"{attribute} has value '{found[1]}'; give one of the words that the MuJoCo XML reference lists for it"
 
 
 def _unknown_plugin(found: re.Match[str], element: object, text: object, plugins: Sequence[str]) -> str:
@@ -112,73 +121,36 @@ def _unknown_name(found: re.Match[str], element: Element | None, text: SceneText
     return f"attribute '{attribute}': the scene has no {kind} '{name}'{did_you_mean(name, names)}{has}"
 
 
-FAULTS: tuple[tuple[str, Words], ...] = (
+FAULTS: tuple[tuple[str, str | Words], ...] = (
     (r"Schema violation: unrecognized element", _unknown_element),
     (r"Schema violation: unrecognized attribute: '([^']*)'", _unknown_attribute),
-    (
-        r"Schema violation: unique element '?(\w*)",
-        lambda found, element, text, plugins: "occurs here a second time; allowed: once; merge both into one",
-    ),
+    (r"Schema violation: unique element", "occurs here a second time; allowed: once; merge both into one"),
     (
         r"(?:bad format in|problem reading) attribute '([^']*)'",
-        lambda found, element, text, plugins: (
-            f"{_value(found, element)} not all of which are numbers; allowed: numbers separated by spaces, "
-            "without units"
-        ),
+        "{value} not all of which are numbers; allowed: numbers separated by spaces, without units",
     ),
-    (
-        r"attribute '([^']*)' has too much data",
-        lambda found, element, text, plugins: f"{_value(found, element)} more numbers than it takes; give fewer",
-    ),
-    (
-        r"attribute '([^']*)' does not have enough data",
-        lambda found, element, text, plugins: f"{_value(found, element)} fewer numbers than it takes; give more",
-    ),
-    (
-        r"invalid keyword: '([^']*)'",
-        lambda found, element, text, plugins: (
-            f"{_attribute_with(found[1], element)} has value '{found[1]}'; give one of the words that the MuJoCo "
-            "XML reference lists for it"
-        ),
-    ),
-    (
-        r"required attribute missing: '([^']*)'",
-        lambda found, element, text, plugins: f"lacks the attribute '{found[1]}'; add {found[1]}=\"...\"",
-    ),
-    (
-        r"repeated name '([^']*)' in (\w+)",
-        lambda found, element, text, plugins: f"name '{found[1]}' is given twice ({found[2]}); give each its own",
-    ),
+    (r"attribute '([^']*)' has too much data", "{value} more numbers than it takes; give fewer"),
+    (r"attribute '([^']*)' does not have enough data", "{value} fewer numbers than it takes; give more"),
+    (r"invalid keyword: '([^']*)'", _unknown_word),
+    (r"required attribute missing: '([^']*)'", "lacks the attribute '\\1'; add \\1=\"...\""),
+    (r"repeated name '([^']*)' in (\w+)", r"name '\1' is given twice (\2); give each its own"),
     (
         r"Error opening file '([^']*)'",
-        lambda found, element, text, plugins: (
-            f"file '{found[1]}' does not exist or cannot be read; give a path relative to the folder of the scene"
-        ),
+        r"file '\1' does not exist or cannot be read; give a path relative to the folder of the scene",
     ),
-    (
-        r"duplicate config key: (\S+)",
-        lambda found, element, text, plugins: f"gives key '{found[1]}' twice; allowed: each key once in an instance",
-    ),
+    (r"duplicate config key: (\S+)", r"gives key '\1' twice; allowed: each key once in an instance"),
     (r"plugin '?([\w.]+?)'? not found", _unknown_plugin),
     (r"unrecognized name '([^']*)' (?:of|for) ([\w ]+)", _unknown_name),
-    (r"neither 'plugin' nor 'instance' is specified", lambda *_: "has no plugin; add plugin=... and instance=..."),
-    (
-        r"File '([^']*)' already included",
-        lambda found, element, text, plugins: f"file '{found[1]}' is included twice; include it once",
-    ),
-    (r"World body cannot have joints", lambda *_: "is in the world body, which does not move; put it into a <body>"),
-    (r"axis too small in joint", lambda *_: "has an axis of length 0; give attribute 'axis' a direction"),
+    (r"neither 'plugin' nor 'instance' is specified", "has no plugin; add plugin=... and instance=..."),
+    (r"File '([^']*)' already included", r"file '\1' is included twice; include it once"),
+    (r"World body cannot have joints", "is in the world body, which does not move; put it into a <body>"),
+    (r"axis too small in joint", "has an axis of length 0; give attribute 'axis' a direction"),
     (
         r"mass and inertia of moving bodies must be larger than mjMINVAL",
-        lambda *_: "moves and has no mass; give the body a geom, an <inertial>, or no joint",
+        "moves and has no mass; give the body a geom, an <inertial>, or no joint",
     ),
 )
-"""MuJoCo's messages, and their translation with allowed values."""
-
-
-def _attribute_with(value: str, element: Element | None) -> str:
-    names = [] if element is None else [key for key, own in element.attributes.items() if own == value]
-    return f"attribute '{names[0]}'" if names else "an attribute"
+"""MuJoCo's messages, and their translation with allowed values: \\1 is a group, {value} the attribute of group 1."""
 
 
 @cache

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias, TypedDict, Unpack
 
 import mujoco
 import numpy as np
@@ -34,28 +34,38 @@ SKIN = "palmfield.skin"
 Source: TypeAlias = str | Path | mujoco.MjSpec | mujoco.MjModel
 
 
-def compiled(
-    source: Source,
-    *,
-    device: str | None = None,
-    accuracy: float | None = None,
-    board: str | None = None,
-    keys: Mapping[str, object] | None = None,
-) -> tuple[str, mujoco.MjModel, mujoco.MjData]:
-    """Return a scene's name, MuJoCo's model, and data at time 0 with hands placed by their motions.
+class Options(TypedDict, total=False):
+    """What a scene is opened with instead of its own values; None for those.
 
-    source: MJCF file, MjSpec (not changed), or a compiled model, whose keys are fixed
     device: where fields are computed (auto, cpu, cuda:N); accuracy: target relative error of the skin displacement, of
         all skins; board: that plays the drive, with its layout and rate (`palmfield.session.other_board`)
     keys: other values for keys by INSTANCE.key, or PLUGIN.key for all instances of a plugin, such as
         {"stimulus.focus_m": (0, 0, 0.19)}: numbers, text, sequences and arrays; None, "" or () removes a key
-        Raises SceneError (or DeviceError) with a one-line message that names element, key, value and allowed values.
     """
+
+    device: str | None
+    accuracy: float | None
+    board: str | None
+    keys: Mapping[str, object] | None
+
+
+def changes_any(options: Options) -> bool:
+    """Whether any value of a scene would be another one."""
+    return any(value is not None and value != {} for value in options.values())
+
+
+def compiled(source: Source, **options: Unpack[Options]) -> tuple[str, mujoco.MjModel, mujoco.MjData]:
+    """Return a scene's name, MuJoCo's model, and data at time 0 with hands placed by their motions.
+
+    source: MJCF file, MjSpec (not changed), or a compiled model, whose keys are fixed; options: see `Options`
+    Raises SceneError (or DeviceError) with a one-line message that names element, key, value and allowed values.
+    """
+    device = options.get("device")
     if device is not None and not re.fullmatch(r"auto|cpu|cuda:\d+", device):
         raise SceneError(f"device '{device}' is unknown; allowed: auto, cpu or cuda:N")
     take_compile_error()
     if isinstance(source, mujoco.MjModel):
-        if keys or any(value is not None for value in (device, accuracy, board)):
+        if changes_any(options):
             raise SceneError(
                 "the scene is compiled (MjModel), so its keys cannot be changed: give its file or its MjSpec with "
                 "the keys, or the model without keys"
@@ -66,30 +76,25 @@ def compiled(
     started = time.perf_counter()
     scene = opened(source)
     with _kept(scene.spec):
-        model = _compiled_with(scene, device=device, accuracy=accuracy, board=board, keys=keys or {})
+        model = _compiled_with(scene, options)
     data = fresh_data(model, scene.name, scene.text)
     _check_sensor_places(data, scene.name, scene.text)
     LOG.debug("opened %s in %.2f s", scene.name, time.perf_counter() - started)
     return scene.name, model, data
 
 
-def _compiled_with(
-    scene: "Opened",
-    *,
-    device: str | None,
-    accuracy: float | None,
-    board: str | None,
-    keys: Mapping[str, object],
-) -> mujoco.MjModel:
+def _compiled_with(scene: "Opened", options: Options) -> mujoco.MjModel:
     """Return the model of a scene; its spec keeps these keys; see `compiled`."""
     name, spec, folder, text = scene
+    device, accuracy, board = options.get("device"), options.get("accuracy"), options.get("board")
     _check_plugins(spec, name)
     _check_sensors(spec, name)
     if text is not None:
         _check_names(text)
     if device is not None:
-        _set_text(spec, DEVICE, device)
-    changes = _changes(spec, keys)
+        said = next((text for text in spec.texts if text.name == DEVICE), None) or spec.add_text(name=DEVICE)
+        said.data = device
+    changes = _changes(spec, options.get("keys") or {})
     plugins = [Instance(plugin.name, plugin.plugin_name, dict(plugin.config)) for plugin in spec.plugins]
     for _, plugin_name, config in plugins:
         if plugin_name == SKIN and accuracy is not None:
@@ -301,14 +306,6 @@ def _check_keys(plugin: mujoco.MjsPlugin, config: Mapping[str, str], scene: Open
 def configs() -> dict[str, type[Config]]:
     """The keys' models by plugin name."""
     return {module.name: module.config for module in MODULES}
-
-
-def _set_text(spec: mujoco.MjSpec, name: str, value: str) -> None:
-    for text in spec.texts:
-        if text.name == name:
-            text.data = value
-            return
-    spec.add_text(name=name, data=value)
 
 
 def fresh_data(model: mujoco.MjModel, name: str, text: SceneText | None = None) -> mujoco.MjData:

@@ -1,8 +1,9 @@
 """A scene for inspection only: its model and poses, without the matrices of its skins."""
 
 import copy
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from typing import Unpack
 
 import mujoco
 
@@ -11,7 +12,7 @@ from palmfield.engine.host import raise_errors, world_of
 from palmfield.engine.motion_plugin import place
 from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.errors import SceneError
-from palmfield.session.open_scene import Source, compiled
+from palmfield.session.open_scene import Options, Source, changes_any, compiled
 from palmfield.session.simulation import Simulation
 from palmfield.simulation.posed_scene import PosedScene
 
@@ -77,23 +78,16 @@ class Preview:
         return model.nv > 0 or model.nmocap > 0 or any(skin.moves for skin in spec.skins)
 
 
-def preview(
-    scene: Source | Simulation,
-    *,
-    device: str | None = None,
-    accuracy: float | None = None,
-    board: str | None = None,
-    keys: Mapping[str, object] | None = None,
-) -> Preview:
+def preview(scene: Source | Simulation, **options: Unpack[Options]) -> Preview:
     """Open a scene, or use a simulation in its present state.
 
     Arguments and errors as `palmfield.session.open_scene.compiled`; keys of a simulation are fixed (SceneError).
     """
     if isinstance(scene, Simulation):
-        if keys or any(value is not None for value in (device, accuracy, board)):
+        if changes_any(options):
             raise SceneError("the keys of a simulation cannot be changed: give them to Simulation(...)")
         return Preview(scene.name, scene.duration_s, scene.runtime, scene.data)
-    name, _, data = compiled(scene, device=device, accuracy=accuracy, board=board, keys=keys)
+    name, _, data = compiled(scene, **options)
     world = world_of(data)
     if world is None or world.scene is None:
         raise SceneError(f"{name} has no plugin 'palmfield.skin', so it is a plain MuJoCo model; add the plugin")

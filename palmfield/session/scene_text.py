@@ -13,7 +13,7 @@ from typing import NamedTuple
 from xml.parsers import expat
 
 from palmfield.errors import SceneError, did_you_mean
-from palmfield.given_files import read_bytes, regular
+from palmfield.given_files import read_bytes, reading, regular
 
 ROOTS = ("mujoco", "mujocoinclude", "robot")
 """Tags that MuJoCo accepts as outermost element: of a scene, of an included file, and of a URDF file."""
@@ -267,10 +267,8 @@ def _read(
 
 def elements_of(path: Path) -> list[Element]:
     """Return the elements of one file in the order of their beginnings. Raises SceneError for invalid XML."""
-    try:
+    with reading(path, SceneError, "a file that can be"):
         data = read_bytes(path)
-    except OSError as error:
-        raise SceneError(f"{path} cannot be read: {error.strerror or error}; give a readable file") from None
     parser = expat.ParserCreate()
     elements: list[Element] = []
     open_elements: list[Element] = []

@@ -13,7 +13,7 @@ from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.errors import SceneError
 from palmfield.interrupts import interrupts_held
 from palmfield.session.duration import check_duration, check_steps, check_time, step_count
-from palmfield.session.open_scene import Source, compiled
+from palmfield.session.open_scene import Options, Source, compiled
 from palmfield.session.skin import Skin, chosen_name
 from palmfield.simulation.step import Steps
 from palmfield.types import Complex, Float
@@ -53,14 +53,14 @@ class Simulation:
         worlds: int | None = None,
         poses: Mapping[str, ArrayLike] | None = None,
     ):
-        """See `palmfield.session.open_scene.compiled` for the arguments and errors.
+        """See `palmfield.session.open_scene.Options` for the first arguments, and `compiled` there for the errors.
 
         worlds: number of worlds, which are stepped together; a key of a stimulus may then have one axis more than its
             own, of that length, with a value for each
         poses: by name of a mocap body, its position [m] and quaternion (w, x, y, z) in each MuJoCo step, shape (worlds,
             steps, 7); after the last step it is constant
         """
-        given: dict[str, Any] = {"device": device, "accuracy": accuracy, "board": board, "keys": keys}
+        given: Options = {"device": device, "accuracy": accuracy, "board": board, "keys": keys}
         if worlds is not None:
             from palmfield.session.worlds import open_worlds
 
@@ -224,7 +224,7 @@ class Simulation:
     @property
     def emitted(self) -> Complex:
         """Present emission of the transducers, after their ring-up, shape (N,)."""
-        return self._of([_emitted(runtime) for runtime in self.runtimes])
+        return self._of([rows(runtime.now()[1])[0] for runtime in self.runtimes])
 
     @property
     def forces(self) -> Float:
@@ -245,11 +245,6 @@ class Simulation:
         if name not in names:
             raise SceneError(f"the scene has no sensor '{name}'; it has: {', '.join(names)}")
         return self._of([one.sensor(name).data for one in self._scenes.data])
-
-
-def _emitted(runtime: SceneRuntime) -> Complex:
-    _, course = runtime.now()
-    return rows(course)[0]
 
 
 def load(

@@ -14,15 +14,8 @@ from palmfield.simulation.model import StimulusModel
 from palmfield.stimulus.autd3_stm import stm_of_table, write_foci_stm
 from palmfield.stimulus.duty_law import duty_cycle
 from palmfield.stimulus.focal_points import FocalPoints
-from palmfield.stimulus.focus_table import (
-    FULL_DUTY,
-    MOST_ROWS,
-    FocusTable,
-    Quantity,
-    TableFrame,
-    focus_table,
-    write_focus_table,
-)
+from palmfield.stimulus.focus_table import FULL_DUTY, FocusTable, Quantity, TableFrame
+from palmfield.stimulus.focus_table_file import MOST_ROWS, focus_table, write_focus_table
 from palmfield.stimulus.schedule import frame_rates, frames_at, main_frequencies, silent_after_s, table_of
 from palmfield.transforms import IDENTITY
 from palmfield.types import Float
@@ -76,7 +69,8 @@ def exported(
     warnings = _warnings(part, names)
     if own is not None and rate_Hz is None and _plays_as_it_is(part, own, frame, quantity, duration_s):
         return Exported(own, part.spec.name, warnings)
-    rate = _rate(part, own) if rate_Hz is None else rate_Hz
+    usual = own.rate_Hz if own is not None else max(frame_rates(part.config), default=USUAL_RATE_HZ)
+    rate = usual if rate_Hz is None else rate_Hz
     lasts = view.duration_s if duration_s is None else duration_s
     end = silent_after_s(part.config)
     count = math.ceil(min(lasts, math.inf if end is None else end) * rate - 1e-6)
@@ -125,10 +119,6 @@ def _plays_as_it_is(
     plain = config.modulation == config.burst_window == "none" and not config.control_rate_Hz
     plain = plain and config.start_s == config.ramp_s == 0.0 and config.stop_s is None
     return plain and own.frame == frame and quantity in (None, own.quantity) and duration_s is None
-
-
-def _rate(part: StimulusModel, own: FocusTable | None) -> float:
-    return own.rate_Hz if own is not None else max(frame_rates(part.config), default=USUAL_RATE_HZ)
 
 
 def _warnings(part: StimulusModel, names: list[str]) -> tuple[str, ...]:

@@ -14,9 +14,10 @@ from palmfield.session.open_scene import compiled, instances_of, no_scene, opene
 from palmfield.session.scene_edit import Edit, edited, indent_of, tag_of, without
 from palmfield.session.scene_text import Element, elements_of
 from palmfield.stimulus.autd3_stm import read_foci_stm, table_of_stm
-from palmfield.stimulus.focus_table import FocusTable, focus_table, read_focus_table, write_focus_table
+from palmfield.stimulus.focus_table import FocusTable
+from palmfield.stimulus.focus_table_file import focus_table, read_focus_table, write_focus_table
 from palmfield.transforms import Transform
-from palmfield.whole_files import whole
+from palmfield.whole_files import whole, writing
 
 ARRAY, STIMULUS, SKIN = "palmfield.array", "palmfield.stimulus", "palmfield.skin"
 REPLACED = (
@@ -105,11 +106,8 @@ def import_stimulus(
         changes |= {f"{name}.{key}": value for key, value in keys.items()} | {f"{name}.path_file": str(trial)}
         compiled(scene, keys=changes)
     write_focus_table(beside, table)
-    try:
-        with whole(target) as part:
-            part.write_bytes(data)
-    except OSError as error:
-        raise OutputError(f"{target}: cannot be written: {error}; give a writable path") from None
+    with writing(target), whole(target) as part:
+        part.write_bytes(data)
     return Imported(target, beside, name, keys, dropped, table.foci, len(table.samples), table.length_s)
 
 

@@ -1,6 +1,7 @@
 """Several worlds of one scene, with different stimuli and hand positions, stepped together."""
 
 from collections.abc import Callable, Mapping
+from typing import Any, Unpack
 
 import mujoco
 import numpy as np
@@ -12,7 +13,7 @@ from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.engine.worlds import SceneWorlds, plain_model
 from palmfield.errors import SceneError
 from palmfield.interrupts import interrupts_held
-from palmfield.session.open_scene import Source, compiled, fresh_data, opened
+from palmfield.session.open_scene import Options, Source, compiled, fresh_data, opened
 from palmfield.session.skin import Skin
 from palmfield.session.world_keys import split_keys, world_specs
 from palmfield.simulation.build_worlds import Shared, build_worlds
@@ -23,17 +24,14 @@ def open_worlds(
     scene: Source,
     worlds: int,
     *,
-    device: str | None = None,
-    accuracy: float | None = None,
-    board: str | None = None,
-    keys: Mapping[str, object] | None = None,
     poses: Mapping[str, ArrayLike] | None = None,
     base: Mapping[str, object] | None = None,
     shared: Shared | None = None,
+    **options: Unpack[Options],
 ) -> tuple[str, SceneWorlds]:
     """Return the name of a scene for messages, and its worlds, ready to step.
 
-    scene, device, accuracy, board, keys, worlds, poses: as of `palmfield.Simulation`
+    scene, worlds, poses, options: as of `palmfield.Simulation`
     base: keys of MuJoCo's model, in place of the first world's; then all of `keys` differ
     shared: layers and solvers that these worlds share with others that are stepped separately. Errors are those of
     `palmfield.session.open_scene.compiled`. SceneError too for another number of worlds, keys or poses of another shape
@@ -41,9 +39,9 @@ def open_worlds(
     """
     check_count(worlds)
     plugins = _plugins(scene)
-    split = split_keys(keys or {}, worlds, plugins)
-    common = split.common if base is None else base
-    name, model, first = compiled(scene, device=device, accuracy=accuracy, board=board, keys=common)
+    split = split_keys(options.get("keys") or {}, worlds, plugins)
+    options["keys"] = split.common if base is None else base
+    name, model, first = compiled(scene, **options)
     world = world_of(first)
     if world is None or world.scene is None:
         raise SceneError(f"{name} has no plugin 'palmfield.skin', so it is a plain MuJoCo model; add the plugin")
@@ -63,11 +61,17 @@ def open_worlds(
     return name, scenes
 
 
-class WorldsSkin:
-    """One skin in all worlds at their present time. Each array is computed on access.
+def _in_each(name: str, about: str) -> Any:
+    return property(lambda self: np.array([getattr(skin, name) for skin in self._skins]), doc=about)
 
-    The skin at rest is the same in all worlds: `rest_position`, `rest_normal` and `faces` are as `Skin` has them.
-    """
+
+def _shared(known: Any) -> Any:
+    """What `Skin` has, and is the same in all worlds."""
+    return property(lambda self: known.fget(self._skins[0]), doc=known.__doc__)
+
+
+class WorldsSkin:
+    """One skin in all worlds at their present time. Each array is computed on access."""
 
     def __init__(self, skins: list[Skin], settle: Callable[[], None]):
         """settle: brings the state up to date"""
@@ -79,54 +83,30 @@ class WorldsSkin:
         return self._all
 
     @property
-    def name(self) -> str:
-        """Name of its plugin instance."""
-        return self._skins[0].name
-
-    @property
     def solver(self) -> tuple[str, ...]:
         """Its present or future stepper in each world."""
         return tuple(skin.solver for skin in self._skins)
 
-    @property
-    def rest_position(self) -> Float:
-        """Surface nodes at rest, body frame [m], shape (S, 3)."""
-        return self._skins[0].rest_position
-
-    @property
-    def rest_normal(self) -> Float:
-        """Their unit outward normals at rest, shape (S, 3)."""
-        return self._skins[0].rest_normal
-
-    @property
-    def faces(self) -> Int:
-        """Triangles over the surface nodes, shape (f, 3)."""
-        return self._skins[0].faces
-
-    @property
-    def position(self) -> Float:
-        """Positions of the surface nodes moved with body and bones, world [m], (worlds, S, 3); without displacement."""
-        return np.array([skin.position for skin in self._skins])
-
-    @property
-    def displacement(self) -> Float:
-        """Displacement of the surface nodes, in the resting body's axes [m], shape (worlds, S, 3)."""
-        return np.array([skin.displacement for skin in self._skins])
-
-    @property
-    def velocity(self) -> Float:
-        """Velocity of the surface nodes, in the resting body's axes [m/s], shape (worlds, S, 3)."""
-        return np.array([skin.velocity for skin in self._skins])
-
-    @property
-    def normal_displacement(self) -> Float:
-        """Along the outward normal [m], shape (worlds, S): a push is negative."""
-        return np.array([skin.normal_displacement for skin in self._skins])
-
-    @property
-    def arp(self) -> Float32:
-        """Acoustic radiation pressure at the surface nodes [Pa], positive inwards, shape (worlds, S)."""
-        return np.array([skin.arp for skin in self._skins])
+    name: str = _shared(Skin.name)
+    rest_position: Float = _shared(Skin.rest_position)
+    rest_normal: Float = _shared(Skin.rest_normal)
+    faces: Int = _shared(Skin.faces)
+    position: Float = _in_each(
+        "position",
+        "Positions of the surface nodes moved with body and bones, world [m], (worlds, S, 3); without displacement.",
+    )
+    displacement: Float = _in_each(
+        "displacement", "Displacement of the surface nodes, in the resting body's axes [m], shape (worlds, S, 3)."
+    )
+    velocity: Float = _in_each(
+        "velocity", "Velocity of the surface nodes, in the resting body's axes [m/s], shape (worlds, S, 3)."
+    )
+    normal_displacement: Float = _in_each(
+        "normal_displacement", "Along the outward normal [m], shape (worlds, S): a push is negative."
+    )
+    arp: Float32 = _in_each(
+        "arp", "Acoustic radiation pressure at the surface nodes [Pa], positive inwards, shape (worlds, S)."
+    )
 
 
 def stimulus_texts(runtime: SceneRuntime) -> dict[str, dict[str, str]]:

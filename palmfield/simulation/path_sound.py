@@ -1,11 +1,15 @@
 """ARP along a predicted path, on bodies at rest: computed from a few fields that are made once."""
 
-from palmfield.acoustics.spanned_arp import SpannedArp, SpannedFields, drives_span, spanned_fields
+from typing import TYPE_CHECKING
+
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.radiation import Radiation, Role
 from palmfield.simulation.small_models.known_load import one_shape, path_drives
 from palmfield.types import Complex, Float32
+
+if TYPE_CHECKING:
+    from palmfield.acoustics.spanned_arp import SpannedArp, SpannedFields
 
 
 class PathSound:
@@ -56,10 +60,14 @@ class PathSound:
         if fields is None:
             return None
         if key not in self._arp:
+            from palmfield.acoustics.spanned_arp import SpannedArp
+
             self._arp[key] = SpannedArp(fields)
         return self._arp[key].evaluate(drives)
 
-    def _make(self, posed: PosedScene, skin: int, role: Role) -> SpannedFields | None:
+    def _make(self, posed: PosedScene, skin: int, role: Role) -> "SpannedFields | None":
+        from palmfield.acoustics.spanned_arp import drives_span, spanned_fields  # few scenes have such a path
+
         model = self.model
         if not self._span:
             self._span.append(drives_span(path_drives(model, model.sounding, self.reference)))

@@ -37,7 +37,7 @@ from palmfield.simulation.array_face import refused
 from palmfield.simulation.spec import ArraySpec, ObstacleSpec, SceneSpec, SkinSpec, StimulusSpec, Triple
 from palmfield.skin.materials.catalogue import preset
 from palmfield.stimulus.am_file import AmTable, read_am_table
-from palmfield.stimulus.focus_table import FocusTable, read_focus_table
+from palmfield.stimulus.focus_table import FocusTable
 from palmfield.transforms import IDENTITY, Placement, Transform, relative
 
 DURATION = "palmfield_duration_s"
@@ -373,10 +373,14 @@ def am_table_of(config: StimulusConfig, element: str) -> AmTable | None:
 def focus_table_of(config: StimulusConfig, element: str) -> FocusTable | None:
     """The foci in the file of key path_file, None without.
 
-    Raises SceneError, with element and key, as `palmfield.stimulus.focus_table.read_focus_table`, and for a table in
-    another frame than key `frame` gives it.
+    Raises SceneError, with element and key, as `palmfield.stimulus.focus_table_file.read_focus_table`, and for a table
+    in another frame than key `frame` gives it.
     """
-    table = read_file(read_focus_table, config, "path_file", element) if config.path == "file" else None
+    if config.path != "file":
+        return None
+    from palmfield.stimulus.focus_table_file import read_focus_table
+
+    table = read_file(read_focus_table, config, "path_file", element)
     if table is None or (table.frame != "world" and (table.frame == "array") == (config.frame == "array")):
         return table
     mend = {

@@ -22,9 +22,10 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from palmfield.acoustics.arrays import layout
 from palmfield.errors import OutputError, SceneError
 from palmfield.given_files import read_json
-from palmfield.stimulus.focus_table import FocusTable, focus_table
+from palmfield.stimulus.focus_table import FocusTable
+from palmfield.stimulus.focus_table_file import focus_table
 from palmfield.types import Float
-from palmfield.whole_files import whole
+from palmfield.whole_files import write_text
 
 CARRIER_HZ = 40e3
 LEVELS = 255
@@ -193,11 +194,7 @@ def write_foci_stm(path: Path, stm: FociStm) -> None:
     content = stm.model_dump(mode="json")
     entries = ",\n  ".join(json.dumps(entry) for entry in content.pop("points"))
     head = json.dumps(content)[:-1]
-    try:
-        with whole(path) as part:
-            part.write_text(f'{head}, "points": [\n  {entries}\n]}}\n', encoding="utf-8")
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written: {error}; give a writable path") from None
+    write_text(path, f'{head}, "points": [\n  {entries}\n]}}\n')
 
 
 def autd3_command(stm: FociStm, sound_speed_m_s: float) -> Any:

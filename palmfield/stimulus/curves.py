@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from palmfield.errors import SceneError
-from palmfield.stimulus.letters import strokes
 from palmfield.types import Float
 
 MOST_TURNS = 1000
@@ -184,6 +183,8 @@ def letters(text: str, height_m: float) -> PlanePath:
     Between strokes the pen is lifted and moves straight: see `pen_down`.
     Raises SceneError for a bad height and for characters other than A-Z (lower case too), 0-9 and the blank.
     """
+    from palmfield.stimulus.letters import strokes
+
     (height,) = _size("letters", height_m=height_m)
     points: list[Float] = []
     lifted: list[bool] = []

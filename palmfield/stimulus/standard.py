@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from palmfield.config import StimulusConfig
 from palmfield.config.base import Positive
 from palmfield.data import folder
-from palmfield.errors import SceneError, did_you_mean
+from palmfield.errors import SceneError, refuse_unknown
 from palmfield.given_files import read_toml
 
 
@@ -65,9 +65,7 @@ def names() -> tuple[str, ...]:
 
 def standard(name: str) -> StandardStimulus:
     """Return the stimulus of a name. Raises SceneError for another one."""
-    if name not in names():
-        known = ", ".join(names())
-        raise SceneError(f"stimulus '{name}'{did_you_mean(name, names())} is unknown; allowed: {known}")
+    refuse_unknown(SceneError, "stimulus {} is unknown", name, names())
     return read_stimulus(folder("mjcf") / "stimuli" / f"{name}.toml")
 
 

@@ -120,7 +120,7 @@ def test_a_file_that_is_not_there_that_is_no_json_and_one_that_cannot_be_written
     (tmp_path / "old.toml").write_text("[p0]")
     with pytest.raises(SceneError, match="JSON file"):
         read_calibration(tmp_path / "old.toml")
-    with pytest.raises(OutputError, match="cannot be written"):
+    with pytest.raises(OutputError, match="cannot write"):
         write_calibration(tmp_path / "no" / "array.json", Calibration(layout="uhev1", p0=LEVEL))
 
 

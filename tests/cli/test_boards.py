@@ -119,7 +119,7 @@ CIRCLE = Path(__file__).parents[2] / "mjcf" / "scenes" / "palm_circle_sonicsurfa
     ("arguments", "words"),
     [
         (("board", "ideal", "--virtual"), "board 'ideal' is unknown"),
-        (("board", "sonicsurface", "--virtual", "--by", "smoke"), "--by has value 'smoke'; allowed: pty or tcp"),
+        (("board", "sonicsurface", "--virtual", "--by", "smoke"), "--by has value 'smoke'; allowed: pty, tcp"),
         (("decode", "none.bin", "--board", "sonicsurface"), "cannot be read"),
         (("drive", "--focus", 0, 0, 0.2, "--record", "x", "--level", 2), "--level has value 2; allowed"),
         (("drive", "--focus", 0, 0, 0.2, "--record", "x", "--layout", "uhev1"), "cannot drive layout 'uhev1'; allowed"),

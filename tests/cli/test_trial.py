@@ -33,7 +33,7 @@ def test_the_kind_of_a_recorded_motion_is_told_by_its_columns(tmp_path):
     assert motion_keys(poses)["motion.trajectory"] == str(poses)
     assert motion_keys(joints)["motion.tracking"] == str(joints)
     assert motion_keys(joints)["motion.trajectory"] is None
-    with pytest.raises(SceneError, match=r"--motion .*c\.csv cannot be read"):
+    with pytest.raises(SceneError, match=r"--motion .*c\.csv: cannot be read"):
         motion_keys(tmp_path / "c.csv")
 
 

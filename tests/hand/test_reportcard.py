@@ -309,5 +309,5 @@ def test_what_cannot_be_examined_gets_a_card_with_the_refusal(tmp_path, kind):
 
 
 def test_a_card_that_cannot_be_written_is_said(tmp_path):
-    with pytest.raises(OutputError, match="cannot be written"):
+    with pytest.raises(OutputError, match="cannot write"):
         write_card(tmp_path / "no" / "card.json", {})

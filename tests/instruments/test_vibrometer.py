@@ -220,7 +220,8 @@ def test_settings_are_read_from_a_file_and_wrong_ones_are_named(tmp_path):
         ("[vibrometer]\nphase = 'causel'\n", r"key 'phase' has value 'causel' \(did you mean 'causal'\?\); allowed"),
         ("[vibrometer]\naim_m = [0, 0]\n", r"key 'aim_m' has value \[0, 0\]; allowed: three finite numbers"),
         ("[vibrometer]\nas_normal = 'x'\n", r"allowed: true \| false"),
-        ("[vibrometer\n", "is not TOML"), ("[vibro]\n", r"has \[vibro\]"), ("", r"has no table \[vibrometer\]"),
+        ("[vibrometer\n", "cannot be read.*a TOML file"),
+        ("[vibro]\n", r"has \[vibro\]"), ("", r"has no table \[vibrometer\]"),
     ):  # fmt: skip
         file.write_text(text)
         with pytest.raises(MeasurementError, match=words):

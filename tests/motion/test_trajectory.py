@@ -140,7 +140,7 @@ def test_what_cannot_be_written_is_refused(tmp_path, median, swing):
     poses = [swing(0.0), swing(1.0)]
     with pytest.raises(OutputError, match=r"kind is '\.txt'"):
         write_trajectory(tmp_path / "motion.txt", median, [0.0, 1.0], poses)
-    with pytest.raises(OutputError, match="cannot be written"):
+    with pytest.raises(OutputError, match="cannot write"):
         write_trajectory(tmp_path / "no_folder" / "motion.csv", median, [0.0, 1.0], poses)
     with pytest.raises(SceneError, match="2 poses for 3 times"):
         write_trajectory(tmp_path / "motion.csv", median, [0.0, 1.0, 2.0], poses)

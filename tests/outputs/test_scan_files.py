@@ -78,7 +78,7 @@ def test_files_of_other_kinds_and_places_are_refused(tmp_path):
         read_scan(tmp_path / "none.csv")
     with pytest.raises(OutputError, match=r"kind is '.xlsx'"):
         write_scan(tmp_path / "a.xlsx", scan())
-    with pytest.raises(OutputError, match="cannot be written"):
+    with pytest.raises(OutputError, match="cannot write"):
         write_scan(tmp_path / "no" / "a.csv", scan())
 
 
@@ -170,7 +170,7 @@ def test_uff_that_is_none_is_told(tmp_path):
             read_scan(tmp_path / "b.uff")
     (tmp_path / "b.uff").write_bytes(whole + b"\r\n \n")
     assert read_scan(tmp_path / "b.uff").values.shape == scan().values.shape
-    with pytest.raises(OutputError, match="cannot be written"):
+    with pytest.raises(OutputError, match="cannot write"):
         write_scan(tmp_path / "no" / "a.uff", scan())
 
 

@@ -10,7 +10,7 @@ from scipy.special import j1
 import palmfield
 from palmfield.session.phase_turns import PhaseTurns
 from palmfield.session.stimulus_import import import_stimulus
-from palmfield.stimulus.focus_table import focus_table, write_focus_table
+from palmfield.stimulus.focus_table_file import focus_table, write_focus_table
 
 WAVELENGTH_M = 346.1 / 40e3
 

@@ -14,7 +14,7 @@ from palmfield.planning.scene_plan import plan
 from palmfield.session.stimulus_export import export_stimulus, exported
 from palmfield.session.stimulus_import import import_stimulus
 from palmfield.stimulus.autd3_stm import stm_of_table, write_foci_stm
-from palmfield.stimulus.focus_table import focus_table, read_focus_table, write_focus_table
+from palmfield.stimulus.focus_table_file import focus_table, read_focus_table, write_focus_table
 
 NO_AM = dict.fromkeys(("modulation", "am_quantity", "am_frequency_Hz", "am_depth"))
 
@@ -236,7 +236,7 @@ def test_the_commands_take_a_stimulus_in_and_out(small_scene, tmp_path):
     assert done.exit_code == 0 and "1 x 12 rows at 1000 Hz, 0.012 s, intensities of arp" in done.stdout
     assert read_focus_table(out) == table_of()
     refused = CliRunner().invoke(app, ["stimulus", "export", str(scene), str(out), "--quantity", "force"])
-    assert "--quantity has value 'force'; allowed: duty | amplitude | arp" in str(refused.exception)
+    assert "--quantity has value 'force'; allowed: duty, amplitude, arp" in str(refused.exception)
 
 
 def test_worlds_have_tables_of_their_own(small_scene, tmp_path):

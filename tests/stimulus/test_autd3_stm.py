@@ -18,7 +18,7 @@ from palmfield.stimulus.autd3_stm import (
     table_of_stm,
     write_foci_stm,
 )
-from palmfield.stimulus.focus_table import focus_table
+from palmfield.stimulus.focus_table_file import focus_table
 
 
 def ring(foci=1, rows=20, rate_Hz=1000.0, **more):

@@ -6,7 +6,7 @@ import pytest
 from palmfield.config import StimulusConfig
 from palmfield.errors import SceneError
 from palmfield.stimulus.focal_points import FocalPoints
-from palmfield.stimulus.focus_table import focus_table, focus_table_text, read_focus_table, write_focus_table
+from palmfield.stimulus.focus_table_file import focus_table, focus_table_text, read_focus_table, write_focus_table
 from palmfield.stimulus.resolved import resolved
 from palmfield.stimulus.schedule import frame_rates, frames_at, main_frequencies, path_end_s, substep_moments
 from palmfield.transforms import IDENTITY

@@ -7,7 +7,7 @@ from pkgutil import iter_modules
 import numpy as np
 
 from palmfield.acoustics.directivity import Directivity, Measured
-from palmfield.errors import SceneError, did_you_mean
+from palmfield.errors import SceneError, refuse_unknown
 from palmfield.types import Array, Float
 
 FORMS: dict[str, Directivity] = {
@@ -21,11 +21,7 @@ def form_of(array: Array) -> Directivity:
     """The form of the array: its table, if it has one, else the one that it names. SceneError for an unknown name."""
     if array.directivity_table is not None:
         return _measured(np.asarray(array.directivity_table, float).tobytes())
-    if array.directivity not in FORMS:
-        near = did_you_mean(array.directivity, FORMS)
-        raise SceneError(
-            f"array '{array.name}' has directivity '{array.directivity}'{near}; allowed: {', '.join(FORMS)}"
-        )
+    refuse_unknown(SceneError, f"array '{array.name}' has directivity {{}}", array.directivity, FORMS)
     return FORMS[array.directivity]
 
 

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from palmfield.config import DriverConfig
 from palmfield.drive.board import Board, slow
-from palmfield.errors import DeviceError, did_you_mean
+from palmfield.errors import DeviceError, refuse_unknown
 
 
 class _Boards(Mapping[str, Board]):
@@ -38,18 +38,14 @@ BOARDS = _Boards()
 
 def board_named(name: str) -> Board:
     """Return the board of a name. Raises DeviceError for an unknown one."""
-    if name not in BOARDS:
-        near = did_you_mean(name, BOARDS)
-        raise DeviceError(f"board '{name}' is unknown{near}; allowed: {', '.join(BOARDS)}")
+    refuse_unknown(DeviceError, "board {} is unknown", name, BOARDS)
     return BOARDS[name]
 
 
 def playable_board(name: str) -> Board:
     """Return the board of a name, if it takes bytes. Raises DeviceError for others, naming those that do."""
     takes_bytes = [board.name for board in BOARDS.values() if not board.exact]
-    if name not in takes_bytes:
-        near = did_you_mean(name, takes_bytes)
-        raise DeviceError(f"board '{name}' is unknown{near}; allowed: {', '.join(takes_bytes)}")
+    refuse_unknown(DeviceError, "board {} is unknown", name, takes_bytes)
     return board_named(name)
 
 

@@ -5,12 +5,13 @@ the one-step lag of every eighth address was found by a simulation of that firmw
 """
 
 import re
+from abc import abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from palmfield.drive.board import Board, Emitted, Twin, serial_line, switched
+from palmfield.drive.board import Board, Emitted, Line, Twin, serial_line, switched
 from palmfield.types import Complex, Float
 
 EMITTERS = 256
@@ -45,16 +46,6 @@ def data_bytes(amplitudes: Complex, on: NDArray[np.bool_], lag: Float) -> bytes:
     return np.where(on, step % STEPS, OFF).astype(np.uint8).tobytes()
 
 
-def stored(twin: Twin, back: NDArray[np.uint8], counter: int, piece: bytes) -> int:
-    """Store data in the hidden buffer, shape (256,), from address `counter` on; returns the next address."""
-    room = EMITTERS - counter
-    values = np.frombuffer(piece[:room], dtype=np.uint8)
-    back[counter : counter + len(values)] = np.where(values == OFF, OFF, values % OFF)
-    if len(piece) > room:
-        twin.flag("overrun", f"{len(piece) - room} bytes beyond the {EMITTERS} of a frame: the output is undefined")
-    return counter + len(values)
-
-
 @dataclass(frozen=True)
 class SonicSurface(Board):
     def encode(self, amplitudes: ArrayLike) -> bytes:
@@ -65,25 +56,63 @@ class SonicSurface(Board):
         return SonicSurfaceTwin()
 
 
-class SonicSurfaceTwin(Twin):
-    """One SonicSurface with the behaviour of its firmware: two buffers, a byte counter, and no reply.
+class BufferedTwin(Twin):
+    """A firmware of two buffers and a byte counter, without reply.
 
-    Both buffers hold phase 0 at power-up, so all 256 emitters sound before the first frame. A swap *exchanges* the
-    buffers: after a short frame the missing addresses play their values of two frames before. Data beyond 256 bytes is
-    flagged and dropped, as the reaction of the board is undefined.
+    A swap *exchanges* the buffers: after a short frame the missing addresses play their values of two frames before.
+    Data beyond 256 bytes is flagged and dropped, as the reaction of the board is undefined.
+    """
+
+    def __init__(self, line: Line, pieces: re.Pattern[bytes], first: int) -> None:
+        """pieces: commands, and runs of data between them; first: of all emitters in both buffers at power-up"""
+        super().__init__(EMITTERS, 1.0 / line.bytes_per_s)
+        self._pieces, self._counter = pieces, 0
+        self._front, self._back = (np.full(EMITTERS, first, dtype=np.uint8) for _ in range(2))
+
+    @abstractmethod
+    def obey(self, command: int) -> bool | None:
+        """Obey one that is neither start nor swap: whether the emission changes; None where the byte is data."""
+
+    def take(self, data: bytes) -> list[Emitted]:
+        changes = []
+        for match in self._pieces.finditer(data):
+            piece = match[0]
+            self.time_s += len(piece) * self.byte_s
+            changed = piece[0] == SWAP or self.obey(piece[0])
+            if piece[0] == SWAP:
+                self._front, self._back, self._counter = self._back, self._front, 0
+            elif changed is None and piece[0] == START:
+                self._counter = 0
+            elif changed is None:
+                self._store(piece)
+            if changed:
+                changes.append(Emitted(self.time_s, self.emitted))
+        return changes
+
+    def _store(self, piece: bytes) -> None:
+        """Store data in the hidden buffer from the counter's address on."""
+        room = EMITTERS - self._counter
+        values = np.frombuffer(piece[:room], dtype=np.uint8)
+        self._back[self._counter : self._counter + len(values)] = np.where(values == OFF, OFF, values % OFF)
+        if len(piece) > room:
+            self.flag("overrun", f"{len(piece) - room} bytes beyond the {EMITTERS} of a frame: the output is undefined")
+        self._counter += len(values)
+
+
+class SonicSurfaceTwin(BufferedTwin):
+    """One SonicSurface with the behaviour of its firmware.
+
+    Both buffers hold phase 0 at power-up, so all 256 emitters sound before the first frame.
     secondary: True for the second board of a pair, which takes the data after 193 and lags by 16.5 steps.
     """
 
     def __init__(self, secondary: bool = False) -> None:
-        super().__init__(EMITTERS, 1.0 / LINE.bytes_per_s)
+        super().__init__(LINE, PIECES, 0)
         self.lag = LAG + (SECONDARY_LAG if secondary else 0.0)
         self.pins_high: NDArray[np.bool_] = np.zeros(EMITTERS, dtype=bool)
         self._selected_by = SECONDARY if secondary else PRIMARY
         self._selected = True
         self._clocks = True
-        self._counter = 0
-        self._front = np.zeros(EMITTERS, dtype=np.uint8)
-        self._back = np.zeros(EMITTERS, dtype=np.uint8)
 
     @property
     def emitted(self) -> Complex:
@@ -93,25 +122,14 @@ class SonicSurfaceTwin(Twin):
         wave = np.exp(2j * np.pi * (self._front + self.lag) / STEPS)
         return np.where(self._front == OFF, 0.0, wave)
 
-    def take(self, data: bytes) -> list[Emitted]:
-        changes = []
-        for match in PIECES.finditer(data):
-            piece = match[0]
-            self.time_s += len(piece) * self.byte_s
-            if piece[0] == SWAP:
-                self._front, self._back = self._back, self._front
-                self._counter = 0
-                changes.append(Emitted(self.time_s, self.emitted))
-            elif piece[0] in (STOP_CLOCKS, START_CLOCKS):
-                if self._clock(piece[0] == START_CLOCKS):
-                    changes.append(Emitted(self.time_s, self.emitted))
-            elif piece[0] in (PRIMARY, SECONDARY):
-                self._selected = piece[0] == self._selected_by
-            elif self._selected and piece[0] == START:
-                self._counter = 0
-            elif self._selected:
-                self._counter = stored(self, self._back, self._counter, piece)
-        return changes
+    def obey(self, command: int) -> bool | None:
+        """Data and starts for the other board of a pair change nothing."""
+        if command in (STOP_CLOCKS, START_CLOCKS):
+            return self._clock(command == START_CLOCKS)
+        if command in (PRIMARY, SECONDARY):
+            self._selected = command == self._selected_by
+            return False
+        return None if self._selected else False
 
     def _clock(self, runs: bool) -> bool:
         """Zero while clocks are stopped: pins that are high then are a DC load, without sound."""

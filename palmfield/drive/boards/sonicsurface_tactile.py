@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from palmfield.drive.board import Board, Emitted, Line, Twin, switched
-from palmfield.drive.boards.sonicsurface import EMITTERS, FRAME_BYTES, OFF, START, SWAP, stored
+from palmfield.drive.board import Board, Line, switched
+from palmfield.drive.boards.sonicsurface import EMITTERS, FRAME_BYTES, OFF, START, SWAP, BufferedTwin
 from palmfield.drive.pulse_width import relative_pressure
 from palmfield.errors import DeviceError
 from palmfield.types import Complex
@@ -66,15 +66,12 @@ class SonicSurfaceTactile(Board):
         return TactileTwin()
 
 
-class TactileTwin(Twin):
+class TactileTwin(BufferedTwin):
     """Amplitudes are those during an emitter's turn. envelope_Hz: rate of the turns [Hz]"""
 
     def __init__(self) -> None:
-        super().__init__(EMITTERS, 1.0 / LINE.bytes_per_s)
+        super().__init__(LINE, PIECES, OFF)
         self.envelope_Hz = envelope_Hz(DEFAULT_RATE)
-        self._counter = 0
-        self._front = np.full(EMITTERS, OFF, dtype=np.uint8)
-        self._back = np.full(EMITTERS, OFF, dtype=np.uint8)
 
     @property
     def emitted(self) -> Complex:
@@ -82,22 +79,11 @@ class TactileTwin(Twin):
         wave = LEVEL * np.exp(2j * np.pi * (self._front // 2) / STEPS)
         return np.where(self._front == OFF, 0.0, wave)
 
-    def take(self, data: bytes) -> list[Emitted]:
-        changes = []
-        for match in PIECES.finditer(data):
-            piece = match[0]
-            self.time_s += len(piece) * self.byte_s
-            if piece[0] == SWAP:
-                self._front, self._back = self._back, self._front
-                self._counter = 0
-                changes.append(Emitted(self.time_s, self.emitted))
-            elif piece[0] == START:
-                self._counter = 0
-            elif RATE <= piece[0] < RATE + RATES:
-                self.envelope_Hz = envelope_Hz(piece[0] - RATE)
-            else:
-                self._counter = stored(self, self._back, self._counter, piece)
-        return changes
+    def obey(self, command: int) -> bool | None:
+        if RATE <= command < RATE + RATES:
+            self.envelope_Hz = envelope_Hz(command - RATE)
+            return False
+        return None
 
 
 BOARD = SonicSurfaceTactile(

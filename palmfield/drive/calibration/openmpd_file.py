@@ -15,7 +15,7 @@ import numpy as np
 from palmfield.acoustics.arrays import layout
 from palmfield.acoustics.calibration_file import Calibration, Elements
 from palmfield.errors import SceneError
-from palmfield.given_files import read_text
+from palmfield.given_files import read_text, reading
 from palmfield.types import Float
 
 SAME_M = 1e-6
@@ -30,10 +30,8 @@ def read_board_file(path: str | Path) -> Calibration:
     to 255 each once, phases beyond 360 degrees, and amplitudes other than 1, which the driver does not use.
     """
     file, array = Path(path), layout("openmpd")
-    try:
+    with reading(file, SceneError, "a vendor's file board_N.pat"):
         lines = read_text(file).splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise SceneError(f"{file}: cannot be read: {error}; give a vendor's file board_N.pat") from None
     if len(lines) < 7:
         raise SceneError(f"{file}: the file has {len(lines)} lines; a vendor's file board_N.pat has 7")
     count = len(array)

@@ -17,6 +17,7 @@ from palmfield.drive.calibration.readings import XYZ
 from palmfield.errors import OutputError
 from palmfield.tables import write_table
 from palmfield.types import Air, Array, Complex, Estimate, Float
+from palmfield.whole_files import made_folder
 
 FOCUS_M = (0.0, 0.0, 0.15)
 PLATE_M = (0.1, 0.1)
@@ -35,10 +36,7 @@ def rehearse(array: Array, folder: Path, seed: int) -> list[Path]:
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise OutputError(f"{folder} already exists and is not empty: choose another folder")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"{folder}: cannot be made: {error}; choose another folder") from None
+    made_folder(folder)
     random = np.random.default_rng(seed)
     truth = _strange_board(array, random)
     write_calibration(folder / TRUTH, truth)

@@ -191,7 +191,8 @@ class Session:
             if kind == END:
                 self.caller.end("asked")
             elif kind == SCHEDULE:
-                self._begin(ScheduleSource(Schedule.unpacked(data), self.board.line.byte_s, self._first_s()))
+                first_s = max(now_s(), self.board.free_s(now_s())) + 2e-3
+                self._begin(ScheduleSource(Schedule.unpacked(data), self.board.line.byte_s, first_s))
             elif kind == FRAME:
                 if not isinstance(self.source, LiveSource):
                     job = self.board.job
@@ -205,9 +206,6 @@ class Session:
                 self.source.take(LiveFrame.unpacked(data))
             elif kind == MUTE and isinstance(self.source, LiveSource):
                 self.source.muted = True
-
-    def _first_s(self) -> float:
-        return max(now_s(), self.board.free_s(now_s())) + 2e-3
 
     def _begin(self, source: Source) -> None:
         self.source = source

@@ -22,12 +22,6 @@ def levels_dB(peaks_Pa: Float) -> Float:
         return np.asarray(20.0 * np.log10(np.asarray(peaks_Pa) / (np.sqrt(2.0) * REFERENCE_PA)))
 
 
-def head_limits(driver: DriverConfig) -> dict[str, float]:
-    """Limits at a head [dB], by name."""
-    own = {} if driver.head_limit_dB is None else {"head_limit_dB": driver.head_limit_dB}
-    return {"public": PUBLIC_DB, "at work": OCCUPATIONAL_DB, **own}
-
-
 def head_map(moments: Sequence[SoundMoment], driver: DriverConfig, heard: Heard, transducers: Float) -> LevelMap:
     """The ball in the plane of its middle, the array's middle and its loudest place. transducers: [m], shape (n, 3)"""
     assert driver.head_m is not None
@@ -44,8 +38,10 @@ def head_map(moments: Sequence[SoundMoment], driver: DriverConfig, heard: Heard,
     plane = plane[np.linalg.norm(plane, axis=1) <= radius * (1.0 + 1e-9)]
     peaks, _ = peaks_at(moments, middle + plane[:, :1] * across + plane[:, 1:] * along)
     loudest = np.array([(heard.place - middle) @ across, (heard.place - middle) @ along])
+    own = {} if driver.head_limit_dB is None else {"head_limit_dB": driver.head_limit_dB}
+    limits = {"public": PUBLIC_DB, "at work": OCCUPATIONAL_DB, **own}
     axes = "across, through the loudest point", "away from the array"
-    return LevelMap("head", plane, levels_dB(peaks), loudest, heard.level_dB, head_limits(driver), axes)
+    return LevelMap("head", plane, levels_dB(peaks), loudest, heard.level_dB, limits, axes)
 
 
 def skin_map(name: str, points: Float, peaks_Pa: Float, heard: Heard) -> LevelMap:

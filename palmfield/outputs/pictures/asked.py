@@ -2,13 +2,13 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, cast
 
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from palmfield.errors import OutputError, did_you_mean
+from palmfield.errors import OutputError, did_you_mean, refuse_unknown
 from palmfield.outputs.frames import check_time, drive_frame, in_world, nearest
 from palmfield.outputs.motion import extremes
 from palmfield.outputs.schema import RECORDS, has_records, instances
@@ -78,11 +78,7 @@ def asked_for(
 
     Raises OutputError for another quantity, and for texts that are not that many finite numbers.
     """
-    motion = next((known for known in UNITS if known == quantity), None)
-    if motion is None:
-        raise OutputError(
-            f"--quantity has value '{quantity}'{did_you_mean(quantity, UNITS)}; allowed: {', '.join(UNITS)}"
-        )
+    refuse_unknown(OutputError, "--quantity has value {}", quantity, UNITS)
     places = [_numbers("--place", text, 3) for text in places_mm]
     ends = None if limits is None else _numbers("--limits", limits, 2)
     if ends is not None and not ends[0] < ends[1]:
@@ -92,7 +88,7 @@ def asked_for(
         tuple((1e-3 * x, 1e-3 * y, 1e-3 * z) for x, y, z in places),
         None if ends is None else (ends[0], ends[1]),
         skin,
-        motion,
+        cast(Quantity, quantity),
         observer,
     )
 

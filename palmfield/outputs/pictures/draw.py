@@ -5,10 +5,11 @@ from pathlib import Path
 
 import xarray as xr
 
-from palmfield.errors import MeasurementError, OutputError, did_you_mean, unwritable
+from palmfield.errors import MeasurementError, OutputError, refuse_unknown
 from palmfield.outputs.pictures.asked import Asked
 from palmfield.outputs.pictures.kinds import KINDS, check_heeded
 from palmfield.outputs.style import FORMATS, save, style
+from palmfield.whole_files import made_folder
 
 DPI = 300
 
@@ -16,8 +17,7 @@ DPI = 300
 def checked_kinds(kinds: Sequence[str]) -> tuple[str, ...]:
     """Return the kinds in order, each once; all for none. Raises OutputError for an unknown one."""
     for kind in kinds:
-        if kind not in KINDS:
-            raise OutputError(f"picture '{kind}'{did_you_mean(kind, KINDS)} is unknown; allowed: {', '.join(KINDS)}")
+        refuse_unknown(OutputError, "picture {} is unknown", kind, KINDS)
     return tuple(dict.fromkeys(kinds)) or tuple(KINDS)
 
 
@@ -34,12 +34,8 @@ def draw_pictures(
     folder = Path(out)
     chosen = checked_kinds(kinds)
     check_heeded(chosen, asked or Asked())
-    if suffix not in FORMATS:
-        raise OutputError(f"--format has value '{suffix}'; allowed: {', '.join(FORMATS)}")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise unwritable(folder, error) from None
+    refuse_unknown(OutputError, "--format has value {}", suffix, FORMATS)
+    made_folder(folder)
     files, missing = {}, {}
     for kind in chosen:
         try:

@@ -8,10 +8,11 @@ import xarray as xr
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from palmfield.errors import MeasurementError, OutputError, unwritable
+from palmfield.errors import MeasurementError, OutputError
 from palmfield.outputs.pictures.asked import Asked
 from palmfield.outputs.pictures.kinds import KINDS
 from palmfield.outputs.style import save, style
+from palmfield.whole_files import made_folder
 
 COLUMNS, SIDE_INCH = 4, 2.6
 SMALL_DPI, DPI = 110, 150
@@ -24,10 +25,7 @@ def draw_sheet(result: xr.DataTree, path: Path, asked: Asked | None = None) -> d
     file cannot be written.
     """
     missing: dict[str, str] = {}
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise unwritable(path, error) from None
+    made_folder(path.parent)
     rows = -(-len(KINDS) // COLUMNS)
     with style():
         size = (COLUMNS * SIDE_INCH, rows * SIDE_INCH)

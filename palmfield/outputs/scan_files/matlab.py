@@ -11,9 +11,10 @@ import h5py
 import numpy as np
 from scipy.io import loadmat, savemat
 
-from palmfield.errors import MeasurementError, OutputError
+from palmfield.errors import MeasurementError
 from palmfield.given_files import regular
 from palmfield.instruments.scan import Quantity, Scan
+from palmfield.whole_files import writing
 
 VALUES: dict[str, Quantity] = {"velocity_m_s": "velocity", "displacement_m": "displacement"}
 NAMES = {quantity: name for name, quantity in VALUES.items()}
@@ -61,7 +62,5 @@ def _variables(file: Path) -> dict[str, Any]:
 def write_mat(file: Path, scan: Scan) -> None:
     """Write a scan so that `read_mat` reads it back unchanged. Raises OutputError if that fails."""
     variables = {"time_s": scan.times_s[:, None], "points_m": scan.points, NAMES[scan.quantity]: scan.values}
-    try:
+    with writing(file):
         savemat(file, variables | ({} if scan.sights is None else {"sights": scan.sights}), appendmat=False)
-    except OSError as error:
-        raise OutputError(f"{file}: cannot be written: {error}; give a writable path") from None

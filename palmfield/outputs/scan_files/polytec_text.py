@@ -18,13 +18,14 @@ sight_y, sight_z.
 
 import re
 from collections import Counter
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from palmfield.errors import MeasurementError, SceneError, did_you_mean
-from palmfield.given_files import read_text
+from palmfield.given_files import read_bytes, reading
 from palmfield.instruments.scan import UNITS, Quantity, Scan
 from palmfield.tables import read_table
 from palmfield.types import Float
@@ -127,13 +128,11 @@ def _point(file: Path) -> _Point:
 
 
 def _text(file: Path) -> list[str]:
+    with reading(file, MeasurementError, "a text file"):
+        data = read_bytes(file)
     for encoding in ENCODINGS:
-        try:
-            return read_text(file, encoding).splitlines()
-        except UnicodeDecodeError:
-            continue
-        except OSError as error:
-            raise MeasurementError(f"{file}: cannot be read: {error.strerror}; give a text file") from None
+        with suppress(UnicodeDecodeError):
+            return data.decode(encoding).splitlines()
     raise MeasurementError(f"{file}: is not text")
 
 

@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 
 from palmfield.errors import MeasurementError, OutputError
-from palmfield.given_files import regular
+from palmfield.given_files import reading, regular
 from palmfield.instruments.scan import UNITS, Quantity, Scan
 from palmfield.types import Float
+from palmfield.whole_files import writing
 
 KINDS: dict[int, Quantity] = {8: "displacement", 11: "velocity"}
 NUMBERS = {quantity: number for number, quantity in KINDS.items()}
@@ -36,10 +37,8 @@ def _pyuff() -> Any:
 
 
 def _sets(file: Path) -> list[dict[str, Any]]:
-    try:
+    with reading(file, MeasurementError, "a UFF file"):
         regular(file)
-    except OSError as error:
-        raise MeasurementError(f"{file}: cannot be read: {error.strerror}; give a UFF file") from None
     pyuff = _pyuff()
     try:
         opened = pyuff.UFF(str(file))
@@ -198,11 +197,12 @@ def write_uff(file: Path, scan: Scan, *, binary: bool = True) -> None:
 
 def _write(file: Path, sets: list[dict[str, Any]]) -> None:
     pyuff = _pyuff()
-    try:
+    with writing(file):
         # Checked before pyuff appends to the file, set by set
         file.write_bytes(b"")
-        pyuff.UFF(str(file)).write_sets(sets, mode="overwrite")
-    except OSError as error:
-        raise OutputError(f"{file}: cannot be written: {error}; give a writable path") from None
-    except Exception as error:
-        raise OutputError(f"{file}: cannot be written: {' '.join(str(error).split())[:LONGEST_PATH]}") from None
+        try:
+            pyuff.UFF(str(file)).write_sets(sets, mode="overwrite")
+        except OSError:
+            raise
+        except Exception as error:
+            raise OutputError(f"cannot write {file}: {' '.join(str(error).split())[:LONGEST_PATH]}") from None

@@ -18,10 +18,11 @@ from pathlib import Path
 
 import numpy as np
 
-from palmfield.errors import MeasurementError, OutputError, did_you_mean
+from palmfield.errors import MeasurementError, did_you_mean, naming, refuse_unknown
 from palmfield.given_files import regular
 from palmfield.instruments.scan import QUANTITIES, UNITS, Quantity, Scan
 from palmfield.tables import UNREADABLE
+from palmfield.whole_files import writing
 
 PLACES = ("x_m", "y_m", "z_m")
 SIGHTS = ("sight_x", "sight_y", "sight_z")
@@ -87,12 +88,11 @@ def _quantity(file: Path, head: dict[str, str]) -> tuple[Quantity, float]:
     for name in ("quantity", "unit"):
         if name not in head:
             raise MeasurementError(f"{file}: has no line '# {name}: ...'; {example}")
-    if head["quantity"] not in QUANTITIES:
-        near = did_you_mean(head["quantity"], QUANTITIES)
-        raise MeasurementError(f"{file}: quantity is '{head['quantity']}'{near}; allowed: {', '.join(QUANTITIES)}")
+    with naming(str(file)):
+        refuse_unknown(MeasurementError, "quantity is {}", head["quantity"], QUANTITIES)
     quantity: Quantity = "velocity" if head["quantity"] == "velocity" else "displacement"
-    if head["unit"] not in UNITS[quantity]:
-        raise MeasurementError(f"{file}: unit of {quantity} is '{head['unit']}'; allowed: {', '.join(UNITS[quantity])}")
+    with naming(str(file)):
+        refuse_unknown(MeasurementError, f"unit of {quantity} is {{}}", head["unit"], UNITS[quantity])
     return quantity, UNITS[quantity][head["unit"]]
 
 
@@ -111,14 +111,11 @@ def _number(file: Path, line: int, column: str, cell: str) -> float:
 def write_csv(file: Path, scan: Scan) -> None:
     """Write a scan so that `read_csv` reads it back unchanged. Raises OutputError if that fails."""
     unit = "m/s" if scan.quantity == "velocity" else "m"
-    try:
-        with file.open("w", newline="", encoding="utf-8") as text:
-            text.write(f"# quantity: {scan.quantity}\n# unit: {unit}\n")
-            writer = csv.writer(text)
-            writer.writerow(["time_s", *(f"P{n + 1}" for n in range(len(scan.points)))])
-            for names, columns in ((PLACES, scan.points), (SIGHTS, scan.sights)):
-                if columns is not None:
-                    writer.writerows([name, *row] for name, row in zip(names, columns.T.tolist(), strict=True))
-            writer.writerows(np.column_stack([scan.times_s, scan.values]).tolist())
-    except OSError as error:
-        raise OutputError(f"{file}: cannot be written: {error}; give a writable path") from None
+    with writing(file), file.open("w", newline="", encoding="utf-8") as text:
+        text.write(f"# quantity: {scan.quantity}\n# unit: {unit}\n")
+        writer = csv.writer(text)
+        writer.writerow(["time_s", *(f"P{n + 1}" for n in range(len(scan.points)))])
+        for names, columns in ((PLACES, scan.points), (SIGHTS, scan.sights)):
+            if columns is not None:
+                writer.writerows([name, *row] for name, row in zip(names, columns.T.tolist(), strict=True))
+        writer.writerows(np.column_stack([scan.times_s, scan.values]).tolist())

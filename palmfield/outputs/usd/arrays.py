@@ -50,7 +50,8 @@ class ArrayWriter:
             quaternions = np.roll(turns.as_quat(), 1, axis=1)
             instancer.CreateOrientationsAttr(Vt.QuathArray([Gf.Quath(*one) for one in quaternions.tolist()]))
         instancer.CreateExtentAttr(instancer.ComputeExtentAtTime(Usd.TimeCode.Default(), Usd.TimeCode.Default()))
-        self._palette = _with_silence(cyclic_palette(TURN))
+        palette = cyclic_palette(TURN)
+        self._palette = palette._replace(colours=np.vstack([palette.colours, CASE_COLOUR]))  # with one for silence
         discs = np.concatenate([_discs(positions, turns, 0.36 * gap, above) for above in (0.02 * gap, -0.72 * gap)])
         faces = np.arange(len(discs)).reshape(-1, CORNERS)
         self._drive: tuple[Samples, Samples, Samples] | None = None
@@ -91,10 +92,6 @@ class ArrayWriter:
             amplitudes.add(code, self._roundings[0].of(size))
             turns.add(code, self._roundings[1].of(phase))
             numbers.add(code, np.tile(_numbers(self._palette, size, phase), 2))
-
-
-def _with_silence(palette: Palette) -> Palette:
-    return palette._replace(colours=np.vstack([palette.colours, CASE_COLOUR]))
 
 
 def _numbers(palette: Palette, size: Float, phase: Float) -> Int:

@@ -57,7 +57,8 @@ class PhysicsWriter:
             UsdGeom.Scope.Define(stage, f"{ROOT}/{scope}")
         names = [str(name) for name in scene["body_name"]]
         shown = set(json.loads(str(attributes.get("shown_better", "[]"))))
-        self._paths = {k: f"{ROOT}/Bodies/{name}" for k, name in enumerate(identifiers(_unlike(names)).values())}
+        unlike = [name if name not in names[:k] else f"{name}_{k}" for k, name in enumerate(names)]
+        self._paths = {k: f"{ROOT}/Bodies/{name}" for k, name in enumerate(identifiers(unlike).values())}
         self._moves: dict[int, Moves] = {}
         for number, name in enumerate(names):
             if number > 0:
@@ -163,8 +164,8 @@ class PhysicsWriter:
             made.CreateWidthAttr(2.0 * float(size[0]) or 10.0)
             made.CreateLengthAttr(2.0 * float(size[1]) or 10.0)
         elif kind == "ellipsoid":
-            points, faces = _ball()
-            return add_mesh(stage, path, points * size, faces, None), None
+            ball = icosphere(subdivisions=2)
+            return add_mesh(stage, path, np.asarray(ball.vertices) * size, ball.faces, None), None
         elif kind == "mesh" and mesh >= 0:
             own = self._scene["mesh_vertex_owner"] == mesh
             corners = self._scene["mesh_face"][self._scene["mesh_face_owner"] == mesh]
@@ -306,17 +307,6 @@ class PhysicsWriter:
                     if path in bodies:
                         api = UsdPhysics.RigidBodyAPI(self._stage.GetPrimAtPath(path))
                         api.CreateKinematicEnabledAttr(name == RECORDED or bool(placed[number]))
-
-
-def _unlike(names: list[str]) -> list[str]:
-    """Names without repeats."""
-    return [name if name not in names[:k] else f"{name}_{k}" for k, name in enumerate(names)]
-
-
-def _ball() -> tuple[Float, Any]:
-    """A sphere of radius 1 as triangles."""
-    mesh = icosphere(subdivisions=2)
-    return np.asarray(mesh.vertices), mesh.faces
 
 
 def _across(axis: Float) -> Float:

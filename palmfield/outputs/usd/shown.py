@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from palmfield.errors import OutputError, did_you_mean
+from palmfield.errors import OutputError, refuse_unknown
 from palmfield.outputs.usd.quantities import QUANTITIES
 
 FIELD_SHAPES = "slice", "points", "isosurface"
@@ -41,11 +41,11 @@ class Shown:
 
 def check_shown(shown: Shown) -> None:
     """Raises OutputError for options that are invalid for any run."""
-    _one_of("colour", shown.colour, [*QUANTITIES, NO_COLOUR])
+    refuse_unknown(OutputError, "colour has value {}", shown.colour, [*QUANTITIES, NO_COLOUR])
     for name in shown.quantities or ():
-        _one_of("quantities", name, list(QUANTITIES))
+        refuse_unknown(OutputError, "quantities has value {}", name, QUANTITIES)
     for name in shown.field:
-        _one_of("field", name, list(FIELD_SHAPES))
+        refuse_unknown(OutputError, "field has value {}", name, FIELD_SHAPES)
     if shown.limits is not None and not -float("inf") < shown.limits[0] < shown.limits[1] < float("inf"):
         raise OutputError(f"limits have values {shown.limits[0]:g}, {shown.limits[1]:g}; allowed: finite and rising")
     if shown.magnify is not None and not 0.0 <= shown.magnify <= 1e9:
@@ -54,8 +54,3 @@ def check_shown(shown: Shown) -> None:
         raise OutputError(f"frames has value {shown.frames}; allowed: 1 to 1000000")
     if shown.level_Pa is not None and not 0.0 < shown.level_Pa < float("inf"):
         raise OutputError(f"level_Pa has value {shown.level_Pa:g}; allowed: above 0")
-
-
-def _one_of(key: str, value: str, known: list[str]) -> None:
-    if value not in known:
-        raise OutputError(f"{key} has value '{value}'{did_you_mean(value, known)}; allowed: {', '.join(known)}")

@@ -46,16 +46,14 @@ class BoneMoves:
 
     def __init__(self, animation: UsdSkel.Animation):
         self._moves = Samples(animation.CreateTranslationsAttr(), vectors)
-        self._turns = Samples(animation.CreateRotationsAttr(), _quaternions)
+        self._turns = Samples(
+            animation.CreateRotationsAttr(), lambda turns: Vt.QuatfArray([Gf.Quatf(*turn) for turn in turns.tolist()])
+        )
 
     def add(self, code: float, poses: Float) -> None:
         """Poses of all bones in the body's frame, shape (bones, 7), at a time code."""
         self._moves.add(code, poses[:, :3])
         self._turns.add(code, poses[:, 3:])
-
-
-def _quaternions(turns: Float) -> Vt.QuatfArray:
-    return Vt.QuatfArray([Gf.Quatf(*turn) for turn in turns.tolist()])
 
 
 def bind(mesh: UsdGeom.Mesh, skeleton: UsdSkel.Skeleton, bones: Int, weights: Float32) -> None:

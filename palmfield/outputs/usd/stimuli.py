@@ -9,7 +9,6 @@ from palmfield.outputs.usd.clock import Clock
 from palmfield.outputs.usd.prims import about, add_lines, vectors
 from palmfield.outputs.usd.samples import Samples
 from palmfield.outputs.usd.skins import result_times
-from palmfield.types import Float
 
 FOCUS_COLOUR = (0.06, 0.04, 0.55)
 PATH_COLOUR = (0.20, 0.18, 0.75)
@@ -36,8 +35,8 @@ class StimulusWriter:
         whole = result_times(clock, slice(0, len(clock.codes)))
         step = whole.step * max(1, len(clock.codes) // MOST_POINTS)
         foci = stimulus["foci"].isel(time=slice(whole.start, whole.stop, step)).values
-        crosses = add_lines(stage, f"{path}/Foci", [line for focus in foci[0] for line in _cross(focus)], WIDTH_M,
-                            FOCUS_COLOUR)  # fmt: skip
+        lines = [line for focus in foci[0] for line in (focus + CROSS).reshape(3, 2, 3)]
+        crosses = add_lines(stage, f"{path}/Foci", lines, WIDTH_M, FOCUS_COLOUR)
         # Of the whole path, so that viewers that do not read it over time frame all of it
         low, high = foci.min(axis=(0, 1)) - ARM_M - WIDTH_M, foci.max(axis=(0, 1)) + ARM_M + WIDTH_M
         crosses.GetExtentAttr().Set(Vt.Vec3fArray([Gf.Vec3f(*low.tolist()), Gf.Vec3f(*high.tolist())]))
@@ -64,7 +63,3 @@ class StimulusWriter:
             crosses.add(code, (points[:, None] + CROSS).reshape(-1, 3))
             places.add(code, points)
             visible.add(code, np.asarray(on))
-
-
-def _cross(focus: Float) -> list[Float]:
-    return list((focus + CROSS).reshape(3, 2, 3))

@@ -12,8 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from threadpoolctl import threadpool_limits
 
 from palmfield.acoustics import polynomials
@@ -29,6 +27,7 @@ from palmfield.studies.bench.chart import draw
 from palmfield.studies.bench.problem import MOST_RUNS, Problem
 from palmfield.studies.bench.processes import ROOT, Measured, PeerMethods, measure
 from palmfield.studies.bench.table import FieldRow, Head, as_markdown, processor
+from palmfield.terminal import bars
 from palmfield.types import Air, Complex
 
 AIR = Air(temperature_C=273.15 * ((340.0 / 331.3) ** 2 - 1.0))
@@ -99,8 +98,7 @@ def main(
         chosen = [(module, method) for module, method in chosen if method.name != own.ALL_CORES]
     rows: list[FieldRow] = []
     yard: list[tuple[float, float]] = []
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress, threadpool_limits(1):
+    with bars() as progress, threadpool_limits(1):
         task = progress.add_task("field", total=len(RANGES_M) * len(chosen) * (runs + 1))
         for low, high in RANGES_M:
             text = f"{low:g} to {high:g} m"
@@ -134,11 +132,22 @@ def main(
         picture=os.path.relpath(picture, out.parent) if picture is not None and out is not None else "",
     )
     report = as_markdown(rows, head, MODELS)
+    drawn = None
+    if picture is not None and not all(row.missing for row in rows):
+        drawn = functools.partial(draw, rows, MODELS, picture)
+    return written(report, out, drawn)
+
+
+def written(report: str, out: Path | None, draw: Callable[[], None] | None = None) -> str:
+    """Write a report and draw its picture, where asked for; returns the report.
+
+    Raises OutputError if that fails, once the report is printed: minutes of measurements must not be lost.
+    """
     try:
         if out is not None:
             out.write_text(report)
-        if picture is not None and not all(row.missing for row in rows):
-            draw(rows, MODELS, picture)
+        if draw is not None:
+            draw()
     except (OSError, OutputError) as error:
         print(report, end="")  # minutes of measurements must not be lost
         raise OutputError(f"the files of the report above could not be written: {error}") from error

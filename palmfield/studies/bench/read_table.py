@@ -6,6 +6,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from palmfield.errors import OutputError
+from palmfield.given_files import reading
 from palmfield.studies.bench import chart, field, skin, table
 
 SKIN = ["method", "size", "seconds", "error at rest", "error at 200 Hz", "stated"]
@@ -17,10 +18,8 @@ def speed_picture(path: Path) -> Figure:
 
     Raises OutputError for a report that cannot be read or has no measured row of either benchmark.
     """
-    try:
+    with reading(path, OutputError, "a report that palmfield bench wrote"):
         lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, ValueError) as error:
-        raise OutputError(f"{path} cannot be read: {error}; give a report of palmfield bench") from None
     models = {name[0].upper() + name[1:]: key for key, name in field.MODELS.items()}
     of_skin: list[skin.SkinRow] = []
     of_field: list[table.FieldRow] = []

@@ -9,17 +9,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
 from palmfield.data import folder
 from palmfield.device import resolve
-from palmfield.errors import OutputError, PalmfieldError
+from palmfield.errors import PalmfieldError
 from palmfield.studies.bench.consumer_card import CARD
 from palmfield.studies.bench.drawn import LEVELS, SIZES, SPEEDS, ASIDE_m, TILT_rad
-from palmfield.studies.bench.field import check_writable, device_name, git_commit
+from palmfield.studies.bench.field import check_writable, device_name, git_commit, written
 from palmfield.studies.bench.scene_run import Job, Task, as_line
 from palmfield.studies.bench.table import processor
+from palmfield.terminal import bars
 
 STEPS, MOST_STEPS = 2000, 1_000_000
 
@@ -73,8 +71,7 @@ def main(
     load = os.getloadavg()[0]
     first = Job("measure", "", device, "auto" if known else "modal", not known, seed, steps)
     results: list[tuple[str, dict[str, Any]]] = []
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+    with bars() as progress:
         task = progress.add_task("scenes", total=len(files) * (3 if error else 2))
         for file in files:
             with tempfile.TemporaryDirectory() as place:
@@ -95,14 +92,7 @@ def main(
     }
     command = ["palmfield bench scene", *(scenes or [])]
     command += [f"{key} {value}".rstrip() for key, value in options.items() if value]
-    report = as_markdown(results, " ".join(command), first, load, commit or git_commit())
-    if out is not None:
-        try:
-            out.write_text(report)
-        except OSError as failure:
-            print(report, end="")  # minutes of measurements must not be lost
-            raise OutputError(f"the report above could not be written to {out}: {failure.strerror}") from failure
-    return report
+    return written(as_markdown(results, " ".join(command), first, load, commit or git_commit()), out)
 
 
 def found(name: str) -> Path:

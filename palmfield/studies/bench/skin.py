@@ -11,19 +11,18 @@ from typing import cast
 
 import numpy as np
 from matplotlib.figure import Figure
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from threadpoolctl import threadpool_limits
 
 from palmfield.device import resolve
-from palmfield.errors import OutputError, PalmfieldError
+from palmfield.errors import PalmfieldError
 from palmfield.outputs.style import save, style
 from palmfield.skin.problem import Motion, Sheet, Slab, Spot
 from palmfield.skin.solver_choice import Name, solve
-from palmfield.studies.bench.field import check_writable, device_name, git_commit
+from palmfield.studies.bench.field import check_writable, device_name, git_commit, written
 from palmfield.studies.bench.processes import yardstick
 from palmfield.studies.bench.skin_case import CASE, Case, F_Hz
 from palmfield.studies.bench.table import processor
+from palmfield.terminal import bars
 
 ACCURACIES = {
     "lateral_waves": (0.1, 0.01, 0.001),
@@ -133,8 +132,7 @@ def main(
     if not jobs:
         raise PalmfieldError(f"--only '{only}' matches no method; use part of {', '.join(names)}")
     rows = []
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress, threadpool_limits(1):
+    with bars() as progress, threadpool_limits(1):
         task = progress.add_task("skin", total=len(jobs))
         yard_s = statistics.median(yardstick() for _ in range(5))
         for name, job in jobs:
@@ -142,15 +140,7 @@ def main(
             rows.append(job())
             progress.update(task, advance=1)
     report = as_markdown(rows, device, yard_s, commit or git_commit(), picture, out, peers)
-    try:
-        if out is not None:
-            out.write_text(report)
-        if picture is not None:
-            draw([row for row in rows if not row.missing], picture)
-    except (OSError, OutputError) as error:
-        print(report, end="")  # minutes of measurements must not be lost
-        raise OutputError(f"the files of the report above could not be written: {error}") from error
-    return report
+    return written(report, out, None if picture is None else partial(draw, rows, picture))
 
 
 def as_markdown(
@@ -200,7 +190,7 @@ def as_markdown(
 def draw(rows: list[SkinRow], path: Path) -> None:
     """Write `speed_figure`."""
     with style():
-        save(speed_figure(rows), path)
+        save(speed_figure([row for row in rows if not row.missing]), path)
 
 
 def speed_figure(rows: list[SkinRow]) -> Figure:

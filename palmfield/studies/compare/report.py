@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from palmfield.errors import OutputError
 from palmfield.instruments.agreement import Agreement
 from palmfield.instruments.guided_mode import GuidedMode
 from palmfield.instruments.registration import Registration
@@ -16,6 +15,7 @@ from palmfield.instruments.scan import Scan
 from palmfield.studies.compare.waves import as_dict, in_words
 from palmfield.tables import write_table
 from palmfield.types import Float
+from palmfield.whole_files import write_text
 
 QUIET = 0.1
 """Points whose measured rms is below this share of the loudest are left out of medians."""
@@ -147,10 +147,7 @@ COLUMNS = ("point", "x_m", "y_m", "z_m", "skin_x_m", "skin_y_m", "skin_z_m", "re
 
 def write_report(done: Comparison, folder: Path) -> None:
     """Write compare.json and points.csv, a line for each compared point. Raises OutputError if that fails."""
-    try:
-        (folder / "compare.json").write_text(json.dumps(done.as_dict(), indent=1) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise OutputError(f"{folder}: cannot be written: {error.strerror}; choose another folder") from None
+    write_text(folder / "compare.json", json.dumps(done.as_dict(), indent=1) + "\n")
     number = np.flatnonzero(done.near)
     on_skin = done.computed.points
     measured: Float = done.place.transform.inverse_points(on_skin)

@@ -22,6 +22,7 @@ from palmfield.studies.compare.suspected_faults import WILD, suspected_faults, w
 from palmfield.studies.compare.waves import guided_modes
 from palmfield.tables import read_table
 from palmfield.types import Float
+from palmfield.whole_files import made_folder
 
 OFF_M = 5e-3
 """A measured point farther from the skin than this is left out [m]."""
@@ -132,10 +133,7 @@ def compare(
     )  # fmt: skip
     if folder is None:
         return done
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"{folder} cannot be made: {error.strerror}; choose another folder") from None
+    made_folder(folder)
     write_report(done, folder)
     write_scan(folder / "computed.csv", ours)
     draw_agreement(theirs, ours, numbers, folder / "agreement.png")

@@ -51,7 +51,7 @@ def in_words(mode: GuidedMode, frequency_Hz: float) -> str:
     return "; ".join(words)
 
 
-def _wave_in_words(wave: Wave | GuidedMode, frequency_Hz: float) -> str:
+def _wave_in_words(wave: Wave, frequency_Hz: float) -> str:
     if wave.wavenumber_rad_m is None:
         return f"not resolved: {wave.reason}"
     k = wave.wavenumber_rad_m
@@ -67,7 +67,7 @@ def as_dict(mode: GuidedMode) -> dict[str, Any]:
     return {**_wave_as_dict(mode), "misfit": mode.misfit, "waves_fitted": mode.rings, "other_waves": others}
 
 
-def _wave_as_dict(wave: Wave | GuidedMode) -> dict[str, Any]:
+def _wave_as_dict(wave: Wave) -> dict[str, Any]:
     k = wave.wavenumber_rad_m
     return {
         "resolved": k is not None, "reason": wave.reason, "wavenumber_real_rad_m": None if k is None else k.real,

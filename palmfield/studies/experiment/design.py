@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from palmfield.config import CONFIGS
 from palmfield.errors import OutputError, PalmfieldError
-from palmfield.given_files import read_json, read_toml
+from palmfield.given_files import read_json, read_toml, reading
 from palmfield.perception.psychometric import PsychometricFunction, Shape
 from palmfield.studies.experiment.procedures import Adjustment, ConstantStimuli, Limits, Procedure, Staircase
 
@@ -236,10 +236,8 @@ def read_design(path: Path) -> Design:
 
     Raises OutputError, with the key, for a file that cannot be read and for values that are not allowed.
     """
-    try:
+    with reading(path, OutputError, "a TOML file, or JSON (docs/experiments.md)"):
         content = read_toml(path) if path.suffix.lower() == ".toml" else read_json(path)
-    except (OSError, ValueError) as error:
-        raise OutputError(f"{path}: cannot be read: {error}; give a TOML file, or JSON (docs/experiments.md)") from None
     try:
         return Design.model_validate(content)
     except ValidationError as error:

@@ -19,10 +19,11 @@ from typing import Any, NamedTuple
 from filelock import FileLock, Timeout
 
 from palmfield.errors import OutputError, unwritable
-from palmfield.given_files import plain, read_bytes
+from palmfield.given_files import plain, read_bytes, reading
 from palmfield.session.scene_text import read_scene_text
 from palmfield.studies.experiment.design import Design
 from palmfield.studies.experiment.procedures import Answered
+from palmfield.whole_files import writing
 
 VERSION = 1
 
@@ -52,12 +53,8 @@ def read_experiment_log(path: Path) -> Log:
 
     Raises OutputError for a file that cannot be read or is no log of this version.
     """
-    try:
+    with reading(path, OutputError, "the log of `palmfield experiment run`"):
         data = read_bytes(path)
-    except OSError as error:
-        raise OutputError(
-            f"{path}: cannot be read: {error.strerror}; give the log of `palmfield experiment run`"
-        ) from None
     whole = data[: data.rfind(b"\n") + 1]
     rows = []
     for number, line in enumerate(whole.decode("utf-8", errors="replace").splitlines(), 1):
@@ -155,12 +152,10 @@ class LogWriter:
         self.trials.append(Trial(int(trial["trial"]), int(trial["block"]), condition, answered, trial))
 
     def _line(self, value: Mapping[str, Any]) -> None:
-        try:
+        with writing(self.path):
             self._file.write(json.dumps(value) + "\n")
             self._file.flush()
             os.fsync(self._file.fileno())
-        except OSError as error:
-            raise unwritable(self.path, error) from None
 
     def close(self) -> None:
         self._file.close()

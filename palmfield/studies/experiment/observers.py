@@ -10,7 +10,7 @@ from typing import NamedTuple, Protocol, TextIO
 
 import numpy as np
 
-from palmfield.errors import OutputError, did_you_mean
+from palmfield.errors import OutputError, refuse_unknown
 from palmfield.perception.detection import detection_probability
 from palmfield.perception.registry import ALL_OBSERVERS
 from palmfield.session.duration import step_count
@@ -149,9 +149,7 @@ class FeelingObserver(SimulatedObserver):
 
     def __init__(self, design: Design, scene: Path, board: str | None) -> None:
         name = design.skin.observer
-        if name not in ALL_OBSERVERS:
-            known = ", ".join(ALL_OBSERVERS)
-            raise OutputError(f"skin.observer is '{name}'{did_you_mean(name, ALL_OBSERVERS)}; allowed: {known}")
+        refuse_unknown(OutputError, "skin.observer is {}", name, ALL_OBSERVERS)
         self.design, self.lapse, self.scene, self.board = design, design.skin.lapse, scene, board
         self.levels: dict[str, float] = {}
 
@@ -172,8 +170,8 @@ class FeelingObserver(SimulatedObserver):
     def _felt(self, keys: Mapping[str, object]) -> float:
         sim = Simulation(self.scene, board=self.board, keys=keys)
         names, wanted = list(sim.skins), self.design.skin.skin
-        if wanted is not None and wanted not in names:
-            raise OutputError(f"skin.skin is '{wanted}'{did_you_mean(wanted, names)}; allowed: {', '.join(names)}")
+        if wanted is not None:
+            refuse_unknown(OutputError, "skin.skin is {}", wanted, names)
         number = 0 if wanted is None else names.index(wanted)
         steps = step_count(self.design.duration_s, sim.runtime.spec.timestep_s)
         times: Float = np.arange(1.0, steps + 1.0) * sim.runtime.spec.timestep_s

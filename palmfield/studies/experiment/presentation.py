@@ -13,12 +13,13 @@ from palmfield.drive.frame_log import FrameLog, LogHead
 from palmfield.drive.limits import SoundLimits
 from palmfield.drive.playback import TimedFrame
 from palmfield.drive.player import Player
-from palmfield.errors import DeviceError, OutputError
+from palmfield.errors import DeviceError
 from palmfield.hardware.log_head import log_head
 from palmfield.hardware.play import scene_frames
 from palmfield.hardware.safety.exposure import check_head
 from palmfield.hardware.safety.scene_sound import scene_at_head
 from palmfield.session.preview import preview
+from palmfield.whole_files import made_folder
 
 LOG = logging.getLogger(__name__)
 Heard = Callable[[float], None]
@@ -123,12 +124,7 @@ class Sender:
         self._players += 1
         number = f"_{self._players}" if self._players > 1 else ""
         log = self.log.with_name(f"{self.log.stem}{number}{self.log.suffix}")
-        try:
-            log.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise OutputError(
-                f"cannot create {log.parent}: {error.strerror}; choose a folder with enough space"
-            ) from None
+        made_folder(log.parent)
         FrameLog(log, what.head).close()
         self._open = what.board, log, Player(what.board, port, log=log)
         return self._open[1:]

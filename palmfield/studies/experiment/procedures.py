@@ -173,8 +173,8 @@ class Adjustment:
 
     def next_level(self, run: Sequence[Answered]) -> float | None:
         """The level of the next presentation, None at the end."""
-        begun = self._begin(run)
-        setting = sum(1 for _ in self._ends(run))
+        ends = self._ends(run)
+        begun, setting = ends[-1] + 1 if ends else 0, len(ends)
         if setting >= self.settings:
             return None
         if begun == len(run):
@@ -207,10 +207,6 @@ class Adjustment:
                 ends.append(number)
                 begin = number + 1
         return ends
-
-    def _begin(self, run: Sequence[Answered]) -> int:
-        ends = self._ends(run)
-        return ends[-1] + 1 if ends else 0
 
 
 @with_config(ConfigDict(extra="forbid", strict=False))

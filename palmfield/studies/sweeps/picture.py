@@ -105,7 +105,8 @@ def _maps(dataset: xr.Dataset, keys: list[str], quantities: list[_Quantity]) -> 
             for side in ("left", "bottom"):
                 axes.spines[side].set_visible(False)
             figure.colorbar(drawn, ax=axes, pad=0.02, label=quantity.unit)
-            axes.set_title(_title(dataset, quantity) + (f", '{skin}'" if len(skins) > 1 else ""))
+            title = quantity.title + (f"\n({_mapped_observer(dataset)})" if quantity is LEVEL else "")
+            axes.set_title(title + (f", '{skin}'" if len(skins) > 1 else ""))
             _name_axis(axes.xaxis, along, dataset, x, x_words)
             _name_axis(axes.yaxis, up, dataset, y, y_words)
     return figure
@@ -163,12 +164,6 @@ def _mapped_observer(dataset: xr.Dataset) -> str:
     """Return the first observer with a level at any point."""
     levels = dataset[LEVEL.name]
     return next(str(name) for name in levels["observer"].values if _finite(levels.sel(observer=name)))
-
-
-def _title(dataset: xr.Dataset, quantity: _Quantity) -> str:
-    if quantity is LEVEL:
-        return f"{quantity.title}\n({_mapped_observer(dataset)})"
-    return quantity.title
 
 
 def _finite(values: xr.DataArray) -> bool:

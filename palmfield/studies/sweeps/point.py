@@ -75,7 +75,9 @@ def _skin(watched: Watched, world: int, number: int, times: Float) -> dict[str, 
         begun_s=watched.begun_s,
     )
     frequency = levels.get("main_frequency_Hz")
-    last = _last_period(watched.times, frequency)
+    last = np.zeros(len(watched.times), bool)
+    if frequency is not None:  # else the sound does not repeat
+        last = watched.times > watched.times[-1] - 1.0 / frequency + 1e-9
     force = watched.forces[:, world, number]
     return {
         "peak_displacement": float(sizes[vertex]),
@@ -123,13 +125,6 @@ def resampled(own: Float, values: Float, times: Float) -> Float:
         return np.interp(times, own, values, right=math.nan)
     result: Float = CubicSpline(own, values)(times)
     return np.where(times > own[-1] + 1e-9, math.nan, result)
-
-
-def _last_period(times: Float, frequency: float | None) -> NDArray[np.bool_]:
-    """Return which times lie in the last period; none if the sound does not repeat."""
-    if frequency is None:
-        return np.zeros(len(times), bool)
-    return times > times[-1] - 1.0 / frequency + 1e-9
 
 
 def _rms(values: Float) -> float:

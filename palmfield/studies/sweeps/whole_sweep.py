@@ -15,8 +15,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import MofNCompleteColumn
 
 from palmfield.errors import OutputError, PalmfieldError, SceneError
 from palmfield.session.recorded_run import CONVENTIONS
@@ -40,6 +39,7 @@ from palmfield.studies.sweeps.overview import Overview, overview
 from palmfield.studies.sweeps.picture import plot_sweep
 from palmfield.studies.sweeps.store import SweepStore, open_dataset, size_bytes
 from palmfield.studies.sweeps.variables import DONE, FAILED
+from palmfield.terminal import bars
 from palmfield.threads import cores
 
 LOG = logging.getLogger("palmfield.studies")
@@ -130,7 +130,6 @@ def sweep(
     most = MOST_ON_GPU if view.device.startswith("cuda") else MOST_IN_BATCH
     memory = _memory_bytes(view, groups, most)
     count = _worker_count(workers, gpus, design.count, memory, gpu_memory_bytes() if gpus else 0)
-    console = Console(stderr=True, quiet=not progress)
     size = size_bytes(design, view.labels, errors)
     said = _in_words(view, design, size, memory, None if scheduler else count)
     LOG.info("%s", said)
@@ -157,7 +156,7 @@ def sweep(
         else:
             results = _here(task, points)
         with closing(results):
-            _collect(results, store, len(missing), max(count, 1), console, yes, ask)
+            _collect(results, store, len(missing), max(count, 1), progress, yes, ask)
     files = {"sweep.zarr": store.path}
     if picture:
         try:
@@ -304,16 +303,13 @@ def _collect(
     store: SweepStore,
     points: int,
     workers: int,
-    console: Console,
+    progress: bool,
     yes: bool,
     ask: Ask | None,
 ) -> None:
     """Write results as they come, with progress; asks once if the rest takes very long."""
-    columns = (
-        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn()
-    )  # fmt: skip
     done, failed, written, asked, started = 0, 0, 0, yes, time.monotonic()
-    with Progress(*columns, console=console, disable=console.quiet or not console.is_terminal, transient=True) as bar:
+    with bars(progress, MofNCompleteColumn()) as bar:
         row = bar.add_task("starting workers", total=points)
         for some in results:
             store.write(some)

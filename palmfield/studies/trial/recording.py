@@ -15,7 +15,7 @@ import numpy as np
 
 from palmfield.errors import SceneError, did_you_mean
 from palmfield.estimate.array_inputs import p0_band
-from palmfield.given_files import read_text
+from palmfield.given_files import read_text, reading
 from palmfield.studies.trial.field import TrialMoment, TrueSound
 from palmfield.studies.trial.sending import Heard
 from palmfield.studies.trial.skin_response import SkinResponse
@@ -85,10 +85,8 @@ def read_recording(path: str | Path) -> Recording:
     text, numbers that are not finite, and times that do not rise.
     """
     file = Path(path)
-    try:
+    with reading(f"recording {file}", SceneError, "a CSV file (UTF-8)"):
         lines = read_text(file, "utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise SceneError(f"recording {file} cannot be read: {error}; give a CSV file (UTF-8)") from None
     head: dict[str, str] = {}
     begin = sum(1 for _ in takewhile(lambda line: line.startswith("#"), lines))
     for line in lines[:begin]:

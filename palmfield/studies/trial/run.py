@@ -38,7 +38,7 @@ from palmfield.studies.trial.sending import VIRTUAL, Heard, MadeFrame, Sent, sen
 from palmfield.studies.trial.skin_response import SkinResponse, skin_response
 from palmfield.tables import write_table
 from palmfield.terminal import bars
-from palmfield.whole_files import whole
+from palmfield.whole_files import made_folder, write_text
 
 LOG = logging.getLogger(__name__)
 FINEST_S = 1e-3
@@ -119,13 +119,11 @@ def trial(
     watched = tracker or Tracker()
     with TemporaryDirectory() as spare, _bar(progress) as show_stage:
         log = None if folder is None or played.exact else FrameLog(folder / "sent.jsonl", log_head(view.runtime.model))
+        way = _Way(watched, duration, real, flight, port, log, show_stage)
         if live is None:
-            done = _scripted(view, watched, duration, real, flight, port, log, show_stage)
+            done = _scripted(view, way)
         else:
-            kept = Path(spare) if folder is None else folder
-            done = _followed(
-                view, scene, board, given, live, watched, duration, real, flight, port, log, kept, show_stage
-            )
+            done = _followed(view, scene, board, given, live, way, Path(spare) if folder is None else folder)
             given |= done.keys
         sent, heard = done.sent, Heard(done.sent, played)
         moments = _course(sent, _moments(done.sound.course, duration), done.times, heard, done.sound, show_stage)
@@ -157,17 +155,21 @@ class _Done(NamedTuple):
     keys: dict[str, object]
 
 
-def _scripted(
-    view: Preview,
-    tracker: Tracker,
-    duration_s: float,
-    truth: Calibration | None,
-    flight: bool,
-    port: str | None,
-    log: FrameLog | None,
-    show_stage: "ShowStage",
-) -> _Done:
+class _Way(NamedTuple):
+    """How a trial is played; see `trial`. log: of frames; show_stage: reports the task and its progress"""
+
+    tracker: Tracker
+    duration_s: float
+    truth: Calibration | None
+    flight: bool
+    port: str | None
+    log: FrameLog | None
+    show_stage: "ShowStage"
+
+
+def _scripted(view: Preview, way: _Way) -> _Done:
     """Send a scene with given motion to a system that estimates it by a simulated tracker."""
+    tracker, duration_s, truth, flight, port, log, show_stage = way
     show_stage("stepping the scene", None)
     course = SceneCourse(view, duration_s)
     board, limits = course.model.board, SoundLimits.of(course.model.spec.driver)
@@ -187,16 +189,11 @@ def _followed(
     board: str | None,
     keys: Mapping[str, object],
     live: Live,
-    tracker: Tracker,
-    duration_s: float,
-    truth: Calibration | None,
-    flight: bool,
-    port: str | None,
-    log: FrameLog | None,
+    way: _Way,
     folder: Path,
-    show_stage: "ShowStage",
 ) -> _Done:
     """Send a scene with the hand of a live tracker; the scene then moves by its samples."""
+    tracker, duration_s, truth, flight, port, log, show_stage = way
     show_stage("following the hand", duration_s)
     number = view.runtime.model.sounding
     played = play_live(
@@ -317,11 +314,7 @@ def _folder(out: Path, overwrite: bool) -> Path:
     there = [name for name in FILES if (out / name).exists()]
     if there and not overwrite:
         raise OutputError(f"{out} holds another trial ({there[0]}); give another folder, or --overwrite")
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"cannot create {out}: {error.strerror}; choose a writable folder") from None
-    return out
+    return made_folder(out)
 
 
 def _written(result: Trial, folder: Path, logged: bool) -> dict[str, Path]:
@@ -332,11 +325,7 @@ def _written(result: Trial, folder: Path, logged: bool) -> dict[str, Path]:
     numbers = result.numbers.as_dict()
     if result.compared is not None:
         numbers["recording"] = result.compared.as_dict()
-    try:
-        with whole(files["trial.json"]) as part:
-            part.write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise OutputError(f"cannot write {files['trial.json']}: {error.strerror}; choose another folder") from None
+    write_text(files["trial.json"], json.dumps(numbers, indent=1) + "\n")
     draw_trial(names, rows, numbers, files["trial.png"])
     return files
 

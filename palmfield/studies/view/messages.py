@@ -5,8 +5,8 @@ Replay only on request, so that it never waits for the page. All positions are i
 pickled between two processes of one program.
 """
 
-from dataclasses import dataclass, field
-from typing import Literal
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +18,7 @@ Place = tuple[Group, str, int | None]
 """A number that can be changed: of a key (INSTANCE.key) or of a hand's pose (INSTANCE.axis), with its index."""
 
 
-@dataclass(frozen=True)
-class Address:
+class Address(NamedTuple):
     """Address of the page.
 
     host: address to listen at; port: None for the first free one from 8080 on; token: needed by clients, empty for
@@ -35,8 +34,7 @@ class Address:
 # -- what the simulation sends -----------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Slider:
+class Slider(NamedTuple):
     """One number that can be changed.
 
     folder: its heading; low, high, step, value: in `unit`, of which there are `scale` in the SI unit
@@ -53,8 +51,7 @@ class Slider:
     scale: float
 
 
-@dataclass(frozen=True)
-class Pose:
+class Pose(NamedTuple):
     """Present places. bodies: vertices, (v, 3) each; skins: surface nodes and outward normals, (S, 3) each
     transducers: (N, 3)"""
 
@@ -63,8 +60,7 @@ class Pose:
     transducers: Float32
 
 
-@dataclass(frozen=True)
-class SceneShown:
+class SceneShown(NamedTuple):
     """Parts that are constant until the scene is rebuilt.
 
     body_faces: of the closed bodies, (m, 3) each; skins: names; skin_faces: (f, 3) each; pose: the first
@@ -85,8 +81,7 @@ class SceneShown:
     timestep_s: float
 
 
-@dataclass(frozen=True)
-class Moment:
+class Moment(NamedTuple):
     """The scene now.
 
     time_s: simulated time; speed: simulated seconds per second, recently measured, 0 while paused
@@ -108,8 +103,7 @@ class Moment:
     arp: tuple[Float32, ...] = ()
 
 
-@dataclass(frozen=True)
-class Level:
+class Level(NamedTuple):
     """Level of a skin's last periods for an observer: level_dB above threshold, None if refused; why: in words;
     lines: lines of the motion or force that the level is of, in words."""
 
@@ -119,8 +113,7 @@ class Level:
     lines: str = ""
 
 
-@dataclass(frozen=True)
-class SkinReplay:
+class SkinReplay(NamedTuple):
     """A skin's last periods. displacement along the outward normal [m] and arp [Pa]: (k, S) each
     rms: of the displacement about its mean [m], (S,); levels: by observer"""
 
@@ -130,8 +123,7 @@ class SkinReplay:
     levels: tuple[Level, ...]
 
 
-@dataclass(frozen=True)
-class Replay:
+class Replay(NamedTuple):
     """The last periods of all skins: times [s], (k,), from `begin_s` on over `length_s`;
     what: description of this stretch"""
 
@@ -141,19 +133,17 @@ class Replay:
     skins: tuple[SkinReplay, ...]
 
 
-@dataclass(frozen=True)
-class Notice:
+class Notice(NamedTuple):
     """A sentence for the page. kind: `busy` stays until the next one, `error` is red, `info` is not"""
 
     kind: Literal["info", "busy", "error"]
     text: str
 
 
-@dataclass(frozen=True)
-class Values:
+class Values(NamedTuple):
     """Values of the sliders, in their units, by place."""
 
-    values: dict[Place, float] = field(default_factory=dict)
+    values: dict[Place, float]
 
 
 @dataclass(frozen=True)
@@ -167,45 +157,39 @@ FromSimulation = SceneShown | Moment | Replay | Notice | Values | End
 # -- what the page sends -----------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Ready:
+class Ready(NamedTuple):
     """The page is available. address: for the browser; or failed: the reason"""
 
     address: str
     failed: str = ""
 
 
-@dataclass(frozen=True)
-class Ask:
+class Ask(NamedTuple):
     """Request for the next Moment, with motion and ARP or without, or for the next Replay."""
 
     what: Literal["moment", "full moment", "replay"]
 
 
-@dataclass(frozen=True)
-class Turn:
+class Turn(NamedTuple):
     """A slider is set to a value, in its unit."""
 
     place: Place
     value: float
 
 
-@dataclass(frozen=True)
-class SetKey:
+class SetKey(NamedTuple):
     """A key as text, INSTANCE.key=VALUE."""
 
     text: str
 
 
-@dataclass(frozen=True)
-class Press:
+class Press(NamedTuple):
     """A button."""
 
     what: Literal["play", "pause", "reset", "record", "stop recording"]
 
 
-@dataclass(frozen=True)
-class Pace:
+class Pace(NamedTuple):
     """Limit of simulated seconds per second; inf for no limit."""
 
     most: float

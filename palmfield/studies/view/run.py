@@ -185,7 +185,7 @@ class ShownScene:
         elif what == "stop recording":
             self.stop_recording("stopped in the live view")
 
-    def _guarded(self, do: Callable[[], None]) -> bool:
+    def _guarded(self, do: Callable[[], object]) -> bool:
         """Do something, and report errors to the page; returns whether it succeeded."""
         try:
             do()
@@ -353,13 +353,9 @@ class ShownScene:
         if self._recording is None:
             return
         recording, self._recording = self._recording, None
-        if self._guarded(lambda: _finish(recording, reason)):
+        if self._guarded(lambda: recording.finish(reason)):
             LOG.info("wrote %s: `palmfield plot %s` draws it", recording.out, recording.out)
             self.send(Notice("info", f"wrote {recording.out}: `palmfield plot {recording.out}` draws it"))
-
-
-def _finish(recording: Recording, reason: str) -> None:
-    recording.finish(reason)
 
 
 def view(

@@ -8,7 +8,7 @@ import xarray as xr
 from matplotlib.colors import Colormap, ListedColormap
 from matplotlib.figure import Figure
 
-from palmfield.errors import OutputError, did_you_mean
+from palmfield.errors import OutputError, refuse_unknown
 from palmfield.outputs.frames import in_world, to_local
 from palmfield.outputs.motion import extremes, normal_component
 from palmfield.outputs.pictures.asked import (
@@ -77,9 +77,8 @@ def rms_map(result: xr.DataTree, asked: Asked) -> Figure:
 def level_map_of(result: xr.DataTree, asked: Asked) -> Figure:
     """Level above the threshold of one observer, or of each in a panel of its own, by vertex, without summation."""
     name, skin = chosen_skin(result, asked, "displacement")
-    if asked.observer is not None and asked.observer not in OBSERVERS:
-        near = did_you_mean(asked.observer, OBSERVERS)
-        raise OutputError(f"--observer has value '{asked.observer}'{near}; allowed: {', '.join(OBSERVERS)}")
+    if asked.observer is not None:
+        refuse_unknown(OutputError, "--observer has value {}", asked.observer, OBSERVERS)
     steady, lines = _repeating(result, skin)
     times = skin["time"].values[steady]
     motion = normal_component(skin, times=steady).values.astype(float)
