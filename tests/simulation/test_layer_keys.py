@@ -99,7 +99,7 @@ def test_a_layered_scene_runs(small_scene, tmp_path, solver):
 @pytest.mark.parametrize(
     ("keys", "reason"),
     [
-        ({"materials": "palm finger_pad", "shares": "1"}, "give one for each"),
+        ({"materials": "palm finger_pad", "shares": "1"}, "give one share for each"),
         ({"materials": "palm finger_pad", "shares": "0.5 0.6"}, "add up to 1.1"),
         ({"materials": "palm", "shares": "1", "material": "palm"}, "remove one"),
         ({"materials": "palm", "shares": "1", "bulk_Pa": "1e6"}, "remove one"),

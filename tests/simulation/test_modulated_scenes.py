@@ -68,7 +68,7 @@ def test_the_plan_tells_the_drive_that_a_mean_takes(small_scene):
 
 def test_more_than_full_drive_is_refused_with_the_instance(small_scene):
     for stimulus, words in (
-        ({"am_normalisation": "carrier"}, "takes 2 of full drive; allowed: at most 1; set drive_amplitude to 0.5 or"),
+        ({"am_normalisation": "carrier"}, "needs 2 of full drive; allowed: at most 1; set drive_amplitude to 0.5 or"),
         ({"am_quantity": "duty", "am_normalisation": "carrier"}, "pulses of duty 1; allowed: at most 0.5"),
     ):
         with pytest.raises(SceneError) as error:
@@ -238,7 +238,10 @@ def test_a_board_that_switches_plays_a_full_rectangle(small_scene):
         ({"am_depth": 0.5}, "needs continuous amplitude at 40 frames/s (20 Hz, two frames a period)"),
         ({"am_waveform_duty": 0.1}, "needs 200 frames/s; sonicsurface gives on/off amplitude at 89.3 frames/s"),
         ({"am_frequency_Hz": 60}, "needs 120 frames/s; sonicsurface"),
-        ({"am_normalisation": "carrier", "drive_amplitude": 0.5}, "needs continuous amplitude; sonicsurface gives on"),
+        (
+            {"am_normalisation": "carrier", "drive_amplitude": 0.5},
+            "continuous amplitude; sonicsurface has only on",
+        ),
     ],
 )
 def test_what_a_switching_board_cannot_play_is_told(small_scene, keys, words):

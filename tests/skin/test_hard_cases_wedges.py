@@ -213,5 +213,5 @@ def test_crossed_inward_directions_are_an_error_with_their_place():
         rim=np.zeros(len(ball.vertices), dtype=bool),
         axis=None,
     )
-    with pytest.raises(SceneError, match=r"near \(.*inside out"):
+    with pytest.raises(SceneError, match=r"near \(.*inverted"):
         extrude(patch, np.array([0.0, 0.5, 1.0]))

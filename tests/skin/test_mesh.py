@@ -122,7 +122,7 @@ def test_turned_faces_and_zero_depth_are_errors():
         dataclasses.replace(patch, faces=patch.faces[:, ::-1]),
         dataclasses.replace(patch, depth=np.zeros_like(patch.depth)),
     ):
-        with pytest.raises(SceneError, match="flat or inside out"):
+        with pytest.raises(SceneError, match="flat or inverted"):
             extrude(bad, np.array([0.0, 1.0]))
 
 

@@ -267,7 +267,7 @@ def test_bad_input():
         solve_wedges(SkinProblem(slab(0.01), HELD, np.array([0.01]), AT, accuracy=0.0))
     patch = disc_patch(0.02, 0.01, 0.01, 0.01, 0.01)
     inverted = Layer(type(patch)(**{**vars(patch), "inward": -patch.inward}), (Sheet(ECOFLEX, 0.01),))
-    with pytest.raises(SceneError, match=r"near \(.*flat or inside out"):
+    with pytest.raises(SceneError, match=r"near \(.*flat or inverted"):
         static_wedges(inverted, HELD, AT)
     no_axis = Layer(type(patch)(**{**vars(patch), "axis": None}), (Sheet(ECOFLEX, 0.01),), side="roller")
     assert "axis" in (refusal_wedges(no_axis, HELD) or "")

@@ -41,7 +41,7 @@ INVERTED = {
 @pytest.mark.parametrize("name", ["wedges", "spectral_elements", "particles"])
 @pytest.mark.parametrize("which", INVERTED)
 def test_an_inverted_or_flat_element_is_named_with_its_place(name, which):
-    with pytest.raises(SceneError, match=r"near \(-?[\d.e-]+, -?[\d.e-]+, -?[\d.e-]+\) m.*inside out"):
+    with pytest.raises(SceneError, match=r"near \(-?[\d.e-]+, -?[\d.e-]+, -?[\d.e-]+\) m.*inverted"):
         body = Layer(INVERTED[which], (Sheet(GEL, 0.008),))
         solve(body, LOAD, [0.01], [[0.0, 0.0, 0.0]], solver=name, device="cpu")
 
@@ -102,7 +102,7 @@ def test_problems_that_cannot_be(make, words):
         ({"times": []}, "at least one"),
         ({"times": [0.01, 0.005]}, "rising"),
         ({"times": [np.inf]}, "finite"),
-        ({"at": [[0.5, 0.0]]}, "off the"),
+        ({"at": [[0.5, 0.0]]}, "outside the slab"),
         ({"at": np.zeros((0, 2))}, "at of shape"),
         ({"at": [[np.nan, 0.0]]}, "at of shape"),
         ({"accuracy": 0.0}, "accuracy is 0.0"),
@@ -117,17 +117,17 @@ def test_what_is_asked_is_checked_by_all(name, changes, words):
 
 @pytest.mark.parametrize("name", ["wedges", "spectral_elements", "particles"])
 def test_points_off_a_layer_are_told(name):
-    with pytest.raises(SceneError, match="off"):
+    with pytest.raises(SceneError, match="from the layer"):
         solve(Layer(FLAT, (Sheet(GEL, 1.0),)), LOAD, [0.01], [[0.1, 0.0, 0.0]], solver=name, device="cpu")
 
 
 @pytest.mark.parametrize(
     ("sheets", "shape", "sizes", "words"),
     [
-        ((Sheet(GEL, 20.0),), "infinite", {}, "thickness of 20 m"),
-        ((Sheet(GEL, 0.7), Sheet(GEL, 0.7)), "infinite", {}, "thickness of 1.4 m"),
-        ((Sheet(GEL, 0.02),), "disc", {"radius_m": 60.0, "side": "fixed"}, "width of 60 m"),
-        ((Sheet(GEL, 0.02),), "box", {"size_m": (0.1, 80.0), "side": "fixed"}, "width of 80 m"),
+        ((Sheet(GEL, 20.0),), "infinite", {}, "thickness is 20 m"),
+        ((Sheet(GEL, 0.7), Sheet(GEL, 0.7)), "infinite", {}, "thickness is 1.4 m"),
+        ((Sheet(GEL, 0.02),), "disc", {"radius_m": 60.0, "side": "fixed"}, "width is 60 m"),
+        ((Sheet(GEL, 0.02),), "box", {"size_m": (0.1, 80.0), "side": "fixed"}, "width is 80 m"),
     ],
 )
 def test_millimetres_taken_for_metres_are_told(sheets, shape, sizes, words):

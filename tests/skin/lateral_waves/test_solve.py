@@ -248,12 +248,12 @@ def test_refusals():
     fixed = dataclasses.replace(DISC, side="fixed")
     assert "roller" in str(refusal_lateral_waves(fixed, STILL))
     assert refusal_lateral_waves(DISC, STILL) is None
-    assert "middle" in str(refusal_lateral_waves(DISC, dataclasses.replace(STILL, centre_m=np.array([0.01, 0.0]))))
+    assert "centre" in str(refusal_lateral_waves(DISC, dataclasses.replace(STILL, centre_m=np.array([0.01, 0.0]))))
     box = Slab((Sheet(ECOFLEX, DEPTH),), shape="box", side="roller", size_m=(0.03, 0.03))
     assert "0.015 m of a side" in str(refusal_lateral_waves(box, STILL))
     with pytest.raises(SceneError, match="roller"):
         solve_lateral_waves(SkinProblem(fixed, STILL, np.ones(1), AT))
-    with pytest.raises(SceneError, match="off the disc"):
+    with pytest.raises(SceneError, match="outside the slab, a disc"):
         solve_lateral_waves(SkinProblem(DISC, STILL, np.ones(1), np.array([[0.1, 0.0]])))
     with pytest.raises(SceneError, match="accuracy is 2"):
         solve_lateral_waves(SkinProblem(C0, STILL, np.ones(1), AT, accuracy=2.0))

@@ -218,5 +218,5 @@ def test_column_through_a_point_is_found():
     inward = np.array([0.0, 0.0, -0.02]) - patch.vertices
     inward = inward / np.linalg.norm(inward, axis=1, keepdims=True)
     sheets = (Sheet(gel(), 0.06),)
-    with pytest.raises(SceneError, match="inside out"):
+    with pytest.raises(SceneError, match="inverted"):
         extrude(patch_quads(replace(patch, inward=inward, depth=np.full(4, 0.06)), 2), sheets, (1,))
