@@ -211,9 +211,16 @@ class SkinnedHand(SkinnedSurface):
 
     def __init__(self, preset: HandPreset, edge_m: float = 0.003, device: str = "cpu") -> None:
         """Raises SceneError as `hand_surface`, and PalmfieldError for an unknown device."""
-        self.hand = articulate(preset)
-        surface = hand_surface(preset, edge_m).surface
-        super().__init__(self.hand.bones, surface, skin_weights(self.hand, surface), device)
+        self.hand, surface, weights = _hand_with_weights(preset.model_dump_json(), edge_m)
+        super().__init__(self.hand.bones, surface, weights, device)
+
+
+@lru_cache(maxsize=4)
+def _hand_with_weights(preset: str, edge_m: float) -> tuple[ArticulatedHand, Surface, Float]:
+    """Bones and skin of a preset, given as JSON, with their weights: half a second, once for all that have it."""
+    read = HandPreset.model_validate_json(preset)
+    hand, surface = articulate(read), hand_surface(read, edge_m).surface
+    return hand, surface, skin_weights(hand, surface)
 
 
 @lru_cache(maxsize=2)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from palmfield.errors import SceneError
 from palmfield.given_files import read_toml, reading
 from palmfield.hand.articulated import ArticulatedHand, articulate, checked_angles
 from palmfield.hand.poses import named_pose, posed_surface
-from palmfield.hand.preset import load_preset
+from palmfield.hand.preset import HandPreset, load_preset
 from palmfield.hand.skinning import SkinnedHand
 from palmfield.motion.alignment import read_alignment
 from palmfield.motion.keyframes import keyframes
@@ -155,13 +156,22 @@ def _angles(key: Mapping[str, Any], hand: ArticulatedHand, where: str) -> dict[s
 
 
 def _check_skin(path: Path, preset: str, poses: list[dict[str, float]]) -> None:
-    skin = SkinnedHand(load_preset(preset))
-    known: list[dict[str, float]] = []
+    hand = load_preset(preset).model_dump_json()
     for number, pose in enumerate(poses, start=1):
-        if pose in known:
-            continue
-        known.append(pose)
-        try:
-            posed_surface(skin, pose)
-        except SceneError as error:
-            raise SceneError(f"keyframes {path}: key {number}: {error}") from None
+        if fault := _fault(hand, tuple(pose.items())):
+            raise SceneError(f"keyframes {path}: key {number}: {fault}")
+
+
+@lru_cache(maxsize=256)
+def _fault(hand: str, pose: tuple[tuple[str, float], ...]) -> str:
+    """Why the skin of a preset, given as JSON, can't take a pose, "" where it can; kept for scenes opened again."""
+    try:
+        posed_surface(_skinned(hand), dict(pose))
+    except SceneError as error:
+        return f"{error}"
+    return ""
+
+
+@lru_cache(maxsize=1)
+def _skinned(hand: str) -> SkinnedHand:
+    return SkinnedHand(HandPreset.model_validate_json(hand))
