@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 import pytest
 import typer.main
+from unestimated import UNESTIMATED
 
 from palmfield.acoustics.arrays import layout
 from palmfield.acoustics.focus import focus
@@ -90,10 +91,11 @@ def test_new_scene_runs(tmp_path, monkeypatch, capsys):
     assert code == 0
     assert out.out.startswith("felt: ") and "peak ARP" in out.out and "o/scene.usdc" in out.out
     assert "level above threshold" in out.out and "hasegawa_2018" in out.out
-    again = ("run", "first/first.xml", "--duration", "0.005", "--out", "o")
+    again = ("run", "first/first.xml", "--duration", "0.005", "--out", "o", "--no-plots")
     code, out = call(monkeypatch, capsys, *again)
     assert code == 2 and "of another run" in out.err and "--overwrite" in out.err
-    code, out = call(monkeypatch, capsys, *again, "--overwrite", "--set", "skin.accuracy=0.3")
+    small = ("--set", "skin.accuracy=0.3", "--set", "skin.patch_radius_m=0.02")
+    code, out = call(monkeypatch, capsys, *again, "--overwrite", *small)
     assert code == 0 and json.loads(Path("o/summary.json").read_text())["steps"] == 5
     code, out = call(monkeypatch, capsys, "new", "first")
     assert code == 2 and "already exists" in out.err
@@ -173,13 +175,14 @@ def test_drive_records_what_run_simulates(tmp_path, monkeypatch, capsys):
     assert np.abs(np.angle(emitted / wanted)).max() <= np.pi / 32 + 1e-9
 
 
+@UNESTIMATED
 def test_simulated_drive_is_decoded_from_the_recorded_bytes(tmp_path, monkeypatch, capsys):
     """Each frame that the board would get makes exactly the phases that the simulation used for it."""
     scene = SCENES / "palm_circle_sonicsurface.xml"
     file, out = tmp_path / "circle.bin", tmp_path / "out"
     assert call(monkeypatch, capsys, "drive", scene, "--record", file, "--duration", 0.03)[0] == 0
     # What the skin makes of it matters nothing here.
-    quick = ("--duration", 0.03, "--device", "cpu", "--accuracy", 0.5)
+    quick = ("--duration", 0.03, "--device", "cpu", "--accuracy", 0.5, "--no-plots")
     assert call(monkeypatch, capsys, "run", scene, "--out", out, *quick)[0] == 0
     emitted = [frame for frame in BOARD.decode(file.read_bytes()) if np.abs(frame).max() > 0]
     with open_result(out) as result:
@@ -249,9 +252,10 @@ def test_a_device_that_is_not_there_is_refused_with_those_that_are(small_scene, 
         assert code == 2 and "auto, cpu or cuda:N" in out.err
 
 
+@UNESTIMATED
 def test_a_skin_without_a_focus_is_warned_of_before_the_run(small_scene, tmp_path, monkeypatch, capsys):
     scene = small_scene(stimulus={"focus_m": "0.15 0 0.12"})
-    code, out = call(monkeypatch, capsys, "run", scene, "--out", tmp_path / "out", "--duration", "0.002")
+    code, out = call(monkeypatch, capsys, "run", scene, "--out", tmp_path / "out", "--duration", "0.002", "--no-plots")
     assert code == 0 and "warning: no focus is near skin 'skin'" in out.err
 
 

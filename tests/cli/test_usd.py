@@ -4,6 +4,7 @@ import json
 import sys
 
 import pytest
+from unestimated import UNESTIMATED
 
 import palmfield
 from palmfield.cli.app import main
@@ -12,7 +13,8 @@ from palmfield.cli.app import main
 @pytest.fixture(scope="module")
 def run(module_scene, tmp_path_factory):
     out = tmp_path_factory.mktemp("usd") / "run"
-    palmfield.run(module_scene(duration_s=0.005), out, plots=[])
+    with UNESTIMATED:
+        palmfield.run(module_scene(duration_s=0.005), out, plots=[])
     return out
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from unestimated import UNESTIMATED
 
 import palmfield
 from palmfield.engine.host import raise_errors, world_of
@@ -190,6 +191,7 @@ def test_an_error_while_stepping_is_kept_and_shown(small_scene, capfd):
         raise_errors(data)
 
 
+@UNESTIMATED
 def test_plain_mj_step_equals_palmfield_run():
     """Consistency: after 50 ms of the main example, force and skin displacement agree to 1e-6."""
     scene = palmfield.load(PALM)

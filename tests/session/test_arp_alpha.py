@@ -12,7 +12,7 @@ from palmfield.planning.scene_plan import plan
 
 def finished(path, out, **keys):
     sim = palmfield.Simulation(path, keys={"skin.solver": "wedges"} | keys)
-    result = palmfield.run(sim, out, progress=False)
+    result = palmfield.run(sim, out, progress=False, plots=[])
     with open_result(out) as tree:
         (skin,) = tree["skin"].children.values()
         (budget,) = json.loads(tree.attrs["error_budget"]).values()

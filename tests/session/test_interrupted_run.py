@@ -8,6 +8,7 @@ import traceback
 
 import numpy as np
 import pytest
+from unestimated import UNESTIMATED
 
 import palmfield
 from palmfield.estimate import estimated_run
@@ -22,6 +23,12 @@ def python_raises():
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
+
+
+@pytest.fixture(autouse=True)
+def unestimated():
+    with UNESTIMATED:
+        yield
 
 
 @pytest.fixture(params=["memory", "folder"])
@@ -61,7 +68,7 @@ def test_what_was_computed_comes_with_the_error(small_scene, out, stop, kind, mo
     whole = palmfield.run(path, progress=False)
     sim = stopped_at(palmfield.load(path), 6, stop, monkeypatch)
     with pytest.raises(kind) as caught:
-        palmfield.run(sim, out, progress=False)
+        palmfield.run(sim, out, progress=False, plots=[])
     result = caught.value.result
     assert isinstance(result, recorded_run.Result) and result.out == out
     assert result.dataset.attrs["complete"] == 0 and result.summary["complete"] is False
@@ -92,7 +99,7 @@ def test_ctrl_c_while_the_error_is_estimated_leaves_a_complete_result(small_scen
 
     monkeypatch.setattr(estimated_run, "estimated_budget", interrupted)
     with pytest.raises(KeyboardInterrupt) as caught:
-        palmfield.run(small_scene(), out, progress=False)
+        palmfield.run(small_scene(), out, progress=False, plots=[])
     result = caught.value.result
     assert result.dataset.attrs["complete"] == 1 and result.summary["complete"] is True
     assert len(displacement(result)) == 31 and "displacement_error_relative" not in result.summary["skins"][0]
@@ -104,7 +111,7 @@ def test_ctrl_c_after_the_last_step_loses_the_loudest_moment_only(small_scene, o
 
     monkeypatch.setattr(Recorder, "surfaces", interrupted)
     with pytest.raises(KeyboardInterrupt) as caught:
-        palmfield.run(small_scene(), out, progress=False)
+        palmfield.run(small_scene(), out, progress=False, plots=[])
     result = caught.value.result
     assert result.dataset.attrs["complete"] == 0 and len(displacement(result)) == 31
     assert "loudest_arp" not in result.dataset["skin/skin"]
@@ -134,7 +141,7 @@ def test_ctrl_c_while_the_result_is_assembled_on_disk_waits_for_it(small_scene, 
 
     monkeypatch.setattr(store, "read_image", read_image)
     with pytest.raises(KeyboardInterrupt) as caught:
-        palmfield.run(small_scene(), tmp_path / "out", progress=False)
+        palmfield.run(small_scene(), tmp_path / "out", progress=False, plots=[])
     result = caught.value.result
     assert result.dataset.attrs["complete"] == 1 and result.summary["complete"] is True
     assert len(displacement(result)) == 31 and not (tmp_path / "out" / ".partial").exists()
@@ -155,7 +162,7 @@ def full_at_the_last_flush(monkeypatch):
 def test_a_disk_that_is_full_at_the_last_flush_makes_the_run_fail(small_scene, tmp_path, monkeypatch):
     full_at_the_last_flush(monkeypatch)
     with pytest.raises(palmfield.OutputError, match="are lost: No space left on device; free some space") as caught:
-        palmfield.run(small_scene(), tmp_path / "out", progress=False)
+        palmfield.run(small_scene(), tmp_path / "out", progress=False, plots=[])
     result = caught.value.result
     for said in (result.summary, json.loads((tmp_path / "out" / "summary.json").read_text()), result.dataset.attrs):
         assert said["complete"] == 0 and "last blocks" in said["reason"] and "completed" in said["reason"]
@@ -168,7 +175,7 @@ def test_a_disk_that_is_full_for_the_summary_too_leaves_the_result_on_the_error(
 
     monkeypatch.setattr(recorded_run, "write_json", write_json)
     with pytest.raises(palmfield.OutputError, match="cannot write") as caught:
-        palmfield.run(small_scene(), tmp_path / "out", progress=False)
+        palmfield.run(small_scene(), tmp_path / "out", progress=False, plots=[])
     assert len(displacement(caught.value.result)) == 31
 
 

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy.special import j1
+from unestimated import UNESTIMATED
 
 import palmfield
 from palmfield.session.phase_turns import PhaseTurns
@@ -61,6 +62,7 @@ def changes(result):
     return times[1:], np.linalg.norm(np.diff(drives, axis=0), axis=1) / np.linalg.norm(drives[1:], axis=1)
 
 
+@UNESTIMATED
 def test_turns_are_counted_and_named_where_the_drive_jumps(small_scene, tmp_path, caplog):
     """Two foci that move apart through 9.1 and 16.3 mm, where the sound of one has a null at the other."""
     with caplog.at_level(logging.WARNING):
@@ -75,6 +77,7 @@ def test_turns_are_counted_and_named_where_the_drive_jumps(small_scene, tmp_path
     assert f"'stimulus' jump (count: 2, first at {numbers['phase_turn_times_s'][0]:.6g} s)" in line
 
 
+@UNESTIMATED
 @pytest.mark.parametrize(
     ("apart_m", "intensities"),
     [((0.005, 0.008), ((1.0, 1.0), (1.0, 1.0))), ((0.012, 0.012), ((1.0, 0.2), (0.2, 1.0)))],
@@ -96,6 +99,7 @@ def test_foci_whose_eigenvalues_stay_apart_turn_nowhere(small_scene, tmp_path, c
     assert not any("the phases between the foci" in record.getMessage() for record in caplog.records)
 
 
+@UNESTIMATED
 def test_one_focus_has_no_phases_to_turn(small_scene):
     (numbers,) = palmfield.run(small_scene(duration_s=0.002)).summary["stimuli"]
     assert "phase_turns" not in numbers

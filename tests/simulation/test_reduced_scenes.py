@@ -234,8 +234,8 @@ def test_a_model_that_grows_too_large_is_left(small_scene, monkeypatch):
     assert isinstance(stepper_of(sim), WedgeStepper)
 
 
-def test_the_reduction_is_in_the_error_budget(small_scene, tmp_path):
-    result = run(load(fixed(small_scene(skin=SKIN))), tmp_path / "out", progress=False)
+def test_the_reduction_is_in_the_error_budget(small_scene):
+    result = run(load(fixed(small_scene(skin=SKIN))), progress=False)
     found = result.summary["skins"][0]
     assert 0.0 < found["reduction_error_relative"] <= 0.006
     assert found["displacement_error_relative"] > found["reduction_error_relative"]
