@@ -4,22 +4,29 @@ python scripts/verification/mutations.py --write docs/bench/mutations.md
 """
 
 import argparse
+import atexit
+import gc
 import importlib
 import importlib.util
+import inspect
 import multiprocessing
 import os
 import re
 import shutil
+import signal
 import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import cache
 from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from queue import Queue
+from types import CodeType, FunctionType
 from typing import NamedTuple
 from unittest import mock
 from xml.etree import ElementTree
@@ -36,6 +43,8 @@ FORKS = multiprocessing.get_context("forkserver")
 FORKS.set_forkserver_preload(["third_party"])
 STARTING = threading.Lock()
 """Of the environment, which is another while a process starts."""
+NOT_BY_FUNCTIONS = 77
+"""How a fork ends, without a test, whose fault is not in functions alone."""
 EXPECTED = re.compile(r"assert |AssertionError|Failed: |palmfield\.errors\.")
 """How a test may end under a mutation: by its own assertion, or by an error that palmfield raises on purpose."""
 
@@ -94,17 +103,8 @@ class Ended(NamedTuple):
 def pytest_in(tree: Path, tests: Sequence[str], longest_s: float) -> Ended:
     """Run tests of a copy in a process of its own, and read its exit code and its JUnit file: printed lines are cut
     to a terminal's width, or not, as the caller's environment has it."""
-    own = {"PYTHONPATH": str(tree), "PALMFIELD_CACHE": "off", "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", **ONE_THREAD}
-    report, printed = tree / "junit.xml", tree / "printed.txt"
-    report.unlink(missing_ok=True)
-    options = ["-p", "no:cacheprovider", "-q", "-x", "--tb=short", f"--junitxml={report}", *tests]
     receiver, sender = FORKS.Pipe(duplex=False)
-    with STARTING:
-        inherited = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}
-    # The process to fork starts with the first test, and finds its module by this path.
-    with STARTING, mock.patch.dict(os.environ, PYTHONPATH=str(Path(__file__).parent), **ONE_THREAD):
-        process = FORKS.Process(target=_run_pytest, args=(tree, options, inherited | own, printed, sender))
-        process.start()
+    process = _started(tree, _run_pytest, _options(tree, tests), sender)
     sender.close()
     if not receiver.poll(longest_s):
         process.kill()
@@ -115,16 +115,99 @@ def pytest_in(tree: Path, tests: Sequence[str], longest_s: float) -> Ended:
     except EOFError:
         code = -2
     process.join()
-    return Ended(code, printed.read_text(encoding="utf-8", errors="replace"), failures_in(report))
+    return _ended(tree, code)
 
 
-def _run_pytest(tree: Path, options: list[str], environment: dict[str, str], printed: Path, sender: Connection) -> None:
-    """Run pytest on a copy in a process that was forked before anything of palmfield was imported; send its exit code.
+def pytest_under(tree: Path, fault: Path, was: str, tests: Sequence[str], longest_s: float) -> Ended:
+    """As `pytest_in`, in a fork of a process that had imported the copy when the file of the fault still held `was`.
 
-    Raises RuntimeError where something of palmfield is there.
+    The fork takes the functions that differ, so that it need not import the rest again.
     """
-    os.dup2(os.open(printed, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), 1)
+    asked = imported(tree)
+    asked.send((_options(tree, tests), fault, was))
+    number = asked.recv()
+    late = not asked.poll(longest_s)
+    if late:
+        os.kill(number, signal.SIGKILL)
+    code = asked.recv()
+    if late:
+        return Ended(-1, f"took more than {longest_s:g} s", {})
+    return _ended(tree, code)
+
+
+@cache
+def imported(tree: Path) -> Connection:
+    """A connection to a process that has imported palmfield from a copy, and forks at each request."""
+    ours, theirs = FORKS.Pipe()
+    _started(tree, _fork_on_request, theirs)
+    theirs.close()
+    atexit.register(ours.close)
+    ours.recv()
+    return ours
+
+
+def _options(tree: Path, tests: Sequence[str]) -> list[str]:
+    report = tree / "junit.xml"
+    report.unlink(missing_ok=True)
+    return ["-p", "no:cacheprovider", "-q", "-x", "--tb=short", f"--junitxml={report}", *tests]
+
+
+def _ended(tree: Path, code: int) -> Ended:
+    printed = (tree / "printed.txt").read_text(encoding="utf-8", errors="replace")
+    return Ended(code, printed, failures_in(tree / "junit.xml"))
+
+
+def _started(tree: Path, target: Callable[..., None], *arguments: object) -> BaseProcess:
+    """A process, forked before anything of palmfield was imported, that runs a function on a copy."""
+    own = {"PYTHONPATH": str(tree), "PALMFIELD_CACHE": "off", "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", **ONE_THREAD}
+    with STARTING:
+        inherited = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}
+    # The process to fork starts with the first test, and finds its module by this path.
+    with STARTING, mock.patch.dict(os.environ, PYTHONPATH=str(Path(__file__).parent), **ONE_THREAD):
+        process = FORKS.Process(target=target, args=(tree, inherited | own, *arguments))
+        process.start()
+    return process
+
+
+def _run_pytest(tree: Path, environment: dict[str, str], options: list[str], sender: Connection) -> None:
+    """Run pytest on a copy; send its exit code."""
+    _print_to(tree)
+    _import_from(tree, environment)
+    sender.send(int(pytest.main(options)))
+
+
+def _fork_on_request(tree: Path, environment: dict[str, str], asked: Connection) -> None:
+    """Send the number of a fork that runs pytest with a fault, and then its exit code, for each request."""
+    _import_from(tree, environment)
+    package = importlib.import_module("palmfield")
+    for name in package.__all__:
+        getattr(package, name)
+    asked.send(None)
+    while True:
+        try:
+            options, fault, was = asked.recv()
+        except EOFError:
+            return
+        number = os.fork()
+        if number == 0:
+            code = -2
+            try:
+                _print_to(tree)
+                code = int(pytest.main(options)) if take_functions(fault, was) else NOT_BY_FUNCTIONS
+                sys.stdout.flush()
+            finally:
+                os._exit(code)
+        asked.send(number)
+        asked.send(os.waitstatus_to_exitcode(os.waitpid(number, 0)[1]))
+
+
+def _print_to(tree: Path) -> None:
+    os.dup2(os.open(tree / "printed.txt", os.O_WRONLY | os.O_CREAT | os.O_TRUNC), 1)
     os.dup2(1, 2)
+
+
+def _import_from(tree: Path, environment: dict[str, str]) -> None:
+    """Have palmfield from a copy. Raises RuntimeError where something of palmfield is there."""
     if "palmfield" in sys.modules:
         raise RuntimeError("palmfield was imported before the copy that is tested")
     os.environ.clear()
@@ -134,7 +217,38 @@ def _run_pytest(tree: Path, options: list[str], environment: dict[str, str], pri
     sys.dont_write_bytecode = False
     # As importing mujoco would
     importlib.import_module("palmfield.engine.register").register()
-    sender.send(int(pytest.main(options)))
+
+
+def take_functions(path: Path, was: str) -> bool:
+    """Give all functions of a module, wherever they are held, the code that its file has now.
+
+    was: the file's text when the module was imported, if it was
+    Whether that is all that has changed: the rest of a module has run, and Warp has read its kernels.
+    """
+    now = path.read_text(encoding="utf-8")
+    before, after = (list(_codes(compile(text, str(path), "exec"))) for text in (was, now))
+    pairs = list(zip(before, after, strict=False))
+    run_once = [pair for pair in pairs if not pair[0].co_flags & inspect.CO_OPTIMIZED]
+    if "@wp." in now or len(before) != len(after) or any(_own(one) != _own(other) for one, other in run_once):
+        return False
+    code = {(one.co_qualname, one.co_firstlineno): other for one, other in pairs}
+    for function in gc.get_objects():
+        if isinstance(function, FunctionType) and function.__code__.co_filename == str(path):
+            function.__code__ = code[function.__code__.co_qualname, function.__code__.co_firstlineno]
+    return True
+
+
+def _codes(code: CodeType) -> Iterator[CodeType]:
+    """A code object and those in it, in the order of the text."""
+    yield code
+    for part in code.co_consts:
+        if isinstance(part, CodeType):
+            yield from _codes(part)
+
+
+def _own(code: CodeType) -> tuple[object, ...]:
+    """What a code object does, without the code objects in it."""
+    return code.co_code, code.co_names, [repr(part) for part in code.co_consts if not isinstance(part, CodeType)]
 
 
 def failures_in(report: Path) -> dict[str, str]:
@@ -164,8 +278,14 @@ def judged(mutation: Mutation, ended: Ended) -> tuple[bool, str]:
 def outcome_of(tree: Path, mutation: Mutation) -> Outcome:
     """The outcome of a mutation's test in a copy, which is left as it was."""
     began = time.perf_counter()
+    fault = tree / mutation.file
+    was = fault.read_text(encoding="utf-8")
+    imported(tree)
     with mutated(tree, mutation):
-        red, said = judged(mutation, pytest_in(tree, [mutation.test], LONGEST_S))
+        red, said = judged(mutation, pytest_under(tree, fault, was, [mutation.test], LONGEST_S))
+        if not red:
+            # The fault may be in what runs on import, of this module or of those that call it then
+            red, said = judged(mutation, pytest_in(tree, [mutation.test], LONGEST_S))
     return Outcome(mutation, red, said, time.perf_counter() - began)
 
 

@@ -12,5 +12,9 @@ for name in (
     "scipy.interpolate", "scipy.optimize", "scipy.signal", "scipy.stats", "trimesh", "typer", "warp", "xarray",
 ):  # fmt: skip
     import_module(name)
+# A fault is found by any example: to look for a small one takes ten times as long
+hypothesis = import_module("hypothesis")
+hypothesis.settings.register_profile("found", phases=(hypothesis.Phase.explicit, hypothesis.Phase.generate))
+hypothesis.settings.load_profile("found")
 # What a fork collects is its own.
 gc.freeze()
