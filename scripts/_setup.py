@@ -51,6 +51,7 @@ def environment(extra: str = "", venv: Path = VENV) -> Path:
             "install",
             "--quiet",
             "--disable-pip-version-check",
+            "--no-compile",  # Python compiles what it imports, when it does
             *options,
             "--editable",
             f".[{extra}]" if extra else ".",

@@ -10,14 +10,17 @@ import os
 import platform
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
 
 import _setup
 
-CHECKS = (("ruff", "check", "."), ("ruff", "format", "--check", "."), ("mypy",), ("lint-imports",))
-PYTEST = ("pytest", "-n", "auto", "--dist", "loadfile")
+RUFF = (("ruff", "check", "."), ("ruff", "format", "--check", "."))
+CHECKS = (("mypy",), ("lint-imports",))
+"""They read with one core for a minute: the lowest versions are installed and tested at the same time."""
+PYTEST = ("pytest", "-n", "auto", "--dist", "loadfile", "--no-loadscope-reorder")
 IN_REAL_TIME = ("pytest", "-m", "wall_clock", "-n", "2", "--dist", "loadfile", "--reruns", "2")
 """Two at a time, as they wait most of it, again where one failed: a machine that stands still makes a board late."""
 TIMES = ("--durations", "30", "--junitxml", "out/tests-whole.xml")
@@ -49,18 +52,25 @@ def main() -> int:
     given, passed_on = parser.parse_known_args()
     python = _setup.environment("test")
     if given.quick:
-        return run(python, *CHECKS[0]) or run(python, *PYTEST, "-m", "quick", *passed_on)
+        return run(python, *RUFF[0]) or run(python, *PYTEST, "-m", "quick", *passed_on)
     nightly = ("--nightly",) if given.nightly else ()
-    for command in CHECKS:
-        if status := run(python, *command):
-            return status
+    if status := first_failure(python, RUFF):
+        return status
     if passed_on:
-        return run(python, *PYTEST, *nightly, *passed_on)
+        return first_failure(python, CHECKS) or run(python, *PYTEST, *nightly, *passed_on)
     core = another_core(python)
     whole = (*PYTEST, "-m", "not wall_clock", *TIMES, *nightly)
-    if status := smoke_on_lowest() or run(python, *whole) or run(python, *IN_REAL_TIME):
+    with ThreadPoolExecutor() as pool:
+        checked = pool.submit(first_failure, python, CHECKS)
+        smoked = smoke_on_lowest()
+    if status := checked.result() or smoked or run(python, *whole) or run(python, *IN_REAL_TIME):
         return status
     return run(python, *PYTEST, "-m", "numerics", OPENBLAS_CORETYPE=core) if core else 0
+
+
+def first_failure(python: Path, commands: tuple[tuple[str, ...], ...]) -> int:
+    """Run commands until one fails; its exit status, or 0."""
+    return next((status for command in commands if (status := run(python, *command))), 0)
 
 
 def smoke_on_lowest() -> int:

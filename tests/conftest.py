@@ -10,7 +10,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from chosen_tests import choose
+from chosen_tests import choose, lacks_marker
 from second_of_something import add_array as add_array
 from second_of_something import add_skin as add_skin
 from second_of_something import moment as moment
@@ -32,6 +32,10 @@ AIR = Air()
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--nightly", action="store_true", help="also run the long checks marked nightly")
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    return lacks_marker(config, collection_path) or None
 
 
 @pytest.hookimpl(tryfirst=True)  # before -m chooses

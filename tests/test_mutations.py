@@ -1,9 +1,11 @@
 """Known faults, put into a copy of the package one at a time, each turn a named test red."""
 
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
+from chosen_tests import name_of, slow_tests
 from mutation_table import MUTATIONS, Mutation
 from mutations import ROOT, Ended, copied, judged, mutated, outcome_of, pytest_in, unmutated
 
@@ -14,9 +16,19 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return copied(tmp_path_factory.mktemp("mutations"))
 
 
-@pytest.mark.slow
-def test_all_pass_without_a_fault(tree: Path) -> None:
-    passed, output = unmutated(tree, MUTATIONS)
+def quick() -> list[Mutation]:
+    """One of each stage that has a quick test."""
+    slow = slow_tests()
+    return list({one.stage: one for one in MUTATIONS if name_of(one.test) not in slow}.values())
+
+
+@pytest.mark.parametrize(
+    "mutations",
+    [pytest.param(quick(), id="quick"), pytest.param(MUTATIONS, id="all", marks=pytest.mark.nightly)],
+)
+def test_all_pass_without_a_fault(tree: Path, mutations: Sequence[Mutation]) -> None:
+    """In a copy, as in the clone, where all of them run anyway."""
+    passed, output = unmutated(tree, mutations)
     assert passed, output
 
 

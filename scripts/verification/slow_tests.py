@@ -3,8 +3,8 @@
 
 python scripts/verification/slow_tests.py TIMES.xml [TIMES.xml ...]
 
-TIMES.xml: of --junitxml; scripts/test.py writes out/tests-whole.xml. Writes tests/slow_tests.txt and prints the
-thirty functions that take most.
+TIMES.xml: of --junitxml; scripts/test.py writes out/tests-whole.xml. Writes tests/slow_tests.txt, with the seconds of
+all cases of each function, by which files begin, and prints the thirty functions that take most.
 """
 
 import sys
@@ -43,8 +43,8 @@ def main() -> None:
     if not sys.argv[1:]:
         raise SystemExit(__doc__)
     times = functions(sys.argv[1:])
-    slow = sorted(name for name, seconds in times.items() if max(seconds) > QUICK_S)
-    SLOW_TESTS.write_text("\n".join(slow) + "\n")
+    slow = sorted((name, sum(seconds)) for name, seconds in times.items() if max(seconds) > QUICK_S)
+    SLOW_TESTS.write_text("".join(f"{seconds:6.1f} {name}\n" for name, seconds in slow))
     for name, seconds in sorted(times.items(), key=lambda one: -sum(one[1]))[:30]:
         print(f"{sum(seconds):7.1f} s {len(seconds):4} cases, longest {max(seconds):5.1f} s  {name}")
 
