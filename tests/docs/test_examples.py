@@ -2,6 +2,7 @@
 
 import os
 import re
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -22,13 +23,23 @@ def test_there_are_ten_short_ones_and_the_page_names_each():
         assert path.name in page
 
 
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    (tmp_path / "mjcf").symlink_to(ROOT / "mjcf")
+    monkeypatch.chdir(tmp_path)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
-def test_each_runs(path, tmp_path):
-    (tmp_path / "mjcf").symlink_to(ROOT / "mjcf")
+def test_each_runs(path, folder, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", [str(path)])
+    runpy.run_path(str(path), run_name="__main__")
+    assert re.search(r"\d", capsys.readouterr().out)
+
+
+def test_one_runs_as_a_program_of_its_own(folder):
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
-    done = subprocess.run(
-        [sys.executable, str(path)], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300
-    )
+    command = [sys.executable, str(EXAMPLES[0])]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr[-3000:]
     assert re.search(r"\d", done.stdout)

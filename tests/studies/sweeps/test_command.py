@@ -7,6 +7,7 @@ import pytest
 import xarray as xr
 
 from palmfield.cli import sweep as command
+from palmfield.cli.app import main
 from palmfield.studies.sweeps.whole_sweep import Sweep
 
 
@@ -39,11 +40,14 @@ def test_a_sweep_from_the_command_line(small_scene, tmp_path):
         ([], "the sweep has no values; give --set with several values: KEY=a:b:n"),
     ],
 )
-def test_what_is_refused_is_said_in_one_line(settings, said, small_scene, tmp_path):
+def test_what_is_refused_is_said_in_one_line(settings, said, small_scene, tmp_path, monkeypatch, capsys):
     options = [part for text in settings for part in ("--set", text)]
-    done = palmfield("sweep", small_scene(), *options, "--out", tmp_path / "out")
-    assert done.returncode == 2 and done.stderr.count("\n") == 1
-    assert said in done.stderr
+    arguments = ["palmfield", "sweep", small_scene(), *options, "--out", tmp_path / "out"]
+    monkeypatch.setattr(sys, "argv", [str(word) for word in arguments])
+    with pytest.raises(SystemExit, match="2"):
+        main()
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1 and said in told
     assert not (tmp_path / "out").exists()
 
 
