@@ -49,8 +49,8 @@ def shell_push(degree, outer, inner, bulk):
     return outside[0] @ amplitudes
 
 
-def fem_push(degree, outer, inner, material, subdivisions, rows):
-    """Projection of the layer's radial motion on P_l, over that of the pressure."""
+def fem_push(degrees, outer, inner, material, subdivisions, rows):
+    """Projections of the layer's radial motion on P_l, over that of the pressure, by degree l."""
     ball = icosphere(subdivisions=subdivisions, radius=outer)
     count = len(ball.vertices)
     patch = Patch(
@@ -64,10 +64,10 @@ def fem_push(degree, outer, inner, material, subdivisions, rows):
     system = assemble(mesh, material)
     quadrature = SurfaceQuadrature(mesh, system)
     cosine = quadrature.points[:, 2] / np.linalg.norm(quadrature.points, axis=1)
-    force = quadrature.assemble(eval_legendre(degree, cosine))
-    motion = (surface_motion(mesh, system) @ static(system, force))[:count]
-    shape = eval_legendre(degree, ball.vertices[:, 2] / outer)
-    return (shape @ motion) / (shape @ shape)
+    forces = np.column_stack([quadrature.assemble(eval_legendre(degree, cosine)) for degree in degrees])
+    motions = (surface_motion(mesh, system) @ static(system, forces))[:count].T
+    shapes = [eval_legendre(degree, ball.vertices[:, 2] / outer) for degree in degrees]
+    return [(shape @ motion) / (shape @ shape) for shape, motion in zip(shapes, motions, strict=True)]
 
 
 def test_shell_formula_for_uniform_pressure_at_high_degree():
@@ -79,11 +79,13 @@ def test_shell_formula_for_uniform_pressure_at_high_degree():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("outer", "inner"), [(0.03, 0.024), (0.036, 0.03)])
-@pytest.mark.parametrize(("degree", "nu"), [(2, 0.495), (8, 0.495), (2, 0.4999), (8, 0.4999)])
-def test_bonded_layer_on_a_sphere(outer, inner, degree, nu):
+@pytest.mark.parametrize("nu", [0.495, 0.4999])
+def test_bonded_layer_on_a_sphere(outer, inner, nu):
     """6 mm on a ball of 30 mm, and as the outer 6 mm of one: within the 2 % asked for."""
     bulk = bulk_from_poisson(nu, SHEAR)
-    exact = shell_push(degree, outer, inner, bulk)
-    found = fem_push(degree, outer, inner, Material("solid", 1000.0, SHEAR, (), bulk, ""), 3, 2)
-    print(f"P_{degree}, nu {nu}, R {outer}: {found / exact - 1:+.4f}")
-    assert abs(found / exact - 1) < 0.02
+    degrees = (2, 8)
+    pushes = fem_push(degrees, outer, inner, Material("solid", 1000.0, SHEAR, (), bulk, ""), 3, 2)
+    for degree, found in zip(degrees, pushes, strict=True):
+        exact = shell_push(degree, outer, inner, bulk)
+        print(f"P_{degree}, nu {nu}, R {outer}: {found / exact - 1:+.4f}")
+        assert abs(found / exact - 1) < 0.02
