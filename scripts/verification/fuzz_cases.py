@@ -3,6 +3,7 @@
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -77,9 +78,14 @@ def _collect(strategy: st.SearchStrategy[Case], count: int, chosen_seed: int, kn
 # -- values of keys ------------------------------------------------------------------------------------------------
 
 
+@cache
+def _schemas(model: type[Config]) -> dict[str, Any]:
+    return dict(model.model_json_schema()["properties"])
+
+
 def _wrong_values(model: type[Config], key: str) -> st.SearchStrategy[str] | None:
     """Texts that a key's own declaration forbids; None for a key that takes any text."""
-    schema = model.model_json_schema()["properties"][key]
+    schema = _schemas(model)[key]
     options = [o for o in schema.get("anyOf", [schema]) if o.get("type") != "null"]
     option: dict[str, Any] = options[0]
     if "enum" in option:

@@ -47,15 +47,16 @@ def test_what_they_are_made_from_is_accepted():
     assert len(RULES) > 30
 
 
-def test_two_hundred_scenes_that_stay_well_formed():
+@pytest.mark.parametrize("count", [60, pytest.param(COUNT, marks=pytest.mark.nightly)])
+def test_scenes_that_stay_well_formed(count):
     """Planned, and stepped where they are accepted; shipped scenes, which take longer, by the script only."""
     forms = [small_scene_texts(0.01, **changes) for changes in SMALL]
     whole = [Case("tree", "none", False, {"plain.xml": one.encode(), "scene.xml": two.encode()}) for one, two in forms]
     assert [(one.outcome, one.said) for one in run_cases(whole)] == [("accepted", "")] * len(whole)
-    found = run_cases(drawn_trees(COUNT, SEED, share_of_shipped=0.0))
+    found = run_cases(drawn_trees(count, SEED, share_of_shipped=0.0))
     bad = [f"{one.outcome}: {one.case.fault}: {one.said}\n{one.case.files}" for one in found if one.outcome in BAD]
     assert not bad, "\n".join(bad)
-    assert sum(one.outcome == "accepted" for one in found) > 0.15 * COUNT
+    assert sum(one.outcome == "accepted" for one in found) > 0.15 * count
 
 
 DIES = """
