@@ -59,12 +59,13 @@ class Outcome(NamedTuple):
 
 
 def copied(folder: Path) -> Path:
-    """A copy of the package with its tests, below a folder."""
+    """A copy of the package with its tests, below a folder. Files keep their times: the bytecode is theirs too."""
     tree = folder / "palmfield"
     tree.mkdir()
     for name in COPIED:
         if (ROOT / name).is_dir():
-            shutil.copytree(ROOT / name, tree / name, ignore=shutil.ignore_patterns("__pycache__"))
+            # Not what another process is just compiling
+            shutil.copytree(ROOT / name, tree / name, ignore=shutil.ignore_patterns("*.pyc.*"))
         else:
             shutil.copy2(ROOT / name, tree / name)
     return tree
