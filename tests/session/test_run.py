@@ -136,7 +136,8 @@ def test_silence_and_a_coarse_step_end_well(changes, small_scene, tmp_path):
 
 
 START = """
-import palmfield, signal, sys
+import palmfield, palmfield.outputs.store, signal, sys
+palmfield.outputs.store.FLUSH_SECONDS = 0.2
 # A shell that runs tests in the background has its children ignore Ctrl-C.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 palmfield.run(palmfield.load(sys.argv[1]), sys.argv[2], duration_s=30, progress=False)
@@ -145,7 +146,7 @@ palmfield.run(palmfield.load(sys.argv[1]), sys.argv[2], duration_s=30, progress=
 
 @pytest.fixture
 def begin():
-    """Starts a run of 30 s in a process of its own and returns when its first chunk is on the disk."""
+    """Starts a run of 30 s in a process of its own and returns when two chunks are on the disk."""
     started: list[subprocess.Popen] = []
 
     def start(path, out, **options):
@@ -153,7 +154,7 @@ def begin():
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, **options)
         started.append(process)
         deadline = time.monotonic() + 60
-        while not list(out.glob(".partial/chunk_*.nc")):
+        while len(list(out.glob(".partial/chunk_*.nc"))) < 2:
             assert process.poll() is None and time.monotonic() < deadline, process.stderr.read()
             time.sleep(0.05)
         return process
