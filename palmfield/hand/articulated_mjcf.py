@@ -1,20 +1,19 @@
 """The articulated hand as MJCF: bodies, joints, servos, capsules, and the visual skin."""
 
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
 
 from palmfield.hand.articulated import ArticulatedHand, articulate, bone_of_landmark
 from palmfield.hand.mjcf import VIEW_GROUP, HEIGHT_m, skin_geom
-from palmfield.hand.mjcf_text import numbers_text
+from palmfield.hand.mjcf_text import file_text, numbers_text
 from palmfield.hand.preset import DIGITS, HandPreset
 from palmfield.hand.skeleton import SkinSegment
 from palmfield.hand.skinning import skin_weights
 from palmfield.hand.surface import hand_surface
 from palmfield.hand.visual_skin import EDGE_m, SkinBone, add_skin
-from palmfield.types import Float
 
 STIFFNESS_N_m = {"wrist": 10.0, "cmc": 0.8, "mcp": 0.5, "mp": 0.5, "pip": 0.3, "ip": 0.3, "dip": 0.2}
 """Stiffness of the position servos by joint [N m / rad]: 10 mN on a fingertip, the force of an array, bends a finger by
@@ -24,6 +23,7 @@ ARMATURE_kg_m2 = 1e-5
 WELD_TIME_s = 0.01
 DIGITS_IN_FILE = 9
 """Rounding accumulates along a chain of bodies: with nanometres, errors of fingertips are a few nanometres."""
+_text = partial(numbers_text, digits=DIGITS_IN_FILE)
 CONTACT_PARTS = ("forearm", "thenar", "hypothenar")
 
 
@@ -82,12 +82,7 @@ def articulated_mjcf(preset: HandPreset, skin: bool = True) -> str:
         surface, names = hand_surface(preset, EDGE_m).surface, [bone.name for bone in hand.bones]
         shares = skin_weights(hand, surface).T
         add_skin(root, "hand", surface, [SkinBone(*one) for one in zip(names, hand.origins, shares, strict=True)])
-    ET.indent(root)
-    return (
-        f"<!-- Written by scripts/make_hand_mjcf.py from hand_models/{preset.name}.toml. -->\n"
-        + ET.tostring(root, encoding="unicode")
-        + "\n"
-    )
+    return file_text(root, f"Written by scripts/make_hand_mjcf.py from hand_models/{preset.name}.toml.")
 
 
 def _geom(hand: ArticulatedHand, segment: SkinSegment, elements: list[ET.Element]) -> None:
@@ -105,7 +100,3 @@ def _excluded(hand: ArticulatedHand) -> list[tuple[str, str]]:
     pairs += list(pairwise(first))[1:]
     pairs += [("forearm", "thumb_metacarpal"), ("hand", "thumb_metacarpal"), ("thumb_metacarpal", "index_proximal")]
     return pairs
-
-
-def _text(numbers: Float | Sequence[float]) -> str:
-    return numbers_text(numbers, DIGITS_IN_FILE)

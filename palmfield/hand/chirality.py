@@ -6,7 +6,7 @@ import numpy as np
 from scipy import sparse
 
 from palmfield.hand.holes import plane_axes
-from palmfield.hand.triangles import unique_edges, vertex_areas
+from palmfield.hand.triangles import edge_lengths, vertex_areas
 from palmfield.types import Float, Int
 
 # A tip is farther from the wrist than all skin within this share of the longest way; two tips are as far apart.
@@ -166,8 +166,7 @@ def _beyond(links: sparse.csr_array, way: Float, tip: int, level: float) -> Int:
 
 
 def _links(vertices: Float, faces: Int) -> sparse.csr_array:
-    edges, _ = unique_edges(faces)
-    length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
+    edges, length = edge_lengths(vertices, faces)
     half = sparse.coo_array((length, edges.T), shape=(len(vertices), len(vertices)))
     return sparse.csr_array(half + half.T)
 

@@ -91,15 +91,16 @@ def _distinct(digit: list[tuple[int, int]]) -> bool:
 
 def _related(parents: Int, a: int, b: int) -> bool:
     """Whether one of two joints is an ancestor of the other."""
-    return a in _above(parents, b) or b in _above(parents, a)
+    return a in ancestors(parents, b) or b in ancestors(parents, a)
 
 
-def _above(parents: Int, joint: int) -> list[int]:
-    ancestors: list[int] = []
-    while parents[joint] >= 0 and parents[joint] not in ancestors:
+def ancestors(parents: Int, joint: int) -> list[int]:
+    """Joints above one, the nearest first."""
+    above: list[int] = []
+    while parents[joint] >= 0 and parents[joint] not in above:
         joint = int(parents[joint])
-        ancestors.append(joint)
-    return ancestors
+        above.append(joint)
+    return above
 
 
 def _by_name(joints: Joints, chains: list[list[int]]) -> Int | None:
@@ -112,7 +113,7 @@ def _by_name(joints: Joints, chains: list[list[int]]) -> Int | None:
     hub, places = hubs[0], joints.rest[:, :3, 3]
     parents = joints.parents.copy()
     for joint in hubs[1:]:
-        if joint != hub and joint not in _above(parents, hub):
+        if joint != hub and joint not in ancestors(parents, hub):
             parents[joint] = hub
     for chain in chains:
         numbered = not any(word in RANK_WORDS for word in words(joints.names[chain[0]]))

@@ -9,9 +9,9 @@ from palmfield.hand.triangles import (
     adjacency,
     corner_angles,
     directed_edges,
+    edge_lengths,
     face_normals,
     neighbour_mean,
-    unique_edges,
     vertex_normals,
 )
 from palmfield.types import Float, Int
@@ -77,8 +77,7 @@ def inward_directions(vertices: Float, faces: Int, smoothing_rounds: int = 5) ->
     unit, _ = face_normals(vertices, faces)
     normal, best = most_visible_normals(vertices, faces)
     floor = KEPT_COSINE * best
-    edges, _ = unique_edges(faces)
-    length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
+    edges, length = edge_lengths(vertices, faces)
     typical = float(np.median(length))
     for power, rounds in ((0.0, smoothing_rounds), (-2.0, 2 * smoothing_rounds)):
         weights = np.maximum(length / typical, LEAST_DISTANCE) ** power
@@ -135,6 +134,18 @@ def wedge_quality(vertices: Float, faces: Int, inward: Float, depth: Float) -> F
     return quality
 
 
+def mesh_report(vertices: Float, faces: Int, area: Float, quality: Float) -> dict[str, float]:
+    """What a patch's report says of its triangles and wedges; area: parts of the whole [m2]."""
+    return {
+        "vertices": float(len(vertices)),
+        "triangles": float(len(faces)),
+        "area_m2": float(area.sum()),
+        "angle_min_deg": float(np.rad2deg(corner_angles(vertices, faces).min())),
+        "edge_mean_m": float(edge_lengths(vertices, faces)[1].mean()),
+        "quality_min": float(quality.min()),
+    }
+
+
 def fit_thickness(vertices: Float, faces: Int, inward: Float, requested: Float, limit: Float) -> tuple[Float, Float]:
     """Thickness [m], shape (n,), no more than `requested` and `limit`, and the wedges' quality, shape (m,).
 
@@ -144,8 +155,7 @@ def fit_thickness(vertices: Float, faces: Int, inward: Float, requested: Float, 
 
     Raises SceneError with the place if no thickness above 5 % of the requested one gives sound wedges.
     """
-    edges, _ = unique_edges(faces)
-    length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
+    edges, length = edge_lengths(vertices, faces)
     flat = wedge_quality(vertices, faces, inward, np.zeros(len(vertices)))
     floor = LEAST_QUALITY * np.minimum(1.0, flat / SOUND_TRIANGLE)
     got = requested * _neighbour_min(np.minimum(1.0, limit / requested), faces)

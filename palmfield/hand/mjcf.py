@@ -1,11 +1,11 @@
 """A hand preset as an MJCF body of plain geoms, which opens in any MuJoCo."""
 
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
-from palmfield.hand.mjcf_text import SKIN_RGBA, numbers_text
+from palmfield.hand.mjcf_text import SKIN_RGBA, file_text, numbers_text
 from palmfield.hand.preset import DIGITS, HandPreset
 from palmfield.hand.skeleton import SkinSegment
 from palmfield.hand.surface import centred_skeleton, hand_surface
@@ -20,6 +20,7 @@ HEIGHT_m = 0.2
 PALM_SWELL_m = 0.002
 PARTS_OF_ONE_MASS = ("forearm", "carpus", "palm_body")
 DIGITS_IN_FILE = 6
+_text = partial(numbers_text, digits=DIGITS_IN_FILE)
 VIEW_GROUP = "3"
 """Group of geoms and sites that viewers hide by default: the skin is shown in their place."""
 
@@ -53,12 +54,7 @@ def hand_mjcf(preset: HandPreset) -> str:
         ET.SubElement(actuators, "position", name=name, joint=name, kp=f"{STIFFNESS_N_m:g}", dampratio="1")
     surface = hand_surface(preset, EDGE_m).surface
     add_skin(root, "hand", surface, [SkinBone("hand", np.zeros(3), np.ones(len(surface.vertices)))])
-    ET.indent(root)
-    return (
-        f"<!-- Written by scripts/make_hand_mjcf.py from hand_models/{preset.name}.toml. -->\n"
-        + ET.tostring(root, encoding="unicode")
-        + "\n"
-    )
+    return file_text(root, f"Written by scripts/make_hand_mjcf.py from hand_models/{preset.name}.toml.")
 
 
 def skin_geom(segment: SkinSegment, origin: Float, digits: int, touches: bool) -> dict[str, str]:
@@ -84,7 +80,3 @@ def skin_geom(segment: SkinSegment, origin: Float, digits: int, touches: bool) -
     ends = np.concatenate([segment.start + shift, segment.end + shift])
     radius = 0.5 * (semi[0] + height) if segment.group else height
     return geom | {"type": "capsule", "fromto": numbers_text(ends, digits), "size": numbers_text([radius], digits)}
-
-
-def _text(numbers: Float | Sequence[float]) -> str:
-    return numbers_text(numbers, DIGITS_IN_FILE)

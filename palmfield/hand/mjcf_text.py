@@ -1,5 +1,6 @@
-"""Numbers and colours in palmfield's MJCF files."""
+"""Numbers, colours and text of palmfield's MJCF files."""
 
+import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 
 import numpy as np
@@ -12,3 +13,9 @@ SKIN_RGBA = "0.87 0.68 0.58 1"
 def numbers_text(numbers: Float | Sequence[float], digits: int) -> str:
     """Return numbers as in MJCF, rounded to this number of decimals."""
     return " ".join(f"{number + 0.0:.{digits}g}" for number in np.round(numbers, digits))
+
+
+def file_text(root: ET.Element, note: str) -> str:
+    """Return the text of a file, indented, with a note in its first line."""
+    ET.indent(root)
+    return f"<!-- {note} -->\n{ET.tostring(root, encoding='unicode')}\n"

@@ -5,11 +5,11 @@ from numpy.typing import ArrayLike
 
 from palmfield.errors import SceneError
 from palmfield.hand.grading import graded_size, triangulate
-from palmfield.hand.layer import depth_by_vertex, fit_thickness, inward_directions
+from palmfield.hand.layer import depth_by_vertex, fit_thickness, inward_directions, mesh_report
 from palmfield.hand.meshquery import barycentric, build_mesh, closest_faces, exit_distances, over_plane
 from palmfield.hand.region import Region, facing_region, trace_shape
-from palmfield.hand.triangles import corner_angles, face_normals, unique_edges
-from palmfield.types import Float, Int, Patch, Surface
+from palmfield.hand.triangles import face_normals, on_rim
+from palmfield.types import Float, Patch, Surface
 
 CENTRE_TOLERANCE_m = 0.005
 
@@ -69,12 +69,15 @@ def surface_patch(
     way = exit_distances(surface.vertices, surface.faces, vertices, inward, span)
     got, quality = fit_thickness(vertices, faces, inward, requested, max_fraction * way)
 
-    edges, count = unique_edges(faces)
-    rim = np.zeros(len(vertices), dtype=np.bool_)
-    rim[edges[count == 1]] = True
-    report = _report(vertices, faces, edges, requested, got, quality) | {"through_m": float(np.median(way))}
+    report = mesh_report(vertices, faces, face_normals(vertices, faces)[1], quality)
+    report["share_thinned"] = float(np.mean(got < 0.999 * requested))
+    for name, value in (("asked", requested), ("got", got)):
+        report[f"depth_{name}_min_m"] = float(value.min())
+        report[f"depth_{name}_p10_m"] = float(np.percentile(value, 10.0))
+        report[f"depth_{name}_mean_m"] = float(value.mean())
+    report["through_m"] = float(np.median(way))
     symmetry = None if axis is None else _unit_vector(axis, "axis")
-    return Patch(vertices, faces, inward, got, rim, symmetry, report)
+    return Patch(vertices, faces, inward, got, on_rim(faces, len(vertices)), symmetry, report)
 
 
 def _check_numbers(
@@ -143,20 +146,3 @@ def _lift(region: Region, plane: Float, thickness: Float) -> tuple[Float, Float]
     corners, weights = over_plane(region.shadow, region.faces, plane)
     lifted = np.einsum("ij,ijk->ik", weights, region.vertices[corners])
     return lifted, np.einsum("ij,ij->i", weights, thickness[region.index][corners])
-
-
-def _report(vertices: Float, faces: Int, edges: Int, requested: Float, got: Float, quality: Float) -> dict[str, float]:
-    report = {
-        "vertices": float(len(vertices)),
-        "triangles": float(len(faces)),
-        "area_m2": float(face_normals(vertices, faces)[1].sum()),
-        "angle_min_deg": float(np.rad2deg(corner_angles(vertices, faces).min())),
-        "edge_mean_m": float(np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1).mean()),
-        "quality_min": float(quality.min()),
-        "share_thinned": float(np.mean(got < 0.999 * requested)),
-    }
-    for name, value in (("asked", requested), ("got", got)):
-        report[f"depth_{name}_min_m"] = float(value.min())
-        report[f"depth_{name}_p10_m"] = float(np.percentile(value, 10.0))
-        report[f"depth_{name}_mean_m"] = float(value.mean())
-    return report

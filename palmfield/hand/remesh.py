@@ -7,7 +7,7 @@ import numpy as np
 from palmfield.hand.grading import graded_size, triangulate
 from palmfield.hand.meshquery import over_plane
 from palmfield.hand.region import FACING_COSINE, facing_region, trace_shape
-from palmfield.hand.triangles import face_normals, unique_edges
+from palmfield.hand.triangles import face_normals, on_rim
 from palmfield.types import Float, Patch, Surface
 
 
@@ -44,9 +44,7 @@ def remeshed(patch: Patch, centre: Float, fine_m: float, coarse_m: float, fine_r
     vertices, inward = (np.einsum("ij,ijk->ik", weights, values[old]) for values in (patch.vertices, patch.inward))
     inward /= np.linalg.norm(inward, axis=1, keepdims=True)
     depth = np.einsum("ij,ij->i", weights, patch.depth[old])
-    edges, count = unique_edges(faces)
-    rim = np.zeros(len(vertices), dtype=np.bool_)
-    rim[edges[count == 1]] = True
+    rim = on_rim(faces, len(vertices))
     area = float(face_normals(vertices, faces)[1].sum())
     report = patch.report | {"vertices": float(len(vertices)), "triangles": float(len(faces)), "area_m2": area}
     return replace(patch, vertices=vertices, faces=faces, inward=inward, depth=depth, rim=rim, report=report)

@@ -19,9 +19,17 @@ from palmfield.hand.meshquery import exit_distances
 from palmfield.hand.repair import MOST_PLACES, Finding
 from palmfield.hand.selfcross import crossings
 from palmfield.hand.subdivide import EDGE_m
-from palmfield.hand.triangles import corner_angles, face_components, face_normals, unique_edges, vertex_normals
+from palmfield.hand.triangles import (
+    corner_angles,
+    edge_lengths,
+    face_normals,
+    largest_part,
+    unique_edges,
+    vertex_normals,
+    volume,
+)
 from palmfield.hand.units import DIGITS, size_of_a_hand
-from palmfield.hand.wholelayer import hand_layer
+from palmfield.hand.wholelayer import hand_layer, percentile
 from palmfield.types import Float, Int, Surface
 from palmfield.whole_files import write_text
 
@@ -57,8 +65,7 @@ def report_card(path: str | Path, unit: str = "auto") -> ReportCard:
     mesh = examine(path, unit, EDGE_m)
     findings = list(mesh.findings)
     no = refusal(path, findings) if any(f.outcome == "refused" for f in findings) else None
-    edges, _ = unique_edges(mesh.faces)
-    length = 1e3 * np.linalg.norm(mesh.vertices[edges[:, 0]] - mesh.vertices[edges[:, 1]], axis=1)
+    length = 1e3 * edge_lengths(mesh.vertices, mesh.faces)[1]
     facts: dict[str, Any] = {
         "file": str(path),
         "unit": mesh.unit.name,
@@ -81,8 +88,7 @@ def report_card(path: str | Path, unit: str = "auto") -> ReportCard:
     facts["self_intersections"] = len(pairs)
     doubts = [f"{finding.count} x {finding.name}" for finding in findings if finding.outcome == "noted"]
     if no is None:
-        a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
-        facts["volume_cm3"] = round(1e6 * float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum()) / 6.0, 2)
+        facts["volume_cm3"] = round(1e6 * volume(mesh.vertices, mesh.faces), 2)
         named = "unknown" if mesh.rig is None else named_side(mesh.rig.joints.names)
         hand = chirality(mesh.vertices, mesh.faces, named)
         doubts += _doubts(mesh, hand, named)
@@ -128,9 +134,7 @@ def _thickness(vertices: Float, faces: Int) -> float:
     chosen = np.arange(0, len(faces), -(-len(faces) // THIN_FACES))
     middle = vertices[faces[chosen]].mean(axis=1)
     ways = exit_distances(vertices, faces, middle, -unit[chosen], float(np.ptp(vertices, axis=0).sum()))
-    order = np.argsort(ways)
-    share = np.cumsum(area[chosen][order])
-    return float(ways[order][np.searchsorted(share, 0.5 * share[-1])])
+    return percentile(ways, area[chosen], 50.0)
 
 
 def _folds(layers: list[dict[str, Any]], crossing: int) -> list[Finding]:
@@ -163,9 +167,7 @@ def palmar_faces(vertices: Float, faces: Int, palm: Float) -> Int:
     """Return the largest connected part of the faces that face the palm's side, shape (k,)."""
     unit, area = face_normals(vertices, faces)
     chosen = np.flatnonzero(unit @ palm > PALMAR_COSINE)
-    label = face_components(faces[chosen])
-    largest = np.argmax(np.bincount(label, weights=area[chosen]))
-    return chosen[label == largest].astype(np.int32)
+    return chosen[largest_part(faces[chosen], area[chosen])].astype(np.int32)
 
 
 def palmar_layers(vertices: Float, faces: Int, hand: Chirality) -> list[dict[str, Any]]:

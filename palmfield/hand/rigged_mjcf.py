@@ -2,6 +2,7 @@
 
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
+from functools import partial
 
 import mujoco
 import numpy as np
@@ -11,10 +12,11 @@ from scipy.spatial.transform import Rotation
 from palmfield.errors import SceneError
 from palmfield.hand.articulated_mjcf import DIGITS_IN_FILE, ARMATURE_kg_m2
 from palmfield.hand.chirality import Chirality, chirality, fingers_direction
-from palmfield.hand.joint_tree import named_side
+from palmfield.hand.joint_tree import ancestors, named_side
 from palmfield.hand.mjcf import VIEW_GROUP, DENSITY_kg_m3, HEIGHT_m
-from palmfield.hand.mjcf_text import SKIN_RGBA, numbers_text
+from palmfield.hand.mjcf_text import SKIN_RGBA, file_text, numbers_text
 from palmfield.hand.rigged import RiggedMesh
+from palmfield.hand.triangles import volume
 from palmfield.hand.visual_skin import SkinBone, add_skin
 from palmfield.types import Float, Int
 
@@ -24,6 +26,7 @@ force of an array, then move it by less than 0.5 mm, including the weld."""
 WELD_TIME_s = 0.02
 """At half of it, a wrist bone that is lighter than the hand oscillates in steps of 2 ms."""
 AXIS_SAMPLES, LEAST_RADIUS_m = 9, 1e-3
+_text = partial(numbers_text, digits=DIGITS_IN_FILE)
 TAKEN = ("world", "hand_target")
 
 
@@ -77,8 +80,8 @@ def rigged_mjcf(mesh: RiggedMesh, name: str) -> str:
         j: _capsules(vertices[owner == j], whole, places[j], places[_next_carrying(j, parents, carries)])
         for j in np.flatnonzero(carries).tolist()
     }
-    factor = _volume(mesh) / sum(capsule.volume for parts in capsules.values() for capsule in parts)
-    density = f"{DENSITY_kg_m3 * factor:.9g}"
+    filled = sum(capsule.volume for parts in capsules.values() for capsule in parts)
+    density = f"{DENSITY_kg_m3 * (volume(vertices, mesh.surface.faces) / filled):.9g}"
 
     spin = {"quat": _text(Rotation.from_matrix(turn).as_quat(scalar_first=True))}
     root_joint = int(np.flatnonzero(parents < 0)[0])
@@ -90,7 +93,7 @@ def rigged_mjcf(mesh: RiggedMesh, name: str) -> str:
     world = ET.SubElement(root, "worldbody")
     ET.SubElement(world, "body", {"name": "hand_target", "mocap": "true", "pos": _text(start)} | spin)
     bodies: dict[int, ET.Element] = {}
-    for j in _parents_first(parents):
+    for j in sorted(range(len(parents)), key=lambda joint: len(ancestors(parents, joint))):
         above = world if j == root_joint else bodies[parents[j]]
         at = start if j == root_joint else places[j] - places[parents[j]]
         bodies[j] = ET.SubElement(above, "body", name=names[j], pos=_text(at), gravcomp="1")
@@ -98,7 +101,7 @@ def rigged_mjcf(mesh: RiggedMesh, name: str) -> str:
             bodies[j].attrib |= spin
             ET.SubElement(bodies[j], "freejoint", name=names[j])
         if j in capsules:
-            if capsules.keys() & _above(j, parents):
+            if capsules.keys() & ancestors(parents, j):
                 ET.SubElement(bodies[j], "joint", name=names[j], type="ball", armature=f"{ARMATURE_kg_m2:g}")
             own = vertices[owner == j]
             last = not _next_carrying(j, parents, carries)
@@ -113,10 +116,9 @@ def rigged_mjcf(mesh: RiggedMesh, name: str) -> str:
     shares = np.zeros((len(vertices), len(names)))
     np.add.at(shares, (np.arange(len(vertices))[:, None], mesh.indices), mesh.weights)
     add_skin(root, name, mesh.surface, [SkinBone(*bone) for bone in zip(names, places, shares.T, strict=True)])
-    ET.indent(root)
     axes = "the file's own" if side.side == "unknown" else "fingers to y, palm to -z"
-    note = f"<!-- Written by `palmfield hand` of a rigged mesh. Side: {side.side}; axes in the world: {axes}. -->\n"
-    return note + ET.tostring(root, encoding="unicode") + "\n"
+    note = f"Written by `palmfield hand` of a rigged mesh. Side: {side.side}; axes in the world: {axes}."
+    return file_text(root, note)
 
 
 def _one_root(parents: Int) -> Int:
@@ -125,18 +127,6 @@ def _one_root(parents: Int) -> Int:
     joined = parents.copy()
     joined[roots[1:]] = roots[0]
     return joined
-
-
-def _above(joint: int, parents: Int) -> list[int]:
-    ancestors: list[int] = []
-    while parents[joint] >= 0:
-        joint = int(parents[joint])
-        ancestors.append(joint)
-    return ancestors
-
-
-def _parents_first(parents: Int) -> list[int]:
-    return sorted(range(len(parents)), key=lambda joint: len(_above(joint, parents)))
 
 
 def _next_carrying(joint: int, parents: Int, carries: np.ndarray) -> list[int]:
@@ -156,11 +146,6 @@ def _turn(mesh: RiggedMesh, side: Chirality) -> Float:
     y = fingers - (fingers @ z) * z
     y /= np.linalg.norm(y)
     return np.array([np.cross(y, z), y, z])
-
-
-def _volume(mesh: RiggedMesh) -> float:
-    a, b, c = (mesh.surface.vertices[mesh.surface.faces[:, i]] for i in range(3))
-    return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0)
 
 
 def _capsules(skin: Float, whole: cKDTree, origin: Float, beyond: Float) -> list[_Capsule]:
@@ -252,7 +237,3 @@ def _largest_inertia(model: mujoco.MjModel, data: mujoco.MjData, bodies: list[in
         total += turn @ np.diag(model.body_inertia[body]) @ turn.T
         total += model.body_mass[body] * (arm @ arm * np.eye(3) - np.outer(arm, arm))
     return float(np.linalg.eigvalsh(total)[-1])
-
-
-def _text(numbers: Float) -> str:
-    return numbers_text(numbers, DIGITS_IN_FILE)

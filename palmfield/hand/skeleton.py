@@ -180,11 +180,7 @@ def _pads(
 
 
 def _web_of_thumb(
-    skin: list[SkinSegment],
-    palm: Palm,
-    bases: dict[str, Float],
-    knuckles: dict[str, Float],
-    mm: Callable[..., Float],
+    skin: list[SkinSegment], palm: Palm, bases: dict[str, Float], knuckles: dict[str, Float], mm: Callable[..., Float]
 ) -> None:
     thumb = next(s for s in skin if s.name == "thumb_metacarpal")
     start = thumb.start + 0.72 * (thumb.end - thumb.start)

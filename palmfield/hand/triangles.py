@@ -32,6 +32,12 @@ def face_normals(vertices: Float, faces: Int) -> tuple[Float, Float]:
     return cross / np.where(twice > 0.0, twice, 1.0)[:, None], 0.5 * twice
 
 
+def volume(vertices: Float, faces: Int) -> float:
+    """Volume of a closed surface [m3]."""
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum()) / 6.0
+
+
 def vertex_areas(vertices: Float, faces: Int) -> Float:
     """A third of the areas of the faces around each vertex [m2], shape (n,)."""
     thirds = np.repeat(face_normals(vertices, faces)[1] / 3.0, 3)
@@ -71,6 +77,20 @@ def unique_edges(faces: Int) -> tuple[Int, NDArray[np.int64]]:
     return edges, count
 
 
+def edge_lengths(vertices: Float, faces: Int) -> tuple[Int, Float]:
+    """Undirected edges, shape (e, 2), and their lengths [m], shape (e,)."""
+    edges, _ = unique_edges(faces)
+    return edges, np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
+
+
+def on_rim(faces: Int, number: int) -> NDArray[np.bool_]:
+    """True at the vertices of edges that have only one face, shape (number,)."""
+    edges, count = unique_edges(faces)
+    rim = np.zeros(number, dtype=np.bool_)
+    rim[edges[count == 1]] = True
+    return rim
+
+
 def adjacency(faces: Int, number: int) -> sparse.csr_array:
     """Vertex adjacency as a symmetric 0/1 matrix, shape (number, number)."""
     edges, _ = unique_edges(faces)
@@ -100,6 +120,12 @@ def face_components(faces: Int, cut: Int | None = None) -> Int:
     a, b = owner[order][:-1][same], owner[order][1:][same]
     graph = sparse.coo_array((np.ones(len(a)), (a, b)), shape=(len(faces), len(faces)))
     return sparse.csgraph.connected_components(graph, directed=False)[1]
+
+
+def largest_part(faces: Int, area: Float) -> NDArray[np.bool_]:
+    """True on the faces of the edge-connected part with the largest area, shape (m,); area: of each face."""
+    label = face_components(faces)
+    return label == np.argmax(np.bincount(label, weights=area))
 
 
 def consistent_winding(faces: Int) -> Int:

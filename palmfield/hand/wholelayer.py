@@ -12,12 +12,19 @@ from palmfield.hand.layer import (
     fit_thickness,
     inward_directions,
     layer_volume,
+    mesh_report,
     thickness_integral,
     unfolded,
     wedge_quality,
 )
 from palmfield.hand.meshquery import exit_distances
-from palmfield.hand.triangles import corner_angles, face_components, face_normals, unique_edges, vertex_areas
+from palmfield.hand.triangles import (
+    face_normals,
+    largest_part,
+    on_rim,
+    unique_edges,
+    vertex_areas,
+)
 from palmfield.types import Float, Int, Patch, Surface
 
 THINNED = 0.999
@@ -72,7 +79,7 @@ def hand_layer(
         raise SceneError(f"skin layer: inward has shape {np.shape(inward)}; give one direction for each vertex")
     if not 0.0 < max_fraction <= 1.0:
         raise SceneError(f"skin layer: max_fraction is {max_fraction:g}; give more than 0 and at most 1")
-    edges, uses = unique_edges(everything)
+    _, uses = unique_edges(everything)
     if (uses != 2).any():
         raise SceneError(
             f"skin layer: {int((uses != 2).sum())} edges of the surface do not have two faces; close it, as "
@@ -90,14 +97,11 @@ def hand_layer(
     along = requested[used] / upright
     got, quality = fit_thickness(points, corners, down, along, max_fraction * way)
 
-    edges, uses = unique_edges(corners)
-    rim = np.zeros(len(used), dtype=np.bool_)
-    rim[edges[uses == 1]] = True
     full = np.zeros(len(vertices))
     full[used] = got * upright
     integral = thickness_integral(vertices, everything, full, chosen)
-    patch = Patch(points, corners, down, got, rim)
-    report = _report(patch, edges, requested[used], max_fraction * way, quality, integral)
+    patch = Patch(points, corners, down, got, on_rim(corners, len(used)))
+    report = _report(patch, requested[used], max_fraction * way, quality, integral)
     report |= _sheet_report(patch, shares)
     report |= {"vertices_moved": float((moved > 0.0).sum()), "moved_most_m": float(moved.max())}
     return replace(patch, report=report)
@@ -121,9 +125,7 @@ def facing_faces(surface: Surface, direction: ArrayLike = PALMAR, least_cosine: 
     for facing in (True, False):
         numbers = np.flatnonzero(seen == facing)
         if len(numbers):
-            label = face_components(surface.faces[numbers])
-            largest = np.argmax(np.bincount(label, weights=area[numbers]))
-            seen[numbers[label != largest]] = not facing
+            seen[numbers[~largest_part(surface.faces[numbers], area[numbers])]] = not facing
     return np.flatnonzero(seen).astype(np.int32)
 
 
@@ -158,29 +160,21 @@ def upright_cosine(vertices: Float, faces: Int, inward: Float) -> Float:
     return np.maximum(total / (3.0 * vertex_areas(vertices, faces)), LEAST_UPRIGHT)
 
 
-def _percentile(values: Float, weights: Float, percent: float) -> float:
+def percentile(values: Float, weights: Float, percent: float) -> float:
     """Least value that at least `percent` of the weight does not exceed."""
     order = np.argsort(values)
     heaped = np.cumsum(weights[order])
     return float(values[order][np.searchsorted(heaped, 0.01 * percent * heaped[-1])])
 
 
-def _report(
-    patch: Patch, edges: Int, requested: Float, limit: Float, quality: Float, integral: float
-) -> dict[str, float]:
+def _report(patch: Patch, requested: Float, limit: Float, quality: Float, integral: float) -> dict[str, float]:
     points, upright = patch.vertices, upright_cosine(patch.vertices, patch.faces, patch.inward)
     got, limit = patch.depth * upright, limit * upright
     area = vertex_areas(points, patch.faces)
     share = area / area.sum()
     volume = layer_volume(points, patch.faces, patch.inward, patch.depth)
-    report = {
-        "vertices": float(len(points)),
-        "triangles": float(len(patch.faces)),
-        "area_m2": float(area.sum()),
-        "angle_min_deg": float(np.rad2deg(corner_angles(points, patch.faces).min())),
-        "edge_mean_m": float(np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1).mean()),
-        "quality_min": float(quality.min()),
-        "p10_share": _percentile(got / requested, area, 10.0),
+    report = mesh_report(points, patch.faces, area, quality) | {
+        "p10_share": percentile(got / requested, area, 10.0),
         "area_thinned": float(share[got < THINNED * requested].sum()),
         "area_limited": float(share[limit < THINNED * requested].sum()),
         "volume_m3": volume,
@@ -189,7 +183,7 @@ def _report(
     }
     for name, value in (("asked", requested), ("got", got)):
         report[f"depth_{name}_min_m"] = float(value.min())
-        report[f"depth_{name}_p10_m"] = _percentile(value, area, 10.0)
+        report[f"depth_{name}_p10_m"] = percentile(value, area, 10.0)
         report[f"depth_{name}_mean_m"] = float(share @ value)
     return report
 
@@ -199,7 +193,7 @@ def _sheet_report(patch: Patch, shares: Float) -> dict[str, float]:
     area, upright = vertex_areas(patch.vertices, patch.faces), upright_cosine(patch.vertices, patch.faces, patch.inward)
     for number, (above, below) in enumerate(pairwise(shares), start=1):
         top, thick = patch.vertices + (above * patch.depth)[:, None] * patch.inward, (below - above) * patch.depth
-        report[f"sheet_{number}_p10_m"] = _percentile(thick * upright, area, 10.0)
+        report[f"sheet_{number}_p10_m"] = percentile(thick * upright, area, 10.0)
         report[f"sheet_{number}_volume_m3"] = layer_volume(top, patch.faces, patch.inward, thick)
         report[f"sheet_{number}_quality_min"] = float(wedge_quality(top, patch.faces, patch.inward, thick).min())
     return report

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from trimesh.remesh import subdivide_to_size
 
+from palmfield.hand.triangles import on_rim
 from palmfield.types import Float, Int
 
 COVERED_M = 4e-3
@@ -79,8 +80,4 @@ def _dense(vertices: Float, faces: Int) -> tuple[Float, NDArray[np.bool_]]:
     points, corners = subdivide_to_size(vertices, faces, EDGE_M)
     points, which = np.unique(points.round(9), axis=0, return_inverse=True)
     corners = which.ravel()[corners]
-    edges = np.sort(np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]]), axis=1)
-    single, uses = np.unique(edges, axis=0, return_counts=True)
-    rim: NDArray[np.bool_] = np.zeros(len(points), np.bool_)
-    rim[single[uses == 1]] = True
-    return points, rim
+    return points, on_rim(corners, len(points))

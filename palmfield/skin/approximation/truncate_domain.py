@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from palmfield.errors import SceneError
-from palmfield.hand.triangles import face_components
+from palmfield.hand.triangles import face_components, on_rim
 from palmfield.skin.analytic.layer_oracle import centre_responses
 from palmfield.skin.approximation.bands import bands, course_moves, resonance
 from palmfield.skin.approximation.load_scales import load_width
@@ -100,16 +100,12 @@ def part_of(patch: Patch, kept: NDArray[np.bool_]) -> Patch:
     """The patch of some faces, (m,) bool; its rim is where no other of them follows."""
     numbers, faces = np.unique(patch.faces[kept], return_inverse=True)
     corners: Int = faces.reshape(-1, 3).astype(np.int32)
-    edges = np.sort(np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]]), axis=1)
-    distinct, count = np.unique(edges, axis=0, return_counts=True)
-    rim = np.zeros(len(numbers), dtype=bool)
-    rim[distinct[count == 1]] = True
     return replace(
         patch,
         vertices=patch.vertices[numbers],
         faces=corners,
         inward=patch.inward[numbers],
         depth=patch.depth[numbers],
-        rim=rim,
+        rim=on_rim(corners, len(numbers)),
         report={**patch.report, "faces_kept": float(kept.mean())},
     )
