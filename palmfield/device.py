@@ -11,6 +11,7 @@ import tempfile
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -293,6 +294,15 @@ def whole_numbers(values: ArrayLike, device: str = "cpu") -> Any:
 def vectors(values: ArrayLike, device: str) -> Any:
     """A Warp array of vec3d, with a copy of these values, shape (n, 3)."""
     return wp.array(np.ascontiguousarray(values, np.float64), dtype=wp.vec3d, device=device)
+
+
+def available_bytes() -> int:
+    """Memory that programs can take without swapping; 8 GB where the system doesn't say."""
+    try:
+        lines = Path("/proc/meminfo").read_text().splitlines()
+    except OSError:
+        return 2**33
+    return next(1024 * int(line.split()[1]) for line in lines if line.startswith("MemAvailable:"))
 
 
 DIRECT_LAUNCH = ("1.19",)

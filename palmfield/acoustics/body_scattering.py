@@ -103,12 +103,7 @@ class Occlusion:
     """
 
     def __init__(
-        self,
-        vertices: Float,
-        faces: Int,
-        device: str = "auto",
-        counts: Sequence[int] = (),
-        threads: int | None = None,
+        self, vertices: Float, faces: Int, device: str = "auto", counts: Sequence[int] = (), threads: int | None = None
     ):
         """Raises PalmfieldError for a device that is not on this machine."""
         self.device = resolve(device)

@@ -14,7 +14,7 @@ import warp as wp
 from numpy.polynomial import Chebyshev, Polynomial
 from numpy.typing import ArrayLike, NDArray
 
-from palmfield.acoustics import check, polynomials, validity
+from palmfield.acoustics import check, polynomials
 from palmfield.acoustics.air import absorption_Np_m as air_absorption
 from palmfield.acoustics.air import sound_speed
 from palmfield.acoustics.directivities import directivity_coefficients
@@ -610,6 +610,8 @@ def pressure(
     """
     field = FieldEvaluator(array, air, device, mode=mode).pressure(points, drive, gradient)
     if warn:
+        from palmfield.acoustics import validity
+
         messages = validity.warnings(array, points, field.pressure, air)
         if messages:
             warnings.warn("; ".join(messages), validity.PalmfieldWarning, stacklevel=2)

@@ -7,6 +7,7 @@ simulations share them; where arrays move against one another, a new `PhasedArra
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,20 +15,21 @@ from scipy.spatial import cKDTree
 
 from palmfield.acoustics.air import density, sound_speed
 from palmfield.acoustics.arrays import LAYOUTS, combined, from_poses, layout, placed, with_faults
-from palmfield.acoustics.calibration_file import Calibration, calibrated
 from palmfield.acoustics.directivities import FORMS, form_of
 from palmfield.acoustics.directivity import Directivity
-from palmfield.acoustics.echo import image_shifts
 from palmfield.acoustics.field import FieldEvaluator, FieldSum, Mode, Parts
 from palmfield.acoustics.placement import sides_of
 from palmfield.acoustics.reference import pressure64
 from palmfield.acoustics.transducer import ANY_P0, ANY_QUALITY
-from palmfield.acoustics.transducer_file import TransducerTable
 from palmfield.config import ArrayConfig
 from palmfield.errors import SceneError
 from palmfield.locked import next_serial
 from palmfield.transforms import Numbers, Placement, corners_of
 from palmfield.types import Air, Array, Complex, Estimate, Float, Int
+
+if TYPE_CHECKING:
+    from palmfield.acoustics.calibration_file import Calibration
+    from palmfield.acoustics.transducer_file import TransducerTable
 
 HOUSING_M = 5e-3
 """Distance by which a board extends beyond its transducers, and height of a transducer [m]."""
@@ -47,8 +49,8 @@ class ArrayInstance:
 
     config: ArrayConfig
     placement: Placement
-    calibration: Calibration | None = None
-    table: TransducerTable | None = None
+    calibration: "Calibration | None" = None
+    table: "TransducerTable | None" = None
 
     @property
     def p0(self) -> Estimate:
@@ -113,6 +115,8 @@ class ArrayInstance:
                 )
             array = replace(array, piston_radius_m=config.piston_radius_m)
         if self.calibration is not None:
+            from palmfield.acoustics.calibration_file import calibrated
+
             array = calibrated(array, self.calibration)
         if config.dead or config.inverted:
             array = with_faults(array, config.dead, config.inverted)
@@ -309,6 +313,8 @@ class PhasedArray:
         return _sum64(self.groups + self.images, points, drive, self.air)
 
     def _images(self, wall_m: float, outward: Float) -> tuple[DirectivityGroup, ...]:
+        from palmfield.acoustics.echo import image_shifts
+
         shifts = image_shifts(self.air, self.groups[0].array.frequency_Hz, wall_m, outward)
         return tuple(
             DirectivityGroup(replace(group.array, positions=group.array.positions + shift), group.chosen)

@@ -6,7 +6,7 @@ other kernels have put them, and leave the ARP there.
 
 import functools
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import warp as wp
@@ -15,13 +15,15 @@ from numpy.typing import NDArray
 from palmfield.acoustics.air import absorption_Np_m, sound_speed
 from palmfield.acoustics.arp import ArpLaw, law_weights
 from palmfield.acoustics.field import off_axis
-from palmfield.acoustics.knife_edge import Emitters
 from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.acoustics.shadow import CLEARANCE_m, REACH_m
 from palmfield.acoustics.surface_arp import Shades
 from palmfield.device import SharedArray, filled, launch
 from palmfield.threads import Calls
 from palmfield.types import Complex, Int
+
+if TYPE_CHECKING:
+    from palmfield.acoustics.knife_edge import Emitters
 from warp_kernels import point_sound as kernels
 from warp_kernels.pressure import vec6
 
@@ -70,8 +72,10 @@ class Transducers:
         self.move(arrays)
 
     @property
-    def emitters(self) -> Emitters:
+    def emitters(self) -> "Emitters":
         """The same transducers as input of the weights of shadows; they move along. Made at first use."""
+        from palmfield.acoustics.knife_edge import Emitters
+
         if self._emitters is None:
             self._emitters = Emitters(self._arrays, self._rows, self.device)
         return self._emitters

@@ -14,7 +14,6 @@ from palmfield.acoustics.air import sound_speed
 from palmfield.acoustics.arp import ArpLaw, SurfaceSound, law_weights
 from palmfield.acoustics.field import FieldEvaluator, scratch, shared_out
 from palmfield.acoustics.phased_array import DirectivityGroup, MultiArrayField
-from palmfield.acoustics.transfer import Transfer, arp_frames, matrix_bytes, memory_limit, too_steep
 from palmfield.device import SharedArray, filled, recorded
 from palmfield.errors import PalmfieldError
 from palmfield.threads import Calls, cores, share
@@ -81,7 +80,7 @@ class SurfaceArp:
         self._shaded: dict[tuple[str, ...], list[Calls]] = {}
         self._shades: Any = None
         self._sums: dict[tuple[tuple[str, ...], tuple[int, int]], _Sums] = {}
-        self._transfer: Transfer | None = None
+        self._transfer: Any = None
         self._weights = law_weights(law, field.air)
         self._per_wavenumber = sound_speed(field.air) / (2.0 * np.pi * field.groups[0].array.frequency_Hz)
 
@@ -192,12 +191,8 @@ class SurfaceArp:
                 blocks = known[falls]
             if self._gpu:
                 self._run_on_gpu(blocks, count, sums)
-            elif self._threads > 1:
-                share(blocks, self._threads)
             else:
-                for calls in blocks:
-                    for call in calls:
-                        call()
+                share(blocks, self._threads)
             if sums is not None:
                 continue
             # A NaN makes a point dark: it would not show in the ARP
@@ -234,8 +229,14 @@ class SurfaceArp:
         alike = len(self._group_drives) == 1 and self.field.mode == "fast" and shades is None
         if frames == 0 or self.count == 0:
             return result
-        transfer = self._known_matrix(points, normals) if alike and frames >= MATRIX_FROM else None
-        if transfer is None and (frames < MATRIX_FROM or not alike or too_steep(evaluator, points)):
+        by_matrix = alike and frames >= MATRIX_FROM
+        transfer = self._known_matrix(points, normals) if by_matrix else None
+        if by_matrix and transfer is None:
+            # Few scenes have so many drives at once
+            from palmfield.acoustics.transfer import Transfer, arp_frames, matrix_bytes, memory_limit, too_steep
+
+            by_matrix = not too_steep(evaluator, points)
+        if not by_matrix:
             shape = self.count, 3
             if points.shape != shape or normals.shape != shape or drives.shape[1:] != (self.field.count,):
                 self.evaluate(points, normals, drives[0])  # says what is expected
@@ -257,7 +258,7 @@ class SurfaceArp:
             return result
         return transfer.arp(drives, self.law, out=result)
 
-    def _known_matrix(self, points: Float | Float32, normals: Float | Float32) -> Transfer | None:
+    def _known_matrix(self, points: Float | Float32, normals: Float | Float32) -> Any:
         """The last transfer matrix, if it is for these points."""
         last = self._transfer
         if last is None or points.shape != last.where.shape or normals.shape != last.where.shape:

@@ -2,7 +2,6 @@
 
 import functools
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,7 @@ from palmfield.acoustics.arp import ArpLaw, arp, law_named, law_weights, unit_no
 from palmfield.acoustics.field import CUBIC_REACH_Np, FieldEvaluator, distances, polynomial_fall
 from palmfield.acoustics.groups import axes
 from palmfield.blas import one_blas_thread
-from palmfield.device import SharedArray, load_kernels, matrix_product, recorded
+from palmfield.device import SharedArray, available_bytes, load_kernels, matrix_product, recorded
 from palmfield.errors import PalmfieldError
 from palmfield.threads import pool, share
 from palmfield.types import Complex, Float, Float32
@@ -139,11 +138,7 @@ class Transfer:
         return result
 
     def _fill(
-        self,
-        result: Float32,
-        left: NDArray[np.complex64],
-        basis: NDArray[np.complex64] | None,
-        weights: Weights,
+        self, result: Float32, left: NDArray[np.complex64], basis: NDArray[np.complex64] | None, weights: Weights
     ) -> None:
         """Write the ARP of frames with coordinates `left` in `basis`, blocks of points shared among the threads.
 
@@ -319,15 +314,6 @@ def memory_limit(device: str) -> int:
     """Most bytes for a matrix now: half of the memory that is free, a GPU_SHARE-th on a GPU, at most BYTES_LIMIT."""
     limit = min(BYTES_LIMIT, available_bytes() // 2)
     return limit if device == "cpu" else min(limit, wp.get_device(device).free_memory // GPU_SHARE)
-
-
-def available_bytes() -> int:
-    """Memory that programs can take without swapping; twice BYTES_LIMIT where the system doesn't say."""
-    try:
-        lines = Path("/proc/meminfo").read_text().splitlines()
-    except OSError:
-        return 2 * BYTES_LIMIT
-    return next(1024 * int(line.split()[1]) for line in lines if line.startswith("MemAvailable:"))
 
 
 def too_steep(evaluator: FieldEvaluator, points: NDArray[np.floating]) -> bool:

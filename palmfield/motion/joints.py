@@ -20,6 +20,7 @@ JOINTS = (
 nearer to the wrist of the named bone."""
 ORIENTATION_VALID, POSITION_VALID, ORIENTATION_TRACKED, POSITION_TRACKED = 1, 2, 4, 8
 """Bits of XrSpaceLocationFlags."""
+ALL_FLAGS = ORIENTATION_VALID | POSITION_VALID | ORIENTATION_TRACKED | POSITION_TRACKED
 PALM_JOINTS = tuple(n for n, name in enumerate(JOINTS) if name in ("palm", "wrist") or name.endswith("metacarpal"))
 KNUCKLES = tuple(JOINTS.index(f"{digit}_proximal") for digit in DIGITS[1:])
 FARTHEST_M = 10.0

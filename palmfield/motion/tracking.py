@@ -11,11 +11,10 @@ from scipy.spatial.transform import Rotation
 from palmfield.errors import SceneError
 from palmfield.hand.articulated import ArticulatedHand, bone_poses
 from palmfield.motion.joints import (
+    ALL_FLAGS,
     FARTHEST_M,
     JOINTS,
-    ORIENTATION_TRACKED,
     ORIENTATION_VALID,
-    POSITION_TRACKED,
     POSITION_VALID,
     USUAL_M,
     hand_joints,
@@ -26,7 +25,6 @@ from palmfield.tables import read_table, write_table
 from palmfield.types import Float, Int
 
 PARTS = ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz", "radius_m", "flags")
-ALL_FLAGS = ORIENTATION_VALID | POSITION_VALID | ORIENTATION_TRACKED | POSITION_TRACKED
 GAP = 1.5
 """A time between packets of more than this many usual ones is a dropout."""
 

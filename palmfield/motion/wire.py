@@ -19,9 +19,9 @@ import numpy as np
 
 from palmfield.hand.preset import DIGITS
 from palmfield.motion.joints import (
+    ALL_FLAGS,
     FARTHEST_M,
     JOINTS,
-    ORIENTATION_TRACKED,
     ORIENTATION_VALID,
     POSITION_TRACKED,
     POSITION_VALID,
@@ -32,7 +32,6 @@ from palmfield.types import Float, Int
 
 Convention = Literal["openxr", "leapc"]
 CONVENTIONS: tuple[str, ...] = get_args(Convention)
-ALL_FLAGS = ORIENTATION_VALID | POSITION_VALID | ORIENTATION_TRACKED | POSITION_TRACKED
 LEAP_DIGITS = {"thumb": "thumb", "index": "index", "middle": "middle", "ring": "ring", "pinky": "little"}
 LEAP_SCALE_M, LEAP_TICK_S = 1e-3, 1e-6
 RADIUS_M = 0.01

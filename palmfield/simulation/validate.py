@@ -9,8 +9,8 @@ from scipy.spatial import cKDTree
 
 from palmfield.acoustics.phased_array import HOUSING_M, PhasedArray
 from palmfield.acoustics.surface_load import CLEARANCE_M
-from palmfield.acoustics.transfer import available_bytes
 from palmfield.config.skin import BODIES, OF_SHAPES
+from palmfield.device import available_bytes
 from palmfield.drive.board import Board, check
 from palmfield.drive.boards import boards_for
 from palmfield.drive.response import Pole

@@ -6,14 +6,12 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
 from itertools import pairwise
-from typing import Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
 from palmfield.config import StimulusConfig
-from palmfield.stimulus import curves as shapes
 from palmfield.stimulus.bursts import burst, onsets
-from palmfield.stimulus.curves import PlanePath, folded
 from palmfield.stimulus.focus_table import FocusTable
 from palmfield.stimulus.modulation import (
     COURSE_POWER,
@@ -29,6 +27,9 @@ from palmfield.stimulus.resolved import ResolvedStimulus
 from palmfield.stimulus.waveform import period_s as am_period_s
 from palmfield.stimulus.waveform import wave
 from palmfield.types import Float
+
+if TYPE_CHECKING:
+    from palmfield.stimulus.curves import PlanePath
 
 SPOT_M = 0.0103
 """Width of a usual focus, for the frequencies that a moving one excites."""
@@ -58,17 +59,20 @@ class Frame:
 
 
 @lru_cache(maxsize=64)
-def plane_path(config: StimulusConfig) -> PlanePath | None:
+def plane_path(config: StimulusConfig) -> "PlanePath | None":
     """Return the path's shape about its centre; None for a point, and for sites, whose path depends on the surface.
 
     Raises SceneError for sizes that make no shape.
     """
+    if config.path in ("point", "sites", "file"):
+        return None
+    # Imported here: most stimuli are points
+    from palmfield.stimulus import curves as shapes
+
     c = config
     match c.path:
         case "circle":
             return shapes.circle(_given(c.path_diameter_m))
-        case "line":
-            return _zigzagged(c, shapes.line(_given(c.path_width_m)))
         case "lm":
             return shapes.line(_given(c.path_width_m), c.path_direction_deg)
         case "zigzag":
@@ -83,9 +87,10 @@ def plane_path(config: StimulusConfig) -> PlanePath | None:
             return shapes.lissajous(*size, along_x, along_y, c.path_phase_deg)
         case "letters":
             return shapes.letters(c.path_text or "", _given(c.path_height_m))
-        case "polyline":
-            return _zigzagged(c, shapes.polyline(np.reshape(c.path_through_m, (-1, 2))))
-    return None
+    drawn = c.path_through_m
+    path = shapes.polyline(np.reshape(drawn, (-1, 2))) if drawn else shapes.line(_given(c.path_width_m))
+    stroke = zigzag_stroke_m(c)
+    return path if stroke is None else shapes.zigzagged(path, _given(c.path_zigzag_width_m), stroke)
 
 
 def zigzag_stroke_m(config: StimulusConfig) -> float | None:
@@ -93,11 +98,6 @@ def zigzag_stroke_m(config: StimulusConfig) -> float | None:
     if config.path_zigzag_width_m is None:
         return None
     return _given(config.path_speed_m_s) * config.path_zigzag_width_m / _given(config.path_zigzag_speed_m_s)
-
-
-def _zigzagged(config: StimulusConfig, path: PlanePath) -> PlanePath:
-    stroke = zigzag_stroke_m(config)
-    return path if stroke is None else shapes.zigzagged(path, _given(config.path_zigzag_width_m), stroke)
 
 
 def _given(value: float | None) -> float:
@@ -393,22 +393,16 @@ def _jumps(config: StimulusConfig, timing: "_Timing", start: float, end: float) 
     if timing.smooth:
         return timing.edges
     times = [*timing.edges]
+    trains: list[tuple[float | None, float | None, int | None]] = []
     if config.burst_window == "rectangular":
-        assert config.burst_length_s and config.burst_period_s
-        edge = 1e-9
-        train = onsets(
-            start - config.start_s - edge,
-            end - config.start_s + edge,
-            length_s=config.burst_length_s,
-            period_s=config.burst_period_s,
-            count=config.burst_count,
-        )
-        times += (config.start_s + train).tolist()
+        trains.append((config.burst_length_s, config.burst_period_s, config.burst_count))
     if _is_rectangle(config):
-        period, edge = 1.0 / _given(config.am_frequency_Hz), 1e-9
-        length = _given(config.am_waveform_duty) * period
-        train = onsets(start - config.start_s - edge, end - config.start_s + edge, length_s=length, period_s=period)
-        times += (config.start_s + train).tolist()
+        period = 1.0 / _given(config.am_frequency_Hz)
+        trains.append((_given(config.am_waveform_duty) * period, period, None))
+    for length, every, count in trains:
+        ends = start - config.start_s - 1e-9, end - config.start_s + 1e-9
+        at = onsets(*ends, length_s=_given(length), period_s=_given(every), count=count)
+        times += (config.start_s + at).tolist()
     if timing.jump_rate > 0.0:
         rate = timing.jump_rate
         first, last = math.floor((start - config.start_s) * rate), math.ceil((end - config.start_s) * rate)
@@ -489,7 +483,7 @@ class _Timing:
     control_rate: float
     point_rate: float
     grids: tuple[tuple[float, float], ...]
-    path: PlanePath | None
+    path: "PlanePath | None"
     on_skin: bool
     length_m: float
     turn_rate: float
@@ -579,6 +573,8 @@ def _arcs(timing: _Timing, times: Float) -> Float:
     if timing.runs == "round":
         # Rounding must not exchange the end of a turn and its beginning if the two differ.
         return timing.length_m * np.mod(turns + 1e-12, 1.0)
+    from palmfield.stimulus.curves import folded
+
     return folded(2.0 * timing.length_m * turns, timing.length_m, closed=False)
 
 
@@ -679,6 +675,8 @@ def _lm_frequencies(config: StimulusConfig, rate: float) -> list[float]:
     On a small line the ARP at a point is proportional to the displacement of the focus, where it varies along the line.
     Under the middle, which the focus passes twice a turn, it is quadratic.
     """
+    from palmfield.stimulus.curves import folded
+
     points = points_a_turn(config)
     count = max(LM_SAMPLES, points * math.ceil(LM_SAMPLES / max(points, 1)))
     turns = (np.arange(count) + 0.5) / count

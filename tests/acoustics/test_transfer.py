@@ -18,10 +18,10 @@ from palmfield.acoustics.transfer import (
     DROPPED,
     Transfer,
     arp_frames,
-    available_bytes,
     memory_limit,
     span,
 )
+from palmfield.device import available_bytes
 from palmfield.errors import PalmfieldError, SceneError
 from palmfield.types import Air, Array, Complex, Field, Float
 

@@ -5,9 +5,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from palmfield.errors import SceneError
-from palmfield.motion.joints import JOINTS, POSITION_TRACKED, POSITION_VALID
+from palmfield.motion.joints import ALL_FLAGS, JOINTS, POSITION_TRACKED, POSITION_VALID
 from palmfield.motion.prediction import Noise, Predictor, resample
-from palmfield.motion.tracking import ALL_FLAGS, Stream, stream_of
+from palmfield.motion.tracking import Stream, stream_of
 
 RATE_Hz = 90.0
 

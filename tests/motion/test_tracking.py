@@ -6,9 +6,8 @@ from scipy.spatial.transform import Rotation
 
 from palmfield.errors import SceneError
 from palmfield.hand.articulated import bone_poses, posed_landmark
-from palmfield.motion.joints import JOINTS, POSITION_VALID, hand_joints
+from palmfield.motion.joints import ALL_FLAGS, JOINTS, POSITION_VALID, hand_joints
 from palmfield.motion.tracking import (
-    ALL_FLAGS,
     Stream,
     column_names,
     read_stream,
