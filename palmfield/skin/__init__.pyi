@@ -1,3 +1,5 @@
+from .costs import Choice as Choice
+from .costs import scene_choices as scene_choices
 from .fem.wedge_stepper import WedgeStepper as WedgeStepper
 from .materials.catalogue import CATALOGUE as CATALOGUE
 from .materials.catalogue import preset as preset
@@ -21,9 +23,7 @@ from .scene_layer import LayerDemand as LayerDemand
 from .scene_layer import LayerSizes as LayerSizes
 from .scene_layer import SceneLayer as SceneLayer
 from .scene_layer import layer_sizes as layer_sizes
-from .solver_choice import Choice as Choice
 from .solver_choice import choices as choices
-from .solver_choice import scene_choices as scene_choices
 from .solver_choice import solve as solve
 from .solver_choice import static as static
 from .stepper import Reader as Reader

@@ -1,4 +1,4 @@
-"""Predicted seconds of the work for a skin on one core, for the choice between solvers in scenes and in `solve`.
+"""Predicted seconds of the work for a skin on one core, and the choice of a stepper in scenes that follows from them.
 
 Also the memory of a process that steps the skins of a scene.
 
@@ -7,10 +7,17 @@ unknowns, stepped in 0.27 to 4.9 ms a substep for 1.5 k to 13 k (docs/bench/skin
 of about 1.5.
 """
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from palmfield import cache
 
 PROCESS_BYTES = 335e6
 """Memory of a process that has loaded a scene without a skin."""
+RUNS = 20
+"""That share the making of what is kept in the cache."""
 
 
 def assembly_s(dofs: float) -> float:
@@ -71,3 +78,49 @@ def memory_bytes(layers: Sequence[tuple[float, bool]]) -> int:
     Fitted to the largest memory of the demo's palm at 5 k, 9 k and 31 k unknowns and of a disc at 13 k, within 5 %.
     """
     return round(PROCESS_BYTES + sum(17.3e3 * dofs + (64.0 * dofs**1.5 if whole else 0.0) for dofs, whole in layers))
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Prediction of a solver: seconds, or the sentence with which it refuses (then seconds is infinite).
+
+    Infinite seconds without a refusal: the solver can solve it, but its cost is unknown.
+    """
+
+    name: str
+    seconds: float
+    refusal: str | None = None
+    found: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
+    """Expensive results of the cost estimate that the solution reuses."""
+
+
+def ranked(options: Iterable[Choice]) -> list[Choice]:
+    """The cheapest first, those that refuse last."""
+    return sorted(options, key=lambda choice: (choice.seconds, choice.refusal is not None))
+
+
+def scene_choices(
+    dofs: float,
+    substeps: float,
+    vectors: float,
+    refusal: str | None,
+    modes: float,
+    modal_refusal: str | None,
+    laws: int = 1,
+    kept: bool | None = None,
+) -> list[Choice]:
+    """The solvers that can step the layer of a scene, the cheapest first.
+
+    dofs: unknowns of the layer. substeps: of the whole run. vectors: of a reduced model for its load, about.
+    refusal: why there can't be one, in a sentence, or None. modes, modal_refusal: the same for modes for every load.
+    laws: number of relaxation laws of the layer.
+    kept: whether modes serve RUNS runs. None: if there is a cache.
+    """
+    reduced, modal = Choice("reduced", math.inf, refusal), Choice("modal", math.inf, modal_refusal)
+    if refusal is None:
+        reduced = Choice("reduced", reduced_s(dofs, substeps, vectors))
+    if modal_refusal is None:
+        # Kept on disk, they serve the runs to come as well
+        share = 1.0 / RUNS if (cache.folder() is not None if kept is None else kept) else 1.0
+        modal = Choice("modal", share * modes_s(dofs, modes, laws) + substeps * modal_step_s(modes, laws))
+    return ranked([reduced, modal, Choice("wedges", wedges_s(dofs, substeps))])

@@ -1,29 +1,15 @@
 """A scene's layer for solvers that key `solver` names and that have their own mesh: explicit elements or particles,
 and those of other packages. The scene has no other reference to them.
-
-Body, loads and operators are those of the scene's wedges; the solver's mesh lies below the same face.
 """
 
 import functools
-import math
-import threading
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any, Protocol, get_args
+from typing import Protocol, get_args
 
-import numpy as np
-from scipy import sparse
-from scipy.spatial import cKDTree
-
-from palmfield.blas import one_blas_thread
 from palmfield.config.skin import SKIN_SOLVERS, Solver
 from palmfield.errors import SceneError
-from palmfield.skin.approximation.trim_absorbing_rim import refusal_of_spot
-from palmfield.skin.fem.face_transfer import FaceTransfer, ends_of_substeps, read
-from palmfield.skin.from_config import base_of
-from palmfield.skin.problem import GAUSSIAN, Body, Layer, Load, Sheet, Slab, Spot, Traction
 from palmfield.skin.scene_layer import SceneLayer
-from palmfield.skin.stepper import Reader, SkinStepper, SurfaceLoads, check_step, world_by_world
-from palmfield.types import Float, Int
+from palmfield.skin.stepper import SkinStepper
 
 OWN = {
     name: EntryPoint(name, f"palmfield.skin.solvers.{where}", SKIN_SOLVERS)
@@ -33,14 +19,6 @@ OWN = {
     }.items()
 }
 """Solvers of this package that have an ExplicitLayer, loaded when a scene names them."""
-TONE = 8
-"""Periods of the load for which meshes are chosen: enough for a spectrum that is a line."""
-TRIAL, LONGEST_TRIAL_s = 2, 0.02
-"""Periods of the main frequency under which a solver estimates its error, and at most that long [s]."""
-SAMPLES = 32
-"""Times in each period."""
-MOST_STEPS = 20_000
-"""Limit of the steps of a scheme in one MuJoCo step."""
 
 
 class ExplicitLayer(Protocol):
@@ -99,195 +77,3 @@ def _made(layer: SceneLayer) -> ExplicitLayer:
             f"{layer.element}: key 'solver' has value '{solver}', whose entry point '{entry.value}' cannot be "
             f"loaded: {error}; reinstall it, or set solver to auto"
         ) from error
-
-
-class OwnMesh(ExplicitLayer, Protocol):
-    """A layer on its own mesh, which a solver steps explicitly.
-
-    face: its nodes [m], shape (f, 3); stiffest: bulk over shear modulus, at most
-    """
-
-    steps: str = "explicit steps, limited by the time in which a pressure wave crosses an element"
-    stiffest: float
-    layer: SceneLayer
-    lock: Any
-
-    def __init__(self, layer: SceneLayer) -> None:
-        self.layer, self.lock = layer, threading.RLock()
-
-    @property
-    def face(self) -> Float: ...
-
-    def refusal(self, body: Body, load: Load) -> str | None:
-        """Why the solver can't take a problem, in a sentence, or None."""
-        ...
-
-    def near(self, points: Float) -> tuple[Int, Float]:
-        """Nodes of the face whose motion is that at some points of it [m], (p, 3), and their shares, shapes (p, k)."""
-        ...
-
-    def made(self, transfer: FaceTransfer, device: str) -> "OwnMeshStepper":
-        """`stepper`; transfer: from and to the wedges of the scene."""
-        ...
-
-    def error(self, device: str) -> float:
-        """Error that `palmfield.skin.solve` states for this mesh under the trial load, with all omissions."""
-        ...
-
-    def stepper(self, device: str) -> "OwnMeshStepper":
-        """See ExplicitLayer."""
-        system, mesh = self.layer.system, self.layer.mesh
-
-        def make() -> OwnMeshStepper:
-            near, shares = self.near(mesh.nodes[: mesh.surface_nodes])
-            rows = np.repeat(np.arange(len(near)), near.shape[1])
-            weights = sparse.csr_matrix((shares.ravel(), (rows, near.ravel())), shape=(len(near), len(self.face)))
-            return self.made(FaceTransfer(system, self.face, weights), device)
-
-        made = self.layer.with_keys(make)
-        self._check_steps(made.steps)
-        return made
-
-    def refuse(self) -> None:
-        """See ExplicitLayer."""
-        config, solver = self.layer.config, self.layer.config.solver
-        element = f"{self.layer.element}: key 'solver' has value '{solver}'"
-        if config.side == "absorbing":
-            allowed = "fixed, free" + (", roller" if config.shape == "disc" else "")
-            raise SceneError(
-                f"{element} and key 'side' value 'absorbing'; allowed with it: {allowed}; or solver wedges"
-            )
-        if config.foundation is not None:
-            raise SceneError(
-                f"{element} and key 'foundation_normal_Pa_m' value '{config.foundation[0]:g}'; allowed with it: no "
-                "foundation (base springs is one that spectral_elements has); or solver wedges"
-            )
-        for material in (sheet.material for sheet in self.layer.sheets):
-            ratio = material.bulk_Pa / material.shear_instant_Pa
-            if ratio > self.stiffest:
-                raise SceneError(
-                    f"{element} and material '{material.name}' a bulk modulus of {ratio:.3g} times its shear modulus; "
-                    f"allowed with it, as it steps with the pressure wave: at most {self.stiffest:g} (keys material, "
-                    "materials, bulk_Pa); or solver wedges"
-                )
-        # A slab of the same sheets: only its base and materials are checked here
-        sheets = tuple(Sheet(sheet.material, 0.01 * sheet.thickness_m) for sheet in self.layer.sheets)
-        slab = Slab(sheets, "disc", base_of(config), "fixed", 0.1)
-        load = Spot(self.layer.demand.spot_fwhm_m, np.zeros(1), np.ones(1))
-        reason = self.refusal(slab, load)
-        if reason is not None:
-            raise SceneError(f"{element}, but {reason}")
-
-    def body_of(self, refinement: float = 1.0) -> Body:
-        """The body below the face of a layer, in its frame: a disc, or the sheets below its patch.
-
-        refinement: factor on the edges of the patch, at most 1.
-        """
-        config = self.layer.config
-        if config.shape == "disc":
-            assert config.radius_m and config.thickness_m
-            sheets = tuple(Sheet(sheet.material, sheet.thickness_m * config.thickness_m) for sheet in self.layer.sheets)
-            return Slab(sheets, "disc", base_of(config), config.side, config.radius_m)
-        patch = self.layer.patch if refinement >= 1.0 else self.layer.resized(refinement * self.layer.resizing).patch
-        return Layer(patch, self.layer.sheets, base_of(config), config.side)
-
-    def planned_load(self) -> Spot:
-        """A spot as wide and a tone as high as the layer is made for, by which meshes are chosen."""
-        return self._spot(TONE, self.layer.demand.max_frequency_Hz)
-
-    def trial_s(self) -> float:
-        """Time under the load by which a solver estimates its error [s]."""
-        return min(TRIAL / self.layer.demand.main_frequency_Hz, LONGEST_TRIAL_s)
-
-    def trial(self, body: Body, points: Float, areas_m2: Float) -> tuple[Load, Float, Float]:
-        """The load under which a solver estimates its error, the times at which it looks, and two points of the face.
-
-        points, areas_m2: of the face [m], (f, 3) and (f,), for a face on which a spot can't be given by its x and y
-        """
-        f_Hz, middle = self.layer.demand.main_frequency_Hz, self._middle()
-        spot = self._spot(self.trial_s() * f_Hz, f_Hz)
-        load: Load = spot
-        if refusal_of_spot(body, spot) is not None:
-            away = np.linalg.norm(points - middle, axis=1)
-            shape = np.exp(-GAUSSIAN * (away / spot.fwhm_m) ** 2)
-            load = Traction(points, areas_m2, spot.times_s, spot.peak_Pa[:, None] * shape)
-        away = np.linalg.norm(points - middle, axis=1)
-        beside = points[np.argmin(np.abs(away - 0.5 * spot.fwhm_m))]
-        return load, spot.times_s[1:], np.stack([points[np.argmin(away)], beside])
-
-    def _spot(self, periods: float, f_Hz: float) -> Spot:
-        """A spot in the middle of the layer whose pressure oscillates between 0 and 1 Pa."""
-        times = np.linspace(0.0, periods / f_Hz, math.ceil(SAMPLES * periods) + 1)
-        return Spot(self.layer.demand.spot_fwhm_m, times, np.sin(math.pi * f_Hz * times) ** 2, self._middle()[:2])
-
-    def _middle(self) -> Float:
-        """The middle of the layer on its face, body frame [m], shape (3,)."""
-        if self.layer.config.shape == "disc":
-            return np.zeros(3)
-        vertices = self.layer.patch.vertices
-        return vertices[cKDTree(vertices).query(self.layer.centre_m)[1]]
-
-    def _check_steps(self, steps: int) -> None:
-        """Raise SceneError if a substep of the scene takes so many steps of the scheme that a run would not end."""
-        in_one = steps * round(self.layer.demand.timestep_s / self.layer.step_s)
-        if in_one > MOST_STEPS:
-            raise SceneError(
-                f"{self.layer.element}: key 'solver' has value '{self.layer.config.solver}', which needs "
-                f"{in_one:,} steps per MuJoCo step of {self.layer.demand.timestep_s:g} s; allowed: at most "
-                f"{MOST_STEPS:,}; set accuracy or depth_m larger, bulk_Pa or timestep smaller, or solver to wedges"
-            )
-
-
-class OwnMeshStepper(SkinStepper, Protocol):
-    """Step a layer on its own mesh, in steps of a scheme that divide a substep; see SkinStepper.
-
-    own: the layer. transfer: from and to the wedges of the scene. device: of `palmfield.device.resolve`.
-    steps: of the scheme in each substep.
-    """
-
-    points: Int | None = None
-    steps: int
-    _own: OwnMesh
-    _transfer: FaceTransfer
-    _device: str
-
-    def __init__(self, own: OwnMesh, transfer: FaceTransfer, device: str) -> None:
-        self._own, self._transfer, self._device = own, transfer, device
-        self.step_s, self.unknowns = own.layer.step_s, own.unknowns
-
-    @functools.cached_property
-    def error(self) -> float:  # type: ignore[override]  # computed at first use
-        """See SkinStepper."""
-        return self._own.error(self._device)
-
-    def carried(self, state: Float, ends: Float, t0: float, t1: float, seen: bool) -> Float | None:
-        """Carry the state of one world (state_size,) in place; motion of the face after each substep, (s, 2, f, 3).
-
-        ends: pressure on the face at both ends of each substep, (2 s, f)
-        """
-        ...
-
-    def step(
-        self, state: Float, loads: SurfaceLoads, t0: float, t1: float, observe: Reader | None = None
-    ) -> Float | None:
-        """See SkinStepper."""
-        check_step(self, state, loads, self._transfer.pressure.shape[1], t0, t1)
-        if len(state) > 1:
-            return world_by_world(self, state, loads, t0, t1, observe)
-        with one_blas_thread:
-            ends = ends_of_substeps(self._transfer.pressure, loads.pressure_Pa[0], loads.first[0], loads.last[0])
-        motion = self.carried(state[0], ends, t0, t1, observe is not None)
-        return None if observe is None or motion is None else read(motion, observe)[None]
-
-    def describe(self) -> str:
-        """See SkinStepper."""
-        return f"{self.name}{', a preview' * self._own.preview}: {self._own.resolution}"
-
-    def reader(self, operator: sparse.csr_matrix) -> Reader:
-        """See SkinStepper. Raises SceneError for an operator that reads below the surface."""
-        return self._transfer.reader(operator)
-
-    def read(self, state: Float, reader: Reader) -> Float:
-        """See SkinStepper; a state begins with displacement and velocity of all nodes, those of the face first."""
-        face = 3 * len(self._own.face)
-        return read(np.stack([state[:, :face], state[:, self.unknowns : self.unknowns + face]], axis=1), reader)

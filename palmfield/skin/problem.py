@@ -246,6 +246,10 @@ class Traction:
 Load = Spot | Traction
 
 
+def is_pressed(load: Load) -> bool:
+    return bool(np.any(load.peak_Pa if isinstance(load, Spot) else load.pressure_Pa))
+
+
 @dataclass(frozen=True)
 class Motion:
     """Motion of the skin at the requested times and points.
@@ -403,6 +407,12 @@ def requested_points(at: ArrayLike) -> Float:
     if points.ndim != 2 or points.shape[1] not in (2, 3) or len(points) == 0 or not np.isfinite(points).all():
         raise SceneError(f"at of shape {points.shape}: give finite positions on the face, shape (n, 2) or (n, 3)")
     return points
+
+
+def in_space(at: ArrayLike) -> Float:
+    """Points as an array (n, 3), with z = 0 where they have no z. Raises SceneError as `requested_points`."""
+    points = requested_points(at)
+    return points if points.shape[1] == 3 else np.column_stack([points, np.zeros(len(points))])
 
 
 def lifted(patch: Patch, places: Float) -> Float:

@@ -21,7 +21,6 @@ from palmfield.skin.fem.assembly import SkinSystem, assemble
 from palmfield.skin.fem.load import SurfaceQuadrature
 from palmfield.skin.fem.probe import SurfaceProbe, surface_motion
 from palmfield.skin.from_config import base_of, sheets_of, slowest
-from palmfield.skin.mesh.disc import disc_patch
 from palmfield.skin.mesh.rows import element_rows
 from palmfield.skin.mesh.wedges import WedgeMesh, extrude
 from palmfield.skin.problem import Sheet
@@ -183,6 +182,8 @@ class SceneLayer:
         beside = self.demand.beside_m if sizes.edge_fine_m < sizes.edge_coarse_m else (0.0, 0.0, 0.0)
         if config.shape == "disc":
             assert config.radius_m and config.thickness_m
+            from palmfield.skin.mesh.disc import disc_patch
+
             x, y, _ = beside
             edges = sizes.edge_fine_m, sizes.edge_coarse_m, sizes.fine_radius_m
             return disc_patch(config.radius_m, config.thickness_m, *edges, (x, y))

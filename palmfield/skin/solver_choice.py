@@ -1,14 +1,14 @@
-"""Solver choice: one call for every skin solver, and the choice of the stepper of a skin in a scene.
+"""Solver choice: one call for every skin solver.
 
-`solve` takes the cheapest one that reaches the target accuracy, and solves finer if it did not. Scenes and `solve`
-share the predicted costs (palmfield.skin.costs).
+`solve` takes the cheapest one that reaches the target accuracy, and solves finer if it did not. Its predicted costs are
+those by which scenes choose a stepper (palmfield.skin.costs).
 """
 
 import inspect
 import math
 import time
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from importlib import import_module
 from typing import Any, Literal
@@ -16,11 +16,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from palmfield import cache
 from palmfield.device import resolve
 from palmfield.errors import SceneError
 from palmfield.skin.approximation.truncate_domain import truncate_domain
-from palmfield.skin.costs import modal_step_s, modes_s, reduced_s, wedges_s
+from palmfield.skin.costs import Choice, ranked
 from palmfield.skin.fem.on_body import on_body
 from palmfield.skin.problem import (
     QUANTITIES,
@@ -36,6 +35,7 @@ from palmfield.skin.problem import (
     Springs,
     Traction,
     depth_of,
+    is_pressed,
     numbers,
     points_on_face,
 )
@@ -76,9 +76,6 @@ FORMER = {
 }
 """Names that solvers had before, and those that they have."""
 
-RUNS = 20
-"""That share the making of what is kept in the cache."""
-
 PREVIEW = ("particles",)
 """Solvers for large deformation and previews: never chosen by `auto`."""
 
@@ -99,52 +96,6 @@ SLAB_S, LAYER_S = 0.02, 0.12
 
 FINER = 3
 """How often a solution is refined when its estimate misses the target accuracy."""
-
-
-@dataclass(frozen=True)
-class Choice:
-    """Prediction of a solver: seconds, or the sentence with which it refuses (then seconds is infinite).
-
-    Infinite seconds without a refusal: the solver can solve it, but its cost is unknown.
-    """
-
-    name: str
-    seconds: float
-    refusal: str | None = None
-    found: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
-    """Expensive results of the cost estimate that the solution reuses."""
-
-
-def ranked(options: Iterable[Choice]) -> list[Choice]:
-    """The cheapest first, those that refuse last."""
-    return sorted(options, key=lambda choice: (choice.seconds, choice.refusal is not None))
-
-
-def scene_choices(
-    dofs: float,
-    substeps: float,
-    vectors: float,
-    refusal: str | None,
-    modes: float,
-    modal_refusal: str | None,
-    laws: int = 1,
-    kept: bool | None = None,
-) -> list[Choice]:
-    """The solvers that can step the layer of a scene, the cheapest first.
-
-    dofs: unknowns of the layer. substeps: of the whole run. vectors: of a reduced model for its load, about.
-    refusal: why there can't be one, in a sentence, or None. modes, modal_refusal: the same for modes for every load.
-    laws: number of relaxation laws of the layer.
-    kept: whether modes serve RUNS runs. None: if there is a cache.
-    """
-    reduced, modal = Choice("reduced", math.inf, refusal), Choice("modal", math.inf, modal_refusal)
-    if refusal is None:
-        reduced = Choice("reduced", reduced_s(dofs, substeps, vectors))
-    if modal_refusal is None:
-        # Kept on disk, they serve the runs to come as well
-        share = 1.0 / RUNS if (cache.folder() is not None if kept is None else kept) else 1.0
-        modal = Choice("modal", share * modes_s(dofs, modes, laws) + substeps * modal_step_s(modes, laws))
-    return ranked([reduced, modal, Choice("wedges", wedges_s(dofs, substeps))])
 
 
 def choices(
@@ -174,7 +125,8 @@ def ranking(problem: SkinProblem) -> list[Choice]:
                 if "prepared" in WHERE[name]:
                     body, found = function(name, "prepared")(own)
                     own = replace(own, body=body)
-                seconds = cost(name, own)
+                choosing = LAYER_S if isinstance(own.body, Layer) else SLAB_S
+                seconds = choosing + float(function(name, "cost")(own))
             except (SceneError, MemoryError) as reason:
                 refusal = f"{reason}"
             except Exception:
@@ -338,10 +290,6 @@ def static(body: Body, load: Load, at: ArrayLike, *, accuracy: float = 0.05) -> 
     raise SceneError("no solver has a static solution: " + "; ".join(refused))
 
 
-def is_pressed(load: Load) -> bool:
-    return bool(np.any(load.peak_Pa if isinstance(load, Spot) else load.pressure_Pa))
-
-
 def at_rest(problem: SkinProblem) -> Motion:
     """The motion of a body without a load."""
     still = np.zeros((len(problem.times), len(problem.points), 3))
@@ -386,13 +334,7 @@ def check_load(load: object) -> None:
 
 
 def checked(
-    body: Body,
-    load: Load,
-    times: ArrayLike,
-    at: ArrayLike,
-    accuracy: float,
-    accuracy_of: Quantity,
-    device: str,
+    body: Body, load: Load, times: ArrayLike, at: ArrayLike, accuracy: float, accuracy_of: Quantity, device: str
 ) -> SkinProblem:
     """Make the problem from the arguments of a user. Raises SceneError."""
     check_load(load)
@@ -415,9 +357,3 @@ def truncated(problem: SkinProblem) -> tuple[SkinProblem, float]:
 def function(name: str, what: str) -> Callable[..., Any]:
     """Function solve_NAME, refusal_NAME or cost_NAME of a solver; loaded at first use, because some need Warp."""
     return getattr(import_module(f"palmfield.skin.{WHERE[name][what]}"), f"{what}_{name}")
-
-
-def cost(name: str, problem: SkinProblem) -> float:
-    """Predicted seconds, those of the choice itself included."""
-    own = LAYER_S if isinstance(problem.body, Layer) else SLAB_S
-    return own + float(function(name, "cost")(problem))

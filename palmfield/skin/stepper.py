@@ -204,13 +204,7 @@ class DeviceModel(Protocol):
 
 
 def check_step(
-    stepper: SkinStepper,
-    state: Float,
-    loads: SurfaceLoads,
-    points: int,
-    t0: float,
-    t1: float,
-    any_length: bool = False,
+    stepper: SkinStepper, state: Float, loads: SurfaceLoads, points: int, t0: float, t1: float, any_length: bool = False
 ) -> bool:
     """Raise SceneError for other shapes, and for substeps of another length unless any length is allowed.
 

@@ -19,8 +19,8 @@ from palmfield.config.array import Layout
 from palmfield.config.skin import Solver
 from palmfield.drive.boards import BOARDS
 from palmfield.session.simulation import Simulation
+from palmfield.skin.costs import scene_choices
 from palmfield.skin.explicit_layer import OWN
-from palmfield.skin.solver_choice import scene_choices
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "architecture.md").read_text()

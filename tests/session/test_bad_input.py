@@ -101,7 +101,7 @@ def meshing_fails(monkeypatch):
     def made(*_):
         raise AssertionError("a layer is meshed")
 
-    monkeypatch.setattr("palmfield.skin.scene_layer.disc_patch", made)
+    monkeypatch.setattr("palmfield.skin.mesh.disc.disc_patch", made)
     monkeypatch.setattr("palmfield.skin.scene_layer.surface_patch", made)
 
 

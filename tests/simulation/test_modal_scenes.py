@@ -12,7 +12,6 @@ from palmfield.planning.scene_plan import plan
 from palmfield.session.simulation import Simulation, load
 from palmfield.simulation.small_models.load_class import corner_Hz
 from palmfield.simulation.state import BEGUN, WHOLE
-from palmfield.skin.reduction import modal_stepper
 from palmfield.skin.reduction.modal_stepper import ModalStepper
 
 STEADY = {"modulation": "none", "am_quantity": None, "am_frequency_Hz": None, "am_depth": None}
@@ -146,7 +145,7 @@ def test_another_stimulus_finds_the_modes_in_the_cache(small_scene, tmp_path, mo
     # Of no other test: equal scenes share their model, with its modes
     path = small_scene(skin={"accuracy": 0.19, "solver": "modal"})
     motion(load(path), 2)
-    monkeypatch.setattr(modal_stepper, "factorise", lambda *arguments: pytest.fail("factorised again"))
+    monkeypatch.setattr("palmfield.skin.fem.factor.factorise", lambda *arguments: pytest.fail("factorised again"))
     other = Simulation(path, keys={"stimulus.focus_m": (0.001, 0.0, 0.12), "stimulus.drive_amplitude": 0.5})
     assert np.abs(motion(other, 2)).max() > 0.0
 
@@ -176,8 +175,8 @@ def test_a_saved_state_goes_on(small_scene):
 def test_loads_outside_the_class_hand_over_to_the_whole_layer(small_scene, monkeypatch):
     """Where the scene may choose; where modes are asked for they go on, and the error tells."""
     monkeypatch.setattr("palmfield.simulation.small_models.known_load.refusal", lambda *arguments: "not for this test")
-    monkeypatch.setattr("palmfield.skin.solver_choice.modes_s", lambda *arguments: 0.0)
-    monkeypatch.setattr("palmfield.skin.solver_choice.modal_step_s", lambda *arguments: 0.0)
+    monkeypatch.setattr("palmfield.skin.costs.modes_s", lambda *arguments: 0.0)
+    monkeypatch.setattr("palmfield.skin.costs.modal_step_s", lambda *arguments: 0.0)
     chosen = Simulation(small_scene(skin=SKIN))
     asked = Simulation(small_scene(skin=SKIN | {"solver": "modal"}))
     for sim in (chosen, asked):

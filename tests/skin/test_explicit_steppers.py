@@ -11,8 +11,7 @@ from palmfield.config import SkinConfig
 from palmfield.errors import SceneError
 from palmfield.hand.preset import load_preset
 from palmfield.hand.surface import hand_surface
-from palmfield.skin import explicit_layer as explicit_layer_module
-from palmfield.skin import solve
+from palmfield.skin import own_mesh, solve
 from palmfield.skin.explicit_layer import explicit_layer
 from palmfield.skin.fem.face_transfer import ends_of_substeps
 from palmfield.skin.fem.probe import surface_vectors
@@ -334,7 +333,7 @@ def test_the_predicted_steps_are_about_those_that_are_taken(layer, stepper):
 
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_steps_so_many_that_a_run_would_not_end_are_refused(solver, monkeypatch):
-    monkeypatch.setattr(explicit_layer_module, "MOST_STEPS", 10)
+    monkeypatch.setattr(own_mesh, "MOST_STEPS", 10)
     with pytest.raises(SceneError, match=r"which needs \d+ steps per MuJoCo step of 0\.001 s; .* at most 10; set"):
         explicit_layer(layer_of(solver)).stepper("cpu")
 

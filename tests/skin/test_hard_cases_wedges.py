@@ -20,9 +20,10 @@ from palmfield.skin.analytic.layer_oracle import centre_response
 from palmfield.skin.fem.assembly import assemble
 from palmfield.skin.fem.factor import factorise
 from palmfield.skin.fem.generalised_alpha import Scheme
-from palmfield.skin.fem.load import PressureHistory, SurfaceQuadrature
+from palmfield.skin.fem.load import SurfaceQuadrature
 from palmfield.skin.fem.probe import SurfaceProbe
 from palmfield.skin.fem.solver import harmonic, static
+from palmfield.skin.fem.traction import PressureHistory
 from palmfield.skin.materials.catalogue import preset
 from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson, shear_wave
 from palmfield.skin.mesh.body_mesh import Sizes, box_patch

@@ -6,9 +6,9 @@ import pytest
 from palmfield import SceneError
 from palmfield.skin import Sheet, Slab, Spot, preset
 from palmfield.skin.fem.body import build
-from palmfield.skin.fem.load import PressureHistory
 from palmfield.skin.fem.probe import SurfaceProbe
 from palmfield.skin.fem.solver import static
+from palmfield.skin.fem.traction import PressureHistory
 from palmfield.skin.fem.wedge_stepper import WedgeStepper
 from palmfield.skin.reduction.point_model import TOLERANCE, WINDOW_S, point_model
 from palmfield.skin.solvers.wedges import first_sizes

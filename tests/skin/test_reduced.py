@@ -1,7 +1,6 @@
 """The reduced model against the full wedge body, analytic oscillators and its own promises."""
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -10,6 +9,7 @@ from hypothesis import strategies as st
 from scipy import sparse
 
 from palmfield.errors import SceneError
+from palmfield.skin.fem.linear_body import Matrices, Part
 from palmfield.skin.fem.solver import harmonic, static
 from palmfield.skin.materials.catalogue import preset
 from palmfield.skin.materials.material import Branch, Material
@@ -23,27 +23,13 @@ BAND = (0.0, 600.0)
 TOLERANCE = 1e-3
 
 
-@dataclass(frozen=True)
-class Relaxing:
-    stiffness: np.ndarray
-    material: Material
-
-
-@dataclass(frozen=True)
-class Body:
-    mass: np.ndarray
-    damping: np.ndarray
-    elastic: np.ndarray
-    parts: tuple[Relaxing, ...]
-
-
 def chain(material, count=6, elastic=2e3, stiffness=1e4, damping=0.0, held=True):
     """Masses of 1 g on a line, between springs; the first is held to the ground."""
     k = 2 * np.eye(count) - np.eye(count, k=1) - np.eye(count, k=-1)
     k[-1, -1] = 1.0
     if not held:
         k[0, 0] = 1.0
-    return Body(1e-3 * np.eye(count), damping * k, elastic * k, (Relaxing(stiffness * k, material),))
+    return Matrices(1e-3 * np.eye(count), damping * k, elastic * k, (Part(stiffness * k, material),))
 
 
 def full_rates(body):
@@ -179,7 +165,7 @@ def test_oscillator_under_a_ramp_and_a_free_mass():
     """Analytic: u = a (t - sin(w t) / w) / (m w^2) under a t; t^3 / 6 m for a free mass, whose modes coincide."""
     elastic = Material("e", 1e3, 1.0, (), 1.0, "")
     times = np.array([0.0, 1e-3, 2.5e-3, 7e-3, 0.02])
-    one = Body(np.eye(1) * 2.0, np.zeros((1, 1)), np.eye(1) * 8e5, (Relaxing(np.zeros((1, 1)), elastic),))
+    one = Matrices(np.eye(1) * 2.0, np.zeros((1, 1)), np.eye(1) * 8e5, (Part(np.zeros((1, 1)), elastic),))
     model = reduce(one, np.eye(1), np.eye(1), (0.0, 500.0), 1e-6)
     moved, velocity = model.run(3.0 * times[:, None], times)
     w = math.sqrt(4e5)
@@ -194,7 +180,7 @@ def test_oscillator_under_a_ramp_and_a_free_mass():
 
 def test_steps_of_an_oscillator_under_a_ramp_follow_the_closed_form():
     """As above, step by step and of unequal lengths, the force linear within each."""
-    one = Body(np.eye(1) * 2.0, np.zeros((1, 1)), np.eye(1) * 8e5, ())
+    one = Matrices(np.eye(1) * 2.0, np.zeros((1, 1)), np.eye(1) * 8e5, ())
     model = reduce(one, np.eye(1), np.eye(1), (0.0, 500.0), 1e-6)
     w, t, state = math.sqrt(4e5), 0.0, np.zeros(model.state_size)
     for step in (1e-3, 1.5e-3, 4.5e-3, 1e-3):

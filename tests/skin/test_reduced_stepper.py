@@ -1,7 +1,6 @@
 """Small models for loads known ahead, against the whole wedge body and analytic oscillators."""
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -9,15 +8,17 @@ from scipy import sparse
 from scipy.linalg import expm
 
 from palmfield.errors import SceneError
+from palmfield.skin.fem.linear_body import Matrices, Part
 from palmfield.skin.fem.load import SurfaceQuadrature
 from palmfield.skin.fem.probe import SurfaceProbe, surface_motion
 from palmfield.skin.fem.solver import harmonic, static
 from palmfield.skin.fem.wedge_stepper import WedgeStepper
 from palmfield.skin.materials.material import Branch, Material
 from palmfield.skin.reduction import reduced_stepper as module
+from palmfield.skin.reduction.course import harmonics, level, periodic
 from palmfield.skin.reduction.device_models import DeviceReduced
 from palmfield.skin.reduction.dynamic_stiffness import DynamicStiffness
-from palmfield.skin.reduction.krylov import Krylov, harmonics, level, periodic
+from palmfield.skin.reduction.krylov import Krylov
 from palmfield.skin.reduction.reduced_stepper import KnownLoad, reduced_stepper
 from palmfield.skin.stepper import SurfaceLoads
 
@@ -218,27 +219,13 @@ def test_more_vectors_than_allowed_are_refused(disc, monkeypatch):
         model_of(disc, load, 1e-6)
 
 
-@dataclass(frozen=True)
-class Relaxing:
-    stiffness: np.ndarray
-    material: Material
-
-
-@dataclass(frozen=True)
-class Body:
-    mass: np.ndarray
-    damping: np.ndarray
-    elastic: np.ndarray
-    parts: tuple[Relaxing, ...]
-
-
 @pytest.mark.parametrize("tau", [1e-7, 3e-4, 10.0])
 @pytest.mark.parametrize("viscosity", [0.0, 1e-3])
 def test_as_many_vectors_as_unknowns_lose_nothing(tau, viscosity):
     """Masses between springs: the answers of Z(s) itself, of every tau; then the space has come to its end."""
     k = 2 * np.eye(5) - np.eye(5, k=1) - np.eye(5, k=-1)
     material = Material("m", 1e3, 1.0, (Branch(2.0, tau), Branch(0.7, 1e-3)), 1.0, "", viscosity_Pa_s=viscosity)
-    body = Body(1e-3 * np.eye(5), 1e-3 * k, 2e3 * k @ k, (Relaxing(1e4 * k, material),))
+    body = Matrices(1e-3 * np.eye(5), 1e-3 * k, 2e3 * k @ k, (Part(1e4 * k, material),))
     krylov = Krylov(DynamicStiffness(body), 800.0, np.eye(5)[:, :2])
     while krylov.order < 5:
         assert krylov.grow() > 0

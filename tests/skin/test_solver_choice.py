@@ -10,6 +10,7 @@ from palmfield.errors import SceneError
 from palmfield.skin import Motion, Sheet, Slab, Spot, choices, preset, solve, static
 from palmfield.skin import solver_choice as module
 from palmfield.skin.analytic.layer_oracle import centre_response, centre_responses
+from palmfield.skin.costs import scene_choices
 from palmfield.skin.materials.material import bulk_from_poisson, kelvin_voigt
 from palmfield.skin.problem import QUANTITIES, SkinProblem
 from palmfield.skin.solvers.particles.resolution import choose_spacing, law_error
@@ -201,23 +202,23 @@ def test_what_is_no_load_is_refused_in_one_line(load: object) -> None:
 
 
 def test_scenes_choose_between_what_steps_in_time() -> None:
-    cheap, other, _ = module.scene_choices(30_000, 1600, 60, None, 1600, "shadows")
+    cheap, other, _ = scene_choices(30_000, 1600, 60, None, 1600, "shadows")
     assert (cheap.name, other.name) == ("reduced", "wedges") and cheap.seconds < other.seconds
-    brief, *_ = module.scene_choices(2_000, 10, 400, None, 400, None)
+    brief, *_ = scene_choices(2_000, 10, 400, None, 400, None)
     assert brief.name == "wedges"
-    only, *never = module.scene_choices(30_000, 1600, 60, "the hand moves", 1600, "shadows")
+    only, *never = scene_choices(30_000, 1600, 60, "the hand moves", 1600, "shadows")
     assert only.name == "wedges" and {choice.refusal for choice in never} == {"the hand moves", "shadows"}
     assert all(choice.seconds == np.inf for choice in never)
 
 
 def test_scenes_take_modes_where_runs_are_long_or_many(monkeypatch: pytest.MonkeyPatch) -> None:
     """Making them is shared by the runs that find them in the cache."""
-    choices = [module.scene_choices(7_000, steps, 0, "the hand moves", 500, None)[0].name for steps in (100, 100_000)]
+    choices = [scene_choices(7_000, steps, 0, "the hand moves", 500, None)[0].name for steps in (100, 100_000)]
     assert choices == ["wedges", "modal"]
     kept = []
     for folder in ("off", "somewhere"):
         monkeypatch.setenv("PALMFIELD_CACHE", folder)
-        by_name = {choice.name: choice for choice in module.scene_choices(7_000, 100, 0, "it moves", 500, None)}
+        by_name = {choice.name: choice for choice in scene_choices(7_000, 100, 0, "it moves", 500, None)}
         kept.append(by_name["modal"].seconds)
     assert kept[1] < 0.5 * kept[0]
 

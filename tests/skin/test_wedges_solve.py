@@ -13,9 +13,10 @@ from palmfield.skin.approximation.load_scales import load_centre, load_frequency
 from palmfield.skin.fem.absorbing import match_speed, sponge
 from palmfield.skin.fem.assembly import assemble
 from palmfield.skin.fem.body import build
-from palmfield.skin.fem.load import PressureHistory, SurfaceQuadrature
+from palmfield.skin.fem.load import SurfaceQuadrature
 from palmfield.skin.fem.probe import SurfaceProbe
 from palmfield.skin.fem.solver import harmonic, static
+from palmfield.skin.fem.traction import PressureHistory
 from palmfield.skin.materials.catalogue import preset
 from palmfield.skin.mesh.body_mesh import Sizes, box_patch, graded_fractions, quartered
 from palmfield.skin.mesh.disc import disc_patch

@@ -7,10 +7,9 @@ from palmfield.errors import SceneError
 from palmfield.simulation.model import HapticModel, StepperChoice, StimulusModel
 from palmfield.simulation.small_models import known_load, load_class
 from palmfield.simulation.spec import SceneSpec, SkinSpec
-from palmfield.skin.costs import wedges_s
+from palmfield.skin.costs import RUNS, scene_choices, wedges_s
 from palmfield.skin.explicit_layer import explicit_layer
 from palmfield.skin.scene_layer import SceneLayer
-from palmfield.skin.solver_choice import RUNS, scene_choices
 from palmfield.skin.stepper import SkinStepper
 
 MOST_SMALL_MODELS = 8

@@ -19,7 +19,7 @@ from palmfield.simulation.model import HapticModel, StimulusModel
 from palmfield.simulation.posed_scene import PosedScene, reference_scene
 from palmfield.simulation.radiation import Radiation
 from palmfield.simulation.spec import SkinSpec
-from palmfield.skin.reduction.krylov import Fade, harmonics, level, periodic
+from palmfield.skin.reduction.course import Fade, harmonics, level, periodic
 from palmfield.skin.reduction.load_shapes import load_shapes
 from palmfield.skin.reduction.reduced_stepper import (
     MOST_VECTORS,

@@ -13,21 +13,18 @@ nothing overflows at large k h.
 """
 
 import math
-from typing import Literal
 
 import numpy as np
 from scipy.special import j0, jn_zeros
 
 from palmfield.errors import SceneError
 from palmfield.skin.materials.material import Material, complex_bulk, complex_shear
+from palmfield.skin.problem import BASES, BaseKind
 from palmfield.types import Complex, Float
-
-Base = Literal["bonded", "free_slip", "free"]
-BASES = ("bonded", "free_slip", "free")
 
 
 def layer_compliance(
-    k: Float | float, f_Hz: float, material: Material, thickness_m: float, base: Base = "bonded"
+    k: Float | float, f_Hz: float, material: Material, thickness_m: float, base: BaseKind = "bonded"
 ) -> Complex:
     """Normal surface compliance of an infinite layer under a normal pressure exp(ik.x) [m/Pa], positive when pushed in.
 
@@ -54,7 +51,7 @@ def layer_compliance(
     return result.reshape(shape)
 
 
-def _uniform_compliance(f_Hz: float, material: Material, h: float, base: Base) -> complex:
+def _uniform_compliance(f_Hz: float, material: Material, h: float, base: BaseKind) -> complex:
     """The k = 0 layer: a one-dimensional compression column."""
     omega = 2.0 * math.pi * f_Hz
     modulus = complex_bulk(material, f_Hz) + 4.0 / 3.0 * complex_shear(material, f_Hz)
@@ -67,7 +64,7 @@ def _uniform_compliance(f_Hz: float, material: Material, h: float, base: Base) -
     return complex(tangent / (modulus * kappa) if base != "free" else -1.0 / (modulus * kappa * tangent))
 
 
-def _wave_compliance(k: Float, f_Hz: Float, material: Material, h: float, base: Base) -> Complex:
+def _wave_compliance(k: Float, f_Hz: Float, material: Material, h: float, base: BaseKind) -> Complex:
     """For pairs of a wavenumber and a frequency, both (n,)."""
     unique, back = np.unique(f_Hz, return_inverse=True)
     omega = 2.0 * math.pi * f_Hz
@@ -131,7 +128,7 @@ def centre_response(
     fwhm_m: float,
     radius_m: float | None = None,
     at: Float | float = 0.0,
-    base: Base = "bonded",
+    base: BaseKind = "bonded",
     settled: float = 1e-9,
 ) -> Complex:
     """Displacement into the layer at distance `at` from the axis of a Gaussian spot of 1 Pa peak pressure [m/Pa].
@@ -155,14 +152,16 @@ def centre_response(
 
 
 def centre_responses(
-    f_Hz: Float, material: Material, thickness: float, fwhm_m: float, at: Float, base: Base, settled: float
+    f_Hz: Float, material: Material, thickness: float, fwhm_m: float, at: Float, base: BaseKind, settled: float
 ) -> Complex:
     """As centre_response without sides, for all pairs of frequencies (f,) and distances (r,): shape (f, r)."""
     spread = fwhm_m / math.sqrt(8.0 * math.log(2.0))
     return _hankel(np.asarray(f_Hz, dtype=float), material, thickness, spread, np.asarray(at), base, settled)
 
 
-def _hankel(f_Hz: Float, material: Material, h: float, spread: float, r: Float, base: Base, settled: float) -> Complex:
+def _hankel(
+    f_Hz: Float, material: Material, h: float, spread: float, r: Float, base: BaseKind, settled: float
+) -> Complex:
     """u(r) = integral of C(k) s^2 exp(-k^2 s^2 / 2) J0(k r) k dk, by Gauss panels, doubled until they agree."""
     nodes, weights = np.polynomial.legendre.leggauss(8)
     end = 9.0 / spread
@@ -189,7 +188,7 @@ def _hankel(f_Hz: Float, material: Material, h: float, spread: float, r: Float, 
 
 
 def _fourier_bessel(
-    f_Hz: float, material: Material, h: float, spread: float, radius: float, r: Float, base: Base
+    f_Hz: float, material: Material, h: float, spread: float, radius: float, r: Float, base: BaseKind
 ) -> Complex:
     count = math.ceil(9.0 / spread * radius / math.pi) + 2
     zeros = np.concatenate(([0.0], jn_zeros(1, count)))

@@ -9,12 +9,7 @@ STEP_DEG = 0.1
 
 
 def mach_half_angle(
-    normal_velocity: Float,
-    x: Float,
-    y: Float,
-    skip_m: float,
-    *,
-    between_deg: tuple[float, float] = (20.0, 89.0),
+    normal_velocity: Float, x: Float, y: Float, skip_m: float, *, between_deg: tuple[float, float] = (20.0, 89.0)
 ) -> float:
     """Angle [deg] between the wave fronts and the path of a focus that runs along +x on y = 0.
 

@@ -9,11 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from palmfield.skin.approximation.richardson import (
-    differences,
-    error_of_coarser,
-    error_of_finer,
-)
+from palmfield.skin.approximation.richardson import differences, error_of_coarser, error_of_finer
 from palmfield.skin.mesh.body_mesh import Sizes, graded_fractions
 from palmfield.skin.mesh.rows import element_rows
 from palmfield.skin.problem import Body, Layer, Slab, depth_of
@@ -157,13 +153,7 @@ def refine_until_converged(
 
 
 def refine_in_depth(
-    body: Body,
-    now: Discretisation,
-    run: Run,
-    coarse: MeshSolution,
-    accuracy: float,
-    pinned: bool,
-    judged: int = 0,
+    body: Body, now: Discretisation, run: Run, coarse: MeshSolution, accuracy: float, pinned: bool, judged: int = 0
 ) -> tuple[Discretisation, MeshSolution, Float]:
     """Add rows in depth until their error fits; the discretisation, its coarse solution and those errors, (3,).
 

@@ -4,7 +4,6 @@ from .body import build as build
 from .factor import Factor as Factor
 from .factor import factorise as factorise
 from .foundation import fit_foundation as fit_foundation
-from .load import PressureHistory as PressureHistory
 from .load import SurfaceQuadrature as SurfaceQuadrature
 from .load import face_points as face_points
 from .probe import SurfaceProbe as SurfaceProbe
@@ -13,4 +12,5 @@ from .probe import surface_vectors as surface_vectors
 from .solver import harmonic as harmonic
 from .solver import harmonic_discrete as harmonic_discrete
 from .solver import static as static
+from .traction import PressureHistory as PressureHistory
 from .wedge_stepper import WedgeStepper as WedgeStepper

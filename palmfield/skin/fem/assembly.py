@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -12,38 +12,14 @@ from scipy import sparse
 from palmfield.device import resolve
 from palmfield.errors import SceneError
 from palmfield.locked import Lazy
-from palmfield.skin.fem.absorbing import side_dashpots
-from palmfield.skin.fem.foundation import BaseFace, Foundation, placed, rim_dashpots, sheet_mass, sheet_stiffness
+from palmfield.skin.fem.linear_body import Matrices, Part
 from palmfield.skin.materials.material import Material
 from palmfield.skin.mesh.element import corner_slopes, displacement_shape, prism_rule, volume_basis
 from palmfield.skin.mesh.ordering import dissection_order
 from palmfield.skin.mesh.wedges import WedgeMesh
-from palmfield.skin.problem import Springs
+from palmfield.skin.problem import BASES, SIDES, BaseKind, Foundation, SideKind, Springs
 from palmfield.types import Float, Int
 from warp_kernels import wedge
-
-Base = Literal["bonded", "free_slip", "free"]
-Side = Literal["fixed", "free", "roller", "absorbing"]
-BASES = ("bonded", "free_slip", "free")
-SIDES = ("fixed", "free", "roller", "absorbing")
-
-
-@dataclass(frozen=True)
-class Part:
-    """Stiffness [N/m], symmetric csr of shape (n, n), that relaxes as a material's shear modulus; of G_r."""
-
-    stiffness: sparse.csr_matrix
-    material: Material
-
-
-@dataclass(frozen=True)
-class Matrices:
-    """Mass, damping, elastic stiffness and what relaxes, see SkinSystem."""
-
-    mass: sparse.csr_matrix
-    damping: sparse.csr_matrix
-    elastic: sparse.csr_matrix
-    parts: tuple[Part, ...]
 
 
 @dataclass(frozen=True)
@@ -88,7 +64,7 @@ class SkinSystem:
         return self.matrices.value.elastic
 
     @property
-    def parts(self) -> tuple[Part, ...]:
+    def parts(self) -> Sequence[Part]:
         return self.matrices.value.parts
 
     @property
@@ -104,8 +80,8 @@ def assemble(
     mesh: WedgeMesh,
     material: Material | Sequence[Material],
     *,
-    base: Base | Springs | Foundation = "bonded",
-    side: Side = "fixed",
+    base: BaseKind | Springs | Foundation = "bonded",
+    side: SideKind = "fixed",
     foundation_Pa_m: tuple[float, float] | None = None,
     absorbing_Hz: float | None = None,
     sponge_1_s: Float | None = None,
@@ -138,13 +114,13 @@ def assemble(
         below, springs, shear_spring = Foundation((), "free"), Springs(normal, 0.0), tangential
     elif isinstance(below.base, Springs):
         springs = below.base
-    if side == "absorbing" and absorbing_Hz is None:
-        raise SceneError("absorbing sides need absorbing_Hz, the frequency at which their dashpots match")
-    if side == "absorbing" and absorbing_Hz is not None and not 0.0 < absorbing_Hz < np.inf:
-        # Before the matrices, which are made at first use
-        raise SceneError(f"absorbing sides: frequency is {absorbing_Hz} Hz; give one above 0")
     matched_Hz = absorbing_Hz if side == "absorbing" else None
-    held_base: Base = "free" if isinstance(below.base, Springs) else below.base
+    if side == "absorbing" and matched_Hz is None:
+        raise SceneError("absorbing sides need absorbing_Hz, the frequency at which their dashpots match")
+    if matched_Hz is not None and not 0.0 < matched_Hz < np.inf:
+        # Before the matrices, which are made at first use
+        raise SceneError(f"absorbing sides: frequency is {matched_Hz} Hz; give one above 0")
+    held_base: BaseKind = "free" if isinstance(below.base, Springs) else below.base
     directions = _free_directions(mesh, held_base, side, below.levels)
     columns = directions.tocsc()
     surface_node = ((columns.indices[columns.indptr[:-1]] // 3) % mesh.surface_nodes).astype(np.int32)
@@ -159,7 +135,7 @@ def assemble(
             result.eliminate_zeros()
             return result
 
-        sums = _sums(mesh, rows, below, side, springs, shear_spring, absorbing_Hz, sponge_1_s)
+        sums = _sums(mesh, rows, below, springs, shear_spring, matched_Hz, sponge_1_s)
         parts = tuple(Part(free(matrix), owner) for matrix, owner in sums.relaxing.values())
         mass, damping, elastic = (free(sums.total[name]) for name in ("mass", "damping", "elastic"))
         return Matrices(mass, damping, elastic, parts)
@@ -191,13 +167,13 @@ def _sums(
     mesh: WedgeMesh,
     rows: list[Material],
     below: Foundation,
-    side: Side,
     springs: Springs,
     shear_spring: float,
-    absorbing_Hz: float | None,
+    matched_Hz: float | None,
     sponge_1_s: Float | None,
 ) -> "_Sums":
-    """The matrices over all nodes; springs, shear_spring: below the mesh [Pa/m]. Else see `assemble`."""
+    """The matrices over all nodes; springs, shear_spring: below the mesh [Pa/m]; matched_Hz: of absorbing sides, None
+    for others. Else see `assemble`."""
     deviatoric, volumetric, unit_mass = element_matrices(mesh)
     pattern = _Pattern(mesh)
     sums = _Sums(3 * (len(mesh.nodes) + below.levels * mesh.surface_nodes))
@@ -205,8 +181,10 @@ def _sums(
     sums.add("mass", pattern.scalars(mass))
     if sponge_1_s is not None:
         sums.add("damping", pattern.scalars(np.tile(sponge_1_s, len(rows))[:, None, None] * mass))
-    if absorbing_Hz is not None and side == "absorbing":
-        sums.add("damping", side_dashpots(mesh, rows, absorbing_Hz))
+    if matched_Hz is not None:
+        from palmfield.skin.fem.absorbing import side_dashpots
+
+        sums.add("damping", side_dashpots(mesh, rows, matched_Hz))
     held_bulk = [0.0 if row.bulk_relaxes else row.bulk_Pa for row in rows]
     sums.add("elastic", pattern.blocks(_by_row(mesh, held_bulk)[..., None, None] * volumetric))
     for law in dict.fromkeys(row.law for row in rows):
@@ -217,14 +195,29 @@ def _sums(
             blocks += _by_row(mesh, bulk)[..., None, None] * volumetric
         sums.relax(next(row for row in own if row), pattern.blocks(blocks))
     if below.sheets or springs != Springs(0.0, 0.0) or shear_spring > 0.0:
-        face = BaseFace(mesh)
-        dashpots_Hz = absorbing_Hz if side == "absorbing" else None
-        last = _add_sheets(sums, mesh, face, below, sponge_1_s, dashpots_Hz)
+        # Few scenes have anything there
+        from palmfield.skin.fem.foundation import BaseFace, rim_dashpots, sheet_mass, sheet_stiffness
+
+        face, first, degree = BaseFace(mesh), 3 * int(mesh.base[0]), below.degree
+        for sheet in below.sheets:
+            material, height = sheet.material, sheet.thickness_m
+            shear, volume = sheet_stiffness(face, height, degree)
+            sums.relax(material, material.shear_relaxed_Pa * shear, first)
+            if material.bulk_relaxes:
+                sums.relax(material, material.bulk_Pa * volume, first)
+            else:
+                sums.add("elastic", material.bulk_Pa * volume, first)
+            sums.add("mass", material.density_kg_m3 * sheet_mass(face, height, degree), first)
+            if sponge_1_s is not None:
+                sums.add("damping", material.density_kg_m3 * sheet_mass(face, height, degree, sponge_1_s), first)
+            if matched_Hz is not None:
+                sums.add("damping", rim_dashpots(mesh, material, height, degree, matched_Hz), first)
+            first += 3 * degree * mesh.surface_nodes
         along, out = face.product("along", "along"), face.product("out", "out")
-        sums.add("elastic", springs.normal_Pa_m * out + springs.tangential_Pa_m * along, last)
-        sums.add("damping", springs.normal_Pa_s_m * out + springs.tangential_Pa_s_m * along, last)
+        sums.add("elastic", springs.normal_Pa_m * out + springs.tangential_Pa_m * along, first)
+        sums.add("damping", springs.normal_Pa_s_m * out + springs.tangential_Pa_s_m * along, first)
         if shear_spring > 0.0:
-            sums.relax(rows[-1], shear_spring * along, last)
+            sums.relax(rows[-1], shear_spring * along, first)
     return sums
 
 
@@ -245,31 +238,12 @@ class _Sums:
         self.relaxing[law.law] = (before + placed(stiffness, first, self.size), owner)
 
 
-def _add_sheets(
-    sums: _Sums,
-    mesh: WedgeMesh,
-    face: BaseFace,
-    below: Foundation,
-    sponge_1_s: Float | None,
-    dashpots_Hz: float | None,
-) -> int:
-    """Add the sheets below a mesh; the first row of the level below the last of them."""
-    first, degree = 3 * int(mesh.base[0]), below.degree
-    for sheet in below.sheets:
-        material, height = sheet.material, sheet.thickness_m
-        shear, volume = sheet_stiffness(face, height, degree)
-        sums.relax(material, material.shear_relaxed_Pa * shear, first)
-        if material.bulk_relaxes:
-            sums.relax(material, material.bulk_Pa * volume, first)
-        else:
-            sums.add("elastic", material.bulk_Pa * volume, first)
-        sums.add("mass", material.density_kg_m3 * sheet_mass(face, height, degree), first)
-        if sponge_1_s is not None:
-            sums.add("damping", material.density_kg_m3 * sheet_mass(face, height, degree, sponge_1_s), first)
-        if dashpots_Hz is not None:
-            sums.add("damping", rim_dashpots(mesh, material, height, degree, dashpots_Hz), first)
-        first += 3 * degree * mesh.surface_nodes
-    return first
+def placed(matrix: sparse.csr_matrix, first: int, size: int) -> sparse.csr_matrix:
+    """A matrix as a diagonal block of one of shape (size, size), from row `first` on."""
+    if matrix.shape == (size, size):
+        return matrix
+    entries = matrix.tocoo()
+    return sparse.csr_matrix((entries.data, (entries.row + first, entries.col + first)), shape=(size, size))
 
 
 def materials_of_rows(mesh: WedgeMesh, material: Material | Sequence[Material]) -> list[Material]:
@@ -362,18 +336,15 @@ class _Pattern:
         for i in range(3):
             for j in range(3):
                 data[:, i, j] = self._sum(values[..., i, j])
-        return self._matrix(data)
+        return sparse.bsr_matrix((data, self.indices, self.starts), shape=(3 * self.nodes, 3 * self.nodes)).tocsr()
 
     def scalars(self, values: Float) -> sparse.csr_matrix:
         """Sum of element scalars (m, 18, 18), the same for each component."""
         one = sparse.csr_matrix((self._sum(values), self.indices, self.starts), shape=(self.nodes, self.nodes))
         return sparse.kron(one, sparse.identity(3), format="csr")
 
-    def _matrix(self, data: Float) -> sparse.csr_matrix:
-        return sparse.bsr_matrix((data, self.indices, self.starts), shape=(3 * self.nodes, 3 * self.nodes)).tocsr()
 
-
-def _free_directions(mesh: WedgeMesh, base: Base, side: Side, deeper: int) -> sparse.csr_matrix:
+def _free_directions(mesh: WedgeMesh, base: BaseKind, side: SideKind, deeper: int) -> sparse.csr_matrix:
     """Orthonormal directions in which each node may move, as columns over the components of all nodes.
 
     deeper: levels of nodes below the mesh, the last of which lies on the base; the sides continue along them

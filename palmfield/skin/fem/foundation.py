@@ -134,14 +134,6 @@ def rim_dashpots(mesh: WedgeMesh, material: Material, height_m: float, degree: i
     return sparse.kron(line_matrices(degree, height_m)[0], lateral, format="csr")
 
 
-def placed(matrix: sparse.csr_matrix, first: int, size: int) -> sparse.csr_matrix:
-    """A matrix as a diagonal block of one of shape (size, size), from row `first` on."""
-    if matrix.shape == (size, size):
-        return matrix
-    entries = matrix.tocoo()
-    return sparse.csr_matrix((entries.data, (entries.row + first, entries.col + first)), shape=(size, size))
-
-
 def fit_foundation(
     above: Sequence[Sheet],
     below: Sequence[Sheet],

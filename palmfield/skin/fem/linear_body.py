@@ -1,16 +1,18 @@
-"""Interface of a viscoelastic body for steppers and reductions: its matrices, from any assembly."""
+"""A viscoelastic body for steppers and reductions: its matrices, from any assembly."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 from palmfield.skin.materials.material import Material
 
 
-class RelaxingPart(Protocol):
-    @property
-    def stiffness(self) -> Any: ...
-    @property
-    def material(self) -> Material: ...
+@dataclass(frozen=True)
+class Part:
+    """Stiffness [N/m] of G_r, symmetric, sparse or dense, shape (n, n), that relaxes as a material's shear modulus."""
+
+    stiffness: Any
+    material: Material
 
 
 class LinearBody(Protocol):
@@ -23,4 +25,14 @@ class LinearBody(Protocol):
     @property
     def elastic(self) -> Any: ...
     @property
-    def parts(self) -> Sequence[RelaxingPart]: ...
+    def parts(self) -> Sequence[Part]: ...
+
+
+@dataclass(frozen=True)
+class Matrices:
+    """A LinearBody that is nothing else."""
+
+    mass: Any
+    damping: Any
+    elastic: Any
+    parts: Sequence[Part]

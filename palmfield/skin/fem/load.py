@@ -1,37 +1,19 @@
-"""Normal pressure on the skin, as consistent nodal forces, at a time and over time."""
+"""Points of the pressure on the skin, and its consistent nodal forces."""
 
-import itertools
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
-from scipy.spatial import ConvexHull, Delaunay, cKDTree
 
 from palmfield.errors import SceneError
+from palmfield.hand.triangles import face_normals
 from palmfield.skin.fem.assembly import SkinSystem
-from palmfield.skin.fem.probe import SurfaceProbe
-from palmfield.skin.fem.scattered_pressure import between_points, spread_forces
 from palmfield.skin.mesh.element import triangle_rule, triangle_shape
 from palmfield.skin.mesh.wedges import WedgeMesh
-from palmfield.skin.problem import GAUSSIAN, Load, Spot, Traction
-from palmfield.skin.stepper import SurfaceLoads
 from palmfield.types import Float, Int, Patch
 
 MOST_HALVINGS = 4
 """Limit of the quarterings of a triangle under the points of a traction."""
-
-STEEPEST = 3.0
-"""Longest edge of a triangle of a traction over its longest seen from above, from which the triangle is left out."""
-
-COVERED = 0.2
-"""Largest relative difference of the surface between points about a body from their areas."""
-
-WRAPPED = 0.1
-"""Share of such triangles above which the points count as points about a body."""
 
 
 class SurfaceQuadrature:
@@ -97,271 +79,12 @@ def face_points(patch: Patch, halvings: int = 1) -> tuple[Float, Float]:
     """Points of a patch and the area of each, for a Traction on it: shapes (q, 3) [m] and (q,) [m2].
 
     They are the quadrature points of its own triangles, each cut into 4^halvings. On elements that are these triangles,
-    forces at the points are exactly the load. On others the pressure is linear between the points (`sampled`).
+    forces at the points are exactly the load. On others the pressure is linear between the points (`traction.sampled`).
     halvings: how often the triangles will be quartered; wedges do so once or twice.
     """
     points, weights = quartered_rule(halvings)
     corners = patch.vertices[patch.faces]
     shares = np.column_stack([1.0 - points.sum(axis=1), points])
     places = np.einsum("qc,fcd->fqd", shares, corners).reshape(-1, 3)
-    areas = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    areas = face_normals(patch.vertices, patch.faces)[1]
     return places, np.outer(areas, weights / weights.sum()).ravel()
-
-
-def sampled(mesh: WedgeMesh, system: SkinSystem, load: Traction) -> sparse.csr_matrix:
-    """Nodal forces [N] of pressures [Pa] at the points of a traction, csr, shape (n, p).
-
-    The pressure is that of `field_at`, integrated on a rule about as close as the points lie. Forces at the points
-    themselves, of their areas, would be a rough load on elements not much larger than those areas. A thin layer answers
-    more to a rough load than to a smooth one: a bonded layer of 1 mm round a bone moved up to 200 times too far. Such
-    forces remain for points that are `alone`, and for the points of the rule on a body (`face_points`).
-    """
-    probe = SurfaceProbe(mesh, load.points, system)
-    forces = sparse.csr_matrix(-(probe.operator.T @ sparse.diags(load.weights_m2)))
-    net = seen_from_above(load)
-    if net is None and of_rule(mesh, system, load.points):
-        return forces
-    corners = mesh.nodes[mesh.surface_triangles6[:, :3]]
-    halvings = halvings_for(corners[np.unique(probe.triangles)], load.weights_m2)
-    reach = net.longest_m.max() if net else 2.0 * math.sqrt(float(load.weights_m2.max()))
-    middles = corners.mean(axis=1)
-    size = np.linalg.norm(corners - middles[:, None], axis=2).max(axis=1)
-    near = cKDTree(net.points if net else load.points).query(middles)[0] <= size + reach
-    quadrature = SurfaceQuadrature(mesh, system, halvings, np.flatnonzero(near).astype(np.int32))
-    between = field_at(load, probe.normals, quadrature.points, quadrature.normals, quadrature.weights)
-    return sparse.csr_matrix(quadrature.operator @ between + forces @ sparse.diags(alone(between, load).astype(float)))
-
-
-def field_at(
-    load: Traction, normals: Float, places: Float, facing: Float, weights_m2: Float | None
-) -> sparse.csr_matrix:
-    """Shares of the pressures at the points of a traction in the pressure at places of a face, csr, shape (q, p).
-
-    The pressure is linear between the points and constant over half a spacing beyond the outermost.
-    Points seen from above are joined by Delaunay triangles in x and y. Skin above or below a triangle, farther from it
-    than its longest edge, has no pressure. Points about a body are joined by triangles in its own surface. If points
-    are on a line, or their areas are not those between them, their forces are spread over discs of these areas.
-    The mean size of the pressure over the times of the load pushes with the areas of the points.
-
-    normals: outward unit normals at the points, (p, 3); places [m], facing: the same of the face, (q, 3).
-    weights_m2: area of each place, (q,), by which the force is kept. None: only pressures are needed.
-    """
-    net = seen_from_above(load)
-    if net:
-        between = net.between(places, len(load.points))
-        if weights_m2 is None:
-            return between
-    else:
-        assert weights_m2 is not None
-        here = (load.points, normals, load.weights_m2, places, facing)
-        between = between_points(*here)
-        covered = float(weights_m2 @ between.sum(axis=1).A1)
-        if abs(covered / float(load.weights_m2.sum()) - 1.0) > COVERED:
-            return spread_forces(*here, weights_m2)
-    pushed = between.T @ weights_m2
-    mean = np.abs(load.pressure_Pa).mean(axis=0) * ((pushed > 0.0) | (net is not None))
-    force = float(mean @ pushed)
-    return between * (float(mean @ load.weights_m2) / force) if force > 0.0 else between
-
-
-def alone(between: sparse.csr_matrix, load: Traction) -> NDArray[np.bool_]:
-    """Points of a traction that no place is near, (p,): they push by themselves.
-
-    Points of a net that is finer than the places are not alone, as the others push for them.
-    """
-    missed = np.asarray(between.getnnz(axis=0)) == 0
-    return missed if missed.all() or seen_from_above(load) is None else np.zeros_like(missed)
-
-
-def face_pressure(load: Traction, nodes: Int, shares: Float, places: Float, area_m2: Float) -> sparse.csr_matrix:
-    """Pressure at the nodes of a face by unit pressures at the points of a traction, csr, shape (s, p), forces kept.
-
-    nodes, shares: nodes of the face round each place and their shares there, both (q, k); each node is given the mean
-    of the pressure over its own part of the face.
-    places: of a rule on all of the face, [m], (q, 3); area_m2: area vectors of the places, outward, (q, 3).
-    """
-    weights = np.linalg.norm(area_m2, axis=1)
-    facing = area_m2 / weights[:, None]
-    nearest = cKDTree(places).query(load.points)[1]
-    between = field_at(load, facing[nearest], places, facing, weights)
-    single = np.flatnonzero(alone(between, load))
-    pushed = load.weights_m2[single] / weights[nearest[single]]
-    between = between + sparse.coo_matrix((pushed, (nearest[single], single)), shape=between.shape)
-    rows = np.broadcast_to(np.arange(len(places))[:, None], nodes.shape)
-    entries = ((shares * weights[:, None]).ravel(), (nodes.ravel(), rows.ravel()))
-    gather = sparse.coo_matrix(entries, shape=(int(nodes.max()) + 1, len(places))).tocsr()
-    own = gather.sum(axis=1).A1
-    return sparse.csr_matrix(sparse.diags(1.0 / own) @ gather @ between)
-
-
-def of_rule(mesh: WedgeMesh, system: SkinSystem, points: Float) -> bool:
-    """Whether points are those of the rule of the triangles of the mesh, however often quartered."""
-    halvings = math.log(len(points) / (len(triangle_rule()[0]) * len(mesh.surface_triangles6)), 4.0)
-    if halvings < 0.0 or not halvings.is_integer():
-        return False
-    own = SurfaceQuadrature(mesh, system, round(halvings))
-    spacing = math.sqrt(float(own.weights.min()))
-    return bool(cKDTree(own.points).query(points)[0].max() < 1e-3 * spacing)
-
-
-@dataclass(frozen=True)
-class Net:
-    """Triangles in x and y between the points of a traction and others half a spacing beyond the outermost.
-
-    points: [m], (m, 3). owner: point whose pressure each has, (m,). delaunay: of their x and y.
-    longest_m: edge of each triangle [m]. steep: triangles that are left out.
-    """
-
-    points: Float
-    owner: Int
-    delaunay: Delaunay
-    longest_m: Float
-    steep: NDArray[np.bool_]
-
-    def between(self, places: Float, count: int) -> sparse.csr_matrix:
-        """Shares of the pressures at `count` points in that at places [m] (q, 3), csr, shape (q, count)."""
-        net = self.delaunay
-        # Outer places search among all triangles, one by one
-        low, high = net.min_bound, net.max_bound
-        near = np.flatnonzero(np.all((places[:, :2] >= low) & (places[:, :2] <= high), axis=1))
-        hull = ConvexHull(net.points).equations
-        near = near[np.all(places[near, :2] @ hull[:, :2].T + hull[:, 2] <= 1e-9 * np.ptp(net.points), axis=1)]
-        place = np.full(len(places), -1)
-        place[near] = net.find_simplex(places[near, :2])
-        seen = np.flatnonzero(place >= 0)
-        turn = net.transform[place[seen]]
-        two = np.einsum("qij,qj->qi", turn[:, :2], places[seen, :2] - turn[:, 2])
-        shares = np.column_stack([two, 1.0 - two.sum(axis=1)])
-        corner = net.simplices[place[seen]]
-        away = np.linalg.norm(places[seen] - np.einsum("qi,qic->qc", shares, self.points[corner]), axis=1)
-        shares[self.steep[place[seen]] | (away > self.longest_m[place[seen]])] = 0.0
-        rows, columns = np.repeat(seen, 3), self.owner[corner.ravel()]
-        return sparse.coo_matrix((shares.ravel(), (rows, columns)), shape=(len(places), count)).tocsr()
-
-
-def seen_from_above(load: Traction) -> Net | None:
-    """The net of the points of a traction; None for points on a line or about a body, and whose areas leave gaps."""
-    flat = load.points[:, :2]
-    if len(flat) < 3 or np.linalg.matrix_rank(flat - flat.mean(axis=0), tol=1e-9) < 2:
-        return None
-    outer, beyond = beyond_rim(Delaunay(flat), np.sqrt(load.weights_m2))
-    owner = np.concatenate([np.arange(len(flat)), outer]).astype(np.int32)
-    points = np.concatenate([load.points, np.column_stack([beyond, load.points[outer, 2]])])
-    net = Delaunay(points[:, :2])
-    sides = points[net.simplices] - points[np.roll(net.simplices, 1, axis=1)]
-    longest = np.linalg.norm(sides, axis=2).max(axis=1)
-    steep = longest > STEEPEST * np.linalg.norm(sides[..., :2], axis=2).max(axis=1)
-    covered = 0.5 * np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)[~steep].sum()
-    given = float(load.weights_m2.sum())
-    if steep.mean() > WRAPPED or not 0.5 * given < covered < 2.0 * given:
-        return None
-    return Net(points, owner, net, longest, steep)
-
-
-def beyond_rim(net: Delaunay, spacing: Float) -> tuple[Int, Float]:
-    """The outermost points' numbers (m,), and places (m, 2) half their spacing outside."""
-    edges = net.convex_hull
-    along = net.points[edges[:, 1]] - net.points[edges[:, 0]]
-    out = np.column_stack([along[:, 1], -along[:, 0]]) / np.linalg.norm(along, axis=1, keepdims=True)
-    inwards = np.einsum("ec,ec->e", out, net.points[edges[:, 0]] - net.points.mean(axis=0)) < 0.0
-    out[inwards] *= -1.0
-    outer, place = np.unique(edges, return_inverse=True)
-    normal = np.zeros((len(outer), 2))
-    np.add.at(normal, place.ravel(), 0.5 * np.repeat(out, 2, axis=0))
-    # A corner is as far from both of its edges
-    size2 = np.maximum((normal**2).sum(axis=1, keepdims=True), 0.25)
-    return outer.astype(np.int32), net.points[outer] + 0.5 * spacing[outer, None] * normal / size2
-
-
-class PressureHistory:
-    """The pressure of a load on a layer as time goes on.
-
-    operator: csr, shape (n, q): consistent nodal force [N] = operator @ pressure at the load's points [Pa]
-    knots_s: the load's own times [s]
-    Raises SceneError for a load whose points lie off the surface.
-    """
-
-    def __init__(self, load: Load, mesh: WedgeMesh, system: SkinSystem) -> None:
-        self.load = load
-        self.knots_s = np.asarray(load.times_s, dtype=float)
-        self._shape: Float | None = None
-        if isinstance(load, Spot):
-            quadrature = SurfaceQuadrature(mesh, system)
-            self.points, self.operator = quadrature.points, quadrature.operator
-            self.centres = load.centres()
-            if not np.ptp(self.centres, axis=0).any():
-                # A spot at rest is one pattern that grows and falls.
-                self._shape = self._bell(self.centres[0])
-        else:
-            self.operator = sampled(mesh, system, load)
-
-    def loads(self, clock: Float) -> SurfaceLoads:
-        """The loads of the substeps between rising times [s], (s + 1,), for a stepper with `operator` as its inputs.
-
-        The straight line in each substep has the impulse and first moment of the load. If the load is a straight line
-        over the substep, that is the load; a jump or a bend inside it keeps its effect to second order.
-        """
-        course = self._weight if self._shape is not None else self.pressure
-        ends = [self._ends(course, *step) for step in itertools.pairwise(clock.tolist())]
-        if self._shape is not None:
-            first, last = np.array(ends).T[..., None]
-            return SurfaceLoads(self._shape[None, None], first[None], last[None])
-        unit = np.eye(2 * len(ends))[None]
-        return SurfaceLoads(np.array(ends).reshape(1, 2 * len(ends), -1), unit[:, ::2], unit[:, 1::2])
-
-    def _ends(self, course: Callable[[float], Any], start_s: float, end_s: float) -> tuple[Any, Any]:
-        """The course at both ends of a substep. Two Gauss points between knots: exact for a linear one."""
-        inside = self.knots_s[(self.knots_s > start_s) & (self.knots_s < end_s)]
-        edges = np.concatenate([[start_s], inside, [end_s]])
-        first = last = 0.0
-        for a, b in itertools.pairwise(edges):
-            for node in (-1.0, 1.0):
-                t = 0.5 * (a + b) + 0.5 * (b - a) * node / math.sqrt(3.0)
-                share, x = 0.5 * (b - a) / (end_s - start_s), (t - start_s) / (end_s - start_s)
-                value = course(t)
-                first = first + share * (4.0 - 6.0 * x) * value
-                last = last + share * (6.0 * x - 2.0) * value
-        return first, last
-
-    def final_force(self) -> Float:
-        """Force [N], (n,), of the load after its last time."""
-        return self.operator @ self.pressure(float(self.knots_s[-1]))
-
-    def pressure(self, t: float) -> Float:
-        """Pressure [Pa] at the points of the load at time t [s]; 0 before the first time, at rest after the last."""
-        if self._shape is not None:
-            return self._weight(t) * self._shape
-        weights = self._knot_weights(t)
-        if isinstance(self.load, Traction):
-            return weights @ np.asarray(self.load.pressure_Pa)
-        return float(weights @ np.asarray(self.load.peak_Pa)) * self._bell(weights @ self.centres)
-
-    def _weight(self, t: float) -> float:
-        """Peak [Pa] of a spot at time t [s]."""
-        assert isinstance(self.load, Spot)
-        return float(self._knot_weights(t) @ np.asarray(self.load.peak_Pa))
-
-    def _knot_weights(self, t: float) -> Float:
-        """Weight of each of the load's own times at time t [s], shape (f,)."""
-        place, share = self._between(t)
-        weights = np.zeros(len(self.knots_s))
-        if place >= 0:
-            weights[place] += 1.0 - share
-            weights[min(place + 1, len(weights) - 1)] += share
-        return weights
-
-    def _bell(self, centre: Float) -> Float:
-        assert isinstance(self.load, Spot)
-        return bell(self.points, centre, self.load.fwhm_m)
-
-    def _between(self, t: float) -> tuple[int, float]:
-        """Index of the last knot not after t (-1: before all) and the share of the way to the next."""
-        place = int(np.searchsorted(self.knots_s, t, side="right")) - 1
-        if place < 0 or place == len(self.knots_s) - 1 or self.load.law == "held":
-            return place, 0.0
-        return place, (t - self.knots_s[place]) / (self.knots_s[place + 1] - self.knots_s[place])
-
-
-def bell(points: Float, centre: Float, fwhm_m: float) -> Float:
-    """Share of the peak of a spot at points (n, 3), by their distance from its centre (2,) in x and y."""
-    return np.exp(-GAUSSIAN * ((points[:, :2] - centre) ** 2).sum(axis=1) / fwhm_m**2)

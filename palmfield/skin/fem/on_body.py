@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palmfield.skin.approximation.load_scales import distance_to_sides
-from palmfield.skin.fem.load import face_points, field_at, halvings_for, seen_from_above
+from palmfield.skin.fem.load import face_points, halvings_for
 from palmfield.skin.fem.probe import closest_on_triangles
+from palmfield.skin.fem.traction import field_at, seen_from_above
 from palmfield.skin.problem import Body, Layer, Load, Slab, Spot, Traction, normals_on_face
 from palmfield.types import Float
 

@@ -1,7 +1,7 @@
+from .course import Course as Course
+from .course import periodic as periodic
 from .dynamic_stiffness import DynamicStiffness as DynamicStiffness
-from .krylov import Course as Course
 from .krylov import Krylov as Krylov
-from .krylov import periodic as periodic
 from .reduced import Projection as Projection
 from .reduced import Reduced as Reduced
 from .reduced_stepper import KnownLoad as KnownLoad

@@ -7,7 +7,7 @@ the substep, one dense product for each law but one. The pressure is looked at i
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 from typing import Any
 
@@ -19,15 +19,14 @@ from palmfield import cache
 from palmfield.blas import one_blas_thread
 from palmfield.device import filled, recorded
 from palmfield.errors import SceneError
-from palmfield.skin.fem.assembly import Part, SkinSystem
-from palmfield.skin.fem.factor import factorise
+from palmfield.skin.fem.assembly import SkinSystem
 from palmfield.skin.fem.generalised_alpha import RHO_INF, Scheme
+from palmfield.skin.fem.linear_body import Matrices, Part
 from palmfield.skin.fem.load import SurfaceQuadrature
-from palmfield.skin.reduction.device_models import DeviceModes
-from palmfield.skin.reduction.device_worlds import DeviceWorlds
 from palmfield.skin.reduction.load_shapes import POINTS, LoadShapes, load_shapes
 from palmfield.skin.reduction.ritz import RitzModes, laws_at, refusal, ritz_modes, shifted
 from palmfield.skin.stepper import (
+    DeviceModel,
     DeviceStep,
     Outside,
     Reader,
@@ -85,6 +84,9 @@ def modal_body(
     """
 
     def make() -> cache.Arrays:
+        # Imported here: modes that are in the cache need no factor
+        from palmfield.skin.fem.factor import factorise
+
         reason = refusal(system)
         if reason is not None:
             raise SceneError(f"no modes for this skin: {reason}")
@@ -111,17 +113,12 @@ def modal_body(
             kept = np.cumsum(values) > COMPLIANCE_LEFT_OUT * values.sum()
             compliance = vectors[:, kept] * np.sqrt(values[kept])
             forces = nodal.T @ modes.vectors
-        arrays: cache.Arrays = {"vectors": modes.vectors, "coupling": modes.coupling, "shares": modes.shares}
-        arrays |= {"elastic": modes.elastic, "stiffness": modes.stiffness}
-        arrays |= {"motion": modes.motion, "change": modes.change, "shapes": shapes.shapes, "sizes": shapes.sizes}
-        arrays |= {"points": shapes.points, "fit": shapes.fit, "forces": forces}
-        return arrays | {"compliance": compliance}
+        return vars(modes) | vars(shapes) | {"forces": forces, "compliance": compliance}
 
     wanted = tolerance, blocks, left_out, points, step_s
     known = cache.kept("modes", (system.made_of, quadrature.operator, surface, *depends_on, *wanted), make)
-    names = "vectors", "elastic", "stiffness", "coupling", "shares", "motion", "change"
-    modes = RitzModes(*(known[name] for name in names))
-    shapes = LoadShapes(*(known[name] for name in ("shapes", "sizes", "points", "fit")))
+    modes = RitzModes(**{field.name: known[field.name] for field in fields(RitzModes)})
+    shapes = LoadShapes(**{field.name: known[field.name] for field in fields(LoadShapes)})
     return ModalBody(modes, shapes, known["forces"], known["compliance"])
 
 
@@ -163,7 +160,8 @@ class ModalStepper(SkinStepper):
         self.made_of = modes.elastic, modes.stiffness, modes.coupling, modes.shares, body.forces, self.error
         self._materials = system.materials
         parts = [Part(sparse.diags(own).tocsr(), of) for own, of in zip(modes.stiffness, self._materials, strict=True)]
-        scheme = Scheme(DiagonalBody(modes, tuple(parts)), step_s, RHO_INF)
+        mass, elastic = sparse.identity(self.order, format="csr"), sparse.diags(modes.elastic).tocsr()
+        scheme = Scheme(Matrices(mass, sparse.csr_matrix(mass.shape), elastic, parts), step_s, RHO_INF)
         self.state_rows, self._alpha_f = scheme.state_rows, scheme.alpha_f
         self.padded = -(-self.order // kernels.WIDTH) * kernels.WIDTH
         self.state_size = self.state_rows * self.padded
@@ -243,13 +241,19 @@ class ModalStepper(SkinStepper):
         """See SkinStepper."""
         return f"{self.name}, {self.order} modes"
 
-    def device_model(self, substeps: int, points: int, device: str) -> DeviceModes:
+    def device_model(self, substeps: int, points: int, device: str) -> DeviceModel:
         """See SkinStepper."""
+        from palmfield.skin.reduction.device_models import DeviceModes
+
         return DeviceModes(self, substeps, device)
 
     def device_worlds(self, most: int, device: str) -> DeviceStep | None:
         """See SkinStepper."""
-        return None if device == "cpu" or self.coupled else DeviceWorlds(self, most, device).step
+        if device == "cpu" or self.coupled:
+            return None
+        from palmfield.skin.reduction.device_worlds import DeviceWorlds
+
+        return DeviceWorlds(self, most, device).step
 
     def work(self, patterns: int, substeps: int) -> StepWork:
         """See SkinStepper."""
@@ -345,26 +349,6 @@ class ModalStepper(SkinStepper):
                 substep()
 
         return _Room(forces[:, :, 0].swapaxes(0, 1), rows, seen[:, :, 0].swapaxes(0, 1), all_substeps)
-
-
-@dataclass(frozen=True)
-class DiagonalBody:
-    """Modes as a body whose matrices are diagonal."""
-
-    modes: RitzModes
-    parts: tuple[Part, ...]
-
-    @property
-    def mass(self) -> Any:
-        return sparse.identity(len(self.modes.elastic), format="csr")
-
-    @property
-    def damping(self) -> Any:
-        return sparse.csr_matrix(self.elastic.shape)
-
-    @property
-    def elastic(self) -> Any:
-        return sparse.diags(self.modes.elastic).tocsr()
 
 
 def _propagators(scheme: Scheme, padded: int) -> tuple[Float, Float]:

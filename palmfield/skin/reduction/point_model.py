@@ -5,8 +5,6 @@ main frequency do not show. Only the time course shows the ringing; a small mode
 """
 
 import math
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -16,7 +14,7 @@ from palmfield.blas import one_blas_thread
 from palmfield.errors import SceneError
 from palmfield.skin.fem.assembly import SkinSystem
 from palmfield.skin.fem.generalised_alpha import RHO_INF, Scheme
-from palmfield.skin.materials.material import Material
+from palmfield.skin.fem.linear_body import Matrices, Part
 from palmfield.skin.reduction.dynamic_stiffness import DynamicStiffness
 from palmfield.skin.reduction.krylov import Krylov
 from palmfield.skin.reduction.reduced import Projection, Reduced
@@ -29,22 +27,6 @@ MOMENTS = 256
 TOLERANCE = 5e-3
 """Relative error of the motion of the point in that window at which the model is large enough."""
 MOST_VECTORS = 240
-
-
-@dataclass(frozen=True)
-class _Part:
-    stiffness: Any
-    material: Material
-
-
-@dataclass(frozen=True)
-class _SmallBody:
-    """A `palmfield.skin.fem.linear_body.LinearBody` of a few unknowns."""
-
-    mass: Any
-    damping: Any
-    elastic: Any
-    parts: list[_Part]
 
 
 class PointModel:
@@ -78,8 +60,8 @@ class PointModel:
     def stepped(self, level: Float, step_s: float) -> Float:
         """The same by the substeps of WedgeStepper, at the ends of steps of `step_s`, (t,)."""
         mass, damping, elastic, *stiffness = (sparse.csr_matrix(matrix) for matrix in self.projection.matrices)
-        parts = [_Part(each, law) for each, law in zip(stiffness, self.projection.materials, strict=True)]
-        scheme = Scheme(_SmallBody(mass, damping, elastic, parts), step_s, RHO_INF)
+        parts = [Part(each, law) for each, law in zip(stiffness, self.projection.materials, strict=True)]
+        scheme = Scheme(Matrices(mass, damping, elastic, parts), step_s, RHO_INF)
         force, read = self.projection.force[:, 0], np.asarray(self.projection.read)[0]
         inverse = np.linalg.inv(scheme.effective().toarray())
         pushes = [(inverse @ term.matrix.toarray(), term.row) for term in scheme.terms]

@@ -6,7 +6,7 @@ It is exact in time, and a substep is one dense product.
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy import sparse
@@ -14,14 +14,22 @@ from scipy import sparse
 from palmfield import cache
 from palmfield.blas import one_blas_thread
 from palmfield.skin.fem.assembly import SkinSystem
-from palmfield.skin.reduction.device_models import DeviceReduced, pays
-from palmfield.skin.reduction.dynamic_stiffness import DynamicStiffness
-from palmfield.skin.reduction.krylov import Course, Krylov
+from palmfield.skin.reduction.course import Course
 from palmfield.skin.reduction.load_shapes import LoadShapes
 from palmfield.skin.reduction.reduced import Projection, Reduced
-from palmfield.skin.reduction.reducer import SHIFT, grow_until
-from palmfield.skin.stepper import Reader, SkinStepper, StepWork, SurfaceLoads, check_step, checked_operator
+from palmfield.skin.stepper import (
+    DeviceModel,
+    Reader,
+    SkinStepper,
+    StepWork,
+    SurfaceLoads,
+    check_step,
+    checked_operator,
+)
 from palmfield.types import Complex, Float, Float32, Int
+
+if TYPE_CHECKING:
+    from palmfield.skin.reduction.krylov import Krylov
 
 MOST_VECTORS = 400
 MIXED = 64
@@ -203,8 +211,10 @@ class ReducedStepper(SkinStepper):
         """See SkinStepper."""
         return f"{self.name}, {self.order} vectors"
 
-    def device_model(self, substeps: int, points: int, device: str) -> DeviceReduced | None:
+    def device_model(self, substeps: int, points: int, device: str) -> DeviceModel | None:
         """See SkinStepper; a CPU takes no longer for small ones."""
+        from palmfield.skin.reduction.device_models import DeviceReduced, pays
+
         worth = pays(self.state_size, self.shares.shape[1], substeps)
         return DeviceReduced(self, substeps, points, device) if worth else None
 
@@ -273,6 +283,11 @@ def known_model(
     """
 
     def make() -> cache.Arrays:
+        # Imported here: models that are in the cache need none of them
+        from palmfield.skin.reduction.dynamic_stiffness import DynamicStiffness
+        from palmfield.skin.reduction.krylov import Krylov
+        from palmfield.skin.reduction.reducer import SHIFT, grow_until
+
         load = ask_load()
         # Small products only, which several threads of BLAS slow down where other programs run.
         with one_blas_thread:
@@ -300,7 +315,7 @@ def known_model(
 class _Trial:
     """Motions of a model of `order` vectors under the predicted load: coordinates in V, each of shape (t, order)."""
 
-    def __init__(self, krylov: Krylov, load: KnownLoad, step_s: float) -> None:
+    def __init__(self, krylov: "Krylov", load: KnownLoad, step_s: float) -> None:
         self.order = krylov.order
         small = Projection(
             krylov.projected, krylov.dynamics.materials, krylov.vectors.T @ load.shapes, np.eye(self.order)
@@ -314,7 +329,7 @@ class _Trial:
                 moved.append(model.displacement(state))
             self.moved.append(np.array(moved))
 
-    def change(self, other: "_Trial", krylov: Krylov, surface: Any, point: Any) -> float:
+    def change(self, other: "_Trial", krylov: "Krylov", surface: Any, point: Any) -> float:
         """Relative difference to a model of fewer vectors, L2 over times, over the surface and at the point."""
         worst = 0.0
         for operator in (surface, point):
@@ -328,7 +343,7 @@ class _Trial:
         return worst
 
 
-def _defect(krylov: Krylov, load: KnownLoad, surface: Any) -> float:
+def _defect(krylov: "Krylov", load: KnownLoad, surface: Any) -> float:
     """Displacement of the residual over the displacement, of the steady motion, L2 over frequencies and surface."""
     responses, pushes, weights = [], [], []
     projected = krylov.vectors.T @ load.shapes

@@ -18,16 +18,18 @@ decomposition in the frequency domain: Willcox & Peraire, AIAA J. 40, 2002) are 
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import linalg, sparse
 
-from palmfield.errors import SceneError
 from palmfield.skin.fem.assembly import SkinSystem
-from palmfield.skin.fem.factor import AnyFactor
 from palmfield.skin.materials.material import Material
 from palmfield.skin.reduction.load_shapes import in_gap
 from palmfield.types import Complex, Float, Float32
+
+if TYPE_CHECKING:
+    from palmfield.skin.fem.factor import AnyFactor
 
 RATE_Hz = 400.0
 """w / 2 pi. A lower one does not settle short waves, a higher one does not reach out into the skin."""
@@ -110,7 +112,7 @@ def shifted(system: SkinSystem, *, relaxed: bool = False) -> sparse.csr_matrix:
 
 def ritz_modes(
     system: SkinSystem,
-    factor: AnyFactor,
+    factor: "AnyFactor",
     forces: Float,
     sizes: Float,
     blocks: int,
@@ -128,11 +130,7 @@ def ritz_modes(
         (palmfield.skin.fem.generalised_alpha), shape (p,).
     relaxed: of several laws, solutions of `shifted(system, relaxed=True)` for forces * sizes, shape (n, m), or (n, 0).
         Relaxed sheets share a load differently, for which powers of A^-1 M cannot compensate.
-    Raises SceneError where `refusal` gives a reason.
     """
-    reason = refusal(system)
-    if reason is not None:
-        raise SceneError(f"no modes for this skin: {reason}")
     materials = [part.material for part in system.parts]
     # As stiff as the materials are at a middle frequency: modes are not coupled there
     means = laws_at(materials, -2j * np.pi * UNCOUPLED_Hz).real
@@ -317,7 +315,7 @@ def _strongest(gram: Float, rigidities: Float, left_out: float) -> Float:
 
 
 def _lanczos(
-    mass: sparse.csr_matrix, factor: AnyFactor, forces: Float, blocks: int, also: Float
+    mass: sparse.csr_matrix, factor: "AnyFactor", forces: Float, blocks: int, also: Float
 ) -> tuple[Float32, list[int]]:
     """The space, orthonormal in the mass, shape (n, r), and how many vectors it has after each block.
 

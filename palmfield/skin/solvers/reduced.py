@@ -20,24 +20,16 @@ from palmfield.skin.approximation.richardson import differences
 from palmfield.skin.approximation.trim_absorbing_rim import trim_absorbing_rim
 from palmfield.skin.costs import assembly_s, reduced_s
 from palmfield.skin.fem.body import build
-from palmfield.skin.fem.load import SurfaceQuadrature, bell, sampled
+from palmfield.skin.fem.load import SurfaceQuadrature
 from palmfield.skin.fem.probe import SurfaceProbe
-from palmfield.skin.problem import (
-    Body,
-    Load,
-    Motion,
-    SkinProblem,
-    Slab,
-    Spot,
-    Traction,
-    normals_on_face,
-)
+from palmfield.skin.fem.traction import bell, sampled
+from palmfield.skin.problem import Body, Load, Motion, SkinProblem, Slab, Spot, Traction, normals_on_face
 from palmfield.skin.reduction.dynamic_stiffness import DynamicStiffness
 from palmfield.skin.reduction.krylov import Krylov
 from palmfield.skin.reduction.reduced import Projection
 from palmfield.skin.reduction.reduced_stepper import ReducedStepper
 from palmfield.skin.reduction.reducer import SAFETY, SHIFT, TooManyVectorsError, grow_until
-from palmfield.skin.solvers.wedges import first_sizes, last_dofs, refusal_wedges, slowest_wave
+from palmfield.skin.solvers.wedges import first_sizes, last_dofs, on_mesh, refusal_wedges, slowest_wave
 from palmfield.skin.stepper import SurfaceLoads
 from palmfield.types import Float, Int
 
@@ -168,9 +160,7 @@ def _run(
     except TooManyVectorsError as limit:
         # The completed work gives a result all the same, with the error that the last vectors leave
         moved = cast(Float, limit.reached)
-    triangles, levels = len(mesh.surface_triangles6), (mesh.levels - 1) // 2
-    solution = MeshSolution(moved[0], moved[1], system.ndof, triangles, levels, normals)
-    return solution, krylov.order, SAFETY * changes[-1]
+    return on_mesh(system, moved[0], moved[1], normals), krylov.order, SAFETY * changes[-1]
 
 
 def course(load: Load, weights: Float, requested: Float) -> tuple[Float, Float, Int]:

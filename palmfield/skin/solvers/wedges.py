@@ -13,13 +13,8 @@ import numpy as np
 
 from palmfield.errors import SceneError
 from palmfield.hand.remesh import is_height_field
-from palmfield.skin.approximation.load_scales import (
-    edge_is_felt,
-    load_centre,
-    load_frequency,
-    load_width,
-    motion_width,
-)
+from palmfield.hand.triangles import face_normals
+from palmfield.skin.approximation.load_scales import edge_is_felt, load_centre, load_frequency, load_width, motion_width
 from palmfield.skin.approximation.refine import (
     MOST_DOFS,
     Discretisation,
@@ -35,22 +30,13 @@ from palmfield.skin.costs import assembly_s, wedges_s
 from palmfield.skin.fem.assembly import SkinSystem
 from palmfield.skin.fem.body import build
 from palmfield.skin.fem.generalised_alpha import RHO_INF
-from palmfield.skin.fem.load import PressureHistory
 from palmfield.skin.fem.probe import SurfaceProbe
 from palmfield.skin.fem.solver import static
+from palmfield.skin.fem.traction import PressureHistory
 from palmfield.skin.fem.wedge_stepper import WedgeStepper
 from palmfield.skin.materials.material import shear_wave
 from palmfield.skin.mesh.body_mesh import Sizes
-from palmfield.skin.problem import (
-    Body,
-    Layer,
-    Load,
-    Motion,
-    SkinProblem,
-    Slab,
-    depth_of,
-    normals_on_face,
-)
+from palmfield.skin.problem import Body, Layer, Load, Motion, SkinProblem, Slab, depth_of, normals_on_face
 from palmfield.types import Float
 
 
@@ -192,7 +178,7 @@ def static_wedges(body: Body, load: Load, at: Float, *, accuracy: float = 0.05, 
         system = build(trim_absorbing_rim(body, load, points, reach), resized(discretisation.sizes, factor, reach))
         moved = static(system, PressureHistory(load, system.mesh, system).final_force())
         result = (SurfaceProbe(system.mesh, points, system).vectors @ moved).reshape(1, -1, 3)
-        return MeshSolution(result, np.zeros_like(result), system.ndof, *_size(system), normals_on_face(body, points))
+        return on_mesh(system, result, np.zeros_like(result), normals_on_face(body, points))
 
     result = refine_until_converged(
         body, now, run, run(now, ratio_of(body, now.sizes)), accuracy, pinned=sizes is not None
@@ -266,9 +252,7 @@ def expected_dofs(body: Body, sizes: Sizes) -> float:
     else:
         ring = 0.0
         if isinstance(body, Layer):
-            corners = body.patch.vertices[body.patch.faces]
-            across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-            radius = math.sqrt(0.5 * float(np.linalg.norm(across, axis=1).sum()) / math.pi)
+            radius = math.sqrt(float(face_normals(body.patch.vertices, body.patch.faces)[1].sum()) / math.pi)
         elif body.shape == "box":
             assert body.size_m is not None
             radius = math.sqrt(body.size_m[0] * body.size_m[1] / math.pi)
@@ -300,12 +284,6 @@ def _check_pinned(body: Body, load: Load, sizes: Sizes | None) -> None:
         )
 
 
-def _size(system: SkinSystem) -> tuple[int, int]:
-    """Triangles of the face and rows of elements below it."""
-    triangles = len(system.mesh.surface_triangles6)
-    return triangles, (system.mesh.levels - 1) // 2
-
-
 def _run(body: Body, load: Load, requested: Float, points: Float, discretisation: Discretisation) -> MeshSolution:
     """March from the first time of the load to the last requested one; the motion between steps is cubic Hermite."""
     system, step_s = build(body, discretisation.sizes), discretisation.step_s
@@ -324,9 +302,14 @@ def _run(body: Body, load: Load, requested: Float, points: Float, discretisation
         seen[begin + 1 : end + 1] = moved[0]
     displacement = _between(clock, seen[:, 0], seen[:, 1], requested)
     velocity = _between(clock, seen[:, 1], np.gradient(seen[:, 1], step_s, axis=0), requested)
-    shape = (len(requested), len(points), 3)
-    u, v = displacement.reshape(shape), velocity.reshape(shape)
-    return MeshSolution(u, v, system.ndof, *_size(system), normals_on_face(body, points))
+    u, v = (moved.reshape(len(requested), len(points), 3) for moved in (displacement, velocity))
+    return on_mesh(system, u, v, normals_on_face(body, points))
+
+
+def on_mesh(system: SkinSystem, displacement: Float, velocity: Float, normals: Float) -> MeshSolution:
+    """A solution on the mesh of a system; arguments as of MeshSolution."""
+    sizes = system.ndof, len(system.mesh.surface_triangles6), (system.mesh.levels - 1) // 2
+    return MeshSolution(displacement, velocity, *sizes, normals)
 
 
 def _between(clock: Float, values: Float, slopes: Float, requested: Float) -> Float:

@@ -9,9 +9,9 @@ from palmfield.skin import Spot, static
 from palmfield.skin.fem.assembly import SkinSystem
 from palmfield.skin.fem.body import build
 from palmfield.skin.fem.factor import factorise
-from palmfield.skin.fem.load import PressureHistory
 from palmfield.skin.fem.probe import SurfaceProbe
 from palmfield.skin.fem.solver import static as static_of_system
+from palmfield.skin.fem.traction import PressureHistory
 from palmfield.skin.mesh.body_mesh import Sizes
 from palmfield.skin.mesh.element import EDGES
 from palmfield.skin.mesh.wedges import WedgeMesh

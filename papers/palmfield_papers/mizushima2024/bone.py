@@ -5,9 +5,9 @@ from functools import cache
 import numpy as np
 
 from palmfield.skin import Layer, Sheet, Traction
-from palmfield.skin.analytic.layer_oracle import Base
 from palmfield.skin.fem import face_points
 from palmfield.skin.mesh import Sizes, cylinder_patch
+from palmfield.skin.problem import BaseKind
 from palmfield.skin.solvers.wedges import static_wedges
 from palmfield_papers.mizushima2024.gel import THICKNESS_M, Gel, compliance, material_of
 
@@ -18,7 +18,7 @@ EDGE_M = 1.6e-3, 2.6e-3
 
 
 @cache
-def over_flat(base: Base, refinements: int = 0) -> float:
+def over_flat(base: BaseKind, refinements: int = 0) -> float:
     """Displacement in the middle of the ellipse, C0 at rest, over that of the flat layer; its long axis along the bone.
 
     The pressure falls with the square of the cosine to the face, and is 0 on the far side.

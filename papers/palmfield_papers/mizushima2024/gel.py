@@ -16,9 +16,10 @@ from palmfield.skin.analytic.as_printed import (
     uniaxial_displacement,
     vibration_modulus_as_printed,
 )
-from palmfield.skin.analytic.layer_oracle import Base, layer_compliance
+from palmfield.skin.analytic.layer_oracle import layer_compliance
 from palmfield.skin.materials.catalogue import GEL_STORAGE_PA
 from palmfield.skin.materials.material import complex_bulk, complex_shear
+from palmfield.skin.problem import BaseKind
 from palmfield.types import Float
 from palmfield_papers.answer import Answer, Cause, Compute, Setting
 from palmfield_papers.entries import book
@@ -39,14 +40,14 @@ class Gel:
     """
 
     hardness: str = "C0"
-    base: Base = "bonded"
+    base: BaseKind = "bonded"
     half_widths_m: tuple[float, float] = (0.010, 0.003)
     end: str = ""
 
 
 def gel_of(setting: Setting) -> Gel:
     """The configuration mizushima.gel under the readings and the control of a setting."""
-    base: Base = "bonded" if value_of(setting, "mizushima_bond") == "bonded" else "free_slip"
+    base: BaseKind = "bonded" if value_of(setting, "mizushima_bond") == "bonded" else "free_slip"
     if setting.control == "gel_unbonded":
         base = "free_slip"
     wide = 0.008 if "x 8" in value_of(setting, "mizushima_load") else 0.010
@@ -78,7 +79,7 @@ def compliance(gel: Gel, frequency_Hz: float, panels: int = 240) -> complex:
 
 @cache
 def _ellipse(
-    material: Material, base: Base, half_widths_m: tuple[float, float], frequency_Hz: float, panels: int
+    material: Material, base: BaseKind, half_widths_m: tuple[float, float], frequency_Hz: float, panels: int
 ) -> complex:
     x, y = (width / np.sqrt(2.0 * np.log(2.0)) for width in half_widths_m)
     nodes, weights = np.polynomial.legendre.leggauss(8)
@@ -109,7 +110,7 @@ def course_um(gel: Gel) -> Float:
 
 
 @cache
-def off_at_rest(base: Base, half_widths_m: tuple[float, float], quick: bool) -> float:
+def off_at_rest(base: BaseKind, half_widths_m: tuple[float, float], quick: bool) -> float:
     """Relative difference at rest from `static`, elements in depth that know nothing of plane waves, of C0.
 
     A layer without losses is as far off for all moduli: only its Poisson's ratio counts, which the gels share.

@@ -9,8 +9,8 @@ from threadpoolctl import threadpool_limits
 
 from palmfield.cache import digest
 from palmfield.skin.fem.body import build
-from palmfield.skin.fem.load import PressureHistory
 from palmfield.skin.fem.probe import SurfaceProbe
+from palmfield.skin.fem.traction import PressureHistory
 from palmfield.skin.mesh.body_mesh import Sizes
 from palmfield.skin.problem import Motion, SkinProblem, Spot, points_on_face
 from palmfield.skin.reduction.reducer import reduce

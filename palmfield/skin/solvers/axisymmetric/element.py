@@ -21,6 +21,7 @@ import numpy as np
 from numpy.polynomial import legendre
 from scipy import sparse
 
+from palmfield.skin.fem.linear_body import Matrices, Part
 from palmfield.skin.materials.material import Material
 from palmfield.skin.problem import Slab, Springs
 from palmfield.types import Float, Int
@@ -75,25 +76,13 @@ class Line:
 
 
 @dataclass(frozen=True)
-class DiscPart:
-    """Stiffness [N/m] of G_r, csr (n, n), that relaxes as the shear modulus of this material."""
-
-    stiffness: sparse.csr_matrix
-    material: Material
-
-
-@dataclass(frozen=True)
-class DiscSystem:
+class DiscSystem(Matrices):
     """M u'' + C u' + E u + sum over parts K_p (u + branches) = F of one harmonic, over n free unknowns.
 
     All integrals over the angle are left out, of the force as well; spread: all unknowns (radial node, depth node,
     component) = spread @ free ones, csr (all, n)
     """
 
-    mass: sparse.csr_matrix
-    damping: sparse.csr_matrix
-    elastic: sparse.csr_matrix
-    parts: tuple[DiscPart, ...]
     spread: sparse.csr_matrix
 
 
@@ -189,7 +178,7 @@ class DiscGrid:
         mass, damping, elastic, *stiffness = [
             (back @ (a + m * b + m**2 * c) @ spread).tocsr() for a, b, c in zip(zeroth, first, second, strict=True)
         ]
-        parts = tuple(DiscPart(k, material) for k, material in zip(stiffness, self._depths, strict=True))
+        parts = tuple(Part(k, material) for k, material in zip(stiffness, self._depths, strict=True))
         return DiscSystem(mass, damping, elastic, parts, spread)
 
     def _spread(self, m: int) -> sparse.csr_matrix:

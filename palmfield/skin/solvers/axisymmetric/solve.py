@@ -27,18 +27,7 @@ from palmfield.errors import SceneError
 from palmfield.skin.approximation.load_scales import motion_width
 from palmfield.skin.approximation.richardson import differences
 from palmfield.skin.fem.factor import factorise
-from palmfield.skin.problem import (
-    ONLY_WEDGES,
-    Body,
-    Foundation,
-    Load,
-    Motion,
-    SkinProblem,
-    Slab,
-    Spot,
-    Springs,
-    spread,
-)
+from palmfield.skin.problem import ONLY_WEDGES, Body, Foundation, Load, Motion, SkinProblem, Slab, Spot, Springs, spread
 from palmfield.skin.reduction.reduced import Reduced
 from palmfield.skin.reduction.reducer import reduce
 from palmfield.skin.solvers.axisymmetric.element import DiscGrid, Line, graded
@@ -272,13 +261,9 @@ def _motions(
     tasks, grids = [], []
     for problem, degree, band_Hz in runs:
         radial, depth, sheets = _grid(problem.body, problem.load, problem.samples, degree, fine or FINE)
-        grid = _disc(
-            replace(problem.body, sheets=tuple(problem.body.sheets)),
-            _breaks(radial),
-            _breaks(depth),
-            tuple(sheets.tolist()),
-            degree,
-        )
+        body = replace(problem.body, sheets=tuple(problem.body.sheets))
+        breaks = (tuple(line.breaks.tolist()) for line in (radial, depth))
+        grid = _disc(body, *breaks, tuple(sheets.tolist()), degree)
         grids.append(grid)
         tasks += [(grid, problem, m, band_Hz) for m in problem.numbers]
     # BLAS threads are fixed: the factor of another harmonic may have just set their number, which changes last bits.
@@ -372,15 +357,13 @@ def _harmonic(grid: DiscGrid, problem: _DiscProblem, m: int, band_Hz: float) -> 
     near, far = float(samples.distance_m.min()), float(samples.distance_m.max())
     radii, which = np.unique(np.hypot(*problem.points[:, :2].T), return_inverse=True)
     # A weak harmonic may err by more of itself.
-    tolerance = (
-        problem.tolerance if m < 2 else min(0.1, problem.tolerance * float(problem.share.max() / problem.share[m]))
-    )
-    shape = _SpotShape(
-        grid, m, problem.load.fwhm_m, near, far, tuple(radii.tolist()), band_Hz, tolerance, problem.tolerance,
-        problem.beyond,
-    )  # fmt: skip
+    tolerance = problem.tolerance
+    if m >= 2:
+        tolerance = min(0.1, tolerance * float(problem.share.max() / problem.share[m]))
+    spot = problem.load.fwhm_m, near, far, tuple(radii.tolist())
     # A spot that moves has tens of models, which would push those of spots at rest out
-    small, table, shares = _kept(shape) if far == 0.0 else _small(shape)
+    make = _kept if far == 0.0 else _small
+    small, table, shares = make(grid, m, *spot, band_Hz, tolerance, problem.tolerance, problem.beyond)
     if shares is None:
         coordinates = np.ones((len(samples.times_s), 1))
     else:
@@ -392,40 +375,38 @@ def _harmonic(grid: DiscGrid, problem: _DiscProblem, m: int, band_Hz: float) -> 
     return displacement, velocity
 
 
-@dataclass(frozen=True)
-class _SpotShape:
-    """All inputs of the reduced model of a harmonic; the course of the spot's pressure and angle is not one of them."""
+def _small(
+    grid: DiscGrid,
+    m: int,
+    fwhm_m: float,
+    near_m: float,
+    far_m: float,
+    radii_m: tuple[float, ...],
+    band_Hz: float,
+    tolerance: float,
+    shape_tolerance: float,
+    beyond: bool,
+) -> tuple[Reduced, Float, Float | None]:
+    """The model of a harmonic, which the course of the spot's pressure and angle does not change.
 
-    grid: DiscGrid
-    m: int
-    fwhm_m: float
-    near_m: float
-    far_m: float
-    radii_m: tuple[float, ...]
-    band_Hz: float
-    tolerance: float
-    shape_tolerance: float
-    beyond: bool
-
-
-def _small(of: _SpotShape) -> tuple[Reduced, Float, Float | None]:
-    """The model, distances of the spot from the axis [m] and coordinates of its shapes there; None for one distance."""
-    s = spread(of.fwhm_m)
-    table = np.linspace(of.near_m, of.far_m, 2 + math.ceil(10.0 * (of.far_m - of.near_m) / s))
+    Also distances of the spot from the axis [m], and coordinates of its shapes there; None for one distance.
+    """
+    s = spread(fwhm_m)
+    table = np.linspace(near_m, far_m, 2 + math.ceil(10.0 * (far_m - near_m) / s))
 
     def pressure(r: Float) -> Float:
         x = r[:, None] * table / s**2
-        return (1.0 if of.m == 0 else 2.0) * np.exp(-0.5 * ((r[:, None] - table) / s) ** 2) * ive(of.m, x)
+        return (1.0 if m == 0 else 2.0) * np.exp(-0.5 * ((r[:, None] - table) / s) ** 2) * ive(m, x)
 
-    system = of.grid.system(of.m)
-    forces = system.spread.T @ of.grid.pressure_force(pressure)
+    system = grid.system(m)
+    forces = system.spread.T @ grid.pressure_force(pressure)
     shares = None
-    if of.far_m - of.near_m < 1e-9 * s:
+    if far_m - near_m < 1e-9 * s:
         forces = forces[:, :1]
     else:
-        forces, shares = principal_shapes(forces, of.shape_tolerance)
-    reader = of.grid.face_reader(np.array(of.radii_m)) @ system.spread
-    return reduce(system, forces, reader, (0.0, of.band_Hz), of.tolerance, beyond=of.beyond), table, shares
+        forces, shares = principal_shapes(forces, shape_tolerance)
+    reader = grid.face_reader(np.array(radii_m)) @ system.spread
+    return reduce(system, forces, reader, (0.0, band_Hz), tolerance, beyond=beyond), table, shares
 
 
 _kept = lru_cache(maxsize=KEPT)(_small)
@@ -437,10 +418,6 @@ def _disc(
 ) -> DiscGrid:
     """A grid by its breaks [m]: one object for equal discs, by which their models are kept."""
     return DiscGrid(body, Line(np.array(radial), degree), Line(np.array(depth), degree), np.array(sheets))
-
-
-def _breaks(line: Line) -> tuple[float, ...]:
-    return tuple(line.breaks.tolist())
 
 
 def _harmonic_at_rest(grid: DiscGrid, problem: _DiscProblem, m: int, _: float) -> tuple[Complex, Complex]:

@@ -28,7 +28,7 @@ from palmfield.skin.solvers.lateral_waves.drive import Timeline, given, spot_tra
 from palmfield.skin.solvers.lateral_waves.march import march
 from palmfield.skin.solvers.lateral_waves.modes import FaceModes, face_modes
 from palmfield.skin.solvers.lateral_waves.radial import compute_modes
-from palmfield.skin.solvers.lateral_waves.resolution import Resolution
+from palmfield.skin.solvers.lateral_waves.resolution import Resolution, resolution_for
 from palmfield.skin.solvers.lateral_waves.waves import WaveSet, lattice
 from palmfield.types import Complex, Float, Float32, Int
 
@@ -79,7 +79,7 @@ class PeriodicSlab:
     def waves(self) -> WaveSet:
         """One of each pair of waves k, -k, with the transform of the spot in the weights."""
         half = 0.5 * self.period_m
-        resolution = _resolution(self.tolerance, self.speed_m_s)
+        resolution = resolution_for(self.tolerance, 0.0, self.speed_m_s)
         vectors, weights, k, group = lattice((half, half), resolution.cut(self.fwhm_m))
         modes = _modes(self, k)
         return WaveSet(modes, group, weights * spot_transform(self.fwhm_m, np.linalg.norm(vectors, axis=1)), vectors)
@@ -200,7 +200,7 @@ class WalledDisc:
     @cached_property
     def waves(self) -> tuple[WaveSet, Int]:
         """Waves with vectors (k, m), and the orders m; weights hold transform and norm, 1 / integral of J_m^2."""
-        resolution = _resolution(self.tolerance, self.speed_m_s)
+        resolution = resolution_for(self.tolerance, 0.0, self.speed_m_s)
         orders, k = wall_wavenumbers(self.radius_m, resolution.cut(self.fwhm_m))
         different, group = np.unique(k, return_inverse=True)
         modes = _modes(self, different)
@@ -300,7 +300,7 @@ class WalledDisc:
         """The spot with enough places that the shortest wave turns by less than PHASE between two."""
         if spot.law == "held":
             return spot
-        short = _resolution(self.tolerance, self.speed_m_s).cut(self.fwhm_m)
+        short = resolution_for(self.tolerance, 0.0, self.speed_m_s).cut(self.fwhm_m)
         step = PHASE / short
         times, centres = [spot.times_s[:1]], spot.centres()
         for n in range(len(spot.times_s) - 1):
@@ -363,7 +363,7 @@ def _found(slab: Slab, fwhm_m: float, resolution: Resolution, horizon_s: float) 
 
 def _modes(of: PeriodicSlab | WalledDisc, k: Float) -> tuple[FaceModes, ...]:
     slab, fwhm_m, horizon_s = of.slab, of.fwhm_m, of.horizon_s
-    resolution = _resolution(of.modes_tolerance or of.tolerance, of.speed_m_s)
+    resolution = resolution_for(of.modes_tolerance or of.tolerance, 0.0, of.speed_m_s)
     whole = float(spot_transform(fwhm_m, np.zeros(1))[0])
 
     def modes_at(number: float) -> FaceModes:
@@ -379,11 +379,6 @@ def _modes(of: PeriodicSlab | WalledDisc, k: Float) -> tuple[FaceModes, ...]:
     new = compute_modes(modes_at, k[missing], of.threads)
     found.update((keys[n], modes) for n, modes in zip(missing, new, strict=True))
     return tuple(found[key] for key in keys)
-
-
-def _resolution(tolerance: float, speed_m_s: float) -> Resolution:
-    digits = -math.log10(tolerance)
-    return Resolution(tolerance, math.ceil(4.0 + 2.0 * digits), 0.6 + 0.2 * digits, 0.0, speed_m_s)
 
 
 def _check(slab: Slab, shape: str, **sizes: float) -> None:

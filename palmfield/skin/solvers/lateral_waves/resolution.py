@@ -68,5 +68,10 @@ def choose(load: Load, tolerance: float) -> Resolution:
         pace = 4.0 * float((np.abs(np.diff(values, axis=0)).max(axis=1) / steps).max()) / size
     if isinstance(load, Spot) and load.law == "linear" and len(steps):
         speed = float((np.linalg.norm(np.diff(load.centres(), axis=0), axis=1) / steps).max())
+    return resolution_for(tolerance, pace, speed)
+
+
+def resolution_for(tolerance: float, pace_1_s: float, speed_m_s: float) -> Resolution:
+    """See Resolution."""
     digits = -math.log10(tolerance)
-    return Resolution(tolerance, math.ceil(4.0 + 2.0 * digits), 0.6 + 0.2 * digits, pace, speed)
+    return Resolution(tolerance, math.ceil(4.0 + 2.0 * digits), 0.6 + 0.2 * digits, pace_1_s, speed_m_s)

@@ -7,7 +7,7 @@ import numpy as np
 
 from palmfield.device import resolve
 from palmfield.errors import SceneError
-from palmfield.skin.problem import Body, Load, Motion, SkinProblem, Slab, Spot, Springs, Traction
+from palmfield.skin.problem import Body, Load, Motion, SkinProblem, Slab, Spot, Springs, Traction, is_pressed
 from palmfield.skin.solvers.lateral_waves.accuracy import SERIES_FROM, is_picture, pick, relative_error
 from palmfield.skin.solvers.lateral_waves.build import box_images, build_waves, check_sides, refusal_lateral_waves
 from palmfield.skin.solvers.lateral_waves.drive import timeline
@@ -123,7 +123,7 @@ def _solve(body: Slab, problem: SkinProblem, settings: Settings) -> Motion:
     begun = time.perf_counter()
     load, requested, points = problem.load, problem.times, problem.points
     at_sides = check_sides(body, load, problem.accuracy)
-    if timeline(load, requested) is None or not np.any(load.peak_Pa if isinstance(load, Spot) else load.pressure_Pa):
+    if timeline(load, requested) is None or not is_pressed(load):
         still = np.zeros((len(requested), len(points), 3))
         return problem.solved(still, still.copy(), np.zeros(3), "no load yet: the motion is 0", "lateral_waves", begun)
     part = PART * problem.accuracy if settings.tolerance is None else settings.tolerance

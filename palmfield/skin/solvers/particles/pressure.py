@@ -4,7 +4,8 @@ import numpy as np
 import warp as wp
 from scipy import sparse
 
-from palmfield.skin.fem.load import face_pressure, halvings_for, quartered_rule
+from palmfield.skin.fem.load import halvings_for, quartered_rule
+from palmfield.skin.fem.traction import face_pressure
 from palmfield.skin.problem import GAUSSIAN, Law, Load, Spot, Traction
 from palmfield.skin.solvers.particles.cloud import Cloud
 from palmfield.types import Float

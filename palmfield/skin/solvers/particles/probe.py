@@ -4,6 +4,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from palmfield.errors import SceneError
+from palmfield.skin.problem import in_space
 from palmfield.skin.solvers.particles.columns import Columns
 from palmfield.types import Float, Int
 
@@ -19,15 +20,11 @@ def point_weights(columns: Columns, normals: Float, at: Float) -> tuple[Float, I
     1981): quadratic fields are exact, and so is the displacement of a particle at its own place.
     Raises SceneError for other shapes and points that are not finite or farther from all particles than two spacings.
     """
-    points = np.asarray(at, dtype=float)
-    if points.ndim != 2 or points.shape[1] not in (2, 3) or not np.isfinite(points).all():
-        raise SceneError(f"skin points have shape {points.shape}; give finite positions of shape (n, 3) or (n, 2)")
-    if points.shape[1] == 2:
-        points = np.column_stack([points, np.zeros(len(points))])
+    points = in_space(at)
     tree = cKDTree(columns.face)
     distance, particles = tree.query(points, k=min(NEIGHBOURS, len(columns.face)))
-    far = int(np.argmax(distance[:, 0])) if len(points) else 0
-    if len(points) and distance[far, 0] > 2.0 * columns.spacing_m:
+    far = int(np.argmax(distance[:, 0]))
+    if distance[far, 0] > 2.0 * columns.spacing_m:
         raise SceneError(
             f"point {np.round(points[far], 6).tolist()} m is {distance[far, 0]:.3g} m from the face; give points "
             "on the face"

@@ -6,6 +6,7 @@ import math
 import numpy as np
 
 from palmfield.errors import SceneError
+from palmfield.hand.triangles import face_normals
 from palmfield.skin.approximation.load_scales import mean_frequency, motion_width, passing_frequency
 from palmfield.skin.materials.material import shear_wave
 from palmfield.skin.problem import ONLY_WEDGES, Body, Foundation, Layer, Load, SkinProblem, Slab, Springs, depth_of
@@ -135,6 +136,5 @@ def length_of(body: Body) -> float:
 
 def _area(body: Body) -> float:
     if isinstance(body, Layer):
-        a, b, c = (body.patch.vertices[body.patch.faces[:, i]] for i in range(3))
-        return float(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
+        return float(face_normals(body.patch.vertices, body.patch.faces)[1].sum())
     return math.prod(body.size_m) if body.size_m is not None else math.pi * (body.radius_m or 0.0) ** 2

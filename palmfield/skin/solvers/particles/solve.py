@@ -8,13 +8,7 @@ import warp as wp
 from palmfield.errors import SceneError
 from palmfield.skin.approximation.load_scales import load_width, motion_width
 from palmfield.skin.approximation.richardson import differences, error_of_finer
-from palmfield.skin.problem import (
-    Load,
-    Motion,
-    SkinProblem,
-    Slab,
-    normals_on_face,
-)
+from palmfield.skin.problem import Load, Motion, SkinProblem, Slab, normals_on_face
 from palmfield.skin.solvers.particles.cloud import Cloud, build_cloud
 from palmfield.skin.solvers.particles.pressure import Pressure
 from palmfield.skin.solvers.particles.probe import point_weights

@@ -7,8 +7,8 @@ import warp as wp
 
 from palmfield.errors import SceneError
 from palmfield.locked import locked_cached_property
-from palmfield.skin.explicit_layer import OwnMesh, OwnMeshStepper
 from palmfield.skin.fem.face_transfer import FaceTransfer
+from palmfield.skin.own_mesh import OwnMesh, OwnMeshStepper
 from palmfield.skin.problem import Body, Layer, SkinProblem, Slab
 from palmfield.skin.solvers.particles import resolution as spacing
 from palmfield.skin.solvers.particles import run

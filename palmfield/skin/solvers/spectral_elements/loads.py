@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.polynomial.legendre import leggauss
 
-from palmfield.skin.fem.load import face_pressure
+from palmfield.skin.fem.traction import face_pressure
 from palmfield.skin.problem import GAUSSIAN, Load, Spot
 from palmfield.skin.solvers.spectral_elements.gll import lagrange, rule
 from palmfield.skin.solvers.spectral_elements.solid import Solid

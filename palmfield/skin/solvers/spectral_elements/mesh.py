@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from palmfield.hand.triangles import face_normals
 from palmfield.skin.approximation.load_scales import course_frequency, motion_width
 from palmfield.skin.materials.material import Material, shear_wave
 from palmfield.skin.problem import Body, Layer, Load, Spot
@@ -93,9 +94,7 @@ def plan(
     high = np.maximum((spots + margin).max(axis=0), points.max(axis=0, initial=-np.inf))
     watched = np.stack([low, high], axis=1)
     if isinstance(body, Layer):
-        faces = np.asarray(body.patch.faces)
-        corners = np.asarray(body.patch.vertices)[faces]
-        area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        area = face_normals(body.patch.vertices, body.patch.faces)[1]
         # Three quadrilaterals a triangle
         quad = float(np.sqrt(np.median(area) / 3.0))
         if order is None:

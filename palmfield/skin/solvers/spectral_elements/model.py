@@ -12,7 +12,7 @@ from palmfield.skin.materials.material import Material
 from palmfield.skin.problem import BaseKind, Sheet, SideKind, Springs
 from palmfield.skin.solvers.spectral_elements.gll import Rule, rule
 from palmfield.skin.solvers.spectral_elements.quads import rim_edges
-from palmfield.skin.solvers.spectral_elements.solid import Solid, base_areas, inside_out
+from palmfield.skin.solvers.spectral_elements.solid import Solid, base_areas, cell_areas, inside_out
 from palmfield.types import Float, Int
 from warp_kernels import hexa, hexa_steps
 from warp_kernels.hexa import READERS
@@ -255,6 +255,13 @@ class Holds:
     dashpot: Float
 
 
+def held(model: Model, base: BaseKind | Springs, side: SideKind | None, damping: Float | None) -> tuple[Holds, float]:
+    """See `hold`; and the largest stable step of the model so held [s]."""
+    holds = hold(model, base, side, damping)
+    rows = model.mass[holds.rows, None, None]
+    return holds, model.stable_step(float((np.abs(holds.spring) / rows).sum(axis=2).max(initial=0.0)))
+
+
 def hold(model: Model, base: BaseKind | Springs, side: SideKind | None, damping: Float | None = None) -> Holds:
     """Constraints of base and sides; "absorbing" sides get Lysmer & Kuhlemeyer's (1969) dashpots rho c at once."""
     solid, quads = model.solid, model.solid.quads
@@ -300,7 +307,7 @@ def hold(model: Model, base: BaseKind | Springs, side: SideKind | None, damping:
 
 def _side_dashpots(model: Model, row_of: Int, count: int) -> Float:
     """Area times rho c_p along the normal of the side and rho c_s across, on the nodes of the sides, (rows, 3, 3)."""
-    solid, gll = model.solid, rule(model.solid.order)
+    solid = model.solid
     edges, cell = rim_edges(solid.quads.cells)
     layers = (solid.levels - 1) // solid.order
     level = solid.order * np.arange(layers)[:, None] + np.arange(solid.order + 1)
@@ -308,9 +315,7 @@ def _side_dashpots(model: Model, row_of: Int, count: int) -> Float:
     cells = cells.reshape(-1, solid.order + 1, solid.order + 1)
     owner = (cell + len(solid.quads.cells) * np.arange(layers)[:, None]).ravel()
     total = np.zeros((count, 3, 3))
-    x = solid.nodes[cells]
-    area = np.cross(np.einsum("im,emjc->eijc", gll.derivative, x), np.einsum("jm,eimc->eijc", gll.derivative, x))
-    area *= np.outer(gll.weights, gll.weights)[..., None]
+    area = cell_areas(solid.nodes[cells], solid.order)
     size = np.linalg.norm(area, axis=3)
     out = area / size[..., None]
     impedance = np.array(

@@ -4,6 +4,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from palmfield.errors import SceneError
+from palmfield.skin.problem import in_space
 from palmfield.skin.solvers.spectral_elements.gll import lagrange, rule
 from palmfield.skin.solvers.spectral_elements.solid import Solid
 from palmfield.types import Float, Int
@@ -18,11 +19,7 @@ def find(solid: Solid, at: Float) -> tuple[Int, Float]:
     at: points [m], shape (p, 3), or (p, 2) on a plane face; each is moved to the nearest place of the surface.
     Raises SceneError for another shape, numbers that are not finite, and points farther off than the width of a cell.
     """
-    points = np.asarray(at, dtype=float)
-    if points.ndim != 2 or points.shape[1] not in (2, 3) or not np.isfinite(points).all():
-        raise SceneError(f"skin points have shape {points.shape}; give finite positions of shape (n, 3) or (n, 2)")
-    if points.shape[1] == 2:
-        points = np.column_stack([points, np.zeros(len(points))])
+    points = in_space(at)
     cells = solid.quads.cells
     n = solid.order + 1
     x = solid.nodes[: solid.surface_nodes][cells]
@@ -43,8 +40,8 @@ def find(solid: Solid, at: Float) -> tuple[Int, Float]:
         kept = left[better]
         best[kept], chosen[kept], where[kept] = off[better], tried[better], places[better]
     far = best / width[chosen]
-    worst = int(np.argmax(far)) if len(points) else 0
-    if len(points) and far[worst] > 1.0:
+    worst = int(np.argmax(far))
+    if far[worst] > 1.0:
         raise SceneError(
             f"skin point {worst}, ({', '.join(f'{c:.4g}' for c in points[worst])}) m, is {best[worst]:.3g} m from "
             "the face: move it onto the face"

@@ -99,10 +99,15 @@ def base_areas(solid: Solid) -> Float:
     return -_areas(solid, solid.nodes[-solid.surface_nodes :])
 
 
-def _areas(solid: Solid, nodes: Float) -> Float:
-    gll, cells = rule(solid.order), solid.quads.cells
-    x = nodes[cells]
+def cell_areas(x: Float, order: int) -> Float:
+    """Area vectors of the nodes of cells by GLL quadrature [m^2], as their positions x (m, n, n, 3)."""
+    gll = rule(order)
     area = np.cross(np.einsum("im,emjc->eijc", gll.derivative, x), np.einsum("jm,eimc->eijc", gll.derivative, x))
     area *= np.outer(gll.weights, gll.weights)[..., None]
-    flat = area.reshape(-1, 3)
+    return area
+
+
+def _areas(solid: Solid, nodes: Float) -> Float:
+    cells = solid.quads.cells
+    flat = cell_areas(nodes[cells], solid.order).reshape(-1, 3)
     return np.stack([np.bincount(cells.ravel(), flat[:, c], minlength=len(nodes)) for c in range(3)], axis=1)

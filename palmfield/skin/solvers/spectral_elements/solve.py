@@ -29,7 +29,7 @@ from palmfield.skin.problem import (
 )
 from palmfield.skin.solvers.spectral_elements.loads import table_of
 from palmfield.skin.solvers.spectral_elements.mesh import Plan, build, fast_speed, plan
-from palmfield.skin.solvers.spectral_elements.model import SAFETY, Holds, Model, hold
+from palmfield.skin.solvers.spectral_elements.model import SAFETY, Holds, Model, held
 from palmfield.skin.solvers.spectral_elements.places import find
 from palmfield.skin.solvers.spectral_elements.run import Points, Stepper
 from palmfield.skin.solvers.spectral_elements.solid import Solid
@@ -303,14 +303,9 @@ def prepared(body: Body, chosen: Plan, device: str, precision: str) -> tuple[Mod
     """Elements, what holds them, and their stable step [s]: what runs on one mesh share."""
     solid, damping = build(body, chosen)
     model = Model(solid, body.sheets, device, precision)
-    side = "absorbing" if isinstance(body, Layer) and body.side == "absorbing" else body.side
-    if not isinstance(body, Layer) and chosen.sponge_m > 0.0:
-        side = "absorbing"
+    side = body.side if isinstance(body, Layer) or chosen.sponge_m == 0.0 else "absorbing"
     assert not isinstance(body.base, Foundation)
-    holds = hold(model, body.base, side, damping)
-    rows = model.mass[holds.rows, None, None]
-    spring_rate = float((np.abs(holds.spring) / rows).sum(axis=2).max(initial=0.0))
-    return model, holds, model.stable_step(spring_rate)
+    return model, *held(model, body.base, side, damping)
 
 
 def march(

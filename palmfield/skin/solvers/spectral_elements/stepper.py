@@ -6,13 +6,13 @@ import numpy as np
 
 from palmfield.locked import locked_cached_property
 from palmfield.skin.approximation.reduce_bulk_modulus import reduce_bulk_modulus
-from palmfield.skin.explicit_layer import OwnMesh, OwnMeshStepper
 from palmfield.skin.fem.face_transfer import FaceTransfer
+from palmfield.skin.own_mesh import OwnMesh, OwnMeshStepper
 from palmfield.skin.problem import Body, Foundation, SkinProblem
 from palmfield.skin.solvers.spectral_elements import solve
 from palmfield.skin.solvers.spectral_elements.loads import Table
 from palmfield.skin.solvers.spectral_elements.mesh import Plan, build, plan
-from palmfield.skin.solvers.spectral_elements.model import SAFETY, Model, hold
+from palmfield.skin.solvers.spectral_elements.model import SAFETY, Model, held
 from palmfield.skin.solvers.spectral_elements.places import find
 from palmfield.skin.solvers.spectral_elements.run import Points, Stepper, state_size
 from palmfield.skin.solvers.spectral_elements.solid import Solid, face_areas
@@ -124,10 +124,7 @@ class SpectralElementStepper(OwnMeshStepper):
         assert not isinstance(body.base, Foundation)
         self._model = Model(own.solid, body.sheets, device)
         self.state_size = state_size(own.solid, self._model.materials)
-        self._holds = hold(self._model, body.base, body.side)
-        rows = self._model.mass[self._holds.rows, None, None]
-        rate = float((np.abs(self._holds.spring) / rows).sum(axis=2).max(initial=0.0))
-        self._stable_s = self._model.stable_step(rate)
+        self._holds, self._stable_s = held(self._model, body.base, body.side, None)
         self.steps = math.ceil(self.step_s / (SAFETY * self._stable_s))
         self._rooms: list[Stepper] = []
 
