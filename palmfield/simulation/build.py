@@ -40,7 +40,6 @@ from palmfield.simulation.validate import (
     check_envelope,
     check_overlaps,
 )
-from palmfield.skin.fem.wedge_stepper import WedgeStepper
 from palmfield.skin.mesh.cylinder import round_body
 from palmfield.skin.scene_layer import LayerDemand, SceneLayer
 from palmfield.stimulus.focal_points import FocalPoints, SurfaceCourse
@@ -51,6 +50,7 @@ from palmfield.transforms import Transform
 from palmfield.types import Float
 
 if TYPE_CHECKING:
+    from palmfield.skin.fem.wedge_stepper import WedgeStepper
     from palmfield.stimulus.surface_path import SurfacePath
 
 LEAST_FREQUENCY_Hz = 200.0
@@ -60,7 +60,7 @@ NEAR = 0.25
 MOST_MODELS = 8
 _lock = threading.RLock()
 _models: list[HapticModel] = []
-_kept: list[tuple[SceneLayer, Lazy[WedgeStepper]]] = []
+_kept: "list[tuple[SceneLayer, Lazy[WedgeStepper]]]" = []
 # While a model holds them, others that need the same ones reuse them: a mesh and its matrices take seconds
 _bodies: WeakValueDictionary[SkinConfig, BodyModel] = WeakValueDictionary()
 _known_layers: WeakValueDictionary[tuple[object, ...], SceneLayer] = WeakValueDictionary()
@@ -129,15 +129,17 @@ def board_for(spec: SceneSpec, arrays: PhasedArray) -> Board:
     return board
 
 
-def whole_of(layer: SceneLayer) -> Lazy[WedgeStepper]:
+def whole_of(layer: SceneLayer) -> "Lazy[WedgeStepper]":
     """The stepper of a whole layer, with its matrix factorised at first use; the stored one, if any."""
     with _lock:
         known = next((whole for other, whole in _kept if other is layer), None)
         return known or Lazy(partial(whole_stepper, layer))
 
 
-def whole_stepper(layer: SceneLayer) -> WedgeStepper:
+def whole_stepper(layer: SceneLayer) -> "WedgeStepper":
     """The stepper of a whole layer, with its factorised matrix."""
+    from palmfield.skin.fem.wedge_stepper import WedgeStepper
+
     return WedgeStepper(layer.system, layer.quadrature.operator, layer.sizes.step_s)
 
 

@@ -27,14 +27,14 @@ from palmfield.locked import Lazy, locked_cached_property
 from palmfield.simulation.spec import SceneSpec, SkinSpec, StimulusSpec
 from palmfield.skin.explicit_layer import ExplicitLayer, explicit_layer
 from palmfield.skin.fem.probe import surface_vectors
-from palmfield.skin.fem.wedge_stepper import WedgeStepper
 from palmfield.skin.mesh.wedges import closed_boundary, output_triangles
 from palmfield.skin.scene_layer import SceneLayer
 from palmfield.skin.stepper import SkinStepper
 from palmfield.transforms import Transform, corners_of
 from palmfield.types import Float, Int, Surface
 
-if TYPE_CHECKING:  # most stimuli have no path on a surface
+if TYPE_CHECKING:  # made where it is stepped by, and most stimuli have no path on a surface
+    from palmfield.skin.fem.wedge_stepper import WedgeStepper
     from palmfield.stimulus.surface_path import SurfacePath
 
 
@@ -307,7 +307,7 @@ class HapticModel:
     pole: Pole
     response_on: bool
     begin: tuple[Lazy[SkinStepper], ...]
-    whole: tuple[Lazy[WedgeStepper], ...]
+    whole: "tuple[Lazy[WedgeStepper], ...]"
     marks: dict[tuple[str, int, str], float] = field(default_factory=dict)
 
     @cached_property

@@ -15,7 +15,6 @@ import numpy as np
 
 from palmfield.errors import SceneError
 from palmfield.simulation.model import HapticModel
-from palmfield.skin.fem.wedge_stepper import WedgeStepper
 from palmfield.skin.stepper import SkinStepper
 from palmfield.types import Complex, Float
 
@@ -128,7 +127,7 @@ def _mark(model: HapticModel, kind: str, number: int, name: str) -> float:
         stepper = (model.begin[number] if model.begin[number].value.name == name else model.whole[number]).value
         parts = [skin.spec.config.model_dump_json(), skin.layer.state_room, stepper.state_size, stepper.step_s]
         parts += [skin.spec.patch_centre, len(skin.nodes[0])]
-        if name != WedgeStepper.name:
+        if name != "wedges":
             # A small model's numbers belong to its basis, which comes from all that the scene is going to do.
             parts.append(repr(replace(model.spec, device="", duration_s=0.0)))
     digest = hashlib.sha256(json.dumps([VERSION, version("palmfield"), kind, name, *parts]).encode()).digest()

@@ -4,7 +4,7 @@ The part of the loads on a skin outside the class of its modes is measured in ev
 """
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,10 +15,12 @@ from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.radiation import Radiation
 from palmfield.simulation.state import HEADER, WHOLE, HapticState, claim
-from palmfield.skin.fem.wedge_stepper import WedgeStepper
 from palmfield.skin.stepper import Outside, SkinStepper, SurfaceLoads
 from palmfield.stimulus.schedule import first_point
 from palmfield.types import Complex, Float
+
+if TYPE_CHECKING:
+    from palmfield.skin.fem.wedge_stepper import WedgeStepper
 
 SHORT_WAVES = 3.0
 """Velocity error of a load outside the class, over its share of the pressure, about. Its waves are shorter than those
@@ -74,7 +76,7 @@ def continue_on_whole_layer(
     radiation: Radiation,
     amplitudes: Complex,
     t0: float,
-) -> tuple[WedgeStepper, Float]:
+) -> "tuple[WedgeStepper, Float]":
     """Expand the motion of a small model to the whole layer, in place; amplitudes: emitted at t0 [s], shape (N,).
 
     Returns the stepper of the whole layer and its numbers, shape (1, state_size), a view of the state.

@@ -12,6 +12,7 @@ mirroring of the scene, of the order of its arrays, and of the mesh of the skin.
 import math
 import threading
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -28,11 +29,13 @@ from palmfield.simulation.model import HapticModel, StimulusModel
 from palmfield.simulation.posed_scene import PosedScene, PosedSkin, PosedSurface, reference_scene
 from palmfield.simulation.spec import SkinSpec
 from palmfield.skin.reduction.load_shapes import POINTS
-from palmfield.skin.reduction.modal_stepper import ModalBody, ModalStepper, modal_body
 from palmfield.skin.scene_layer import SceneLayer
 from palmfield.stimulus.schedule import frame_rates, main_frequencies, turn_m, turn_rate_Hz
 from palmfield.transforms import Transform
 from palmfield.types import Complex, Float, Int
+
+if TYPE_CHECKING:
+    from palmfield.skin.reduction.modal_stepper import ModalBody, ModalStepper
 
 MOVES = (
     ((0.0, 0.0, 0.0), (0.0, 0.0), 20, 12),
@@ -70,7 +73,7 @@ LEAST_CORNER_Hz = 75.0
 """Corner of the spectrum of a load with only onset and end: the sound of a start or stop falls as 1/f."""
 _lock = threading.RLock()
 # The last modes of a layer and what they depend on besides it: to find 100 MB in the cache on disk takes a second
-_bodies: WeakKeyDictionary[SceneLayer, tuple[str, ModalBody]] = WeakKeyDictionary()
+_bodies: "WeakKeyDictionary[SceneLayer, tuple[str, ModalBody]]" = WeakKeyDictionary()
 
 
 def refusal(skin: SkinSpec, layer: SceneLayer) -> str | None:
@@ -110,12 +113,14 @@ def _region_m(layer: SceneLayer) -> float:
     return max(sizes.fine_radius_m, 2.0 * spot_m)
 
 
-def class_stepper(model: HapticModel, skin: int, blocks: int | None = None) -> ModalStepper:
+def class_stepper(model: HapticModel, skin: int, blocks: int | None = None) -> "ModalStepper":
     """Modes of the layer of a skin for the class of its loads.
 
     blocks: of the space of the modes, by default the number that the accuracy of the skin needs.
     Raises SceneError where modes are impossible.
     """
+    from palmfield.skin.reduction.modal_stepper import ModalStepper, modal_body
+
     part = model.skins[skin]
     layer, accuracy = part.layer, part.spec.config.accuracy
     posed = reference_scene(model)
