@@ -121,17 +121,7 @@ def scatter(
         )
     gradient = surface_gradient(vertices, triangles, pressure)
     return Scattering(
-        vertices,
-        triangles,
-        wavenumber,
-        centroids,
-        normals,
-        areas,
-        pressure,
-        gradient,
-        len(steps),
-        residual,
-        resolution,
+        vertices, triangles, wavenumber, centroids, normals, areas, pressure, gradient, len(steps), residual, resolution
     )
 
 

@@ -10,6 +10,7 @@ from palmfield.errors import SceneError
 from palmfield.hand.chirality import Chirality, fingers_direction
 from palmfield.hand.meshquery import exit_distances
 from palmfield.hand.patch import surface_patch
+from palmfield.hand.preset import DIGITS
 from palmfield.hand.triangles import adjacency
 from palmfield.types import Float, Surface
 
@@ -21,7 +22,6 @@ PALM_RADIUS_m, TIP_RADIUS_m = 0.02, 0.008
 EDGE_SHARE = 0.25
 """Edge length of the elements of small patches in scenes, as a share of their radius, at any accuracy."""
 TIP_PIECE_m, PAD_FROM_TIP_m = 0.015, 0.009
-DIGITS = ("thumb", "index", "middle", "ring", "little")
 
 
 def foretold_layers(surface: Surface, hand: Chirality, depth_m: float = DEPTH_m) -> list[dict[str, Any]]:
@@ -46,15 +46,7 @@ def _layer(surface: Surface, place: str, centre: Float, radius_m: float, depth_m
     edge = EDGE_SHARE * radius_m
     try:
         report = surface_patch(
-            surface,
-            depth_m,
-            centre,
-            radius_m,
-            edge,
-            edge,
-            radius_m,
-            max_depth_m=depth_m,
-            max_fraction=OF_A_MESH,
+            surface, depth_m, centre, radius_m, edge, edge, radius_m, max_depth_m=depth_m, max_fraction=OF_A_MESH
         ).report
     except SceneError as error:
         return facts | {"error": str(error)}

@@ -18,13 +18,7 @@ from palmfield.hand.layer import (
     wedge_quality,
 )
 from palmfield.hand.meshquery import exit_distances
-from palmfield.hand.triangles import (
-    face_normals,
-    largest_part,
-    on_rim,
-    unique_edges,
-    vertex_areas,
-)
+from palmfield.hand.triangles import face_normals, largest_part, on_rim, unique_edges, vertex_areas
 from palmfield.types import Float, Int, Patch, Surface
 
 THINNED = 0.999

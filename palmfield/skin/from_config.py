@@ -104,8 +104,5 @@ def material_of(skin: SkinConfig) -> Material:
             Branch(*(new if new is not None else old for new, old in zip(branch, astuple(own), strict=True))),
         )
     return replace(
-        base,
-        name=f"{base.name}, changed",
-        source=f"{base.source}; set by the scene: {', '.join(changed)}",
-        **values,
+        base, name=f"{base.name}, changed", source=f"{base.source}; set by the scene: {', '.join(changed)}", **values
     )

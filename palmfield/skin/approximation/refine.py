@@ -141,8 +141,7 @@ def refine_until_converged(
         room = min(FINEST_RATIO, (MOST_DOFS / fine.dofs) ** (1.0 / 3.0))
         # Rounded, so that another unit of load does not make another mesh
         ratio = max(
-            ratio_of(body, now.sizes),
-            round(min((float(mesh_error[judged]) / (0.8 * left)) ** (1.0 / 3.0), room), 2),
+            ratio_of(body, now.sizes), round(min((float(mesh_error[judged]) / (0.8 * left)) ** (1.0 / 3.0), room), 2)
         )
         if pinned or mesh_error[judged] <= left or fine.dofs * ratio**3 > MOST_DOFS:
             break

@@ -131,9 +131,7 @@ def solve_wedges(
     if step_s is not None and not 0.0 < step_s < math.inf:
         raise SceneError(f"solver 'wedges': step_s is {step_s}; give a time above 0 s, or omit it")
     now = Discretisation(
-        sizes or first_sizes(body, load, points, accuracy),
-        step_s or first_step(body, load, accuracy),
-        rho_inf,
+        sizes or first_sizes(body, load, points, accuracy), step_s or first_step(body, load, accuracy), rho_inf
     )
 
     def run(discretisation: Discretisation, factor: float = 1.0, reach: float = 1.0) -> MeshSolution:
