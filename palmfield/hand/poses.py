@@ -1,6 +1,5 @@
 """Poses of an articulated hand, by name and by joint angles, and their skin, checked."""
 
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -155,7 +154,8 @@ def posed_and_repaired(
             "less" + ("" if repair_m > 0.0 else ", or allow a repair (repair_m)")
         )
     moves = np.linalg.norm(vertices - surface.vertices, axis=1)
-    report = Repair(len(pairs), dict(_places(hand, pairs)), int(np.count_nonzero(moves)), float(moves.max()))
+    places = {parts: len(numbers) for parts, numbers in _places(hand, pairs).items()}
+    report = Repair(len(pairs), places, int(np.count_nonzero(moves)), float(moves.max()))
     return Surface(vertices, surface.faces, vertex_normals(vertices, surface.faces)), report
 
 
@@ -181,22 +181,21 @@ def _pushed_apart(surface: Surface, pairs: Int, repair_m: float) -> Float:
     return vertices
 
 
-def _places(hand: SkinnedHand, pairs: Int) -> Counter[str]:
-    """Crossing pairs by the parts of the hand that they belong to."""
+def _places(hand: SkinnedHand, pairs: Int) -> dict[str, list[int]]:
+    """Numbers of crossing pairs by the parts of the hand that they belong to, the most first."""
     owner = hand.dominant_bone()[hand.surface.faces[:, 0]]
     names = [bone.name for bone in hand.hand.bones]
-    return Counter(" and ".join(sorted({names[owner[a]], names[owner[b]]})) for a, b in pairs)
+    places: dict[str, list[int]] = {}
+    for number, (a, b) in enumerate(pairs):
+        places.setdefault(" and ".join(sorted({names[owner[a]], names[owner[b]]})), []).append(number)
+    return dict(sorted(places.items(), key=lambda place: -len(place[1])))
 
 
 def _described(hand: SkinnedHand, surface: Surface, pairs: Int) -> str:
-    owner = hand.dominant_bone()[surface.faces[:, 0]]
-    names = [bone.name for bone in hand.hand.bones]
     descriptions = []
     places = _places(hand, pairs)
-    for parts, count in places.most_common(3):
-        pair = set(parts.split(" and "))
-        here = np.array([{names[owner[a]], names[owner[b]]} == pair for a, b in pairs])
-        x, y, z = 1e3 * surface.vertices[surface.faces[pairs[here]]].mean(axis=(0, 1, 2))
-        descriptions.append(f"{parts} in {count} places about ({x:.0f}, {y:.0f}, {z:.0f}) mm")
+    for parts, numbers in list(places.items())[:3]:
+        x, y, z = 1e3 * surface.vertices[surface.faces[pairs[numbers]]].mean(axis=(0, 1, 2))
+        descriptions.append(f"{parts} in {len(numbers)} places about ({x:.0f}, {y:.0f}, {z:.0f}) mm")
     more = f" and {len(places) - 3} more pairs of parts" if len(places) > 3 else ""
     return "; ".join(descriptions) + more
