@@ -108,7 +108,7 @@ def test_another_timestep_after_loading_is_refused(model):
     data = stepped(model, 2)
     model.opt.timestep = 0.002
     mujoco.mj_step(model, data)
-    with pytest.raises(palmfield.SceneError, match=r"'timestep' has value 0.002, and 0.001 when the scene was loaded"):
+    with pytest.raises(palmfield.SceneError, match=r"'timestep' has value 0.002, but was 0.001 when the scene was"):
         raise_errors(data)
 
 
