@@ -156,7 +156,8 @@ def many_threads(monkeypatch: pytest.MonkeyPatch) -> Callable[[mujoco.MjData], i
     def blocks(data: mujoco.MjData) -> int:
         world = world_of(data)
         assert world is not None
-        kept = world.scene.work.radiation._evaluators.values()
-        return max(len(evaluator._blocks) if evaluator._threads > 1 else 1 for _, evaluator in kept)
+        kept = [value for _, value in world.scene.work.radiation._shared._last.values()]
+        fields = [value for value in kept if isinstance(value, surface_arp.SurfaceArp)]
+        return max(len(one._blocks) if one._threads > 1 else 1 for one in fields)
 
     return blocks

@@ -1,34 +1,20 @@
-"""Effect of bodies on the sound on a surface: shadows by rays, or the whole scattered field. All in the array frame."""
+"""Effect of bodies on the sound on a surface: the whole scattered field, by boundary elements."""
 
-import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import warp as wp
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from palmfield.acoustics import check
 from palmfield.acoustics.arp import SurfaceSound, wall_pressure
-from palmfield.acoustics.knife_edge import OutlineMesh
 from palmfield.acoustics.scattering import Incident, Scattering, scatter
-from palmfield.acoustics.shadow import CLEARANCE_m, REACH_m
-from palmfield.device import SharedArray, filled, recorded, resolve
 from palmfield.errors import PalmfieldError
 from palmfield.hand.subdivide import with_short_edges
 from palmfield.hand.triangles import checked_mesh, face_normals
-from palmfield.threads import Calls, cores, share
-from palmfield.types import Air, Complex, Float, Float32, Int
-from warp_kernels import shadow as kernels
+from palmfield.types import Air, Complex, Float, Int
 
 MOST_FACES = 1_000_000
 EDGES_PER_WAVELENGTH = 6.0
 """Longest edge of the boundary elements; they come out with about 8 edges a wavelength in the mean."""
-RAYS_PER_THREAD = 300
-"""Fewest rays per thread: 0.2 ms of work against 0.02 ms to hand it over."""
-SIZES_KEPT = 8
-"""Numbers of points for which an `Occlusion` keeps buffers."""
 
 BODY_SOUNDS = {
     "none": "faces turned away from the sound are unlit; parts cast no shadows on each other; no echoes",
@@ -88,121 +74,3 @@ class RigidScatteredField:
         pressure: Complex = solution.pressure[face] + np.einsum("ij,ij->i", offset, gradient)
         arp = wall_pressure(pressure, gradient, solution.wavenumber, self.air)
         return SurfaceSound(arp.astype(np.float32), np.abs(pressure).astype(np.float32))
-
-
-class Occlusion:
-    """All obstacles as a bounding volume hierarchy that follows its vertices.
-
-    Refitting the hierarchy takes 0.4 ms for two hands of 11,448 faces each, building it 9 ms; rays are as fast in both.
-    Belongs to the state of one simulation and is used by one thread at a time; on the CPU it takes helper threads.
-
-    vertices: [m], shape (v, 3). faces: shape (m, 3): all obstacles in one mesh.
-    device: "auto", "cpu" or "cuda:N".
-    counts: vertices of each body in the mesh, in their order, where there are several.
-    threads: on the CPU, 1 or more; None is all cores that this process may use.
-    """
-
-    def __init__(
-        self, vertices: Float, faces: Int, device: str = "auto", counts: Sequence[int] = (), threads: int | None = None
-    ):
-        """Raises PalmfieldError for a device that is not on this machine."""
-        self.device = resolve(device)
-        self._threads = cores() if threads is None else threads
-        self._vertices = SharedArray(len(vertices), wp.vec3, self.device)
-        corners: wp.array = wp.array(np.asarray(faces, np.int32).ravel(), dtype=wp.int32, device=self.device)
-        # Built with the bodies far from one another, so that no branch has faces of two: else branches would stretch
-        # from one to the other once they are elsewhere
-        extent = float(np.ptp(vertices, axis=0).max()) if len(vertices) else 0.0
-        body = np.repeat(np.arange(len(counts)), counts) if len(counts) else np.zeros(len(vertices), int)
-        self._vertices.put(vertices + np.outer(2.0 * extent * body, [1.0, 0.0, 0.0]))
-        self.mesh = wp.Mesh(self._vertices.array, corners)
-        self._rays: dict[int, _Rays] = {}
-        self._shape = vertices, faces
-        self._outline: tuple[OutlineMesh, Calls] | None = None
-        self.move(vertices)
-
-    @property
-    def outline(self) -> OutlineMesh:
-        """The same bodies as obstacles for knife edges; after its first use it moves with them."""
-        if self._outline is None:
-            made = OutlineMesh(self.mesh, *self._shape)
-            self._outline = made, made.calls()
-            for call in self._outline[1]:
-                call()
-        return self._outline[0]
-
-    def move(self, vertices: Float) -> None:
-        """Take new positions of the same vertices [m], shape (v, 3)."""
-        self._vertices.put(vertices)
-        self.mesh.refit()
-        if self._outline is not None:
-            for call in self._outline[1]:
-                call()
-
-    def lit(
-        self, points: Float, flux: Float | Float32, reach_m: Float | Float32 | float = REACH_m
-    ) -> NDArray[np.bool_]:
-        """Whether no body blocks the way back along the sound, shape (n,): one ray per point.
-
-        On a closed body a point where sound leaves the surface is dark, because the ray runs into the body; so is a
-        point without sound. The result is a view of a buffer that the next call with as many points overwrites.
-
-        points: [m], shape (n, 3). flux: direction of the sound there, any length, shape (n, 3).
-        reach_m: length of the ray [m], a number or shape (n,).
-        Raises PalmfieldError for other shapes and numbers that are not finite.
-        """
-        count = len(points)
-        if points.shape != (count, 3) or flux.shape != (count, 3):
-            raise PalmfieldError(f"points {points.shape} and flux {flux.shape}: give (n, 3) for both")
-        rays = self._rays.get(count)
-        if rays is None:
-            if len(self._rays) >= SIZES_KEPT:
-                self._rays.clear()
-            rays = self._rays[count] = _Rays(self.mesh, count, self.device, self._threads)
-        rays.points.host[...] = points
-        rays.flux.host[...] = flux
-        rays.reach.host[...] = reach_m
-        for name, values in (("points", points), ("flux", flux)):
-            if not math.isfinite(np.add.reduce(values, axis=None)):
-                raise PalmfieldError(
-                    f"{name}[{check.first_bad(values)}] is not finite: correct the source of the {name}"
-                )
-        if self.device != "cpu":
-            rays.points.upload()
-            rays.flux.upload()
-            rays.reach.upload()
-        if rays.threads > 1:
-            share(rays.blocks, rays.threads)
-        else:
-            for calls in rays.blocks:
-                for call in calls:
-                    call()
-        if self.device != "cpu":
-            rays.lit.download()
-            wp.synchronize_stream(self.device)
-        return rays.result
-
-
-class _Rays:
-    """Buffers and recorded launches for `count` rays, in blocks that threads share out."""
-
-    def __init__(self, mesh: wp.Mesh, count: int, device: str, threads: int):
-        self.points, self.flux = SharedArray(count, wp.vec3, device), SharedArray(count, wp.vec3, device)
-        self.reach, self.lit = SharedArray(count, wp.float32, device), SharedArray(count, wp.uint8, device)
-        self.result = self.lit.host.view(np.bool_)
-        self.threads = 1 if device != "cpu" else max(1, min(threads, count // RAYS_PER_THREAD))
-        blocks = min(4 * self.threads, count // RAYS_PER_THREAD) if self.threads > 1 else 1
-        size = -(-count // blocks)
-        self.blocks: list[Calls] = []
-        for start in range(0, count, size or 1):
-            own = slice(start, min(start + size, count))
-            rays = filled(
-                kernels.Rays(),
-                mesh=mesh.id,
-                points=self.points.array[own],
-                flux=self.flux.array[own],
-                reach=self.reach.array[own],
-                clearance=CLEARANCE_m,
-                lit=self.lit.array[own],
-            )
-            self.blocks.append((recorded(kernels.lit_by_flux, own.stop - own.start, [rays], device),))

@@ -1,36 +1,12 @@
-"""Total effect of the sound on a surface, and the place of the surface relative to the arrays."""
+"""Total effect of the sound on a surface."""
 
 import numpy as np
 from numpy.typing import NDArray
 
-from palmfield.acoustics.phased_array import PhasedArray
-from palmfield.acoustics.shadow import REACH_m
 from palmfield.types import Float, Float32, Int
 
 CLEARANCE_M = 2e-3
 """Least distance of a body from the board of an array [m]."""
-GRAZING = 1e-6
-"""A ray that goes along a board, to this cosine, does not meet it."""
-
-
-def distance_to_arrays(points: Float, flux: Float | Float32, phased_array: PhasedArray) -> Float:
-    """Length of each point's ray back along the sound, up to the board of an array [m], shape (n,).
-
-    points: [m], array frame, shape (n, 3). flux: direction of the sound there, any length, shape (n, 3).
-    A board is the plane through an array's middle across its mean direction; of several arrays the farthest counts.
-    """
-    along = flux.T.astype(np.float64, order="C")
-    along /= np.maximum(np.sqrt(np.add.reduce(along * along, axis=0)), 1e-30)
-    farthest: Float = np.zeros(len(points))
-    for facing, height in zip(phased_array.facing.T, phased_array.heights.tolist(), strict=True):
-        leaving = facing @ along  # how fast the way back nears the board
-        above = points @ facing
-        above -= height
-        way = np.empty(len(points))
-        way.fill(REACH_m)
-        np.divide(above, leaving, out=way, where=leaving > GRAZING)
-        np.maximum(farthest, way, out=farthest)
-    return np.minimum(farthest, REACH_m, out=farthest)
 
 
 class Parts:

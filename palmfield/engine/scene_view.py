@@ -146,15 +146,14 @@ class SceneView:
                 many = [self._radiation.at(posed, skin, "vertices", points, normals, unit).arp for unit, _ in units]
                 sounds = np.array(many)
             return np.asarray(weights @ sounds, dtype=np.float64)
-        solved = self.runtime.work.radiation.scattered_fields().get(skin)
-        if solved is None or len(units) > 1:
+        solution = self.runtime.work.radiation.solution(skin)
+        if solution is None or len(units) > 1:
             return None
-        where, drive, field = solved
-        level = _level(units[0][0], drive)
-        if level is None or where.skins[skin] is not posed.skins[skin]:
+        level = _level(units[0][0], solution.drive)
+        if level is None or solution.posed.skins[skin] is not posed.skins[skin]:
             return None
         own = posed.skins[skin].body.frame.inverse_points(points)
-        return np.asarray(units[0][1] * level * field.at(own).arp, dtype=np.float64)
+        return np.asarray(units[0][1] * level * solution.at(own).arp, dtype=np.float64)
 
     def _evaluator(self, posed: PosedScene, skin: int, count: int) -> SurfaceArp:
         """Free field at this number of points of a skin; stored while the relative pose of the arrays is the same."""

@@ -191,7 +191,7 @@ def scene_numbers(
 def _radiation(runtime: SceneRuntime) -> Radiation:
     """Fields of the model of a scene, with the boundary-element solutions of its run."""
     radiation = Radiation(runtime.model)
-    radiation.adopt(runtime.work.radiation.scattered_fields())
+    radiation.continue_from(runtime.work.radiation)
     return radiation
 
 

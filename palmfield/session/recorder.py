@@ -19,8 +19,8 @@ from palmfield.session.phase_turns import PhaseTurns
 from palmfield.simulation.emission import Emission
 from palmfield.simulation.model import HapticModel, SkinModel
 from palmfield.simulation.posed_scene import PosedScene
-from palmfield.simulation.radiation import Role
 from palmfield.simulation.sensors import CHANNELS, UNITS
+from palmfield.simulation.skin_sound import Role
 from palmfield.simulation.step import StepTrace
 from palmfield.stimulus.schedule import frames_at
 from palmfield.transforms import quaternion

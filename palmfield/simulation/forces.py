@@ -5,7 +5,8 @@ import numpy as np
 from palmfield.acoustics.surface_load import Parts, pushes, resultants
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene
-from palmfield.simulation.radiation import Key, Radiation
+from palmfield.simulation.radiation import Radiation
+from palmfield.simulation.skin_sound import Key
 from palmfield.types import Complex, Float, Float32, Int
 
 

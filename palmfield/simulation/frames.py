@@ -9,6 +9,7 @@ from palmfield.drive.board import Board
 from palmfield.drive.boards import BOARDS
 from palmfield.drive.transducer_response import commanded_drive
 from palmfield.simulation.emission import Emission, PlacedStimulus
+from palmfield.simulation.kept import Kept
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.stimulus.schedule import frames_at
@@ -33,8 +34,7 @@ class Frames:
         self._configs = [
             config.model_copy(update=UNMODULATED) if model.board.modulates else None for config in model.configs
         ]
-        self._drives: dict[int, ArrayDrive] = {}
-        self._arrays = 0
+        self._kept = Kept()
 
     def at(self, posed: PosedScene, time_s: float, share: float = 1.0) -> bytes:
         """The bytes that make the board emit the drive of the stimuli at a time [s].
@@ -68,18 +68,7 @@ class Frames:
     def _sum(self, placed: list[PlacedStimulus], posed: PosedScene, time_s: float) -> Complex:
         wanted: Complex = np.zeros(len(posed.arrays), np.complex128)
         for number, (part, drive, points) in enumerate(placed):
-            own = self._wanted(number, drive, posed)
+            given = posed.arrays, drive.chosen, part.config.arp_peak_Pa, part.config.drive_amplitude, self._exact
+            own = self._kept.of(number, posed.arrays.serial, ArrayDrive, *given)
             wanted += commanded_drive(self._configs[number] or part.config, own, None, np.array([time_s]), points)[0]
         return wanted
-
-    def _wanted(self, number: int, drive: ArrayDrive, posed: PosedScene) -> ArrayDrive:
-        """The commanded drive of a stimulus, with the arrays in their present pose."""
-        if self._arrays != posed.arrays.serial:
-            self._arrays = posed.arrays.serial
-            self._drives.clear()
-        if number not in self._drives:
-            config = self.model.stimuli[number].config
-            self._drives[number] = ArrayDrive(
-                posed.arrays, drive.chosen, config.arp_peak_Pa, config.drive_amplitude, self._exact
-            )
-        return self._drives[number]

@@ -31,7 +31,7 @@ from palmfield.device import (
 from palmfield.drive.path_drives import PathDrives, PathMemory
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene, PoseLayout
-from palmfield.simulation.radiation import BODY_SPACING_m, bends, load_nodes, sample_nodes
+from palmfield.simulation.radiation import bends
 from palmfield.simulation.scene_points import (
     ForceOwners,
     ScenePoints,
@@ -41,6 +41,7 @@ from palmfield.simulation.scene_points import (
     motions_of,
 )
 from palmfield.simulation.sensors import SensorPlace
+from palmfield.simulation.shadows import BODY_SPACING_m, load_nodes, sample_nodes
 from palmfield.skin.reduction.device_models import SECTIONS
 from palmfield.skin.stepper import DeviceModel, StepMemory
 from palmfield.types import Float

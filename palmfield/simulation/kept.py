@@ -1,7 +1,10 @@
-"""Values of several worlds that are computed again only where pose or drive are others."""
+"""Results that are computed again only where what they were computed from is another: pose or drive, as a rule.
 
-from collections.abc import Callable
-from typing import Any
+No other code of the stages asks whether something is the same as last time.
+"""
+
+from collections.abc import Callable, Hashable
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,31 +14,59 @@ from palmfield.types import Float
 Bool = NDArray[np.bool_]
 Rows = NDArray[np.intp]
 Serials = NDArray[np.int64]
+T = TypeVar("T")
 
 
 class Kept:
-    """An array with a row for each world, kept under the serial numbers of pose and drive."""
+    """The last result under each name, with its key: serial numbers, or anything that is equal while it is valid."""
 
-    def __init__(self, worlds: int, *shape: int):
-        self._values: Float = np.zeros((worlds, *shape))
-        self._keys: Serials = np.zeros((worlds, 2), np.int64)
+    def __init__(self, worlds: int = 1):
+        """worlds: number of rows of results in `rows`"""
+        self._worlds = worlds
+        self._last: dict[Hashable, tuple[object, Any]] = {}
+        self._rows: dict[Hashable, tuple[Serials, Float]] = {}
 
-    def rows(self, worlds: Rows, keys: Serials, make: Callable[..., Float | float], *given: Any) -> Float:
-        """The values of some worlds, shape (g, ...), under serial numbers (g, 2).
+    def of(self, name: Hashable, key: object, make: Callable[..., T], *given: Any, move: Any = None) -> T:
+        """The result under a name; computed from what is given if the key is another than last time.
+
+        move: function of the last result, and of what is given, where an object is made once and then moved in place
+        """
+        known = self._last.get(name)
+        if known is not None and known[0] == key:
+            return known[1]  # type: ignore[no-any-return]
+        if known is None or move is None:
+            value = make(*given)
+        else:
+            value = known[1]
+            move(value, *given)
+        self._last[name] = key, value
+        return value
+
+    def last(self, name: Hashable) -> Any:
+        """The last result under a name, whatever its key; None without one."""
+        return self._last.get(name, (None, None))[1]
+
+    def rows(
+        self, name: Hashable, shape: tuple[int, ...], worlds: Rows, keys: Serials, make: Callable[..., Any], *given: Any
+    ) -> Float:
+        """The results of some worlds, shape (g, *shape), under pairs of serial numbers, shape (g, 2).
 
         make: computes that of a world by its number and what is given, once for worlds with the same numbers
         """
-        stale = np.logical_or.reduce(self._keys[worlds] != keys, axis=1)
+        known = self._rows.get(name)
+        if known is None:
+            known = self._rows[name] = np.zeros((self._worlds, 2), np.int64), np.zeros((self._worlds, *shape))
+        last, values = known
+        stale = np.logical_or.reduce(last[worlds] != keys, axis=1)
         made: dict[bytes, int] = {}
         for i in stale.nonzero()[0].tolist():
             world = int(worlds[i])
             same = made.setdefault(keys[i].tobytes(), world)
-            self._values[world] = make(world, *given) if same == world else self._values[same]
-            self._keys[world] = keys[i]
-        return self._values[worlds]
+            values[world] = make(world, *given) if same == world else values[same]
+            last[world] = keys[i]
+        return values[worlds]
 
-    def copy(self) -> "Kept":
-        """An independent copy."""
-        result = Kept(0)
-        result._values, result._keys = self._values.copy(), self._keys.copy()
-        return result
+    def adopt(self, other: "Kept") -> None:
+        """Take over all results of another one, in a copy of its state."""
+        self._last = dict(other._last)
+        self._rows = {name: (last.copy(), values.copy()) for name, (last, values) in other._rows.items()}

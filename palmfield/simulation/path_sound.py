@@ -2,9 +2,11 @@
 
 from typing import TYPE_CHECKING
 
+from palmfield.simulation.kept import Kept
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene
-from palmfield.simulation.radiation import Radiation, Role
+from palmfield.simulation.radiation import Radiation
+from palmfield.simulation.skin_sound import Role
 from palmfield.simulation.small_models.known_load import one_shape, path_drives
 from palmfield.types import Complex, Float32
 
@@ -25,17 +27,14 @@ class PathSound:
         """beside: of another world, stepped by the same thread: both share results for the same stimuli"""
         self.model, self.radiation, self.reference = model, radiation, reference
         self.serves, self.off = serves(model), 0
-        self._span: list[Complex | None] = []  # of what is emitted, once it is known
-        # By skin, role and serial number of the points
-        self._fields: dict[tuple[int, Role, int], SpannedFields | None] = {}
-        self._arp: dict[tuple[int, Role, int], SpannedArp] = {}
-        if beside is not None and beside.model.spec.stimuli == model.spec.stimuli:
-            self._span, self._fields = beside._span, beside._fields
+        same = beside is not None and beside.model.spec.stimuli == model.spec.stimuli
+        self._fields: Kept = beside._fields if beside is not None and same else Kept()
+        self._arp = Kept()  # with buffers of its own
 
     def adopt(self, other: "PathSound") -> None:
         """Take over what another state of the same model has made."""
-        self.reference, self.off = other.reference, other.off
-        self._span, self._fields, self._arp = list(other._span), dict(other._fields), {}
+        self.reference, self.off, self._arp = other.reference, other.off, Kept()
+        self._fields.adopt(other._fields)
 
     def holds(self, posed: PosedScene) -> bool:
         """Whether arrays and bodies are in the reference pose."""
@@ -53,26 +52,21 @@ class PathSound:
         """
         if not self.holds(posed):
             return None
-        key = skin, role, self.radiation.chosen(skin) if role == "load" else 0
-        if key not in self._fields:
-            self._fields[key] = self._make(posed, skin, role)
-        fields = self._fields[key]
-        if fields is None:
-            return None
-        if key not in self._arp:
-            from palmfield.acoustics.spanned_arp import SpannedArp
+        name = skin, role, self.radiation.chosen[skin].serial if role == "load" else 0
+        fields = self._fields.of(name, (), self._make, posed, skin, role)
+        return None if fields is None else self._arp.of(name, (), self._spanned, fields).evaluate(drives)
 
-            self._arp[key] = SpannedArp(fields)
-        return self._arp[key].evaluate(drives)
+    def _spanned(self, fields: "SpannedFields") -> "SpannedArp":
+        from palmfield.acoustics.spanned_arp import SpannedArp
+
+        return SpannedArp(fields)
 
     def _make(self, posed: PosedScene, skin: int, role: Role) -> "SpannedFields | None":
         from palmfield.acoustics.spanned_arp import drives_span, spanned_fields  # few scenes have such a path
 
         model = self.model
-        if not self._span:
-            self._span.append(drives_span(path_drives(model, model.sounding, self.reference)))
-        basis = self._span[0]
-        points, normals = self.radiation.points(posed, skin, role)
+        basis = self._fields.of("span", (), lambda: drives_span(path_drives(model, model.sounding, self.reference)))
+        *_, points, normals, _, _ = self.radiation.points(posed, skin, role)
         if basis is None or len(points) == 0:
             return None
         return spanned_fields(model.arrays.field, points, normals, basis, model.skins[skin].spec.arp_law)

@@ -22,6 +22,7 @@ from palmfield.errors import PalmfieldError
 from palmfield.simulation.backend import Backend
 from palmfield.simulation.emission import MeanDrives, PathStep
 from palmfield.simulation.graph_work import PURPOSES, GraphOf, GraphSizes, GraphWork
+from palmfield.simulation.kept import Kept
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene, PoseLayout
 from palmfield.simulation.scene_points import MotionRows, motions_of
@@ -60,7 +61,7 @@ class SceneGraph(Backend):
         super().__init__()
         self.model, self._work, self._state, self._reference = model, work, state, work.reference
         device = resolve(model.spec.device)
-        self._transducers, self._arrays = Transducers(model.arrays, device), model.arrays.serial
+        self._transducers, self._kept = Transducers(model.arrays, device), Kept()
         layout = PoseLayout.of(model)
         self._motions: MotionRows = motions_of(model, layout)
         # Arrays and stimuli stay in the frame of the first array
@@ -68,9 +69,6 @@ class SceneGraph(Backend):
         self._frames = np.zeros((count, 3)), np.tile(np.eye(3), (count, 1, 1))
         self._probes: tuple[tuple[int, SensorPlace], ...] = ()
         self._graphs: dict[bool, GraphWork] = {}  # by whether kernels make the drives
-        self._drives: PathDrives | None = None
-        self._driven = model.arrays.serial
-        self._models: dict[tuple[int, SkinStepper], DeviceModel | None] = {}
         self.launches = 0
         self._now: GraphWork | None = None
         self._posed = 0  # serial number of the pose that the last launch computed
@@ -90,9 +88,7 @@ class SceneGraph(Backend):
     def begin(self, posed: PosedScene, t0: float, watched: bool) -> bool:
         emission = self._work.emission
         emitted = gather(self._state, self._work)
-        if posed.arrays.serial != self._arrays:
-            self._transducers.move(posed.arrays)
-            self._arrays = posed.arrays.serial
+        self._kept.of("transducers", posed.arrays.serial, self._transducers.move, posed.arrays)
         path = None if watched else emission.path_step(posed, t0, self.model.substeps)
         if path is not None:
             moments, course = path.moments, self._along(posed, path, emitted, t0)
@@ -141,14 +137,9 @@ class SceneGraph(Backend):
 
     def _path_drives(self, posed: PosedScene, t0: float) -> PathDrives:
         """The function that makes drives of a focus, with the arrays in their present pose."""
-        if self._drives is None or self._driven != posed.arrays.serial:
-            drive, response = self._work.emission.placed(posed, t0)[0].drive, self.model.stimuli[0].response
-            if self._drives is None:
-                self._drives = PathDrives(drive, self._transducers, response.stepper if response.on else None)
-            else:
-                self._drives.move(drive)
-            self._driven = posed.arrays.serial
-        return self._drives
+        drive, response = self._work.emission.placed(posed, t0)[0].drive, self.model.stimuli[0].response
+        given = drive, self._transducers, response.stepper if response.on else None
+        return self._kept.of("drives", posed.arrays.serial, PathDrives, *given, move=lambda one, *_: one.move(drive))
 
     def _given(
         self, posed: PosedScene, moments: Moments, course: EmittedCourse, mean: MeanDrives, now: EmittedCourse
@@ -199,10 +190,9 @@ class SceneGraph(Backend):
 
     def _model(self, skin: int, stepper: SkinStepper) -> DeviceModel | None:
         """The stepper of a skin on the device, None if it is stepped on the CPU; stored."""
-        if (skin, stepper) not in self._models:
-            points = len(self.model.skins[skin].layer.quadrature.points)
-            self._models[skin, stepper] = stepper.device_model(self.model.substeps, points, self._transducers.device)
-        return self._models[skin, stepper]
+        points = len(self.model.skins[skin].layer.quadrature.points)
+        given = self.model.substeps, points, self._transducers.device
+        return self._kept.of((skin, stepper), (), stepper.device_model, *given)
 
     def _take(
         self, graph: GraphWork, models: Mapping[int, DeviceModel], moments: Moments, course: EmittedCourse

@@ -10,7 +10,7 @@ import numpy as np
 import warp as wp
 from scipy import sparse
 
-from palmfield.acoustics.body_scattering import Occlusion
+from palmfield.acoustics.occlusion import Occlusion
 from palmfield.device import filled, launch, vectors, whole_numbers
 from palmfield.hand.posed_surface import SkinBinding
 from palmfield.hand.rigged import strongest
@@ -18,8 +18,8 @@ from palmfield.hand.skinning import SkinnedSurface
 from palmfield.hand.triangles import face_normals
 from palmfield.simulation.model import HapticModel, SkinModel
 from palmfield.simulation.posed_scene import PosedScene, PoseLayout
-from palmfield.simulation.radiation import occluding_counts, occluding_faces, occluding_vertices
 from palmfield.simulation.sensors import SensorPlace
+from palmfield.simulation.shadows import occlusion
 from palmfield.skin.stepper import SkinStepper
 from palmfield.types import Float, Int, Surface
 from warp_kernels import carried_points as carrying
@@ -294,8 +294,7 @@ def meshes_of(model: HapticModel, reference: PosedScene, device: str) -> dict[in
     for number, skin in enumerate(model.skins):
         key = mesh_number(model, number)
         if skin.spec.config.body_sound == "shadows" and key not in meshes:
-            counts, faces = occluding_counts(reference, number), occluding_faces(reference, number)
-            meshes[key] = Occlusion(occluding_vertices(reference, number), faces, device, counts)
+            meshes[key] = occlusion(reference, number, device)
     return meshes
 
 

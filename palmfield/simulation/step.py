@@ -127,20 +127,19 @@ class Steps:
         self._poses: Serials = np.zeros(worlds, np.int64)
         self._apart: list[int] = []
         self._joined_keys: Serials = np.zeros((0, 2), np.int64)
-        # Of the unit drives: forces by body, ARP at sensors by place, and what lies outside the modes' class by skin
-        self._unit_forces = [Kept(worlds, 2, body.parts, 3) for body in first.bodies]
-        self._unit_arp: dict[SensorPlace, Kept] = {}
-        self._unit_outside = [Kept(worlds, len(Outside._fields)) for _ in first.skins]
+        # Of the unit drives: forces by body, and what lies outside the modes' class by skin
+        self._kept = Kept(worlds)
+        # ARP of the unit drives by sensor, and what steps skins on a device: a copy of the state has its own of both
+        self._own = Kept(worlds)
+        self._stacks: dict[tuple[int, SkinStepper], tuple[bytes, Float32]] = {}
         # What pushed bodies last: ARP at the samples by world and body, or one drive by world, its share and number
         self._pressed: dict[tuple[int, int], Float] = {}
         self._means: dict[int, tuple[Complex, float, int]] = {}
-        self._stacks: dict[tuple[int, SkinStepper], tuple[bytes, Float32]] = {}
         # The pose in which a small model was last found to serve, by skin and world
         self._served: Serials = np.zeros((len(first.skins), worlds), np.int64)
         # Whether the first stepper of a skin is valid in any pose and course
         self._anywhere = [False] * len(first.skins)
         self._shared_out: dict[tuple[int, bytes, bytes], list[tuple[SkinStepper, Rows]]] = {}
-        self._on_devices: dict[tuple[int, SkinStepper], DeviceStep | None] = {}
 
     def forget(self) -> None:
         """Begin again, after a reset."""
@@ -156,8 +155,7 @@ class Steps:
         self.smooth.adopt(other.smooth)
         self._posed, self._poses, self._served = list(other._posed), other._poses.copy(), other._served.copy()
         self.forces = [force.copy() for force in other.forces]
-        self._unit_forces = [kept.copy() for kept in other._unit_forces]
-        self._unit_outside = [kept.copy() for kept in other._unit_outside]
+        self._kept.adopt(other._kept)
         self._stacks = dict(other._stacks)
 
     def play(self, emissions: Mapping[int, Emission]) -> None:
@@ -216,7 +214,7 @@ class Steps:
                 for body, forces in enumerate(self.forces):
                     forces[joined] = 0.0
                     sounding = joined[loud]
-                    made = self._unit_forces[body].rows(sounding, keys[loud], self._unit_force, body)
+                    made = self._kept.rows(body, forces.shape[1:], sounding, keys[loud], self._unit_force, body)
                     forces[sounding] = factors[loud, None, None, None] * made
             for world in self._apart:
                 self._in(self._push_one, world, t0)
@@ -267,7 +265,8 @@ class Steps:
                 return np.asarray(work.unit_forces.under(posed, body, mean.units[0], mean.serial) @ turn)
 
             self._means[world] = mean.units[0], float(mean.weights[0]), mean.serial
-            forces[world] = mean.weights[0] * self._unit_forces[body].rows(np.array([world]), key, make)[0]
+            made = self._kept.rows(body, forces.shape[1:], np.array([world]), key, make)
+            forces[world] = mean.weights[0] * made[0]
 
     def pressed(self, world: int, body: int) -> Float | None:
         """The mean ARP [Pa] at the samples of a body in the step that began last, shape (n,); None in silence."""
@@ -285,15 +284,18 @@ class Steps:
         count = len(self.models)
         arp, motion = np.zeros(count), np.zeros((count, 2))
         joined = self.smooth.joined
-        kept = self._unit_arp.get(place) or self._unit_arp.setdefault(place, Kept(count))
         if len(joined):
             factors = self.smooth.present_factors()
             loud = factors > 0.0
             worlds = joined[loud]
-            arp[worlds] = factors[loud] * kept.rows(worlds, self._joined_keys[loud], self._probe, skin, place)
+            keys = self._joined_keys[loud]
+            arp[worlds] = factors[loud] * self._own.rows(place, (), worlds, keys, self._probe, skin, place)
         for world in self._apart:
-            arp[world] = self._in(self._arp_in_one, world, skin, place, kept, t0)
-        here = joined if not self._apart else np.sort(np.concatenate([joined, np.array(self._apart, np.intp)]))
+            arp[world] = self._in(self._arp_in_one, world, skin, place, t0)
+        here = joined
+        if self._apart:
+            apart = np.array(self._apart, np.intp)
+            here = np.sort(np.concatenate([joined, apart])) if self._several else apart
         part = self.state.skins[skin]
         begun = here[part[here, 0] != 0.0]
         if not self._several and len(begun):
@@ -314,7 +316,7 @@ class Steps:
         sounding = self.smooth.unit(world) if drive is None else drive
         return float(self.works[world].radiation.at(posed, skin, "probe", points, normals, sounding).arp[0])
 
-    def _arp_in_one(self, world: int, skin: int, place: SensorPlace, kept: Kept, t0: float) -> float:
+    def _arp_in_one(self, world: int, skin: int, place: SensorPlace, t0: float) -> float:
         """ARP at the place of a sensor [Pa] in a world that is stepped here alone."""
         work, posed = self.works[world], self._posed[world]
         if self.backend.course is not None:
@@ -324,7 +326,8 @@ class Steps:
         if drive is None:
             return 0.0
         key = np.array([[posed.serial, course.serial]])
-        return factor * float(kept.rows(np.array([world]), key, self._probe, skin, place, drive)[0])
+        known = self._own.rows(place, (), np.array([world]), key, self._probe, skin, place, drive)
+        return factor * float(known[0])
 
     # -- its end -------------------------------------------------------------------------------------------------------
 
@@ -514,7 +517,7 @@ class Steps:
             i = worlds.searchsorted(world)
             return np.array(stepper.outside(SurfaceLoads(pressure[i : i + 1], ONE, ONE)))
 
-        units = self._unit_outside[skin].rows(worlds, group.keys[at], of_unit)
+        units = self._kept.rows(("outside", skin), (len(Outside._fields),), worlds, group.keys[at], of_unit)
         return [Outside(*row) for row in (squares[:, None] * units).tolist()]
 
     def _patterns(self, group: _Group, skin: int, stepper: SkinStepper, i: int) -> Float32:
@@ -600,9 +603,7 @@ class Steps:
         """The stepper of a skin on the device in place of its stepper, if the device is a GPU and has one; stored."""
         if not self._several:
             return None
-        if (skin, stepper) not in self._on_devices:
-            self._on_devices[skin, stepper] = stepper.device_worlds(len(self.models), self._device)
-        return self._on_devices[skin, stepper]
+        return self._own.of((skin, stepper), (), stepper.device_worlds, len(self.models), self._device)
 
     def _named(self, function: Callable[..., T], world: int, *arguments: Any) -> T:
         """The result of a function for one of several worlds, which its errors name."""

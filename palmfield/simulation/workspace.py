@@ -9,7 +9,8 @@ from palmfield.simulation.forces import BodyForces
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.path_sound import PathSound
 from palmfield.simulation.posed_scene import PosedScene, reference_scene
-from palmfield.simulation.radiation import Radiation, Role
+from palmfield.simulation.radiation import Radiation
+from palmfield.simulation.skin_sound import Role
 from palmfield.simulation.small_models.leaving import OutsideClass, loudest_load
 from palmfield.simulation.state import HapticState
 from palmfield.skin.stepper import Outside, Reader, SkinStepper

@@ -21,16 +21,15 @@ import matplotlib.pyplot as plt
 import numpy as np
 import trimesh
 
-from palmfield.acoustics.body_scattering import Occlusion
 from palmfield.acoustics.knife_edge import Emitters, KnifeEdges
+from palmfield.acoustics.occlusion import Occlusion, distance_to_arrays
 from palmfield.acoustics.phased_array import ArrayInstance, PhasedArray
 from palmfield.acoustics.reference import pressure64
 from palmfield.acoustics.shadow_nodes import shadow_nodes
 from palmfield.acoustics.surface_arp import SurfaceArp, rows_of
-from palmfield.acoustics.surface_load import distance_to_arrays
 from palmfield.config import ArrayConfig
 from palmfield.outputs.style import COLOURS, save, style
-from palmfield.simulation.radiation import SKIN_SPACING_m
+from palmfield.simulation.shadows import SKIN_SPACING_m
 from palmfield.studies.bench.field import git_commit
 from palmfield.studies.bench.table import processor
 from palmfield.transforms import IDENTITY, Placement

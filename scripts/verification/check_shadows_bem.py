@@ -40,7 +40,7 @@ from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.acoustics.scattering import scatter
 from palmfield.acoustics.surface_arp import SurfaceArp
 from palmfield.outputs.style import COLOURS, save, style
-from palmfield.simulation.radiation import SKIN_SPACING_m
+from palmfield.simulation.shadows import SKIN_SPACING_m
 from palmfield.studies.bench.field import git_commit
 from palmfield.studies.bench.table import processor
 from palmfield.types import Float, Int

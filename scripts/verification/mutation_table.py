@@ -728,8 +728,8 @@ MUTATIONS = (
         "value kept where pose or drive is the same",
         "press",
         "palmfield/simulation/kept.py",
-        "np.logical_or.reduce(self._keys[worlds] != keys, axis=1)",
-        "np.logical_and.reduce(self._keys[worlds] != keys, axis=1)",
+        "np.logical_or.reduce(last[worlds] != keys, axis=1)",
+        "np.logical_and.reduce(last[worlds] != keys, axis=1)",
         "tests/session/test_worlds.py::test_a_copy_goes_on_by_itself[one load, louder and softer]",
     ),
     Mutation(

@@ -6,7 +6,8 @@ from rigid_sphere import geodesic
 from shadow_rays import lit
 
 from palmfield.acoustics.air import sound_speed
-from palmfield.acoustics.body_scattering import BODY_SOUNDS, Occlusion, RigidScatteredField, boundary_mesh
+from palmfield.acoustics.body_scattering import BODY_SOUNDS, RigidScatteredField, boundary_mesh
+from palmfield.acoustics.occlusion import Occlusion
 from palmfield.acoustics.scattering import wall_arp
 from palmfield.acoustics.shadow import shadow_mesh
 from palmfield.errors import PalmfieldError

@@ -6,8 +6,8 @@ import trimesh
 from rigid_sphere import geodesic
 from scipy.special import fresnel
 
-from palmfield.acoustics.body_scattering import Occlusion
 from palmfield.acoustics.knife_edge import Emitters, KnifeEdges
+from palmfield.acoustics.occlusion import Occlusion
 from palmfield.acoustics.phased_array import ArrayInstance, PhasedArray
 from palmfield.acoustics.reference import pressure64
 from palmfield.acoustics.shadow_nodes import shadow_nodes

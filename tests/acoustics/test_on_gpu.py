@@ -5,8 +5,8 @@ import pytest
 import warp as wp
 from rigid_sphere import geodesic
 
-from palmfield.acoustics.body_scattering import Occlusion
 from palmfield.acoustics.knife_edge import Emitters, KnifeEdges
+from palmfield.acoustics.occlusion import Occlusion
 from palmfield.acoustics.phased_array import ArrayInstance, PhasedArray
 from palmfield.acoustics.shadow_nodes import shadow_nodes
 from palmfield.acoustics.surface_arp import MATRIX_FROM, SurfaceArp

@@ -9,12 +9,11 @@ from scipy.spatial.transform import Rotation
 
 from palmfield.acoustics.air import density, sound_speed
 from palmfield.acoustics.arp import LAWS
-from palmfield.acoustics.body_scattering import Occlusion
+from palmfield.acoustics.occlusion import Occlusion, distance_to_arrays
 from palmfield.acoustics.phased_array import ArrayInstance, PhasedArray
 from palmfield.acoustics.point_sound import DriveTable, Surface, Transducers, fill_table, sound_calls
 from palmfield.acoustics.reference import pressure64
 from palmfield.acoustics.surface_arp import SurfaceArp
-from palmfield.acoustics.surface_load import distance_to_arrays
 from palmfield.config import ArrayConfig
 from palmfield.device import SharedArray, SharedBlock, replayed
 from palmfield.transforms import IDENTITY, Placement, Transform

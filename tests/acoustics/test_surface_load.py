@@ -5,9 +5,10 @@ import pytest
 from rigid_sphere import geodesic
 
 from palmfield.acoustics.arrays import from_poses, layout
+from palmfield.acoustics.occlusion import distance_to_arrays
 from palmfield.acoustics.phased_array import HOUSING_M, ArrayInstance, BoardOutline, PhasedArray
 from palmfield.acoustics.shadow import REACH_m
-from palmfield.acoustics.surface_load import CLEARANCE_M, Parts, distance_to_arrays, pushes, resultants
+from palmfield.acoustics.surface_load import CLEARANCE_M, Parts, pushes, resultants
 from palmfield.config import ArrayConfig
 from palmfield.hand.triangles import face_normals
 from palmfield.transforms import IDENTITY, Placement, Transform

@@ -44,9 +44,9 @@ class LoudestSound:
             _exchanged(posed.bodies, part.body, body),
             _exchanged(posed.skins, skin, PosedSkin(other, body, obstacles)),
         )
-        radiation, solved = Radiation(varied_model), self.radiation.scattered_fields()
-        if skin in solved and not disc:
-            radiation.adopt({skin: (varied, *solved[skin][1:])})
+        radiation, solution = Radiation(varied_model), self.radiation.solution(skin)
+        if solution is not None and not disc:
+            radiation.adopt(skin, solution._replace(posed=varied))
         return self._arp(radiation, varied)
 
     def _arp(self, radiation: Radiation, posed: PosedScene) -> Float:
