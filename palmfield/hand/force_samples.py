@@ -91,12 +91,14 @@ def _sparse(vertices: Float, faces: Int, spacing_m: float) -> cache.Arrays:
     owner = _cells(np.round(places, 9), np.round(normals, 6), areas, spacing_m)
     middles, outward, _ = _means(owner, areas, places, normals)
     # The middle of a cell is below a curved surface, where the faces of the body would shade it
-    corners = vertices[faces[closest_faces(build_mesh(vertices, faces), middles, 1.0)]]
+    corners = vertices[np.sort(faces[closest_faces(build_mesh(vertices, faces), middles, 1.0)], axis=1)]
     middles = np.einsum("nk,nkd->nd", barycentric(corners, middles), corners)
+    away = corners - middles[:, None]
+    farthest = np.round(np.linalg.norm(away, axis=2), 9).argmax(axis=1)
     outward /= np.maximum(np.linalg.norm(outward, axis=1), 1e-30)[:, None]
     shares = _interpolation(middles, outward, places, normals)
     pushes: Float = shares.T @ (areas[:, None] * normals)
-    points, triangles = _triangles(middles, pushes)
+    points, triangles = _triangles(middles, pushes, away[np.arange(len(away)), farthest])
     of = shares.tocoo()
     whose: Int = of.row.astype(np.int32)
     numbers = whose, of.col.astype(np.int32), of.data * areas[whose]
@@ -149,11 +151,14 @@ def _means(owner: Int, areas: Float, *values: Float) -> list[Float]:
     return [*(one / np.maximum(sizes, 1e-30) for one in sums), sizes]
 
 
-def _triangles(middles: Float, areas: Float) -> tuple[Float, Int]:
-    """Equilateral triangles round points [m] with areas as vectors along their normals [m2], both of shape (n, 3)."""
+def _triangles(middles: Float, areas: Float, towards: Float) -> tuple[Float, Int]:
+    """Equilateral triangles round points [m] with areas as vectors along their normals [m2], all of shape (n, 3).
+
+    towards: direction of the first corner, so that the mirror image of a surface has the mirror images of the triangles
+    """
     size = np.linalg.norm(areas, axis=1)[:, None]
     normals = areas / np.maximum(size, 1e-30)
-    first = np.cross(normals, np.eye(3)[np.argmin(np.abs(normals), axis=1)])
+    first = towards - np.add.reduce(towards * normals, axis=1)[:, None] * normals
     first *= np.sqrt(size / np.sqrt(27.0 / 16.0)) / np.linalg.norm(first, axis=1)[:, None]
     second = np.sqrt(0.75) * np.cross(normals, first)
     points = middles[:, None] + np.stack([first, second - 0.5 * first, -second - 0.5 * first], axis=1)

@@ -119,8 +119,9 @@ class BodyModel:
 
     @locked_cached_property
     def sample_bones(self) -> Int:
-        """The bone that each sample of a surface with bones pushes, shape (n,)."""
-        return self.sampled.dominant_bone()[self.sampled.surface.faces[:, 0]]
+        """The bone that each sample of a surface with bones pushes: that with the largest share in it, shape (n,)."""
+        weights = np.asarray(self.sampled.weights)[self.sampled.surface.faces].mean(axis=1)
+        return np.argmax(np.round(weights, 9), axis=1).astype(np.int32)
 
     @locked_cached_property
     def rest_samples(self) -> tuple[Float, Float, Float]:
