@@ -3,7 +3,8 @@
 
 Where the facts of a small one have `forces_commit`, its arrays were stored again at that commit: forces are of what is
 emitted since (up to 30 % in the millisecond of a ring-up, 4 % later), sound from behind does not reach a surface, and
-the mean of a moving focus keeps each moment's own lit points (0.06 % of the force of hover_explore).
+the mean of a moving focus keeps each moment's own lit points (0.06 % of the force of hover_explore). `path_commit`: the
+same for a path on the skin (stroke_palm), which is nearer to the shortest since (force 0.2 %, displacement 0.2 %).
 
 The solver, the mesh and the step are those that it took then. `small` layers take seconds and are a test; `shipped` are
 the scenes as they are, some minutes each: run this file.
@@ -20,6 +21,7 @@ from unittest.mock import patch
 import numpy as np
 
 from palmfield.data import folder
+from palmfield.hand.force_samples import A_FACE
 from palmfield.session.simulation import Simulation
 from palmfield.simulation import seen_samples
 
@@ -45,6 +47,8 @@ def opened(facts: dict[str, Any]) -> Simulation:
     if facts["began"] != facts["ended"]:
         solver = "auto"  # only this may leave its small model
     keys = {**facts["keys"], "skin.solver": solver, "array.p0_Pa_m": P0_PA_M}
+    if not facts["scene"].startswith("phantom"):
+        keys["skin.force_accuracy"] = A_FACE  # each face was a sample
     sim = Simulation(folder("mjcf") / "scenes" / f"{facts['scene']}.xml", device="cpu", keys=keys)
     if facts["start_s"]:
         sim.start_at(facts["start_s"])
