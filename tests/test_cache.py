@@ -306,4 +306,4 @@ def test_the_command_line_lists_and_clears(place, monkeypatch):
     assert not any(place.iterdir())
     monkeypatch.setenv("PALMFIELD_CACHE", "off")
     for command in ("list", "clear"):
-        assert "there is no cache" in CliRunner().invoke(app, ["cache", command]).output
+        assert "PALMFIELD_CACHE is off" in CliRunner().invoke(app, ["cache", command]).output

@@ -28,10 +28,10 @@ class BodyForces:
 
     def pressed(self, posed: PosedScene, body: int, arp: Float | Float32) -> Float:
         """Force on one body, for a pressure at its samples [Pa], shape (n,)."""
-        points, normals, areas, numbers = self.radiation.samples(posed, self.skins[body])
         origins, key = posed.bodies[body].origins, (posed.arrays.serial, posed.bodies[body].serial)
         known = self._pushes.get(body)
         if known is None or known[0] != key:
+            points, normals, areas, numbers = self.radiation.samples(posed, self.skins[body])
             owners = self._owners.get(body)
             if owners is None:
                 owners = self._owners[body] = posed.bodies[body].sample_parts

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 from palmfield.simulation.kept import Kept
 from palmfield.simulation.model import HapticModel
-from palmfield.simulation.posed_scene import PosedScene
+from palmfield.simulation.posed_scene import SERIAL, PosedScene
 from palmfield.simulation.radiation import Radiation
 from palmfield.simulation.skin_sound import Role
 from palmfield.simulation.small_models.known_load import one_shape, path_drives
@@ -41,7 +41,7 @@ class PathSound:
         return (
             self.serves
             and posed.arrays.serial == self.model.arrays.serial
-            and all(one.serial == other.serial for one, other in zip(posed.bodies, self.reference.bodies, strict=True))
+            and list(map(SERIAL, posed.bodies)) == list(map(SERIAL, self.reference.bodies))
         )
 
     def arp(self, posed: PosedScene, skin: int, role: Role, drives: Complex) -> Float32 | None:

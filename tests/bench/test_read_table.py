@@ -57,7 +57,7 @@ def test_what_is_no_report_is_refused(tmp_path, monkeypatch, capsys):
     with pytest.raises(OutputError, match="row of 'one'"):
         speed_picture(path)
     for asked, words in (
-        ((path, "motion"), "picture 'speed' alone"),
+        ((path, "motion"), "only picture 'speed'"),
         ((path, "--format", "gif"), "allowed: png, svg, pdf"),
         ((tmp_path, "speed"), "palmfield bench skin --out FILE.md"),
         ((tmp_path / "none.md",), "cannot be read"),

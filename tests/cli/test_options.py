@@ -28,5 +28,5 @@ def test_what_names_no_file_and_what_is_whole_already_stays(tmp_path, monkeypatc
 
 def test_unset_takes_a_key_out(tmp_path, monkeypatch):
     assert given_keys(["stimulus.am_depth=unset", "skin.mesh=unset"]) == {"stimulus.am_depth": "", "skin.mesh": ""}
-    with pytest.raises(SceneError, match="KEY=unset to take"):
+    with pytest.raises(SceneError, match="KEY=unset to remove"):
         given_keys(["stimulus.am_depth="])

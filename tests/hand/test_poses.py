@@ -28,7 +28,7 @@ def test_named_poses_do_not_cross_themselves(hand, name):
 
 
 def test_fist_is_refused_with_parts_and_places(hand):
-    with pytest.raises(SceneError, match=r"crosses itself: .*(index|middle|ring|little)_.* in \d+ places about \("):
+    with pytest.raises(SceneError, match=r"intersects itself: .*(index|middle|ring|little)_.* in \d+ places about \("):
         posed_surface(hand, FIST)
 
 

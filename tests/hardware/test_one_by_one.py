@@ -38,9 +38,9 @@ def test_each_sounds_alone_in_its_time(board, tmp_path):
     ("more", "words"),
     [
         (["autd2018"], "takes a focus"),
-        (["sonicsurface", "--element", "256"], "give 0 to 255"),
+        (["sonicsurface", "--element", "256"], "allowed: 0 to 255"),
         (["sonicsurface", "--element", "3", "--element", "3"], "element 3 is given twice"),
-        (["sonicsurface", "--dwell", "0.001"], "dwell of 0.001 s: give 11.2 ms"),
+        (["sonicsurface", "--dwell", "0.001"], "dwell of 0.001 s; allowed: 11.2 ms"),
         (["sonicsurface", "--pause", "nan"], "pause of nan s"),
     ],
 )

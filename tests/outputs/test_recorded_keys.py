@@ -21,5 +21,5 @@ def test_keys_go_there_and_back(added):
 
 
 def test_a_group_without_keys_is_refused():
-    with pytest.raises(OutputError, match=r"instance 'stimulus' of the result: keys of plugin 'palmfield.stimulus'"):
+    with pytest.raises(OutputError, match=r"instance 'stimulus' of the result: the stored keys of plugin 'palmfield"):
         keys_of(ResolvedStimulus, "stimulus", xr.Dataset())

@@ -27,7 +27,7 @@ def by_device(monkeypatch):
         return plain(self, state, *others)
 
     def of_skin(self, skin, stepper):
-        return self._on_devices.setdefault(skin, DeviceWorlds(stepper, len(self.models), "cpu")).step
+        return self._own.of(skin, (), DeviceWorlds, stepper, len(self.models), "cpu").step
 
     monkeypatch.setattr(DeviceWorlds, "step", step)
     monkeypatch.setattr(step_module.Steps, "_on_device", of_skin)

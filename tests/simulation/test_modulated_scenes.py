@@ -47,7 +47,7 @@ def test_the_plan_tells_mean_lines_and_peak_drive(small_scene):
     assert line.size == "ARP: mean 0.375, 0.500 at 200 Hz, 0.125 at 400 Hz"
     assert (
         "peak drive 1.000 of full drive, by am_normalisation peak" in line.why
-        and "amplitude by a sine, depth 1" in line.why
+        and "amplitude by waveform sine, depth 1" in line.why
     )
     (numbers,) = told.as_dict()["stimuli"]
     assert numbers["modulation"] == pytest.approx(
@@ -85,7 +85,7 @@ def test_a_file_is_read_beside_the_scene(small_scene):
     model = palmfield.Simulation(path).runtime.model
     # Straight lines -1, 0.6, 1, -1 at turns 0, 1/4, 1/2, 1 have the mean 0.15; at full depth ARP goes as (1 + w) / 2
     line = row(plan(path).modelled, "modulation")
-    assert line.size.startswith("ARP: mean 0.575, ") and "arp by a file" in line.why
+    assert line.size.startswith("ARP: mean 0.575, ") and "arp by waveform file" in line.why
     assert model.spec.stimuli[0].am_table.values == (-1.0, 0.6, 1.0)
 
 

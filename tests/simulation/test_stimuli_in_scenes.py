@@ -138,7 +138,7 @@ def test_a_path_on_a_flat_disc_is_refused(small_scene):
 
 def test_obstacles_are_checked(small_scene):
     for keys, words in (
-        ({"obstacles": "pad"}, "needs|cast shadows"),
+        ({"obstacles": "pad"}, "obstacles need body_sound|cast shadows"),
         ({"obstacles": "pad", "body_sound": "shadows"}, "bodies other than the body of the skin"),
         ({"obstacles": "nose", "body_sound": "shadows"}, "no body 'nose'"),
     ):

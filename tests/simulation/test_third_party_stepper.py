@@ -90,7 +90,7 @@ def test_a_stepper_of_another_package_steps_a_scene(installed, small_scene):
     sim = load(path, device="cpu")
     result = palmfield.run(sim, None, duration_s=0.03, progress=False)
     own, moved = result.summary["skins"][0], result.dataset["skin/skin"]["displacement"].values
-    assert (own["solver"], own["dofs"], own["solver_why"]) == ("piston", 1, "asked for")
+    assert (own["solver"], own["dofs"], own["solver_why"]) == ("piston", 1, "set by key solver")
     assert own["mesh_error_relative"] == 0.5 and own["reduction_error_relative"] == 0.0
     stepper, state = sim.runtime.model.begin[0].value, sim.runtime.state.skins[0]
     assert stepper.name == "piston" and state[0, 4] < 0.0

@@ -267,7 +267,7 @@ def test_bad_input():
     assert refusal_axisymmetric(disc(), STATIC) is None
     for times, at, keys, reason in (
         (np.array([1.0, 0.5]), points, {}, "rising"),
-        (LATE, np.array([[0.07, 0.0]]), {}, "off the disc"),
+        (LATE, np.array([[0.07, 0.0]]), {}, "outside the slab, a disc of 0.06 m"),
         (LATE, np.zeros((1, 4)), {}, "finite positions"),
         (LATE, points, {"degree": 2}, "lock"),
     ):

@@ -116,8 +116,8 @@ def test_few_times_at_few_points_are_judged_by_the_worst_point():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"vertices": np.nan}, r"patch's vertices has \[nan"),
-        ({"depth": np.inf}, "patch's depth has inf at vertex 3"),
+        ({"vertices": np.nan}, r"vertices of its patch has \[nan"),
+        ({"depth": np.inf}, "depth of its patch has inf at vertex 3"),
         ({"inward": 2.0}, "inward direction of vertex 3 has length 2"),
         ({"faces": 9999}, "faces name vertices 0 to 9999"),
     ],

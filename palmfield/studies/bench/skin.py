@@ -169,7 +169,7 @@ def as_markdown(
         + (f"{peers.about} " if peers is not None else "")
         + "Times without compiling.",
         "",
-        "| method | size | seconds | static error | error at 200 Hz | stated |",
+        "| method | size | seconds | error at rest | error at 200 Hz | stated |",
         "|---|---|---|---|---|---|",
     ]
 

@@ -136,7 +136,7 @@ def test_a_gate_passes_on_who_may_and_answers_the_others(behind):
 
 
 def test_a_port_that_is_taken_is_told_and_the_next_is_tried(behind):
-    with pytest.raises(OutputError, match=f"port {behind} is taken"):
+    with pytest.raises(OutputError, match=f"port {behind} is in use"):
         Gate("127.0.0.1", behind, 0, behind, "", "")
     assert Gate("127.0.0.1", None, behind, behind, "", "").port > behind
 
