@@ -175,7 +175,8 @@ def check_room(needed: int, worlds: int, device: str) -> None:
         raise DeviceError(
             f"{worlds} worlds need {needed / 2**30:.2f} GB on {device}, {needed / worlds / 2**20:.2f} MB each, but "
             f"{free / 2**30:.2f} GB are free; allowed: worlds <= {int(worlds * free / needed)}; or use fewer "
-            "samples (key force_accuracy)"
+            "samples of the force",
+            mends=("force_accuracy",),
         )
 
 

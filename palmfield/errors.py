@@ -1,18 +1,20 @@
 """Errors that users see. Each message is one line: what was found, what is allowed, how to mend it."""
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 
 class PalmfieldError(Exception):
     """Base of every error that a user can cause and mend; the command line prints it and exits with 2.
 
     about: names of what it is about, outermost first: a world, an element of a scene, a key. They come before the text.
+    setting: name of the setting with the refused value, "" for none. mends: names of settings whose change mends it.
+        `palmfield.config.base.naming_keys` puts both in words, where they are keys of a scene.
     """
 
-    def __init__(self, text: str = "", *about: str):
+    def __init__(self, text: str = "", *about: str, setting: str = "", mends: Sequence[str] = ()):
         super().__init__(text)
-        self.about = about
+        self.about, self.setting, self.mends = about, setting, mends
 
     def __str__(self) -> str:
         return ": ".join((*self.about, *map(str, self.args)))
@@ -94,17 +96,19 @@ class explaining:
 
 
 class naming:
-    """An error of palmfield's that leaves the block says what it is about, where it doesn't yet."""
+    """An error of palmfield's that leaves the block says what it is about, and what mends it, where it doesn't yet."""
 
-    def __init__(self, *about: str):
-        self.about = about
+    def __init__(self, *about: str, mends: Sequence[str] = ()):
+        self.about, self.mends = about, mends
 
     def __enter__(self) -> None:
         return None
 
     def __exit__(self, kind: object, error: BaseException | None, at: object) -> None:
-        if isinstance(error, PalmfieldError) and error.about[: len(self.about)] != self.about:
-            error.about = (*self.about, *error.about)
+        if isinstance(error, PalmfieldError):
+            error.mends = error.mends or self.mends
+            if error.about[: len(self.about)] != self.about:
+                error.about = (*self.about, *error.about)
 
 
 def naming_world(world: int) -> naming:

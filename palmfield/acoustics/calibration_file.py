@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from palmfield.acoustics.arrays import LAYOUTS, layout_of_version
 from palmfield.acoustics.placement import placed
-from palmfield.errors import SceneError
+from palmfield.errors import SceneError, naming
 from palmfield.given_files import MOST_SETTINGS_BYTES, read_bytes, reading
 from palmfield.types import Array, Complex, Estimate
 from palmfield.whole_files import write_text
@@ -158,10 +158,8 @@ def read_calibration(path: str | Path) -> Calibration:
         raise SceneError(f"{file}: " + _told(error.errors()[0])) from None
     _check_units(file, calibration)
     version = calibration.layout_version if "layout_version" in calibration.model_fields_set else 1
-    try:
+    with naming(f"{file}"):
         name = layout_of_version(calibration.layout, version)
-    except SceneError as error:
-        raise SceneError(f"{file}: {error}") from None
     return calibration.model_copy(update={"layout": name, "layout_version": _version(name)})
 
 

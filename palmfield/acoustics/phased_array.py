@@ -109,9 +109,9 @@ class ArrayInstance:
         if config.piston_radius_m is not None:
             if not form_of(array).sized:
                 raise SceneError(
-                    f"key 'piston_radius_m' has value {config.piston_radius_m:g}, but layout '{config.layout}' "
-                    f"with directivity '{config.directivity}' has no piston: remove the key, or set directivity to "
-                    "piston"
+                    f"layout '{config.layout}' with directivity '{config.directivity}' has no piston: remove the "
+                    "radius or set directivity to piston",
+                    setting="piston_radius_m",
                 )
             array = replace(array, piston_radius_m=config.piston_radius_m)
         if self.calibration is not None:
@@ -125,7 +125,7 @@ class ArrayInstance:
 
 def _given(value: float, low: float, high: float, key: str) -> Estimate:
     """A value that a scene sets, with a range that is widened to hold it."""
-    return Estimate(value, min(low, value), max(high, value), "assumed", f"key {key} of the scene")
+    return Estimate(value, min(low, value), max(high, value), "assumed", f"{key} of the scene")
 
 
 def _known(name: str) -> tuple[Estimate, Estimate]:

@@ -77,7 +77,8 @@ def read_transducers(path: str | Path) -> TransducerTable:
         if abs(sizes[loudest]) > MOST_GAIN:
             raise SceneError(
                 f"{file}: {places[loudest]}, column gain: {sizes[loudest]:g}; allowed: {-MOST_GAIN:g} to "
-                f"{MOST_GAIN:g}, relative to p0 (key p0_Pa_m sets the level)"
+                f"{MOST_GAIN:g}, relative to p0, which sets the level",
+                mends=("p0_Pa_m",),
             )
         gains = tuple((sizes * np.exp(1j * np.radians(phases))).tolist())
     addresses = None

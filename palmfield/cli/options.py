@@ -104,9 +104,9 @@ def given_keys(keys: list[str] | None) -> dict[str, str]:
 
 def _file(name: str, value: str) -> str:
     """The value of a key, a file's whole path where it names one in the current folder."""
-    from palmfield.session.open_scene import FILES
+    from palmfield.config import FILE_KEYS
 
-    if name.rpartition(".")[2] not in {key for keys in FILES.values() for key in keys}:
+    if name.rpartition(".")[2] not in FILE_KEYS:
         return value
     here = Path(value).expanduser()
     if here.is_absolute() or not here.is_file():

@@ -8,8 +8,9 @@ from palmfield.config.skin import ArpLaw, Base, Side, SkinConfig
 from palmfield.config.stimulus import StimulusConfig
 
 CONFIGS: tuple[type[Config], ...] = (ArrayConfig, StimulusConfig, SkinConfig, DriverConfig, MotionConfig)
+FILE_KEYS = {key for config in CONFIGS for key in config.files}
 
 __all__ = [
-    "CONFIGS", "ArpLaw", "ArrayConfig", "Base", "Config", "DriverConfig", "MotionConfig", "Side", "SkinConfig",
-    "StimulusConfig", "allowed", "known_keys", "parse", "renamed_table", "table", "unit", "unknown_key",
+    "CONFIGS", "FILE_KEYS", "ArpLaw", "ArrayConfig", "Base", "Config", "DriverConfig", "MotionConfig", "Side",
+    "SkinConfig", "StimulusConfig", "allowed", "known_keys", "parse", "renamed_table", "table", "unit", "unknown_key",
 ]  # fmt: skip

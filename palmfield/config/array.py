@@ -29,6 +29,7 @@ def _air(name: str) -> Any:
 class ArrayConfig(Config):
     plugin: ClassVar[str] = "palmfield.array"
     about: ClassVar[str] = "A transducer array and the air around it. The array frame is the frame of a site."
+    files: ClassVar[tuple[str, ...]] = ("calibration", "transducers")
     renamed: ClassVar[dict[str, str]] = {"compute": "the scene's palmfield_device text"}
 
     layout: Layout = Field("uhev1", description="layout of the transducers (docs/arrays.md), or `sites`, or `csv`")

@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
-from palmfield.errors import SceneError, did_you_mean
+from palmfield.errors import PalmfieldError, SceneError, did_you_mean, naming
 
 
 def split(value: Any) -> Any:
@@ -31,7 +31,7 @@ JOINED, NUMBER = re.compile(r"\d_\d"), re.compile(r"number|decimals")
 class Config(BaseModel):
     """Keys of one plugin instance. Values arrive as MJCF text; a value that does not fit is a SceneError.
 
-    plugin: name of the plugin; about: what its keys say, in a sentence
+    plugin: name of the plugin; about: what its keys say, in a sentence; files: keys that name files
     renamed: what has another name since the last version -> what to use: a key (`device`: "board"), or a value of a
         key (`solver=full`: "wedges"). They stay known for one version so that a scene that has them is told what to do
     refused: values that make sense elsewhere but not in a scene (`solver=axisymmetric`) -> why, and what to do
@@ -40,8 +40,38 @@ class Config(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     plugin: ClassVar[str]
     about: ClassVar[str]
+    files: ClassVar[tuple[str, ...]] = ()
     renamed: ClassVar[dict[str, str]] = {}
     refused: ClassVar[dict[str, str]] = {}
+
+    @classmethod
+    def element(cls, name: str) -> str:
+        """Name of an instance in messages."""
+        return f"plugin '{cls.plugin}' instance '{name}'"
+
+
+class naming_keys(naming):
+    """An error of palmfield's that leaves the block names the element of a scene, and the keys of its settings.
+
+    element: name of the element in messages. config: its keys, whose value of the refused setting is named.
+    setting: the refused setting of errors that name none.
+    """
+
+    def __init__(self, element: str, config: Config | None = None, setting: str = ""):
+        super().__init__(element)
+        self.config, self.setting = config, setting
+
+    def __exit__(self, kind: object, error: BaseException | None, at: object) -> None:
+        if isinstance(error, PalmfieldError) and error.about[:1] != self.about:
+            if key := error.setting or self.setting:
+                value = getattr(self.config, key, None)
+                words = f"{value:g}" if isinstance(value, float) else f"'{value}'"
+                error.about = (f"key '{key}'" + ("" if value is None else f" has value {words}"), *error.about)
+            if error.mends:
+                keys = "key" if len(error.mends) == 1 else "keys"
+                error.args = (f"{error.args[0]} (to change: {keys} {', '.join(error.mends)})",)
+            error.setting, error.mends = "", ()
+        super().__exit__(kind, error, at)
 
 
 T = TypeVar("T", bound=Config)

@@ -13,6 +13,7 @@ SOURCES = ("keyframes", "trajectory", "tracking", "function")
 class MotionConfig(Config):
     plugin: ClassVar[str] = "palmfield.motion"
     about: ClassVar[str] = "Moves a hand by script: its mocap body and, for an articulated hand, its joints."
+    files: ClassVar[tuple[str, ...]] = ("keyframes", "trajectory", "tracking", "tracking_alignment")
 
     body: str = Field("hand_target", description="mocap body of the hand, or `[prefix]hand_target`, which leads it")
     hand: str | None = Field(

@@ -53,6 +53,7 @@ WITH_A_UNIT = (".glb", ".gltf", ".pkl")
 class SkinConfig(Config):
     plugin: ClassVar[str] = "palmfield.skin"
     about: ClassVar[str] = "The surface of the body in the sound, and the viscoelastic skin layer on part of it."
+    files: ClassVar[tuple[str, ...]] = ("mesh",)
     renamed: ClassVar[dict[str, str]] = {"solver=full": "wedges", "solver=implicit": "wedges"}
     refused: ClassVar[dict[str, str]] = {
         f"solver={name}": (

@@ -72,6 +72,7 @@ def too_far(focus_m: tuple[float, float, float]) -> str | None:
 class StimulusConfig(Config):
     plugin: ClassVar[str] = "palmfield.stimulus"
     about: ClassVar[str] = "Position and strength of the focus over time."
+    files: ClassVar[tuple[str, ...]] = ("am_file", "path_file")
     renamed: ClassVar[dict[str, str]] = {"am_of": "am_quantity", "am_quantity=pressure": "amplitude"}
 
     arrays: Names = Field(

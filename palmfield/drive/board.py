@@ -225,8 +225,8 @@ class Board:
         """Return this board with values for some of its `keys`. Raises DeviceError for a key that it does not have."""
         for key in keys:
             if key not in self.keys:
-                own = f"its keys are {', '.join(self.keys)}" if self.keys else "it has no other keys"
-                raise DeviceError(f"key '{key}' does not apply to board '{self.name}'; {own}")
+                own = f"it has {', '.join(self.keys)}" if self.keys else "it has no settings"
+                raise DeviceError(f"board '{self.name}' has no {key}; {own}", setting=key)
         return replace(self, **keys)
 
     def rounded(self, levels: Float) -> Float:
@@ -337,7 +337,7 @@ def switched(board: Board, amplitudes: ArrayLike) -> tuple[Complex, np.ndarray]:
         number = int(np.flatnonzero(bad)[0])
         raise DeviceError(
             f"transducer {number} has amplitude {magnitude[number]:.4g}; {board.name} has a fixed 50 % duty cycle, "
-            "so only 0 (off) and 1 (full) are possible: use drive amplitude 1, key dither, or board ideal"
+            "so only 0 (off) and 1 (full) are possible: use drive amplitude 1, dither, or board ideal"
         )
     return values, on
 
@@ -403,7 +403,7 @@ def check(
         gives += f", so on/off AM up to {board.max_frame_rate_Hz / 2:.1f} Hz"
         mends.append(plainly)
         if "dither" in board.keys:
-            mends.append("key dither")
+            mends.append("dither")
     if too_fast:
         mends.append(f"at most {math.floor(board.max_frame_rate_Hz)} frames/s")
     raise DeviceError(f"{needs}; {gives}: use {' or '.join(mends)}")

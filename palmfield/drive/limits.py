@@ -49,7 +49,7 @@ class SoundLimits:
         if self.ramp_s <= 0.0:
             return ""
         if not board.levels:
-            dither = ": key dither adds levels" if "dither" in board.keys else ""
+            dither = ": dither adds levels" if "dither" in board.keys else ""
             return (
                 f"no ramp: {board.name} has no levels between off and full, so the sound starts and stops "
                 f"abruptly{dither}"
@@ -67,12 +67,12 @@ class SoundLimits:
         duty = _duty(stretches, duration_s)
         if self.on_time_s is not None and on_s > self.on_time_s * (1.0 + 1e-9):
             raise DeviceError(
-                f"the play has {on_s:.4g} s of sound; driver key on_time_s allows {self.on_time_s:g} s: play for a "
+                f"the play has {on_s:.4g} s of sound; the driver's on_time_s allows {self.on_time_s:g} s: play for a "
                 "shorter time (--duration), or set on_time_s larger"
             )
         if duty > self.duty * (1.0 + 1e-9):
             raise DeviceError(
-                f"the play has sound in {100 * duty:.3g} % of {min(WINDOW_S, duration_s):g} s; driver key "
+                f"the play has sound in {100 * duty:.3g} % of {min(WINDOW_S, duration_s):g} s; the driver's "
                 f"duty_limit allows {100 * self.duty:.3g} %: add pauses (stop_s, bursts), or set duty_limit larger"
             )
         return on_s, duty

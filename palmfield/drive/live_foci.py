@@ -41,7 +41,7 @@ def read_focus(line: bytes, offset: Float) -> LiveFocus:
     told = read_object(line)
     stray = sorted(set(told) - set(KEYS))
     if stray:
-        raise BadLine("keys", f"key '{stray[0][:40]}' is unknown; allowed: {', '.join(KEYS)}")
+        raise BadLine("keys", f"field '{stray[0][:40]}' is unknown; allowed: {', '.join(KEYS)}")
     level = _numbers(told, "level", 1)[0] if "level" in told else 1.0
     if not 0.0 <= level <= 1.0:
         raise BadLine("level", f"level has value {level:g}; allowed: 0 to 1")

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 
 from palmfield.config import Config, MotionConfig
+from palmfield.config.base import naming_keys
 from palmfield.engine.host import Module, World, world_of
 from palmfield.errors import SceneError
 from palmfield.mujoco_host.mujoco_view import Write, mocap_offsets
@@ -29,15 +30,15 @@ class MotionModule(Module):
     def __init__(self, settings: Any, world: World, instance: int):
         # Imported here: MuJoCo registers the plugins in every process, and Warp takes half a second to load.
         from palmfield.motion.source import motion_of
-        from palmfield.simulation.scene_reader import check_rest, element_of, first_array_frame, with_files_found
+        from palmfield.simulation.scene_reader import check_rest, first_array_frame, with_files_found
 
         super().__init__(settings, world, instance)
         model = world.model
         names = {number: name for number, _, name in model.instances()}
-        element = element_of(self.config, names[instance])
-        files = ("keyframes", "trajectory", "tracking", "tracking_alignment")
-        found = with_files_found(settings, files, element)
-        self.motion = motion_of(found, first_array_frame(model))
+        element = self.config.element(names[instance])
+        found = with_files_found(settings, element)
+        with naming_keys(element, found):
+            self.motion = motion_of(found, first_array_frame(model))
         body = model.find("body", settings.body, f"{element}: key 'body'")
         self.mocap = int(model.raw.body_mocapid[body])
         if self.mocap < 0:

@@ -347,7 +347,7 @@ class SceneRuntime:
     def _site(self, skin: int, sensor: PluginSensor) -> tuple[Float, str]:
         """The site of a sensor on the resting body (body frame [m], shape (3,)), and its name in messages."""
         bound, part = self.binding.skins[skin], self.model.skins[skin]
-        element = f"plugin 'palmfield.skin' instance '{part.spec.name}': sensor '{sensor.name}'"
+        element = f"{part.spec.element}: sensor '{sensor.name}'"
         owners = (bound.body, *bound.bones)
         model = self.view.model
         if sensor.kind != "site" or model.site_body(sensor.target) not in owners:

@@ -54,7 +54,7 @@ class SkinModule(Module):
         from palmfield.simulation.state import skin_room
 
         spec, _ = read_scene(model)
-        own = with_files_found(settings, ("mesh",), f"plugin '{cls.name}'")
+        own = with_files_found(settings, f"plugin '{cls.name}'")
         number = next(i for i, skin in enumerate(spec.skins) if skin.config == own)
         return skin_room(model_of(spec), number)
 

@@ -80,8 +80,8 @@ def biases(
 
 
 def _linear(skin: SkinModel) -> list[Bias]:
-    """Particles are followed wherever they go; elements are not."""
-    if skin.choice.name == "particles":
+    """Large strain, where the solver of a skin isn't made for it."""
+    if skin.solver.large_strain:
         return []
     return [
         Bias(

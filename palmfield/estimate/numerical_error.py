@@ -101,7 +101,7 @@ def error_estimate(
         return times, frames_at(config, config.start_s + times)[1]
 
     def make() -> cache.Arrays:
-        if model.skins[skin].explicit is not None:
+        if model.skins[skin].solver.own_mesh:
             result = _explicit_estimate(layer, stepper, sound, point, ends)
             return {name: np.array(value) for name, value in result.items()}
         try:
@@ -229,10 +229,9 @@ def estimate_s(skin: SkinModel) -> float:
     # A complex factorisation counts twice
     materials = 0 if softest_and_stiffest_sheets(skin.spec.config) is None else 6
     edge = 0 if skin.spec.config.shape == "disc" else 2
-    if skin.explicit is not None:
+    if skin.solver.own_mesh:
         # The estimate of the solver is included in its seconds.
         return (3 + edge + materials) * factor_s(dofs) if edge or materials else 0.0
     low, high = (dofs, more * dofs) if compares_with_finer(skin.layer, dofs) else (dofs / more, dofs)
-    # The error of the time step is left out where a small model steps
-    step = 0 if skin.choice.name == "reduced" else 2
+    step = 0 if skin.choice.solver.exact_in_time else 2
     return (3 + step + edge + materials) * factor_s(low) + 3 * factor_s(high)

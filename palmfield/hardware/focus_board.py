@@ -13,6 +13,7 @@ from palmfield.acoustics.focus import compensate, focus
 from palmfield.acoustics.transducer import ANY_P0
 from palmfield.acoustics.transducer_file import read_transducers
 from palmfield.config import DriverConfig, parse
+from palmfield.config.base import naming_keys
 from palmfield.config.driver import SAFETY_KEYS
 from palmfield.drive.board import Board, check
 from palmfield.drive.boards import BOARDS, board_of, boards_for, playable_board
@@ -120,8 +121,10 @@ def focus_board(board: str, sound: FocusSound, keys: Mapping[str, object]) -> Fo
             array, p0 = replace(array, p0_Pa_m=known.p0.value), known.p0
         array = calibrated(array, known)
     texts = {key: str(value) for key, value in keys.items()}
-    driver = cast(DriverConfig, parse(DriverConfig, {**texts, "board": board}, "--focus with driver keys"))
-    chosen = board_of(driver, len(array), calibrated=sound.calibration is not None, address=array.address)
+    element = "--focus with driver keys"
+    driver = cast(DriverConfig, parse(DriverConfig, {**texts, "board": board}, element))
+    with naming_keys(element, driver):
+        chosen = board_of(driver, len(array), calibrated=sound.calibration is not None, address=array.address)
     said = []
     if chosen.modulates:
         # The board does that by itself, for any focus

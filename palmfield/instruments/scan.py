@@ -47,11 +47,9 @@ class Scan:
                 f"{self.name}: point {bad[0][1]} has a value that is not finite, at sample {bad[0][0]}; correct "
                 "it, or remove the point"
             )
-        try:
+        with naming(self.name):
             times, values = trace(self.times_s, self.values, 16)
             even_step(times)
-        except MeasurementError as error:
-            raise MeasurementError(f"{self.name}: {error}") from None
         points = np.asarray(self.points, dtype=float)
         if values.ndim != 2 or points.shape != (values.shape[1], 3) or not np.isfinite(points).all():
             raise MeasurementError(

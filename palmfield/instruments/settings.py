@@ -6,7 +6,7 @@ from typing import Annotated, Any, ClassVar, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from palmfield.config.base import allowed
-from palmfield.errors import MeasurementError, did_you_mean
+from palmfield.errors import MeasurementError, did_you_mean, naming
 from palmfield.given_files import read_toml, reading
 
 Vector3 = Annotated[tuple[float, float, float], Field()]
@@ -60,7 +60,5 @@ def read_settings(path: str | Path, model: type[Model]) -> Model:
             raise MeasurementError(f"{file}: has [{other}]{did_you_mean(other, [name])}; allowed: [{name}]")
     if not isinstance(table.get(name), dict):
         raise MeasurementError(f"{file}: has no table [{name}]; begin with it, and put keys below")
-    try:
+    with naming(f"{file}"):
         return model(**table[name])
-    except MeasurementError as error:
-        raise MeasurementError(f"{file}: {error}") from None

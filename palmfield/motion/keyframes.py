@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 from scipy.spatial.transform import Rotation
 
-from palmfield.errors import SceneError
+from palmfield.errors import SceneError, naming
 from palmfield.hand.articulated import ArticulatedHand, checked_angles
 from palmfield.hand.poses import named_pose
 from palmfield.motion.pose import HandPose, numbers, unit_quaternions
@@ -118,10 +118,8 @@ def keyframes(
         raise SceneError(f"hand keyframes: {len(poses)} poses for {n} times; give one pose for each time")
     angles = []
     for k, pose in enumerate(poses):
-        try:
+        with naming(f"hand keyframes: at {times[k]:g} s"):
             angles.append(checked_angles(hand, named_pose(hand, pose) if isinstance(pose, str) else pose))
-        except SceneError as error:
-            raise SceneError(f"hand keyframes: at {times[k]:g} s: {error}") from None
     places = numbers(positions, (n, 3), "hand keyframes: positions")
     turns = unit_quaternions(quaternions, (n, 4), "hand keyframes: quaternions")
     return Curve([joint.name for joint in hand.joints], times, places, turns, np.array(angles), rest=True)

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from palmfield.config import MotionConfig
-from palmfield.errors import SceneError
+from palmfield.errors import SceneError, naming
 from palmfield.given_files import read_toml, reading
 from palmfield.hand.articulated import ArticulatedHand, articulate, checked_angles
 from palmfield.hand.poses import named_pose, posed_surface
@@ -115,7 +115,9 @@ def read_keyframes(path: Path, hand: ArticulatedHand, preset: str | None) -> Cal
         if "time_s" not in key or "position_m" not in key:
             raise SceneError(f"{where}: time_s or position_m is missing; give both")
         if preset is None and ("pose" in key or "joints_deg" in key):
-            raise SceneError(f"{where}: pose and joints_deg need an articulated hand: name its preset by key 'hand'")
+            raise SceneError(
+                f"{where}: pose and joints_deg need an articulated hand: name the preset of that hand", mends=("hand",)
+            )
         times.append(float(numbers(key["time_s"], (), f"{where}: time_s")))
         place = numbers(key["position_m"], (3,), f"{where}: position_m")
         if (far := float(np.linalg.norm(place))) > FARTHEST_m:
@@ -147,12 +149,10 @@ def _angles(key: Mapping[str, Any], hand: ArticulatedHand, where: str) -> dict[s
     if not isinstance(bent, dict):
         raise SceneError(f"{where}: joints_deg is {bent!r}; give angles [deg] by joint")
     own = {name: float(numbers(angle, (), f"{where}: joints_deg: {name}")) for name, angle in bent.items()}
-    try:
+    with naming(where):
         angles = named_pose(hand, key.get("pose", "relaxed")) | own
         checked_angles(hand, angles)
-    except SceneError as error:
-        raise SceneError(f"{where}: {error}") from None
-    return angles
+        return angles
 
 
 def _check_skin(path: Path, preset: str, poses: list[dict[str, float]]) -> None:

@@ -306,9 +306,7 @@ def _path_off_the_skin(model: HapticModel, stimulus: StimulusModel) -> list[str]
 def _own_mesh(skin: SkinModel, view: Preview) -> list[str]:
     """Describe the cost of a solver with its own mesh on a CPU, and the value of a preview."""
     solver, device = skin.choice.name, view.runtime.model.spec.device
-    own, result = skin.explicit, list[str]()
-    if own is None:
-        return []
+    own, result = skin.solver, list[str]()
     if own.preview and own.expected_error is not None:
         result.append(
             f"solver '{solver}' of skin '{skin.spec.name}' is a preview: the expected error of its displacement is "

@@ -28,10 +28,7 @@ def _mesh_row(skin: SkinModel, pinned: list[str]) -> Row:
     if pinned:
         why = f"keys make it coarser than this target needs: {', '.join(pinned)}; the run estimates the error"
         return Row("mesh and time step", wanted, why, skin.spec.name)
-    own = skin.explicit
-    if own is None:
-        why = "sizes follow a convergence study on a disc (docs/bench/skin_c0.md); the run estimates the error"
-        return Row("mesh and time step", wanted, why, skin.spec.name)
+    own = skin.solver
     if own.expected_error is None:
         return Row("mesh and time step", wanted, own.sizes_follow, skin.spec.name)
     size = f"{'a preview, ' * own.preview}about {100 * own.expected_error:.2g} %; {wanted}"

@@ -114,9 +114,9 @@ def _layer(skin: SkinModel) -> list[Row]:
     elif skin.spec.config.patch_radius_m is not None:
         whole = "the region set by key patch_radius_m"
     own = []
-    if skin.explicit is not None:
-        resolution, why = skin.explicit.resolution, "below the same face; loads and results use the wedge mesh"
-        own.append(Row(f"mesh of {skin.choice.name}", resolution, why, name))
+    if skin.solver.own_mesh:
+        why = "below the same face; loads and results use the wedge mesh"
+        own.append(Row(f"mesh of {skin.choice.name}", skin.solver.resolution, why, name))
         estimate = "cut sides; this solver has its own estimate of the other parts"
     return [
         Row(
@@ -141,32 +141,25 @@ def _layer(skin: SkinModel) -> list[Row]:
 
 def _solver(skin: SkinModel, still_m: float) -> Row:
     """Return the stepper of a skin, and why; still_m: largest motion of its body that counts as still [m]."""
-    choice, config, name = skin.choice, skin.spec.config, skin.spec.name
-    if skin.explicit is not None:
-        preview, why = ", a preview" * skin.explicit.preview, f"{skin.explicit.steps}; {choice.why}"
-        size = f"about {choice.seconds:.0f} s; wedges about {choice.wedges_s:.0f} s on the CPU"
-        return Row(f"skin solver {choice.name}{preview}", size, why, name)
-    if choice.name == "wedges":
-        why = f"full wedge model, implicit, factorised once; {choice.why}"
-        return Row("skin solver wedges", f"about {choice.seconds:.0f} s", why, name)
-    if choice.name == "modal":
+    choice, solver, config = skin.choice, skin.solver, skin.spec.config
+    size, why = f"about {choice.seconds:.0f} s", f"{choice.why}; {solver.steps}"
+    if not solver.factorises:
+        size += f", wedges about {choice.wedges_s:.0f} s" + " on the CPU" * solver.own_mesh
+    leaves = "the full wedge model takes over"
+    if solver.of_class:
         kept = "stored in the cache" if cache.folder() is not None else "not stored, because there is no cache"
-        beyond = "the error of the run reports it" if config.solver == "modal" else "the full wedge model takes over"
-        return Row(
-            "skin solver modal",
-            f"about {choice.seconds:.0f} s, wedges about {choice.wedges_s:.0f} s",
-            f"{choice.why}; modes for every sound of these arrays on this region, built once, {kept}; the part of "
-            f"the load outside the modes is measured in every step; above {100 * config.accuracy:g} % {beyond}",
-            name,
+        beyond = leaves if config.solver == "auto" else "the error of the run reports it"
+        why += (
+            f", {kept}; the part of the load outside the modes is measured in every step; above "
+            f"{100 * config.accuracy:g} % {beyond}"
         )
-    return Row(
-        "skin solver reduced",
-        f"about {choice.seconds:.0f} s, wedges about {choice.wedges_s:.0f} s",
-        f"{choice.why}; reduced model for this stimulus, error {100 * SHARE * config.accuracy:.2g} %; if body, "
-        f"arrays or focus move by more than {1e6 * still_m:.0f} um, "
-        + ("the run ends" if config.solver == "reduced" else "the full wedge model takes over"),
-        name,
-    )
+    elif not solver.any_pose:
+        beyond = leaves if config.solver == "auto" else "the run ends"
+        why += (
+            f", error {100 * SHARE * config.accuracy:.2g} %; if body, arrays or focus move by more than "
+            f"{1e6 * still_m:.0f} um, {beyond}"
+        )
+    return Row(f"skin solver {choice.name}{', a preview' * solver.preview}", size, why, skin.spec.name)
 
 
 def _ring_up(stimulus: StimulusModel) -> list[Row]:

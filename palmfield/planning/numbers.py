@@ -50,7 +50,7 @@ def plan_numbers(view: Preview) -> dict[str, Any]:
                 "name": skin.spec.name,
                 "solver": skin.choice.name,
                 "expected_solver_s": float(skin.choice.seconds),
-                "unknowns": int(layer.dofs if skin.explicit is None else skin.explicit.unknowns),
+                "unknowns": int(skin.solver.unknowns),
                 "edge_fine_m": float(sizes.edge_fine_m),
                 "edge_coarse_m": float(sizes.edge_coarse_m),
                 "radius_m": float(sizes.radius_m),

@@ -20,7 +20,7 @@ def coarse_pins(model: HapticModel, number: int) -> list[str]:
     highest_Hz = max(main_frequencies(stimulus.config), default=0.0)
     if config.max_frequency_Hz is not None and config.max_frequency_Hz < highest_Hz:
         result.append(f"max_frequency_Hz {config.max_frequency_Hz:g} (stimulus: {highest_Hz:g} Hz)")
-    if skin.explicit is not None:
+    if skin.solver.own_mesh:
         return result
     free, sheets = config.model_copy(update={"element_m": None, "step_s": None}), sheets_of(config)
     chosen = layer_sizes(

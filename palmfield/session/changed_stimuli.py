@@ -3,12 +3,10 @@
 from collections.abc import Mapping
 from dataclasses import replace
 
-from palmfield.config import StimulusConfig
 from palmfield.session.simulation import Simulation
 from palmfield.session.world_keys import BOUND, with_texts
 from palmfield.simulation.build import build, demands_of
 from palmfield.simulation.model import HapticModel
-from palmfield.simulation.scene_reader import element_of
 from palmfield.simulation.state import WHOLE, at_rest, claim, stepper_of
 
 LEAST_SPOT = 0.8
@@ -29,7 +27,7 @@ def change_stimuli(sim: Simulation, texts: Mapping[str, Mapping[str, str]]) -> b
     stimuli = []
     for stimulus in known.spec.stimuli:
         own = texts.get(stimulus.name)
-        new = stimulus if own is None else with_texts(stimulus, own, element_of(StimulusConfig, stimulus.name))
+        new = stimulus if own is None else with_texts(stimulus, own, stimulus.element)
         if any(getattr(new.config, key) != getattr(stimulus.config, key) for key in BOUND):
             return False
         stimuli.append(new)

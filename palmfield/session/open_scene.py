@@ -22,13 +22,6 @@ from palmfield.session.scene_text import Instance, SceneText, read_scene_text, s
 from palmfield.simulation.scene_reader import DEVICE
 
 LOG = logging.getLogger("palmfield.session")
-FILES = {
-    "palmfield.array": ("calibration", "transducers"),
-    "palmfield.skin": ("mesh",),
-    "palmfield.stimulus": ("am_file", "path_file"),
-    "palmfield.motion": ("keyframes", "trajectory", "tracking", "tracking_alignment"),
-}
-"""Keys that name files, relative to the scene."""
 SKIN = "palmfield.skin"
 
 Source: TypeAlias = str | Path | mujoco.MjSpec | mujoco.MjModel
@@ -113,7 +106,7 @@ def _compiled_with(scene: "Opened", options: Options) -> mujoco.MjModel:
             LOG.info("board %s: %s", board, change)
     for plugin, (_, _, config) in zip(spec.plugins, plugins, strict=True):
         _check_keys(plugin, config, scene)
-        for key in FILES.get(plugin.plugin_name, ()):
+        for key in configs().get(plugin.plugin_name, Config).files:
             if config.get(key) and folder is not None and not Path(config[key]).is_absolute():
                 config[key] = str(folder / config[key])
         plugin.config = config

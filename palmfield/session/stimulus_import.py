@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from palmfield.config.stimulus import AM_KEYS, PATH_KEYS
-from palmfield.errors import OutputError, SceneError, did_you_mean
+from palmfield.errors import OutputError, SceneError, did_you_mean, naming
 from palmfield.session.open_scene import compiled, instances_of, no_scene, opened
 from palmfield.session.scene_edit import Edit, edited, indent_of, tag_of, without
 from palmfield.session.scene_text import Element, elements_of
@@ -51,10 +51,8 @@ def read_stimulus(path: Path) -> tuple[FocusTable, bool]:
             return read_focus_table(path), False
         case ".json":
             stm = read_foci_stm(path)
-            try:
+            with naming(f"{path}"):
                 return table_of_stm(stm), stm.loop == "infinite"
-            except SceneError as error:
-                raise SceneError(f"{path}: {error}") from None
     raise SceneError(f"{path}: the file's kind is '{path.suffix}'; allowed: .csv (a table), .json (an STM of AUTD3)")
 
 

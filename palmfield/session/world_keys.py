@@ -10,7 +10,7 @@ import numpy as np
 from palmfield.config import CONFIGS, Config, StimulusConfig, parse
 from palmfield.errors import SceneError, naming_world
 from palmfield.session.open_scene import as_text
-from palmfield.simulation.scene_reader import STIMULUS_FILES, am_table_of, element_of, focus_table_of, with_files_found
+from palmfield.simulation.scene_reader import am_table_of, focus_table_of, with_files_found
 from palmfield.simulation.spec import SceneSpec, StimulusSpec
 
 BY_PLUGIN: dict[str, type[Config]] = {config.plugin: config for config in CONFIGS}
@@ -85,7 +85,7 @@ def world_specs(
                 if values[world] is not None:
                     own[key] = as_text(values[world])
             with naming_world(world):
-                stimuli.append(with_texts(stimulus, own, element_of(StimulusConfig, stimulus.name)))
+                stimuli.append(with_texts(stimulus, own, stimulus.element))
         specs.append(replace(spec, stimuli=tuple(stimuli)))
     return specs
 
@@ -95,7 +95,7 @@ def with_texts(stimulus: StimulusSpec, texts: Mapping[str, str], element: str) -
 
     texts: of all keys that it has; element: how messages name it. Raises SceneError for an invalid value of a key.
     """
-    config: Any = with_files_found(parse(StimulusConfig, dict(texts), element), STIMULUS_FILES, element)
+    config: Any = with_files_found(parse(StimulusConfig, dict(texts), element), element)
     table, foci = stimulus.am_table, stimulus.focus_table
     if any(getattr(config, key) != getattr(stimulus.config, key) for key in OF_TABLES):
         table, foci = am_table_of(config, element), focus_table_of(config, element)

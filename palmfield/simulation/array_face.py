@@ -49,6 +49,6 @@ def wall_distance(spec: SceneSpec, array: Array) -> float | None:
 def refused(array: ArraySpec, why: str, allowed: str) -> SceneError:
     """The message for a rigid face that can't be computed."""
     return SceneError(
-        f"plugin 'palmfield.array' instance '{array.name}': key 'array_face' has value 'rigid', but {why}; "
-        f"allowed: {allowed}; or set array_face to absorbing: the error budget then includes a band for the echo"
+        f"{array.element}: key 'array_face' has value 'rigid', but {why}; allowed: {allowed}; or set array_face to "
+        "absorbing: the error budget then includes a band for the echo"
     )

@@ -12,6 +12,7 @@ import numpy as np
 
 from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.config import SkinConfig, StimulusConfig
+from palmfield.config.base import naming_keys
 from palmfield.drive.array_drive import ArrayDrive
 from palmfield.drive.board import Board
 from palmfield.drive.boards import BOARDS, board_of
@@ -121,7 +122,8 @@ def board_for(spec: SceneSpec, arrays: PhasedArray) -> Board:
     """The board that plays the drive. SceneError for arrays that it does not drive, DeviceError for unknown keys."""
     check_arrays(BOARDS[spec.driver.board], spec.arrays)
     known = any(array.calibration is not None for array in spec.arrays)
-    board = board_of(spec.driver, len(arrays), calibrated=known, address=arrays.array.address)
+    with naming_keys("plugin 'palmfield.driver'", spec.driver):
+        board = board_of(spec.driver, len(arrays), calibrated=known, address=arrays.array.address)
     if board.modulates:
         for stimulus in spec.stimuli:
             check_envelope(stimulus, board)
@@ -147,7 +149,7 @@ def _arrays(spec: SceneSpec) -> PhasedArray:
     """Arrays of the scene in the reference pose. Raises SceneError, which names the instance that can't be built."""
     instances = array_instances(spec)
     for array, instance in zip(spec.arrays, instances, strict=True):
-        with naming(f"plugin 'palmfield.array' instance '{array.name}'"):
+        with array.naming():
             gain = instance.array(array.placement.sites).gain
             if gain is not None and not gain.any():
                 raise SceneError(
@@ -258,7 +260,7 @@ def _stimulus(
         course = SurfaceCourse(path, carrier.surface.vertices, carrier.surface.faces, body)
     focal_points = FocalPoints(spec.frame.transform, offsets, course, spec.focus_table, config.foci_arp)
     transducers = np.concatenate([np.arange(arrays.slices[i].start, arrays.slices[i].stop) for i in spec.arrays])
-    about = about_stimulus(spec.name)
+    about = about_stimulus(spec)
     with naming(about[0]):
         amplitude = peak_amplitude(config)
         drive = ArrayDrive(arrays, transducers.astype(np.int32), config.arp_peak_Pa, amplitude, board, about[:1], about)
@@ -289,10 +291,9 @@ def _path_on(spec: StimulusSpec, carrier: BodyModel, body: Transform) -> "Surfac
     """
     from palmfield.stimulus.surface_path import drawn, through, zigzag_through  # most stimuli have no such path
 
-    element = f"plugin 'palmfield.stimulus' instance '{spec.name}': key 'path_on' has value 'skin'"
-    if carrier.surface is None:
-        raise SceneError(f"{element}, but the skin is a flat disc: set path_on to plane")
-    try:
+    with spec.naming("path_on"):
+        if carrier.surface is None:
+            raise SceneError("the skin is a flat disc: set path_on to plane")
         if spec.config.path == "sites":
             sites, stroke = np.array(spec.path_sites), zigzag_stroke_m(spec.config)
             if stroke is None:
@@ -304,8 +305,6 @@ def _path_on(spec: StimulusSpec, carrier: BodyModel, body: Transform) -> "Surfac
         frame = spec.frame.transform
         start = body.inverse_points(frame.points(np.array(spec.config.focus_m)))
         return drawn(carrier.surface, start, body.inverse_vectors(frame.rotation[:, 0]), path)
-    except SceneError as error:
-        raise SceneError(f"{element}: {error}") from None
 
 
 # -- skins ---------------------------------------------------------------------------------------------------------
@@ -394,7 +393,7 @@ def _layer(skin: SkinSpec, body: BodyModel, demand: LayerDemand) -> SceneLayer:
             key,
             SceneLayer(
                 skin.config, body.surface, body.depth_to_bone_m, np.array(skin.patch_centre), demand,
-                element=f"plugin 'palmfield.skin' instance '{skin.name}'",
+                named=skin.naming(),
             ),
         )  # fmt: skip
 
@@ -412,8 +411,8 @@ def _common_step(steps_s: list[float], spec: SceneSpec) -> float:
     for skin, own in zip(spec.skins, steps_s, strict=True):
         if skin.config.step_s is not None and own > (1.0 + 1e-9) * step_s:
             raise SceneError(
-                f"plugin 'palmfield.skin' instance '{skin.name}': key 'step_s' has value {skin.config.step_s:g}, "
-                f"but another skin needs {step_s:g}, and all skins use one step; allowed: {step_s:g}"
+                f"{skin.element}: key 'step_s' has value {skin.config.step_s:g}, but another skin needs {step_s:g}, "
+                f"and all skins use one step; allowed: {step_s:g}"
             )
     return step_s
 

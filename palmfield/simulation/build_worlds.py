@@ -81,7 +81,7 @@ def build_worlds(
     for number, skin in enumerate(skins):
         if scene is not None and skin is first.skins[number]:
             # Data made for MuJoCo's model serve worlds in which it sounds the same
-            own_load = load_key(first.stimuli, first.board.exact) if skin.choice.name == "reduced" else None
+            own_load = load_key(first.stimuli, first.board.exact) if not skin.choice.solver.any_pose else None
             begins[number, own_load] = first.begin[number]
     models: dict[SceneSpec, HapticModel] = {}
     # Worlds with sound come first: any of their steppers serves silence
@@ -92,7 +92,7 @@ def build_worlds(
         begin = []
         for number, skin in enumerate(skins):
             # A small model is made for its load; any other stepper of a skin serves all loads
-            key = number, (loads[spec] or fallback) if skin.choice.name == "reduced" else None
+            key = number, None if skin.choice.solver.any_pose else loads[spec] or fallback
             if key not in begins:
                 begins[key] = Lazy(partial(first_stepper, model, number))
             begin.append(begins[key])
@@ -111,7 +111,7 @@ def _skins(
     for known, layer in zip(first.skins, layers, strict=True):
         if modal and known.spec.config.solver == "auto":
             choice = known.choice._replace(name="modal", why="there are many different loads")
-            settles = known.choice.name == "reduced"
+            settles = not known.choice.solver.any_pose
         else:
             choices = [
                 choose_stepper(spec, known.spec, layer, made, first.pole, response_on)
@@ -119,7 +119,7 @@ def _skins(
             ]
             choice = common_choice(first.spec, known.spec, layer, choices, loads) if choices else known.choice
             # As in each world by itself, where the load is predicted: in a still pose its field is stored
-            settles = choice.name != "wedges" and all(own.name == "reduced" for own in choices)
+            settles = not (choice.solver.factorises or any(own.solver.any_pose for own in choices))
         if layer is known.layer and choice == known.choice:
             skins.append(known)
         else:

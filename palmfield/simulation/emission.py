@@ -406,7 +406,7 @@ def array_drives(model: HapticModel, arrays: PhasedArray, board: Board | None = 
     board = model.board if board is None else board
     drives = []
     for part in model.stimuli:
-        about, config = about_stimulus(part.spec.name), part.config
+        about, config = about_stimulus(part.spec), part.config
         level = peak_amplitude(config)
         drives.append(ArrayDrive(arrays, part.transducers, config.arp_peak_Pa, level, board, about[:1], about))
     return drives

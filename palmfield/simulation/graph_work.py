@@ -15,6 +15,7 @@ import warp as wp
 from palmfield.acoustics.knife_edge import KnifeEdges
 from palmfield.acoustics.point_sound import DriveTable, Surface, Transducers, sound_calls
 from palmfield.acoustics.shadow_nodes import ShadowNodes, shadow_nodes
+from palmfield.config.base import naming_keys
 from palmfield.device import (
     Branches,
     SharedArray,
@@ -118,7 +119,8 @@ class GraphWork:
         inside = self._inside()
         points = ScenePoints(model, reference, self._motions, of.probes, device, worlds, self._steppers(), of.free)
         tables = sum(map(nbytes, (parts | results).values()))
-        check_room(worlds * points.nbytes(sizes.sums[0], sizes.sums[1]) + tables, worlds, device)
+        with naming_keys("plugin 'palmfield.skin'"):
+            check_room(worlds * points.nbytes(sizes.sums[0], sizes.sums[1]) + tables, worlds, device)
         points.make()
         self.inputs = SharedBlock({name: part for name, part in parts.items() if name not in inside}, device)
         self.results = SharedBlock({name: part for name, part in results.items() if name not in inside}, device)

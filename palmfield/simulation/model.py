@@ -7,7 +7,7 @@ when they are first needed, once.
 import threading
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import sparse
@@ -25,11 +25,12 @@ from palmfield.hand.subdivide import EDGE_m, short_edge_parents, with_short_edge
 from palmfield.hand.triangles import face_normals
 from palmfield.locked import Lazy, locked_cached_property
 from palmfield.simulation.spec import SceneSpec, SkinSpec, StimulusSpec
-from palmfield.skin.explicit_layer import ExplicitLayer, explicit_layer
+from palmfield.skin.explicit_layer import LayerSolver, layer_solver
 from palmfield.skin.fem.probe import surface_vectors
 from palmfield.skin.mesh.wedges import closed_boundary, output_triangles
 from palmfield.skin.scene_layer import SceneLayer
 from palmfield.skin.stepper import SkinStepper
+from palmfield.skin.stepper_choice import StepperChoice as StepperChoice
 from palmfield.transforms import Transform, corners_of
 from palmfield.types import Float, Int, Surface
 
@@ -161,19 +162,6 @@ class BodyModel:
         return None if self.hand is None else SkinBinding.to(self.hand, points)
 
 
-class StepperChoice(NamedTuple):
-    """The stepper with which a skin begins.
-
-    name: "wedges", "reduced", "modal" or that of a solver with an ExplicitLayer; why: in words
-    seconds, wedges_s: predicted of making and stepping it, and the whole layer
-    """
-
-    name: str
-    why: str
-    seconds: float
-    wedges_s: float
-
-
 class SkinModel:
     """One skin layer on its body.
 
@@ -194,18 +182,18 @@ class SkinModel:
     ):
         self.spec, self.body, self.carrier, self.layer = spec, body, carrier, layer
         self.choice, self.still_m = choice, still_m
-        self.settles = choice.name == "reduced" if settles is None else settles
+        self.settles = not choice.solver.any_pose if settles is None else settles
         self.lock = threading.RLock()
 
     @property
     def state_room(self) -> int:
         """Numbers of state that the skin can need, without its matrices."""
-        return self.layer.state_room if self.explicit is None else self.explicit.state_size
+        return self.solver.state_size
 
     @property
-    def explicit(self) -> ExplicitLayer | None:
-        """The layer as a solver has it that key `solver` names, None where the wedges themselves are stepped."""
-        return explicit_layer(self.layer)
+    def solver(self) -> LayerSolver:
+        """The layer as its solver takes it."""
+        return layer_solver(self.layer, self.choice.name)
 
     @locked_cached_property
     def nodes(self) -> tuple[Float, Float]:
@@ -355,9 +343,9 @@ class HapticModel:
         return [number for number, skin in enumerate(self.skins) if skin.body == body]
 
 
-def about_stimulus(name: str) -> tuple[str, str]:
+def about_stimulus(spec: StimulusSpec) -> tuple[str, str]:
     """Names of a stimulus of the scene and of its foci in errors."""
-    return f"plugin 'palmfield.stimulus' instance '{name}'", "key 'focus_m'"
+    return spec.element, "key 'focus_m'"
 
 
 def array_instances(spec: SceneSpec) -> tuple[ArrayInstance, ...]:

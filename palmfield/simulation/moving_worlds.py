@@ -369,5 +369,5 @@ def may_join(model: HapticModel, layout: PoseLayout) -> bool:
     solid = all(body.surface is not None for body in model.bodies) and not any(model.still_m)
     boards = all(board.nearest is None for board in model.arrays.boards)
     bare = all(skin.spec.config.body_sound == "none" and not skin.spec.obstacles for skin in model.skins)
-    modal = all(skin.choice.name == "modal" for skin in model.skins)
+    modal = all(skin.choice.solver.of_class for skin in model.skins)
     return alike and exact and free and solid and boards and bare and modal

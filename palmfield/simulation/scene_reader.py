@@ -5,7 +5,7 @@ later.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -23,6 +23,7 @@ from palmfield.config import (
     known_keys,
     parse,
 )
+from palmfield.config.base import naming_keys
 from palmfield.config.skin import OF_SHAPES
 from palmfield.data import find_file
 from palmfield.device import resolve
@@ -55,8 +56,6 @@ REST_M, REST_RAD = 1e-4, 1e-3
 """Largest distance of a body from the joint whose skin it carries: a tenth of an element of a layer, and rounding."""
 SAME_AIR = ("temperature_C", "humidity_percent", "pressure_Pa", "precision")
 """Keys that all arrays of a scene share."""
-STIMULUS_FILES = ("am_file", "path_file")
-"""Keys of a stimulus that name files."""
 
 T = TypeVar("T")
 AnyConfig = TypeVar("AnyConfig", bound=Config)
@@ -93,24 +92,14 @@ def read_scene(model: ModelView) -> tuple[SceneSpec, SceneBinding]:
     Raises SceneError with element, key, value and what is allowed for any inconsistent key.
     """
     _check_custom(model)
-    named: dict[type[Config], list[tuple[int, str, Any]]] = {
-        config: [
-            (i, name, keys_of(config, model, i)) for i, plugin, name in model.instances() if plugin == config.plugin
+    arrays, stimuli, skins, drivers = (
+        [
+            (i, name, with_files_found(keys_of(config, model, i), config.element(name)))
+            for i, plugin, name in model.instances()
+            if plugin == config.plugin
         ]
         for config in (ArrayConfig, StimulusConfig, SkinConfig, DriverConfig)
-    }
-    stimuli = [
-        (i, name, with_files_found(config, STIMULUS_FILES, element_of(StimulusConfig, name)))
-        for i, name, config in named[StimulusConfig]
-    ]
-    arrays = [
-        (i, name, with_files_found(config, ("calibration", "transducers"), element_of(ArrayConfig, name)))
-        for i, name, config in named[ArrayConfig]
-    ]
-    skins = [
-        (i, name, with_files_found(config, ("mesh",), element_of(SkinConfig, name)))
-        for i, name, config in named[SkinConfig]
-    ]
+    )
     if not skins:
         raise SceneError("the scene has no plugin 'palmfield.skin'; needed: at least one")
     if not arrays:
@@ -120,9 +109,9 @@ def read_scene(model: ModelView) -> tuple[SceneSpec, SceneBinding]:
             f"plugin 'palmfield.skin' instance '{skins[0][1]}': the scene has no 'palmfield.stimulus' and would be "
             "silent; needed: at least one"
         )
-    if len(named[DriverConfig]) > 1:
-        raise SceneError(f"the scene has {len(named[DriverConfig])} of 'palmfield.driver'; allowed: one")
-    driver = named[DriverConfig][0][2] if named[DriverConfig] else DriverConfig.model_validate({})
+    if len(drivers) > 1:
+        raise SceneError(f"the scene has {len(drivers)} of 'palmfield.driver'; allowed: one")
+    driver = drivers[0][2] if drivers else DriverConfig.model_validate({})
     array_specs, array_sites, transducers = _arrays(arrays, model)
     skin_specs, skin_bindings = _skins(skins, model, array_sites[0])
     stimulus_specs, frame_sites = _stimuli(stimuli, model, array_specs, array_sites, skin_specs, skin_bindings)
@@ -150,28 +139,21 @@ def keys_of(config: type[Config], model: ModelView, instance: int) -> Any:
     """Typed keys of a plugin instance. Raises SceneError as `palmfield.config.parse`."""
     name = next(n for i, _, n in model.instances() if i == instance)
     values = model.values(instance, known_keys(config))
-    return parse(config, values, element_of(config, name))
+    return parse(config, values, config.element(name))
 
 
-def element_of(config: type[Config], name: str) -> str:
-    """Name of a plugin instance in messages."""
-    return f"plugin '{config.plugin}' instance '{name}'"
-
-
-def with_files_found(config: AnyConfig, keys: Sequence[str], element: str) -> AnyConfig:
-    """The keys of a module, with absolute paths for the keys that name files.
+def with_files_found(config: AnyConfig, element: str) -> AnyConfig:
+    """The keys of a module, with absolute paths of its files.
 
     Raises SceneError as `palmfield.data.find_file`, with element and key.
     """
     paths = {}
-    for key in keys:
+    for key in config.files:
         name = getattr(config, key)
         if name is None:
             continue
-        try:
+        with naming_keys(element, setting=key):
             paths[key] = str(find_file(name))
-        except SceneError as error:
-            raise SceneError(f"{element}: key '{key}': {error}") from None
     return config.model_copy(update=paths) if paths else config
 
 
@@ -180,9 +162,7 @@ def first_array_frame(model: ModelView) -> Transform:
     for number, plugin, name in model.instances():
         if plugin == ArrayConfig.plugin:
             site = keys_of(ArrayConfig, model, number).site
-            return model.reference_pose(
-                "site", model.find("site", site, f"{element_of(ArrayConfig, name)}: key 'site'")
-            )
+            return model.reference_pose("site", model.find("site", site, f"{ArrayConfig.element(name)}: key 'site'"))
     return IDENTITY
 
 
@@ -198,11 +178,11 @@ def _arrays(
         for key in SAME_AIR:
             if getattr(config, key) != getattr(first, key):
                 raise SceneError(
-                    f"{element_of(ArrayConfig, name)}: key '{key}' has value {getattr(config, key)}, and "
+                    f"{ArrayConfig.element(name)}: key '{key}' has value {getattr(config, key)}, and "
                     f"{getattr(first, key)} at instance '{first_name}'; allowed: the same for all arrays"
                 )
     sites = tuple(
-        model.find("site", config.site, f"{element_of(ArrayConfig, name)}: key 'site'") for _, name, config in instances
+        model.find("site", config.site, f"{ArrayConfig.element(name)}: key 'site'") for _, name, config in instances
     )
     transducers = tuple(transducer_sites(config, name, model) for _, name, config in instances)
     origin = model.reference_pose("site", sites[0])
@@ -214,7 +194,7 @@ def _arrays(
             transducer = relative(pose, model.reference_pose("site", number))
             own.append((tuple(transducer.position.tolist()), tuple(transducer.rotation[:, 2].tolist())))
         placement = Placement.of(relative(origin, pose), tuple(own))
-        element = element_of(ArrayConfig, name)
+        element = ArrayConfig.element(name)
         calibration = read_file(read_calibration, config, "calibration", element)
         if calibration is not None:
             check_calibrated_once(calibration, config, element)
@@ -226,12 +206,8 @@ def _arrays(
 def read_file(read: Callable[[str], T], config: Config, key: str, element: str) -> T | None:
     """The content of the file of a key, None if the key is not set. Raises SceneError with element and key."""
     name = getattr(config, key)
-    if name is None:
-        return None
-    try:
-        return read(name)
-    except SceneError as error:
-        raise SceneError(f"{element}: key '{key}': {error}") from None
+    with naming_keys(element, setting=key):
+        return None if name is None else read(name)
 
 
 def check_calibrated_once(calibration: Calibration, config: ArrayConfig, element: str) -> None:
@@ -254,7 +230,7 @@ def transducer_sites(config: ArrayConfig, name: str, model: ModelView) -> tuple[
     keys = ["site", "frame", "patch_site"]
     used = {config.site} | {text for i, _, _ in model.instances() for text in model.values(i, keys).values()}
     names = [site for site in model.names("site") if site.startswith(config.sites) and site not in used]
-    element = f"{element_of(ArrayConfig, name)}: key 'sites'"
+    element = f"{ArrayConfig.element(name)}: key 'sites'"
     if not names:
         raise SceneError(
             f"{element} has value '{config.sites}'; allowed: the beginning of the names of sites that no key "
@@ -270,7 +246,7 @@ def _skins(
     moves = any(plugin == MotionConfig.plugin for _, plugin, _ in model.instances())
     specs, bindings = [], []
     for instance, name, config in instances:
-        element = element_of(SkinConfig, name)
+        element = SkinConfig.element(name)
         body = model.find("body", config.body, f"{element}: key 'body'")
         frame = model.reference_pose("body", body)
         _check_presets(config, element)
@@ -304,15 +280,12 @@ def _check_still(
 
 def _check_presets(config: SkinConfig, element: str) -> None:
     """Raises SceneError, with element and key, for a material or a hand that there is not."""
-    key = "materials" if config.materials else "material"
-    try:
+    with naming_keys(element, setting="materials" if config.materials else "material"):
         for name in config.materials or (config.material,):
             preset(name)
-        if config.shape in OF_SHAPES["hand"]:
-            key = "hand"
+    if config.shape in OF_SHAPES["hand"]:
+        with naming_keys(element, setting="hand"):
             load_preset(config.hand)
-    except SceneError as error:
-        raise SceneError(f"{element}: key '{key}': {error}") from None
 
 
 def _stimuli(
@@ -327,7 +300,7 @@ def _stimuli(
     origin = model.reference_pose("site", array_sites[0])
     specs, frames = [], []
     for (_, name, config), own in zip(instances, driven, strict=True):
-        element = element_of(StimulusConfig, name)
+        element = StimulusConfig.element(name)
         frame_site = array_sites[own[0]]
         if config.frame != "array":
             frame_site = model.find("site", config.frame, f"{element}: key 'frame'")
@@ -398,7 +371,7 @@ def _driven_arrays(instances: list[tuple[int, str, Any]], names: list[str]) -> l
     """Numbers of the arrays that each stimulus drives: those it names, or all that no other one names."""
     owner: dict[str, str] = {}
     for _, stimulus, config in instances:
-        element = f"{element_of(StimulusConfig, stimulus)}: key 'arrays'"
+        element = f"{StimulusConfig.element(stimulus)}: key 'arrays'"
         for array in config.arrays:
             if array not in names:
                 raise SceneError(
@@ -414,12 +387,12 @@ def _driven_arrays(instances: list[tuple[int, str, Any]], names: list[str]) -> l
     rest = [stimulus for _, stimulus, config in instances if not config.arrays]
     if len(rest) > 1:
         raise SceneError(
-            f"{element_of(StimulusConfig, rest[1])}: it names no arrays, and neither does instance '{rest[0]}'; "
+            f"{StimulusConfig.element(rest[1])}: it names no arrays, and neither does instance '{rest[0]}'; "
             "set key 'arrays' of each stimulus"
         )
     if rest and not free:
         raise SceneError(
-            f"{element_of(StimulusConfig, rest[0])}: every array is driven by another stimulus; name one by key "
+            f"{StimulusConfig.element(rest[0])}: every array is driven by another stimulus; name one by key "
             "'arrays', or remove this stimulus"
         )
     return [

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from palmfield.acoustics.arp import LAWS, ArpLaw, alpha_law
 from palmfield.acoustics.calibration_file import Calibration
 from palmfield.acoustics.transducer_file import TransducerTable
-from palmfield.config import ArrayConfig, DriverConfig, SkinConfig, StimulusConfig
+from palmfield.config import ArrayConfig, Config, DriverConfig, SkinConfig, StimulusConfig
+from palmfield.config.base import naming_keys
 from palmfield.hand.collision_shapes import Obstacle
 from palmfield.stimulus.am_file import AmTable
 from palmfield.stimulus.focus_table import FocusTable
@@ -18,8 +19,24 @@ from palmfield.transforms import Placement
 Triple = tuple[float, float, float]
 
 
+class Named:
+    """A part of a scene by its name, in messages. config: its keys."""
+
+    name: str
+    config: Config
+
+    @property
+    def element(self) -> str:
+        """Name of the element of the scene."""
+        return self.config.element(self.name)
+
+    def naming(self, setting: str = "") -> naming_keys:
+        """An error that leaves the block names the element and its keys; setting: the one at fault, if it says none."""
+        return naming_keys(self.element, self.config, setting)
+
+
 @dataclass(frozen=True)
-class ArraySpec:
+class ArraySpec(Named):
     """One phased array.
 
     placement: seen from the first array
@@ -34,7 +51,7 @@ class ArraySpec:
 
 
 @dataclass(frozen=True)
-class StimulusSpec:
+class StimulusSpec(Named):
     """One stimulus.
 
     arrays: numbers of the arrays that it drives, rising. frame: of its focus and path, seen from the first array.
@@ -64,7 +81,7 @@ class ObstacleSpec:
 
 
 @dataclass(frozen=True)
-class SkinSpec:
+class SkinSpec(Named):
     """One skin layer and the body that carries it.
 
     body: placement of the body, seen from the first array. patch_centre: middle of the layer in the body's frame [m].

@@ -86,7 +86,7 @@ def check_arrays(model: HapticModel, state: HapticState) -> bool:
         if part[0, 0] == BEGUN and part[0, 1] == mark:
             continue
         if np.logical_or.reduce(part[0]):
-            raise SceneError(_foreign(f"plugin 'palmfield.array' instance '{array.name}'"))
+            raise SceneError(_foreign(array.element))
         part[0, 0], part[0, 1] = BEGUN, mark
         new = True
     return new
@@ -106,7 +106,7 @@ def stepper_of(model: HapticModel, state: HapticState, skin: int) -> tuple[SkinS
         mark = model.marks.get(("skin", skin, stepper.name)) or _mark(model, "skin", skin, stepper.name)
         known = kind in (BEGUN, WHOLE) and part[0, 1] == mark
     if not known:
-        raise SceneError(_foreign(f"plugin 'palmfield.skin' instance '{model.skins[skin].spec.name}'"))
+        raise SceneError(_foreign(model.skins[skin].spec.element))
     return stepper, part[:, HEADER : HEADER + stepper.state_size]
 
 
@@ -127,7 +127,7 @@ def _mark(model: HapticModel, kind: str, number: int, name: str) -> float:
         stepper = (model.begin[number] if model.begin[number].value.name == name else model.whole[number]).value
         parts = [skin.spec.config.model_dump_json(), skin.layer.state_room, stepper.state_size, stepper.step_s]
         parts += [skin.spec.patch_centre, len(skin.nodes[0])]
-        if name != "wedges":
+        if not stepper.factorises:
             # A small model's numbers belong to its basis, which comes from all that the scene is going to do.
             parts.append(repr(replace(model.spec, device="", duration_s=0.0)))
     digest = hashlib.sha256(json.dumps([VERSION, version("palmfield"), kind, name, *parts]).encode()).digest()

@@ -49,7 +49,7 @@ def check_bodies(spec: SceneSpec) -> None:
         other = first.setdefault(skin.config.body, skin)
         if other is skin:
             continue
-        element = f"plugin 'palmfield.skin' instance '{skin.name}'"
+        element = skin.element
         if skin.config.shape == "disc":
             raise SceneError(
                 f"{element}: key 'body' has value '{skin.config.body}', which instance '{other.name}' already uses "
@@ -104,9 +104,9 @@ def check_overlaps(skins: Sequence[SkinModel]) -> None:
             least = 0.5 * max(skin.layer.sizes.edge_coarse_m, other.layer.sizes.edge_coarse_m)
             if distance < least:
                 raise SceneError(
-                    f"plugin 'palmfield.skin' instance '{skin.spec.name}': its layer overlaps that of instance "
-                    f"'{other.spec.name}' on body '{skin.spec.config.body}' (distance of the surfaces "
-                    f"{1e3 * distance:.1f} mm); set patch_site or patch_radius_m to separate them, or use one layer"
+                    f"{skin.spec.element}: its layer overlaps that of instance '{other.spec.name}' on body "
+                    f"'{skin.spec.config.body}' (distance of the surfaces {1e3 * distance:.1f} mm); set patch_site or "
+                    "patch_radius_m to separate them, or use one layer"
                 )
 
 
@@ -115,7 +115,7 @@ def check_cost(skin: SkinSpec, layer: SceneLayer, timestep_s: float, stimulus: S
 
     stimulus: for whose spot the sizes are chosen
     """
-    element = f"plugin 'palmfield.skin' instance '{skin.name}'"
+    element = skin.element
     substeps = timestep_s / layer.sizes.step_s
     if substeps > MOST_SUBSTEPS:
         raise SceneError(
@@ -154,7 +154,7 @@ def check_body_sound(skin: SkinSpec, stimuli: Sequence[StimulusSpec], pole: Pole
     """Refuse what boundary elements can't follow in sensible time: they solve once for a focus and a pose."""
     if skin.config.body_sound != "scattering":
         return
-    name = f"plugin 'palmfield.skin' instance '{skin.name}': key 'body_sound' has value 'scattering'; allowed:"
+    name = f"{skin.element}: key 'body_sound' has value 'scattering'; allowed:"
     if any(stimulus.config.path != "point" for stimulus in stimuli):
         raise SceneError(f"{name} with path 'point' only, because each focus needs its own solution; use shadows")
     if len(stimuli) > 1:
@@ -182,15 +182,14 @@ def check_arrays(board: Board, arrays: Sequence[ArraySpec]) -> None:
             own = "' or '".join(board.layouts)
             raise SceneError(
                 f"plugin 'palmfield.driver': board '{board.name}' drives the layout '{own}' only; "
-                f"plugin 'palmfield.array' instance '{array.name}' has layout '{layout}': set it to "
-                f"'{board.layouts[0]}'"
+                f"{array.element} has layout '{layout}': set it to '{board.layouts[0]}'"
             )
     if least == 2:
         turn = arrays[1].placement.transform.rotation
         if np.abs(turn - FACING).max() > 1e-3:
             raise SceneError(
-                f"plugin 'palmfield.driver': board '{board.name}' needs its second board to face the first; plugin "
-                f"'palmfield.array' instance '{arrays[1].name}': give its site quat='0 1 0 0' relative to the first"
+                f"plugin 'palmfield.driver': board '{board.name}' needs its second board to face the first; "
+                f"{arrays[1].element}: give its site quat='0 1 0 0' relative to the first"
             )
 
 
@@ -199,15 +198,15 @@ def check_envelope(stimulus: StimulusSpec, board: Board) -> None:
     config = stimulus.config
     if config.modulation != "am":
         raise DeviceError(
-            f"plugin 'palmfield.stimulus' instance '{stimulus.name}': key 'modulation' has value "
-            f"'{config.modulation}'; board '{board.name}' always modulates: set modulation am with its "
-            "am_frequency_Hz (the sine represents the envelope of the board), or use board sonicsurface"
+            f"{stimulus.element}: key 'modulation' has value '{config.modulation}'; board '{board.name}' always "
+            "modulates: set modulation am with its am_frequency_Hz (the sine represents the envelope of the board), "
+            "or use board sonicsurface"
         )
     if config.am_waveform != "sine" or config.am_quantity == "duty":
         raise DeviceError(
-            f"plugin 'palmfield.stimulus' instance '{stimulus.name}': am_waveform {config.am_waveform} of "
-            f"am_quantity {config.am_quantity}; board '{board.name}' has its own envelope: set am_waveform sine "
-            "and am_quantity amplitude, which represent it, or use board sonicsurface"
+            f"{stimulus.element}: am_waveform {config.am_waveform} of am_quantity {config.am_quantity}; board "
+            f"'{board.name}' has its own envelope: set am_waveform sine and am_quantity amplitude, which represent "
+            "it, or use board sonicsurface"
         )
 
 
@@ -215,10 +214,7 @@ def check_board(stimulus: StimulusSpec, board: Board) -> None:
     """Refuse a stimulus that the board cannot play (DeviceError)."""
     if board.exact:
         return
-    config, element = (
-        resolved(stimulus.config, focus_table=stimulus.focus_table),
-        f"plugin 'palmfield.stimulus' instance '{stimulus.name}'",
-    )
+    config, element = resolved(stimulus.config, focus_table=stimulus.focus_table), stimulus.element
     table = stimulus.focus_table
     # The length of a path through sites isn't available yet
     of_sites = config.path == "sites"

@@ -1,79 +1,154 @@
-"""A scene's layer for solvers that key `solver` names and that have their own mesh: explicit elements or particles,
-and those of other packages. The scene has no other reference to them.
+"""A scene's layer as its solver takes it: what others ask of the solver in place of its name.
+
+Wedges, modes and reduced models move the scene's own mesh. Explicit elements, particles and the solvers of other
+packages have another one below the same face; body, loads and operators are those of the wedges.
 """
 
 import functools
+import math
 from importlib.metadata import EntryPoint, entry_points
-from typing import Protocol, get_args
+from typing import Protocol
 
-from palmfield.config.skin import SKIN_SOLVERS, Solver
+from palmfield.config.skin import SKIN_SOLVERS
 from palmfield.errors import SceneError
 from palmfield.skin.scene_layer import SceneLayer
 from palmfield.skin.stepper import SkinStepper
 
 OWN = {
-    name: EntryPoint(name, f"palmfield.skin.solvers.{where}", SKIN_SOLVERS)
+    name: EntryPoint(name, f"palmfield.skin.{where}", SKIN_SOLVERS)
     for name, where in {
-        "spectral_elements": "spectral_elements.stepper:ElementLayer",
-        "particles": "particles.stepper:ParticleLayer",
+        "wedges": "explicit_layer:WedgeLayer",
+        "reduced": "explicit_layer:ReducedLayer",
+        "modal": "explicit_layer:ModalLayer",
+        "spectral_elements": "solvers.spectral_elements.stepper:ElementLayer",
+        "particles": "solvers.particles.stepper:ParticleLayer",
     }.items()
 }
-"""Solvers of this package that have an ExplicitLayer, loaded when a scene names them."""
+"""Solvers of this package that step scenes, loaded when one does."""
 
 
-class ExplicitLayer(Protocol):
-    """Properties of a solver's layer before stepping; made of the SceneLayer alone, costly parts at first use.
+class LayerSolver(Protocol):
+    """What steps the layer of a scene, before its stepper is made; costly parts are made at first use.
 
-    unknowns: of its mesh. state_size: numbers of its state. resolution: in words.
+    any_pose, of_class, exact_in_time, factorises: of its stepper (SkinStepper), which need not be loaded to know them.
+    own_mesh: whether it moves another mesh than the wedges, so that its stepper is made of the layer alone.
+    large_strain: whether it is valid beyond linear elasticity. preview: whether it is one.
+    unknowns: of its mesh. state_size: numbers of its state, an upper bound. resolution: in words.
     expected_error: relative, of the displacement, before any run, or None.
-    preview: whether it is one. steps, sizes_follow: its time steps, and the basis of its sizes, in words.
+    steps, sizes_follow: its time steps, and the basis of its sizes, in words.
     """
 
+    any_pose: bool = True
+    of_class: bool = False
+    exact_in_time: bool = False
+    factorises: bool = False
+    own_mesh: bool = False
+    large_strain: bool = False
     preview: bool = False
-    steps: str = "steps of its own"
-    sizes_follow: str = "the solver chooses its own sizes; the run estimates the error"
+    steps: str
+    sizes_follow: str
 
+    def __init__(self, layer: SceneLayer) -> None: ...
     @property
     def unknowns(self) -> int: ...
     @property
     def state_size(self) -> int: ...
     @property
-    def resolution(self) -> str: ...
+    def resolution(self) -> str:
+        return "the scene's wedges"
+
     @property
     def expected_error(self) -> float | None:
         return None
 
     def refuse(self) -> None:
-        """Raise SceneError, with element, key, value and what is allowed, for what the solver can't step.
+        """Raise SceneError, with value and what is allowed, for what the solver can't step.
 
-        Checks only keys and materials: no mesh is made.
+        The scene adds the element and its key `solver`. Checks only keys and materials: no mesh is made.
         """
-        ...
 
     def seconds(self, duration_s: float, device: str) -> float:
-        """Predicted time of a run of this length [s] on a device, with what estimates the error [s]."""
-        ...
+        """Predicted time of a run of this length [s] on a device, with what estimates the error [s]; infinite where
+        it depends on the load (`palmfield.skin.stepper_choice`)."""
+        return math.inf
 
-    def stepper(self, device: str) -> SkinStepper:
-        """The stepper on a device of `palmfield.device.resolve`. Raises SceneError for impossible elements."""
-        ...
+    def stepper(self, device: str) -> SkinStepper | None:
+        """The stepper on a device of `palmfield.device.resolve`, None where it is made of more than the layer.
+
+        Raises SceneError for impossible elements.
+        """
+        return None
 
 
-def explicit_layer(layer: SceneLayer) -> ExplicitLayer | None:
-    """The layer as its key `solver` has it, the same for the same layer; None for steppers of the wedges themselves."""
-    solver = layer.config.solver
-    return None if solver in get_args(Solver) and solver not in OWN else _made(layer)
+class WedgeLayer(LayerSolver):
+    """All unknowns of the wedges."""
+
+    factorises = True
+    steps = "full wedge model, implicit, factorised once"
+    sizes_follow = "sizes follow a convergence study on a disc (docs/bench/skin_c0.md); the run estimates the error"
+
+    def __init__(self, layer: SceneLayer) -> None:
+        self.layer = layer
+
+    @property
+    def unknowns(self) -> int:
+        """See LayerSolver."""
+        return self.layer.dofs
+
+    @property
+    def state_size(self) -> int:
+        """See LayerSolver: a run may go on with the whole layer."""
+        return self.layer.state_room
+
+
+class ModalLayer(WedgeLayer):
+    """Modes of the wedges."""
+
+    of_class, factorises = True, False
+    steps = "modes for every sound of these arrays on this region, built once"
+
+
+class ReducedLayer(WedgeLayer):
+    """A reduced model of the wedges."""
+
+    any_pose, exact_in_time, factorises = False, True, False
+    steps = "reduced model for this stimulus"
+
+
+class ExplicitLayer(LayerSolver, Protocol):
+    """The layer of a solver with its own mesh, made of the SceneLayer alone."""
+
+    own_mesh: bool = True
+    steps: str = "steps of its own"
+    sizes_follow: str = "the solver chooses its own sizes; the run estimates the error"
+
+    @property
+    def resolution(self) -> str: ...
+    def seconds(self, duration_s: float, device: str) -> float: ...
+    def stepper(self, device: str) -> SkinStepper: ...
+
+
+@functools.lru_cache
+def solver_class(name: str) -> type[LayerSolver]:
+    """What steps the layer of a scene whose solver has this name. Raises SceneError where it can't be loaded."""
+    [entry] = [OWN[name]] if name in OWN else entry_points(group=SKIN_SOLVERS, name=name)
+    try:
+        found: type[LayerSolver] = entry.load()
+        return found
+    except (ImportError, AttributeError) as error:
+        raise SceneError(
+            f"the entry point '{entry.value}' of the solver cannot be loaded: {error}; reinstall it, or set solver "
+            "to auto",
+            setting="solver",
+        ) from error
+
+
+def layer_solver(layer: SceneLayer, name: str) -> LayerSolver:
+    """The layer as a solver takes it, the same object for the same layer with a mesh of its own."""
+    made = solver_class(name)
+    return _kept(made, layer) if made.own_mesh else made(layer)
 
 
 @functools.lru_cache(maxsize=8)
-def _made(layer: SceneLayer) -> ExplicitLayer:
-    solver = layer.config.solver
-    [entry] = [OWN[solver]] if solver in OWN else entry_points(group=SKIN_SOLVERS, name=solver)
-    try:
-        made: ExplicitLayer = entry.load()(layer)
-        return made
-    except (ImportError, AttributeError) as error:
-        raise SceneError(
-            f"{layer.element}: key 'solver' has value '{solver}', whose entry point '{entry.value}' cannot be "
-            f"loaded: {error}; reinstall it, or set solver to auto"
-        ) from error
+def _kept(made: type[LayerSolver], layer: SceneLayer) -> LayerSolver:
+    return made(layer)

@@ -69,38 +69,35 @@ class OwnMesh(ExplicitLayer, Protocol):
     def stepper(self, device: str) -> "OwnMeshStepper":
         """See ExplicitLayer."""
         system, mesh = self.layer.system, self.layer.mesh
-
-        def make() -> OwnMeshStepper:
+        with self.layer.meshing():
             near, shares = self.near(mesh.nodes[: mesh.surface_nodes])
             rows = np.repeat(np.arange(len(near)), near.shape[1])
             weights = sparse.csr_matrix((shares.ravel(), (rows, near.ravel())), shape=(len(near), len(self.face)))
-            return self.made(FaceTransfer(system, self.face, weights), device)
-
-        made = self.layer.with_keys(make)
+            made = self.made(FaceTransfer(system, self.face, weights), device)
         self._check_steps(made.steps)
         return made
 
     def refuse(self) -> None:
         """See ExplicitLayer."""
-        config, solver = self.layer.config, self.layer.config.solver
-        element = f"{self.layer.element}: key 'solver' has value '{solver}'"
+        config = self.layer.config
         if config.side == "absorbing":
             allowed = "fixed, free" + (", roller" if config.shape == "disc" else "")
             raise SceneError(
-                f"{element} and key 'side' value 'absorbing'; allowed with it: {allowed}; or solver wedges"
+                f"the solver takes no side 'absorbing'; allowed: {allowed}; or solver wedges", mends=("side",)
             )
         if config.foundation is not None:
             raise SceneError(
-                f"{element} and key 'foundation_normal_Pa_m' value '{config.foundation[0]:g}'; allowed with it: no "
-                "foundation (base springs is one that spectral_elements has); or solver wedges"
+                f"the solver takes no foundation, here of {config.foundation[0]:g} Pa/m; allowed: none (base springs "
+                "is one that spectral_elements has), or solver wedges",
+                mends=("foundation_normal_Pa_m", "foundation_tangential_Pa_m"),
             )
         for material in (sheet.material for sheet in self.layer.sheets):
             ratio = material.bulk_Pa / material.shear_instant_Pa
             if ratio > self.stiffest:
                 raise SceneError(
-                    f"{element} and material '{material.name}' a bulk modulus of {ratio:.3g} times its shear modulus; "
-                    f"allowed with it, as it steps with the pressure wave: at most {self.stiffest:g} (keys material, "
-                    "materials, bulk_Pa); or solver wedges"
+                    f"material '{material.name}' has a bulk modulus of {ratio:.3g} times its shear modulus; allowed "
+                    f"with the solver, as it steps with the pressure wave: at most {self.stiffest:g}; or solver wedges",
+                    mends=("material", "materials", "bulk_Pa"),
                 )
         # A slab of the same sheets: only its base and materials are checked here
         sheets = tuple(Sheet(sheet.material, 0.01 * sheet.thickness_m) for sheet in self.layer.sheets)
@@ -108,7 +105,7 @@ class OwnMesh(ExplicitLayer, Protocol):
         load = Spot(self.layer.demand.spot_fwhm_m, np.zeros(1), np.ones(1))
         reason = self.refusal(slab, load)
         if reason is not None:
-            raise SceneError(f"{element}, but {reason}")
+            raise SceneError(reason)
 
     def body_of(self, refinement: float = 1.0) -> Body:
         """The body below the face of a layer, in its frame: a disc, or the sheets below its patch.
@@ -163,11 +160,14 @@ class OwnMesh(ExplicitLayer, Protocol):
         """Raise SceneError if a substep of the scene takes so many steps of the scheme that a run would not end."""
         in_one = steps * round(self.layer.demand.timestep_s / self.layer.step_s)
         if in_one > MOST_STEPS:
-            raise SceneError(
-                f"{self.layer.element}: key 'solver' has value '{self.layer.config.solver}', which needs "
-                f"{in_one:,} steps per MuJoCo step of {self.layer.demand.timestep_s:g} s; allowed: at most "
-                f"{MOST_STEPS:,}; set accuracy or depth_m larger, bulk_Pa or timestep smaller, or solver to wedges"
-            )
+            with self.layer.named:
+                raise SceneError(
+                    f"the solver needs {in_one:,} steps per MuJoCo step of {self.layer.demand.timestep_s:g} s; "
+                    f"allowed: at most {MOST_STEPS:,}; set the accuracy or the depth larger, the bulk modulus or the "
+                    "timestep smaller, or solver to wedges",
+                    setting="solver",
+                    mends=("accuracy", "depth_m", "bulk_Pa"),
+                )
 
 
 class OwnMeshStepper(SkinStepper, Protocol):

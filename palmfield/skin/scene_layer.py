@@ -2,9 +2,9 @@
 
 import math
 import threading
-from collections.abc import Callable
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 import numpy as np
 from scipy import sparse
@@ -31,7 +31,9 @@ UNEVEN = 6.0
 even depth. The layer of a hand thins at rims and webs, differently on each mesh: its 200 Hz response still moves by
 2.5 % when that of the disc is within 0.5 %."""
 
-T = TypeVar("T")
+OF_MESH = ("patch_site", "patch_radius_m", "depth_m", "element_m")
+"""Settings of the mesh of a layer."""
+UNNAMED = naming("skin layer")
 
 
 @dataclass(frozen=True)
@@ -81,12 +83,10 @@ def layer_sizes(
     path_reach_m: tuple[float, float],
     timestep_s: float,
     resizing: float = 1.0,
-    *,
-    element: str = "skin layer",
 ) -> LayerSizes:
     """Sizes of the layer of a scene for its target accuracy; see LayerDemand.
 
-    sheets: of the layer, thicknesses as shares. resizing: factor of all element sizes. element: its name in messages.
+    sheets: of the layer, thicknesses as shares. resizing: factor of all element sizes.
     Raises SceneError for a step_s that doesn't divide the timestep, and for a timestep that is not finite.
     """
     needs = slowest(sheets, max_frequency_Hz), spot_fwhm_m, max_frequency_Hz
@@ -111,12 +111,11 @@ def layer_sizes(
     step = config.step_s or step
     if not math.isfinite(timestep_s / step):
         raise SceneError(
-            f"{element}: the MuJoCo timestep of {timestep_s:g} s holds too many skin steps of {step:.2g} s; set "
-            "timestep smaller"
+            f"the MuJoCo timestep of {timestep_s:g} s holds too many skin steps of {step:.2g} s; set timestep smaller"
         )
     count = math.ceil(timestep_s / step - 1e-9)
     if config.step_s is not None and abs(count * config.step_s - timestep_s) > 1e-9:
-        raise SceneError(f"{element}: step_s {config.step_s:g} must divide the timestep {timestep_s:g}")
+        raise SceneError(f"it must divide the timestep {timestep_s:g}", setting="step_s")
     return LayerSizes(fine, coarse, min(fine_radius, radius), shares, timestep_s / count, radius)
 
 
@@ -127,7 +126,7 @@ class SceneLayer:
     surface: the closed surface of the whole body in its frame, None for shape "disc".
     depth_m: largest depth of the layer below the vertices of the surface [m], shape (n,), or one number.
     centre_m: middle of the layer, body frame [m], shape (3,). demand: see LayerDemand.
-    resizing: factor of all element sizes. element: name of this skin in messages.
+    resizing: factor of all element sizes. named: says in errors which skin it is.
     sheets: other materials than those of the keys, on the mesh that is made for those.
     """
 
@@ -140,12 +139,12 @@ class SceneLayer:
         demand: LayerDemand,
         *,
         resizing: float = 1.0,
-        element: str = "skin layer",
+        named: naming = UNNAMED,
         sheets: tuple[Sheet, ...] | None = None,
     ) -> None:
         self.config, self.surface, self.depth_m, self.centre_m = config, surface, depth_m, centre_m
-        self.demand, self.resizing, self.element = demand, resizing, element
-        with naming(element):
+        self.demand, self.resizing, self.named = demand, resizing, named
+        with named:
             self.sheets = sheets_of(config) if sheets is None else sheets
         self.lock = threading.RLock()
 
@@ -156,17 +155,18 @@ class SceneLayer:
         config = self.config if side is None else self.config.model_copy(update={"side": side})
         return SceneLayer(
             config, self.surface, self.depth_m, self.centre_m, self.demand,
-            resizing=factor, element=self.element, sheets=sheets,
+            resizing=factor, named=self.named, sheets=sheets,
         )  # fmt: skip
 
     @locked_cached_property
     def sizes(self) -> LayerSizes:
         """Sizes of elements, patch and step."""
         demand = self.demand
-        sizes = layer_sizes(
-            self.config, sheets_of(self.config), demand.spot_fwhm_m, demand.max_frequency_Hz, demand.path_reach_m,
-            demand.timestep_s, self.resizing, element=self.element,
-        )  # fmt: skip
+        with self.named:
+            sizes = layer_sizes(
+                self.config, sheets_of(self.config), demand.spot_fwhm_m, demand.max_frequency_Hz, demand.path_reach_m,
+                demand.timestep_s, self.resizing,
+            )  # fmt: skip
         return replace(sizes, step_s=min(sizes.step_s, demand.longest_step_s))
 
     @property
@@ -193,8 +193,8 @@ class SceneLayer:
         surface, mirror = (mirrored_surface(self.surface), MIRROR) if left else (self.surface, np.ones(3))
         # In a hand the bones are known, so the layer may reach past the middle; any other body has no inner parts.
         fraction = 0.6 if config.shape in OF_SHAPES["hand"] else 0.45
-        patch = self.with_keys(
-            lambda: surface_patch(
+        with self.meshing():
+            patch = surface_patch(
                 surface,
                 self.depth_m,
                 self.centre_m * mirror,
@@ -206,31 +206,31 @@ class SceneLayer:
                 max_fraction=fraction,
                 fine_at=(self.centre_m + beside) * mirror if any(beside) else None,
             )
-        )
         if left:
             faces = patch.faces[:, ::-1].copy()
             patch = replace(patch, vertices=patch.vertices * mirror, inward=patch.inward * mirror, faces=faces)
         through = patch.report["through_m"]
         if "depth_m" in config.model_fields_set and config.depth_m > through:
-            raise SceneError(
-                f"{self.element}: key 'depth_m' has value {config.depth_m:g}, but the body below the layer is "
-                f"{through:.3g} m thick; allowed: a layer of at most {fraction:g} of this thickness"
-            )
+            with self.named:
+                raise SceneError(
+                    f"the body below the layer is {through:.3g} m thick; allowed: a layer of at most {fraction:g} of "
+                    "this thickness",
+                    setting="depth_m",
+                )
         return patch
 
     @locked_cached_property
     def mesh(self) -> WedgeMesh:
         """The elements of the layer."""
         patch = self.patch
-        return self.with_keys(lambda: extrude(patch, self.sizes.depth_fractions))
+        with self.meshing():
+            return extrude(patch, self.sizes.depth_fractions)
 
-    def with_keys(self, make: Callable[[], T]) -> T:
-        """The result of `make`; where it raises SceneError, the error names the skin and the keys of its mesh."""
-        try:
-            return make()
-        except SceneError as error:
-            keys = "patch_site, patch_radius_m, depth_m, element_m"
-            raise SceneError(f"{self.element}: {error} (the scene's keys for these: {keys})") from None
+    @contextmanager
+    def meshing(self) -> Iterator[None]:
+        """An error that leaves the block names the skin, and the settings of its mesh."""
+        with self.named, naming(mends=OF_MESH):
+            yield
 
     @locked_cached_property
     def system(self) -> SkinSystem:

@@ -105,6 +105,7 @@ class SkinStepper(Protocol):
     adds_error: relative errors of displacement and velocity that a small model adds to its layer for its loads, the
         second None without an estimate; None for other steppers.
     exact_in_time: whether its substeps add no error.
+    factorises: whether it holds the factors of the whole layer.
     made_of: all inputs of the results of a small model.
     """
 
@@ -119,6 +120,7 @@ class SkinStepper(Protocol):
     of_class: bool = False
     adds_error: tuple[float, float | None] | None = None
     exact_in_time: bool = False
+    factorises: bool = False
     made_of: tuple[Any, ...] = ()
 
     def step(

@@ -20,7 +20,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from palmfield.acoustics.arrays import layout
-from palmfield.errors import OutputError, SceneError
+from palmfield.errors import OutputError, SceneError, naming
 from palmfield.given_files import read_json
 from palmfield.stimulus.focus_table import FocusTable
 from palmfield.stimulus.focus_table_file import focus_table
@@ -77,11 +77,10 @@ def read_foci_stm(path: str | Path) -> FociStm:
     """The file's content. Raises SceneError, with the entry's place, for an invalid file."""
     file = Path(path)
     try:
-        stm = FociStm.model_validate(read_json(file))
-        _check(stm)
-        return stm
-    except SceneError as error:
-        raise SceneError(f"{file}: {error}") from None
+        with naming(f"{file}"):
+            stm = FociStm.model_validate(read_json(file))
+            _check(stm)
+            return stm
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"]) or "the whole"
@@ -182,10 +181,8 @@ def stm_of_table(
     ]
     loop: Literal["infinite", "once"] = "infinite" if again else "once"
     stm = FociStm(autd3_foci_stm=1, divide=round(divide), loop=loop, origin_mm=origin, points=points)
-    try:
+    with naming("no STM of AUTD3 units can be made of the table"):
         _check(stm)
-    except SceneError as error:
-        raise SceneError(f"no STM of AUTD3 units can be made of the table: {error}") from None
     return stm
 
 

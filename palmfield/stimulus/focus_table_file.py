@@ -82,7 +82,7 @@ def focus_table(
     _check_times(times, rate_Hz, named)
     for row, focus in zip(*np.nonzero((loud < 0.0) | (loud > 1.0)), strict=True):
         place = named(int(row), names[4 + 4 * focus])
-        raise SceneError(f"{place}: {loud[row, focus]:g}; allowed: 0 (silent) to 1 (the level key of the scene)")
+        raise SceneError(f"{place}: {loud[row, focus]:g}; allowed: 0 (silent) to 1 (the level of the stimulus)")
     for row, focus in zip(*np.nonzero(np.linalg.norm(places, axis=2) > 10.0), strict=True):
         axis = int(np.abs(places[row, focus]).argmax())
         x, y, z = places[row, focus].tolist()

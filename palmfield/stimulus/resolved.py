@@ -17,8 +17,8 @@ class ResolvedStimulus(StimulusConfig):
     model_config = ConfigDict(ser_json_bytes="base64")
 
     sites_length_m: Positive | None = Field(None, description="length of a path through sites, along the surface")
-    am_table: AmTable | None = Field(None, description="waveform of key am_file")
-    focus_table: FocusTable | None = Field(None, description="foci over time of key path_file")
+    am_table: AmTable | None = Field(None, description="waveform of the file am_file")
+    focus_table: FocusTable | None = Field(None, description="foci over time of the file path_file")
     duty_exponent: Positive = Field(2.0, description="exponent of the board that plays it")
 
 

@@ -43,7 +43,7 @@ def test_a_line_tells_a_focus_or_a_pose_that_carries_one(told, offset, place, le
         (b'{"focus_m": [0, 0,', "garbled", "not a JSON object"),
         (b"[0, 0, 0.15]", "garbled", "not a JSON object"),
         (b"\xff\xfe", "garbled", "not a JSON object"),
-        (line(focus=[0, 0, 0.15]), "keys", "key 'focus' is unknown; allowed: focus_m, level"),
+        (line(focus=[0, 0, 0.15]), "keys", "field 'focus' is unknown; allowed: focus_m, level"),
         (line(level=1), "keys", "neither focus_m nor position_m"),
         (line(focus_m=[0, 0, 0.1], quaternion=[1, 0, 0, 0]), "keys", "without position_m"),
         (line(focus_m=[0, 0]), "numbers", "3 finite numbers"),

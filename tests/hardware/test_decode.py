@@ -207,7 +207,7 @@ def test_bytes_that_make_no_focus_are_read_in_little_time(tmp_path):
         ("autd2018", {"packet_header": "12"}, "key 'packet_header' has value '12'; allowed"),
         ("autd2018", {"sync": "perhaps"}, "key 'sync' has value 'perhaps'; allowed"),
         ("sonicsurface", {"dither": "maybe"}, "key 'dither' has value 'maybe'; allowed: on | off"),
-        ("openmpd", {"dither": "on"}, "key 'dither' does not apply to board 'openmpd'"),
+        ("openmpd", {"dither": "on"}, "key 'dither' has value 'on': board 'openmpd' has no dither"),
     ],
 )
 def test_a_focus_heeds_the_drivers_keys_as_a_scene_does(board, keys, words, tmp_path):

@@ -209,7 +209,7 @@ def test_a_layer_deeper_than_its_body(two_on_a_ball):
     with pytest.raises(PalmfieldError) as caught:
         palmfield.Simulation(path).step()
     expected = (
-        r"key 'depth_m' has value 0\.09, but the body below the layer is 0\.0\d+ m thick; allowed: a layer of at most"
+        r"key 'depth_m' has value 0\.09: the body below the layer is 0\.0\d+ m thick; allowed: a layer of at most"
     )
     assert (found := re.search(expected, str(caught.value))), str(caught.value)
     # The ball is 60 mm thick at most

@@ -13,7 +13,7 @@ from palmfield.engine.worlds import SceneWorlds
 from palmfield.errors import DeviceError, SceneError
 from palmfield.simulation import build_worlds, sensors
 from palmfield.simulation import step as step_module
-from palmfield.simulation.model import StepperChoice
+from palmfield.skin.stepper_choice import StepperChoice
 
 STEPS = 14
 SAME = 1e-9

@@ -1,5 +1,7 @@
 """Scenes whose skin is stepped by spectral elements or particles: shipped scenarios, what is refused, what is said."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -69,16 +71,16 @@ def test_the_plan_says_what_steps_and_what_it_is_worth(small_scene, solver):
 @pytest.mark.parametrize(
     ("keys", "expected"),
     [
-        ({"side": "absorbing"}, "key 'side' value 'absorbing'; allowed with it: fixed, free, roller; or solver wedges"),
-        ({"bulk_Pa": 1e10}, "times its shear modulus; allowed with it, as it steps with the pressure wave: at most"),
+        ({"side": "absorbing"}, r"no side 'absorbing'; allowed: fixed, free, roller; or solver wedges \(.* key side\)"),
+        ({"bulk_Pa": 1e10}, r"times its shear modulus; allowed .*: at most .*keys material, materials, bulk_Pa\)"),
     ],
 )
 def test_what_the_solvers_refuse(small_scene, solver, keys, expected):
     with pytest.raises(SceneError) as refusal:
         load(small_scene(skin={"solver": solver} | keys))
     text = str(refusal.value)
-    assert f"plugin 'palmfield.skin' instance 'skin': key 'solver' has value '{solver}' and " in text
-    assert expected in text
+    assert f"plugin 'palmfield.skin' instance 'skin': key 'solver' has value '{solver}': " in text
+    assert re.search(expected, text)
 
 
 @pytest.mark.parametrize("stimulus", [{}, {"drive_amplitude": 0.0}, {"stop_s": 0.005}])

@@ -137,7 +137,7 @@ def test_a_run_states_the_modes_error_and_that_covers(small_scene):
 
 def test_the_plan_says_what_modes_are_for(small_scene):
     text = str(plan(small_scene(skin=SKIN | {"solver": "modal"})))
-    assert "skin solver modal" in text and "every sound of these arrays" in " ".join(text.split())
+    assert "skin solver modal" in text and "every sound of these arrays" in " ".join(text.replace("│", " ").split())
 
 
 def test_another_stimulus_finds_the_modes_in_the_cache(small_scene, tmp_path, monkeypatch):

@@ -120,7 +120,7 @@ def test_a_solver_that_nobody_has_is_refused_with_those_there_are(installed, sma
     with pytest.raises(SceneError) as refusal:
         load(small_scene(skin={"solver": "pistn"}))
     assert "key 'solver' has value 'pistn'; allowed: auto | wedges | reduced | modal" in str(refusal.value)
-    with pytest.raises(SceneError, match="'lost', whose entry point 'piston_skin:Nothing' cannot be loaded: "):
+    with pytest.raises(SceneError, match="'lost': the entry point 'piston_skin:Nothing' of the solver cannot be"):
         load(small_scene(skin={"solver": "lost"}))
 
 

@@ -8,18 +8,22 @@ import pytest
 from scipy import sparse
 
 from palmfield.config import SkinConfig
-from palmfield.errors import SceneError
+from palmfield.errors import SceneError, naming
 from palmfield.hand.preset import load_preset
 from palmfield.hand.surface import hand_surface
 from palmfield.skin import own_mesh, solve
-from palmfield.skin.explicit_layer import explicit_layer
+from palmfield.skin.explicit_layer import OWN, layer_solver, solver_class
 from palmfield.skin.fem.face_transfer import ends_of_substeps
 from palmfield.skin.fem.probe import surface_vectors
 from palmfield.skin.fem.wedge_stepper import WedgeStepper
 from palmfield.skin.problem import GAUSSIAN, Sheet, Slab, Spot
+from palmfield.skin.reduction.modal_stepper import ModalStepper
+from palmfield.skin.reduction.reduced_stepper import ReducedStepper
 from palmfield.skin.scene_layer import LayerDemand, SceneLayer
 from palmfield.skin.solvers.particles.run import likely_step as likely_particle_step
+from palmfield.skin.solvers.particles.stepper import ParticleStepper
 from palmfield.skin.solvers.spectral_elements.solve import likely_step
+from palmfield.skin.solvers.spectral_elements.stepper import SpectralElementStepper
 from palmfield.skin.stepper import SurfaceLoads
 
 SOLVERS = ("spectral_elements", "particles")
@@ -33,7 +37,11 @@ DISC = {"shape": "disc", "radius_m": 0.025, "thickness_m": 0.008, "side": "free"
 def layer_of(solver, **keys):
     material = {} if "materials" in keys else {"material": "ecoflex_00-10"}
     config = SkinConfig(**(DISC | material | {"accuracy": 0.2, "step_s": STEP, "solver": solver} | keys))
-    return SceneLayer(config, None, config.depth_m, np.zeros(3), DEMAND, element="plugin 'palmfield.skin'")
+    return SceneLayer(config, None, config.depth_m, np.zeros(3), DEMAND, named=naming("plugin 'palmfield.skin'"))
+
+
+def explicit_layer(layer):
+    return layer_solver(layer, layer.config.solver)
 
 
 @pytest.fixture(scope="module", params=SOLVERS)
@@ -274,33 +282,50 @@ def test_a_layer_of_a_hand(palm, solver):
     assert difference < stepper.error < 1.0
 
 
+def test_a_solver_says_what_it_is_before_its_stepper_is_made():
+    kinds = {name: solver_class(name) for name in OWN}
+    assert {name for name, kind in kinds.items() if kind.own_mesh} == set(SOLVERS)
+    assert [name for name, kind in kinds.items() if kind.of_class] == ["modal"]
+    assert [name for name, kind in kinds.items() if not kind.any_pose] == ["reduced"]
+    assert [name for name, kind in kinds.items() if kind.factorises] == ["wedges"]
+    steppers = (WedgeStepper, ReducedStepper, ModalStepper, SpectralElementStepper, ParticleStepper)
+    assert {stepper.name for stepper in steppers} == set(kinds)
+    for said in ("any_pose", "of_class", "exact_in_time", "factorises"):
+        assert {one.name: getattr(one, said) for one in steppers} == {
+            name: getattr(kind, said) for name, kind in kinds.items()
+        }
+    assert [name for name, kind in kinds.items() if kind.large_strain] == ["particles"]
+
+
 REFUSED = {
     "absorbing": (
-        SOLVERS, {"side": "absorbing"}, "key 'side' value 'absorbing'; allowed with it: fixed, free, roller; or solver",
+        SOLVERS, {"side": "absorbing"}, "takes no side 'absorbing'; allowed: fixed, free, roller; or solver wedges",
+        ("side",),
     ),
     "bulk": (
-        SOLVERS, {"bulk_Pa": 1e10}, "a bulk modulus of 3.08e+05 times its shear modulus; allowed with it",
+        SOLVERS, {"bulk_Pa": 1e10}, "a bulk modulus of 3.08e+05 times its shear modulus; allowed with the solver",
+        ("material", "materials", "bulk_Pa"),
     ),
     "foundation": (
         SOLVERS, {"foundation_normal_Pa_m": 1e7, "foundation_tangential_Pa_m": 1e6},
-        "key 'foundation_normal_Pa_m' value '1e+07'; allowed with it: no foundation",
+        "takes no foundation, here of 1e+07 Pa/m; allowed: none",
+        ("foundation_normal_Pa_m", "foundation_tangential_Pa_m"),
     ),
     "springs": (
         ("particles",), {"base": "springs", "base_normal_Pa_m": 1e7, "base_tangential_Pa_m": 1e7},
-        "particles do not support a spring base: use base 'bonded'",
+        "particles do not support a spring base: use base 'bonded'", (),
     ),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("case", REFUSED)
 def test_what_a_solver_refuses_before_anything_is_meshed(case):
-    solvers, keys, expected = REFUSED[case]
+    solvers, keys, expected, mends = REFUSED[case]
     for solver in solvers:
         layer = layer_of(solver, **keys)
         with pytest.raises(SceneError) as refusal:
             explicit_layer(layer).refuse()
-        text = str(refusal.value)
-        assert text.startswith(f"plugin 'palmfield.skin': key 'solver' has value '{solver}'") and expected in text
+        assert expected in str(refusal.value) and refusal.value.mends == mends
         assert "patch" not in vars(layer) and "mesh" not in vars(layer)
 
 
@@ -334,8 +359,9 @@ def test_the_predicted_steps_are_about_those_that_are_taken(layer, stepper):
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_steps_so_many_that_a_run_would_not_end_are_refused(solver, monkeypatch):
     monkeypatch.setattr(own_mesh, "MOST_STEPS", 10)
-    with pytest.raises(SceneError, match=r"which needs \d+ steps per MuJoCo step of 0\.001 s; .* at most 10; set"):
+    with pytest.raises(SceneError, match=r"needs \d+ steps per MuJoCo step of 0\.001 s; .* at most 10; set") as caught:
         explicit_layer(layer_of(solver)).stepper("cpu")
+    assert caught.value.setting == "solver" and str(caught.value).startswith("plugin 'palmfield.skin': ")
 
 
 @pytest.mark.parametrize("base", ["springs", "free_slip"])

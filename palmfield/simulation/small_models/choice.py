@@ -4,14 +4,16 @@ from collections.abc import Sequence
 
 from palmfield.drive.response import Pole
 from palmfield.errors import SceneError
-from palmfield.simulation.model import HapticModel, StepperChoice, StimulusModel
+from palmfield.simulation.model import HapticModel, StimulusModel
 from palmfield.simulation.small_models import known_load, load_class
 from palmfield.simulation.spec import SceneSpec, SkinSpec
-from palmfield.skin.costs import RUNS, scene_choices, wedges_s
-from palmfield.skin.explicit_layer import explicit_layer
+from palmfield.skin.costs import scene_choices, wedges_s
+from palmfield.skin.explicit_layer import layer_solver
 from palmfield.skin.scene_layer import SceneLayer
 from palmfield.skin.stepper import SkinStepper
+from palmfield.skin.stepper_choice import LayerWork, StepperChoice, chosen
 
+BY_KEY = "set by key solver"
 MOST_SMALL_MODELS = 8
 """Most predicted loads for which a skin gets a small model each: each of a palm takes some 5 s and holds 14 MB."""
 
@@ -28,47 +30,21 @@ def choose_stepper(
 
     Raises SceneError where a small model or modes are requested but impossible.
     """
-    substeps = spec.duration_s / layer.sizes.step_s
-    explicit = explicit_layer(layer)
-    if explicit is not None:
-        explicit.refuse()
-        own_s = explicit.seconds(spec.duration_s, spec.device)
-        return StepperChoice(skin.config.solver, "set by key solver", own_s, wedges_s(layer.dofs, substeps))
-    reason = known_load.refusal(skin, layer, stimuli, pole, response_on)
-    requested = skin.config.solver
-    modal_reason = load_class.refusal(skin, layer)
-    missing = {"modal": ("modes for every load", modal_reason), "reduced": ("small model", reason)}
-    what, why_not = missing.get(requested, ("", None))
-    if why_not is not None:
-        raise SceneError(
-            f"{layer.element}: key 'solver' has value '{requested}', but there is no {what}: {why_not}: set it to auto"
-        )
+    substeps, requested = spec.duration_s / layer.sizes.step_s, skin.config.solver
+    with skin.naming("solver"):
+        own = None if requested == "auto" else layer_solver(layer, requested)
+        if own is not None:
+            own.refuse()
+    if own is not None and own.own_mesh:
+        own_s = own.seconds(spec.duration_s, spec.device)
+        return StepperChoice(requested, BY_KEY, own_s, wedges_s(layer.dofs, substeps))
+    refusal = known_load.refusal(skin, layer, stimuli, pole, response_on)
     sounding = [stimulus for stimulus in stimuli if not stimulus.silent]
-    vectors = 0 if reason is not None else known_load.expected_vectors(sounding[0], pole, response_on)
-    modes = load_class.expected_modes(skin, layer)
-    size = (layer.dofs, substeps, vectors, reason, modes, modal_reason, load_class.laws(layer))
-    choices = scene_choices(*size)
-    seconds = {choice.name: choice.seconds for choice in choices}
-    name: str = requested
-    if requested != "auto":
-        why = "set by key solver" if reason is None or requested != "wedges" else f"no reduced model: {reason}"
-    elif reason is None:
-        # If the load is predicted, a model for it alone is smaller than one for every load
-        name = "reduced" if seconds["reduced"] < seconds["wedges"] else "wedges"
-        small_s, whole_s = seconds["reduced"], seconds["wedges"]
-        why = f"the load is predictable; reduced about {small_s:.1f} s, wedges about {whole_s:.1f} s"
-    else:
-        name, why = choices[0].name, f"no reduced model: {reason}"
-        if name == "modal":
-            why = f"{reason}, so the load is not predictable"
-        if name == "modal" and scene_choices(*size, kept=False)[0].name != name:
-            why += (
-                f"; building the modes counts as 1/{RUNS}, because the cache stores them; without a cache wedges "
-                "would be chosen"
-            )
-        elif name == "wedges" and scene_choices(*size, kept=True)[0].name != name:
-            why += "; there is no cache, so modes are too expensive; with a cache modal would be chosen"
-    return StepperChoice(name, why, seconds[name], seconds["wedges"])
+    vectors = 0 if refusal is not None else known_load.expected_vectors(sounding[0], pole, response_on)
+    modes, modal_refusal = load_class.expected_modes(skin, layer), load_class.refusal(skin, layer)
+    work = LayerWork(layer.dofs, substeps, vectors, refusal, modes, modal_refusal, load_class.laws(layer))
+    with skin.naming():
+        return chosen(requested, work, BY_KEY)
 
 
 def common_choice(
@@ -78,15 +54,14 @@ def common_choice(
 
     choices: what would step it in each that sounds, by itself; loads: how many of their loads are different
     """
-    names = {choice.name for choice in choices}
-    if len(names) == 1 and (names != {"reduced"} or loads <= MOST_SMALL_MODELS or skin.config.solver != "auto"):
+    few = choices[0].solver.any_pose or loads <= MOST_SMALL_MODELS or skin.config.solver != "auto"
+    if few and len({choice.name for choice in choices}) == 1:
         return choices[0]
     why = f"{loads} different loads; reduced models are limited to {MOST_SMALL_MODELS}"
     substeps = len(choices) * spec.duration_s / layer.sizes.step_s
-    modes, refusal = load_class.expected_modes(skin, layer), load_class.refusal(skin, layer)
-    ranked = scene_choices(layer.dofs, substeps, 0.0, why, modes, refusal, load_class.laws(layer))
-    seconds = {choice.name: choice.seconds for choice in ranked}
-    return StepperChoice(ranked[0].name, why, ranked[0].seconds, seconds["wedges"])
+    modes, modal_refusal = load_class.expected_modes(skin, layer), load_class.refusal(skin, layer)
+    first, *_ = scene_choices(layer.dofs, substeps, 0.0, why, modes, modal_refusal, load_class.laws(layer))
+    return StepperChoice(first.name, why, first.seconds, wedges_s(layer.dofs, substeps))
 
 
 def first_stepper(model: HapticModel, skin: int) -> SkinStepper:
@@ -96,14 +71,15 @@ def first_stepper(model: HapticModel, skin: int) -> SkinStepper:
     Raises SceneError for a small model that is requested but fails.
     """
     part = model.skins[skin]
-    if part.explicit is not None:
-        return part.explicit.stepper(model.spec.device)
-    try:
-        if part.choice.name == "reduced":
-            return known_load.known_stepper(model, skin)
-        if part.choice.name == "modal":
-            return load_class.class_stepper(model, skin)
-    except SceneError as error:
-        if part.spec.config.solver != "auto":
-            raise SceneError(f"{part.layer.element}: {error}") from None
+    if (own := part.solver.stepper(model.spec.device)) is not None:
+        return own
+    with part.spec.naming():
+        try:
+            if not part.choice.solver.any_pose:
+                return known_load.known_stepper(model, skin)
+            if part.choice.solver.of_class:
+                return load_class.class_stepper(model, skin)
+        except SceneError:
+            if part.spec.config.solver != "auto":
+                raise
     return model.whole[skin].value

@@ -75,8 +75,6 @@ def refusal(
     skin: SkinSpec, layer: SceneLayer, stimuli: tuple[StimulusModel, ...], pole: Pole, response_on: bool
 ) -> str | None:
     """Why a skin can't be reduced for these stimuli, in words, or None."""
-    if skin.config.solver == "wedges":
-        return "key solver is 'wedges'"
     if skin.moves:
         return "a script moves something in the scene"
     sounding = [stimulus for stimulus in stimuli if not stimulus.silent]

@@ -61,8 +61,8 @@ def leaves_small_model(
             f"body '{part.spec.config.body}', an array or the focus has moved" if moved else "the skin begins at rest"
         )
         raise SceneError(
-            f"plugin 'palmfield.skin' instance '{part.spec.name}': key 'solver' has value '{stepper.name}', but "
-            f"{what} at {t0:g} s, for which the reduced model was not built; set solver to auto or wedges"
+            f"{part.spec.element}: key 'solver' has value '{stepper.name}', but {what} at {t0:g} s, for which the "
+            "reduced model was not built; set solver to auto or wedges"
         )
     return True
 

@@ -142,9 +142,10 @@ def class_stepper(model: HapticModel, skin: int, blocks: int | None = None) -> "
             )  # fmt: skip
             if not len(made.modes.elastic):
                 raise SceneError(
-                    f"{layer.element}: the layer has a radius of {1e3 * layer.sizes.radius_m:.3g} mm, and no "
-                    "expected focus moves it; allowed: about the width of the spot, "
-                    f"{1e3 * layer.demand.spot_fwhm_m:.3g} mm, or more; set patch_radius_m larger, or solver wedges"
+                    f"the layer has a radius of {1e3 * layer.sizes.radius_m:.3g} mm, and no expected focus moves it; "
+                    f"allowed: about the width of the spot, {1e3 * layer.demand.spot_fwhm_m:.3g} mm, or more; set "
+                    "patch_radius_m larger, or solver wedges",
+                    part.spec.element,
                 )
             known = _bodies[layer] = mark, made
     return ModalStepper(known[1], layer.system, layer.sizes.step_s, layer.demand.corner_Hz)

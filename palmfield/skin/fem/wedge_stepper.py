@@ -65,6 +65,7 @@ class WedgeStepper(SkinStepper):
     """
 
     name = "wedges"
+    factorises = True
     error = 0.0
     points = None
 

@@ -31,7 +31,7 @@ from palmfield.studies.bench.worker import memory_MiB
 from palmfield.types import Float
 
 Task = Literal["prepare", "measure", "reference"]
-Solver = Literal["auto", "modal", "wedges", "reduced"]
+Solver = Literal["auto", "modal"]
 SKIN = SkinConfig.plugin
 FINER = (5.0, 2.0)
 """Factors by which the reference's accuracy is stricter than the scene's: the first affordable one is used."""
@@ -94,11 +94,10 @@ def opened(job: Job) -> tuple[Simulation, str]:
     """Return the scene with steppers made for the load to be drawn, and why they differ from those requested, or ""."""
     try:
         sim = Simulation(Path(job.scene), device=job.device, keys={f"{SKIN}.solver": job.solver})
-        names = [lazy.value.name for lazy in sim.runtime.model.begin]
-        known = job.drawn and "reduced" in names
+        known = job.drawn and not all(lazy.value.any_pose for lazy in sim.runtime.model.begin)
         remark = "a reduced model is built for one stimulus" if known else ""
     except SceneError as error:
-        if job.solver != "modal":
+        if job.solver == "auto":
             raise
         known, remark = True, str(error).removeprefix(f"{job.scene}: ")
     if known:

@@ -17,7 +17,7 @@ from palmfield.device import resolve
 from palmfield.errors import PalmfieldError
 from palmfield.outputs.style import save, style
 from palmfield.skin.problem import Motion, Sheet, Slab, Spot
-from palmfield.skin.solver_choice import Name, solve
+from palmfield.skin.solver_choice import Name, function, solve
 from palmfield.studies.bench.field import check_writable, device_name, git_commit, written
 from palmfield.studies.bench.processes import yardstick
 from palmfield.studies.bench.skin_case import CASE, Case, F_Hz
@@ -76,11 +76,10 @@ class PeerSolutions:
 
 def own(case: Case, name: str, accuracy: float, device: str, runs: int) -> SkinRow:
     """Solve AM from rest with a palmfield solver: mean and amplitude over the last LAST_s are half of both answers."""
-    sheets = (Sheet(case.material, case.depth_m),)
-    endless = name in ("lateral_waves", "wedges", "spectral_elements")
-    body = Slab(sheets) if endless else Slab(sheets, "disc", side="free", radius_m=RADIUS_M)
-    grid = np.arange(0.0, END_s + 1e-9, 5e-5)
+    sheets, grid = (Sheet(case.material, case.depth_m),), np.arange(0.0, END_s + 1e-9, 5e-5)
     load = Spot(case.fwhm_m, grid, 0.5 * (1.0 + np.sin(2.0 * np.pi * F_Hz * grid)))
+    endless, disc = Slab(sheets), Slab(sheets, "disc", side="free", radius_m=RADIUS_M)
+    body = disc if function(name, "refusal")(endless, load) else endless
     times = END_s - LAST_s + np.arange(1, 401) * LAST_s / 400
     motions: list[Motion] = []
     seconds = []

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from palmfield.errors import MeasurementError, OutputError, did_you_mean
+from palmfield.errors import MeasurementError, OutputError, did_you_mean, naming
 from palmfield.instruments.agreement import agreement
 from palmfield.instruments.frequency_wavenumber import frequency_wavenumber
 from palmfield.instruments.registration import Registration, registration
@@ -99,10 +99,8 @@ def compare(
     lost = np.flatnonzero(near)[broken]
     near[lost] = False
     theirs, ours = theirs.at_points(~broken), ours.at_points(~broken)
-    try:
+    with naming(scan.name):
         numbers = agreement(theirs.times_s, theirs.values, ours.values, most_delay_s=most_delay_s)
-    except MeasurementError as error:
-        raise MeasurementError(f"{scan.name}: {error}") from None
     on_skin = Scan(theirs.quantity, theirs.times_s, ours.points, theirs.values, name=scan.name)
     odd = suspected_faults(on_skin, ours, motion, numbers, most_delay_s)
     if still:

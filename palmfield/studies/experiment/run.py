@@ -12,7 +12,7 @@ from typing import Any
 from palmfield.config.driver import SAFETY_KEYS
 from palmfield.drive.ports import check_port
 from palmfield.drive.virtual import VirtualBoard
-from palmfield.errors import DeviceError, OutputError, PalmfieldError
+from palmfield.errors import DeviceError, OutputError, naming
 from palmfield.session.open_scene import no_scene
 from palmfield.session.preview import Preview, preview
 from palmfield.studies.experiment.design import Design, read_design
@@ -114,10 +114,8 @@ def _checked(design: Design, experiment: Path, scene: Path, board: str | None, c
     first = design.procedure_of(0, condition).next_level([])
     assert first is not None
     levels = [first, design.varied.reference] if design.task.kind == "nafc" else [first]
-    try:
+    with naming(f"{experiment}", f"condition '{design.conditions[condition].name}'"):
         views = [preview(scene, board=board, keys=design.keys_at(condition, level)) for level in levels]
-    except PalmfieldError as error:
-        raise type(error)(f"{experiment}: condition '{design.conditions[condition].name}': {error}") from None
     return views[0]
 
 
@@ -126,10 +124,8 @@ def _allowed(design: Design, experiment: Path, scene: Path, board: str | None) -
     level = design.highest()
     for number, condition in enumerate(design.conditions if level is not None else ()):
         assert level is not None
-        try:
+        with naming(f"{experiment}", f"condition '{condition.name}', level {level:g}"):
             presentation(scene, board, design.keys_at(number, level), design.duration_s)
-        except PalmfieldError as error:
-            raise type(error)(f"{experiment}: condition '{condition.name}', level {level:g}: {error}") from None
 
 
 class _Session:

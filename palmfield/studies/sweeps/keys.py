@@ -8,16 +8,15 @@ from typing import NamedTuple
 
 from pydantic import ValidationError
 
-from palmfield.config import CONFIGS, allowed
+from palmfield.config import CONFIGS, FILE_KEYS, allowed
 from palmfield.errors import SceneError
-from palmfield.session.open_scene import FILES, as_text, instances_of
+from palmfield.session.open_scene import as_text, instances_of
 from palmfield.session.scene_text import Instance
 from palmfield.session.world_keys import BOUND
 from palmfield.studies.sweeps.design import Design, Value
 
 COMPONENT = re.compile(r"(?P<key>.+)\[(?P<place>\d+)\]")
 STIMULUS = "palmfield.stimulus"
-FILE_KEYS = {key for keys in FILES.values() for key in keys}
 _CONFIGS = {config.plugin: config for config in CONFIGS}
 
 

@@ -87,7 +87,7 @@ def overview(
 
 def _memory_bytes(view: Preview, records: int) -> int:
     skins = view.runtime.model.skins
-    layers = memory_bytes([(skin.layer.dofs, skin.choice.name == "wedges") for skin in skins])
+    layers = memory_bytes([(skin.layer.dofs, skin.choice.solver.factorises) for skin in skins])
     return layers + _point_bytes(view, records)
 
 

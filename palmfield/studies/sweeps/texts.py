@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from palmfield.errors import SceneError
+from palmfield.errors import SceneError, naming
 from palmfield.given_files import regular
 from palmfield.studies.sweeps.design import Design, Range, Value, check_range, grid, listed, random, sobol
 
@@ -134,7 +134,5 @@ def _read_table(path: Path, fixed: dict[str, Value | None]) -> Design:
                 f"--list {path}: line {number} has {filled} values for {len(head)} keys; give each a value"
             )
     columns = zip(*rows[1:], strict=True)
-    try:
+    with naming(f"--list {path}"):
         return listed({key: [_number(cell.strip()) for cell in one] for key, one in zip(head, columns, strict=True)})
-    except SceneError as error:
-        raise SceneError(f"--list {path}: {error}") from None

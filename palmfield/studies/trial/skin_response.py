@@ -92,8 +92,7 @@ def skin_response(
     sim = Simulation(scene, device="cpu", accuracy=accuracy, board=board, keys=keys)
     name = skin or sim.skins[0]
     number = sim.skins.index(name)
-    choice = sim.runtime.model.skins[number].choice.name
-    if choice == "reduced":
+    if not sim.runtime.model.skins[number].choice.solver.any_pose:
         # A reduced model serves only the scene's own sound; modes serve any
         sim = Simulation(scene, device="cpu", accuracy=accuracy, board=board, keys={**keys, f"{name}.solver": "modal"})
     sim.steps.play({0: PlayedEmission(sim.runtime.model, emitted)})

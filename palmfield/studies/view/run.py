@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 
+from palmfield.config import FILE_KEYS
 from palmfield.drive.exit_signals import handling
 from palmfield.errors import OutputError, PalmfieldError, SceneError
 from palmfield.session.changed_stimuli import change_stimuli
-from palmfield.session.open_scene import FILES
 from palmfield.session.simulation import Simulation
 from palmfield.session.worlds import stimulus_texts
 from palmfield.studies.view.gate import is_loopback
@@ -50,7 +50,7 @@ UNWATCHED = 9
 """Unobserved steps for each observed one, if the simulation runs at full speed."""
 NEXT_KEY = re.compile(r";\s*(?=[\w.]+\s*=)")
 """Separator of several keys in one text: a semicolon before INSTANCE.key=."""
-NOT_FROM_A_PAGE = {"function", "hand", *(key for keys in FILES.values() for key in keys)}
+NOT_FROM_A_PAGE = {"function", "hand", *FILE_KEYS}
 """Keys with which a user of the page could read files and run code."""
 BEHIND_s = 0.2
 """Largest delay that the clock makes up for."""
@@ -297,7 +297,7 @@ class ShownScene:
         return time.monotonic() - self._turned_at > QUIET_s or (self._quick() and not self._set)
 
     def _quick(self) -> bool:
-        return all(skin.choice.name == "modal" for skin in self.sim.runtime.model.skins)
+        return all(skin.choice.solver.of_class for skin in self.sim.runtime.model.skins)
 
     def _change(self) -> None:
         turns, given = self._turns, self._set

@@ -24,7 +24,7 @@ HALVINGS = 3
 class ParticleLayer(OwnMesh):
     """Particles, a preview; see ExplicitLayer."""
 
-    preview, stiffest = True, spacing.STIFFEST
+    preview, large_strain, stiffest = True, True, spacing.STIFFEST
     refusal = staticmethod(spacing.refusal_particles)
     sizes_follow = (
         "error measured on discs with this spacing (docs/bench/skin_particles.md); the run states at least this value"
@@ -43,7 +43,8 @@ class ParticleLayer(OwnMesh):
     @locked_cached_property
     def cloud(self) -> Cloud:
         """The particles."""
-        return self.layer.with_keys(lambda: build_cloud(self.body, self.spacing_m))
+        with self.layer.meshing():
+            return build_cloud(self.body, self.spacing_m)
 
     @property
     def unknowns(self) -> int:

@@ -53,7 +53,8 @@ class ElementLayer(OwnMesh):
     @locked_cached_property
     def solid(self) -> Solid:
         """The elements."""
-        return self.layer.with_keys(lambda: build(self.body, self.chosen)[0])
+        with self.layer.meshing():
+            return build(self.body, self.chosen)[0]
 
     @property
     def unknowns(self) -> int:

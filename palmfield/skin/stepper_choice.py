@@ -1,0 +1,69 @@
+"""Choice of the stepper of a skin in a scene, by key `solver`, by what can be reduced, and by predicted time."""
+
+from typing import NamedTuple
+
+from palmfield.errors import SceneError
+from palmfield.skin.costs import RUNS, scene_choices
+from palmfield.skin.explicit_layer import LayerSolver, solver_class
+
+
+class StepperChoice(NamedTuple):
+    """The stepper with which a skin begins.
+
+    name: of the solver; why: in words
+    seconds, wedges_s: predicted of making and stepping it, and the whole layer
+    """
+
+    name: str
+    why: str
+    seconds: float
+    wedges_s: float
+
+    @property
+    def solver(self) -> type[LayerSolver]:
+        """What the stepper is, known before it is made."""
+        return solver_class(self.name)
+
+
+class LayerWork(NamedTuple):
+    """Sizes of the work of stepping the layer of a scene on its wedges; see `palmfield.skin.costs.scene_choices`."""
+
+    dofs: float
+    substeps: float
+    vectors: float
+    refusal: str | None
+    modes: float
+    modal_refusal: str | None
+    laws: int = 1
+
+
+def chosen(requested: str, work: LayerWork, asked: str) -> StepperChoice:
+    """The stepper on the wedges of a scene; requested: of key `solver`; asked: why, in words, where that names one.
+
+    Raises SceneError where a reduced model or modes are requested but impossible.
+    """
+    missing = {"modal": ("modes for every load", work.modal_refusal), "reduced": ("small model", work.refusal)}
+    what, why_not = missing.get(requested, ("", None))
+    if why_not is not None:
+        raise SceneError(f"there is no {what}: {why_not}: set it to auto", setting="solver")
+    choices = scene_choices(*work)
+    seconds = {choice.name: choice.seconds for choice in choices}
+    if requested != "auto":
+        name, why = requested, asked
+    elif work.refusal is None:
+        # If the load is predicted, a model for it alone is smaller than one for every load
+        small_s, whole_s = seconds["reduced"], seconds["wedges"]
+        name = "reduced" if small_s < whole_s else "wedges"
+        why = f"the load is predictable; reduced about {small_s:.1f} s, wedges about {whole_s:.1f} s"
+    else:
+        name, why = choices[0].name, f"no reduced model: {work.refusal}"
+        if name == "modal":
+            why = f"{work.refusal}, so the load is not predictable"
+        if name == "modal" and scene_choices(*work, kept=False)[0].name != name:
+            why += (
+                f"; building the modes counts as 1/{RUNS}, because the cache stores them; without a cache wedges "
+                "would be chosen"
+            )
+        elif name == "wedges" and scene_choices(*work, kept=True)[0].name != name:
+            why += "; there is no cache, so modes are too expensive; with a cache modal would be chosen"
+    return StepperChoice(name, why, seconds[name], seconds["wedges"])
