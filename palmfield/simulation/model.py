@@ -122,7 +122,8 @@ class BodyModel:
     def sample_bones(self) -> Int:
         """The bone that each sample of a surface with bones pushes: that with the largest share in it, shape (n,)."""
         weights = np.asarray(self.sampled.weights)[self.sampled.surface.faces].mean(axis=1)
-        return np.argmax(np.round(weights, 9), axis=1).astype(np.int32)
+        largest: Int = np.argmax(np.round(weights, 9), axis=1).astype(np.int32)
+        return largest
 
     @locked_cached_property
     def rest_samples(self) -> tuple[Float, Float, Float]:
