@@ -274,7 +274,7 @@ def played_in_words(report: PlayReport, board: Board, port: str) -> str:
     return (
         f"played {report.frames} frames on {port} (skipped {report.skipped}, largest delay "
         f"{1e3 * report.late_s:.0f} ms, limit {board.frame_rate} frames/s; player at {report.priority}); the board "
-        "is switched off"
+        "is off"
     )
 
 
