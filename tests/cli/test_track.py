@@ -73,12 +73,15 @@ def test_a_tracker_is_aligned_by_a_table_of_touches(tmp_path):
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (["replay", "{seen}", "--to", "nowhere"], "'nowhere' is no address"),
+        (["replay", "{seen}", "--to", "nowhere"], "'nowhere' is not an address"),
         (
             ["replay", "{seen}", "--to", "1", "--convention", "mano"],
             "--convention has value 'mano'; allowed: openxr, leapc",
         ),
-        (["replay", "{seen}", "--to", "1", "--by", "ftp"], "--by has value 'ftp'; allowed: udp, tcp"),
+        (
+            ["replay", "{seen}", "--to", "1", "--by", "ftp"],
+            "--by has value 'ftp' (did you mean 'tcp'?); allowed: udp, tcp",
+        ),
         (["replay", "{seen}", "--to", "1", "--speed", "0"], "speed has value 0; allowed"),
         (["record", "x.npz", "--at", "0", "--wait", "0.1"], "only 0 valid samples arrived within 0.1 s"),
         (["latency", "--seconds", "0"], "--seconds has value 0; allowed"),
@@ -95,5 +98,5 @@ def test_where_a_live_hand_comes_in():
                          ("tcp:9100", ("127.0.0.1", 9100, "tcp")), ("udp:lab:80", ("lab", 80, "udp"))):  # fmt: skip
         live = listening_at(text, None)
         assert (live.host, live.port, live.by) == wanted
-    with pytest.raises(DeviceError, match="'x' is no address"):
+    with pytest.raises(DeviceError, match="'x' is not an address"):
         listening_at("tcp:x", None)

@@ -247,7 +247,7 @@ def test_on_a_port_the_drivers_limits_hold(moving_scene):
     keys = {"driver.on_time_s": "0.05"}
     result = trial(moving_scene(), board="sonicsurface", port="virtual", keys=keys, skin=False, duration_s=0.25)
     assert any(
-        "fell silent: the time with sound has reached 0.05 s, the limit on_time_s" in text for text in result.sent.notes
+        "silenced: the time with sound has reached 0.05 s, the limit on_time_s" in text for text in result.sent.notes
     )
     assert result.numbers.frames_sent < result.numbers.frames_due
     too_loud = {"driver.head_m": "0 0 0.5", "driver.head_limit_dB": "60"}
