@@ -57,14 +57,14 @@ def did_you_mean(word: str, known: Iterable[str], likeness: float = 0.6) -> str:
     return f" (did you mean '{by_lower[near[0]]}'?)" if near else ""
 
 
-def refuse_unknown(error: type[PalmfieldError], told: str, value: str, known: Iterable[str]) -> None:
+def refuse_unknown(error: type[PalmfieldError], sentence: str, value: str, known: Iterable[str]) -> None:
     """Raise an error for a value that is none of those known.
 
-    told: what it is, with {} where its value stands: "--by has value {}"
+    sentence: has {} in place of the value: "--by has value {}"
     """
     allowed = list(known)
     if value not in allowed:
-        named = told.format(f"'{value}'{did_you_mean(value, allowed)}")
+        named = sentence.format(f"'{value}'{did_you_mean(value, allowed)}")
         raise error(f"{named}; allowed: {', '.join(allowed)}")
 
 

@@ -63,15 +63,12 @@ def sample_mesh(vertices: Float, faces: Int, accuracy: float) -> SampleMesh:
 
     vertices: [m], shape (v, 3); faces: shape (m, 3)
     """
-    numbers: Int = np.arange(len(faces), dtype=np.int32)
-    areas = face_normals(vertices, faces)[1]
-    if accuracy < A_FACE:
-        points, corners = subdivide(vertices, faces)
-        cut = np.arange(len(corners), dtype=np.int32)
-        return SampleMesh(points, corners, cut // 4, cut, np.repeat(0.25 * areas, 4))
     spacing_m = _spacing_m(accuracy)
     if spacing_m == 0.0:
-        return SampleMesh(vertices, faces, numbers, numbers, areas)
+        areas, parts = face_normals(vertices, faces)[1], 4 if accuracy < A_FACE else 1
+        points, corners = (vertices, faces) if parts == 1 else subdivide(vertices, faces)
+        numbers: Int = np.arange(len(corners), dtype=np.int32)
+        return SampleMesh(points, corners, numbers // parts, numbers, np.repeat(areas / parts, parts))
     of = vertices, faces, spacing_m
     key = cache.digest(*of)
     known = _known.get(key)

@@ -1,7 +1,4 @@
-"""Results that are computed again only where what they were computed from is another: pose or drive, as a rule.
-
-No other code of the stages asks whether something is the same as last time.
-"""
+"""Results that are computed again only where what they were computed from is another: pose or drive, as a rule."""
 
 from collections.abc import Callable, Hashable
 from typing import Any, TypeVar

@@ -92,21 +92,23 @@ class BodyModel:
     @locked_cached_property
     def sample_mesh(self) -> SampleMesh:
         """The triangles whose middles are the samples for the force, at rest."""
+        made = sample_mesh(*self._short_edged(), self.force_accuracy)
         if self.hand is not None:
-            return sample_mesh(self.hand.surface.vertices, self.hand.surface.faces, self.force_accuracy)
+            return made
         assert self.surface is not None
-        vertices, faces = self.surface.vertices, self.surface.faces
-        made = sample_mesh(*with_short_edges(vertices, faces, EDGE_m), self.force_accuracy)
-        return made._replace(faces=short_edge_parents(vertices, faces, EDGE_m)[made.faces])
+        return made._replace(faces=short_edge_parents(self.surface.vertices, self.surface.faces, EDGE_m)[made.faces])
 
     @locked_cached_property
     def sample_count(self) -> int:
         """About how many samples `sample_mesh` has, without making them."""
+        return sample_count(face_normals(*self._short_edged())[1], self.force_accuracy)
+
+    def _short_edged(self) -> tuple[Float, Int]:
+        """Vertices [m] and faces of the resting surface, with edges as short as samples need; those of hands are."""
+        if self.hand is not None:
+            return self.hand.surface.vertices, self.hand.surface.faces
         assert self.surface is not None
-        vertices, faces = self.surface.vertices, self.surface.faces
-        if self.hand is None:
-            vertices, faces = with_short_edges(vertices, faces, EDGE_m)
-        return sample_count(face_normals(vertices, faces)[1], self.force_accuracy)
+        return with_short_edges(self.surface.vertices, self.surface.faces, EDGE_m)
 
     @locked_cached_property
     def sampled(self) -> SkinnedSurface:
