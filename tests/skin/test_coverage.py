@@ -164,7 +164,18 @@ def test_estimates_of_a_round_case_hold_by_every_solver(tmp_path, monkeypatch: p
     out = tmp_path / "page.md"
     coverage_report.write_report(drawn, known, rows, out)
     text = out.read_text()
-    assert "| 15 | depths | judged |" in text and "refused" in text and out.with_suffix(".png").stat().st_size > 5000
+    # The run's folder has the case, the page counts it
+    kept = [json.loads(coverage_store.line(each)) for each in rows]
+    (auto,) = [v for v in verdicts(drawn, known, kept) if v.asked == "auto"]
+    assert (auto.case, auto.family, auto.kind) == ("1-15", "depths", "judged")
+    cells = {name: line.split(" | ") for line in text.splitlines() for name in [line[2:].partition(" |")[0]]}
+    assert cells["depths"][1:3] == ["1", "1"] and cells["lateral_waves"][1:3] == ["1", "0"]
+    assert cells["lateral_waves"][6:8] == ["1", "0"], "refused before the run, not late"
+    assert text.endswith(
+        "estimate below the true error\n\n[coverage](coverage/) has all cases; their numbers "
+        "follow the seed, 1.\n\nNone.\n"
+    )
+    assert out.with_suffix(".png").stat().st_size > 5000
 
 
 def test_a_scene_says_how_far_it_is_off_and_gives_its_load() -> None:
