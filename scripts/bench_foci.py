@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from palmfield.acoustics.arrays import layout
 from palmfield.acoustics.field import FieldEvaluator
-from palmfield.drive.foci import ITERATIONS, Foci, Method, gsw, solve_transfer, transfer64
+from palmfield.drive.foci import ITERATIONS, SOLVERS, Foci, Method, solve_transfer, transfer64
 from palmfield.outputs.style import COLOURS, save, style
 from palmfield.studies.bench.field import git_commit
 from palmfield.studies.bench.table import processor
@@ -81,7 +81,7 @@ def starts(transfers: list[Complex]) -> tuple[float, float, float]:
         levels = []
         for _ in range(10):
             phases = np.exp(2j * np.pi * random.random(len(transfer)))
-            drive, _ = gsw(transfer, targets, phases, ITERATIONS["gsw"])
+            drive, _ = SOLVERS["gsw"](transfer, targets, phases, ITERATIONS["gsw"])
             levels.append(np.abs(transfer @ drive).min() / bound)
         mean.append(np.mean(levels))
         best.append(max(levels))

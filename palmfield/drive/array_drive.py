@@ -3,45 +3,24 @@
 import math
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from palmfield.acoustics.air import absorption_Np_m, sound_speed
 from palmfield.acoustics.focus import focus
-from palmfield.acoustics.phased_array import only
+from palmfield.acoustics.phased_array import PhasedArray, only
 from palmfield.acoustics.reference import directivity
 from palmfield.drive.board import Board, play
 from palmfield.errors import DeviceError, SceneError, naming
 from palmfield.locked import next_serial
 from palmfield.stimulus.focal_points import FocalPoints
-from palmfield.types import Air, Array, Complex, Float, Int
+from palmfield.types import Array, Complex, Float, Int
 
 Bool = NDArray[np.bool_]
 
 KEPT = 32
 """Number of cached unit drives: a path that rests at few points returns to each of them."""
-
-
-class SoundSource(Protocol):
-    """The arrays of the scene as one source, as `palmfield.acoustics.phased_array.PhasedArray` is.
-
-    array: all transducers, in the frame of the first array; parts: the arrays that they belong to, in turn, each in its
-        own frame; impedance: rho c^2 [Pa], so that the ARP at a focus is |p|^2 over it
-    """
-
-    @property
-    def array(self) -> Array: ...
-    @property
-    def parts(self) -> Sequence[Array]: ...
-    @property
-    def air(self) -> Air: ...
-    @property
-    def impedance(self) -> float: ...
-    def pressure64(self, points: Float, drive: Complex) -> Complex:
-        """Complex peak pressure [Pa], shape (n,), at points [m], shape (n, 3), in float64."""
-        ...
 
 
 class UnitDrive:
@@ -63,7 +42,7 @@ class UnitDrive:
 class ArrayDrive:
     """Drives the transducers of one stimulus, with the arrays in one relative pose.
 
-    array: all transducers of the scene; chosen: those that this stimulus drives, shape (k,), rising
+    array: the arrays of the scene as one source; chosen: those that this stimulus drives, shape (k,), rising
         arp_peak_Pa: ARP at the focus at the loudest moment, if the stimulus sets it; drive_amplitude: of each
         transducer, if the stimulus sets that (1 if it sets neither); board: that plays the drive
     about, about_focus: beginnings of its errors, and of those of its foci
@@ -72,7 +51,7 @@ class ArrayDrive:
 
     def __init__(
         self,
-        array: SoundSource,
+        array: PhasedArray,
         chosen: Int,
         arp_peak_Pa: float | None,
         drive_amplitude: float | None,
@@ -164,7 +143,7 @@ class ArrayDrive:
     def _made(self, point: Float, loudness: Float | None) -> UnitDrive:
         point, phases, level = self._asked(point, loudness)
         if self.board.takes == "focus":
-            played = self.board.played_focus(point, level)
+            played = self.board.decode(self.board.encode_focus(point, level))[-1]
         else:
             sent = level * phases if self.correction is None else level * phases * self.correction
             played = play(self.board, self._over_all(sent))

@@ -268,17 +268,9 @@ class Board:
 
     def decode(self, data: bytes) -> list[Complex]:
         """Return the emission of a board just switched on after each change, shape (n,) each."""
-        twin = self.wired_twin() if self.places else self.twin()
-        emitted = []
-        for change in twin.take(data):
-            emitted.append(change.amplitudes)
-        for change in twin.until(twin.time_s + HELD_BACK_S):
-            emitted.append(change.amplitudes)
-        return emitted
-
-    def played_focus(self, focus: ArrayLike, level: float) -> Complex:
-        """Return the emission of a board that takes a focus for one, shape (n,)."""
-        return self.decode(self.encode_focus(focus, level))[-1]
+        twin = self.wired_twin()
+        changes = twin.take(data)
+        return [one.amplitudes for one in (*changes, *twin.until(twin.time_s + HELD_BACK_S))]
 
     def _takes(self) -> str:
         return "no bytes" if self.exact else "a focus" if self.takes == "focus" else "amplitudes"
@@ -305,7 +297,7 @@ FULL = 1.0 + 1e-6
 def commanded(board: Board, amplitudes: ArrayLike) -> Complex:
     """Return amplitudes in board byte order, shape (n,). Raises DeviceError for another shape, and above full drive."""
     values = np.asarray(amplitudes, dtype=np.complex128)
-    if values.shape != (board.unit * board.units,):
+    if values.shape != (board.transducers,):
         raise DeviceError(f"a frame of {board.name} has shape {values.shape}; give ({board.transducers},)")
     magnitude = np.abs(values)
     bad = ~(magnitude <= FULL)

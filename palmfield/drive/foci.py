@@ -7,6 +7,7 @@ determined up to a phase common to all transducers: `in_gauge` fixes it, so that
 
 import dataclasses
 from collections.abc import Callable
+from functools import partial
 from typing import Literal, get_args
 
 import numpy as np
@@ -291,14 +292,6 @@ def naive(matrix: Complex, targets: Float, phases: Complex, count: int) -> tuple
     return drive, [misfit(matrix @ drive, targets)]
 
 
-def gs(matrix: Complex, targets: Float, phases: Complex, count: int) -> tuple[Complex, list[float]]:
-    return _gerchberg_saxon(matrix, targets, phases, count, weighted=False)
-
-
-def gsw(matrix: Complex, targets: Float, phases: Complex, count: int) -> tuple[Complex, list[float]]:
-    return _gerchberg_saxon(matrix, targets, phases, count, weighted=True)
-
-
 def _gerchberg_saxon(
     matrix: Complex, targets: Float, phases: Complex, count: int, weighted: bool
 ) -> tuple[Complex, list[float]]:
@@ -375,8 +368,8 @@ def tikhonov(matrix: Complex, targets: Float, phases: Complex, count: int) -> tu
 
 SOLVERS: dict[Method, Callable[[Complex, Float, Complex, int], tuple[Complex, list[float]]]] = {
     "naive": naive,
-    "gs": gs,
-    "gsw": gsw,
+    "gs": partial(_gerchberg_saxon, weighted=False),
+    "gsw": partial(_gerchberg_saxon, weighted=True),
     "lbfgs": lbfgs,
     "tikhonov": tikhonov,
 }

@@ -93,16 +93,12 @@ def cap(points: Float, barred: Collection[Pair] = ()) -> tuple[Float, Int] | Non
     triangulation, and for a loop of more than MOST_JAGGED edges that is not smooth.
     """
     flat = _flat_cap(points)
-    if flat is not None and not _has_edge(flat[1], barred):
+    if flat is not None and not any((a, b) in barred for a, b in unique_edges(flat[1])[0].tolist()):
         return flat
     if len(points) > MOST_JAGGED:
         return None
     coarse = least_area_faces(points, barred)
     return _finer(points, coarse, barred) if len(coarse) else None
-
-
-def _has_edge(faces: Int, pairs: Collection[Pair]) -> bool:
-    return any((a, b) in pairs for a, b in unique_edges(faces)[0].tolist())
 
 
 def _flat_cap(points: Float) -> tuple[Float, Int] | None:

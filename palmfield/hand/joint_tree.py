@@ -77,16 +77,12 @@ def _rank(name: str) -> tuple[str, int] | None:
 
 
 def _chains(names: tuple[str, ...]) -> list[list[int]]:
-    """Return joints of each digit from the wrist on, as far as their names allow."""
+    """Return joints of each digit from the wrist on; without digits in which two joints have the same rank."""
     ranked: dict[str, list[tuple[int, int]]] = {}
     for joint, name in enumerate(names):
         if (found := _rank(name)) is not None:
             ranked.setdefault(found[0], []).append((found[1], joint))
-    return [[joint for _, joint in sorted(digit)] for digit in ranked.values() if _distinct(digit)]
-
-
-def _distinct(digit: list[tuple[int, int]]) -> bool:
-    return len({rank for rank, _ in digit}) == len(digit)
+    return [[joint for _, joint in sorted(digit)] for digit in ranked.values() if len(dict(digit)) == len(digit)]
 
 
 def _related(parents: Int, a: int, b: int) -> bool:

@@ -118,10 +118,6 @@ def _reconstruct(kind: type, base: type, state: object) -> Record:
     return kind()
 
 
-def _latin1(text: str, encoding: str) -> bytes:
-    return text.encode("latin1")
-
-
 _MULTIARRAY = np.empty(0).__reduce__()[0]
 _SCALAR = np.float64(0.0).__reduce__()[0]
 _ALLOWED: dict[tuple[str, str], Any] = {
@@ -131,7 +127,7 @@ _ALLOWED: dict[tuple[str, str], Any] = {
     ("builtins", "object"): object,
     ("copy_reg", "_reconstructor"): _reconstruct,
     ("copyreg", "_reconstructor"): _reconstruct,
-    ("_codecs", "encode"): _latin1,
+    ("_codecs", "encode"): lambda text, encoding: text.encode("latin1"),
     **{(f"numpy.{core}.multiarray", "_reconstruct"): _MULTIARRAY for core in ("core", "_core")},
     **{(f"numpy.{core}.multiarray", "scalar"): _SCALAR for core in ("core", "_core")},
     **{

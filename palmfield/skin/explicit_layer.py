@@ -92,7 +92,6 @@ class WedgeLayer(LayerSolver):
 
     @property
     def unknowns(self) -> int:
-        """See LayerSolver."""
         return self.layer.dofs
 
     @property

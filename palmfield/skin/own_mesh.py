@@ -67,7 +67,6 @@ class OwnMesh(ExplicitLayer, Protocol):
         ...
 
     def stepper(self, device: str) -> "OwnMeshStepper":
-        """See ExplicitLayer."""
         system, mesh = self.layer.system, self.layer.mesh
         with self.layer.meshing():
             near, shares = self.near(mesh.nodes[: mesh.surface_nodes])
@@ -78,7 +77,6 @@ class OwnMesh(ExplicitLayer, Protocol):
         return made
 
     def refuse(self) -> None:
-        """See ExplicitLayer."""
         config = self.layer.config
         if config.side == "absorbing":
             allowed = "fixed, free" + (", roller" if config.shape == "disc" else "")
@@ -189,7 +187,6 @@ class OwnMeshStepper(SkinStepper, Protocol):
 
     @functools.cached_property
     def error(self) -> float:  # type: ignore[override]  # computed at first use
-        """See SkinStepper."""
         return self._own.error(self._device)
 
     def carried(self, state: Float, ends: Float, t0: float, t1: float, seen: bool) -> Float | None:
@@ -202,7 +199,6 @@ class OwnMeshStepper(SkinStepper, Protocol):
     def step(
         self, state: Float, loads: SurfaceLoads, t0: float, t1: float, observe: Reader | None = None
     ) -> Float | None:
-        """See SkinStepper."""
         check_step(self, state, loads, self._transfer.pressure.shape[1], t0, t1)
         if len(state) > 1:
             return world_by_world(self, state, loads, t0, t1, observe)
@@ -212,7 +208,6 @@ class OwnMeshStepper(SkinStepper, Protocol):
         return None if observe is None or motion is None else read(motion, observe)[None]
 
     def describe(self) -> str:
-        """See SkinStepper."""
         return f"{self.name}{', a preview' * self._own.preview}: {self._own.resolution}"
 
     def reader(self, operator: sparse.csr_matrix) -> Reader:

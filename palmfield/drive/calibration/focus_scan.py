@@ -69,10 +69,9 @@ def fit_pose(
         scale = float(model @ seen) / float(model @ model)
         return np.asarray((seen - scale * model) / (0.03 * seen.max()))
 
-    def with_prior(unknown: Float) -> Float:
-        return np.concatenate([left(unknown), unknown])
-
-    found = least_squares(with_prior, np.concatenate([start / OFFSET_SD_M, np.zeros(3 if turning else 0)]), x_scale=0.1)
+    begin = np.concatenate([start / OFFSET_SD_M, np.zeros(3 if turning else 0)])
+    # The unknowns themselves are the residuals of their priors
+    found = least_squares(lambda unknown: np.concatenate([left(unknown), unknown]), begin, x_scale=0.1)
     if not found.success:
         raise PalmfieldError(
             f"the fit of the board position does not converge ({found.message}): scan closer to the foci"

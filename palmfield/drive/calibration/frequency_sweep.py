@@ -75,13 +75,15 @@ def fit_sweep(
 
 
 def _pole(sound: Complex, f: Float, seen: Complex, start: float) -> tuple[float, float, float]:
-    """Resonance [Hz], quality, and rms of what the model leaves, relative."""
+    """Resonance [Hz], quality, and relative rms of the residual, with the best factor for each place."""
     scale = np.abs(seen).max(axis=1, keepdims=True)
     places = len(seen)
 
     def rest(unknown: Float) -> Complex:
         late = np.exp(2j * math.pi * DELAY_SD_S * unknown[2:, None] * (f - start))
-        return _left(sound * late, f, seen, start + 100.0 * unknown[0], math.exp(unknown[1]))
+        model = sound * late * response_at(f, start + 100.0 * unknown[0], math.exp(unknown[1]))
+        factor = (model.conj() * seen).sum(axis=1) / (np.abs(model) ** 2).sum(axis=1)
+        return np.asarray(seen - factor[:, None] * model)
 
     def left(unknown: Float) -> Float:
         noise = rest(unknown) / scale / NOISE
@@ -99,10 +101,3 @@ def _pole(sound: Complex, f: Float, seen: Complex, start: float) -> tuple[float,
 def response_at(frequencies_Hz: Float, resonance_Hz: float, quality: float) -> Complex:
     """Response of transducers of one resonance to a steady carrier, relative to that at resonance, shape (q,)."""
     return envelope_response(frequencies_Hz - resonance_Hz, Pole(resonance_Hz, quality, resonance_Hz))[:, 0]
-
-
-def _left(sound: Complex, f: Float, seen: Complex, resonance: float, quality: float) -> Complex:
-    """Residual of the model with its best factor for each place, (m, q)."""
-    model = sound * response_at(f, resonance, quality)
-    factor = (model.conj() * seen).sum(axis=1) / (np.abs(model) ** 2).sum(axis=1)
-    return np.asarray(seen - factor[:, None] * model)

@@ -151,7 +151,7 @@ class Player:
         listed = list(frames)
         schedule = Schedule([one[0] for one in listed], [one[1] for one in listed], duration_s)
         self._send(SCHEDULE, schedule.packed())
-        return _report(self._until("played", None, on_progress, on_sound)["played"])
+        return PlayReport(**self._until("played", None, on_progress, on_sound)["played"])
 
     def send(self, steps: Sequence[bytes], level: float = 1.0, made_s: float | None = None, due_s: float = 0.0) -> None:
         """Send a live frame, which sounds until a newer one comes, or fades out after `stale_s` without one.
@@ -230,7 +230,7 @@ class Player:
             if "trying" in line and self._on_trouble is not None:
                 self._on_trouble(f"{line['lost']}; trying to silence the board (press Ctrl-C to stop trying)")
             if "ended" in line:
-                self._ended, self.report = line, _report(line["played"])
+                self._ended, self.report = line, PlayReport(**line["played"])
                 self.log_error = line["log_error"]
             lines.append(line)
         if self._ended is not None and not self._closed:
@@ -244,7 +244,7 @@ class Player:
         if self._lost or not (end["lost"] or end["broken"] or end["why_on"] or end["ended"].startswith("the player")):
             return
         self._lost = True
-        sounds = f"{self.board.when_host_dies}" if end["why_on"] else "the board is off"
+        sounds = self.board.when_host_dies if end["why_on"] else "the board is off"
         why = f" ({end['why_on']})" if end["why_on"] else ""
         if end["lost"]:
             said = f"lost the board on {self.port} after {end['played']['frames']} frames: {end['lost']}"
@@ -317,7 +317,3 @@ def _silence(board: Board, port: str) -> None:
         transport.flush()
     finally:
         transport.close()
-
-
-def _report(line: dict[str, Any]) -> PlayReport:
-    return PlayReport(**line)

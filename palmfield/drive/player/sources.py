@@ -119,7 +119,7 @@ class LiveSource:
         self.ramp_s, self.stale_s, self.refresh_s = ramp_s, stale_s, refresh_s
         self.skipped = 0
         self.said = ""
-        self.muted = self.silent = False
+        self.muted, self.silent = False, True
         self._waiting: deque[tuple[int, LiveFrame]] = deque()
         self._taken = 0
         self._number = -1
@@ -128,7 +128,6 @@ class LiveSource:
         self._gain, self._gain_s = 0.0, -math.inf
         self._sent: tuple[bytes, float] = (b"", -math.inf)
         self._choice: NextFrame | None = None
-        self.silent = True
 
     def take(self, frame: LiveFrame) -> None:
         """Take a frame newer than all before."""

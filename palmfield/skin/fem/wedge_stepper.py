@@ -91,7 +91,6 @@ class WedgeStepper(SkinStepper):
     def step(
         self, state: Float, loads: SurfaceLoads, t0: float, t1: float, observe: Reader | None = None
     ) -> Float | None:
-        """See SkinStepper."""
         check_step(self, state, loads, self._inputs.shape[1], t0, t1)
         mix = self._alpha_f * loads.first + (1.0 - self._alpha_f) * loads.last
         worlds, substeps, _ = mix.shape
@@ -130,12 +129,10 @@ class WedgeStepper(SkinStepper):
         self._rooms.append(room)
 
     def reader(self, operator: sparse.csr_matrix) -> Reader:
-        """See SkinStepper."""
         matrix = checked_operator(operator, self.unknowns)
         return Reader(matrix.shape[0], (matrix, _placed(matrix, self._factor)))
 
     def read(self, state: Float, reader: Reader) -> Float:
-        """See SkinStepper."""
         result = np.zeros((len(state), 2, reader.count))
         for one, out in zip(state, result, strict=True):
             _read(reader.matrix[0], one.reshape(self.state_rows, self.unknowns), out)

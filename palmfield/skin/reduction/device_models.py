@@ -46,11 +46,9 @@ class DeviceModes:
         self._coupling: Any = wp.array(stepper.coupling, dtype=wp.float64, device=device)
 
     def weights(self, first: Float, last: Float) -> Float:
-        """See DeviceModel."""
         return self.stepper.mixed(SurfaceLoads(np.zeros(0), first, last)).astype(np.float64)
 
     def calls(self, memory: StepMemory) -> Calls:
-        """See DeviceModel."""
         worlds = memory.before.shape[0]
         before, after = (part.reshape((worlds, self._rows, -1)) for part in (memory.before, memory.after))
         calls, forces = self._products.calls(memory)
@@ -83,7 +81,6 @@ class DeviceModes:
         ]
 
     def outside(self, sums: Sequence[Any]) -> Outside:
-        """See DeviceModel."""
         return self.stepper.weighed(sums)
 
 
@@ -110,11 +107,9 @@ class DeviceReduced:
         self._matrix: Any = wp.array(matrix, dtype=wp.float64, device=device)
 
     def weights(self, first: Float, last: Float) -> Float:
-        """See DeviceModel."""
         return np.concatenate([first, last])
 
     def calls(self, memory: StepMemory) -> Calls:
-        """See DeviceModel."""
         calls, forces = self._products.calls(memory)
         rows, size = self._matrix.shape
         chunks = -(-rows // CHUNK)
@@ -125,7 +120,6 @@ class DeviceReduced:
         return [*calls, launch(kernels.sums_of_chunks, (worlds, size), [parts, memory.after], self._device)]
 
     def outside(self, sums: Sequence[Any]) -> None:
-        """See DeviceModel."""
         return None
 
 

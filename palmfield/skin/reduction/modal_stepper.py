@@ -238,17 +238,14 @@ class ModalStepper(SkinStepper):
         return pushes
 
     def describe(self) -> str:
-        """See SkinStepper."""
         return f"{self.name}, {self.order} modes"
 
     def device_model(self, substeps: int, points: int, device: str) -> DeviceModel:
-        """See SkinStepper."""
         from palmfield.skin.reduction.device_models import DeviceModes
 
         return DeviceModes(self, substeps, device)
 
     def device_worlds(self, most: int, device: str) -> DeviceStep | None:
-        """See SkinStepper."""
         if device == "cpu" or self.coupled:
             return None
         from palmfield.skin.reduction.device_worlds import DeviceWorlds
@@ -256,7 +253,6 @@ class ModalStepper(SkinStepper):
         return DeviceWorlds(self, most, device).step
 
     def work(self, patterns: int, substeps: int) -> StepWork:
-        """See SkinStepper."""
         points, shapes, modes, rows = len(self.points), len(self.body.shapes.sizes), self.order, self.state_rows
         dense = 2 * points * shapes + shapes * modes + points * self.body.compliance.shape[1]
         # Of coupled modes; it is too large for the memory of a multiprocessor, so each substep reads it again
@@ -267,7 +263,6 @@ class ModalStepper(SkinStepper):
         return StepWork(single, double, dense, own + 2 * modes * rows + coupling, launches)
 
     def outside(self, loads: SurfaceLoads) -> Outside:
-        """See SkinStepper."""
         pressure = loads.pressure_Pa.astype(np.float32, copy=False)
         residual = pressure - (pressure @ self._fit) @ self._back
         mixed = self.mixed(loads)
@@ -284,7 +279,6 @@ class ModalStepper(SkinStepper):
         return Outside(self._hidden * outside, whole, self._hidden * plain, plain_whole)
 
     def reader(self, operator: sparse.csr_matrix) -> Reader:
-        """See SkinStepper."""
         matrix = checked_operator(operator, self.unknowns)
         seen = np.zeros((self.padded, matrix.shape[0]))
         # Only the unknowns that it reads, because the product makes a copy in double precision
@@ -293,14 +287,12 @@ class ModalStepper(SkinStepper):
         return Reader(matrix.shape[0], seen, seen.astype(np.float32))
 
     def read(self, state: Float, reader: Reader) -> Float:
-        """See SkinStepper."""
         rows = state.reshape(len(state), self.state_rows, self.padded)
         with one_blas_thread:
             result: Float = rows[:, :2] @ reader.matrix
         return result
 
     def harmonic(self, pressure_Pa: Float, f_Hz: float, operator: sparse.csr_matrix) -> Complex:
-        """See SkinStepper."""
         modes, s = self.body.modes, -2j * np.pi * f_Hz
         force = (self.body.shapes.fit @ pressure_Pa) @ self.body.forces
         laws = laws_at(self._materials, s)
@@ -323,7 +315,6 @@ class ModalStepper(SkinStepper):
         return whole.reshape(len(state), -1)
 
     def mixed(self, loads: SurfaceLoads) -> Float32:
-        """See SkinStepper."""
         alpha = self._alpha_f
         return (alpha * loads.first + (1.0 - alpha) * loads.last).astype(np.float32)
 

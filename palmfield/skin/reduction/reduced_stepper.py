@@ -105,7 +105,6 @@ class ReducedStepper(SkinStepper):
     def step(
         self, state: Float, loads: SurfaceLoads, t0: float, t1: float, observe: Reader | None = None
     ) -> Float | None:
-        """See SkinStepper."""
         own = check_step(self, state, loads, len(self.shares), t0, t1, any_length=True)
         worlds, substeps, _ = loads.first.shape
         if own and observe is None and loads.fixed:
@@ -175,12 +174,10 @@ class ReducedStepper(SkinStepper):
         return forces
 
     def reader(self, operator: sparse.csr_matrix) -> Reader:
-        """See SkinStepper."""
         matrix = checked_operator(operator, self.unknowns)
         return Reader(matrix.shape[0], np.ascontiguousarray((matrix @ self.vectors).T))
 
     def read(self, state: Float, reader: Reader) -> Float:
-        """See SkinStepper."""
         with one_blas_thread:
             return self._read(state, reader)
 
@@ -196,7 +193,6 @@ class ReducedStepper(SkinStepper):
         return seen.reshape(-1, 2, reader.count)
 
     def harmonic(self, pressure_Pa: Float, f_Hz: float, operator: sparse.csr_matrix) -> Complex:
-        """See SkinStepper."""
         s = -2j * np.pi * f_Hz
         mass, damping, elastic, *parts = self.small.matrices
         matrix: Any = s**2 * mass + s * damping + elastic
@@ -208,7 +204,6 @@ class ReducedStepper(SkinStepper):
         )
 
     def describe(self) -> str:
-        """See SkinStepper."""
         return f"{self.name}, {self.order} vectors"
 
     def device_model(self, substeps: int, points: int, device: str) -> DeviceModel | None:
@@ -219,14 +214,12 @@ class ReducedStepper(SkinStepper):
         return DeviceReduced(self, substeps, points, device) if worth else None
 
     def work(self, patterns: int, substeps: int) -> StepWork:
-        """See SkinStepper."""
         size, (points, forces) = self.state_size, self.shares.shape
         products, double = points * forces, substeps * size * (size + 2 * forces)
         # A GPU reads the matrix in each substep, as the coupling of modes
         return StepWork(patterns * products, double, products, substeps * size * size, substeps)
 
     def lifted(self, state: Float, pressure_Pa: Callable[[], Float]) -> Float:
-        """See SkinStepper."""
         model = self.model
         rates = state @ model.rates.T + (pressure_Pa() @ self.shares) @ model.inputs.T
         rows = [state @ model.displaces.T, state @ model.moves.T, rates @ model.moves.T]

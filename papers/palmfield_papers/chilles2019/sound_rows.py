@@ -9,10 +9,10 @@ from scipy.optimize import brentq
 
 from palmfield.acoustics import density, layout, pressure64, sound_speed
 from palmfield.acoustics.arp import arp
-from palmfield.acoustics.as_printed import incident_lagrangian_as_printed
 from palmfield.acoustics.focus import focus
 from palmfield.types import Air, Field, Float
 from palmfield_papers.answer import Answer, Compute, Setting
+from palmfield_papers.chilles2019.as_printed import incident_lagrangian_as_printed
 from palmfield_papers.chilles2019.setup import LEVEL_PA
 
 RHO, SPEED = 1.225, 343.0
@@ -146,8 +146,8 @@ def flight(setting: Setting) -> Answer:
 
 
 def velocity_term(setting: Setting) -> Answer:
-    note = "words: u^2.u is a vector; the code, as printed or corrected, has u.u (palmfield.acoustics.as_printed)"
-    return Answer(None, note=note)
+    said = "words: u^2.u is a vector; the code, as printed or corrected, has u.u"
+    return Answer(None, note=f"{said} (palmfield_papers.chilles2019.as_printed)")
 
 
 ANSWERS: dict[str, Compute] = {

@@ -7,12 +7,12 @@ import numpy as np
 
 from palmfield.acoustics import FieldEvaluator, density, layout, pressure64, sound_speed
 from palmfield.acoustics.focus import focus
-from palmfield.acoustics.piston_faces import as_faces
 from palmfield.instruments import Microphone, microphone_scan
 from palmfield.instruments.microphone import angle_response
 from palmfield.types import Air, Array, Complex, Float
 from palmfield_papers.answer import Setting
 from palmfield_papers.entries import book
+from palmfield_papers.piston_faces import as_faces
 
 ROOM = Air()
 EIGHTH_INCH_M = 3.175e-3

@@ -7,11 +7,11 @@ import numpy as np
 from palmfield.acoustics import pressure64
 from palmfield.acoustics.focus import focus
 from palmfield.acoustics.layouts import bow_focus, two_bow
-from palmfield.acoustics.piston_faces import as_faces
 from palmfield.instruments import Microphone, microphone_scan
 from palmfield.types import Air, Array, Complex, Float
 from palmfield_papers.answer import Setting
 from palmfield_papers.entries import book
+from palmfield_papers.piston_faces import as_faces
 
 ROOM = Air(temperature_C=23.0)
 """Section 4: the room is at 23 degrees."""

@@ -8,7 +8,6 @@ import numpy as np
 
 from palmfield.acoustics import density, sound_speed
 from palmfield.acoustics.layouts import bow
-from palmfield.acoustics.piston_axis import on_axis, rayleigh_length_m
 from palmfield.errors import MeasurementError
 from palmfield.instruments import Microphone, Plate, plate_force
 from palmfield.instruments.microphone import face_factor
@@ -26,6 +25,7 @@ from palmfield_papers.mizushima2024.bows import (
     mean_square,
     value_of,
 )
+from palmfield_papers.piston_axis import on_axis, rayleigh_length_m
 
 PRINTED_AIR_C_m_s = 343.0
 CARRIER_HZ = 40e3

@@ -72,6 +72,5 @@ def choose(load: Load, tolerance: float) -> Resolution:
 
 
 def resolution_for(tolerance: float, pace_1_s: float, speed_m_s: float) -> Resolution:
-    """See Resolution."""
     digits = -math.log10(tolerance)
     return Resolution(tolerance, math.ceil(4.0 + 2.0 * digits), 0.6 + 0.2 * digits, pace_1_s, speed_m_s)

@@ -48,17 +48,14 @@ class ParticleLayer(OwnMesh):
 
     @property
     def unknowns(self) -> int:
-        """See OwnMesh."""
         return 3 * len(self.cloud.points)
 
     @property
     def state_size(self) -> int:
-        """See OwnMesh."""
         return run.state_size(self.cloud)
 
     @property
     def resolution(self) -> str:
-        """See OwnMesh."""
         return f"{len(self.cloud.points)} particles {1e3 * self.cloud.columns.spacing_m:.2g} mm apart"
 
     @property
@@ -67,7 +64,6 @@ class ParticleLayer(OwnMesh):
         return spacing.law_error(self.body, self.planned_load(), self.cloud.columns.spacing_m)
 
     def seconds(self, duration_s: float, device: str) -> float:
-        """See OwnMesh."""
         # The error estimate of a disc takes two runs more
         more = 2.0 * self.trial_s() if isinstance(self.body, Slab) else 0.0
         each = len(self.cloud.points) * spacing.SECONDS_A_STEP["cpu" if device == "cpu" else "cuda"]
@@ -75,16 +71,13 @@ class ParticleLayer(OwnMesh):
 
     @property
     def face(self) -> Float:
-        """See OwnMesh."""
         return self.cloud.columns.face
 
     def near(self, points: Float) -> tuple[Int, Float]:
-        """See OwnMesh."""
         _, near, shares = point_weights(self.cloud.columns, self.cloud.face_area, points)
         return near, shares
 
     def made(self, transfer: FaceTransfer, device: str) -> "ParticleStepper":
-        """See OwnMesh."""
         return ParticleStepper(self, transfer, device)
 
     def error(self, device: str) -> float:
@@ -116,7 +109,6 @@ class ParticleStepper(OwnMeshStepper):
         self._rooms: list[dict[int, run.Particles]] = []
 
     def carried(self, state: Float, ends: Float, t0: float, t1: float, seen: bool) -> Float:
-        """See OwnMeshStepper."""
         try:
             bodies = self._rooms.pop()
         except IndexError:

@@ -39,7 +39,6 @@ class ElementLayer(OwnMesh):
 
     @property
     def body(self) -> Body:
-        """See OwnMesh."""
         return self._reduced[0]
 
     @locked_cached_property
@@ -58,17 +57,14 @@ class ElementLayer(OwnMesh):
 
     @property
     def unknowns(self) -> int:
-        """See OwnMesh."""
         return 3 * len(self.solid.nodes)
 
     @property
     def state_size(self) -> int:
-        """See OwnMesh."""
         return state_size(self.solid, [sheet.material for sheet in self.body.sheets])
 
     @property
     def resolution(self) -> str:
-        """See OwnMesh."""
         solid, material = self.solid, self.body.sheets[0].material
         words = f"{len(solid.elements)} elements of order {solid.order}, {len(solid.nodes)} nodes"
         if self._reduced[1] > 0.0:
@@ -76,22 +72,18 @@ class ElementLayer(OwnMesh):
         return words
 
     def seconds(self, duration_s: float, device: str) -> float:
-        """See OwnMesh."""
         # The second run of an estimate is the coarser one
         steps = (duration_s + 2.0 * self.trial_s()) / solve.likely_step(self.solid, self.body.sheets)
         return steps * solve.step_seconds(self.solid, device != "cpu")
 
     @property
     def face(self) -> Float:
-        """See OwnMesh."""
         return self.solid.nodes[: self.solid.surface_nodes]
 
     def near(self, points: Float) -> tuple[Int, Float]:
-        """See OwnMesh."""
         return find(self.solid, points)
 
     def made(self, transfer: FaceTransfer, device: str) -> "SpectralElementStepper":
-        """See OwnMesh."""
         return SpectralElementStepper(self, transfer, device)
 
     def error(self, device: str) -> float:
@@ -130,7 +122,6 @@ class SpectralElementStepper(OwnMeshStepper):
         self._rooms: list[Stepper] = []
 
     def carried(self, state: Float, ends: Float, t0: float, t1: float, seen: bool) -> Float | None:
-        """See OwnMeshStepper."""
         substeps = len(ends) // 2
         room = self._room(substeps)
         room.begin(state, ends)

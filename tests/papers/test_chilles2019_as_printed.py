@@ -6,11 +6,11 @@ import pytest
 from palmfield.acoustics.air import density, sound_speed
 from palmfield.acoustics.arp import arp
 from palmfield.acoustics.arrays import layout
-from palmfield.acoustics.as_printed import incident_lagrangian_as_printed
 from palmfield.acoustics.focus import focus
 from palmfield.acoustics.reference import pressure64
 from palmfield.errors import PalmfieldError
 from palmfield.types import Air, Field, Float
+from palmfield_papers.chilles2019.as_printed import incident_lagrangian_as_printed
 
 AIR = Air()
 RHO, C = density(AIR), sound_speed(AIR)

@@ -7,11 +7,11 @@ import pytest
 
 from palmfield.acoustics.arrays import from_poses, layout
 from palmfield.acoustics.focus import focus
-from palmfield.acoustics.piston_axis import on_axis
-from palmfield.acoustics.piston_faces import as_faces
 from palmfield.acoustics.reference import pressure64
 from palmfield.errors import SceneError
 from palmfield.types import Air
+from palmfield_papers.piston_axis import on_axis
+from palmfield_papers.piston_faces import as_faces
 
 
 def test_faces_are_rayleighs_integral():

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from palmfield.acoustics.air import sound_speed
-from palmfield.acoustics.piston_axis import on_axis, rayleigh_length_m
 from palmfield.acoustics.reference import pressure64
 from palmfield.errors import PalmfieldError
 from palmfield.types import Air, Array, Float
+from palmfield_papers.piston_axis import on_axis, rayleigh_length_m
 
 AIR = Air()
 K = 2.0 * np.pi * 40e3 / sound_speed(AIR)

@@ -2,7 +2,7 @@
 
 The field of arrays (`palmfield.acoustics.field`) uses the far field of a piston. Points on its face, each a point
 source in the same baffle, add up to the exact sound of a piston that moves as one. Its closed form on the axis is in
-`palmfield.acoustics.piston_axis`.
+`palmfield_papers.piston_axis`.
 """
 
 from dataclasses import replace

@@ -1,12 +1,8 @@
-"""Formulas of sound that papers print wrongly, each with its corrected form.
-
-They reproduce the numbers of the papers; no other code in palmfield uses them.
-"""
+"""The radiation pressure that Chilles et al. 2019 print wrongly, with its corrected form."""
 
 import numpy as np
 
-from palmfield.acoustics import check
-from palmfield.acoustics.air import density, sound_speed
+from palmfield.acoustics import check, density, sound_speed
 from palmfield.errors import PalmfieldError
 from palmfield.types import Air, Field, Float
 
