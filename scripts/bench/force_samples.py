@@ -1,16 +1,18 @@
 #!/usr/bin/env python3
 """How exact the force of the sound on a body is, by how many samples it is added up from and by which rule.
 
-python scripts/bench/force_samples.py [SCENE ...] [--times 4] [--lit 4] [--accuracy 0.0035 0.006]
+python scripts/bench/force_samples.py [SCENE ...] [--times 4] [--lit 4] [--accuracy 0.0035 0.006] [--rows PAGE]
 
 SCENE is a name in mjcf/scenes, or "box": a cube in place of the hand. The force, and the torque about the origin of the
 body, are computed at some times of the scene, for the focus of the stimulus then, for foci at --lit places of the lit
 side, and for foci 10 and 30 mm in front of these and 20 mm behind. Reference: the same faces cut in sixteen. Samples
-are those of the key force_accuracy. The table gives the root mean square over the foci of a scene, and the largest, of
-the force in per cent of it, and of the torque in per cent of the force times the root mean square arm.
+are those of the key force_accuracy. Rows give the root mean square over the foci of a scene, and the largest, of
+the force in per cent of it, and of the torque in per cent of the force times the root mean square arm. With --rows they
+are kept in the folder data next to a page. The table has the worst scene of each accuracy and place.
 """
 
 import argparse
+from pathlib import Path
 
 import numpy as np
 from trimesh.creation import box
@@ -25,6 +27,7 @@ from palmfield.session.simulation import load
 from palmfield.simulation.emission import array_drives
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.stimulus.schedule import frame_at
+from palmfield.studies.bench.table import cells, keep_rows
 from palmfield.types import Complex, Float, Int
 
 SCENES = folder("mjcf") / "scenes"
@@ -33,6 +36,10 @@ BOX_m = 0.06
 """Edge of a cube that stands for the hand of the first scene in the row "box"."""
 OFF_m = {"on the lit side": 0.0, "10 mm in front": -0.01, "30 mm in front": -0.03, "20 mm behind": 0.02}
 """Foci by their distance from places of the lit side, along the axis of the arrays."""
+HEAD = [
+    "| scene | foci | number | force_accuracy | samples | force rms [%] | largest | torque rms [%] | largest |",
+    "|---|---|---|---|---|---|---|---|---|",
+]
 Samples = tuple[Float, Float, Float]
 """Points [m] and outward normals there, and the area by which each pushes, as a vector [m2], all (n, 3)."""
 
@@ -51,8 +58,8 @@ def resultant(posed: PosedScene, samples: Samples, drive: Complex, law: object, 
     return push.sum(axis=0), np.cross(points - origin, push).sum(axis=0)
 
 
-def measure(scene: str, times: int, lit: int, accuracies: list[float]) -> None:
-    """Print a scene's rows."""
+def measure(scene: str, times: int, lit: int, accuracies: list[float]) -> list[str]:
+    """Return a scene's rows."""
     sim = load(SCENES / f"{DEFAULT[0] if scene == 'box' else scene}.xml", device="cpu", accuracy=0.5)
     random = np.random.default_rng(1)
     errors: dict[str, list[tuple[float, float]]] = {}
@@ -90,15 +97,30 @@ def measure(scene: str, times: int, lit: int, accuracies: list[float]) -> None:
                 errors.setdefault(f"{name}|{where}", []).append((off / force, turned / (force * arm)))
         if scene == "box":
             break
+    lines = []
     for key, values in errors.items():
         name, where = key.split("|")
         off = 100.0 * np.array(values)
         rms, most = np.sqrt((off**2).mean(axis=0)), off.max(axis=0)
-        print(
-            f"| {scene} | {where} | {len(off)} | {name} | {counts[name]} | {rms[0]:.2f}, {most[0]:.2f} | "
-            f"{rms[1]:.2f}, {most[1]:.2f} |",
-            flush=True,
+        lines.append(
+            f"| {scene} | {where} | {len(off)} | {name} | {counts[name]} | {rms[0]:.2f} | {most[0]:.2f} | "
+            f"{rms[1]:.2f} | {most[1]:.2f} |"
         )
+        print(lines[-1], flush=True)
+    return lines
+
+
+def worst(rows: list[str]) -> list[str]:
+    """A table of the worst scene for each accuracy and place of the foci."""
+    lines = [
+        "| force_accuracy | foci | force [%]: rms, largest | torque [%]: rms, largest |",
+        "|---|---|---|---|",
+    ]
+    found = [cells(row) for row in rows]
+    for name, where in dict.fromkeys((row[3], row[1]) for row in found):
+        some = np.array([row[5:] for row in found if row[3] == name and row[1] == where], float).max(axis=0)
+        lines.append(f"| {name} | {where} | {some[0]:.2f}, {some[1]:.2f} | {some[2]:.2f}, {some[3]:.2f} |")
+    return lines
 
 
 def main() -> None:
@@ -107,11 +129,14 @@ def main() -> None:
     parser.add_argument("--times", type=int, default=4)
     parser.add_argument("--lit", type=int, default=4)
     parser.add_argument("--accuracy", type=float, nargs="*", default=[0.0015, A_FACE, *CELLS_m])
+    parser.add_argument("--rows", type=Path, metavar="PAGE")
     arguments = parser.parse_args()
-    print("| scene | foci | of them | force_accuracy | samples | force, %: rms, most | torque, %: rms, most |")
-    print("|---|---|---|---|---|---|---|")
+    rows = []
     for scene in arguments.scenes:
-        measure(scene, arguments.times, arguments.lit, arguments.accuracy)
+        rows += measure(scene, arguments.times, arguments.lit, arguments.accuracy)
+    if arguments.rows:
+        keep_rows(arguments.rows, [*HEAD, *rows])
+    print("\n".join(worst(rows)))
 
 
 if __name__ == "__main__":

@@ -22,6 +22,7 @@ from scipy.special import hankel1
 
 from palmfield.instruments import disc_grid, guided_mode_fit
 from palmfield.instruments.guided_mode import LEAST_POINTS_A_WAVE, LEAST_WAVES, SURE
+from palmfield.studies.bench.table import keep_rows
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "tests" / "helpers"))
@@ -159,8 +160,8 @@ def drawn(rng: np.random.Generator) -> Case:
     )  # fmt: skip
 
 
-def summary(answers: list[Answer]) -> str:
-    """Counts in a sentence."""
+def summary(draw: str, answers: list[Answer]) -> str:
+    """Counts of a draw in a row of the page's table."""
     wide = [one for one in answers if one.wide]
     told = [one for one in answers if one.told is not None]
     errors = sorted(one.error for one in told) or [math.nan]
@@ -168,12 +169,10 @@ def summary(answers: list[Answer]) -> str:
     missed = [one for one in bounded if one.told is None]
     wrong = sum(not one.right for one in answers)
     return (
-        f"{len(answers)} scans, {len(wide)} of them wide and fine enough for their strongest wave; {len(told)} resolved"
-        f" ({sum(one.wide for one in told)} of the wide and fine), errors {100 * np.median(errors):.2g} % (median) and "
-        f"{100 * errors[-1]:.2g} % (largest); other resolved waves: {sum(one.others for one in answers)}; wrong "
-        f"answers: {wrong}. The bound of the noise is above {100 * SURE:.2g} % for {len(wide) - len(bounded)} of the "
-        f"wide and fine; of the {len(bounded)} others {len(missed)} were not resolved. Median time "
-        f"{np.median([one.seconds for one in answers]):.2g} s."
+        f"| {draw} | {len(answers)} | {len(wide)} | {len(told)} ({sum(one.wide for one in told)}) "
+        f"| {100 * np.median(errors):.2g}, {100 * errors[-1]:.2g} | {sum(one.others for one in answers)} | {wrong} "
+        f"| {len(wide) - len(bounded)} | {len(missed)} of {len(bounded)} "
+        f"| {np.median([one.seconds for one in answers]):.2g} |"
     )
 
 
@@ -182,16 +181,17 @@ def short(reason: str) -> str:
     return next((kind for words, kind in REASONS.items() if words in reason), reason)
 
 
-def table(answers: list[Answer]) -> list[str]:
-    lines = ["| layer mm | Hz | strongest wave rad/m | bound % | answer |", "|---|---|---|---|---|"]
+def table(snr: float, answers: list[Answer]) -> list[str]:
+    lines = []
     for one in answers:
         if one.true is None:
             continue
         said = f"{100 * one.error:.2g} % off" if one.told is not None else short(one.reason)
         said += "" if one.others == 0 else f", and {one.others} more"
         lines.append(
-            f"| {1e3 * one.case.thickness_m:g} | {one.case.f_Hz:g} | {one.true.real:.0f} + {one.true.imag:.0f}i | "
-            f"{100 * one.bound:.2g} | {said}{'' if one.right else ' **wrong**'} |"
+            f"| {snr:g} | {1e3 * one.case.thickness_m:g} | {one.case.f_Hz:g} "
+            f"| {one.true.real:.0f} + {one.true.imag:.0f}i | {100 * one.bound:.2g} "
+            f"| {said}{'' if one.right else ' **wrong**'} |"
         )
     return lines
 
@@ -203,7 +203,7 @@ def main() -> None:
     parser.add_argument("--random", type=int, default=100, help="scans drawn at random")
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
-    lines = []
+    lines, rows = [], []
     for number, seed in enumerate([options.seed, *options.again]):
         for snr in (20.0, 34.0) if number == 0 else (20.0,):
             rng = np.random.default_rng([seed, int(snr)])
@@ -213,34 +213,38 @@ def main() -> None:
                     answers.append(answered(Case(frequency, thickness, snr_dB=snr), rng))
                     print(answers[-1], flush=True)
             answers = [one for one in answers if one.true is not None]
-            lines += ["", f"**Table, {snr:g} dB, seed {seed}:** {summary(answers)}", ""]
+            lines.append(summary(f"grid, {snr:g} dB, seed {seed}", answers))
             if number == 0:
-                lines += table(answers)
+                rows += table(snr, answers)
     if options.random:
         rng = np.random.default_rng(options.seed)
         answers = []
         for _ in range(options.random):
             answers.append(answered(drawn(rng), rng))
             print(answers[-1], flush=True)
-        lines += ["", f"**At random, seed {options.seed}:** {summary(answers)}", ""]
+        lines.append(summary(f"at random, seed {options.seed}", answers))
     print("\n".join(lines))
     if options.out is not None:
-        options.out.write_text(HEAD + "\n".join(lines).lstrip("\n") + "\n", encoding="utf-8")
+        link = keep_rows(options.out, [*ROWS, *rows])
+        options.out.write_text(HEAD.format(link=link) + "\n".join(lines) + "\n", encoding="utf-8")
 
 
+ROWS = ["| SNR dB | layer mm | Hz | strongest wave rad/m | bound % | answer |", "|---|---|---|---|---|---|"]
 HEAD = """# Guided mode of a scan: resolved or not
 
 `scripts/bench/guided_modes.py` fits the strongest wave ([instruments](../instruments.md#the-guided-mode)) of scans
 from another model: finite elements through the depth of a bonded layer of a fractional material, with all its waves.
-The beams have 45 degrees, so they also see motion along the surface; the grid is displaced by 1 mm; noise 20 dB; 120
-mm with points 5 mm apart. Seeds were drawn after the code was finished. An answer is wrong if a resolved wavenumber
-is more than 3 % from each wave of the layer, or if it is not that of the strongest wave and this wave carries more
-than 1.25 times as much.
+Beams at 45 degrees, grid displaced by 1 mm, 120 mm with points 5 mm apart. Seeds were drawn after the code was
+finished. An answer is wrong if a resolved wavenumber is more than 3 % from each wave of the layer, or if it is not
+that of the strongest wave and this wave carries more than 1.25 times as much.
 
-"Bound" is the Cramer-Rao bound of the strongest wavenumber: no unbiased estimator that knows how many waves carry 3 %
-of the motion or more has a smaller standard deviation. Above 1.3 % the noise prevents an answer. 34 dB correspond to
-25 times as many averages. Layers without a travelling wave are omitted. Times are for one core of a busy machine.
+Wide: scans that are wide and fine enough for their strongest wave. Noise: wide scans whose Cramer-Rao bound of the
+strongest wavenumber is above 1.3 %, which prevents an answer. 34 dB correspond to 25 times as many averages. Layers
+without a travelling wave are omitted. Others: further resolved waves. Not resolved: of the wide ones without noise. s:
+median time. {link} has each scan of the first seed.
 
+| draw | scans | wide | resolved (wide) | error [%]: median, largest | others | wrong | noise | not resolved | s |
+|---|---|---|---|---|---|---|---|---|---|
 """
 
 if __name__ == "__main__":

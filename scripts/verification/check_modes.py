@@ -42,10 +42,16 @@ from palmfield.skin.materials.material import prony
 from palmfield.skin.reduction.modal_stepper import ModalStepper
 from palmfield.skin.stepper import SkinStepper, SurfaceLoads
 from palmfield.studies.bench.field import git_commit
-from palmfield.studies.bench.table import processor
+from palmfield.studies.bench.table import cells, keep_rows, processor
 from palmfield.types import Float
 
 ROOT = Path(__file__).resolve().parents[2]
+ROWS = [
+    "| scene | unknowns | shapes / points | modes | build time [s] | memory [MB] | load | error | stated | outside "
+    "| estimate |",
+    "",
+]
+"""Head of the rows that are kept; errors in percent, displacement / velocity."""
 LENGTH_S = 0.05
 HALF_WAVELENGTH_m = 0.0043
 OFF_GRID_m: Float = np.array([0.0023, 0.0017, 0.0])
@@ -210,6 +216,28 @@ def main() -> None:
         write(arguments.write, lines, curves, jumps, smoother, asked, arguments.commit or git_commit())
 
 
+def base_table(lines: list[str]) -> list[str]:
+    """The bases of all scenes."""
+    return [
+        "| scene | unknowns | shapes / points | modes | build time [s] | memory [MB] |",
+        "|---|---|---|---|---|---|",
+        *(f"| {' | '.join(row)} |" for row in dict.fromkeys(tuple(cells(line)[:6]) for line in lines)),
+    ]
+
+
+def error_table(lines: list[str]) -> list[str]:
+    """Error / estimate by load and scene, with the most modes of each scene."""
+    rows = [cells(line) for line in lines]
+    scenes = {row[0]: row[3] for row in rows}
+    table = [f"| load | {' | '.join(f'{scene}, {modes}' for scene, modes in scenes.items())} |"]
+    table.append("|---" * (1 + len(scenes)) + "|")
+    for load in dict.fromkeys(row[6] for row in rows):
+        found = {row[0]: (row[7].split(" / "), row[10].split(" / ")) for row in rows if row[6] == load}
+        said = (f"{mine[0]} / {stated[0]}, {mine[1]} / {stated[1]}" for mine, stated in found.values())
+        table.append(f"| {load} | {' | '.join(said)} |")
+    return table
+
+
 def write(page: Path, lines: list[str], curves: dict, jumps: dict, smoother: dict, asked: str, commit: str) -> None:
     """The page with its picture.
 
@@ -236,45 +264,38 @@ def write(page: Path, lines: list[str], curves: dict, jumps: dict, smoother: dic
         "# Modes for every load of a class",
         "",
         "A skin with an unpredictable load uses modes for every sound of the arrays on a region",
-        "(`palmfield/skin/reduction/modal_stepper.py`, `palmfield/simulation/small_models/load_class.py`). This",
-        "page compares them with the full wedge model on the same mesh, with the same step, under loads that were",
-        "not used to build the modes. It is a test of consistency; the accuracy of the full model is in",
-        "[skin](skin.md).",
+        "(`palmfield/skin/reduction/modal_stepper.py`). Errors are against the full wedge model on the same mesh,",
+        "with the same step, under loads that were not used to build the modes (consistency; [skin](skin.md) has",
+        "accuracy).",
         "",
         f"Written by `python scripts/verification/check_modes.py {asked} --write docs/bench/modes.md`, commit "
         f"{commit}, {processor()}, Python {platform.python_version()}.",
         "",
-        "Errors in percent, displacement / velocity, L2 over the surface and 50 ms. *Stated*: the change with one",
-        "block of vectors fewer, and from the omitted weak modes and coupling, for loads with this spectrum.",
-        "*Outside*: the part of the load outside the class, in the energy norm / of the pressure. *Estimate*: both",
-        "combined; the velocity uses three times the pressure part, because that part has shorter waves, which move",
-        "less skin but faster. *Memory*: the vectors of the modes and the load shapes.",
+        "`:sheets`: finger_pad, palm and forearm in shares of 0.1, 0.3 and 0.6, with three relaxation laws.",
+        "`:contrast`: a sheet of 1 MPa (0.05) with low loss on one of 10 kPa with high loss. `:shadows`: modes made",
+        "for shadows. Memory: vectors and load shapes.",
         "",
-        "*`:sheets`*: finger_pad, palm and forearm in shares of 0.1, 0.3 and 0.6, with three relaxation laws, one",
-        "of them a dashpot. *`:contrast`*: a sheet of 1 MPa (0.05) with low loss on one of 10 kPa with high loss.",
-        "The coupling of the modes is part of the step; lossy bodies need fewer modes.",
+        *base_table(lines),
         "",
-        "*Finger's shadow*: pressure acts on the lit share of each point's area. *Shadow by points*: each point is",
-        "lit or dark, as in a scene. The edge then jumps between points, and the full wedge model responds with",
-        "clicks from the mesh: its motion under the two shadows differs by "
+        "Error / estimate with the most modes in percent, displacement, then velocity; L2 over the surface and 50 ms.",
+        "The estimate combines two parts: the change with one block of vectors fewer and the omitted weak modes and",
+        "coupling; and the part of the load outside the class, measured in each step (three times the pressure part",
+        f"for the velocity). {keep_rows(page, [*ROWS, *lines])} has both parts and the smaller bases.",
+        "",
+        *error_table(lines),
+        "",
+        "*Finger's shadow*: pressure acts on the lit share of each point's area. *Shadow by points*: each point is lit",
+        "or dark, as in a scene. The full model responds to jumps of that edge with clicks from the mesh: its motion",
+        "under the two shadows differs by "
         + "; ".join(f"{100 * u:.1f} / {100 * v:.0f} % ({scene})" for scene, (u, v) in jumps.items())
-        + ".",
-        "Modes omit most of these clicks: their velocity under the shadow by points differs from that of the full",
-        "model under the smooth shadow by "
-        + "; ".join(f"{100 * v:.0f} % ({scene})" for scene, v in smoother.items())
-        + ".",
+        + ". Modes omit most clicks: their velocity under the shadow by points differs from that of the full model",
+        "under the smooth shadow by " + "; ".join(f"{100 * v:.0f} % ({scene})" for scene, v in smoother.items()) + ".",
         "",
-        "The estimate of the velocity covers the smooth shadow in this table but usually not the shadow by points:",
-        "a step measures the pressure outside the class, but clicks depend on its change between substeps. The",
-        "estimate of the displacement covers all rows. If a step lies outside by more than the target accuracy, a",
-        "scene with `solver` `auto` changes to the full wedge model.",
+        "The estimate of the displacement covers all rows, that of the velocity the smooth shadow but usually not the",
+        "shadow by points. If a step lies outside by more than the target accuracy, `solver` `auto` changes to the",
+        "full wedge model.",
         "",
         f"![Error against the number of modes]({picture.name})",
-        "",
-        "| scene | unknowns | shapes / points | modes | build time [s] | memory [MB] | load | error | stated | outside "
-        "| estimate |",
-        "|---|---|---|---|---|---|---|---|---|---|---|",
-        *lines,
         "",
     ]
     page.write_text("\n".join(text))

@@ -17,6 +17,8 @@ from pathlib import Path
 
 from scene_variants import LIMITS, PUSHED, SCENES, VARIANTS, changes, exceeded, plain, seen, variants
 
+from palmfield.studies.bench.table import keep_rows
+
 MORE: dict[str, tuple[str, dict[str, object]]] = {
     f"follow_fingertip, accuracy {accuracy:g}": ("follow_fingertip", {"skin.accuracy": accuracy})
     for accuracy in (0.4, 0.1)
@@ -27,32 +29,25 @@ Made by `python scripts/verification/invariants.py`, commit {commit}; do not edi
 (moving scenes from a quarter of their time on, or from when something is felt), CPU. Each scene is written in
 another form and must give the same results:
 
-- shifted: by (0.31, -0.17, 0.23) m; turned: everything in the world, gravity and scripted motions, by 90 degrees
-  about z, with exchanged axes (x to y, y to z, z to x), and by 78 degrees about a skew axis with that shift;
-- mirrored: the other hands, paths and motions; scenes without a hand with y reversed;
-- other order: plugins, instances and sensors in reverse order; from a file: the transducers of the layout as a CSV
-  file, in their order and in reverse;
-- p0 x 2: ARP, force and motion four times as large (unchanged if the stimulus sets the level);
-- step / 2: half the MuJoCo step;
-- two worlds: the stimulus of the scene and one displaced by 2 mm (by sites: with 0.75 of the speed), each compared
-  with a single run.
+- shifted by (0.31, -0.17, 0.23) m; turned with gravity and motions, by 90 degrees about z, with exchanged axes, or by
+  78 degrees about a skew axis with that shift; mirrored (the other hands; y reversed without a hand);
+- other order of plugins, instances and sensors; transducers from a CSV file, in their order and in reverse;
+- p0 x 2: everything four times as large (unchanged if the stimulus sets the level); step / 2: half the MuJoCo step;
+- two worlds, the second with a displaced stimulus, each compared with a single run.
 
-Changes are over all nodes and steps, ||changed - own|| / ||own||, the largest of the skins of a scene.
+Changes are ||changed - own|| / ||own|| over all nodes and steps, the largest of the skins of a scene.
 """
 LAST = """## Limits
 
-ARP and force: single precision ({rounding:g}; p0 x 2: {p0:g}, as the sound moves what feels it). Displacement:
-a tenth of the error that modes or the small model state; without these of the scene's key `accuracy`. {over}
-`tests/test_invariants.py` holds smaller scenes to the same limits. Where more is allowed:
+ARP and force: single precision ({rounding:g}; p0 x 2: {p0:g}). Displacement: a tenth of the error that modes or reduced
+model state; without these, of the key `accuracy`. {over} `tests/test_invariants.py` applies the same limits to smaller
+scenes. More is allowed for
 
-- step / 2 (up to the `accuracy`): what leads a hand moves once in a step of MuJoCo's, and its integrator is of first
-  order in the step.
-- follow_fingertip, turned and shifted: a scripted motion is a monotone cubic in each of the file's axes, so that it
-  stays between two keys in each of them ([motion](../motion.md)). Between keys it depends on these axes: this hand is
-  {apart_mm:.2f} mm elsewhere. Exchanging the axes changes nothing.
-- mirrored discs: on the rings of a disc's mesh four neighbours can lie on one circle, which leaves the diagonal between
-  them to rounding. Up to {elsewhere:.2g} % of the nodes, all in the middle of edges, lie elsewhere; the others are
-  compared, to a tenth of the `accuracy`. A left hand has the mirror image of the right one's mesh.
+- step / 2 (up to the `accuracy`): MuJoCo's integrator is of first order in the step;
+- follow_fingertip, turned and shifted: a scripted motion is a monotone cubic in each axis of the file
+  ([motion](../motion.md)), so this hand is {apart_mm:.2f} mm elsewhere;
+- mirrored discs: rounding decides diagonals between four nodes on one circle. Up to {elsewhere:.2g} % of the nodes lie
+  elsewhere; the others are compared, to a tenth of the `accuracy`.
 """
 
 
@@ -76,10 +71,8 @@ def main() -> None:
             if file:
                 file.write_text(json.dumps([found[label], stated[label], new]))
         over += new
-    text = page(found, stated, settings.steps, over)
-    print(text)
     if settings.out:
-        settings.out.write_text(text)
+        settings.out.write_text(page(found, stated, settings.steps, over, settings.out))
 
 
 def scene_changes(
@@ -107,31 +100,43 @@ def told(row: Mapping[str, float]) -> str:
 
 
 def page(
-    found: Mapping[str, Mapping[str, Mapping[str, float]]], stated: Mapping[str, float], steps: int, over: list[str]
+    found: Mapping[str, Mapping[str, Mapping[str, float]]],
+    stated: Mapping[str, float],
+    steps: int,
+    over: list[str],
+    out: Path,
 ) -> str:
     commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=True).stdout
     lines = [
         HEAD.format(commit=commit.strip(), scenes=len({MORE.get(label, (label,))[0] for label in found}), steps=steps)
     ]
-    for what, words in (
-        ("displacement", "Displacement, in percent of the error stated by modes or small model (`stated`, in percent)"),
-        ("ARP", "ARP at the skin's nodes"),
-        ("force", "Mean forces, relative to the largest of a body"),
-    ):
-        lines += [f"## {words}", ""]
-        own = ["stated"] if what == "displacement" else []
-        lines.append(" | ".join(["| scene", *own, *VARIANTS]) + " |")
-        lines.append("|---" * (1 + len(own) + len(VARIANTS)) + "|")
+    links, largest = [], {variant: [f"| {variant}"] for variant in VARIANTS}
+    for what in ("displacement", "ARP", "force"):
+        own = ["stated [%]"] if what == "displacement" else []
+        table = [" | ".join(["| scene", *own, *VARIANTS]) + " |", ""]
+        most: dict[str, tuple[float, str]] = {}
         for label, rows in found.items():
-            cells = [f"{100 * stated[label]:.2g}"] if own else []
+            told_row = [f"{100 * stated[label]:.2g}"] if own else []
             for variant in VARIANTS:
                 if variant not in rows:
-                    cells.append("-")
+                    told_row.append("-")
                     continue
                 value = rows[variant][what] / (0.01 * stated[label] if own else 1.0)
-                cells.append(f"{value:.2g}" if value else "0")
-            lines.append(" | ".join([f"| {label}", *cells]) + " |")
-        lines.append("")
+                most[variant] = max(most.get(variant, (-1.0, "")), (value, label))
+                told_row.append(f"{value:.2g}" if value else "0")
+            table.append(" | ".join([f"| {label}", *told_row]) + " |")
+        links.append(keep_rows(out, table, f"invariants_{what.lower()}"))
+        for variant, (value, label) in most.items():
+            largest[variant].append(f"{value:.2g} ({label})" if value else "0")
+    lines += [
+        f"The largest change of all scenes; {', '.join(links)} have each scene. Displacement in percent of the error "
+        "that modes or reduced model state; forces relative to the largest of a body.",
+        "",
+        "| form | displacement [%] | ARP at the skin's nodes | mean force |",
+        "|---|---|---|---|",
+        *(" | ".join(row) + " |" for row in largest.values()),
+        "",
+    ]
     missing = [f"`{name}`" for name in SCENES if name not in found]
     if missing:
         lines += [f"Not run at their own accuracy: {', '.join(missing)}.", ""]

@@ -18,6 +18,7 @@ import sys
 import tempfile
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -327,17 +328,13 @@ def page(outcomes: Sequence[Outcome]) -> str:
         "of its own: it must fail by its own assertion or by an error that palmfield raises on purpose, and pass "
         f"without the fault. {red} of {len(outcomes)} do. CI runs them all (`tests/test_mutations.py`).",
         "",
-        "Where there is one, the test is one of accuracy: it compares with an exact solution, a measurement, or a "
-        "float64 code that shares nothing with palmfield. What compares palmfield with itself is called consistency.",
+        "Where one exists, the test is one of accuracy: it compares with an exact solution, a measurement, or an "
+        "independent float64 code. The other tests are of consistency.",
         "",
-        "| stage | faults | found | s |",
-        "|---|---|---|---|",
     ]
-    for stage in dict.fromkeys(one.mutation.stage for one in outcomes):
-        own = [one for one in outcomes if one.mutation.stage == stage]
-        found, seconds = sum(one.red for one in own), sum(one.seconds for one in own)
-        lines.append(f"| {stage} | {len(own)} | {found} | {seconds:.0f} |")
-    lines += ["", *(f"- not found: `{one.mutation.test}`: {one.said}" for one in outcomes if not one.red)]
+    stages = Counter(one.mutation.stage for one in outcomes)
+    lines += [f"Faults by stage: {', '.join(f'{stage} {count}' for stage, count in stages.items())}.", ""]
+    lines += [f"- not found: `{one.mutation.test}`: {one.said}" for one in outcomes if not one.red]
     seconds = sum(one.seconds for one in outcomes)
     load = f"at a load average of {os.getloadavg()[0]:.1f}"
     said = f"Seconds are of one process each, its start included; {seconds:.0f} together, {load}."

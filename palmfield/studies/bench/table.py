@@ -1,5 +1,6 @@
-"""Results of the field benchmark as markdown."""
+"""Results of the field benchmark as markdown; rows of any page as a file."""
 
+import csv
 import os
 import platform
 from dataclasses import dataclass
@@ -53,6 +54,23 @@ def processor() -> str:
         if line.startswith("model name"):
             return line.split(":", 1)[1].strip()
     return platform.processor()
+
+
+def cells(line: str) -> list[str]:
+    """Cells of a row of a markdown table."""
+    return [cell.strip() for cell in line.strip()[1:-1].split("|")]
+
+
+def keep_rows(page: Path, table: list[str], name: str = "") -> str:
+    """Write a markdown table as CSV to the folder data next to a page and return the link to it.
+
+    table: lines with head and rule; name: of the file, by default that of the page. Raises OSError.
+    """
+    file = page.parent / "data" / f"{name or page.stem}.csv"
+    file.parent.mkdir(parents=True, exist_ok=True)
+    with file.open("w", newline="", encoding="utf-8") as stream:
+        csv.writer(stream, lineterminator="\n").writerows(cells(line) for line in [table[0], *table[2:]])
+    return f"[{file.name}](data/{file.name})"
 
 
 def as_markdown(rows: list[FieldRow], head: Head, models: dict[str, str]) -> str:
