@@ -42,7 +42,7 @@ from palmfield.outputs.schema import instances, tree
 from palmfield.outputs.usd import Shown, validate_usd, write_usd
 from palmfield.outputs.usd.skeleton import identifiers
 from palmfield.studies.bench.field import git_commit
-from palmfield.studies.bench.table import processor
+from palmfield.studies.bench.table import keep_rows, processor
 from palmfield.types import Air
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -253,32 +253,38 @@ def page(rows: list[Row], large: list[str], options: argparse.Namespace, command
         for r in rows
     ]
     findings = [f"- {r.name}: {line}" for r in rows for line in r.findings] or ["Validators find nothing in any scene."]
-    left = sorted({f"- {r.name}: {r.left_out}" for r in rows if r.left_out})
+    left: dict[str, list[str]] = {}
+    for r in rows:
+        if r.left_out:
+            left.setdefault(r.left_out, []).append(r.name)
+    kept = keep_rows(options.write, [*HEAD.splitlines(), *lines]) if options.write else "none"
+    found = sum(len(r.findings) for r in rows)
     silent = ", ".join(r.name for r in rows if r.skin_share == 0.0)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10
     return f"""# USD scenes of all shipped scenes
 
 Written by `{command}`, commit {options.commit or git_commit()}, {processor()}. Each scene
-was run for {1e3 * options.duration:g} ms at accuracy {options.accuracy:g}, and its `scene.usdc` written with all
-quantities, coloured by normal displacement, with magnified points where they take 8 MB or less. What stands in the
-table was read from the USD file; `scripts/verification/check_usd.py` says how each is compared. Seconds are of a
-machine that others use too.
+was run for {1e3 * options.duration:g} ms at accuracy {options.accuracy:g}; its `scene.usdc` has all quantities,
+coloured by normal displacement, with magnified points if they take 8 MB or less. Figures are read from the file.
+Each scene: {kept}.
 
-- *findings*: of all of USD's validators and of those of `palmfield.outputs.usd.validate_usd`, in both variants;
-- *force*: radiation pressure times area over the surface, against the sound's force on the body: worst frame, and the
-  mean over the run against `total_force_mean_N` of summary.json [%];
-- *codes*: time code over timeCodesPerSecond against the run's time [s]; *transducers*: against MuJoCo's sites [m];
-- *skin*: largest error of any quantity over the bound that the file states; *legend*: its ends are the palettes'.
-
-{HEAD}
-{chr(10).join(lines)}
+| check, {len(rows)} scenes | largest |
+|---|---|
+| findings of USD's validators and `palmfield.outputs.usd.validate_usd`, both variants | {found} |
+| ARP times area against the force on the body, worst frame | {max(r.force_percent for r in rows):.2f} % |
+| the same, mean against `total_force_mean_N` | {max(r.mean_percent for r in rows):.2f} % |
+| time code over timeCodesPerSecond against the time of the run | {max(r.code_s for r in rows):.0e} s |
+| transducers against MuJoCo's sites | {max(r.transducer_m for r in rows):.0e} m |
+| error of any quantity of the skin over the bound that the file states | {max(r.skin_share for r in rows):.3f} |
+| legends whose ends are not those of the palettes | {sum(not r.legend for r in rows)} |
+| file size | {max(r.bytes for r in rows) / 1e6:.2f} MB |
+| time to write (shared machine) | {max(r.write_s for r in rows):.1f} s |
 
 {chr(10).join(findings)}
 
-Silent all that time, so that force and skin say nothing: {silent or "none"}. Quantities that a run does not have, and
-why:
+Silent, so that force and skin are not tested: {silent or "none"}. Quantities that a run does not have:
 
-{chr(10).join(left) or "none"}
+{chr(10).join(f"- {', '.join(names)}: {why}" for why, names in left.items()) or "none"}
 
 ## 5,041 vertices, 500 frames
 

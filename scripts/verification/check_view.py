@@ -22,6 +22,7 @@ from typing import NamedTuple
 
 from page_client import PageClient, is_picture
 
+from palmfield.studies.bench.table import keep_rows
 from palmfield.studies.view.link import Link
 from palmfield.studies.view.messages import Address, Notice, Pace
 from palmfield.studies.view.run import GPU_RATE_Hz, RATE_Hz, ShownScene, Wanted
@@ -158,39 +159,41 @@ def machine(device: str) -> str:
     return f"{warp.get_device(device).name} and {cores}"
 
 
-def table(result: Measured, command: str) -> str:
-    """A section of the page."""
+def table(result: Measured, command: str, page: Path) -> str:
+    """A section of the page; its stretches are kept in the folder data next to it."""
     rows = [
+        "| stretch | steps/s without | with | slower by | CPU us a step without | with | more by | pictures/s | "
+        "page's share of a core | load of the machine |",
+        "",
+    ]
+    rows += [
         f"| {number} | {b.steps_s:.0f} | {a.steps_s:.0f} | {1.0 - a.steps_s / b.steps_s:+.1%} | {b.cpu_us:.0f} | "
         f"{a.cpu_us:.0f} | {a.cpu_us / b.cpu_us - 1.0:+.1%} | {a.pictures_s:.1f} | {a.page_share:.2f} | {a.load:.1f} |"
         for number, (a, b) in enumerate(zip(result.shown, result.alone, strict=True), 1)
     ]
+    kept = keep_rows(page, rows, f"view_{Path(result.scene).stem}_{result.device.partition(':')[0]}")
     return "\n".join(
         [
             f"## {result.scene} on {'the CPU' if result.device == 'cpu' else 'a GPU'}", "",
-            f"`{command}`, on {machine(result.device)}. Asked for {result.rate_Hz:g} pictures a second.", "",
-            f"**{result.pictures_s:.1f} pictures a second** arrived, and the simulation was **{result.slower:+.1%}** "
-            f"slower with the page than without; a step took **{result.more_cpu:+.1%}** more CPU time of its own "
-            "process (medians).", "",
-            "| stretch | steps/s without | with | slower by | CPU us a step without | with | more by | pictures/s | "
-            "page's share of a core | load of the machine |", "|---|---|---|---|---|---|---|---|---|---|", *rows, "",
+            f"`{command}`, on {machine(result.device)}. Asked for {result.rate_Hz:g} pictures a second; "
+            f"**{result.pictures_s:.1f}** arrived. With the page, the simulation was **{result.slower:+.1%}** slower "
+            f"and a step took **{result.more_cpu:+.1%}** more CPU time of its own process (medians; {kept}).", "",
         ]
     )  # fmt: skip
 
 
 HEAD = """# Bench: the live view
 
-Made by `scripts/verification/check_view.py`, which says how it measures. A picture is another state of the skin's mesh,
-with its colours, as a client gets it over its websocket; a browser's own time to draw it is not in here. The load is
-how many processes wanted a core, over the last minute: where it is well above the number of cores, steps a second tell
-more of who else ran than of the page, and the CPU time that a step takes tells what the page costs.
+Made by `scripts/verification/check_view.py`. A picture is a new state of the skin's mesh with its colours, as a client
+gets it over its websocket; the drawing of the browser is not included. On a busy machine the CPU time of a step is
+more reliable than steps per second.
 
 """
 
 
 def write(result: Measured, command: str, path: Path) -> None:
     """Put a section into the page, in place of an earlier one of the same scene and kind of device."""
-    new = table(result, command)
+    new = table(result, command, path)
     heading = new.partition("\n")[0]
     old = path.read_text() if path.exists() else HEAD
     parts = old.split("\n## ")
@@ -214,7 +217,6 @@ def main() -> None:
     command = f"python scripts/verification/check_view.py {told}" + (
         f" --device {given.device}" if given.device else ""
     )
-    print(table(result, command))
     write(result, command, given.page)
 
 

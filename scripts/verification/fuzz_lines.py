@@ -227,14 +227,15 @@ def main() -> int:
     parser.add_argument("--write", type=Path, help="markdown page whose part is written anew")
     arguments = parser.parse_args()
     start = time.monotonic()
-    rows, faults, again = [], [], 0
+    rows: dict[str, list[str]] = {}
+    faults, again = [], 0
     for door in DOORS:
         outcomes, own, repeated = sent(door, arguments.lines // len(DOORS), arguments.seed)
         faults, again = faults + own, again + repeated
         for kind in sorted({kind for kind, _ in outcomes}):
             taken = outcomes.get((kind, "taken"), 0)
             bad = sum(count for (own_kind, _), count in outcomes.items() if own_kind == kind) - taken
-            rows.append(f"| {door} | {kind} | {taken} | {bad} |")
+            rows.setdefault(kind, []).append(f"{taken}, {bad}")
     commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True).stdout.strip()
     part = [
         HEADING,
@@ -243,15 +244,13 @@ def main() -> int:
         "--write docs/bench/fuzzing.md",
         "",
         f"Commit {commit}, {time.monotonic() - start:.0f} s. Half of the lines go by TCP to the listener of `drive "
-        "--live`, half to that of `trial --live` and `track record`: objects that are right, with a value, a key or "
-        "bytes changed, cut off or joined, noise, and deep nests. Each has to be counted once, as taken or as bad, and "
-        "the listener has to take a good line in the end. What is taken as a focus has to be one by a reader written "
-        f"for this. Batches of {BATCH} sent again, as the machine was busy and they had waited for 0.1 s: {again}. "
-        f"Faults: {len(faults)}.",
+        "--live` (foci), half to that of `trial --live` and `track record` (hands). Each must be counted once, as "
+        "taken or refused, foci as an independent reader judges them, and the listener must take a good line in the "
+        f"end. Batches of {BATCH} sent again, because they had waited for 0.1 s: {again}. Faults: {len(faults)}.",
         "",
-        "| listener | change of the line | taken | refused |",
-        "|---|---|---|---|",
-        *rows,
+        f"| change of the line | {' | '.join(f'{door}: taken, refused' for door in DOORS)} |",
+        "|---" * (1 + len(DOORS)) + "|",
+        *(f"| {kind} | {' | '.join(counts)} |" for kind, counts in rows.items()),
         "",
     ]
     print("\n".join([*part, *faults]))
