@@ -261,14 +261,13 @@ def main() -> None:
 REPORT = """# Scattering by boundary elements, and how far the cheap models are from it
 
 `{command}`, {machine}, Warp {warp}, commit {commit}.
-40 kHz, 20 C. Elements a wavelength are the wavelength over the mean edge. Times are whole calls of `scatter` with
-compiled kernels; memory is what the call adds at its peak (on a GPU the highest in the pool so far). GMRES stops at a
-residual of 1e-4.
+40 kHz, 20 C. Elements a wavelength: wavelength over mean edge. Times are whole calls of `scatter`, memory what the call
+adds at its peak. GMRES stops at a residual of 1e-4.
 
 ## Rigid sphere in a plane wave
 
-Error: relative L2 of the surface pressure against the series. Force: over pi a^2 E, wall pressure of the elements'
-total field against that of the series. The mesh for ka = 1, 3 and pi is the one that a sphere's shape takes.
+Error: relative L2 of the surface pressure against the series. Force over pi a^2 E, from the wall pressure. ka = 1, 3
+and pi have the mesh that the shape of a sphere needs.
 
 | ka | elements | a wavelength | error | force | series | difference | iterations | s | MB |
 |---|---|---|---|---|---|---|---|---|---|
@@ -280,20 +279,17 @@ total field against that of the series. The mesh for ka = 1, 3 and pi is the one
 
 Array uhev1 at full drive with p0 = {p0:g} Pa m in lossless air, focused 200 mm above its middle, where the skin is.
 
-"Up" is the force of the sound at the wall, "far" that of the momentum through a sphere around the body; the latter is
-the better one. They differ by the error of the field on the surface. On smooth bodies that is small. At a sharp rim in
-full sound the velocity along the surface is singular, and the suction there is larger than flat faces can hold: for the
-force on such a body as a whole take the sphere.
+"Up" is the force from the wall pressure, "far" from the momentum through a sphere around the body. Take the sphere for
+bodies with sharp rims, where the velocity along the surface is singular.
 
 | body | elements | a wavelength | iterations | residual | up, mN | far, mN | s | MB |
 |---|---|---|---|---|---|---|---|---|
 {costs}
 
-ARP on the faces that look at the array within 60 mm of the focus: its peak, its relative L2 distance from boundary
-elements face by face, and that of its mean over half a wavelength around each face (skin averages so). Forces in mN:
-upwards within 10 mm of the focus, upwards on the whole body, and sideways on the whole body. "Seen transducers" is
-the default ARP law on the sound of just the transducers that a face sees, "no shadow" that on the whole array's sound,
-"one ray" the same where the way back along the energy flux is free.
+ARP on faces that look at the array within 60 mm of the focus: peak, relative L2 difference from boundary elements by
+face, and the same of the mean over half a wavelength. Forces in mN: up within 10 mm of the focus, up and sideways on
+the body. Default ARP law with the transducers that a face sees, with one ray back along the energy flux, or without
+shadows.
 
 | body | model | peak, Pa | L2 | L2 of the mean | spot | up | sideways | s |
 |---|---|---|---|---|---|---|---|---|

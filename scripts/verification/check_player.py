@@ -24,19 +24,14 @@ SCENE = ROOT / "mjcf" / "scenes" / "follow_fingertip.xml"
 P99_S = 200e-6
 SHARE_OF_THREAD = 1.0 / 3.0
 UNSENT = 0.01
-ABOUT = """The solver is busy in the caller's own process: one thread steps scene `follow_fingertip`, another computes
-singular values of small matrices, so that both cores have work. AUTD packets (9 bytes, 2,000 a second) go to a
-pseudo-terminal by the player and, at the same time, to a second one by a plain thread of the caller's process, which
-sleeps, writes, and leaves nothing out. Packets carry numbers: lost is what was handed over and did not come out at
-the other end.
+ABOUT = """The solver is busy in the process of the caller: one thread steps scene `follow_fingertip`, another computes
+singular values. AUTD packets (9 bytes, 2,000 a second) go to a pseudo-terminal by the player and to a second one by a
+plain thread, which leaves nothing out. Lost: handed over and not received.
 
-*Line* is by how much the last byte of a packet is late, by the moments of hand-over and the line's rate; *hand-over*
-is how long after it was planned the system had a packet. At 230,400 baud these packets fill 78 % of their line, so that
-a delay is over after four times its length; SonicSurface's frames at line rate fill theirs, where a delay, once there,
-stays. Where the player is later by a packet or more the newest wins and those before it are skipped.
-
-A virtual machine stands still while its host does something else: beside the AUTD runs a process of
-higher priority asks for 1,000 turns a second, and tells how many packets were due while it was kept waiting."""
+*Line*: delay of the last byte of a packet. *Hand-over*: time after the plan until the system had a packet. AUTD packets
+fill 78 % of their line, so that a delay ends after four times its length; SonicSurface frames fill theirs, where a
+delay stays. If the player is late by a packet or more, the newest packet wins and earlier ones are skipped. A process
+of higher priority counts the packets that were due while the virtual machine stood still."""
 
 
 def ms(late: Late) -> str:

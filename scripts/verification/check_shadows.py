@@ -223,10 +223,9 @@ PAGE = """# Shadows with edges, and how far they are from the truth
 
 Written by `python scripts/verification/check_shadows.py --write {page}`, commit {commit}, {processor}.
 
-Board uhev1, focus 200 mm above its middle. |p|^2 on 24 mm either side of the focus, as shares of the free focus's peak:
-`knife_edge` is key `shadow_edges` at its default, where sound bends round each edge; `rays` leaves a point lit or dark.
-The truth behind the screens, which are {height:.0f} mm above the board and stand in 33 places up to 40 mm from the
-middle, is Kirchhoff's integral over their area in float64.
+Board uhev1, focus 200 mm above its middle. |p|^2 within 24 mm of the focus, as shares of the free peak. Key
+`shadow_edges`: `knife_edge` (default) lets sound bend round each edge, `rays` leaves a point lit or dark. Reference for
+screens {height:.0f} mm above the board in 33 places: Kirchhoff's integral over their area in float64.
 
 | in the way | knife edge, worst | rms | rays, worst | rms | most in 0.1 mm, knife edge | rays |
 |---|---|---|---|---|---|---|

@@ -207,13 +207,11 @@ SECTION = (
 Written by `python scripts/verification/check_shadows_bem.py --write {page}`,
 commit {commit}, {processor}, {seconds:.0f} s on a machine that others used.
 
-A rigid finger, {wide:.0f} mm thick and {long:.0f} mm long with rounded ends, lies across the beam, its upper side as
-far below the plane of the focus as the first column says, and stands in places up to {last:.0f} mm from the middle.
-The truth is the array's sound with what the finger scatters, by boundary elements of {elements:.0f} a wavelength, on
-48 x 24 mm of that plane round the focus. Errors of |p|^2 as shares of the free focus's peak, the worst, rms, and how
-many points are within 5 %: of knife edges as scenes have them, with weights at nodes {spacing:.0f} mm apart; with
-nodes {closer:.0f} mm apart; of Kirchhoff's integral over a flat strip of the finger's width at its axis (on the middle
-line); and of rays.
+A rigid finger, {wide:.0f} mm thick and {long:.0f} mm long, lies across the beam below the plane of the focus, in
+places up to {last:.0f} mm from the middle. Reference: boundary elements of {elements:.0f} a wavelength, on 48 x 24 mm
+of that plane. Errors of |p|^2 as shares of the free peak: worst, rms, and points within 5 %, for knife edges of scenes
+(nodes {spacing:.0f} mm apart), for nodes {closer:.0f} mm apart, for Kirchhoff's integral over a flat strip of the
+finger's width (middle line), and for rays.
 
 | below the palm | {header} |
 |---|---|---|---|---|---|---|---|---|---|---|---|---|
@@ -221,9 +219,8 @@ line); and of rays.
 
 ![|p|² behind a finger](../images/shadows_bem.png)
 
-So 5 % is met rms and at most points, and missed where |p|^2 is steepest, in the half shadow. What is missing there is
-not the knife edge's: a flat strip errs as much. Sound creeps round a finger, and its sides reflect some onwards, which
-no screen does. Nodes {spacing:.0f} mm apart blur what edges so near make, and closer ones follow the strip.
+5 % is met rms and at most points, and missed in the half shadow, where |p|^2 is steepest. A flat strip has similar
+errors: sound creeps round a finger and is reflected by its sides, unlike behind a screen.
 """
 )
 

@@ -237,7 +237,7 @@ def typed(*line: str) -> str:
     return f"exit {code}: {shortened(error.getvalue().strip())}"
 
 
-def shortened(text: str, most: int = 220) -> str:
+def shortened(text: str, most: int = 110) -> str:
     line = " ".join(text.split()).replace("|", "/")
     return line if len(line) <= most else line[:most] + " ..."
 

@@ -126,19 +126,16 @@ def page(seed: int, rows: list[dict[str, Any]]) -> str:
         f"    {own} --seed {seed} --rows ROWS.jsonl --out docs/bench/skin_costs.md",
         "",
         f"Commit {commit}. Random problems of {len(KINDS)} kinds, each given to `palmfield.skin.solve`, solver `auto`. "
-        "Predicted: the seconds of the solver that it chooses (`choices`). Measured: seconds of the process in one "
-        f"thread for the whole call, solutions that are repeated finer included, stopped after {LONGEST_S:g} s; scaled "
-        f"by a yardstick measured before and after, which takes {YARDSTICK_S:g} s on the machine of the predictions. "
-        f"Other work ran beside. One case of each kind, of seed {seed + 1}, goes before, not counted: most kernels "
-        "are loaded with it.",
+        "Predicted: for the chosen solver (`choices`). Measured: seconds of the process in one thread for the whole "
+        f"call, with finer repetitions, stopped after {LONGEST_S:g} s, scaled by a yardstick ({YARDSTICK_S:g} s on the "
+        f"machine of the predictions). Other work ran. One case of each kind of seed {seed + 1} loads kernels before.",
         "",
         f"**Within a factor of 2: {within(ratios, 2.0)} of {len(rows)} (goal 90 %); of 3: {within(ratios, 3.0)}; of 5: "
         f"{within(ratios, 5.0)}; median of measured / predicted {np.median(ratios):.2f}.**",
         "",
-        "What is not known before is how often a target accuracy makes a solver refine: a problem is solved up to four "
-        "times. The next mesh comes from the error of the one before (`finer_spectral_elements`), and a likely second "
-        "solution is in the cost. What is left: meshes of wedges and reduced models under a held edge and on thin "
-        "sheets, whose errors fall slowly, and the search for a bulk modulus that is enough on layers (up to 1 s).",
+        "How often a target accuracy makes a solver refine is not predictable (up to four solutions; a likely second "
+        "one is in the cost). Wrong are mainly wedges and reduced models under a held edge and on thin sheets, and the "
+        "search for a bulk modulus on layers (up to 1 s).",
         "",
         "| kind | cases | within 2 | within 3 | median measured / predicted |",
         "|---|---|---|---|---|",
