@@ -15,7 +15,8 @@ import numpy as np
 from palmfield.skin.analytic.mach import mach_half_angle
 from palmfield.skin.materials.catalogue import PRESETS
 from palmfield.skin.materials.material import Material, bulk_from_poisson
-from palmfield.skin.problem import Load, Motion, Sheet, SkinProblem, Slab, Spot
+from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.problem import Load, Motion, SkinProblem, Slab, Spot
 from palmfield.skin.solvers.lateral_waves import cost_lateral_waves, solve_lateral_waves, static_lateral_waves
 from palmfield.skin.solvers.lateral_waves.accuracy import relative_error
 from palmfield.studies.bench.table import cells, keep_rows

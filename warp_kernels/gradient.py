@@ -10,8 +10,8 @@ from typing import Any
 import warp as wp
 
 from warp_kernels.arp import times
-from warp_kernels.point_sound import BLOCK
 from warp_kernels.pressure import (
+    BLOCK,
     CPU,
     GPU,
     NEAREST_M2,

@@ -10,8 +10,7 @@ from typing import Any
 import warp as wp
 
 from warp_kernels.outline import LANES, Pieces
-from warp_kernels.point_sound import BLOCK
-from warp_kernels.pressure import CPU, inverse_root, quintic, vec6
+from warp_kernels.pressure import BLOCK, CPU, inverse_root, quintic, vec6
 
 WIDTH = {"cpu": 16, "gpu": 1}
 """Number of transducers that one thread computes together."""

@@ -11,6 +11,7 @@ import warp as wp
 
 from warp_kernels.arp import radiation_pressure, times
 from warp_kernels.pressure import (
+    BLOCK,
     CPU,
     NEAREST_M2,
     STEEPNESS,
@@ -27,8 +28,6 @@ wp.set_module_options({"enable_backward": False, "fast_math": True})
 
 PARTS = 8
 """Numbers of a field: real and imaginary pressure, then those of its gradient over k along x, y and z."""
-BLOCK = 16
-"""Points whose weights are adjacent, for each transducer in turn."""
 GRAZING = 1.0e-6
 
 

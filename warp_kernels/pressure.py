@@ -28,6 +28,8 @@ CPU = {
     "cpu_compiler_flags": "-march=native -ffp-contract=fast",
 }
 GPU = {"fast_math": True}
+BLOCK = 16
+"""Points whose weights are adjacent, for each transducer in turn."""
 
 
 @wp.struct

@@ -19,7 +19,7 @@ from palmfield.errors import PalmfieldError
 from palmfield.threads import Calls, cores, share
 from palmfield.types import Complex, Float, Float32, Int
 from warp_kernels.gradient import MOST
-from warp_kernels.point_sound import BLOCK
+from warp_kernels.pressure import BLOCK
 
 MATRIX_FROM = 128
 """Drives from which a transfer matrix is cheaper. For 256 transducers and 762 points on one core 128 drives take 15 ms

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from palmfield.acoustics.air import sound_speed
-from palmfield.drive.quantise import phase_loss
 from palmfield.errors import DeviceError
 from palmfield.types import Air, Complex, Float
 
@@ -207,7 +206,11 @@ class Board:
     @property
     def phase_loss(self) -> float:
         """Expected share of the focal pressure after the rounding of phases."""
-        return 1.0 if self.phase_steps is None else phase_loss(self.phase_steps)
+        if self.phase_steps is None:
+            return 1.0
+        from palmfield.drive.quantise import phase_loss
+
+        return phase_loss(self.phase_steps)
 
     def sized(self, transducers: int) -> Self:
         """Return this board with the number of units for so many transducers. Raises DeviceError if none fits."""

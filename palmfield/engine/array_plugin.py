@@ -1,13 +1,15 @@
 """The plugin of one phased array: its keys, and in its state what its transducers emit."""
 
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from palmfield.config import ArrayConfig, Config
 from palmfield.engine.host import Module
-from palmfield.mujoco_host.drawing import Drawing
 from palmfield.mujoco_host.mujoco_view import ModelView
+
+if TYPE_CHECKING:
+    from palmfield.mujoco_host.drawing import Drawing
 
 PHASES_GROUP = 1
 """Group of geoms: a viewer shows the phases of the transducers while it is on."""
@@ -32,7 +34,7 @@ class ArrayModule(Module):
         number = next(i for i, array in enumerate(spec.arrays) if array.config == settings)
         return array_room(len(model_of(spec).arrays.parts[number]))
 
-    def draw(self, drawing: Drawing) -> None:
+    def draw(self, drawing: "Drawing") -> None:
         """A disc on each transducer: its colour the phase, which comes back on itself, its size the amplitude."""
         from palmfield.engine.scene_view import view_of
         from palmfield.engine.view_colours import phase_colours

@@ -10,15 +10,17 @@ import threading
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import mujoco
 
 from palmfield.config import Config, known_keys, parse
 from palmfield.errors import PalmfieldError, explained
-from palmfield.mujoco_host.drawing import Drawing
 from palmfield.mujoco_host.mujoco_view import DataView, ModelView
 from palmfield.mujoco_host.structs import Plugin, library
+
+if TYPE_CHECKING:
+    from palmfield.mujoco_host.drawing import Drawing
 
 
 class World(DataView):
@@ -74,7 +76,7 @@ class Module:
     def advance(self) -> None:
         """Carry the state of the module over one step; MuJoCo's time is already that of the end of the step."""
 
-    def draw(self, drawing: Drawing) -> None:
+    def draw(self, drawing: "Drawing") -> None:
         """Add to the picture that a viewer is about to draw; the simulation must not change by it."""
 
     def copy_from(self, other: Any) -> None:
@@ -256,6 +258,8 @@ def register(module: type[Module]) -> None:
         if world is None or getattr(_compiling, "active", False):
             return
         try:
+            from palmfield.mujoco_host.drawing import Drawing  # viewers only
+
             world.modules[instance].draw(Drawing(world.model, scene, options))
         except KeyboardInterrupt:
             _thread.start_new_thread(_thread.interrupt_main, ())

@@ -1,14 +1,16 @@
 """The plugin of one skin: it carries the motion of the layer in its state; the first one steps the whole scene."""
 
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from palmfield.config import Config, SkinConfig
 from palmfield.engine.host import Module, World
-from palmfield.mujoco_host.drawing import Drawing
 from palmfield.mujoco_host.mujoco_view import ModelView
 from palmfield.types import Float
+
+if TYPE_CHECKING:
+    from palmfield.mujoco_host.drawing import Drawing
 
 ARP_GROUP = 2
 """Group of geoms: a viewer shows the ARP on the skins while it is on."""
@@ -92,7 +94,7 @@ class SkinModule(Module):
         self._began = True
         self.scene.advance()
 
-    def draw(self, drawing: Drawing) -> None:
+    def draw(self, drawing: "Drawing") -> None:
         """The mean ARP on the skin by colour, and how much it is at most."""
         from palmfield.engine.scene_view import EXPOSURE_s, view_of
         from palmfield.engine.view_colours import FAINT, arp_colours

@@ -1,10 +1,12 @@
 """The plugins of one stimulus and of the board that plays the drive: their keys."""
 
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from palmfield.config import Config, DriverConfig, StimulusConfig
 from palmfield.engine.host import Module
-from palmfield.mujoco_host.drawing import Drawing
+
+if TYPE_CHECKING:
+    from palmfield.mujoco_host.drawing import Drawing
 
 FOCI_GROUP = 1
 """Group of sites: a viewer shows the foci while it is on."""
@@ -18,7 +20,7 @@ class StimulusModule(Module):
     name: ClassVar[str] = StimulusConfig.plugin
     config: ClassVar[type[Config]] = StimulusConfig
 
-    def draw(self, drawing: Drawing) -> None:
+    def draw(self, drawing: "Drawing") -> None:
         """A ball at each focus, and small ones where it will be in the next moments."""
         from palmfield.engine.scene_view import view_of
         from palmfield.engine.view_colours import FOCUS

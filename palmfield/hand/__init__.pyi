@@ -4,7 +4,6 @@ from .meshfile import load_mesh as load_mesh
 from .meshfile import load_rigged as load_rigged
 from .patch import surface_patch as surface_patch
 from .posed_surface import SkinBinding as SkinBinding
-from .posed_surface import face_samples as face_samples
 from .poses import POSE_NAMES as POSE_NAMES
 from .poses import named_pose as named_pose
 from .preset import HandPreset as HandPreset
@@ -16,4 +15,5 @@ from .skinning import SkinnedHand as SkinnedHand
 from .skinning import SkinnedSurface as SkinnedSurface
 from .surface import HandSurface as HandSurface
 from .surface import hand_surface as hand_surface
+from .triangles import face_samples as face_samples
 from .wholelayer import hand_layer as hand_layer

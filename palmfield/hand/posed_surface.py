@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 import warp as wp
@@ -15,7 +14,7 @@ from palmfield.hand.blend import bone_shifts
 from palmfield.hand.meshquery import barycentric, build_mesh, closest_faces
 from palmfield.hand.rigged import strongest
 from palmfield.hand.skinning import SkinnedSurface
-from palmfield.hand.triangles import checked_mesh, face_normals
+from palmfield.hand.triangles import FaceSamples
 from palmfield.types import Float, Int
 
 REACH_M = 0.05
@@ -59,57 +58,28 @@ class SkinBinding:
         np.add.at(result, (self.bones, np.arange(len(self.bones))[:, None]), self.shares)
         return result
 
+    def blend(
+        self, hand: SkinnedSurface, bone_positions: Float, bone_rotations: Float, points: Float, normals: Float
+    ) -> tuple[Float, Float]:
+        """Return present points of the skin [m] and their unit normals, both of shape (n, 3).
 
-def blend(
-    binding: SkinBinding,
-    hand: SkinnedSurface,
-    bone_positions: Float,
-    bone_rotations: Float,
-    points: Float,
-    normals: Float,
-) -> tuple[Float, Float]:
-    """Return present points of the skin [m] and their unit normals, both of shape (n, 3).
+        Linear blend skinning in float64, for points; `SkinnedSurface.posed` computes the whole skin by a kernel.
 
-    Linear blend skinning in float64, for points; `SkinnedSurface.posed` computes the whole skin by a kernel.
-
-    bone_positions: of the bones' frames [m], shape (b, 3); bone_rotations: shape (b, 3, 3), in any common frame
-    points, normals: at rest, in the order of the binding, both of shape (n, 3)
-    """
-    count = len(hand.origins)
-    motions = np.empty((12, count))
-    motions[:9] = bone_rotations.reshape(count, 9).T
-    motions[9:] = bone_shifts(hand.origins, bone_positions, bone_rotations).T
-    # Points along the rows: a matrix product blends all bones, and the rest runs over long rows
-    of_points = motions @ binding.weights
-    turns = of_points[:9].reshape(3, 3, -1)
-    moved, turned = np.empty(points.shape), np.empty(normals.shape)
-    np.add(np.add.reduce(turns * points.T, axis=1), of_points[9:], out=moved.T)
-    direction = np.add.reduce(turns * normals.T, axis=1)
-    np.divide(direction, np.sqrt(np.add.reduce(direction * direction, axis=0)), out=turned.T)
-    return moved, turned
-
-
-class FaceSamples(NamedTuple):
-    """The faces of a mesh as samples of its surface.
-
-    centroids: [m], normals: unit, outward, both of shape (m, 3); a face without area has the normal 0
-    areas: [m2], shape (m,)
-    """
-
-    centroids: Float
-    normals: Float
-    areas: Float
-
-
-def face_samples(vertices: Float, faces: Int) -> FaceSamples:
-    """Centroid, normal and area of each face; for repeated calls with the same faces use a `FaceSampler`.
-
-    vertices: [m], shape (n, 3); faces: shape (m, 3)
-    Raises PalmfieldError for other shapes, NaN, and faces of no vertex.
-    """
-    vertices, faces = checked_mesh(vertices, faces)
-    normals, areas = face_normals(vertices, faces)
-    return FaceSamples(vertices[faces].mean(axis=1), normals, areas)
+        bone_positions: of the bones' frames [m], shape (b, 3); bone_rotations: shape (b, 3, 3), in any common frame
+        points, normals: at rest, in the order of the binding, both of shape (n, 3)
+        """
+        count = len(hand.origins)
+        motions = np.empty((12, count))
+        motions[:9] = bone_rotations.reshape(count, 9).T
+        motions[9:] = bone_shifts(hand.origins, bone_positions, bone_rotations).T
+        # Points along the rows: a matrix product blends all bones, and the rest runs over long rows
+        of_points = motions @ self.weights
+        turns = of_points[:9].reshape(3, 3, -1)
+        moved, turned = np.empty(points.shape), np.empty(normals.shape)
+        np.add(np.add.reduce(turns * points.T, axis=1), of_points[9:], out=moved.T)
+        direction = np.add.reduce(turns * normals.T, axis=1)
+        np.divide(direction, np.sqrt(np.add.reduce(direction * direction, axis=0)), out=turned.T)
+        return moved, turned
 
 
 class FaceSampler:

@@ -1,5 +1,7 @@
 """Basic operations on triangle meshes for several hand modules. Arrays as in `types.Surface`."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
@@ -30,6 +32,29 @@ def face_normals(vertices: Float, faces: Int) -> tuple[Float, Float]:
     cross = np.cross(b - a, c - a)
     twice = np.linalg.norm(cross, axis=1)
     return cross / np.where(twice > 0.0, twice, 1.0)[:, None], 0.5 * twice
+
+
+class FaceSamples(NamedTuple):
+    """The faces of a mesh as samples of its surface.
+
+    centroids: [m], normals: unit, outward, both of shape (m, 3); a face without area has the normal 0
+    areas: [m2], shape (m,)
+    """
+
+    centroids: Float
+    normals: Float
+    areas: Float
+
+
+def face_samples(vertices: Float, faces: Int) -> FaceSamples:
+    """Centroid, normal and area of each face; for repeated calls use `posed_surface.FaceSampler`.
+
+    vertices: [m], shape (n, 3); faces: shape (m, 3)
+    Raises PalmfieldError for other shapes, NaN, and faces of no vertex.
+    """
+    vertices, faces = checked_mesh(vertices, faces)
+    normals, areas = face_normals(vertices, faces)
+    return FaceSamples(vertices[faces].mean(axis=1), normals, areas)
 
 
 def volume(vertices: Float, faces: Int) -> float:

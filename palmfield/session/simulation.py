@@ -14,12 +14,12 @@ from palmfield.errors import SceneError
 from palmfield.interrupts import interrupts_held
 from palmfield.session.duration import check_duration, check_steps, check_time, step_count
 from palmfield.session.open_scene import Options, Source, compiled
-from palmfield.session.skin import Skin, chosen_name
 from palmfield.simulation.step import Steps
 from palmfield.types import Complex, Float
 
-if TYPE_CHECKING:  # loaded for several worlds
+if TYPE_CHECKING:  # loaded for several worlds, and for whoever reads a skin
     from palmfield.engine.worlds import SceneWorlds
+    from palmfield.session.skin import Skin
     from palmfield.session.worlds import WorldsSkin
 
 GATHERED = 64
@@ -200,6 +200,8 @@ class Simulation:
 
         It is a `palmfield.session.Skin`, of worlds a `palmfield.session.WorldsSkin`.
         """
+        from palmfield.session.skin import Skin, chosen_name
+
         names = self.skins
         name = chosen_name(names, name)
         if name not in self._skins:

@@ -21,15 +21,13 @@ from palmfield.drive.transducer_response import TransducerResponse, transducer_r
 from palmfield.errors import SceneError, naming
 from palmfield.hand.meshquery import barycentric, build_mesh, closest_faces
 from palmfield.hand.preset import load_preset
-from palmfield.hand.rigged import joint_of_body
-from palmfield.hand.skinning import SkinnedHand, rigged_file, skinned_mesh
 from palmfield.hand.surface import hand_surface
 from palmfield.locked import Lazy
 from palmfield.simulation.array_face import wall_distance
 from palmfield.simulation.model import BodyModel, HapticModel, SkinModel, StimulusModel, about_stimulus, array_instances
 from palmfield.simulation.posed_scene import STILL
 from palmfield.simulation.small_models.choice import choose_stepper, first_stepper
-from palmfield.simulation.small_models.load_class import corner_Hz
+from palmfield.simulation.small_models.mode_estimate import corner_Hz
 from palmfield.simulation.spec import SceneSpec, SkinSpec, StimulusSpec
 from palmfield.simulation.validate import (
     check_apart,
@@ -41,7 +39,6 @@ from palmfield.simulation.validate import (
     check_envelope,
     check_overlaps,
 )
-from palmfield.skin.mesh.cylinder import round_body
 from palmfield.skin.scene_layer import LayerDemand, SceneLayer
 from palmfield.stimulus.focal_points import FocalPoints, SurfaceCourse
 from palmfield.stimulus.modulation import peak_amplitude
@@ -182,9 +179,14 @@ def _new_body(skin: SkinConfig) -> BodyModel:
 
         return BodyModel(skin.body, load_mesh(Path(skin.mesh), skin.unit), None, skin.depth_m)
     if skin.shape == "cylinder":
+        from palmfield.skin.mesh.cylinder import round_body
+
         assert skin.cylinder_radius_m and skin.cylinder_length_m
         return BodyModel(skin.body, round_body(skin.cylinder_radius_m, skin.cylinder_length_m), None, skin.depth_m)
     if skin.shape == "rigged":
+        from palmfield.hand.rigged import joint_of_body
+        from palmfield.hand.skinning import rigged_file, skinned_mesh
+
         assert skin.mesh
         mesh = rigged_file(skin.mesh, skin.unit)
         joint, _ = joint_of_body(skin.body, mesh.joints)
@@ -192,8 +194,11 @@ def _new_body(skin: SkinConfig) -> BodyModel:
         return BodyModel(skin.body, rigged.surface, rigged, skin.depth_m)
     preset = load_preset(skin.hand)
     hand = hand_surface(preset)
-    bones = SkinnedHand(preset) if skin.shape == "articulated" else None
-    return BodyModel(skin.body, hand.surface, bones, hand.depth_to_bone)
+    if skin.shape != "articulated":
+        return BodyModel(skin.body, hand.surface, None, hand.depth_to_bone)
+    from palmfield.hand.skinning import SkinnedHand
+
+    return BodyModel(skin.body, hand.surface, SkinnedHand(preset), hand.depth_to_bone)
 
 
 Responses = dict[tuple[StimulusSpec, bool], TransducerResponse]

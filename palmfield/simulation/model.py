@@ -19,10 +19,8 @@ from palmfield.drive.board import Board
 from palmfield.drive.response import Pole
 from palmfield.drive.transducer_response import TransducerResponse
 from palmfield.hand.force_samples import BY_DEFAULT, SampleMesh, sample_count, sample_mesh
-from palmfield.hand.posed_surface import FaceSampler, SkinBinding, face_samples
-from palmfield.hand.skinning import SkinnedSurface
 from palmfield.hand.subdivide import EDGE_m, short_edge_parents, with_short_edges
-from palmfield.hand.triangles import face_normals
+from palmfield.hand.triangles import face_normals, face_samples
 from palmfield.locked import Lazy, locked_cached_property
 from palmfield.simulation.spec import SceneSpec, SkinSpec, StimulusSpec
 from palmfield.skin.explicit_layer import LayerSolver, layer_solver
@@ -34,7 +32,9 @@ from palmfield.skin.stepper_choice import StepperChoice as StepperChoice
 from palmfield.transforms import Transform, corners_of
 from palmfield.types import Float, Int, Surface
 
-if TYPE_CHECKING:  # made where it is stepped by, and most stimuli have no path on a surface
+if TYPE_CHECKING:  # made where it is used: many bodies are in one piece, and most stimuli have no path on a surface
+    from palmfield.hand.posed_surface import FaceSampler, SkinBinding
+    from palmfield.hand.skinning import SkinnedSurface
     from palmfield.skin.fem.wedge_stepper import WedgeStepper
     from palmfield.stimulus.surface_path import SurfacePath
 
@@ -77,7 +77,9 @@ class BodyModel:
     force_accuracy: float = BY_DEFAULT
     """Relative accuracy with which its samples give the force of the sound."""
 
-    def __init__(self, name: str, surface: Surface | None, hand: SkinnedSurface | None, depth_to_bone_m: Float | float):
+    def __init__(
+        self, name: str, surface: Surface | None, hand: "SkinnedSurface | None", depth_to_bone_m: Float | float
+    ):
         self.name, self.surface, self.hand, self.depth_to_bone_m = name, surface, hand, depth_to_bone_m
         self.lock = threading.RLock()
         origins = [] if hand is None else [bone.origin for bone in hand.bones]
@@ -111,12 +113,15 @@ class BodyModel:
         return with_short_edges(self.surface.vertices, self.surface.faces, EDGE_m)
 
     @locked_cached_property
-    def sampled(self) -> SkinnedSurface:
+    def sampled(self) -> "SkinnedSurface":
         """The samples' triangles with their bones: those of the hand itself where each of its faces is a sample."""
         assert self.hand is not None
         mesh = self.sample_mesh
         if mesh.corners is self.hand.surface.faces:
             return self.hand
+        from palmfield.hand.posed_surface import SkinBinding
+        from palmfield.hand.skinning import SkinnedSurface
+
         surface = Surface(mesh.points, mesh.corners, np.zeros_like(mesh.points))
         return SkinnedSurface(self.hand.bones, surface, SkinBinding.to(self.hand, mesh.points).weights.T)
 
@@ -139,7 +144,9 @@ class BodyModel:
             return *frame.surface(samples.centroids, samples.normals), samples.areas.copy()
 
     @locked_cached_property
-    def _sampler(self) -> FaceSampler:
+    def _sampler(self) -> "FaceSampler":
+        from palmfield.hand.posed_surface import FaceSampler
+
         surface = self.sampled.surface
         return FaceSampler(surface.faces, len(surface.vertices))
 
@@ -160,9 +167,13 @@ class BodyModel:
             ]
         )
 
-    def bind(self, points: Float) -> SkinBinding | None:
+    def bind(self, points: Float) -> "SkinBinding | None":
         """The bones that carry points of the resting skin [m], shape (n, 3); None for a body in one piece."""
-        return None if self.hand is None else SkinBinding.to(self.hand, points)
+        if self.hand is None:
+            return None
+        from palmfield.hand.posed_surface import SkinBinding
+
+        return SkinBinding.to(self.hand, points)
 
 
 class SkinModel:
@@ -205,12 +216,12 @@ class SkinModel:
         return mesh.nodes[: mesh.surface_nodes], mesh.surface_normals()
 
     @locked_cached_property
-    def nodes_binding(self) -> SkinBinding | None:
+    def nodes_binding(self) -> "SkinBinding | None":
         """Bones of the surface nodes."""
         return self.carrier.bind(self.nodes[0])
 
     @locked_cached_property
-    def quadrature_binding(self) -> SkinBinding | None:
+    def quadrature_binding(self) -> "SkinBinding | None":
         """Bones of the points at which the ARP is integrated."""
         return self.carrier.bind(self.layer.quadrature.points)
 

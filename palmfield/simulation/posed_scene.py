@@ -8,18 +8,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from operator import attrgetter
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.errors import naming
-from palmfield.hand.posed_surface import SkinBinding, blend
 from palmfield.locked import next_serial
 from palmfield.simulation.model import BodyModel, HapticModel, SkinModel, StimulusModel, array_instances
 from palmfield.stimulus.focal_points import FocalPoints, SurfaceCourse
 from palmfield.transforms import IDENTITY, Placement, Transform
 from palmfield.types import Float, Int
+
+if TYPE_CHECKING:
+    from palmfield.hand.posed_surface import SkinBinding
 
 SERIAL = attrgetter("serial")
 STILL = 0.05
@@ -140,11 +143,11 @@ class PosedSurface:
         """Origins of the bodies that the sound pushes, bones or the body itself, array frame [m], shape (b, 3)."""
         return self.frame.position[None] if self.model.hand is None else self.frame.points(self.bone_positions)
 
-    def moved(self, points: Float, normals: Float, binding: SkinBinding | None) -> tuple[Float, Float]:
+    def moved(self, points: Float, normals: Float, binding: "SkinBinding | None") -> tuple[Float, Float]:
         """Points of the resting surface [m] and their normals, body frame, now in the array frame, shapes (n, 3)."""
         if binding is not None and self.model.hand is not None:
             turns = self.bone_rotations
-            points, normals = blend(binding, self.model.hand, self.bone_positions, turns, points, normals)
+            points, normals = binding.blend(self.model.hand, self.bone_positions, turns, points, normals)
         return self.frame.surface(points, normals)
 
 

@@ -7,12 +7,10 @@ later.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from palmfield.acoustics.calibration_file import Calibration, read_calibration
-from palmfield.acoustics.transducer_file import read_transducers
 from palmfield.config import (
     ArrayConfig,
     Config,
@@ -28,18 +26,19 @@ from palmfield.config.skin import OF_SHAPES
 from palmfield.data import find_file
 from palmfield.device import resolve
 from palmfield.errors import PalmfieldError, SceneError, did_you_mean, naming
-from palmfield.hand.articulated import articulate
-from palmfield.hand.collision_shapes import Obstacle
 from palmfield.hand.preset import load_preset
-from palmfield.hand.rigged import joint_of_body
-from palmfield.hand.skinning import bones_of_mesh, rigged_file
 from palmfield.mujoco_host.mujoco_view import ModelView
 from palmfield.simulation.array_face import refused
 from palmfield.simulation.spec import ArraySpec, ObstacleSpec, SceneSpec, SkinSpec, StimulusSpec, Triple
 from palmfield.skin.materials.catalogue import preset
-from palmfield.stimulus.am_file import AmTable, read_am_table
-from palmfield.stimulus.focus_table import FocusTable
 from palmfield.transforms import IDENTITY, Placement, Transform, relative
+
+if TYPE_CHECKING:
+    from palmfield.acoustics.calibration_file import Calibration
+    from palmfield.acoustics.transducer_file import TransducerTable
+    from palmfield.hand.collision_shapes import Obstacle
+    from palmfield.stimulus.am_table import AmTable
+    from palmfield.stimulus.focus_table import FocusTable
 
 DURATION = "palmfield_duration_s"
 """Custom numeric of a scene: how long `palmfield run` runs it [s]."""
@@ -194,13 +193,24 @@ def _arrays(
             transducer = relative(pose, model.reference_pose("site", number))
             own.append((tuple(transducer.position.tolist()), tuple(transducer.rotation[:, 2].tolist())))
         placement = Placement.of(relative(origin, pose), tuple(own))
-        element = ArrayConfig.element(name)
-        calibration = read_file(read_calibration, config, "calibration", element)
-        if calibration is not None:
-            check_calibrated_once(calibration, config, element)
-        table = read_file(read_transducers, config, "transducers", element)
-        specs.append(ArraySpec(name, config, placement, calibration, table))
+        specs.append(ArraySpec(name, config, placement, *array_files(config, ArrayConfig.element(name))))
     return tuple(specs), sites, transducers
+
+
+def array_files(config: ArrayConfig, element: str) -> "tuple[Calibration | None, TransducerTable | None]":
+    """The content of the files of keys calibration and transducers, None for a key that is not set.
+
+    Raises SceneError as `read_file` and `check_calibrated_once`.
+    """
+    if config.calibration is None and config.transducers is None:
+        return None, None
+    from palmfield.acoustics.calibration_file import read_calibration
+    from palmfield.acoustics.transducer_file import read_transducers
+
+    calibration = read_file(read_calibration, config, "calibration", element)
+    if calibration is not None:
+        check_calibrated_once(calibration, config, element)
+    return calibration, read_file(read_transducers, config, "transducers", element)
 
 
 def read_file(read: Callable[[str], T], config: Config, key: str, element: str) -> T | None:
@@ -210,7 +220,7 @@ def read_file(read: Callable[[str], T], config: Config, key: str, element: str) 
         return None if name is None else read(name)
 
 
-def check_calibrated_once(calibration: Calibration, config: ArrayConfig, element: str) -> None:
+def check_calibrated_once(calibration: "Calibration", config: ArrayConfig, element: str) -> None:
     """Raises SceneError where a key and the calibration say the same thing."""
     for key, known in (("p0_Pa_m", calibration.p0), ("quality", calibration.quality)):
         if known is not None and getattr(config, key) is not None:
@@ -323,13 +333,17 @@ def _stimuli(
     return tuple(specs), tuple(frames)
 
 
-def am_table_of(config: StimulusConfig, element: str) -> AmTable | None:
+def am_table_of(config: StimulusConfig, element: str) -> "AmTable | None":
     """The waveform in the file of key am_file, None without.
 
     Raises SceneError, with element and key, as `palmfield.stimulus.am_file.read_am_table`, and for a period without a
     frequency or a course with one.
     """
-    table = read_file(read_am_table, config, "am_file", element) if config.modulation == "am" else None
+    if config.modulation != "am" or config.am_file is None:
+        return None
+    from palmfield.stimulus.am_file import read_am_table
+
+    table = read_file(read_am_table, config, "am_file", element)
     if table is None or (table.of == "period") == (config.am_frequency_Hz is not None):
         return table
     if table.of == "period":
@@ -343,7 +357,7 @@ def am_table_of(config: StimulusConfig, element: str) -> AmTable | None:
     )
 
 
-def focus_table_of(config: StimulusConfig, element: str) -> FocusTable | None:
+def focus_table_of(config: StimulusConfig, element: str) -> "FocusTable | None":
     """The foci in the file of key path_file, None without.
 
     Raises SceneError, with element and key, as `palmfield.stimulus.focus_table_file.read_focus_table`, and for a table
@@ -496,6 +510,9 @@ def bones_of(skin: SkinConfig, element: str, model: ModelView) -> list[int]:
 def _bones(skin: SkinConfig, element: str) -> tuple[str, list[Any]]:
     """Prefix of the names of the bodies, and the bones in the frame of key `body`."""
     if skin.shape == "rigged":
+        from palmfield.hand.rigged import joint_of_body
+        from palmfield.hand.skinning import bones_of_mesh, rigged_file
+
         assert skin.mesh
         mesh = rigged_file(skin.mesh, skin.unit)
         with naming(element, "key 'body'"):
@@ -503,6 +520,8 @@ def _bones(skin: SkinConfig, element: str) -> tuple[str, list[Any]]:
         return prefix, bones_of_mesh(mesh, mesh.joints.rest[joint, :3, 3])
     if not skin.body.endswith("hand"):
         raise SceneError(f"{element}: key 'body' has value '{skin.body}'; allowed: the palm, [prefix]hand")
+    from palmfield.hand.articulated import articulate
+
     return skin.body.removesuffix("hand"), articulate(load_preset(skin.hand)).bones
 
 
@@ -518,7 +537,7 @@ def check_rest(bone: Any, frame: Transform, pose: Transform, element: str, advic
         )
 
 
-def obstacles_of(skin: SkinConfig, element: str, model: ModelView, bones: list[int]) -> list[tuple[Obstacle, int]]:
+def obstacles_of(skin: SkinConfig, element: str, model: ModelView, bones: list[int]) -> "list[tuple[Obstacle, int]]":
     """Bodies named by key `obstacles` and their child bodies, with their geoms, and their numbers.
 
     bones: as `bones_of` gives them.
@@ -527,6 +546,10 @@ def obstacles_of(skin: SkinConfig, element: str, model: ModelView, bones: list[i
     element = f"{element}: key 'obstacles'"
     named = {model.find("body", name, element) for name in skin.obstacles}
     own = {model.find("body", skin.body, element), *bones}
+    if not named:
+        return []
+    from palmfield.hand.collision_shapes import Obstacle
+
     result = []
     for number in range(model.raw.nbody):
         if not named & model.ancestors(number):
@@ -538,6 +561,6 @@ def obstacles_of(skin: SkinConfig, element: str, model: ModelView, bones: list[i
         geoms = model.geoms(number, element)
         if geoms:
             result.append((Obstacle(geoms), number))
-    if named and not result:
+    if not result:
         raise SceneError(f"{element} has value '{' '.join(skin.obstacles)}', but none of these has a geom")
     return result

@@ -3,16 +3,18 @@
 from collections.abc import Callable
 from itertools import repeat
 from operator import attrgetter, call
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from palmfield.errors import SceneError
-from palmfield.hand.posed_surface import SkinBinding
 from palmfield.simulation.model import SkinModel
 from palmfield.skin.fem.probe import SurfaceProbe, nearest_on_surface
 from palmfield.skin.stepper import Reader, SkinStepper
 from palmfield.types import Float
+
+if TYPE_CHECKING:
+    from palmfield.hand.posed_surface import SkinBinding
 
 REACH_M, OFF_SKIN_M = 0.01, 0.005
 """Largest distance of the site of a sensor from the skin layer, along the skin and across it."""
@@ -45,7 +47,7 @@ UNITS = tuple(
 class SensorPlace:
     """Place of a sensor: the point of the layer that is nearest to its site, and the bones that carry it."""
 
-    def __init__(self, probe: SurfaceProbe, binding: SkinBinding | None):
+    def __init__(self, probe: SurfaceProbe, binding: "SkinBinding | None"):
         self.probe, self.binding = probe, binding
         self._readers: dict[SkinStepper, Reader] = {}
 

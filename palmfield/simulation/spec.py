@@ -5,16 +5,19 @@ are those of the reference configuration of MuJoCo.
 """
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from palmfield.acoustics.arp import LAWS, ArpLaw, alpha_law
-from palmfield.acoustics.calibration_file import Calibration
-from palmfield.acoustics.transducer_file import TransducerTable
 from palmfield.config import ArrayConfig, Config, DriverConfig, SkinConfig, StimulusConfig
 from palmfield.config.base import naming_keys
-from palmfield.hand.collision_shapes import Obstacle
-from palmfield.stimulus.am_file import AmTable
-from palmfield.stimulus.focus_table import FocusTable
 from palmfield.transforms import Placement
+
+if TYPE_CHECKING:  # what files and obstacles hold, which few scenes have
+    from palmfield.acoustics.calibration_file import Calibration
+    from palmfield.acoustics.transducer_file import TransducerTable
+    from palmfield.hand.collision_shapes import Obstacle
+    from palmfield.stimulus.am_table import AmTable
+    from palmfield.stimulus.focus_table import FocusTable
 
 Triple = tuple[float, float, float]
 
@@ -46,8 +49,8 @@ class ArraySpec(Named):
     name: str
     config: ArrayConfig
     placement: Placement
-    calibration: Calibration | None = None
-    table: TransducerTable | None = None
+    calibration: "Calibration | None" = None
+    table: "TransducerTable | None" = None
 
 
 @dataclass(frozen=True)
@@ -68,15 +71,15 @@ class StimulusSpec(Named):
     on_skin: int | None
     path_sites: tuple[Triple, ...]
     frame_moves: bool
-    am_table: AmTable | None = None
-    focus_table: FocusTable | None = None
+    am_table: "AmTable | None" = None
+    focus_table: "FocusTable | None" = None
 
 
 @dataclass(frozen=True)
 class ObstacleSpec:
     """An obstacle of a skin besides its own body. placement: of the obstacle's body, seen from that of the skin."""
 
-    shape: Obstacle
+    shape: "Obstacle"
     placement: Placement
 
 

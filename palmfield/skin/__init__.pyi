@@ -1,3 +1,5 @@
+from .base import Foundation as Foundation
+from .base import Springs as Springs
 from .costs import Choice as Choice
 from .costs import scene_choices as scene_choices
 from .fem.wedge_stepper import WedgeStepper as WedgeStepper
@@ -9,12 +11,10 @@ from .materials.material import Material as Material
 from .materials.material import kelvin_voigt as kelvin_voigt
 from .materials.material import shear_wave as shear_wave
 from .materials.sheet import Sheet as Sheet
-from .problem import Foundation as Foundation
 from .problem import Layer as Layer
 from .problem import Motion as Motion
 from .problem import Slab as Slab
 from .problem import Spot as Spot
-from .problem import Springs as Springs
 from .problem import Traction as Traction
 from .reduction.reduced_stepper import KnownLoad as KnownLoad
 from .reduction.reduced_stepper import ReducedStepper as ReducedStepper

@@ -6,10 +6,10 @@ import scipy  # which loads its parts when they are used
 
 from palmfield.config.skin import OVERRIDES, SkinConfig
 from palmfield.errors import SceneError
+from palmfield.skin.base import BaseKind, Springs
 from palmfield.skin.materials.catalogue import CATALOGUE, preset, softest_and_stiffest
-from palmfield.skin.materials.dispersion import cutoff
 from palmfield.skin.materials.material import Branch, Material, shear_wave
-from palmfield.skin.problem import BaseKind, Sheet, Springs
+from palmfield.skin.materials.sheet import Sheet
 
 
 def sheets_of(skin: SkinConfig) -> tuple[Sheet, ...]:
@@ -52,6 +52,8 @@ def layer_cutoff(sheets: tuple[Sheet, ...], depth_m: float) -> float:
     Below it a layer bonded to a rigid base guides no wave; c_s / 4h of one material
     (`palmfield.skin.materials.dispersion.cutoff`).
     """
+    from palmfield.skin.materials.dispersion import cutoff
+
     slow = min(cutoff(sheet.material, sheet.thickness_m * depth_m) for sheet in sheets)
 
     def excess(f_Hz: float) -> float:

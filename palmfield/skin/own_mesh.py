@@ -18,7 +18,8 @@ from palmfield.skin.approximation.trim_absorbing_rim import refusal_of_spot
 from palmfield.skin.explicit_layer import ExplicitLayer
 from palmfield.skin.fem.face_transfer import FaceTransfer, ends_of_substeps, read
 from palmfield.skin.from_config import base_of
-from palmfield.skin.problem import GAUSSIAN, Body, Layer, Load, Sheet, Slab, Spot, Traction
+from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.problem import GAUSSIAN, Body, Layer, Load, Slab, Spot, Traction
 from palmfield.skin.scene_layer import SceneLayer
 from palmfield.skin.stepper import Reader, SkinStepper, SurfaceLoads, check_step, world_by_world
 from palmfield.types import Float, Int

@@ -17,19 +17,16 @@ from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from palmfield.errors import SceneError
+from palmfield.skin.base import Base, SideKind, check_base_and_side
 from palmfield.skin.materials.sheet import Sheet
 from palmfield.types import Float, Patch
 
 Law = Literal["linear", "held"]
 Quantity = Literal["displacement", "velocity", "normal"]
 Shape = Literal["infinite", "disc", "box"]
-BaseKind = Literal["bonded", "free_slip", "free"]
-SideKind = Literal["fixed", "free", "roller", "absorbing"]
 QUANTITIES: tuple[Quantity, ...] = ("displacement", "velocity", "normal")
 """The quantity of an accuracy: the displacement, the velocity, or the displacement along the normal of the face; the
 order of the three errors in solvers."""
-BASES = ("bonded", "free_slip", "free")
-SIDES = ("fixed", "free", "roller", "absorbing")
 SHAPES = ("infinite", "disc", "box")
 LEAST_M, THICKEST_M, WIDEST_M = 1e-4, 1.0, 10.0
 """A slab beyond the last two [m] is one whose lengths were given in millimetres; waves cross one below the first in
@@ -38,54 +35,6 @@ ONLY_WEDGES = "only the solvers wedges and reduced support a Foundation: choose 
 """Why the others refuse one."""
 GAUSSIAN = 4.0 * math.log(2.0)
 """exp(-GAUSSIAN (r / fwhm)^2) is half at r = fwhm / 2."""
-
-
-@dataclass(frozen=True)
-class Springs:
-    """A base of springs and dashpots by area, along the base's normal and along the base.
-
-    normal_Pa_m, tangential_Pa_m: stiffness [Pa/m]. normal_Pa_s_m, tangential_Pa_s_m: damping [Pa s/m]; all >= 0.
-    """
-
-    normal_Pa_m: float
-    tangential_Pa_m: float
-    normal_Pa_s_m: float = 0.0
-    tangential_Pa_s_m: float = 0.0
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not (math.isfinite(value) and value >= 0.0):
-                raise SceneError(f"base springs: {name} is {value}; give a finite number, 0 or above")
-
-
-@dataclass(frozen=True)
-class Foundation:
-    """Sheets below a meshed layer, the first right below it, without a mesh of their own
-    (palmfield.skin.fem.foundation).
-
-    base: below the lowest sheet; degree: of the polynomial in depth of each sheet, 1 or more
-    frequencies_Hz, misfit: where it was fitted [Hz], and the relative error there, see fit_foundation; both (f,)
-    Raises SceneError for another base or degree.
-    """
-
-    sheets: tuple[Sheet, ...]
-    base: BaseKind | Springs = "bonded"
-    degree: int = 4
-    frequencies_Hz: tuple[float, ...] = ()
-    misfit: tuple[float, ...] = ()
-
-    def __post_init__(self) -> None:
-        check_base_and_side(self.base, None, none=True)
-        if self.degree < 1:
-            raise SceneError(f"foundation: degree is {self.degree}; give 1 or more")
-
-    @property
-    def levels(self) -> int:
-        """Levels of nodes below the mesh."""
-        return self.degree * len(self.sheets)
-
-
-Base = BaseKind | Springs | Foundation
 
 
 @dataclass(frozen=True)
@@ -364,16 +313,6 @@ def normals_on_face(body: Body, points: Float) -> Float:
     np.add.at(summed, patch.faces, area[:, None])
     normals: Float = summed[cKDTree(patch.vertices).query(points)[1]]
     return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-
-
-def check_base_and_side(base: Base, side: SideKind | None, none: bool) -> None:
-    if not isinstance(base, Springs | Foundation) and base not in BASES:
-        raise SceneError(f"base is '{base}'; use one of {', '.join(BASES)}, Springs or a Foundation")
-    if none:
-        if side is not None:
-            raise SceneError(f"side is '{side}', but an infinite slab has no sides: omit it")
-    elif side not in SIDES:
-        raise SceneError(f"side is '{side}'; use one of {', '.join(SIDES)}")
 
 
 def as_floats(load: object, *names: str) -> None:

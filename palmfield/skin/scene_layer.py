@@ -21,9 +21,9 @@ from palmfield.skin.fem.assembly import SkinSystem, assemble
 from palmfield.skin.fem.load import SurfaceQuadrature
 from palmfield.skin.fem.probe import SurfaceProbe, surface_motion
 from palmfield.skin.from_config import base_of, sheets_of, slowest
+from palmfield.skin.materials.sheet import Sheet
 from palmfield.skin.mesh.rows import element_rows
 from palmfield.skin.mesh.wedges import WedgeMesh, extrude
-from palmfield.skin.problem import Sheet
 from palmfield.types import Float, Patch, Surface
 
 UNEVEN = 6.0

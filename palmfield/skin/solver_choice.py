@@ -19,12 +19,12 @@ from numpy.typing import ArrayLike
 from palmfield.device import resolve
 from palmfield.errors import SceneError
 from palmfield.skin.approximation.truncate_domain import truncate_domain
+from palmfield.skin.base import Foundation, Springs
 from palmfield.skin.costs import Choice, ranked
 from palmfield.skin.fem.on_body import on_body
 from palmfield.skin.problem import (
     QUANTITIES,
     Body,
-    Foundation,
     Layer,
     Load,
     Motion,
@@ -32,7 +32,6 @@ from palmfield.skin.problem import (
     SkinProblem,
     Slab,
     Spot,
-    Springs,
     Traction,
     depth_of,
     is_pressed,

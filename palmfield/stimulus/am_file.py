@@ -1,33 +1,16 @@
-"""Waveforms of amplitude modulation from CSV files: one period, or a course in seconds."""
+"""Read waveforms of amplitude modulation from files."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from palmfield.errors import SceneError
+from palmfield.stimulus.am_table import AmTable
 from palmfield.tables import read_table
 
 MOST_ROWS = 10_000
 COLUMNS: dict[str, Literal["period", "course"]] = {"turn": "period", "time_s": "course"}
-
-
-@dataclass(frozen=True)
-class AmTable:
-    """Contents of a file, comparable.
-
-    of: a period, which repeats, or a course, whose last value holds; moments: turns from 0 to below 1, or times since
-    the sound began [s], rising; values: of the waveform there, -1..1, linear in between
-    """
-
-    of: Literal["period", "course"]
-    moments: tuple[float, ...]
-    values: tuple[float, ...]
-
-    def __hash__(self) -> int:
-        # Configurations are hashed in every step; hashing thousands of numbers would take longer than the step
-        return hash((self.of, len(self.moments), self.values[:8]))
 
 
 def read_am_table(path: str | Path) -> AmTable:

@@ -7,7 +7,7 @@ from pydantic import ConfigDict, Field
 
 from palmfield.config import StimulusConfig
 from palmfield.config.base import Positive
-from palmfield.stimulus.am_file import AmTable
+from palmfield.stimulus.am_table import AmTable
 from palmfield.stimulus.focus_table import FocusTable
 
 

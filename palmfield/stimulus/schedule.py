@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 
 from palmfield.config import StimulusConfig
-from palmfield.stimulus.bursts import burst, onsets
 from palmfield.stimulus.focus_table import FocusTable
 from palmfield.stimulus.modulation import (
     COURSE_POWER,
@@ -399,6 +398,8 @@ def _jumps(config: StimulusConfig, timing: "_Timing", start: float, end: float) 
     if _is_rectangle(config):
         period = 1.0 / _given(config.am_frequency_Hz)
         trains.append((_given(config.am_waveform_duty) * period, period, None))
+    if trains:
+        from palmfield.stimulus.bursts import onsets
     for length, every, count in trains:
         ends = start - config.start_s - 1e-9, end - config.start_s + 1e-9
         at = onsets(*ends, length_s=_given(length), period_s=_given(every), count=count)
@@ -594,6 +595,8 @@ def arp_factors(envelope: Envelope, times: Float) -> Float:
         share = (1 + am.depth * values) / (1 + am.depth * form.highest)
         level *= share**am.power if am.power else arp_of_pulses(am, share)
     if envelope.burst is not None:
+        from palmfield.stimulus.bursts import burst
+
         level *= burst(since, **envelope.burst)
     return level
 

@@ -8,7 +8,7 @@ import numpy as np
 import scipy  # which loads its parts when they are used
 
 from palmfield.config import StimulusConfig
-from palmfield.stimulus.am_file import AmTable
+from palmfield.stimulus.am_table import AmTable
 from palmfield.stimulus.resolved import ResolvedStimulus
 from palmfield.types import Float
 

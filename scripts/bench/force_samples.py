@@ -21,8 +21,8 @@ from trimesh.remesh import subdivide
 from palmfield.acoustics.surface_arp import SurfaceArp
 from palmfield.data import folder
 from palmfield.hand.force_samples import A_FACE, CELLS_m, sample_mesh
-from palmfield.hand.posed_surface import face_samples
 from palmfield.hand.subdivide import EDGE_m, with_short_edges
+from palmfield.hand.triangles import face_samples
 from palmfield.session.simulation import load
 from palmfield.simulation.emission import array_drives
 from palmfield.simulation.posed_scene import PosedScene

@@ -35,7 +35,7 @@ from palmfield.acoustics.surface_arp import SurfaceArp
 from palmfield.simulation.emission import array_drives
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import reference_scene
-from palmfield.simulation.small_models import load_class
+from palmfield.simulation.small_models import load_class, mode_estimate
 from palmfield.simulation.small_models.leaving import SHORT_WAVES, OutsideClass
 from palmfield.skin.materials.catalogue import PRESETS
 from palmfield.skin.materials.material import prony
@@ -100,11 +100,11 @@ class Trials:
             "11 m/s": (11.0 * moving, lambda: self._many(self._circle(11.0))),
             "1 kHz control": (500.0, self._held),
             "AM 200 Hz": (100.0, lambda: self._spot * np.sin(2 * np.pi * 100.0 * self.times[:, None]) ** 2),
-            "on and off": (load_class.LEAST_CORNER_Hz, self._on_and_off),
-            "hand 0.5 m/s": (load_class.LEAST_CORNER_Hz, self._moving_hand),
-            "two foci": (load_class.LEAST_CORNER_Hz, self._two),
-            "finger's shadow": (load_class.LEAST_CORNER_Hz, lambda: self._shadow(np.sqrt(self._areas))),
-            "shadow by points": (load_class.LEAST_CORNER_Hz, lambda: self._shadow(np.full(len(self._areas), 1e-9))),
+            "on and off": (mode_estimate.LEAST_CORNER_Hz, self._on_and_off),
+            "hand 0.5 m/s": (mode_estimate.LEAST_CORNER_Hz, self._moving_hand),
+            "two foci": (mode_estimate.LEAST_CORNER_Hz, self._two),
+            "finger's shadow": (mode_estimate.LEAST_CORNER_Hz, lambda: self._shadow(np.sqrt(self._areas))),
+            "shadow by points": (mode_estimate.LEAST_CORNER_Hz, lambda: self._shadow(np.full(len(self._areas), 1e-9))),
         }
 
     def _amplitudes(self, focus: Float) -> Float:

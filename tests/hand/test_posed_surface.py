@@ -11,10 +11,10 @@ from scipy.spatial.transform import Rotation
 
 from palmfield.errors import PalmfieldError, SceneError
 from palmfield.hand.articulated import bone_poses
-from palmfield.hand.posed_surface import FaceSampler, SkinBinding, blend, face_samples
+from palmfield.hand.posed_surface import FaceSampler, SkinBinding
 from palmfield.hand.preset import load_preset
 from palmfield.hand.skinning import SkinnedHand
-from palmfield.hand.triangles import face_normals
+from palmfield.hand.triangles import face_normals, face_samples
 
 BENT = {"index_mcp_flexion": 50.0, "wrist_flexion": 30.0, "thumb_cmc_flexion": 10.0}
 
@@ -45,7 +45,7 @@ def test_bound_vertices_go_with_the_skin(hand: SkinnedHand) -> None:
     np.testing.assert_allclose(binding.weights.sum(axis=0), 1.0, atol=1e-12)
     for angles in ({}, BENT):
         pose = bone_poses(hand.hand, angles)
-        moved, turned = blend(binding, hand, *pose, points, normals)
+        moved, turned = binding.blend(hand, *pose, points, normals)
         np.testing.assert_allclose(moved, hand.posed(*pose)[::7], atol=2e-7)
         np.testing.assert_allclose(np.linalg.norm(turned, axis=1), 1.0, atol=1e-12)
         # A vertex's normal is that of its faces; where the skin is stretched by a joint the two differ
@@ -57,7 +57,7 @@ def test_points_within_faces_go_with_their_face(hand: SkinnedHand) -> None:
     points = np.einsum("k,nki->ni", [0.2, 0.3, 0.5], corners)
     normals, _ = face_normals(hand.surface.vertices, hand.surface.faces[::50])
     pose = bone_poses(hand.hand, BENT)
-    moved, _ = blend(SkinBinding.to(hand, points), hand, *pose, points, normals)
+    moved, _ = SkinBinding.to(hand, points).blend(hand, *pose, points, normals)
     expected = np.einsum("k,nki->ni", [0.2, 0.3, 0.5], hand.posed(*pose)[hand.surface.faces[::50]])
     # Weights that are blended within a face turn its points a little apart from its plane
     assert np.linalg.norm(moved - expected, axis=1).max() < 3e-4
@@ -68,7 +68,7 @@ def test_rigid_motion(hand: SkinnedHand) -> None:
     positions, rotations = bone_poses(hand.hand, {})
     turn, shift = Rotation.from_euler("xyz", [20, -50, 130], degrees=True), np.array([0.3, -0.1, 0.2])
     binding = SkinBinding.to(hand, points)
-    moved, turned = blend(binding, hand, turn.apply(positions) + shift, turn.as_matrix() @ rotations, points, normals)
+    moved, turned = binding.blend(hand, turn.apply(positions) + shift, turn.as_matrix() @ rotations, points, normals)
     np.testing.assert_allclose(moved, turn.apply(points) + shift, atol=1e-12)
     np.testing.assert_allclose(turned, turn.apply(normals), atol=1e-12)
 
@@ -112,7 +112,7 @@ def test_python_calls(hand: SkinnedHand) -> None:
     sampler = FaceSampler(hand.surface.faces, len(hand.surface.vertices))
     vertices = hand.posed(*pose)
     assert python_calls(lambda: hand.posed(*pose)) <= 15
-    assert python_calls(lambda: blend(binding, hand, *pose, points, normals)) <= 10
+    assert python_calls(lambda: binding.blend(hand, *pose, points, normals)) <= 10
     assert python_calls(lambda: sampler.at(vertices)) <= 5
 
 

@@ -9,7 +9,7 @@ from palmfield.config import StimulusConfig
 from palmfield.errors import OutputError
 from palmfield.perception.force_threshold import FORCE_OBSERVER, force_level_dB_SL, force_near_peak_N, why_refused
 from palmfield.perception.registry import ALL_OBSERVERS
-from palmfield.stimulus.am_file import AmTable
+from palmfield.stimulus.am_table import AmTable
 from palmfield.stimulus.resolved import resolved
 
 AM = {"modulation": "am", "am_quantity": "arp", "am_frequency_Hz": 200.0, "am_depth": 1.0}

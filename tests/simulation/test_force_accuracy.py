@@ -8,7 +8,7 @@ import palmfield
 from palmfield.acoustics.surface_arp import SurfaceArp
 from palmfield.data import folder
 from palmfield.hand.force_samples import sample_mesh
-from palmfield.hand.posed_surface import face_samples
+from palmfield.hand.triangles import face_samples
 from palmfield.planning.modelled import modelled
 from palmfield.simulation.emission import array_drives
 

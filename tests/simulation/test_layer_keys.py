@@ -17,8 +17,8 @@ from palmfield.skin.from_config import layer_cutoff
 from palmfield.skin.materials.catalogue import preset
 from palmfield.skin.materials.dispersion import cutoff
 from palmfield.skin.materials.material import elastic
+from palmfield.skin.materials.sheet import Sheet
 from palmfield.skin.mesh.rows import element_rows
-from palmfield.skin.problem import Sheet
 
 
 def push(path):

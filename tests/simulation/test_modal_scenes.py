@@ -10,7 +10,7 @@ from palmfield.errors import SceneError
 from palmfield.estimate.estimated_run import run
 from palmfield.planning.scene_plan import plan
 from palmfield.session.simulation import Simulation, load
-from palmfield.simulation.small_models.load_class import corner_Hz
+from palmfield.simulation.small_models.mode_estimate import corner_Hz
 from palmfield.simulation.state import BEGUN, WHOLE
 from palmfield.skin.reduction.modal_stepper import ModalStepper
 

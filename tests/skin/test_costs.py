@@ -8,9 +8,10 @@ import pytest
 from palmfield.blas import one_blas_thread
 from palmfield.skin.fem.assembly import assemble
 from palmfield.skin.materials.catalogue import preset
+from palmfield.skin.materials.sheet import Sheet
 from palmfield.skin.mesh.disc import disc_patch
 from palmfield.skin.mesh.wedges import extrude
-from palmfield.skin.problem import Sheet, SkinProblem, Slab, Spot
+from palmfield.skin.problem import SkinProblem, Slab, Spot
 from palmfield.skin.solvers.lateral_waves import cost_lateral_waves, solve_lateral_waves
 from palmfield.skin.solvers.wedges import cost_wedges, run_cost
 

@@ -16,9 +16,10 @@ from palmfield.skin.fem.probe import SurfaceProbe
 from palmfield.skin.fem.solver import harmonic, harmonic_discrete, static
 from palmfield.skin.materials.catalogue import PRESETS
 from palmfield.skin.materials.material import shear_wave
+from palmfield.skin.materials.sheet import Sheet
 from palmfield.skin.mesh.disc import disc_patch
 from palmfield.skin.mesh.wedges import extrude
-from palmfield.skin.problem import Sheet, Slab, Spot
+from palmfield.skin.problem import Slab, Spot
 from palmfield.skin.solvers.wedges import first_sizes
 
 pytestmark = pytest.mark.numerics

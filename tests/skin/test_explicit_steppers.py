@@ -16,7 +16,8 @@ from palmfield.skin.explicit_layer import OWN, layer_solver, solver_class
 from palmfield.skin.fem.face_transfer import ends_of_substeps
 from palmfield.skin.fem.probe import surface_vectors
 from palmfield.skin.fem.wedge_stepper import WedgeStepper
-from palmfield.skin.problem import GAUSSIAN, Sheet, Slab, Spot
+from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.problem import GAUSSIAN, Slab, Spot
 from palmfield.skin.reduction.modal_stepper import ModalStepper
 from palmfield.skin.reduction.reduced_stepper import ReducedStepper
 from palmfield.skin.scene_layer import LayerDemand, SceneLayer

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from palmfield.errors import SceneError
 from palmfield.skin.analytic.layer_oracle import layer_compliance
+from palmfield.skin.base import Springs
 from palmfield.skin.fem.assembly import assemble
 from palmfield.skin.fem.depth import impedance
 from palmfield.skin.fem.foundation import Foundation, fit_foundation
@@ -23,10 +24,11 @@ from palmfield.skin.fem.probe import SurfaceProbe
 from palmfield.skin.fem.solver import harmonic, static
 from palmfield.skin.materials.catalogue import preset
 from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson
+from palmfield.skin.materials.sheet import Sheet
 from palmfield.skin.mesh.body_mesh import Sizes, box_patch
 from palmfield.skin.mesh.disc import disc_patch
 from palmfield.skin.mesh.wedges import extrude
-from palmfield.skin.problem import GAUSSIAN, Sheet, Springs, spread
+from palmfield.skin.problem import GAUSSIAN, spread
 
 pytestmark = pytest.mark.numerics
 

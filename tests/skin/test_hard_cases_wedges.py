@@ -26,10 +26,11 @@ from palmfield.skin.fem.solver import harmonic, static
 from palmfield.skin.fem.traction import PressureHistory
 from palmfield.skin.materials.catalogue import preset
 from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson, shear_wave
+from palmfield.skin.materials.sheet import Sheet
 from palmfield.skin.mesh.body_mesh import Sizes, box_patch
 from palmfield.skin.mesh.disc import disc_patch
 from palmfield.skin.mesh.wedges import extrude
-from palmfield.skin.problem import Sheet, Spot
+from palmfield.skin.problem import Spot
 from palmfield.types import Surface
 
 ECOFLEX, PALM = preset("ecoflex_00-10"), preset("palm")

@@ -7,7 +7,8 @@ from scipy.optimize import brentq
 from palmfield.errors import SceneError
 from palmfield.skin.analytic.mach import mach_half_angle
 from palmfield.skin.materials.material import Material, bulk_from_poisson
-from palmfield.skin.problem import Sheet, SkinProblem, Slab, Spot
+from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.problem import SkinProblem, Slab, Spot
 from palmfield.skin.solvers.lateral_waves import solve_lateral_waves
 
 X, Y = np.arange(-0.1, 0.1001, 1e-3), np.arange(-0.06, 0.0601, 1e-3)

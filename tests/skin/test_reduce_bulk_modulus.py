@@ -9,9 +9,11 @@ import pytest
 from palmfield.errors import SceneError
 from palmfield.skin.approximation.reduce_bulk_modulus import RATIOS, SHARE, reduce_bulk_modulus, relative_change
 from palmfield.skin.approximation.richardson import relative_difference
+from palmfield.skin.base import Springs
 from palmfield.skin.materials.catalogue import preset
 from palmfield.skin.materials.material import bulk_from_poisson
-from palmfield.skin.problem import Sheet, SkinProblem, Slab, Spot, Springs
+from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.problem import SkinProblem, Slab, Spot
 from palmfield.skin.solvers.lateral_waves import solve_lateral_waves
 from palmfield.types import Float
 

@@ -7,8 +7,9 @@ import pytest
 
 from palmfield.errors import SceneError
 from palmfield.skin.materials.catalogue import preset
+from palmfield.skin.materials.sheet import Sheet
 from palmfield.skin.mesh.disc import disc_patch
-from palmfield.skin.problem import Layer, Sheet, SkinProblem, Slab, Spot, Traction
+from palmfield.skin.problem import Layer, SkinProblem, Slab, Spot, Traction
 from palmfield.skin.solvers.axisymmetric.solve import solve_axisymmetric
 from palmfield.skin.solvers.reduced import course, patterns, refusal_reduced, solve_reduced
 

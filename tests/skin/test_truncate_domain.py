@@ -5,10 +5,12 @@ import pytest
 
 from palmfield.skin.approximation.bands import bands, resonance
 from palmfield.skin.approximation.truncate_domain import SHARE, part_of, reach, truncate_domain
+from palmfield.skin.base import Springs
 from palmfield.skin.materials.catalogue import preset
 from palmfield.skin.materials.material import elastic
+from palmfield.skin.materials.sheet import Sheet
 from palmfield.skin.mesh.disc import disc_patch
-from palmfield.skin.problem import Layer, Sheet, SkinProblem, Slab, Spot, Springs, Traction, spread
+from palmfield.skin.problem import Layer, SkinProblem, Slab, Spot, Traction, spread
 from palmfield.skin.solvers.axisymmetric.solve import solve_axisymmetric
 
 GRID = np.arange(0.0, 0.03, 5e-5)

@@ -10,6 +10,7 @@ import trimesh
 from palmfield.errors import SceneError
 from palmfield.skin.analytic.layer_oracle import centre_response
 from palmfield.skin.approximation.load_scales import load_centre, load_frequency, load_width
+from palmfield.skin.base import Springs
 from palmfield.skin.fem.absorbing import match_speed, sponge
 from palmfield.skin.fem.assembly import assemble
 from palmfield.skin.fem.body import build
@@ -18,11 +19,12 @@ from palmfield.skin.fem.probe import SurfaceProbe
 from palmfield.skin.fem.solver import harmonic, static
 from palmfield.skin.fem.traction import PressureHistory
 from palmfield.skin.materials.catalogue import preset
+from palmfield.skin.materials.sheet import Sheet
 from palmfield.skin.mesh.body_mesh import Sizes, box_patch, graded_fractions, quartered
 from palmfield.skin.mesh.disc import disc_patch
 from palmfield.skin.mesh.rows import element_rows
 from palmfield.skin.mesh.wedges import extrude
-from palmfield.skin.problem import Layer, Sheet, SkinProblem, Slab, Spot, Springs, Traction
+from palmfield.skin.problem import Layer, SkinProblem, Slab, Spot, Traction
 from palmfield.skin.solvers.wedges import refusal_wedges, solve_wedges, static_wedges
 from palmfield.types import Patch
 

@@ -10,7 +10,7 @@ from scipy.special import j1
 
 from palmfield.config import StimulusConfig, parse
 from palmfield.errors import SceneError
-from palmfield.stimulus.am_file import AmTable
+from palmfield.stimulus.am_table import AmTable
 from palmfield.stimulus.modulation import arp_lines, peak_amplitude, sharpest_s
 from palmfield.stimulus.resolved import resolved
 from palmfield.stimulus.schedule import (

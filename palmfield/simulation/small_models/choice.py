@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from palmfield.drive.response import Pole
 from palmfield.errors import SceneError
 from palmfield.simulation.model import HapticModel, StimulusModel
-from palmfield.simulation.small_models import known_load, load_class
+from palmfield.simulation.small_models import known_load, mode_estimate
 from palmfield.simulation.spec import SceneSpec, SkinSpec
 from palmfield.skin.costs import scene_choices, wedges_s
 from palmfield.skin.explicit_layer import layer_solver
@@ -41,8 +41,8 @@ def choose_stepper(
     refusal = known_load.refusal(skin, layer, stimuli, pole, response_on)
     sounding = [stimulus for stimulus in stimuli if not stimulus.silent]
     vectors = 0 if refusal is not None else known_load.expected_vectors(sounding[0], pole, response_on)
-    modes, modal_refusal = load_class.expected_modes(skin, layer), load_class.refusal(skin, layer)
-    work = LayerWork(layer.dofs, substeps, vectors, refusal, modes, modal_refusal, load_class.laws(layer))
+    modes, modal_refusal = mode_estimate.expected_modes(skin, layer), mode_estimate.refusal(skin, layer)
+    work = LayerWork(layer.dofs, substeps, vectors, refusal, modes, modal_refusal, mode_estimate.laws(layer))
     with skin.naming():
         return chosen(requested, work, BY_KEY)
 
@@ -59,8 +59,8 @@ def common_choice(
         return choices[0]
     why = f"{loads} different loads; reduced models are limited to {MOST_SMALL_MODELS}"
     substeps = len(choices) * spec.duration_s / layer.sizes.step_s
-    modes, modal_refusal = load_class.expected_modes(skin, layer), load_class.refusal(skin, layer)
-    first, *_ = scene_choices(layer.dofs, substeps, 0.0, why, modes, modal_refusal, load_class.laws(layer))
+    modes, modal_refusal = mode_estimate.expected_modes(skin, layer), mode_estimate.refusal(skin, layer)
+    first, *_ = scene_choices(layer.dofs, substeps, 0.0, why, modes, modal_refusal, mode_estimate.laws(layer))
     return StepperChoice(first.name, why, first.seconds, wedges_s(layer.dofs, substeps))
 
 
@@ -78,7 +78,9 @@ def first_stepper(model: HapticModel, skin: int) -> SkinStepper:
             if not part.choice.solver.any_pose:
                 return known_load.known_stepper(model, skin)
             if part.choice.solver.of_class:
-                return load_class.class_stepper(model, skin)
+                from palmfield.simulation.small_models.load_class import class_stepper
+
+                return class_stepper(model, skin)
         except SceneError:
             if part.spec.config.solver != "auto":
                 raise

@@ -25,12 +25,12 @@ from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.acoustics.surface_arp import SurfaceArp
 from palmfield.drive.array_drive import ArrayDrive
 from palmfield.errors import SceneError
-from palmfield.simulation.model import HapticModel, StimulusModel
+from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene, PosedSkin, PosedSurface, reference_scene
+from palmfield.simulation.small_models.mode_estimate import block_count, laws, region_m
 from palmfield.simulation.spec import SkinSpec
 from palmfield.skin.reduction.load_shapes import POINTS
 from palmfield.skin.scene_layer import SceneLayer
-from palmfield.stimulus.schedule import frame_rates, main_frequencies, turn_m, turn_rate_Hz
 from palmfield.transforms import Transform
 from palmfield.types import Complex, Float, Int
 
@@ -55,8 +55,6 @@ SPAN = 0.1
 """Share of the target accuracy that the shapes of the class may omit from its examples."""
 LEAST_LEFT_OUT = 0.0075
 """Below it each shape more gains less than a block of modes more does."""
-BLOCKS, BLOCKS_AT, BLOCKS_POWER = 32, 0.05, 0.9
-"""Blocks of the modes' space at one accuracy, and the power of the accuracy with which they become fewer."""
 WEAK, MOST_WEAK = 0.3, 0.025
 """Share of the target accuracy, in the energy norm, that omitted weak modes may cost; and its upper limit."""
 WEAK_TOGETHER = 0.3
@@ -65,52 +63,9 @@ EDGES_SPAN, EDGES_POINTS = 0.5, 4
 """SPAN where there are shadows, and points for each shape: edges are made of far more shapes than sounds are."""
 FINGER_m = 0.008, 0.02
 """Widths of what casts a shadow in an example."""
-KEPT = 0.36
-"""Modes for each block and shape that are left when the weak ones are out, about."""
-SHAPES = 15.0
-"""Load shapes at accuracy 0.2 on a region as wide as a spot, about."""
-LEAST_CORNER_Hz = 75.0
-"""Corner of the spectrum of a load with only onset and end: the sound of a start or stop falls as 1/f."""
 _lock = threading.RLock()
 # The last modes of a layer and what they depend on besides it: to find 100 MB in the cache on disk takes a second
 _bodies: "WeakKeyDictionary[SceneLayer, tuple[str, ModalBody]]" = WeakKeyDictionary()
-
-
-def refusal(skin: SkinSpec, layer: SceneLayer) -> str | None:
-    """Why a skin can't move by modes for every load, in words, or None; reasons that need its matrices come later."""
-    config = skin.config
-    if config.body_sound == "scattering":
-        return "boundary elements for every sample load would cost more than a run"
-    if config.side == "absorbing":
-        return "absorbing sides couple the modes"
-    return None
-
-
-def laws(layer: SceneLayer) -> int:
-    """Number of relaxation laws of the sheets of a layer."""
-    return len({sheet.material.law for sheet in layer.sheets})
-
-
-def expected_modes(skin: SkinSpec, layer: SceneLayer) -> float:
-    """Expected number of modes, from the shipped scenes."""
-    shapes = SHAPES * (_region_m(layer) / layer.demand.spot_fwhm_m) ** 2 * (0.2 / skin.config.accuracy) ** 0.35
-    return float(KEPT * _blocks(skin.config.accuracy) * shapes)
-
-
-def _blocks(accuracy: float) -> int:
-    blocks: float = BLOCKS * (BLOCKS_AT / accuracy) ** BLOCKS_POWER
-    return max(round(blocks), 3)
-
-
-def _region_m(layer: SceneLayer) -> float:
-    """Radius of the region of a skin that contains the foci of the class [m].
-
-    The region has fine elements: a whole patch of given radius, with a margin for foci that touch it from outside.
-    """
-    sizes, spot_m = layer.sizes, layer.demand.spot_fwhm_m
-    if layer.config.patch_radius_m or layer.config.shape == "disc":
-        return sizes.radius_m + 0.5 * spot_m
-    return max(sizes.fine_radius_m, 2.0 * spot_m)
 
 
 def class_stepper(model: HapticModel, skin: int, blocks: int | None = None) -> "ModalStepper":
@@ -127,10 +82,10 @@ def class_stepper(model: HapticModel, skin: int, blocks: int | None = None) -> "
     arrays, law = posed.arrays, part.spec.arp_law
     depends_on = (
         *(arrays.array, arrays.air, arrays.placements, arrays.wall_m, arrays.precision, model.board.name, law),
-        *(*posed.skins[skin].quadrature, part.spec.patch_centre, _region_m(layer)),
+        *(*posed.skins[skin].quadrature, part.spec.patch_centre, region_m(layer)),
     )
     span, points = (EDGES_SPAN, EDGES_POINTS) if _has_edges(part.spec) else (SPAN, POINTS)
-    tolerance, blocks = max(span * accuracy, LEAST_LEFT_OUT), blocks or _blocks(accuracy)
+    tolerance, blocks = max(span * accuracy, LEAST_LEFT_OUT), blocks or block_count(accuracy)
     weak = min(WEAK * accuracy, MOST_WEAK) * (WEAK_TOGETHER if laws(layer) > 1 else 1.0)
     with _lock:
         mark = cache.digest(depends_on, tolerance, blocks, points)
@@ -161,7 +116,7 @@ def examples(model: HapticModel, skin: int, posed: PosedScene) -> Float:
     surface = SurfaceArp(arrays.field, len(layer.quadrature.weights), model.skins[skin].spec.arp_law)
     frame = posed.skins[skin].body.frame
     middle = np.array(model.skins[skin].spec.patch_centre)
-    centre, region = frame.points(middle), _region_m(layer)
+    centre, region = frame.points(middle), region_m(layer)
     axes = frame.rotation @ _skin_axes(layer, middle, region)
     offsets = (posed.skins[skin].quadrature[0] - centre) @ axes
     gap = float(np.linalg.norm(arrays.array.positions - centre, axis=1).min())
@@ -309,18 +264,3 @@ def _drives(
     if not heard:
         raise SceneError("no modes for this skin: no transducer faces it in the reference pose")
     return np.array([drive for _, drive in heard]), np.array([number for number, _ in heard], dtype=np.int32)
-
-
-def corner_Hz(stimulus: StimulusModel, spot_m: float) -> float:
-    """Frequency above which the spectrum of the load of a stimulus falls, about [Hz].
-
-    A focus with speed v and spot width w passes a point in w / v. One that jumps at some rate is as sudden as a focus
-    that has moved on by then. AM has its own frequency. spot_m: width of the spot [m].
-    """
-    config = stimulus.config
-    corners = [LEAST_CORNER_Hz, *(0.5 * f for f in frame_rates(config))]
-    corners += [0.5 * f for f in main_frequencies(config)[:1]]
-    rate = turn_rate_Hz(config)
-    if rate is not None:
-        corners.append(rate * turn_m(config) / (math.pi * spot_m))
-    return max(corners)

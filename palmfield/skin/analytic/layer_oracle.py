@@ -18,8 +18,8 @@ import numpy as np
 from scipy.special import j0, jn_zeros
 
 from palmfield.errors import SceneError
+from palmfield.skin.base import BASES, BaseKind
 from palmfield.skin.materials.material import Material, complex_bulk, complex_shear
-from palmfield.skin.problem import BASES, BaseKind
 from palmfield.types import Complex, Float
 
 

@@ -9,8 +9,9 @@ from palmfield.errors import SceneError
 from palmfield.skin.analytic.layer_oracle import centre_responses
 from palmfield.skin.approximation.bands import bands, course_moves, resonance
 from palmfield.skin.approximation.load_scales import load_width
+from palmfield.skin.base import BASES, Foundation, Springs
 from palmfield.skin.materials.material import Material, bulk_from_poisson
-from palmfield.skin.problem import BASES, Body, Foundation, Layer, Load, Spot, Springs
+from palmfield.skin.problem import Body, Layer, Load, Spot
 from palmfield.types import Float
 
 RATIOS = (0.49, 0.495, 0.497, 0.499)

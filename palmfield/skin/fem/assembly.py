@@ -12,12 +12,12 @@ from scipy import sparse
 from palmfield.device import resolve
 from palmfield.errors import SceneError
 from palmfield.locked import Lazy
+from palmfield.skin.base import BASES, SIDES, BaseKind, Foundation, SideKind, Springs
 from palmfield.skin.fem.linear_body import Matrices, Part
 from palmfield.skin.materials.material import Material
 from palmfield.skin.mesh.element import corner_slopes, displacement_shape, prism_rule, volume_basis
 from palmfield.skin.mesh.ordering import dissection_order
 from palmfield.skin.mesh.wedges import WedgeMesh
-from palmfield.skin.problem import BASES, SIDES, BaseKind, Foundation, SideKind, Springs
 from palmfield.types import Float, Int
 from warp_kernels import wedge
 

@@ -17,8 +17,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.polynomial import legendre
 
+from palmfield.skin.base import BaseKind, Springs
 from palmfield.skin.materials.material import Material, complex_bulk, complex_shear
-from palmfield.skin.problem import BaseKind, Sheet, Springs
+from palmfield.skin.materials.sheet import Sheet
 from palmfield.types import Complex, Float
 
 DEGREE = 12

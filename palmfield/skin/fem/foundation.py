@@ -28,12 +28,14 @@ from scipy import sparse
 from scipy.special import j0
 
 from palmfield.errors import SceneError
+from palmfield.skin.base import BaseKind, Foundation, Springs
 from palmfield.skin.fem.absorbing import match_speed, rim_edges, scatter
 from palmfield.skin.fem.depth import condensed, impedance, line_matrices, on_impedance
 from palmfield.skin.materials.material import Material
+from palmfield.skin.materials.sheet import Sheet
 from palmfield.skin.mesh.element import triangle_rule, triangle_shape, triangle_slopes
 from palmfield.skin.mesh.wedges import WedgeMesh
-from palmfield.skin.problem import BaseKind, Foundation, Sheet, Springs, spread
+from palmfield.skin.problem import spread
 from palmfield.types import Float
 
 FREQUENCIES_Hz = (50.0, 75.0, 100.0, 150.0, 200.0, 250.0, 300.0, 350.0, 400.0)

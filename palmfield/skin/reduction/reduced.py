@@ -11,15 +11,17 @@ held or linear in between.
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.linalg import expm
 
 from palmfield.errors import SceneError
 from palmfield.skin.materials.material import Material
-from palmfield.skin.problem import Law
 from palmfield.types import Complex, Float
+
+if TYPE_CHECKING:
+    from palmfield.skin.problem import Law
 
 MOST_CONDITION = 1e8
 """Condition of the eigenvectors above which `run` steps by matrix exponentials (free bodies have a double root 0)."""
@@ -113,7 +115,7 @@ class Reduced:
         s = -2j * np.pi * f_Hz
         return self.displaces @ np.linalg.solve(s * np.eye(self.state_size) - self.rates, self.inputs)
 
-    def run(self, forces: Any, times: Float, law: Law = "linear") -> tuple[Any, Any]:
+    def run(self, forces: Any, times: Float, law: "Law" = "linear") -> tuple[Any, Any]:
         """y [m] and y' [m/s] at times [s], rising, (t,), of a body at rest at the first, both (t, k).
 
         forces: real or complex, shape (t, j): "linear" between the times, or "held" at that of the earlier one.
@@ -141,7 +143,7 @@ class Reduced:
             return displacement, velocity
         return displacement.real, velocity.real
 
-    def _stepped_run(self, forces: Any, lengths: Float, which: Any, law: Law) -> Any:
+    def _stepped_run(self, forces: Any, lengths: Float, which: Any, law: "Law") -> Any:
         states = np.zeros((len(forces), self.state_size), dtype=forces.dtype)
         for n, length in enumerate(which):
             advance, start, end = self.propagators(float(lengths[length]))
@@ -270,7 +272,7 @@ def _energy_form(small: Projection) -> tuple[Float, Float, Float, Float, list[Fl
     return rates, driven, displaces, moves, internals
 
 
-def _modal_run(roots: Complex, forces: Complex, lengths: Float, which: Any, law: Law) -> Complex:
+def _modal_run(roots: Complex, forces: Complex, lengths: Float, which: Any, law: "Law") -> Complex:
     """Modes (t, m) from rest under modal forces (t, m)."""
     states = np.zeros(forces.shape, dtype=complex)
     tables: dict[int, tuple[Complex, Complex, Complex]] = {}

@@ -20,7 +20,7 @@ from palmfield.session.worlds import stimulus_texts
 from palmfield.simulation.build import demands_of, stimuli_of
 from palmfield.simulation.build_worlds import Shared, strictest
 from palmfield.simulation.model import SkinModel
-from palmfield.simulation.small_models import load_class
+from palmfield.simulation.small_models import mode_estimate
 from palmfield.skin.costs import modal_step_s, modes_s
 from palmfield.skin.reduction.modal_stepper import MOST_SHARE
 from palmfield.skin.scene_layer import LayerDemand
@@ -120,7 +120,7 @@ def _many_loads(
     else:
         return None
     for skin in view.runtime.model.skins:
-        if skin.spec.config.solver != "auto" or load_class.refusal(skin.spec, skin.layer) is not None:
+        if skin.spec.config.solver != "auto" or mode_estimate.refusal(skin.spec, skin.layer) is not None:
             return None
     demands = [_demands(view, keys.differing(points[number])) for number in _looked_at(points)]
     known = [demand for demand in demands if demand is not None]
@@ -131,17 +131,17 @@ def _many_loads(
         return None
     skins = view.runtime.model.skins
     # Twice in double precision: vectors and their products
-    size = sum(16 * skin.layer.dofs * load_class.expected_modes(skin.spec, skin.layer) for skin in skins)
+    size = sum(16 * skin.layer.dofs * mode_estimate.expected_modes(skin.spec, skin.layer) for skin in skins)
     return Group(tuple(own), base, Shared(asked, modal=True), round(size))
 
 
 def _pays(skin: SkinModel, points: int, duration_s: float) -> bool:
     """Whether modes for every load are predicted to take less time than a stepper for each point."""
-    modes, dofs = load_class.expected_modes(skin.spec, skin.layer), skin.layer.dofs
+    modes, dofs = mode_estimate.expected_modes(skin.spec, skin.layer), skin.layer.dofs
     steps = duration_s / skin.layer.sizes.step_s
     if modes > MOST_SHARE * dofs:
         return False
-    laws = load_class.laws(skin.layer)
+    laws = mode_estimate.laws(skin.layer)
     return modes_s(dofs, modes, laws) + points * steps * modal_step_s(modes, laws) < points * skin.choice.seconds
 
 

@@ -5,9 +5,9 @@ from functools import cache
 import numpy as np
 
 from palmfield.skin import Layer, Sheet, Traction
+from palmfield.skin.base import BaseKind
 from palmfield.skin.fem import face_points
 from palmfield.skin.mesh import Sizes, cylinder_patch
-from palmfield.skin.problem import BaseKind
 from palmfield.skin.solvers.wedges import static_wedges
 from palmfield_papers.mizushima2024.gel import THICKNESS_M, Gel, compliance, material_of
 

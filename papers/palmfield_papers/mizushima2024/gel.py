@@ -17,9 +17,9 @@ from palmfield.skin.analytic.as_printed import (
     vibration_modulus_as_printed,
 )
 from palmfield.skin.analytic.layer_oracle import layer_compliance
+from palmfield.skin.base import BaseKind
 from palmfield.skin.materials.catalogue import GEL_STORAGE_PA
 from palmfield.skin.materials.material import complex_bulk, complex_shear
-from palmfield.skin.problem import BaseKind
 from palmfield.types import Float
 from palmfield_papers.answer import Answer, Cause, Compute, Setting
 from palmfield_papers.entries import book

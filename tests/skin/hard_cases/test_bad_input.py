@@ -7,9 +7,11 @@ import pytest
 
 from palmfield.errors import SceneError
 from palmfield.skin import solve
+from palmfield.skin.base import Springs
 from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson, elastic, kelvin_voigt
+from palmfield.skin.materials.sheet import Sheet
 from palmfield.skin.mesh.disc import disc_patch
-from palmfield.skin.problem import Layer, Sheet, Slab, Spot, Springs, Traction
+from palmfield.skin.problem import Layer, Slab, Spot, Traction
 
 GEL = Material("gel", 1030.0, 12.5e3, (Branch(25e3, 1e-3),), bulk_from_poisson(0.45, 12.5e3), "")
 LOAD = Spot(0.0103, np.array([0.0, 2e-3]), np.array([0.0, 1.0]))

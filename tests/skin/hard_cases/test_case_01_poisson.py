@@ -7,7 +7,8 @@ import pytest
 
 from palmfield.skin.analytic.layer_oracle import centre_response
 from palmfield.skin.materials.material import standard_linear
-from palmfield.skin.problem import Sheet, Slab
+from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.problem import Slab
 from palmfield.skin.solvers.lateral_waves import static_lateral_waves
 
 pytestmark = pytest.mark.numerics

@@ -9,7 +9,8 @@ import pytest
 from palmfield.errors import SceneError
 from palmfield.skin.analytic.layer_oracle import centre_response
 from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson
-from palmfield.skin.problem import Sheet, Slab, Spot
+from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.problem import Slab, Spot
 
 ALL = ["lateral_waves", "axisymmetric", "wedges", "reduced", "spectral_elements", "particles"]
 AT = np.array([[0.0, 0.0], [0.005, 0.0]])

@@ -6,7 +6,8 @@ from scipy.optimize import brentq
 
 from palmfield.skin.analytic.layer_oracle import layer_compliance
 from palmfield.skin.materials.material import Material, bulk_from_poisson
-from palmfield.skin.problem import Sheet, Slab, Spot, spread
+from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.problem import Slab, Spot, spread
 
 WIDTH, DEPTH, NU = 0.0103, 0.008, 0.45
 GEL = Material("gel", 1030.0, 12.5e3, (), bulk_from_poisson(NU, 12.5e3), "", viscosity_Pa_s=2.0)

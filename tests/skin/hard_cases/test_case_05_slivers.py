@@ -8,8 +8,9 @@ from spectral_states import element_forces
 
 from palmfield.errors import SceneError
 from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson
+from palmfield.skin.materials.sheet import Sheet
 from palmfield.skin.mesh.disc import disc_patch
-from palmfield.skin.problem import Layer, Sheet, Slab, Spot
+from palmfield.skin.problem import Layer, Slab, Spot
 from palmfield.skin.solvers.particles.cloud import build_cloud
 from palmfield.skin.solvers.particles.run import Particles
 from palmfield.skin.solvers.spectral_elements.model import Model

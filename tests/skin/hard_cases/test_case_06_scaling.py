@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson
+from palmfield.skin.materials.sheet import Sheet
 from palmfield.skin.mesh.disc import disc_patch
-from palmfield.skin.problem import Layer, Sheet, Slab, Spot
+from palmfield.skin.problem import Layer, Slab, Spot
 
 GEL = Material("gel", 1030.0, 12.5e3, (Branch(25e3, 1e-3),), bulk_from_poisson(0.45, 12.5e3), "")
 TIMES = np.linspace(1e-3, 5e-3, 5)

@@ -9,7 +9,8 @@ from scipy.integrate import dblquad
 from palmfield.errors import SceneError
 from palmfield.skin.analytic.layer_oracle import centre_response
 from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson
-from palmfield.skin.problem import GAUSSIAN, Sheet, Slab, Spot
+from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.problem import GAUSSIAN, Slab, Spot
 
 ALL = ["lateral_waves", "axisymmetric", "wedges", "reduced", "spectral_elements", "particles"]
 GEL = Material("gel", 1030.0, 12.5e3, (Branch(25e3, 1e-3),), bulk_from_poisson(0.45, 12.5e3), "", bulk_relaxes=True)

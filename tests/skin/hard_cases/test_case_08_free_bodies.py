@@ -10,7 +10,8 @@ import pytest
 
 from palmfield.errors import SceneError
 from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson
-from palmfield.skin.problem import Sheet, Slab, Spot, spread
+from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.problem import Slab, Spot, spread
 from palmfield.skin.solvers.lateral_waves import static_lateral_waves
 from palmfield.skin.solvers.wedges import static_wedges
 

@@ -11,7 +11,8 @@ import numpy as np
 import warp as wp
 
 from palmfield.skin.materials.material import Branch, Material
-from palmfield.skin.problem import Sheet, Slab, spread
+from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.problem import Slab, spread
 from palmfield.skin.reduction.reducer import reduce
 from palmfield.skin.solvers.axisymmetric.element import DiscGrid, Line, graded
 from palmfield.skin.solvers.particles.cloud import build_cloud

@@ -8,9 +8,11 @@ from scipy.special import jv
 
 from palmfield.errors import SceneError
 from palmfield.skin.analytic.layer_oracle import centre_response, layer_compliance
+from palmfield.skin.base import Springs
 from palmfield.skin.materials.catalogue import PRESETS
 from palmfield.skin.materials.material import Material, bulk_from_poisson
-from palmfield.skin.problem import Sheet, SkinProblem, Slab, Spot, Springs, Traction
+from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.problem import SkinProblem, Slab, Spot, Traction
 from palmfield.skin.solvers.lateral_waves import (
     cost_lateral_waves,
     refusal_lateral_waves,

@@ -20,9 +20,10 @@ from palmfield.skin.fem.solver import harmonic, harmonic_discrete
 from palmfield.skin.from_config import material_of
 from palmfield.skin.materials import catalogue
 from palmfield.skin.materials.material import complex_bulk, complex_shear
+from palmfield.skin.materials.sheet import Sheet
 from palmfield.skin.mesh.disc import disc_patch
 from palmfield.skin.mesh.wedges import extrude
-from palmfield.skin.problem import Sheet, Slab, Spot
+from palmfield.skin.problem import Slab, Spot
 
 PAGE = Path(__file__).parents[3] / "docs" / "materials.md"
 NAME = "fractional gel"

@@ -7,8 +7,9 @@ import pytest
 
 from palmfield.errors import SceneError
 from palmfield.skin.materials.material import Material
+from palmfield.skin.materials.sheet import Sheet
 from palmfield.skin.mesh.disc import disc_patch
-from palmfield.skin.problem import Layer, Sheet, Slab
+from palmfield.skin.problem import Layer, Slab
 from palmfield.skin.solvers.particles.cloud import build_cloud
 from palmfield.skin.solvers.particles.probe import point_weights
 from palmfield.types import Patch

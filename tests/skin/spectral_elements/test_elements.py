@@ -11,7 +11,8 @@ from spectral_states import element_forces
 from palmfield.errors import SceneError
 from palmfield.skin.analytic.layer_oracle import centre_response
 from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson
-from palmfield.skin.problem import GAUSSIAN, Sheet
+from palmfield.skin.materials.sheet import Sheet
+from palmfield.skin.problem import GAUSSIAN
 from palmfield.skin.solvers.spectral_elements.gll import lagrange, rule
 from palmfield.skin.solvers.spectral_elements.model import Model, hold
 from palmfield.skin.solvers.spectral_elements.places import find

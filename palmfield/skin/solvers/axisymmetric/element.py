@@ -21,9 +21,10 @@ import numpy as np
 from numpy.polynomial import legendre
 from scipy import sparse
 
+from palmfield.skin.base import Springs
 from palmfield.skin.fem.linear_body import Matrices, Part
 from palmfield.skin.materials.material import Material
-from palmfield.skin.problem import Slab, Springs
+from palmfield.skin.problem import Slab
 from palmfield.types import Float, Int
 
 U, V, W = 0, 1, 2

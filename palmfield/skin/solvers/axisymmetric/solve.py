@@ -26,8 +26,9 @@ from palmfield.blas import one_blas_thread
 from palmfield.errors import SceneError
 from palmfield.skin.approximation.load_scales import motion_width
 from palmfield.skin.approximation.richardson import differences
+from palmfield.skin.base import Foundation, Springs
 from palmfield.skin.fem.factor import factorise
-from palmfield.skin.problem import ONLY_WEDGES, Body, Foundation, Load, Motion, SkinProblem, Slab, Spot, Springs, spread
+from palmfield.skin.problem import ONLY_WEDGES, Body, Load, Motion, SkinProblem, Slab, Spot, spread
 from palmfield.skin.reduction.reduced import Reduced
 from palmfield.skin.reduction.reducer import reduce
 from palmfield.skin.solvers.axisymmetric.element import DiscGrid, Line, graded

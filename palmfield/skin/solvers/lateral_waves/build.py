@@ -9,7 +9,8 @@ from scipy.special import j0
 
 from palmfield.errors import SceneError
 from palmfield.skin.approximation.load_scales import distance_to_sides, load_width, pressure_at_sides
-from palmfield.skin.problem import GAUSSIAN, ONLY_WEDGES, Body, Foundation, Load, Slab, Spot, spread
+from palmfield.skin.base import Foundation
+from palmfield.skin.problem import GAUSSIAN, ONLY_WEDGES, Body, Load, Slab, Spot, spread
 from palmfield.skin.solvers.lateral_waves.depth import depth_problem
 from palmfield.skin.solvers.lateral_waves.drive import spot_transform
 from palmfield.skin.solvers.lateral_waves.modes import FaceModes, face_modes, still_modes

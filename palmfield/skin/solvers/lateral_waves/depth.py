@@ -15,8 +15,9 @@ from functools import lru_cache
 
 import numpy as np
 
+from palmfield.skin.base import Springs
 from palmfield.skin.materials.material import Material
-from palmfield.skin.problem import Slab, Springs
+from palmfield.skin.problem import Slab
 from palmfield.types import Float
 
 STIFFEST = 1e7

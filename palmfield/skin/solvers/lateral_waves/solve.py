@@ -7,7 +7,8 @@ import numpy as np
 
 from palmfield.device import resolve
 from palmfield.errors import SceneError
-from palmfield.skin.problem import Body, Load, Motion, SkinProblem, Slab, Spot, Springs, Traction, is_pressed
+from palmfield.skin.base import Springs
+from palmfield.skin.problem import Body, Load, Motion, SkinProblem, Slab, Spot, Traction, is_pressed
 from palmfield.skin.solvers.lateral_waves.accuracy import SERIES_FROM, is_picture, pick, relative_error
 from palmfield.skin.solvers.lateral_waves.build import box_images, build_waves, check_sides, refusal_lateral_waves
 from palmfield.skin.solvers.lateral_waves.drive import timeline

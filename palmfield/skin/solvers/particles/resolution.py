@@ -8,8 +8,9 @@ import numpy as np
 from palmfield.errors import SceneError
 from palmfield.hand.triangles import face_normals
 from palmfield.skin.approximation.load_scales import mean_frequency, motion_width, passing_frequency
+from palmfield.skin.base import Foundation, Springs
 from palmfield.skin.materials.material import shear_wave
-from palmfield.skin.problem import ONLY_WEDGES, Body, Foundation, Layer, Load, SkinProblem, Slab, Springs, depth_of
+from palmfield.skin.problem import ONLY_WEDGES, Body, Layer, Load, SkinProblem, Slab, depth_of
 from palmfield.skin.solvers.particles.columns import FEWEST_CELLS
 
 SECONDS_A_STEP = {"cpu": 0.9e-6, "cuda": 2.0e-9}

@@ -8,8 +8,9 @@ import numpy as np
 import warp as wp
 
 from palmfield.errors import SceneError
+from palmfield.skin.base import BaseKind, SideKind, Springs
 from palmfield.skin.materials.material import Material
-from palmfield.skin.problem import BaseKind, Sheet, SideKind, Springs
+from palmfield.skin.materials.sheet import Sheet
 from palmfield.skin.solvers.spectral_elements.gll import Rule, rule
 from palmfield.skin.solvers.spectral_elements.quads import rim_edges
 from palmfield.skin.solvers.spectral_elements.solid import Solid, base_areas, cell_areas, inside_out

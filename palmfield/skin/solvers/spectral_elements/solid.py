@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from palmfield.errors import SceneError
-from palmfield.skin.problem import Sheet
+from palmfield.skin.materials.sheet import Sheet
 from palmfield.skin.solvers.spectral_elements.gll import rule
 from palmfield.skin.solvers.spectral_elements.quads import Quads
 from palmfield.types import Float, Int

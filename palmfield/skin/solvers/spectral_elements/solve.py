@@ -14,14 +14,14 @@ from palmfield.skin.approximation.load_scales import edge_is_felt, motion_width
 from palmfield.skin.approximation.reduce_bulk_modulus import reduce_bulk_modulus
 from palmfield.skin.approximation.richardson import differences, error_of_coarser, error_of_finer
 from palmfield.skin.approximation.trim_absorbing_rim import refusal_of_spot
+from palmfield.skin.base import Foundation
+from palmfield.skin.materials.sheet import Sheet
 from palmfield.skin.problem import (
     ONLY_WEDGES,
     Body,
-    Foundation,
     Layer,
     Load,
     Motion,
-    Sheet,
     SkinProblem,
     Spot,
     normals_on_face,

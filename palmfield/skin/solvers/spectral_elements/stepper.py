@@ -6,9 +6,10 @@ import numpy as np
 
 from palmfield.locked import locked_cached_property
 from palmfield.skin.approximation.reduce_bulk_modulus import reduce_bulk_modulus
+from palmfield.skin.base import Foundation
 from palmfield.skin.fem.face_transfer import FaceTransfer
 from palmfield.skin.own_mesh import OwnMesh, OwnMeshStepper
-from palmfield.skin.problem import Body, Foundation, SkinProblem
+from palmfield.skin.problem import Body, SkinProblem
 from palmfield.skin.solvers.spectral_elements import solve
 from palmfield.skin.solvers.spectral_elements.loads import Table
 from palmfield.skin.solvers.spectral_elements.mesh import Plan, build, plan
