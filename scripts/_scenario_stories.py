@@ -21,8 +21,8 @@ from palmfield.outputs.motion import normal_component
 from palmfield.outputs.schema import instances
 from palmfield.outputs.style import COLOURS
 from palmfield.session.simulation import Simulation
+from palmfield.simulation.backend import StepTrace
 from palmfield.simulation.emission import array_drives
-from palmfield.simulation.step import StepTrace
 from palmfield.skin.materials.dispersion import describe
 from palmfield.types import Float
 

@@ -9,6 +9,7 @@ longer flight time starts from an earlier drive. A delay common to all is left o
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from operator import attrgetter, itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -57,8 +58,8 @@ class PoleStepper:
         if known is None:
             decay, held, slope = pole_weights(self._rates * (grains * GRAIN_S))
             parts = decay, held - slope, slope
-            before, first, last = (w[0].item() if self.alike else w[self._index] for w in parts)
-            known = before, first, last
+            before, first, last = map(itemgetter(0 if self.alike else self._index), parts)
+            known = (before.item(), first.item(), last.item()) if self.alike else (before, first, last)
             if len(self._known) >= KEPT:
                 self._known.clear()
             self._known[grains] = known
@@ -434,11 +435,11 @@ def combined(courses: Sequence[EmittedCourse]) -> EmittedCourse:
         return courses[0]._replace(end=end)
     if len(sounding) == 1:
         return sounding[0]._replace(end=end)
-    if len(sounding) >= len(courses[0].levels) or any(len(course.units) > 1 for course in sounding):
-        return of_drives(np.add.reduce([rows(course) for course in sounding]), end)
-    units = np.concatenate([course.units for course in sounding])
+    units = list(map(attrgetter("units"), sounding))
+    if len(sounding) >= len(courses[0].levels) or max(map(len, units)) > 1:
+        return of_drives(np.add.reduce(list(map(rows, sounding))), end)
     levels = np.concatenate([course.levels for course in sounding], axis=1)
-    return EmittedCourse(units, levels, end, next_serial())
+    return EmittedCourse(np.concatenate(units), levels, end, next_serial())
 
 
 def rows(course: EmittedCourse) -> Complex:

@@ -12,8 +12,9 @@ from rich.progress import Progress
 from palmfield.drive.transducer_response import EmittedCourse
 from palmfield.errors import SceneError
 from palmfield.mujoco_host.mujoco_view import DataView, ForceOutlet, PluginSensor
-from palmfield.simulation.backend import serves
+from palmfield.simulation.backend import Frames, serves
 from palmfield.simulation.build import model_of
+from palmfield.simulation.kept import Bool
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene, PoseLayout, posed_scene
 from palmfield.simulation.scene_reader import read_scene
@@ -67,11 +68,12 @@ class SceneRuntime:
         self.taken: tuple[tuple[Literal["site", "body"], NDArray[np.int64], slice], ...]
         self.taken = ("site", self._sites, slice(0, sites)), ("body", self._bodies, slice(sites, None))
         self._positions, self._matrices = np.zeros((count, 3)), np.zeros((count, 9))
+        self._to_step = Frames(self._positions[None], self._matrices[None], self._posed_in)
         self.skins_rest = False
         self.gathers = False
         self._gathered: tuple[PosedScene, float, int] | None = None
         self._posed: PosedScene = self.work.reference
-        self._numbers = b""
+        self._numbers = self._present = b""
         self._begun: tuple[float, bytes, bytes] | None = None
         self._places: dict[str, SensorPlace] = {}
         self.check_options()
@@ -130,7 +132,7 @@ class SceneRuntime:
     def steps(self) -> Steps:
         """The steps of this one mjData."""
         steps = Steps([self.model], [self.work], self.state)
-        if steps.backend.whole:
+        if steps.in_graph:
             for skin, bound in enumerate(self.binding.skins):
                 for sensor in self.view.sensors(bound.instance):
                     steps.watch(skin, self.place(skin, sensor))
@@ -167,6 +169,10 @@ class SceneRuntime:
         self._posed, self._numbers = posed, numbers
         return posed
 
+    def _posed_in(self, here: Bool) -> dict[int, PosedScene]:
+        """The same, if it is needed: shape (1,)."""
+        return {0: self._posed_at(self._present)} if here[0] else {}
+
     def _frames(self) -> bytes:
         """Take the present frames of MuJoCo; returns their numbers."""
         for kind, chosen, part in self.taken:
@@ -174,18 +180,15 @@ class SceneRuntime:
             # Mode "clip", as the others go through a buffer
             positions.take(chosen, 0, self._positions[part], "clip")
             matrices.take(chosen, 0, self._matrices[part], "clip")
-        return self._positions.tobytes() + self._matrices.tobytes()
+        self._present = self._positions.tobytes() + self._matrices.tobytes()
+        return self._present
 
     def _begin(self, t0: float, anew: bool) -> None:
         """Begin the step at t0 [s] in the present pose and state; not again unless `anew`."""
         frames, begun, steps = self._frames(), self._begun, self.steps
         if not anew and begun is not None and begun == (round(t0, 12), frames, steps.state_now()):
             return
-        if steps.moving.some:
-            places = self._positions[None], self._matrices[None]
-            steps.begin_at(*places, t0, lambda here: {0: self._posed_at(frames)} if here[0] else {})
-        else:
-            steps.begin({0: self._posed_at(frames)}, t0)
+        steps.begin(self._to_step, t0)
         self._begun = round(t0, 12), frames, steps.state_now()
 
     @property
@@ -256,7 +259,7 @@ class SceneRuntime:
             getattr(mujoco, f"get_mjcb_{name}")()
             for name in ("control", "passive", "sensor", "act_bias", "act_gain", "act_dyn")
         )
-        return not (self.felt or watched or called or steps.observer is not None or steps.backend.whole)
+        return not (self.felt or watched or called or steps.observer is not None or steps.in_graph)
 
     def advance(self) -> None:
         """Carry transducers and skins over the last MuJoCo step, with the pose at its beginning."""
@@ -328,7 +331,7 @@ class SceneRuntime:
         force = np.add.reduce(self.steps.forces[self.model.skins[skin].body][0, 0], axis=0)
         for sensor in sensors:
             place = self._places.get(sensor.name) or self.place(skin, sensor)
-            [arp], [motion] = self.steps.sense(skin, place, time_s)
+            [arp], [motion] = self.steps.sense(skin, place)
             sensor.data[:] = channels(skin_reading(force, motion, arp))
 
     def place(self, skin: int, sensor: PluginSensor) -> SensorPlace:

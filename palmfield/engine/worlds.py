@@ -20,6 +20,7 @@ from palmfield.engine.world_poses import WorldPoses
 from palmfield.errors import SceneError, explaining, naming_world
 from palmfield.mujoco_host.mujoco_view import DataView, ModelView, PluginSensor, Write, mocap_offsets
 from palmfield.mujoco_host.structs import mirror
+from palmfield.simulation.backend import Frames
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.sensors import channels_of_worlds
 from palmfield.simulation.state import HapticState, new_state
@@ -77,7 +78,8 @@ class SceneWorlds:
             self._sensors.append([view.sensors(skin.instance) for skin in runtime.binding.skins])
         self.steps = Steps(models, works, self.state, alone=True)
         self._watched = False
-        self._poses, self._frames = WorldPoses(self.runtimes, self.many, positions, matrices), (positions, matrices)
+        self._poses = WorldPoses(self.runtimes, self.many, positions, matrices)
+        self._frames = Frames(positions, matrices, self._poses.now)
 
     # -- stepping ------------------------------------------------------------------------------------------------------
 
@@ -89,7 +91,7 @@ class SceneWorlds:
             self._lead(t0)
             self._each("mj_step1")
             self._push(t0)
-            self._sense(t0)
+            self._sense()
             self._each("mj_step2")
             t1 = self._common_time()
             for module in self._scripts:
@@ -125,7 +127,7 @@ class SceneWorlds:
         self._each("mj_step1")
         with explaining():
             self._push(t0)
-            self._sense(t0)
+            self._sense()
         for one in self.data:
             mujoco.mj_forwardSkip(self.mujoco_model, one, int(mujoco.mjtStage.mjSTAGE_VEL), 0)
 
@@ -189,28 +191,28 @@ class SceneWorlds:
 
     def settle(self) -> None:
         """Bring the state up to date, where a device has what is newer."""
-        self.steps.moving.fetch()
+        self.steps.fetch()
 
     def _push(self, t0: float) -> None:
         """Add the forces of the sound to the passive forces of MuJoCo."""
-        if not self._watched and self.steps.moving.some:
+        if not self._watched and self.steps.in_graph:
             for skin, sensors in enumerate(self._sensors[0]):
                 for sensor in sensors:
                     self.steps.watch(skin, self.runtimes[0].place(skin, sensor))
         self._watched = True
         self._poses.take()
-        self.steps.begin_at(*self._frames, t0, self._poses.now)
+        self.steps.begin(self._frames, t0)
         everybody = np.arange(len(self.data))
         for body, own in enumerate(self.steps.forces):
             self.forces[:, body] = np.add.reduce(own[:, 0], axis=1)
             self.many.push(self.runtimes[0].parts[body], everybody, own[:, 0], own[:, 1])
 
-    def _sense(self, t0: float) -> None:
+    def _sense(self) -> None:
         """Fill the sensors of all worlds."""
         for skin, sensors in enumerate(self._sensors[0]):
             force = self.forces[:, self.models[0].skins[skin].body]
             for sensor in sensors:
-                arp, motion = self.steps.sense(skin, self.runtimes[0].place(skin, sensor), t0)
+                arp, motion = self.steps.sense(skin, self.runtimes[0].place(skin, sensor))
                 self.many.put("sensordata", sensor.offsets, channels_of_worlds(force, motion, arp))
 
     def _advance(self, t1: float) -> None:

@@ -16,12 +16,12 @@ from palmfield.outputs.schema import MUJOCO_SCENE, Arrays, group, sensor_channel
 from palmfield.session.loudest_moment import LoudestMoment
 from palmfield.session.mujoco_scene import mujoco_arrays
 from palmfield.session.phase_turns import PhaseTurns
+from palmfield.simulation.backend import StepTrace
 from palmfield.simulation.emission import Emission
 from palmfield.simulation.model import HapticModel, SkinModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.sensors import CHANNELS, UNITS
 from palmfield.simulation.skin_sound import Role
-from palmfield.simulation.step import StepTrace
 from palmfield.stimulus.schedule import frames_at
 from palmfield.transforms import quaternion
 from palmfield.types import Array, Complex, Float
@@ -139,10 +139,10 @@ class Recorder:
 
     def _add_pressed(self, block: Block, skin: SkinModel, posed: PosedScene) -> None:
         """Add ARP on the faces of the body of a skin; a GPU adds up forces without it."""
-        if self.runtime.steps.backend.whole:
+        if self.runtime.steps.in_graph:
             return
         faces = len(skin.closed_surface[1])
-        pressure = self.runtime.steps.pressed(0, skin.body)
+        pressure = self.runtime.steps.host.pressed(0, skin.body)
         arp: Float = np.zeros(faces)
         if pressure is not None:
             *_, numbers = self.runtime.work.radiation.samples(posed, self.runtime.work.unit_forces.skins[skin.body])

@@ -1,3 +1,4 @@
+from .backend import StepTrace as StepTrace
 from .build import model_of as model_of
 from .model import BodyModel as BodyModel
 from .model import HapticModel as HapticModel
@@ -17,5 +18,4 @@ from .spec import SkinSpec as SkinSpec
 from .spec import StimulusSpec as StimulusSpec
 from .state import HapticState as HapticState
 from .state import new_state as new_state
-from .step import StepTrace as StepTrace
 from .workspace import Workspace as Workspace

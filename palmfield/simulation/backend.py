@@ -1,121 +1,128 @@
-"""Interface of backends that replace the stages of a step. The classes here replace none."""
+"""Interface of what computes the steps of worlds, on the host or elsewhere."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from palmfield.device import resolve
 from palmfield.drive.transducer_response import EmittedCourse
-from palmfield.simulation.kept import Rows
+from palmfield.simulation.kept import Bool, Rows
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.sensors import SensorPlace
-from palmfield.skin.stepper import Outside, SkinStepper
+from palmfield.simulation.state import HapticState
+from palmfield.simulation.workspace import Workspace
 from palmfield.stimulus.schedule import Moments
-from palmfield.types import Float, Float32, Int
+from palmfield.types import Complex, Float, Float32
+
+
+class Frames(NamedTuple):
+    """The poses of all worlds at the beginning of a step.
+
+    places [m], axes: of the rows of the layout, shapes (worlds, rows, 3) and (worlds, rows, 9).
+    posed: gives the PosedScenes of some worlds, shape (worlds,): only backends that need them call it.
+    """
+
+    places: Float
+    axes: Float
+    posed: Callable[[Bool], Mapping[int, PosedScene]]
+
+
+@dataclass(frozen=True)
+class StepTrace:
+    """The results of a step, in one world or in several with equal courses. Valid until the next step.
+
+    times: ends of the substeps [s], shape (s,). worlds: their numbers, shape (g,). posed: the pose of each.
+    moments: of the load. levels: of the drives then, complex, shape (g, m, k), as of EmittedCourse.
+    course: gives the whole emission of the i-th of the worlds.
+    begun: gives the emission of the i-th at the beginning, shape (N,).
+    motion: of each skin by stepper, numbers of the worlds (w,) and the watched displacement [m] and velocity [m/s]
+        after each substep, (w, s, 2, m); all worlds watch the same points.
+    """
+
+    times: Float
+    worlds: Rows
+    posed: tuple[PosedScene, ...]
+    moments: Moments
+    levels: Complex
+    course: Callable[[int], EmittedCourse]
+    begun: Callable[[int], Complex]
+    motion: tuple[tuple[tuple[Rows, Float | Float32], ...], ...]
+
+
+Observer = Callable[[StepTrace], None]
 
 
 class Backend:
-    """The stages for one world in a pose. A backend that computes steps elsewhere overrides this. Belongs to one state.
+    """Computes steps of the worlds of a state. `Steps` offers each step to its backends one after the other.
 
-    whole: whether a single step costs least, so that steps are not gathered, and the ARP of bodies stays on the device.
-    course: the emission over the step that has begun and its moments, if it is computed here; None otherwise.
-    stepped: the skins whose step has been computed, each with the size of its state.
-    `forces`, `arp` and `patterns` are called only after `begin` has returned True, which it does not here.
+    A step begins with `place`, `emit`, `press` and `push`, in this order; `sense` follows for each sensor, and
+    `step_skins` when MuJoCo has moved its bodies.
+
+    joined: numbers of the worlds whose present step is computed here, rising, shape (g,).
+    stepped: the skins whose step is computed with its beginning already, each with the size of its state.
+    in_graph: whether a graph computes steps: it must know sensors before the first one, and keeps the ARP of bodies.
     """
 
-    whole = False
+    in_graph = False
 
-    def __init__(self) -> None:
-        self.course: tuple[Moments, EmittedCourse] | None = None
-        self.stepped: list[tuple[int, int]] = []
-
-    def watch(self, skin: int, place: SensorPlace) -> None:
-        """Compute the ARP at the place of a sensor as well, from the next step on."""
-
-    def forget(self) -> None:
-        """Begin again, after a reset or a step that was computed elsewhere."""
-        self.course, self.stepped = None, []
-
-    def begin(self, posed: PosedScene, t0: float, watched: bool) -> bool:
-        """Compute the step that begins at t0 [s] in a pose; False leaves it to the stages.
-
-        watched: whether the drives are recorded
-        """
-        return False
-
-    def forces(self, body: int) -> Float:
-        """Mean force [N] on the parts of a body and torques about their origins [N m], array frame, shape (2, b, 3)."""
-        raise NotImplementedError
-
-    def arp(self, skin: int, place: SensorPlace) -> float:
-        """ARP [Pa] at the beginning of the step at the place of a watched sensor."""
-        raise NotImplementedError
-
-    def patterns(self, skin: int, points: Int | None = None) -> Float32:
-        """ARP [Pa] of the course at the quadrature points of a skin, shape (m, q); points: the numbers of some of them.
-
-        A view that the next step overwrites.
-        """
-        raise NotImplementedError
-
-    def outside(self, skin: int, stepper: SkinStepper) -> Outside | None:
-        """The part of a skin's load outside the class of this stepper; None as in `after`, and without a class."""
-        return None
-
-    def after(self, skin: int, stepper: SkinStepper) -> Float | None:
-        """State of a skin at the end of the step, shape (1, state_size), a view that the next step overwrites.
-
-        None where the step of this stepper is not computed here.
-        """
-        return None
-
-
-class WorldsBackend:
-    """The host stages for all worlds. A backend that computes steps of many from MuJoCo frames overrides this.
-
-    some: whether any world can ever take its step here; joined: numbers of those that take the present one, shape (g,)
-    stepped: as of Backend
-    `sensed` is called only if worlds have joined, which none does here.
-    """
-
-    some = False
-
-    def __init__(self) -> None:
+    def __init__(self, models: Sequence[HapticModel], works: Sequence[Workspace], state: HapticState):
+        self.models, self.works, self.state = models, works, state
         self.joined: Rows = np.zeros(0, dtype=np.intp)
         self.stepped: list[tuple[int, int]] = []
-
-    def watch(self, skin: int, place: SensorPlace) -> None:
-        """Compute the reading of a sensor there as well."""
 
     def forget(self) -> None:
         """The state has not come from here: after a reset, or in a copy."""
 
     def fetch(self) -> None:
-        """Update the state from the device."""
+        """Update the state from a device that has newer numbers."""
 
-    def begin(self, places: Float, axes: Float, t0: float, watched: bool) -> None:
-        """Take the frames of all worlds at the beginning of a step, t0 [s], and compute it in those that can join.
+    def leave_out(self, world: int) -> None:
+        """Another sound than that of the stimuli sounds in a world from now on."""
 
-        places [m], axes: of the rows of the layout, shapes (worlds, rows, 3) and (worlds, rows, 9); watched: whether
-        every substep is recorded, which is not done here
+    def watch(self, skin: int, place: SensorPlace) -> None:
+        """Compute the readings of a sensor there as well, from the next step on."""
+
+    def place(self, frames: Frames, free: Bool, t0: float, watched: bool) -> Rows:
+        """Take the poses at the beginning of a step, t0 [s]; numbers of the worlds that may take it here, rising.
+
+        free: the worlds that no other backend steps, shape (worlds,); watched: whether all substeps are observed
         """
-
-    def mean_forces(self) -> list[Float]:
-        """Forces [N] on the parts of each body and torques about their origins [N m], world axes, shape (g, 2, b, 3).
-
-        In the worlds that have joined: the mean over the step that begins.
-        """
-        return []
-
-    def sensed(self, skin: int, place: SensorPlace) -> tuple[Float, Float]:
-        """ARP [Pa], shape (g,), displacement [m] and velocity [m/s], (g, 2), at the place of a watched sensor."""
         raise NotImplementedError
 
-    def advance(self, skins: bool = True) -> None:
-        """Carry joined worlds, their skins included, to the end of the step; skins: False leaves these unchanged."""
+    def emit(self, t0: float) -> None:
+        """Compute what transducers emit over the step, as far as forces and sensors need it."""
+        raise NotImplementedError
+
+    def press(self) -> Rows:
+        """Compute the ARP for forces and sensors; numbers of the worlds in which it is valid."""
+        raise NotImplementedError
+
+    def push(self, forces: Sequence[Float]) -> None:
+        """Fill the rows of the joined worlds: by body, mean forces over the step [N] and torques about the origins of
+        its parts [N m], world axes, shape (worlds, 2, b, 3)."""
+        raise NotImplementedError
+
+    def sense(self, skin: int, place: SensorPlace, arp: Float, motion: Float) -> None:
+        """Fill the rows of the joined worlds with the readings of a sensor at the beginning of the step.
+
+        arp: [Pa], shape (worlds,); motion: displacement [m] and velocity [m/s], (worlds, 2)
+        """
+        raise NotImplementedError
+
+    def step_skins(self, t0: float, t1: float, skins: bool, observer: Observer | None) -> None:
+        """Carry transducers and skins of the joined worlds from t0 to t1 [s], in place; skins: False leaves them.
+
+        observer: gets the trace of each group of worlds. Raises SceneError for a state of another solver, and where a
+        small model that key `solver` names can't go on.
+        """
+        raise NotImplementedError
 
 
 def serves(model: HapticModel) -> bool:
-    """Whether the sound of a model is computed here: on a GPU, except echoes, boundary elements and 'accurate'."""
+    """Whether graphs compute the sound of a model: on a GPU, except echoes, boundary elements and 'accurate'."""
     fast = model.arrays.precision == "fast" and model.arrays.wall_m is None
     solved = any(skin.spec.config.body_sound == "scattering" for skin in model.skins)
     return resolve(model.spec.device) != "cpu" and fast and not solved

@@ -227,7 +227,7 @@ class Emission:
         courses = []
         for part, drive, place in self.placed(posed, t0):
             courses.append(emitted_over(part.config, drive, part.response, emitted, place, moments))
-        return combined(courses)
+        return courses[0] if len(courses) == 1 else combined(courses)
 
     def path_step(self, posed: PosedScene, t0: float, count: int) -> PathStep | None:
         """The focus over `count` substeps from t0 [s] on, for a device that computes the drives.

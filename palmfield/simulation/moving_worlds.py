@@ -2,8 +2,7 @@
 
 One copy takes in poses and foci; another returns forces, sensor readings and the part of the loads outside the class
 of the modes. Emission and numbers of the skins stay on the device from step to step, and are fetched when they are
-read. Only data for many steps ahead are computed world by world. Any other world is stepped by
-`palmfield.simulation.step`.
+read. Only data for many steps ahead are computed world by world. Any other world is left to the host.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,10 +15,10 @@ from palmfield.acoustics.surface_load import CLEARANCE_M
 from palmfield.device import resolve
 from palmfield.drive.path_drives import PathDrives, aim_of, foci_made, push_rows
 from palmfield.drive.transducer_response import SILENT
-from palmfield.simulation.backend import WorldsBackend
+from palmfield.simulation.backend import Backend, Frames, Observer
 from palmfield.simulation.emission import LEAST_MEANS, array_drives, mean_weights
 from palmfield.simulation.graph_work import FORCE, LOAD, NOW, GraphOf, GraphSizes, GraphWork
-from palmfield.simulation.kept import Bool
+from palmfield.simulation.kept import Bool, Rows
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PoseLayout
 from palmfield.simulation.sensors import SensorPlace
@@ -51,13 +50,18 @@ class _Ahead(NamedTuple):
     means: Float
 
 
-class MovingWorlds(WorldsBackend):
-    """The steps of several worlds, with what they keep from one to the next. Belongs to one state."""
+class MovingWorlds(Backend):
+    """The steps of several worlds, with what they keep from one to the next. Belongs to one state.
+
+    some: whether any world can ever take its step here
+    """
+
+    in_graph = True
 
     def __init__(self, models: Sequence[HapticModel], works: Sequence[Workspace], state: HapticState, alone: bool):
         """alone: whether no other code writes the state, which then stays on the device from step to step"""
-        super().__init__()
-        self.models, self.works, self.state, self._alone = models, works, state, alone
+        super().__init__(models, works, state)
+        self._alone = alone
         self._layout = PoseLayout.of(models[0])
         able = [may_join(model, self._layout) for model in models]
         self.some = any(able)
@@ -69,6 +73,7 @@ class MovingWorlds(WorldsBackend):
         if not self.some:
             return
         self._rings = models[able.index(True)].response_on
+        self._joins: Bool = np.zeros(len(models), dtype=bool)
         self._may: Bool = np.array(able) & [model.response_on == self._rings for model in models]
         self._here: Bool = np.zeros(len(models), dtype=bool)
         self._fetched = True
@@ -88,16 +93,18 @@ class MovingWorlds(WorldsBackend):
             self.fetch()
             self._columns.append(sum(other == skin for other, _ in self._probes))
             self._probes.append((skin, place))
-            self._work = None
+            self._work, self._here[:] = None, False
 
     def forget(self) -> None:
-        if self.some:
-            self._here[:] = False
-            self._fetched = True
+        self._here[:] = False
+        self._fetched = True
+
+    def leave_out(self, world: int) -> None:
+        self._may[world] = False
 
     def fetch(self) -> None:
         work = self._work
-        if not self.some or self._fetched or work is None:
+        if self._fetched or work is None:
             return
         rows = self._here.nonzero()[0]
         begun = work.arrays["path_begun"].numpy().view(np.complex128)[..., 0]
@@ -117,41 +124,43 @@ class MovingWorlds(WorldsBackend):
 
     # -- the beginning of a step ---------------------------------------------------------------------------------------
 
-    def begin(self, places: Float, axes: Float, t0: float, watched: bool) -> None:
-        if not self.some:
-            return
-        joins = self._may & (not watched)
+    def place(self, frames: Frames, free: Bool, t0: float, watched: bool) -> Rows:
+        self.stepped = []
+        joins = self._joins = self._may & free & (not watched)
         end = t0 + self.models[0].spec.timestep_s + TICK_S
         joins &= ~np.logical_or.reduce((self._edges > t0 + TICK_S) & (self._edges <= end), axis=1)
         for part in self.state.skins:
             joins &= part[:, 0] != WHOLE
-        if np.logical_or.reduce(joins):
-            work = self._work or self._made()
-            if work is None:  # what steps a skin is not what was chosen for it
-                self.some, self.joined = False, self.joined[:0]
-                return
-            if self._alone:
-                self._bring(work, joins)
-            else:
-                self._take(work)
-            sounds = self._fill(work, places, axes, t0, joins)
-            work.run(True, True, self._all)
-            joins &= self._good(work, sounds)
+        work = (self._work or self._made()) if np.logical_or.reduce(joins) else None
+        if work is None:
+            joins[:] = False
+            self._release(joins)
+            return joins.nonzero()[0]
+        if self._alone:
+            self._bring(work, joins)
+        else:
+            self._take(work)
+        hosts = work.inputs.hosts
+        hosts["places"][:] = frames.places
+        hosts["axes"][:] = frames.axes.reshape(hosts["axes"].shape)
+        return joins.nonzero()[0]
+
+    def _release(self, joins: Bool) -> None:
+        """Bring the state of worlds that take this step elsewhere back from the device."""
         if np.logical_or.reduce(self._here & ~joins):
             self.fetch()
             self._here &= joins
-        self.joined = joins.nonzero()[0]
-        self.stepped = self._sizes if len(self.joined) else []
 
     def _made(self) -> GraphWork | None:
-        """Memory and graph for what is watched now; None where a skin has no stepper for it. Raises DeviceError where
-        the device has no room."""
+        """Memory and graph for what is watched now; None, now and ever after, where what steps a skin is not what was
+        chosen for it. Raises DeviceError where the device has no room."""
         first = self.models[0]
         steppers: dict[int, DeviceModel] = {}
         for number, skin in enumerate(first.skins):
             count, device = len(skin.layer.quadrature.points), resolve(first.spec.device)
             model = first.begin[number].value.device_model(first.substeps, count, device)
             if model is None:
+                self._may[:] = False
                 return None
             steppers[number] = model
         transducers = Transducers(first.arrays, resolve(first.spec.device))
@@ -225,8 +234,9 @@ class MovingWorlds(WorldsBackend):
             work.arrays[f"before_{number}"].assign(np.ascontiguousarray(numbers))
         self._here = joins.copy()
 
-    def _fill(self, work: GraphWork, places: Float, axes: Float, t0: float, joins: Bool) -> Bool:
-        """Take frames, foci and levels of a step that begins at t0 [s]; in which of these worlds something sounds."""
+    def emit(self, t0: float) -> None:
+        work = self._work
+        assert work is not None
         ahead, step = self._ahead, -1
         if ahead is not None and t0 in ahead.starts:
             step = ahead.starts.index(t0)
@@ -234,8 +244,6 @@ class MovingWorlds(WorldsBackend):
             ahead, step = self._look_ahead(t0), 0
             self._ahead = ahead
         hosts, kinds = work.inputs.hosts, self._kinds
-        hosts["places"][:] = places
-        hosts["axes"][:] = axes.reshape(hosts["axes"].shape)
         hosts["own_foci"][:] = ahead.foci[:, step][kinds]
         levels, means = ahead.levels[:, step], ahead.means[:, step]
         moments = levels.shape[1] - 1
@@ -247,13 +255,22 @@ class MovingWorlds(WorldsBackend):
             sounds |= self._most >= SILENT
         else:
             hosts["weights"][:, 0] = means[kinds]
-        sounds &= joins
+        sounds &= self._joins
         pushes = hosts["weights"].shape[1]
         for name, count in ((LOAD, moments), (FORCE, pushes), (NOW, 1)):
             hosts[f"{name}_counts"][:] = (count * sounds)[:, None]
         hosts["path_counts"][:, 0], hosts["path_counts"][:, 1] = (moments + 1) * sounds, sounds
-        self._levels, self._means = levels, means
-        return np.asarray(sounds)
+        self._levels, self._means, self._sounds = levels, means, sounds
+
+    def press(self) -> Rows:
+        work = self._work
+        assert work is not None
+        work.run(True, True, self._all)
+        self._joins &= self._good(work)
+        self._release(self._joins)
+        joined = self._joins.nonzero()[0]
+        self.stepped = self._sizes if len(joined) else []
+        return joined
 
     def _look_ahead(self, t0: float) -> _Ahead:
         """Foci and levels of AHEAD steps from t0 [s] on."""
@@ -279,13 +296,13 @@ class MovingWorlds(WorldsBackend):
             means.append([mean_arp_factor(config, start, start + timestep_s, count) for start in starts])
         return _Ahead(starts, np.array(foci), np.array(levels), np.array(means))
 
-    def _good(self, work: GraphWork, sounds: Bool) -> Bool:
+    def _good(self, work: GraphWork) -> Bool:
         """The worlds in which the results hold: no body near a board, foci that can be made, loads of the class."""
         hosts = work.results.hosts
         good = np.logical_and.reduce(hosts["heights"] >= CLEARANCE_M, axis=1)
         levels = self._levels[self._kinds]
         quiet = (self._means[self._kinds] == 0.0) & (levels[:, -1] == 0.0)
-        good &= foci_made(hosts["path_totals"], levels[:, :-1], quiet, self._aims[:, 0]) | ~sounds
+        good &= foci_made(hosts["path_totals"], levels[:, :-1], quiet, self._aims[:, 0]) | ~self._sounds
         good &= np.isfinite(np.add.reduce(hosts["forces"], axis=(1, 2)))
         for number in work.of.skins:
             seen = self._seen[number] = _outside(work, number)
@@ -293,35 +310,30 @@ class MovingWorlds(WorldsBackend):
             good &= ~np.asarray(leaves_class(self.models[0], number, np.sqrt(seen.energy / loudest)))
         return np.asarray(good)
 
-    def mean_forces(self) -> list[Float]:
+    def push(self, forces: Sequence[Float]) -> None:
         work, rows = self._work, self.joined
-        if work is None or len(rows) == 0:
-            return []
+        assert work is not None
         turn = work.inputs.hosts["axes"][rows, 0].swapaxes(1, 2)
-        result, start = [], 0
-        for body in self.models[0].bodies:
-            own = work.results.hosts["forces"][rows, start : start + body.parts]
+        start = 0
+        for own in forces:
+            computed = work.results.hosts["forces"][rows, start : start + own.shape[2]]
             # Forces and torques
-            result.append(own.reshape(*own.shape[:2], 2, 3).swapaxes(1, 2) @ turn[:, None])
-            start += body.parts
-        return result
+            own[rows] = computed.reshape(*computed.shape[:2], 2, 3).swapaxes(1, 2) @ turn[:, None]
+            start += own.shape[2]
 
-    def sensed(self, skin: int, place: SensorPlace) -> tuple[Float, Float]:
+    def sense(self, skin: int, place: SensorPlace, arp: Float, motion: Float) -> None:
         work, rows = self._work, self.joined
         assert work is not None
         number = self._probes.index((skin, place))
-        column = self._columns[number]
-        sounding = work.inputs.hosts["now_counts"][rows, 0] > 0
-        arp = np.zeros(len(rows))
-        arp[sounding] = work.results.hosts["probes"][rows, number][sounding]
-        return arp, work.results.hosts[f"read_{skin}"][rows, :, column]
+        sounding = rows[work.inputs.hosts["now_counts"][rows, 0] > 0]
+        arp[sounding] = work.results.hosts["probes"][sounding, number]
+        motion[rows] = work.results.hosts[f"read_{skin}"][rows, :, self._columns[number]]
 
     # -- its end -------------------------------------------------------------------------------------------------------
 
-    def advance(self, skins: bool = True) -> None:
+    def step_skins(self, t0: float, t1: float, skins: bool, observer: Observer | None) -> None:
         work, rows = self._work, self.joined
-        if work is None or len(rows) == 0:
-            return
+        assert work is not None
         if not self._alone:
             self._give(work, skins)
             return

@@ -1,13 +1,13 @@
 """The step of one world in its PosedScenes, in a captured graph on a device, for scenes that `MovingWorlds` refuses.
 
 These have shadows, several stimuli or foci, flight times, predicted paths, or boards that round. The state goes in and
-out in each step. Drives come from the emission; for one moving focus kernels make them. Skins that the device does not
-step are stepped elsewhere under the load that it has computed.
+out in each step. Drives come from the emission; for one moving focus kernels make them. The host steps skins that the
+device does not step, under the load that it has computed.
 """
 
 import cmath
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -19,15 +19,16 @@ from palmfield.device import resolve
 from palmfield.drive.path_drives import PathDrives, foci_made, push_rows
 from palmfield.drive.transducer_response import EmittedCourse, of_drives, present_drive
 from palmfield.errors import PalmfieldError
-from palmfield.simulation.backend import Backend
+from palmfield.simulation.backend import Frames
 from palmfield.simulation.emission import MeanDrives, PathStep
 from palmfield.simulation.graph_work import PURPOSES, GraphOf, GraphSizes, GraphWork
-from palmfield.simulation.kept import Kept
+from palmfield.simulation.host_backend import Group, HostBackend
+from palmfield.simulation.kept import Bool, Kept, Rows
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene, PoseLayout
 from palmfield.simulation.scene_points import MotionRows, motions_of
 from palmfield.simulation.sensors import SensorPlace
-from palmfield.simulation.state import HapticState, at_rest, stepper_of
+from palmfield.simulation.state import HEADER, HapticState, at_rest, stepper_of
 from palmfield.simulation.workspace import Workspace, gather
 from palmfield.skin.stepper import DeviceModel, Outside, SkinStepper
 from palmfield.stimulus.schedule import Moments
@@ -49,19 +50,23 @@ class Sounding(NamedTuple):
         return len(self.units if self.levels is None else self.levels)
 
 
-class SceneGraph(Backend):
-    """The graph of one world, and its results in the step that began last.
+class SceneGraph(HostBackend):
+    """The host of one world, whose sound and skins a graph computes where it can.
 
-    course: of a path without its drives; launches: how many graphs have been launched
+    course: the emission over the step that has begun and its moments, if the graph computes it; of a path without its
+        drives. launches: how many graphs have been launched
     """
 
-    whole = True
+    in_graph = True
+    moves_smoothly = False
 
-    def __init__(self, model: HapticModel, work: Workspace, state: HapticState):
-        super().__init__()
-        self.model, self._work, self._state, self._reference = model, work, state, work.reference
+    def __init__(self, models: Sequence[HapticModel], works: Sequence[Workspace], state: HapticState, alone: bool):
+        super().__init__(models, works, state, alone)
+        self.course: tuple[Moments, EmittedCourse] | None = None
+        model = self.model = models[0]
+        self._work, self._reference = works[0], works[0].reference
         device = resolve(model.spec.device)
-        self._transducers, self._kept = Transducers(model.arrays, device), Kept()
+        self._transducers, self._made = Transducers(model.arrays, device), Kept()
         layout = PoseLayout.of(model)
         self._motions: MotionRows = motions_of(model, layout)
         # Arrays and stimuli stay in the frame of the first array
@@ -71,12 +76,17 @@ class SceneGraph(Backend):
         self._graphs: dict[bool, GraphWork] = {}  # by whether kernels make the drives
         self.launches = 0
         self._now: GraphWork | None = None
-        self._posed = 0  # serial number of the pose that the last launch computed
+        self._computed = 0  # serial number of the pose that the last launch computed
         self._sounding: dict[str, int] = {}  # of what sounded in it
         self._fetched = False
         self._force_scale = 0.0
-        self._present = 0.0  # what sensors read relative to it
+        self._present_factor = 0.0  # on what sensors read
         self._stepped: dict[int, SkinStepper] = {}
+        self._watched = False
+
+    def forget(self) -> None:
+        super().forget()
+        self.course, self.stepped = None, []
 
     def watch(self, skin: int, place: SensorPlace) -> None:
         if (skin, place) not in self._probes:
@@ -85,11 +95,24 @@ class SceneGraph(Backend):
 
     # -- the beginning of a step ---------------------------------------------------------------------------------------
 
-    def begin(self, posed: PosedScene, t0: float, watched: bool) -> bool:
+    def place(self, frames: Frames, free: Bool, t0: float, watched: bool) -> Rows:
+        self.course, self.stepped, self._watched = None, [], watched
+        return super().place(frames, free, t0, watched)
+
+    def hold(self, posed: PosedScene, t0: float) -> None:
+        self.course, self.stepped = None, []
+        super().hold(posed, t0)
+
+    def emit(self, t0: float) -> None:
+        if not self._apart or not self._compute(self._posed[0], t0):
+            super().emit(t0)
+
+    def _compute(self, posed: PosedScene, t0: float) -> bool:
+        """Compute the step that begins at t0 [s] in the graph; False leaves it to the host."""
         emission = self._work.emission
-        emitted = gather(self._state, self._work)
-        self._kept.of("transducers", posed.arrays.serial, self._transducers.move, posed.arrays)
-        path = None if watched else emission.path_step(posed, t0, self.model.substeps)
+        emitted = gather(self.state, self._work)
+        self._made.of("transducers", posed.arrays.serial, self._transducers.move, posed.arrays)
+        path = None if self._watched else emission.path_step(posed, t0, self.model.substeps)
         if path is not None:
             moments, course = path.moments, self._along(posed, path, emitted, t0)
             if course is None:
@@ -132,14 +155,14 @@ class SceneGraph(Backend):
         if not foci_made(totals, path.levels[None], quiet, drives.aim[:1])[0]:
             return None
         np.copyto(course.end, graph.results.hosts["path_end"].view(np.complex128)[0, :, 0])
-        self._force_scale, self._present = 1.0 if drives.rings else path.mean, 1.0
+        self._force_scale, self._present_factor = 1.0 if drives.rings else path.mean, 1.0
         return course
 
     def _path_drives(self, posed: PosedScene, t0: float) -> PathDrives:
         """The function that makes drives of a focus, with the arrays in their present pose."""
         drive, response = self._work.emission.placed(posed, t0)[0].drive, self.model.stimuli[0].response
         given = drive, self._transducers, response.stepper if response.on else None
-        return self._kept.of("drives", posed.arrays.serial, PathDrives, *given, move=lambda one, *_: one.move(drive))
+        return self._made.of("drives", posed.arrays.serial, PathDrives, *given, move=lambda one, *_: one.move(drive))
 
     def _given(
         self, posed: PosedScene, moments: Moments, course: EmittedCourse, mean: MeanDrives, now: EmittedCourse
@@ -153,14 +176,14 @@ class SceneGraph(Backend):
         sums = [1 if one is None else one.sums for one in sounding.values()]
         graph, models = self._room(GraphSizes((drives[0], drives[1], 1), (sums[0], sums[1], 1), 0), None)
         self._take(graph, models, moments, course)
-        serials, changed = dict[str, int](), graph is not self._now or posed.serial != self._posed
+        serials, changed = dict[str, int](), graph is not self._now or posed.serial != self._computed
         for name, one in sounding.items():
             # In silence the last emission gives no new field, but it may sound again
             serials[name] = self._sounding.get(name, 0) if one is None else one.serial
             if one is not None and (changed or self._sounding.get(name) != one.serial):
                 self._tell(graph, name, one)
         sounds = any(one is not None for one in sounding.values()) and (changed or serials != self._sounding)
-        self._present = 0.0 if present is None else factor
+        self._present_factor = 0.0 if present is None else factor
         if sounds or models:
             self._launch(graph, posed, serials, tuple(models), sounds)
         else:
@@ -171,8 +194,8 @@ class SceneGraph(Backend):
         models: dict[int, DeviceModel] = {}
         for number, operator in enumerate(self._work.observe):
             # A skin that has not been stepped may have no stepper: reading forces doesn't make it
-            if operator is None and (self.model.begin[number].made or not at_rest(self._state, number)):
-                model = self._model(number, stepper_of(self.model, self._state, number)[0])
+            if operator is None and (self.model.begin[number].made or not at_rest(self.state, number)):
+                model = self._model(number, stepper_of(self.model, self.state, number)[0])
                 if model is not None:
                     models[number] = model
         known = self._graphs.get(drives is not None)
@@ -192,7 +215,7 @@ class SceneGraph(Backend):
         """The stepper of a skin on the device, None if it is stepped on the CPU; stored."""
         points = len(self.model.skins[skin].layer.quadrature.points)
         given = self.model.substeps, points, self._transducers.device
-        return self._kept.of((skin, stepper), (), stepper.device_model, *given)
+        return self._made.of((skin, stepper), (), stepper.device_model, *given)
 
     def _take(
         self, graph: GraphWork, models: Mapping[int, DeviceModel], moments: Moments, course: EmittedCourse
@@ -201,7 +224,7 @@ class SceneGraph(Backend):
         hosts = graph.inputs.hosts
         for number, model in models.items():
             weights = model.weights(*course.weights(moments))
-            hosts[f"before_{number}"][:] = stepper_of(self.model, self._state, number)[1]
+            hosts[f"before_{number}"][:] = stepper_of(self.model, self.state, number)[1]
             # Other patterns get weight 0: in silence the device still holds the last patterns, in the same number
             hosts[f"weights_{number}"][0] = 0.0
             hosts[f"weights_{number}"][0, :, : weights.shape[1]] = weights
@@ -222,15 +245,15 @@ class SceneGraph(Backend):
         self, graph: GraphWork, posed: PosedScene, serials: dict[str, int], skins: tuple[int, ...], sounds: bool = True
     ) -> None:
         """Compute a step."""
-        moved = sounds and (graph is not self._now or posed.serial != self._posed)
+        moved = sounds and (graph is not self._now or posed.serial != self._computed)
         if moved:
             self._place(graph, posed)
-        kept = (self._posed, self._sounding) if graph is self._now else (0, dict[str, int]())
+        kept = (self._computed, self._sounding) if graph is self._now else (0, dict[str, int]())
         # If it fails, no result is valid
-        self._now, self._posed, self._sounding, self._stepped = None, 0, {}, {}
+        self._now, self._computed, self._sounding, self._stepped = None, 0, {}, {}
         graph.run(moved, sounds, skins)
         self.launches += 1
-        self._now, (self._posed, self._sounding) = graph, ((posed.serial, serials) if sounds else kept)
+        self._now, (self._computed, self._sounding) = graph, ((posed.serial, serials) if sounds else kept)
         self._fetched &= not sounds
         self._stepped = {number: graph.of.skins[number].stepper for number in skins}
 
@@ -260,30 +283,61 @@ class SceneGraph(Backend):
 
     # -- what came out -------------------------------------------------------------------------------------------------
 
-    def forces(self, body: int) -> Float:
-        own = self._motions.bodies[body]
-        if self._now is None or self._force_scale == 0.0:
-            return np.zeros((2, own.stop - own.start, 3))
-        of_parts = self._now.results.hosts["forces"][0, own] * self._force_scale
-        return np.asarray(of_parts.reshape(-1, 2, 3).swapaxes(0, 1))
+    def push(self, forces: Sequence[Float]) -> None:
+        if self.course is None:
+            super().push(forces)
+            return
+        turn = self._posed[0].array_frame.rotation.T
+        for own, force in zip(forces, self.of_bodies(), strict=True):
+            own[0] = force @ turn
 
-    def arp(self, skin: int, place: SensorPlace) -> float:
-        if self._now is None or self._present == 0.0:
-            return 0.0
-        of_place = self._now.results.hosts["probes"][0, self._probes.index((skin, place))]
-        return self._present * float(of_place)
+    def of_bodies(self) -> list[Float]:
+        """The forces that the graph has computed, of each body, array frame, shape (2, b, 3)."""
+        now, scale = self._now, self._force_scale
+        if now is None or scale == 0.0:
+            return [np.zeros((2, own.stop - own.start, 3)) for own in self._motions.bodies]
+        parts = now.results.hosts["forces"][0] * scale
+        return [parts[own].reshape(-1, 2, 3).swapaxes(0, 1) for own in self._motions.bodies]
 
-    def outside(self, skin: int, stepper: SkinStepper) -> Outside | None:
-        if self.after(skin, stepper) is None or self._now is None:
-            return None
-        return self._now.of.skins[skin].outside(self._now.results.hosts[f"sums_{skin}"][0].tolist())
+    def _read_arp(self, skin: int, place: SensorPlace, arp: Float) -> None:
+        if self.course is None:
+            super()._read_arp(skin, place, arp)
+        elif self._now is not None and self._present_factor != 0.0:
+            arp[0] = self._present_factor * self._now.results.hosts["probes"][0, self._probes.index((skin, place))]
 
-    def after(self, skin: int, stepper: SkinStepper) -> Float | None:
-        if self._now is None or self.course is None or self._stepped.get(skin) is not stepper:
-            return None
-        return np.asarray(self._now.results.hosts[f"after_{skin}"])
+    def _course(self, world: int, begun: Complex, t0: float, count: int) -> tuple[Moments, EmittedCourse]:
+        return self.course or super()._course(world, begun, t0, count)
 
-    def patterns(self, skin: int, points: Int | None = None) -> Float32:
+    def _steps_here(self, skin: int, stepper: SkinStepper) -> GraphWork | None:
+        """The graph that has computed the step of a skin by this stepper."""
+        here = self.course is not None and self._stepped.get(skin) is stepper
+        return self._now if here else None
+
+    def _outside(self, group: Group, skin: int, stepper: SkinStepper, at: Rows) -> list[Outside]:
+        now = self._steps_here(skin, stepper)
+        seen = None if now is None else now.of.skins[skin].outside(now.results.hosts[f"sums_{skin}"][0].tolist())
+        return super()._outside(group, skin, stepper, at) if seen is None else [seen]
+
+    def _step(
+        self, group: Group, skin: int, stepper: SkinStepper, worlds: Rows, times: tuple[float, float]
+    ) -> Float | Float32 | None:
+        now = self._steps_here(skin, stepper)
+        if now is None:
+            return super()._step(group, skin, stepper, worlds, times)
+        self._claim(skin, stepper, worlds)
+        self.state.skins[skin][:, HEADER : HEADER + stepper.state_size] = now.results.hosts[f"after_{skin}"]
+        return None
+
+    def _patterns(self, group: Group, skin: int, stepper: SkinStepper, i: int) -> Float32:
+        if self.course is None or len(self.course[1].units) == 0:
+            return super()._patterns(group, skin, stepper, i)
+        return self.load(skin, stepper.points)
+
+    def load(self, skin: int, points: Int | None = None) -> Float32:
+        """ARP [Pa] of the course at the quadrature points of a skin, shape (m, q); points: the numbers of some of them.
+
+        A view that the next step overwrites.
+        """
         assert self._now is not None and self.course is not None
         load = self._now.load
         if not self._fetched:

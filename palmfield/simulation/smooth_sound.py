@@ -139,7 +139,10 @@ class SmoothSound:
         unknown = (joins & self._ringing & ~self._known).nonzero()[0]
         if len(unknown) == 0:
             return alike
-        emitted = np.concatenate([part[unknown] for part in self.state.emitted], axis=1)
+        emitted, start = np.empty((len(unknown), self._units.shape[1]), np.complex128), 0
+        for part in self.state.emitted:
+            emitted[:, start : start + part.shape[1]] = part[unknown]
+            start += part.shape[1]
         units, levels = self._units[unknown], self._held[unknown]
         new = ~_are(emitted, levels, units)
         if np.logical_or.reduce(new):
@@ -201,7 +204,8 @@ class SmoothSound:
         rung, end = ring(self.now, levels.T, moments, stepper)
         silent = ~np.logical_or.reduce(levels, axis=1) & (np.abs(self.now) * self._peaks < SILENT)
         rung *= np.abs(rung) * self._peaks >= SILENT
-        return np.where(self._ringing[:, None], rung.T, levels), np.where(silent, 0.0, end)
+        levels[ringing] = rung.T[ringing]
+        return levels, np.asarray(end * ~silent)
 
     def course(self, world: int, levels: Complex, end: complex) -> EmittedCourse:
         """Result of `over` for a world that has joined: levels, shape (m,), and at the end."""

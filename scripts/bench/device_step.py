@@ -26,6 +26,7 @@ import palmfield
 from palmfield.device import Branches, resolve
 from palmfield.simulation import step as stepping
 from palmfield.simulation.graph_work import GraphWork
+from palmfield.simulation.moving_worlds import MovingWorlds
 from palmfield.simulation.scene_graph import SceneGraph
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -182,7 +183,7 @@ def measure(scene: Path, watch: Stopwatch, options: argparse.Namespace) -> None:
         other = opened(scene, "cpu", argparse.Namespace(device="", accuracy=options.accuracy))
         print(f"  against the CPU over {options.compare} steps: {differences(numbers(other, options.compare), there)}")
     watch.watch(GraphWork, "run", "device")
-    watch.watch(SceneGraph, "patterns", "load fetched")
+    watch.watch(SceneGraph, "load", "load fetched")
     for lazy in (*sim.runtime.model.begin, *sim.runtime.model.whole):
         if lazy.made:
             watch.watch(type(lazy.value), "step", "skin")
@@ -205,10 +206,11 @@ def measure(scene: Path, watch: Stopwatch, options: argparse.Namespace) -> None:
         f"  mj_step of {step_ms:g} ms: p50 {np.median(walls):.3f} ms, p99 {np.quantile(walls, 0.99):.3f}, max "
         f"{max(walls):.3f}; {shown}, Python and MuJoCo {rest:.3f}"
     )
-    graph, moving = sim.steps.backend, sim.steps.moving
+    graph, moving = sim.steps.host, sim.steps.backends[0]
     assert isinstance(graph, SceneGraph)
-    print(f"  graphs of the scene {graph.launches}, in the worlds' graph {len(moving.joined)}")
-    work = moving._work or graph._now
+    joins = isinstance(moving, MovingWorlds)
+    print(f"  graphs of the scene {graph.launches}, in the graph of moving worlds {len(moving.joined) if joins else 0}")
+    work = moving._work if joins else graph._now
     if work is not None:
         by_itself(work, device, options)
 

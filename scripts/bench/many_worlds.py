@@ -29,9 +29,11 @@ PARTS = (
     (SceneWorlds, "_each", "MuJoCo"),
     (SceneWorlds, "_push", "poses, sound and forces"),
     (ManyData, "take", "  poses taken"),
-    (MovingWorlds, "begin", "  sound, skins"),
-    (MovingWorlds, "_fill", "    inputs"),
+    (MovingWorlds, "place", "  frames taken in"),
+    (MovingWorlds, "emit", "  foci and levels"),
+    (MovingWorlds, "press", "  sound, skins"),
     (MovingWorlds, "_good", "    results looked at"),
+    (MovingWorlds, "push", "  forces read"),
     (ManyData, "push", "  forces applied"),
     (SceneWorlds, "_sense", "sensors"),
     (SceneWorlds, "_advance", "states taken over"),
@@ -80,13 +82,13 @@ def main() -> None:
         times.append(time.perf_counter() - start)
     us = 1e6 / given.worlds
     scenes: Any = sim._scenes
-    joined = len(scenes.steps.moving.joined)
+    joined = len(scenes.steps.backends[0].joined)
     print(f"{processor()}, {cores()} cores, {given.device}")
     print(f"{given.scene}, {given.worlds} worlds, {joined} in one graph")
     print(f"ready after {ready_s:.1f} s; {us * statistics.median(times):.1f} us a world and step")
     for _, _, what in PARTS:
         print(f"{what:32} {us * spent[what] / given.steps:7.2f}")
-    work = scenes.steps.moving._work
+    work = scenes.steps.backends[0]._work
     if work is None or given.device == "cpu":
         return
     device = wp.get_device(given.device)

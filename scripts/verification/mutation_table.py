@@ -967,7 +967,7 @@ MUTATIONS = (
     Mutation(
         "level for its square in the load",
         "step_skins",
-        "palmfield/simulation/step.py",
+        "palmfield/simulation/host_backend.py",
         "factors = levels.real**2 + levels.imag**2",
         "factors = np.abs(levels)",
         "tests/simulation/test_gathered_steps.py::test_steps_in_one_go_are_those_of_mujoco[level]",
@@ -975,7 +975,7 @@ MUTATIONS = (
     Mutation(
         "patterns kept in another pose and drive",
         "step_skins",
-        "palmfield/simulation/step.py",
+        "palmfield/simulation/host_backend.py",
         "group.worlds[at].tobytes() + group.keys[at].tobytes()",
         "group.worlds[at].tobytes()",
         "tests/simulation/test_scene_graph.py::test_small_models_are_stepped_on_the_device[reduced-sheets2]",
@@ -983,7 +983,7 @@ MUTATIONS = (
     Mutation(
         "whole layer goes on with the first world's sound",
         "step_skins",
-        "palmfield/simulation/step.py",
+        "palmfield/simulation/host_backend.py",
         "work.radiation, group.begun(i), t0",
         "work.radiation, group.begun(0), t0",
         "tests/session/test_worlds.py::test_small_models_are_left_where_a_body_moves",

@@ -12,7 +12,7 @@ from palmfield.engine import many_data, scene_runtime
 from palmfield.engine.worlds import SceneWorlds
 from palmfield.errors import DeviceError, SceneError
 from palmfield.simulation import build_worlds, sensors
-from palmfield.simulation import step as step_module
+from palmfield.simulation import host_backend
 from palmfield.skin.stepper_choice import StepperChoice
 
 STEPS = 14
@@ -220,7 +220,7 @@ def test_a_world_whose_load_leaves_the_class_goes_on_with_the_whole_layer(small_
 
     together.step(2)
     assert together._scenes._poses._resting.all() and all(one.qpos[0] != 0.0 for one in together.data)
-    monkeypatch.setattr(step_module, "leaves_class", leaves)
+    monkeypatch.setattr(host_backend, "leaves_class", leaves)
     together.step(2)
     assert together.skin().solver == ("modal", *["wedges"] * 8) and len(asked) == 10 and max(asked) < 0.05
     whole = palmfield.Simulation(path, keys={"stimulus.focus_m": foci[5], "skin.solver": "wedges"})

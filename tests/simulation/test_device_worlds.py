@@ -5,7 +5,7 @@ import pytest
 import warp as wp
 
 import palmfield
-from palmfield.simulation import step as step_module
+from palmfield.simulation import host_backend
 from palmfield.skin.reduction.device_worlds import DeviceWorlds
 
 KEYS = {
@@ -30,7 +30,7 @@ def by_device(monkeypatch):
         return self._own.of(skin, (), DeviceWorlds, stepper, len(self.models), "cpu").step
 
     monkeypatch.setattr(DeviceWorlds, "step", step)
-    monkeypatch.setattr(step_module.Steps, "_on_device", of_skin)
+    monkeypatch.setattr(host_backend.HostBackend, "_on_device", of_skin)
     return stepped
 
 

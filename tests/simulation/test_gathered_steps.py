@@ -11,7 +11,7 @@ import pytest
 
 import palmfield
 from palmfield.planning.scene_plan import plan
-from palmfield.simulation import step
+from palmfield.simulation import host_backend, step
 
 PATH: dict[str, object] = {"path": "circle", "path_diameter_m": 0.01, "path_rate_Hz": 100} | dict.fromkeys(
     ("modulation", "am_quantity", "am_frequency_Hz", "am_depth")
@@ -86,8 +86,8 @@ def test_a_carried_pad_is_computed_pose_by_pose_without_its_force(
     scene = still(carried=True, stimulus=PATH, skin={"solver": "modal"})
     sims = [palmfield.Simulation(scene) for _ in range(2)]
     steps, forces = 0, list[int]()
-    push = step.Steps._push_one
-    monkeypatch.setattr(step.Steps, "_push_one", lambda *given: forces.append(1) or push(*given))
+    push = host_backend.HostBackend.push
+    monkeypatch.setattr(host_backend.HostBackend, "push", lambda *given: forces.append(1) or push(*given))
     for sim in sims:
         forces.clear()
         for steps in (4, 6):

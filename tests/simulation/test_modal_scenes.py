@@ -184,9 +184,9 @@ def test_loads_outside_the_class_hand_over_to_the_whole_layer(small_scene, monke
         assert isinstance(stepper, ModalStepper)
         motion(sim, 3)
         assert sim.runtime.state.skins[0][0, 0] == BEGUN
-        whole = sim.steps._outside
+        whole = sim.steps.host._outside
         much = lambda *step, whole=whole: [seen._replace(energy=1e30) for seen in whole(*step)]  # noqa: E731
-        monkeypatch.setattr(sim.steps, "_outside", much)
+        monkeypatch.setattr(sim.steps.host, "_outside", much)
         motion(sim, 1)
     assert chosen.runtime.state.skins[0][0, 0] == WHOLE and chosen.skin().solver == "wedges"
     assert asked.runtime.state.skins[0][0, 0] == BEGUN

@@ -54,7 +54,7 @@ def test_worlds_are_what_each_is_by_itself(
     worlds = by_graph(path, worlds=3, keys=COARSE | differs)
     worlds.start_at(start_s)
     worlds.step(4)
-    assert len(worlds.steps.moving.joined) == 3
+    assert len(worlds.steps.backends[0].joined) == 3
     for world in range(3):
         keys = {name: values[world] for name, values in differs.items()}
         alone = palmfield.Simulation(path, device="cpu", keys=COARSE | keys | {"skin.solver": "modal"})
@@ -86,7 +86,7 @@ def test_copies_and_resets_go_on_from_what_the_device_has(
     worlds.step(2)
     twin.step(2)
     ended, forces = worlds.skin().displacement, worlds.forces
-    assert len(twin.steps.moving.joined) == 2 and np.abs(ended - looked).max() > 0.0
+    assert len(twin.steps.backends[0].joined) == 2 and np.abs(ended - looked).max() > 0.0
     np.testing.assert_array_equal(twin.skin().displacement, ended)
     np.testing.assert_array_equal(twin.forces, forces)
     worlds.start_at(0.1)
@@ -102,7 +102,7 @@ def test_a_step_in_which_a_level_jumps_is_taken_by_each_world_itself(by_graph: C
     joined = []
     for _ in range(5):
         worlds.step()
-        joined.append(worlds.steps.moving.joined.tolist())
+        joined.append(worlds.steps.backends[0].joined.tolist())
     assert joined == [[0, 1], [0, 1], [1], [0, 1], [0, 1]]
     alone = palmfield.Simulation(
         SCENES / "hover_explore.xml", device="cpu", keys=COARSE | {"stimulus.stop_s": 0.1025, "skin.solver": "modal"}
@@ -124,7 +124,7 @@ def test_one_world_takes_the_same_graph(
         sim.start_at(0.1)
         sim.step(3)
     graph, alone = sims
-    assert len(graph.steps.moving.joined) == 1
+    assert len(graph.steps.backends[0].joined) == 1
     kept = np.zeros(mujoco.mj_stateSize(graph.model, STATE))
     mujoco.mj_getState(graph.model, graph.data, kept, STATE)
     twin = copied(graph, monkeypatch)
@@ -161,7 +161,7 @@ def test_worlds_that_a_device_has_no_room_for_are_refused_with_the_number_that_f
     worlds = by_graph(path, worlds=3, keys=COARSE | levels)
     worlds.start_at(0.1)
     worlds.step()
-    work = worlds.steps.moving._work
+    work = worlds.steps.backends[0]._work
     points = work.load.array.size * 4 + sum(part.nbytes for part in (work.inputs, work.results))
     assert points < taken[0] < 3 * 2**24
     monkeypatch.setattr(device, "free_bytes", lambda _: taken[0] // 2)

@@ -16,8 +16,9 @@ from palmfield.device import Branches
 from palmfield.drive.transducer_response import of_drives, rows
 from palmfield.errors import DeviceError, PalmfieldError
 from palmfield.simulation import backend, graph_work, moving_worlds, scene_graph, step, validate
-from palmfield.simulation.backend import serves
+from palmfield.simulation.backend import Frames, serves
 from palmfield.simulation.emission import Emission, of_one
+from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.radiation import Radiation
 from palmfield.simulation.scene_graph import SceneGraph
 from palmfield.simulation.step import Steps
@@ -45,6 +46,18 @@ def by_graph(monkeypatch: pytest.MonkeyPatch) -> Callable[..., palmfield.Simulat
     return opened
 
 
+def at(posed: PosedScene) -> Frames:
+    """One world in this pose."""
+    return Frames(np.zeros((1, 0, 3)), np.zeros((1, 0, 9)), lambda here: {0: posed})
+
+
+def begin(graph: SceneGraph, posed: PosedScene, t0: float) -> None:
+    """Compute the step that begins at t0 [s] there, in the graph."""
+    graph.joined = graph.place(at(posed), np.ones(1, dtype=bool), t0, True)
+    graph.emit(t0)
+    assert graph.course is not None
+
+
 def stages(sim: palmfield.Simulation) -> dict[str, Any]:
     """What the CPU's own stages give for the step that begins now, with the emission of the simulation itself."""
     runtime, work = sim.runtime, sim.runtime.work
@@ -55,7 +68,7 @@ def stages(sim: palmfield.Simulation) -> dict[str, Any]:
     for skin in range(len(runtime.model.skins)):
         loads.append(radiation.many(posed, skin, course.units if len(course.units) == 1 else rows(course)))
     steps = Steps([runtime.model], [Workspace(runtime.model)], runtime.state)
-    steps.begin({0: posed}, now)
+    steps.begin(at(posed), now)
     turn = posed.array_frame.rotation
     forces = [tuple(force[0] @ turn) for force in steps.forces]
     return {"posed": posed, "course": course, "loads": loads, "forces": forces}
@@ -63,10 +76,10 @@ def stages(sim: palmfield.Simulation) -> dict[str, Any]:
 
 def graphs(sim: palmfield.Simulation) -> dict[str, Any]:
     """The same by the graph, in the step that has begun."""
-    runtime, graph = sim.runtime, sim.runtime.steps.backend
+    runtime, graph = sim.runtime, sim.runtime.steps.host
     sim.runtime.body_forces()
-    loads = [graph.patterns(skin).copy() for skin in range(len(runtime.model.skins))]
-    forces = [graph.forces(body) for body in range(len(runtime.model.bodies))]
+    loads = [graph.load(skin).copy() for skin in range(len(runtime.model.skins))]
+    forces = graph.of_bodies()
     return {"loads": loads, "forces": forces}
 
 
@@ -131,14 +144,14 @@ def test_a_moving_focus_is_driven_on_the_device(small_scene: Any, by_graph: Any,
     runtime, work = sim.runtime, sim.runtime.work
     posed, begun, now = runtime.posed, gather(runtime.state, work).copy(), sim.data.time
     runtime.body_forces()
-    known = runtime.steps.backend.course
+    known = runtime.steps.host.course
     assert known is not None
     assert runtime.model.stimuli[0].response.delayed == apart
     _, course = work.emission.over(posed, begun, now, runtime.model.substeps)
     assert np.abs(course.end).max() > 0.1
     np.testing.assert_allclose(known[1].end, course.end, rtol=0.0, atol=1e-12)
     points = np.arange(0, 40, 7)
-    load = runtime.steps.backend.patterns(0, points).copy()
+    load = runtime.steps.host.load(0, points).copy()
     other = Radiation(runtime.model).many(posed, 0, course.units)[:, points]
     np.testing.assert_allclose(load, other, rtol=0.0, atol=3e-5 * np.abs(other).max())
 
@@ -160,8 +173,8 @@ def test_small_models_are_stepped_on_the_device(
     scene = small_scene(stimulus=CIRCLE | NO_WAVE, skin={"accuracy": 0.2, "solver": solver} | sheets)
     here, there = palmfield.Simulation(scene), by_graph(scene)
     taken = []
-    after = SceneGraph.after
-    monkeypatch.setattr(SceneGraph, "after", lambda *a: taken.append(after(*a)) or taken[-1])
+    steps_here = SceneGraph._steps_here
+    monkeypatch.setattr(SceneGraph, "_steps_here", lambda *a: taken.append(steps_here(*a)) or taken[-1])
     for sim in (here, there):
         # From a reset on the stepper is there, so that the device takes the first step as well
         sim.step(2)
@@ -170,7 +183,7 @@ def test_small_models_are_stepped_on_the_device(
     for _ in range(8):
         here.step()
         there.step()
-    assert len(taken) >= 8 and all(end is not None for end in taken)
+    assert len(taken) >= 8 and all(graph is not None for graph in taken)
     stepper = there.runtime.model.begin[0].value
     assert isinstance(stepper, ModalStepper) == (solver == "modal") and getattr(stepper, "coupled", False) == bool(
         sheets
@@ -251,11 +264,11 @@ def test_one_launch_a_step_and_none_where_only_the_level_changes(small_scene: An
         sims.append(by_graph(scene))
     for sim, expected in zip(sims, (10, 0), strict=True):
         sim.step(3)
-        before = sim.runtime.steps.backend.launches
+        before = sim.runtime.steps.host.launches
         for _ in range(10):
             mujoco.mj_step(sim.model, sim.data)
         palmfield.raise_errors(sim.data)
-        assert sim.runtime.steps.backend.launches - before == expected
+        assert sim.runtime.steps.host.launches - before == expected
 
 
 def test_a_step_runs_few_python_functions(by_graph: Any, python_calls: Any) -> None:
@@ -281,7 +294,7 @@ def test_a_copy_goes_on_by_itself(small_scene: Any, by_graph: Any, monkeypatch: 
     twin = sim.copy()
     sim.step(4)
     twin.step(4)
-    assert twin.runtime.steps.backend is not sim.runtime.steps.backend and twin.runtime.steps.backend.whole
+    assert twin.runtime.steps.host is not sim.runtime.steps.host and twin.runtime.steps.in_graph
     np.testing.assert_array_equal(twin.data.sensordata, sim.data.sensordata)
 
 
@@ -290,7 +303,7 @@ def test_more_drives_than_before_take_more_room(
 ) -> None:
     sim = by_graph(small_scene())
     sim.step(2)
-    runtime, graph = sim.runtime, sim.runtime.steps.backend
+    runtime, graph = sim.runtime, sim.runtime.steps.host
     posed = runtime.posed
     rng = np.random.default_rng(0)
     drives = np.exp(2j * np.pi * rng.uniform(size=(11, 256)))
@@ -300,8 +313,8 @@ def test_more_drives_than_before_take_more_room(
         monkeypatch.setattr(Emission, "over", lambda *_, wanted=wanted: (moments, wanted))
         monkeypatch.setattr(graph, "_take", lambda *_: None)
         expected = Radiation(runtime.model).many(posed, 0, wanted.units)
-        assert graph.begin(posed, sim.data.time, True)
-        assert np.abs(graph.patterns(0) - expected).max() < 3e-5 * expected.max()
+        begin(graph, posed, sim.data.time)
+        assert np.abs(graph.load(0) - expected).max() < 3e-5 * expected.max()
 
 
 @pytest.mark.parametrize("response", ["off", "on"])
@@ -330,7 +343,7 @@ def test_what_sounded_last_does_not_push_in_silence(small_scene: Any, by_graph: 
 def test_silence_pushes_nothing(small_scene: Any, by_graph: Any) -> None:
     sim = by_graph(small_scene(stimulus={"start_s": 0.004}))
     sim.step(3)
-    assert sim.runtime.steps.backend.launches == 0
+    assert sim.runtime.steps.host.launches == 0
     assert not sim.forces.any() and not sim.data.sensordata.any()
     sim.step(3)
     assert sim.forces.any()
@@ -345,11 +358,11 @@ def test_what_is_not_finite_is_named(small_scene: Any, by_graph: Any, monkeypatc
     with monkeypatch.context() as patch:
         patch.setattr(Emission, "mean_drives", lambda *_: of_one(drive[None], 1.0, 1))
         with pytest.raises(PalmfieldError, match=r"drive of transducer 7 = .*nan.* is not finite"):
-            sim.runtime.steps.backend.begin(posed, now, True)
+            begin(sim.runtime.steps.host, posed, now)
     posed.bodies[0].frame.position[1] = np.inf
-    graph = SceneGraph(sim.runtime.model, sim.runtime.work, sim.runtime.state)
+    graph = SceneGraph([sim.runtime.model], [sim.runtime.work], sim.runtime.state, False)
     with pytest.raises(PalmfieldError, match=r"pose of 'pad' at .*inf.* is not finite"):
-        graph.begin(posed, now, True)
+        begin(graph, posed, now)
 
 
 @pytest.mark.parametrize("at", ["build", "step"])
@@ -407,7 +420,7 @@ def test_a_gpu_gives_what_the_cpu_gives(small_scene: Any, path: dict[str, object
     for _ in range(8):
         for sim in (here, *there):
             sim.step()
-        assert there[0].runtime.steps.backend.whole
+        assert there[0].runtime.steps.in_graph
         np.testing.assert_array_equal(there[0].data.sensordata, there[1].data.sensordata)
         mine, its = (sim.data.sensordata for sim in (here, there[0]))
         np.testing.assert_allclose(its[2:5], mine[2:5], rtol=1e-4, atol=1e-12)

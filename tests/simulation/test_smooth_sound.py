@@ -73,7 +73,7 @@ def test_many_worlds_of_other_levels_have_one_field(small_scene):
     scene = small_scene(skin={"solver": "wedges", "accuracy": 0.5})
     worlds = palmfield.Simulation(scene, worlds=SHARED_FROM, keys={"stimulus.drive_amplitude": levels})
     worlds.step(4)
-    assert len(np.unique(worlds.steps.smooth.serials)) == 1
+    assert len(np.unique(worlds.steps.host.smooth.serials)) == 1
     for world in (0, 17, SHARED_FROM - 1):
         alone = palmfield.Simulation(scene, keys={"stimulus.drive_amplitude": levels[world]})
         alone.step(4)

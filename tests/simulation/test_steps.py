@@ -11,6 +11,7 @@ import pytest
 
 import palmfield
 from palmfield.acoustics import surface_arp
+from palmfield.simulation.backend import Frames
 from palmfield.simulation.state import HEADER, new_state
 from palmfield.simulation.step import Steps
 from palmfield.simulation.workspace import Workspace
@@ -71,8 +72,9 @@ def test_a_state_of_its_own_steps_as_mujocos_does(small_scene, solver):
     def on(state, first, last):
         work = Workspace(model)
         steps = Steps([model], [work], state)
+        frames = Frames(np.zeros((1, 0, 3)), np.zeros((1, 0, 9)), lambda here: {0: work.reference})
         for number in range(first, last):
-            steps.begin({0: work.reference}, number * timestep_s)
+            steps.begin(frames, number * timestep_s)
             steps.advance(number * timestep_s, (number + 1) * timestep_s)
 
     state = new_state(model)

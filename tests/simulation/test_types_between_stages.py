@@ -9,11 +9,12 @@ from palmfield.acoustics.arp import SurfaceSound
 from palmfield.drive.array_drive import ArrayDrive
 from palmfield.drive.transducer_response import EmittedCourse
 from palmfield.motion.pose import HandPose
+from palmfield.simulation.backend import Frames, StepTrace
 from palmfield.simulation.emission import Emission
 from palmfield.simulation.posed_scene import PosedScene, posed_scene
 from palmfield.simulation.radiation import Radiation
 from palmfield.simulation.sensors import SkinReading, channels
-from palmfield.simulation.step import Steps, StepTrace
+from palmfield.simulation.step import Steps
 from palmfield.skin.stepper import Reader, SkinStepper, SurfaceLoads
 from palmfield.stimulus.focal_points import FocalPoints
 from palmfield.stimulus.schedule import Moments
@@ -29,7 +30,7 @@ from palmfield.stimulus.schedule import Moments
         (Radiation.patterns, {PosedScene, EmittedCourse}, set()),
         (SkinStepper.step, {SurfaceLoads, Reader}, set()),
         (channels, {SkinReading}, set()),
-        (Steps.begin, {PosedScene}, set()),
+        (Steps.begin, {Frames}, set()),
     ],
 )
 def test_stages_meet_in_types_of_their_own(stage, takes, gives):
@@ -42,7 +43,8 @@ def test_stages_meet_in_types_of_their_own(stage, takes, gives):
 
 
 @pytest.mark.parametrize(
-    "handed", [EmittedCourse, FocalPoints, HandPose, Moments, SkinReading, StepTrace, SurfaceLoads, SurfaceSound]
+    "handed",
+    [EmittedCourse, Frames, FocalPoints, HandPose, Moments, SkinReading, StepTrace, SurfaceLoads, SurfaceSound],
 )
 def test_what_is_handed_on_is_immutable_with_typed_parts(handed):
     fields = get_type_hints(handed)

@@ -6,10 +6,10 @@ from numpy.typing import NDArray
 from palmfield.session.loudest_moment import LoudestMoment
 from palmfield.session.recorder import Emitted, emitted_at, emitted_at_ends
 from palmfield.session.simulation import Simulation
+from palmfield.simulation.backend import StepTrace
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.sensors import CHANNELS
 from palmfield.simulation.state import at_rest
-from palmfield.simulation.step import StepTrace
 from palmfield.types import Float, Float32
 
 NORMAL = list(CHANNELS).index("normal_displacement_m")

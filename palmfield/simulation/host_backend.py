@@ -1,0 +1,521 @@
+"""The stages of a step on the host, for all worlds that no graph steps.
+
+Worlds whose sound one number determines are computed together, others one after the other; both give drives, forces
+and loads in one form. Data that a step hands to the next are stored under serial numbers of poses and drives.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from operator import call
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+
+from palmfield.device import resolve
+from palmfield.drive.transducer_response import EmittedCourse, present_drive
+from palmfield.errors import naming_world
+from palmfield.simulation.backend import Backend, Frames, Observer, StepTrace
+from palmfield.simulation.emission import MeanDrives
+from palmfield.simulation.kept import Bool, Kept, Rows, Serials
+from palmfield.simulation.model import HapticModel
+from palmfield.simulation.posed_scene import PosedScene
+from palmfield.simulation.sensors import SensorPlace
+from palmfield.simulation.small_models.leaving import (
+    continue_on_whole_layer,
+    leaves_class,
+    leaves_small_model,
+)
+from palmfield.simulation.smooth_sound import SmoothSound
+from palmfield.simulation.state import (
+    BEGUN,
+    HEADER,
+    WHOLE,
+    HapticState,
+    check_arrays,
+    claim,
+    stepper_of,
+    untouched,
+)
+from palmfield.simulation.workspace import Workspace, gather, scatter
+from palmfield.skin.stepper import DeviceStep, Outside, SkinStepper, SurfaceLoads
+from palmfield.stimulus.schedule import Moments, substep_moments
+from palmfield.types import Complex, Float, Float32
+
+T = TypeVar("T")
+ONE: Float = np.ones((1, 1, 1))
+KEPT = 64
+"""Ways in which worlds were shared out among steppers."""
+
+
+class Sounding(NamedTuple):
+    """A drive in each of some worlds, and its share in the ARP there.
+
+    worlds: their numbers, rising, shape (g,); keys: serial numbers of pose and drive, shape (g, 2)
+    factors: on the ARP of the drive, shape (g,); unit: gives the drive of a world by its number, shape (N,)
+    """
+
+    worlds: Rows
+    keys: Serials
+    factors: Float
+    unit: Callable[[int], Complex]
+
+
+class Group(NamedTuple):
+    """Worlds whose loads have the same form over a step.
+
+    worlds: their numbers, shape (g,); keys: serial numbers of pose and course, shape (g, 2), 0 for silence
+    levels, course, begun: as of StepTrace; first, last: shares of the patterns at the ends of the substeps, (g, s, p)
+    """
+
+    worlds: Rows
+    keys: Serials
+    moments: Moments
+    levels: Complex
+    course: Callable[[int], EmittedCourse]
+    begun: Callable[[int], Complex]
+    first: Float
+    last: Float
+
+
+class HostBackend(Backend):
+    """The stages for all worlds, or for those that no other backend steps.
+
+    smooth: the worlds whose sound one number determines.
+    """
+
+    moves_smoothly = True
+    """Whether a world with a new pose in every step may be one of `smooth`."""
+
+    def __init__(self, models: Sequence[HapticModel], works: Sequence[Workspace], state: HapticState, alone: bool):
+        """alone: whether no other code writes the state"""
+        super().__init__(models, works, state)
+        worlds, first = len(models), models[0]
+        able = [self.moves_smoothly or all(skin.settles for skin in model.skins) for model in models]
+        self.smooth = SmoothSound(models, [work.emission for work in works], state, able, alone)
+        self._several, self._device = worlds > 1, resolve(first.spec.device)
+        self._states = [state.world(world) for world in range(worlds)] if worlds > 1 else [state]
+        self._in: Callable[..., Any] = self._named if worlds > 1 else call
+        self._force = partial(self._named, self._unit_force) if worlds > 1 else self._unit_force
+        self._reading = partial(self._named, self._probe) if worlds > 1 else self._probe
+        self._posed: list[PosedScene] = [work.reference for work in works]
+        self._poses: Serials = np.zeros(worlds, np.int64)
+        self._apart: list[int] = []
+        self._smooth_keys: Serials = np.zeros((0, 2), np.int64)
+        # The mean over the step: drives that are summed up; by body one drive a world, or ARP at the samples by world
+        self._means: dict[int, MeanDrives] = {}
+        self._singles: list[list[Sounding]] = [[] for _ in first.bodies]
+        self._pressed: list[dict[int, Float]] = [{} for _ in first.bodies]
+        # What sounds at the beginning of the step, where a sensor has read it
+        self._present: list[Sounding] | None = None
+        # Of one drive a world: forces by body, what lies outside the modes' class, and stacks of patterns by skin
+        self._kept = Kept(worlds)
+        # ARP of one drive a world by sensor, and what steps skins on a device: a copy of the state has its own of both
+        self._own = Kept(worlds)
+        # The pose in which a small model was last found to serve, by skin and world
+        self._served: Serials = np.zeros((len(first.skins), worlds), np.int64)
+        # Whether the first stepper of a skin is valid in any pose and course
+        self._anywhere = [False] * len(first.skins)
+        self._shared_out: dict[tuple[int, bytes, bytes], list[tuple[SkinStepper, Rows]]] = {}
+
+    def forget(self) -> None:
+        self._served[:] = 0
+        self.smooth.forget()
+
+    def leave_out(self, world: int) -> None:
+        self.smooth.leave_out(world)
+
+    def adopt(self, other: "HostBackend") -> None:
+        """Continue from another one, in a copy of its state in the same PosedScenes."""
+        self.smooth.adopt(other.smooth)
+        self._posed, self._poses, self._served = list(other._posed), other._poses.copy(), other._served.copy()
+        self._kept.adopt(other._kept)
+
+    # -- the beginning of a step ---------------------------------------------------------------------------------------
+
+    def place(self, frames: Frames, free: Bool, t0: float, watched: bool) -> Rows:
+        posed = frames.posed(free)
+        for world, now in posed.items():
+            self._posed[world], self._poses[world] = now, now.serial
+        self._present = None
+        self._means.clear()
+        for singles, pressed in zip(self._singles, self._pressed, strict=True):
+            singles.clear()
+            pressed.clear()
+        self._apart = self.smooth.begin(posed, t0)
+        for world in self._apart:
+            emission = self.works[world].emission
+            if emission.holds or emission.coming:
+                self._in(self._hold_points, world, t0)
+        if not self._apart:
+            return self.smooth.joined
+        apart = np.array(self._apart, np.intp)
+        return np.sort(np.concatenate([self.smooth.joined, apart])) if self._several else apart
+
+    def hold(self, posed: PosedScene, t0: float) -> None:
+        """Take the pose of the only world for several steps from t0 [s] on."""
+        self._posed[0], self._poses[0], self._apart = posed, posed.serial, [0]
+        self.smooth.forget()
+        self.smooth.joined = self.smooth.joined[:0]
+        self._hold_points(0, t0)
+        self.works[0].look_ahead(posed)
+
+    def _hold_points(self, world: int, t0: float) -> None:
+        """Take the points of stimuli whose control tick is due; after a reset nothing is held or looked at ahead."""
+        emission = self.works[world].emission
+        if untouched(self._states[world]):
+            emission.forget()
+        if emission.holds:
+            emission.begin(self._posed[world], t0)
+
+    def emit(self, t0: float) -> None:
+        self._begun_s = t0
+        joined = self.smooth.joined
+        if len(joined):
+            # Serial numbers of poses and unit drives
+            self._smooth_keys = np.array([self._poses[joined], self.smooth.serials[joined]]).T
+            mean = self._loud(self.smooth.mean_factors())
+            for singles in self._singles:
+                singles.append(mean)
+        for world in self._apart:
+            self._in(self._emit_one, world, t0)
+
+    def _loud(self, factors: Float) -> Sounding:
+        """Those worlds of `smooth` whose unit drive sounds; factors: on its ARP, shape (g,)."""
+        loud = factors > 0.0
+        return Sounding(self.smooth.joined[loud], self._smooth_keys[loud], factors[loud], self.smooth.unit)
+
+    def _emit_one(self, world: int, t0: float) -> None:
+        """The mean drives of a world by itself."""
+        work, posed = self.works[world], self._posed[world]
+        work.look_ahead(posed)
+        mean = work.emission.mean_drives(posed, gather(self._states[world], work), t0)
+        if len(mean.weights):
+            self._means[world] = mean
+
+    def press(self) -> Rows:
+        for world, mean in self._means.items():
+            self._in(self._press_one, world, mean)
+        return self.joined
+
+    def _press_one(self, world: int, mean: MeanDrives) -> None:
+        """The mean ARP of a world at the samples of each body; that of one drive is left to `push`, which stores it."""
+        work, posed = self.works[world], self._posed[world]
+        for body, pressed in enumerate(self._pressed):
+            arp = work.mean_pressure(posed, body, mean)
+            if arp is not None:
+                pressed[world] = np.asarray(arp, np.float64)
+                continue
+            self._singles[body].append(self._single(world, mean.weights, mean.units[0], mean.serial))
+
+    def _single(self, world: int, factors: Float, drive: Complex, serial: int) -> Sounding:
+        """One drive in one world."""
+        keys = np.array([[self._poses[world], serial]])
+        return Sounding(np.array([world]), keys, factors, {world: drive}.__getitem__)
+
+    def push(self, forces: Sequence[Float]) -> None:
+        for body, own in enumerate(forces):
+            own[self.joined] = 0.0
+            for one in self._singles[body]:
+                made = self._kept.rows(body, own.shape[1:], one.worlds, one.keys, self._force, body, one)
+                own[one.worlds] = one.factors[:, None, None, None] * made
+            for world, arp in self._pressed[body].items():
+                posed = self._posed[world]
+                force = self.works[world].unit_forces.pressed(posed, body, arp)
+                own[world] = force @ posed.array_frame.rotation.T
+
+    def _unit_force(self, world: int, body: int, one: Sounding) -> Float:
+        """The force of the drive of a world on a body, world axes, shape (2, b, 3)."""
+        posed, serial = self._posed[world], int(one.keys[one.worlds.searchsorted(world), 1])
+        force = self.works[world].unit_forces.under(posed, body, one.unit(world), serial)
+        return np.asarray(force @ posed.array_frame.rotation.T)
+
+    def pressed(self, world: int, body: int) -> Float | None:
+        """The mean ARP [Pa] at the samples of a body in the step that began last, shape (n,); None in silence."""
+        work, posed = self.works[world], self._posed[world]
+        for one in self._singles[body]:
+            for i in (one.worlds == world).nonzero()[0].tolist():
+                sound = work.radiation.on(
+                    posed, work.unit_forces.skins[body], "samples", one.unit(world), int(one.keys[i, 1])
+                )
+                return np.asarray(one.factors[i] * sound.arp.astype(np.float64))
+        return self._pressed[body].get(world)
+
+    def sense(self, skin: int, place: SensorPlace, arp: Float, motion: Float) -> None:
+        self._read_arp(skin, place, arp)
+        part, here = self.state.skins[skin], self.joined
+        begun = here[part[here, 0] != 0.0]
+        if not self._several and len(begun):
+            stepper_of(self.models[0], self.state, skin)  # refuses the state of another model
+        for stepper, own in self.steppers(skin, begun):
+            read = stepper.read(part[own, HEADER : HEADER + stepper.state_size], place.reader(stepper))
+            motion[own] = read[..., 0]
+
+    def _read_arp(self, skin: int, place: SensorPlace, arp: Float) -> None:
+        """Fill the rows of the joined worlds with the ARP at a sensor [Pa], shape (worlds,)."""
+        if self._present is None:
+            self._present = [self._loud(self.smooth.present_factors())] if len(self.smooth.joined) else []
+            for world in self._apart:
+                self._present += self._in(self._sounds_now, world)
+        for one in self._present:
+            made = self._own.rows(place, (), one.worlds, one.keys, self._reading, skin, place, one)
+            arp[one.worlds] = one.factors * made
+
+    def _sounds_now(self, world: int) -> list[Sounding]:
+        """What sounds at the beginning of the step in a world by itself; empty in silence."""
+        work, posed = self.works[world], self._posed[world]
+        # What `emit` has gathered
+        course = work.emission.now(posed, work.amplitudes, self._begun_s)
+        drive, factor = present_drive(course)
+        return [] if drive is None else [self._single(world, np.array([factor]), drive, course.serial)]
+
+    def _probe(self, world: int, skin: int, place: SensorPlace, one: Sounding) -> float:
+        """ARP at a sensor [Pa] of the drive of a world."""
+        posed = self._posed[world]
+        body = posed.bodies[self.models[0].skins[skin].body]
+        points, normals = body.moved(place.probe.closest, place.probe.normals, place.binding)
+        radiation = self.works[world].radiation
+        return float(radiation.at(posed, skin, "probe", points, normals, one.unit(world)).arp[0])
+
+    # -- its end -------------------------------------------------------------------------------------------------------
+
+    def step_skins(self, t0: float, t1: float, skins: bool, observer: Observer | None) -> None:
+        joined = self.smooth.joined
+        new = joined[self.state.arrays[0][joined, 0] != BEGUN] if self._several else joined
+        for world in [*new.tolist(), *self._apart]:
+            self._in(self._check, world)
+        if len(joined):
+            self._step_smooth(t0, t1, skins, observer)
+        for world in self._apart:
+            self._in(self._step_one, world, t0, t1, skins, observer)
+
+    def _check(self, world: int) -> None:
+        """Begin a run in a state without a writer; SceneError for the state of another model."""
+        if check_arrays(self.models[world], self._states[world]):
+            self.works[world].begin_run()
+            self._served[:, world] = 0
+
+    def _step_smooth(self, t0: float, t1: float, skins: bool, observer: Observer | None) -> None:
+        """`step_skins` in the worlds whose sound one level determines."""
+        model, smooth = self.models[0], self.smooth
+        worlds, moments = smooth.joined, substep_moments((), t0, model.step_s, model.substeps)
+        levels, end = smooth.over(moments)
+        if skins:
+            factors = levels.real**2 + levels.imag**2
+            keys = self._smooth_keys.copy()
+            keys[:, 1] *= np.logical_or.reduce(factors, axis=1)
+            begun = smooth.now[worlds]
+            group = Group(
+                worlds,
+                keys,
+                moments,
+                levels[..., None],
+                lambda i: smooth.course(int(worlds[i]), levels[i], end[i]),
+                lambda i: begun[i] * smooth.unit(int(worlds[i])),
+                (factors @ moments.first.T)[..., None],
+                (factors @ moments.last.T)[..., None],
+            )
+            self._step_group(group, t0, t1, observer)
+        smooth.advance(end)
+
+    def _step_one(self, world: int, t0: float, t1: float, skins: bool, observer: Observer | None) -> None:
+        """`step_skins` in a world that is stepped here alone."""
+        model, work, posed, state = self.models[world], self.works[world], self._posed[world], self._states[world]
+        begun = gather(state, work)
+        count = round((t1 - t0) / model.step_s)
+        moments, course = self._course(world, begun, t0, count)
+        if skins:
+            first, last = course.weights(moments)
+            keys = np.array([[posed.serial, course.serial]])
+            levels = course.levels[None]
+            group = Group(
+                np.array([world]), keys, moments, levels, lambda _: course, lambda _: begun, first[None], last[None]
+            )
+            self._step_group(group, t0, t1, observer)
+        if model.response_on:
+            scatter(state, course.end)
+
+    def _course(self, world: int, begun: Complex, t0: float, count: int) -> tuple[Moments, EmittedCourse]:
+        """The emission of a world by itself over some substeps; begun: at t0 [s], shape (N,)."""
+        return self.works[world].emission.over(self._posed[world], begun, t0, count)
+
+    def _step_group(self, group: Group, t0: float, t1: float, observer: Observer | None) -> None:
+        """Step the skins of a group of worlds, in place, and hand on what is watched."""
+        motion = []
+        for skin in range(len(self.models[0].skins)):
+            if not self._anywhere[skin]:
+                self._leave_small_models(group, skin, t0)
+            steppers = self.steppers(skin, group.worlds)
+            if self._leave_class(group, skin, steppers, t0):
+                steppers = self.steppers(skin, group.worlds)
+            watched = []
+            for stepper, own in steppers:
+                seen = self._step(group, skin, stepper, own, (t0, t1))
+                if seen is not None:
+                    watched.append((own, seen))
+            motion.append(tuple(watched))
+        if observer is not None:
+            model, worlds = self.models[0], group.worlds
+            times = t0 + model.step_s * np.arange(1, group.first.shape[1] + 1, dtype=np.float64)
+            posed = tuple([self._posed[world] for world in worlds.tolist()])
+            observer(
+                StepTrace(times, worlds, posed, group.moments, group.levels, group.course, group.begun, tuple(motion))
+            )
+
+    def _leave_small_models(self, group: Group, skin: int, t0: float) -> None:
+        """Turn small models into whole layers where something has moved."""
+        worlds, served = group.worlds, self._served[skin]
+        moved = (served[worlds] != self._poses[worlds]) & (self.state.skins[skin][worlds, 0] != WHOLE)
+        if not np.logical_or.reduce(moved):
+            return
+        steppers = [model.begin[skin].value for model in self.models]
+        self._anywhere[skin] = all(one.any_pose and one.any_course for one in steppers)
+        for i in moved.nonzero()[0].tolist():
+            world = int(worlds[i])
+            if self._in(self._leaves, world, skin, t0):
+                self._continue_whole(group, i, skin, t0)
+            # One that serves only from the beginning of the sound on must be looked at again, and so where points are
+            # held
+            elif not self.works[world].emission.holds and self.models[world].begin[skin].value.any_course:
+                served[world] = self._poses[world]
+
+    def _leaves(self, world: int, skin: int, t0: float) -> bool:
+        """Whether the small model of a skin is no longer valid."""
+        work, state = self.works[world], self._states[world]
+        return leaves_small_model(
+            self.models[world], state, skin, self._posed[world], work.reference, work.emission, t0
+        )
+
+    def _continue_whole(self, group: Group, i: int, skin: int, t0: float) -> None:
+        """Continue with the whole layer from the motion of a skin in the i-th world."""
+        world = int(group.worlds[i])
+        work, state = self.works[world], self._states[world]
+        continue_on_whole_layer(
+            self.models[world], state, skin, self._posed[world], work.emission, work.radiation, group.begun(i), t0
+        )
+
+    def _leave_class(
+        self,
+        group: Group,
+        skin: int,
+        steppers: Sequence[tuple[SkinStepper, Rows]],
+        t0: float,
+    ) -> bool:
+        """Measure the part of the loads outside the class of a skin's modes; if large, the whole layer takes over.
+
+        Returns whether any world does so.
+        """
+        left = False
+        for stepper, own in steppers:
+            if not stepper.of_class:
+                continue
+            at = group.worlds.searchsorted(own)
+            for i, seen in zip(at.tolist(), self._outside(group, skin, stepper, at), strict=True):
+                world = int(group.worlds[i])
+                model, work = self.models[world], self.works[world]
+                if leaves_class(model, skin, work.outside_share(skin, stepper, seen)):
+                    self._continue_whole(group, i, skin, t0)
+                    left = True
+        return left
+
+    def _outside(self, group: Group, skin: int, stepper: SkinStepper, at: Rows) -> list[Outside]:
+        """The part of the loads on a skin outside the class of its modes, in the worlds at some places of a group."""
+        worlds = group.worlds[at]
+        first, last = group.first[at], group.last[at]
+        pressure, fixed = self._stack(group, skin, stepper, at)
+        if not fixed or not self._several:
+            return [stepper.outside(SurfaceLoads(pressure, first, last))]
+        mixed = stepper.mixed(SurfaceLoads(np.zeros(0), first, last))
+        squares = np.add.reduce(mixed**2, axis=(1, 2))
+
+        def of_unit(world: int) -> Float:
+            i = worlds.searchsorted(world)
+            return np.array(stepper.outside(SurfaceLoads(pressure[i : i + 1], ONE, ONE)))
+
+        units = self._kept.rows(("outside", skin), (len(Outside._fields),), worlds, group.keys[at], of_unit)
+        return [Outside(*row) for row in (squares[:, None] * units).tolist()]
+
+    def _patterns(self, group: Group, skin: int, stepper: SkinStepper, i: int) -> Float32:
+        """Patterns of ARP in the i-th world of a group [Pa], shape (p, n)."""
+        world = int(group.worlds[i])
+        posed, course = self._posed[world], group.course(i)
+        return self.works[world].patterns(posed, skin, stepper, course)
+
+    def _step(
+        self,
+        group: Group,
+        skin: int,
+        stepper: SkinStepper,
+        worlds: Rows,
+        times: tuple[float, float],
+    ) -> Float | Float32 | None:
+        """Step a skin in some worlds by one stepper; all of them watch the points that the first one watches."""
+        part, numbers = self.state.skins[skin], slice(HEADER, HEADER + stepper.state_size)
+        self._claim(skin, stepper, worlds)
+        at = group.worlds.searchsorted(worlds)
+        pressure, fixed = self._stack(group, skin, stepper, at)
+        loads = SurfaceLoads(pressure, group.first[at], group.last[at], fixed)
+        together = self._several and int(worlds[0]) not in self._apart
+        step = (self._on_device(skin, stepper) if together else None) or stepper.step
+        work = self.works[worlds[0]]
+        reader = None if work.observe[skin] is None else work.reader(skin, stepper)
+        if len(worlds) == len(part):
+            return step(part[:, numbers], loads, *times, reader)
+        states = part[worlds, numbers]
+        seen = step(states, loads, *times, reader)
+        part[worlds, numbers] = states
+        return seen
+
+    def _claim(self, skin: int, stepper: SkinStepper, worlds: Rows) -> None:
+        """Write a stepper into the states of a skin; refuses a state that is not at rest but has no writer."""
+        part = self.state.skins[skin]
+        for world in worlds.tolist() if not self._several else worlds[part[worlds, 0] == 0.0].tolist():
+            stepper_of(self.models[world], self._states[world], skin)
+            claim(self.models[world], self._states[world], skin, stepper)
+
+    def _stack(self, group: Group, skin: int, stepper: SkinStepper, at: Rows) -> tuple[Float32, bool]:
+        """Patterns of ARP in the worlds at some places of a group, shape (w, p, n): the same array while pose and
+        drive stay, and whether it may."""
+        key = group.worlds[at].tobytes() + group.keys[at].tobytes()
+        stacked = self._kept.of((skin, stepper), key, self._stacked, group, skin, stepper, at)
+        return stacked, group.first.shape[2] == 1
+
+    def _stacked(self, group: Group, skin: int, stepper: SkinStepper, at: Rows) -> Float32:
+        """Compute these patterns, once for worlds with the same pose and drive."""
+        made: dict[bytes, Float32] = {}
+        patterns = []
+        for i in at.tolist():
+            own = group.keys[i].tobytes()
+            if own not in made:
+                made[own] = self._patterns(group, skin, stepper, i)
+            patterns.append(made[own])
+        if len(patterns) == 1:
+            return patterns[0][None]
+        if len(made) == 1:  # there once for all worlds
+            return np.broadcast_to(patterns[0], (len(patterns), *patterns[0].shape))
+        return np.stack(patterns)
+
+    def steppers(self, skin: int, worlds: Rows) -> list[tuple[SkinStepper, Rows]]:
+        """Some worlds by what steps a skin in them."""
+        whole = self.state.skins[skin][worlds, 0] == WHOLE
+        key = skin, worlds.tobytes(), whole.tobytes()
+        known = self._shared_out.get(key)
+        if known is not None:
+            return known
+        steppers: dict[int, tuple[SkinStepper, list[int]]] = {}
+        for world, left in zip(worlds.tolist(), whole.tolist(), strict=True):
+            model = self.models[world]
+            stepper: SkinStepper = (model.whole if left else model.begin)[skin].value
+            steppers.setdefault(id(stepper), (stepper, []))[1].append(world)
+        if len(self._shared_out) >= KEPT:
+            self._shared_out.clear()
+        found = self._shared_out[key] = [(one, np.array(own, dtype=np.intp)) for one, own in steppers.values()]
+        return found
+
+    def _on_device(self, skin: int, stepper: SkinStepper) -> DeviceStep | None:
+        """The stepper of a skin on the device in place of its stepper, if the device is a GPU and has one; stored."""
+        return self._own.of((skin, stepper), (), stepper.device_worlds, len(self.models), self._device)
+
+    def _named(self, function: Callable[..., T], world: int, *arguments: Any) -> T:
+        """The result of a function for one of several worlds, which its errors name."""
+        with naming_world(world):
+            return function(world, *arguments)
