@@ -11,8 +11,7 @@ import palmfield
 from palmfield.engine import many_data, scene_runtime
 from palmfield.engine.worlds import SceneWorlds
 from palmfield.errors import DeviceError, SceneError
-from palmfield.simulation import build_worlds, sensors
-from palmfield.simulation import host_backend
+from palmfield.simulation import build_worlds, host_backend, sensors
 from palmfield.skin.stepper_choice import StepperChoice
 
 STEPS = 14
