@@ -50,6 +50,8 @@ def main() -> int:
     )
     parser.add_argument("--nightly", action="store_true", help="also the long checks that the usual run leaves out")
     given, passed_on = parser.parse_known_args()
+    # Hundreds of processes would compile all that they import, each for itself
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     python = _setup.environment("test")
     if given.quick:
         return run(python, *RUFF[0]) or run(python, *PYTEST, "-m", "quick", *passed_on)

@@ -43,6 +43,8 @@ SEGMENT_RECORD = np.dtype(
 )
 # Relaxed marching-cubes triangles have edges of about this many voxels.
 EDGE_PER_VOXEL = 0.87
+_palmar_skins: dict[str, float] = {}
+"""Height of the palmar skin by the text of a preset [m]: a scene that is opened asks for it several times."""
 
 
 @dataclass(frozen=True)
@@ -97,18 +99,26 @@ def mirrored_surface(surface: Surface) -> Surface:
 def centred_skeleton(preset: HandPreset) -> Skeleton:
     """Skeleton in the hand frame: its palmar skin passes through the origin."""
     skeleton = build_skeleton(preset)
-    low, high = -0.08, 0.0
-    while high - low > 1e-7:
-        middle = 0.5 * (low + high)
-        outside = skin_distance(skeleton, np.array([[0.0, 0.0, middle]]))[0] > 0.0
-        low, high = (middle, high) if outside else (low, middle)
-    up = np.array([0.0, 0.0, -0.5 * (low + high)])
+    key = preset.model_dump_json()
+    if key not in _palmar_skins:
+        _palmar_skins[key] = _palmar_skin(_segments(skeleton))
+    up = np.array([0.0, 0.0, -_palmar_skins[key]])
     fixed = {"palm_centre": np.zeros(3)}
     return Skeleton(
         [replace(s, start=s.start + up, end=s.end + up) for s in skeleton.skin],
         [replace(b, start=b.start + up, end=b.end + up) for b in skeleton.bones],
         {name: position + up for name, position in skeleton.landmarks.items()} | fixed,
     )
+
+
+def _palmar_skin(segments: wp.array) -> float:
+    """Height of the palmar skin on the z axis [m], by bisection."""
+    low, high = -0.08, 0.0
+    while high - low > 1e-7:
+        middle = 0.5 * (low + high)
+        outside = _distance_and_gradient(segments, np.array([[0.0, 0.0, middle]]))[0][0] > 0.0
+        low, high = (middle, high) if outside else (low, middle)
+    return 0.5 * (low + high)
 
 
 def skin_distance(skeleton: Skeleton, points: Float) -> Float:
