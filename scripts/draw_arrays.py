@@ -235,10 +235,9 @@ def page(spots: dict[str, Spot]) -> str:
     lines = [
         "# Arrays",
         "",
-        f"Made by `python scripts/draw_arrays.py`, commit {commit}; do not edit. Fields: float64 sums over the "
-        "transducers at full drive, air of 20 C and 50 % humidity, linear. Peaks are |p| at the focus over p0, the "
-        "peak pressure of one transducer at 1 m; widths and depth are full, between the points at half (-6 dB) of |p| "
-        "at the focus. Sizes are over the centres plus a disc of 10 mm.",
+        f"For everyone who chooses an array. Made by `python scripts/draw_arrays.py`, commit {commit}; do not edit. "
+        "Fields: float64 sums at full drive, air of 20 C and 50 % humidity, linear. Peaks: |p| at the focus over p0; "
+        "widths and depth: full, at half (-6 dB) of that. Sizes: over the centres plus 10 mm.",
         "",
         "| layout | n | size [mm] | focus z [mm] | peak/p0 [1/m] | width x [mm] | width y [mm] | depth [mm] | "
         "loudest on axis at z [mm] |",
@@ -260,9 +259,12 @@ def page(spots: dict[str, Spot]) -> str:
         "",
     ]
     lines += ["## How loud the transducers are", "", *LEVEL, *level_table(spots), "", *CSV, *CALIBRATION]
+    first: dict[str, str] = {}
     for name in spots:
         entry = LAYOUTS[name]
-        lines += [f"## {name}", "", f"{entry.about}.", "", f"{entry.source}.", ""]
+        known = first.setdefault(entry.source, name)
+        source = f"{entry.source}." if known == name else f"Source: that of {known}."
+        lines += [f"## {name}", "", f"{entry.about}.", "", source, ""]
         lines += [f"![{name}](images/arrays/{name}.png)", ""]
     return "\n".join(lines)
 
@@ -282,38 +284,32 @@ def level_table(names: Iterable[str]) -> list[str]:
 
 
 LEVEL = [
-    "p0 is the peak pressure of one transducer at 1 m on its axis at full drive. ARP and the skin's motion go with its "
-    "square, so that a range of 0.7 to 2.6 Pa m is a factor of 14 in both. No value of a layout is measured: results "
-    "are called uncalibrated, and told for the whole range, until key `calibration` of `palmfield.array` names a "
-    "laboratory's file. Where key `arp_peak_Pa` of the stimulus sets the level, p0 says only whether the array reaches "
-    "it.",
+    "p0 is the peak pressure of one transducer at 1 m on its axis at full drive. ARP and motion are proportional to "
+    "its square: a range of 0.7 to 2.6 Pa m is a factor of 14. No value of a layout is measured: results are "
+    "uncalibrated, with a range, until key `calibration` of `palmfield.array` names a laboratory's file. With key "
+    "`arp_peak_Pa` p0 decides only whether the array reaches the level.",
     "",
 ]
 CSV = [
     "## Arrays from a file",
     "",
-    "Layout `csv` takes the transducers from the file of key `transducers`, one line for each under a line of column "
-    "names: `x_m`, `y_m`, `z_m` (or `_mm`) in the frame of the array's site; `nx`, `ny`, `nz`, the emitting direction, "
-    "if it isn't z for all; `gain` (relative to p0; 0 is dead, -1 wired the other way round) and `phase_deg`; "
-    "`address`, the place in the board's byte order.",
+    "Layout `csv` reads key `transducers`, a file with one line per transducer below the column names: `x_m`, `y_m`, "
+    "`z_m` (or `_mm`) in the frame of the array's site; `nx`, `ny`, `nz`, the emitting direction (default z); `gain` "
+    "(relative to p0; 0 is dead, -1 inverted) and `phase_deg`; `address`, the place in the board's byte order.",
     "",
 ]
 CALIBRATION = [
     "## Calibrations",
     "",
-    "Key `calibration` names a JSON file of what a laboratory measured of its own board: p0, polarity, phase and gain "
-    "of each transducer, resonance, and where the board really is. `palmfield calibrate` makes it from readings: see "
-    "[calibration.md](calibration.md).",
-    "",
-    "Polarity and phase are taken off what a board is sent, and a transducer that is not enabled is off "
+    "Key `calibration` names a JSON file of a laboratory's own board: p0, polarity, phase and gain of each transducer, "
+    "resonance, place ([calibration.md](calibration.md)). Polarity and phase are subtracted from what a board is sent "
     "([boards](boards.md#faults-and-calibration)).",
     "",
 ]
 NOTES = [
-    "Other arrays: `from_poses` takes positions and axes, for example of the sites of an MJCF file; `placed` moves an "
-    "array, `combined` joins several, `with_faults` silences or inverts transducers (`palmfield.acoustics.arrays`). "
-    "`compensate` (`palmfield.acoustics.focus`) gives the drive that undoes phase errors, and `calibrate_p0` "
-    "(`palmfield.acoustics.calibrate`) the p0 of a board from microphone readings, with its standard error.",
+    "`palmfield.acoustics.arrays`: `from_poses` takes positions and axes, `placed` moves an array, `combined` joins "
+    "several, `with_faults` silences or inverts transducers. `compensate` (`palmfield.acoustics.focus`) undoes phase "
+    "errors; `calibrate_p0` (`palmfield.acoustics.calibrate`) estimates p0 from microphone readings.",
     "",
 ]
 

@@ -51,14 +51,14 @@ def main() -> None:
         lines = [
             "# Report cards",
             "",
-            f"Written by `python scripts/draw_cards.py`, commit {commit}. What the names mean is in "
-            "[user_meshes.md](user_meshes.md).",
+            f"Written by `python scripts/draw_cards.py`, commit {commit}. For users of own "
+            "meshes; [user_meshes.md](user_meshes.md) explains the names.",
             "",
             "## The presets",
             "",
             "Meshes of 3 mm edges, each written as a PLY in millimetres and read back with the unit inferred. Layer",
-            "columns: 10th percentile of the thickness over that asked / share of the area thinned / volume over the",
-            "thickness integral / least scaled Jacobian.",
+            "columns: 10th percentile of the thickness over that requested [%], area thinned [%], volume over the",
+            "thickness integral [%], least scaled Jacobian. Left hands are listed only if they differ.",
             "",
             *preset_table(presets),
             "",
@@ -74,9 +74,9 @@ def main() -> None:
             "",
             "## Hands of other people",
             "",
-            "Meshes that imitate other people's habits, and three things that are no hands, all of our own making:",
-            "`python scripts/verification/foreign_hands.py FOLDER` writes them with their cards. No unit is given; the",
-            "three things, which get none, are examined again in millimetres.",
+            "Meshes that imitate other people's habits, and three things that are not hands, all of our own making",
+            "(`python scripts/verification/foreign_hands.py FOLDER`). No unit is given; the three things are",
+            "examined again in millimetres.",
             "",
             *foreign_table(folder),
             "",
@@ -123,7 +123,10 @@ def preset_table(cards: dict[str, ReportCard]) -> list[str]:
             f"{facts['side']} ({facts['side_sureness']:.2f})",
             *map(layer_cell, facts["layers"]),
         ]
-        lines.append(f"| {' | '.join(cells)} |")
+        row = f"| {' | '.join(cells)} |"
+        # Left hands that differ from the right ones by their side alone
+        if row.replace(", left`", "`").replace("| left ", "| right ") not in lines:
+            lines.append(row)
     return lines
 
 
@@ -131,7 +134,7 @@ def layer_cell(layer: dict[str, Any]) -> str:
     if "error" in layer:
         return str(layer["error"])
     shares = (layer["p10_share"], layer["thinned_share"], layer["volume_share"])
-    return " / ".join(f"{100 * share:.1f} %" for share in shares) + f" / {layer['least_quality']:.2f}"
+    return ", ".join(f"{100 * share:.1f}" for share in shares) + f", {layer['least_quality']:.2f}"
 
 
 def fault_table(folder: Path) -> list[str]:

@@ -23,6 +23,7 @@ from palmfield.skin.materials.dispersion import Waves, describe
 from palmfield.skin.materials.material import Material, complex_shear, elastic, prony, standard_linear
 from palmfield.skin.materials.prony_fit import fractional, fractional_kelvin_voigt
 from palmfield.skin.materials.ranges import UNITS
+from palmfield.studies.bench.table import cells
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "oracles"))
 
@@ -337,6 +338,18 @@ def range_rows() -> list[str]:
     return lines
 
 
+def with_notes(table: list[str], column: int) -> list[str]:
+    """A table whose texts in a column are letters, and the texts once below it."""
+    marks: dict[str, str] = {}
+    lines = table[:2]
+    for row in table[2:]:
+        own = cells(row)
+        if own[column] != "-":
+            own[column] = marks.setdefault(own[column], chr(ord("a") + len(marks)))
+        lines.append(f"| {' | '.join(own)} |")
+    return [*lines, "", f"Sources: {'; '.join(f'{mark}: {text}' for text, mark in marks.items())}."]
+
+
 def skin_rows() -> list[str]:
     lines = [
         "| layer | E relaxed [kPa] | rho [kg/m^3] | palm [mm] | finger pad [mm] | source |",
@@ -368,48 +381,44 @@ def page(traded: dict[int, tuple[list[float], list[float]]], fits: list[tuple[in
     misfits = "; ".join(f"{n} branches {100 * s:.2g} % storage, {100 * lo:.2g} % loss" for n, s, lo in fits)
     blocks = [
         "# Skin materials",
-        f"Made by `python scripts/draw_materials.py`, commit {commit}; do not edit.",
+        f"For everyone who chooses a skin material. Made by `python scripts/draw_materials.py`, commit {commit}; do "
+        "not edit.",
         EXAMPLE,
         "## Presets",
         "\n".join(preset_rows()),
         sources,
         "![presets](images/materials/presets.png)",
-        "The finger pad and the palm have the same aims.",
         "### Misfit",
-        "\n".join(misfit_rows()),
+        "\n".join(with_notes(misfit_rows(), 6)),
         "### Ranges",
-        "\n".join(range_rows()),
+        "\n".join(with_notes(range_rows(), 5)),
         "### Speed against decay",
-        "A surface wave that gains speed from 50 to 400 Hz as on the finger pad must fade: causality ties dispersion "
-        "to loss. Of the best solids with 1 and with 3 branches, those whose decay lies in the measured band miss the "
-        f"speeds by {closest[1]:.0f} and {closest[3]:.0f} % rms or more: the further branches go unused. So `palm`, "
-        "the default, keeps the decay and `finger_pad` the speeds. Layers, or a finger that moves as a whole, may have "
-        "both; one solid has not.",
+        "Causality ties dispersion to loss: a surface wave that gains speed from 50 to 400 Hz as on the finger pad "
+        "must fade. The best solids with 1 and with 3 branches whose decay lies in the measured band miss the speeds "
+        f"by {closest[1]:.0f} and {closest[3]:.0f} % rms or more. So `palm`, the default, has the decay and "
+        "`finger_pad` the speeds. Layers, or a finger that moves as a whole, may have both.",
         "![speed against decay](images/materials/speed_decay.png)",
         "## Layered skin",
         "\n".join(skin_rows()),
-        "Each layer relaxes as the site's preset, by the same share of its own modulus: an assumption. Thicknesses and "
-        "moduli are those of models and vary by about a third and a factor of 2; those without a paper named have "
-        "no source that was checked.",
+        "Assumption: each layer relaxes as the site's preset, by the same share of its modulus. Thicknesses and moduli "
+        "are those of models and vary by about a third and a factor of 2.",
         "## nu = 0.5",
-        "The constructors take it as K = 1e6 G. Largest change of the motion against K = 1e8 G, at 0, 5 and 10 mm from "
-        "the axis of a spot, over 0, 100, 200 and 400 Hz, on a bonded layer (exact series):",
+        "Constructors use K = 1e6 G. Largest change of the motion compared with K = 1e8 G, 0 to 10 mm from the axis of "
+        "a spot, 0 to 400 Hz, on a bonded layer (exact series):",
         "\n".join(incompressible_rows()),
         "## Fractional laws",
         "A fractional Kelvin-Voigt or Zener law becomes a Prony series over a band. For exponent "
         f"{EXPONENT} over three decades: {misfits} (rms).",
         "![fractional](images/materials/fractional.png)",
         "## A law of your own",
-        "A law G(s) that is no Prony series is one file, `law_NAME.py` in `palmfield/skin/materials/`: a subclass "
-        "of `Material` with `stiffening`, G(s)/G_r, which is 1 at rest, and `series`, branches that stand for "
-        "it in time. Its parameters are ratios to G_r and times, so that a factor on the shear modulus is one on all "
-        "of it. Scenes find its `PRESETS` by name. Harmonic solutions take G(s) as it is; steppers and small models "
-        "take the series, and `solve` and the error budget of a run add to "
-        "their error how far that is from G(s), rms over 5 to 1000 Hz.",
+        "A law G(s) that is no Prony series is one file, `law_NAME.py` in `palmfield/skin/materials/`: a subclass of "
+        "`Material` with `stiffening` (G(s)/G_r, 1 at rest) and `series` (branches for time stepping). Parameters are "
+        "ratios to G_r and times. Scenes find its `PRESETS` by name. Harmonic solutions use G(s); steppers and reduced "
+        "models use the series, and stated errors include its difference from G(s), rms over 5 to 1000 Hz.",
         LAW,
         "## Finite strain",
-        "Solver `particles` takes a compressible neo-Hookean law with the material's branches. At small strain it is "
-        "the linear law; in simple shear it is so at any.",
+        "Solver `particles` uses a compressible neo-Hookean law with the material's branches, linear at small strain "
+        "and in simple shear.",
         "![finite strain](images/materials/finite_strain.png)",
         "## As printed",
         "`palmfield.skin.analytic.as_printed` has formulas that papers print wrongly, beside the right ones. The "

@@ -118,7 +118,7 @@ def as_markdown() -> str:
     from palmfield.config import CONFIGS, table
 
     lines = ["# Keys of a scene", "", "Made by `palmfield keys --markdown`; do not edit.", ""]
-    about = "A key is named INSTANCE.key, or PLUGIN.key for all instances of a plugin, in `--set` and `keys=`. "
+    about = "In `--set` and `keys=` a key is INSTANCE.key, or PLUGIN.key for all instances. Units end the names. "
     lines += [f"{about}`--set INSTANCE.key={UNSET}` removes a key, as None does in `keys=`.", ""]
     for config in CONFIGS:
         lines += _section(config.plugin, config.about, table(config))
@@ -137,8 +137,8 @@ def _renamed(configs: Sequence[type["Config"]]) -> list[tuple[str, str]]:
 
 
 def _section(title: str, about: str, rows: Sequence[tuple[str, ...]]) -> list[str]:
-    lines = [f"## {title}", "", about, "", _line(HEADINGS), "|" + "---|" * len(HEADINGS)]
-    return [*lines, *(_line(row) for row in rows), ""]
+    table = [(key, takes.replace("finite number", "number"), *rest) for key, _, takes, *rest in [HEADINGS, *rows]]
+    return [f"## {title}", "", about, "", _line(table[0]), "|---|---|---|---|", *map(_line, table[1:]), ""]
 
 
 def _line(row: tuple[str, ...]) -> str:
