@@ -1,12 +1,14 @@
 """What a terminal shows: how wide tables may be, what becomes of words that are wider, and bars of progress."""
 
+import io
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from rich.table import Column
+from rich.table import Column, Table
 from rich.text import Text
 
 LEAST = 60
@@ -31,9 +33,24 @@ def columns(most: int) -> int:
     return most
 
 
-def folded(names: Sequence[str]) -> list[Column]:
-    """Columns of a table in which a word that is too long goes on in the next line: half a key's name is none."""
-    return [Column(name, overflow="fold") for name in names]
+def table(rows: Iterable[Sequence[str]], heads: Sequence[str] | None = None, **looks: Any) -> Table:
+    """Rows of two or more cells, in which a word that is too long goes on in the next line: half a key's name is none.
+
+    heads: of the columns, None for two columns without; looks: further options of rich's Table
+    """
+    grid = Table(*(Column(name, overflow="fold") for name in heads or ("", "")), show_header=heads is not None, **looks)
+    for row in rows:
+        grid.add_row(*row)
+    return grid
+
+
+def printed(*parts: Table | str, most: int) -> str:
+    """What a terminal shows of tables and lines, one below the other, in `columns(most)`."""
+    stream = io.StringIO()
+    console = Console(file=stream, width=columns(most))
+    for part in parts:
+        console.print(part, highlight=False)
+    return stream.getvalue()
 
 
 class TimeLeft(TimeRemainingColumn):

@@ -5,11 +5,11 @@ from typing import Annotated
 
 import typer
 
-bench = typer.Typer(
-    name="bench",
-    no_args_is_help=True,
-    rich_markup_mode=None,
-    help="Measure the speed and the accuracy of palmfield on this machine.\n\nExample: palmfield bench field",
+from palmfield.cli.options import group
+
+bench = group(
+    "bench",
+    "Measure the speed and the accuracy of palmfield on this machine.\n\nExample: palmfield bench field",
 )
 
 

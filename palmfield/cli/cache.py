@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from palmfield.cli.options import group
+
 if TYPE_CHECKING:
     from palmfield.cache import Entry
 
-cache = typer.Typer(
-    name="cache",
-    no_args_is_help=True,
-    rich_markup_mode=None,
-    help="List or clear the cache of reduced skin models and error estimates. It lies in the user's cache folder or in "
+cache = group(
+    "cache",
+    "List or clear the cache of reduced skin models and error estimates. It lies in the user's cache folder or in "
     "PALMFIELD_CACHE (off: no cache) and holds up to PALMFIELD_CACHE_MB [2048].\n\nExample: palmfield cache list",
 )
 

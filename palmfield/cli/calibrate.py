@@ -6,12 +6,11 @@ from typing import Annotated
 import typer
 
 from palmfield.cli.drive import show_performance
+from palmfield.cli.options import group
 
-calibrate = typer.Typer(
-    name="calibrate",
-    no_args_is_help=True,
-    rich_markup_mode=None,
-    help="Calibrate a real array, and write the result to a file for scenes and boards.\n\nEach measurement is a CSV "
+calibrate = group(
+    "calibrate",
+    "Calibrate a real array, and write the result to a file for scenes and boards.\n\nEach measurement is a CSV "
     "file of readings and adds one part to the calibration (docs/calibration.md). Begin with `palmfield calibrate "
     "kinds`, or, without an array, with `palmfield calibrate rehearse trial`.\n\nExample: palmfield calibrate add "
     "elements readings.csv board.json --layout sonicsurface --source 'our lab'",

@@ -63,8 +63,7 @@ def drive(
         typer.Option(help="with --focus: peak pressure of a transducer at 1 m [Pa m] [default: the layout's]"),
     ] = None,
     calibration: Annotated[
-        Path | None,
-        typer.Option(help="with --focus: calibration file of the transducers (docs/calibration.md)"),
+        Path | None, typer.Option(help="with --focus: calibration file of the transducers (docs/calibration.md)")
     ] = None,
     temperature: Annotated[float, typer.Option(help="with --focus: air temperature [C]")] = 20.0,
     humidity: Annotated[float, typer.Option(help="with --focus: relative humidity [%]")] = 50.0,

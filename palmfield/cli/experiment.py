@@ -5,11 +5,11 @@ from typing import Annotated
 
 import typer
 
-experiment = typer.Typer(
-    name="experiment",
-    no_args_is_help=True,
-    rich_markup_mode=None,
-    help="Run a psychophysical experiment: play stimuli by a procedure, log every answer, and fit thresholds.\n\nAn "
+from palmfield.cli.options import group
+
+experiment = group(
+    "experiment",
+    "Run a psychophysical experiment: play stimuli by a procedure, log every answer, and fit thresholds.\n\nAn "
     "experiment is a TOML file: a scene, the varied key, conditions, a task and a procedure "
     "(docs/experiments.md). The same file works with a person at a real board, with a virtual board, and with "
     "simulated observers.\n\nExample: palmfield experiment run threshold.toml --log p01.jsonl --participant p01 "

@@ -1,6 +1,5 @@
 """`palmfield info`: what a scene contains, in words and as JSON has it."""
 
-import io
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -110,10 +109,7 @@ def scene_facts(view: "Preview") -> dict[str, Any]:
 
 def describe(scene: "Preview") -> str:
     """Arrays, air, stimuli, skins, materials, laws and conventions of a scene, as a table."""
-    from rich.console import Console
-    from rich.table import Table
-
-    from palmfield.terminal import columns, folded
+    from palmfield.terminal import printed, table
 
     model = scene.runtime.model
     spec = model.spec
@@ -125,12 +121,7 @@ def describe(scene: "Preview") -> str:
         rows += _named(skin.spec.name, len(model.skins), _skin(skin))
     signs = "e^{-i w t}, pressure as complex peak; ARP positive into the surface; displacement positive outward"
     rows.append(("conventions", signs))
-    grid = Table(*folded(("", "")), show_header=False)
-    for name, text in rows:
-        grid.add_row(name, text)
-    stream = io.StringIO()
-    Console(file=stream, width=columns(130)).print(grid)
-    return stream.getvalue()
+    return printed(table(rows), most=130)
 
 
 def _named(name: str, count: int, rows: Rows) -> Rows:

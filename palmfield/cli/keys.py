@@ -1,6 +1,5 @@
 """`palmfield keys`: the scene's keys as text and print the page docs/keys.md, from the configuration models."""
 
-import io
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -50,32 +49,20 @@ def as_text(plugin: str | None = None) -> str:
 
     plugin: its name, with or without `palmfield.`. Raises SceneError for an unknown one.
     """
-    from rich.console import Console
-    from rich.table import Table
-
-    from palmfield.config import table
-    from palmfield.terminal import columns, folded
+    from palmfield.config import table as rows_of
+    from palmfield.terminal import printed, table
 
     chosen = chosen_configs(plugin)
-    stream = io.StringIO()
-    console = Console(file=stream, width=columns(130))
-    for config in chosen:
-        grid = Table(*folded(HEADINGS), title=f"{config.plugin}: {config.about}", title_justify="left")
-        for row in table(config):
-            grid.add_row(*row)
-        console.print(grid)
+    tables = [
+        table(rows_of(config), HEADINGS, title=f"{config.plugin}: {config.about}", title_justify="left")
+        for config in chosen
+    ]
     if plugin is None:
-        grid = Table(*folded(HEADINGS), title=SCENE, title_justify="left")
-        for row in SCENE_KEYS:
-            grid.add_row(*row)
-        console.print(grid)
-    renamed = _renamed(chosen)
-    if renamed:
-        grid = Table("was", "use", title="Renamed since the last version", title_justify="left", min_width=40)
-        for old, use in renamed:
-            grid.add_row(old, use)
-        console.print(grid)
-    return stream.getvalue()
+        tables.append(table(SCENE_KEYS, HEADINGS, title=SCENE, title_justify="left"))
+    if renamed := _renamed(chosen):
+        title = "Renamed since the last version"
+        tables.append(table(renamed, ("was", "use"), title=title, title_justify="left", min_width=40))
+    return printed(*tables, most=130)
 
 
 def as_dict(plugin: str | None = None) -> dict[str, Any]:

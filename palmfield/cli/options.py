@@ -13,6 +13,11 @@ UNSET = "unset"
 """A value that takes the scene's own out, so that the key's default counts."""
 
 
+def group(name: str, about: str) -> typer.Typer:
+    """Commands of one name, and what their help begins with."""
+    return typer.Typer(name=name, no_args_is_help=True, rich_markup_mode=None, help=about)
+
+
 def offered_plugins(incomplete: str) -> list[str]:
     """Short names of the plugins that begin so."""
     from palmfield.config import CONFIGS

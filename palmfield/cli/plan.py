@@ -1,27 +1,17 @@
 """`palmfield plan`: what would be modelled."""
 
+from palmfield.cli import options
 from palmfield.cli.as_json import print_json
-from palmfield.cli.options import (
-    Accuracy,
-    AsJson,
-    BoardName,
-    Device,
-    Duration,
-    Keys,
-    SceneFile,
-    check_duration,
-    given_keys,
-)
 
 
 def plan(
-    scene: SceneFile,
-    device: Device = None,
-    duration: Duration = None,
-    accuracy: Accuracy = None,
-    board: BoardName = None,
-    keys: Keys = None,
-    as_json: AsJson = False,
+    scene: options.SceneFile,
+    device: options.Device = None,
+    duration: options.Duration = None,
+    accuracy: options.Accuracy = None,
+    board: options.BoardName = None,
+    keys: options.Keys = None,
+    as_json: options.AsJson = False,
 ) -> None:
     """Say what would be modelled and what left out, why, and at what cost and error. Simulates nothing.
 
@@ -29,9 +19,9 @@ def plan(
     """
     import palmfield
 
-    check_duration(duration)
+    options.check_duration(duration)
     made = palmfield.plan(
-        scene, device=device, accuracy=accuracy, board=board, keys=given_keys(keys), duration_s=duration
+        scene, device=device, accuracy=accuracy, board=board, keys=options.given_keys(keys), duration_s=duration
     )  # fmt: skip
     if as_json:
         print_json(made.as_dict())

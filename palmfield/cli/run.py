@@ -6,19 +6,9 @@ from typing import Annotated
 
 import typer
 
+from palmfield.cli import options
 from palmfield.cli.as_json import print_json
 from palmfield.cli.messages import complain
-from palmfield.cli.options import (
-    Accuracy,
-    AsJson,
-    BoardName,
-    Device,
-    Duration,
-    Keys,
-    SceneFile,
-    check_duration,
-    given_keys,
-)
 from palmfield.errors import SceneError
 
 LOG = logging.getLogger("palmfield.cli")
@@ -26,13 +16,13 @@ LOG = logging.getLogger("palmfield.cli")
 
 def run(
     context: typer.Context,
-    scene: SceneFile,
+    scene: options.SceneFile,
     out: Annotated[Path | None, typer.Option(help="folder of the results [default: out/SCENE]")] = None,
-    device: Device = None,
-    duration: Duration = None,
-    accuracy: Accuracy = None,
-    board: BoardName = None,
-    keys: Keys = None,
+    device: options.Device = None,
+    duration: options.Duration = None,
+    accuracy: options.Accuracy = None,
+    board: options.BoardName = None,
+    keys: options.Keys = None,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="replace the results of another run in the folder")
     ] = False,
@@ -49,7 +39,7 @@ def run(
     strict: Annotated[
         bool, typer.Option("--strict", help="exit with code 3 if the target accuracy is not reached")
     ] = False,
-    as_json: AsJson = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Simulate a scene and write result.nc, summary.json, pictures and scene.usdc.
 
@@ -68,11 +58,11 @@ def run(
         from palmfield.outputs.summary_table import format_summary
         from palmfield.planning.scene_plan import warnings
 
-    check_duration(duration)
+    options.check_duration(duration)
     if plots is not None and no_plots:
         raise SceneError("--plots and --no-plots exclude each other; give one of them")
     kinds = [] if no_plots else None if plots is None else [kind for kind in plots.split(",") if kind]
-    given, out = given_keys(keys), out or Path("out") / scene.stem
+    given, out = options.given_keys(keys), out or Path("out") / scene.stem
     with Console(stderr=True, quiet=quiet).status(f"loading {scene}"):
         simulation = palmfield.Simulation(scene, device=device, accuracy=accuracy, board=board, keys=given)
         messages = warnings(simulation, duration)

@@ -6,13 +6,11 @@ from typing import Annotated, cast
 import typer
 
 from palmfield.cli.as_json import print_json
-from palmfield.cli.options import SceneFile, given_keys
+from palmfield.cli.options import SceneFile, given_keys, group
 
-stimulus = typer.Typer(
-    name="stimulus",
-    no_args_is_help=True,
-    rich_markup_mode=None,
-    help="Import a stimulus into a scene, or export it, as a table of focus positions and intensities over time.\n\nA "
+stimulus = group(
+    "stimulus",
+    "Import a stimulus into a scene, or export it, as a table of focus positions and intensities over time.\n\nA "
     "table is a CSV file with columns t, x, y, z, intensity (x1, y1, ... for several foci) and a head with frame, "
     "rate, units and the quantity of the intensities (docs/stimuli.md). A .json file is an STM of AUTD3 "
     "units.\n\nExample: palmfield stimulus export mjcf/scenes/palm_circle.xml circle.csv",
@@ -23,8 +21,7 @@ Which = Annotated[
 ]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="replace existing files")]
 SetKeys = Annotated[
-    list[str] | None,
-    typer.Option("--set", help="set a key, as in `palmfield run`", metavar="INSTANCE.KEY=VALUE"),
+    list[str] | None, typer.Option("--set", help="set a key, as in `palmfield run`", metavar="INSTANCE.KEY=VALUE")
 ]
 
 

@@ -6,13 +6,12 @@ from typing import Annotated, Literal
 import typer
 
 from palmfield.cli.as_json import print_json
+from palmfield.cli.options import group
 from palmfield.errors import SceneError, refuse_unknown
 
-track = typer.Typer(
-    name="track",
-    no_args_is_help=True,
-    rich_markup_mode=None,
-    help="Send, record and align hand-tracker samples: one JSON line per sample over a socket, with OpenXR or LeapC "
+track = group(
+    "track",
+    "Send, record and align hand-tracker samples: one JSON line per sample over a socket, with OpenXR or LeapC "
     "names (docs/trials.md). `palmfield trial SCENE --live PORT` follows such a hand.\n\nExample: palmfield track "
     "replay seen.npz --to 127.0.0.1:9100",
 )

@@ -29,8 +29,7 @@ def trial(
     ] = None,
     duration: Annotated[float | None, typer.Option(help="duration [s] [default: the scene's]")] = None,
     motion: Annotated[
-        Path | None,
-        typer.Option(help="recorded motion in place of the scene's: a table of poses, or a tracker stream"),
+        Path | None, typer.Option(help="recorded motion in place of the scene's: a table of poses, or a tracker stream")
     ] = None,
     live: Annotated[
         str | None,
@@ -60,8 +59,7 @@ def trial(
         ),
     ] = "auto",
     truth: Annotated[
-        Path | None,
-        typer.Option(help="calibration file of the true transducers, if they differ from the scene's"),
+        Path | None, typer.Option(help="calibration file of the true transducers, if they differ from the scene's")
     ] = None,
     recording: Annotated[
         Path | None,

@@ -14,12 +14,10 @@ def usd(
     context: typer.Context,
     run: Annotated[Path | None, typer.Argument(help="folder of a run, or its result.nc", metavar="[DIR]")] = None,
     out: Annotated[
-        Path | None,
-        typer.Option(help="file to write: .usdc, .usda or .usdz [default: DIR/scene.usdc]", metavar="FILE"),
+        Path | None, typer.Option(help="file to write: .usdc, .usda or .usdz [default: DIR/scene.usdc]", metavar="FILE")
     ] = None,
     colour: Annotated[
-        str,
-        typer.Option(help="quantity shown by the colours of the skins (see --list), or none"),
+        str, typer.Option(help="quantity shown by the colours of the skins (see --list), or none")
     ] = "normal_displacement",
     limits: Annotated[
         str | None, typer.Option(help="limits of the colour scale, in m, m/s, Pa or dB", metavar="LOW,HIGH")

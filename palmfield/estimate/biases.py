@@ -83,14 +83,8 @@ def _linear(skin: SkinModel) -> list[Bias]:
     """Large strain, where the solver of a skin isn't made for it."""
     if skin.solver.large_strain:
         return []
-    return [
-        Bias(
-            "large strain",
-            None,
-            None,
-            "linear elasticity; the true displacement is smaller where skin stiffens, at strains above about 10 %",
-        )
-    ]
+    why = "linear elasticity; the true displacement is smaller where skin stiffens, at strains above about 10 %"
+    return [Bias("large strain", None, None, why)]
 
 
 def response_biases(stimulus: StimulusModel, skin: SkinModel) -> list[Bias]:
@@ -191,9 +185,8 @@ def _scattered(
     length = sound_speed(posed.arrays.air) / posed.arrays.array.frequency_Hz
     radius = least_radius_m(place.nodes[0], focus, NEAR_M)
     if radius is None:
-        return [
-            Bias("scattered sound", None, None, "no focus is near the skin, so its curvature there is not evaluated")
-        ]
+        why = "no focus is near the skin, so its curvature there is not evaluated"
+        return [Bias("scattered sound", None, None, why)]
     turned, behind = _turned_deg(posed, drive, *highest)
     curved = radius < FEW_WAVELENGTHS * length or part.spec.config.shape in BENDING
     size = TURNED if turned > TURNED_FROM_DEG else CURVED if curved else OPEN_HAND
@@ -230,18 +223,17 @@ def _shadows(model: HapticModel, skin: int) -> list[Bias]:
     if config.body_sound == "none":
         if part.carrier.surface is None and bodies == 1:
             return [Bias("cast shadows", 0.0, 0.0, "a flat face casts no shadow on itself")]
-        why = "parts of the body cast no shadows on each other" + (
-            ", and bodies cast no shadows on each other" if bodies > 1 else ""
-        )
+        why = "parts of the body cast no shadows on each other"
+        if bodies > 1:
+            why += ", and bodies cast no shadows on each other"
         if config.shape in HANDS:
             why += "; the effect is 0 on an open hand, and all of the sound behind a finger"
         return [Bias("cast shadows", None, None, f"{why}. body_sound shadows models them")]
     if config.body_sound == "shadows" and config.shadow_edges == "rays":
         why = (
-            "at the edge of a shadow the error of |p|^2 is up to three quarters of the free focus, sign unknown, "
-            "and elsewhere "
+            "at the edge of a shadow the error of |p|^2 is up to three quarters of the free focus, sign unknown, and "
+            "elsewhere 0 (docs/bench/shadows.md). shadow_edges knife_edge models diffraction"
         )
-        why += "0 (docs/bench/shadows.md). shadow_edges knife_edge models diffraction"
         return [Bias("diffraction at edges of shadows", None, None, why)]
     if config.body_sound == "shadows":
         why = (
@@ -257,12 +249,7 @@ def _shadows(model: HapticModel, skin: int) -> list[Bias]:
 
 
 def _echo(
-    model: HapticModel,
-    skin: int,
-    stimulus: int,
-    posed: PosedScene,
-    drive: Complex,
-    highest: tuple[Float, Float],
+    model: HapticModel, skin: int, stimulus: int, posed: PosedScene, drive: Complex, highest: tuple[Float, Float]
 ) -> list[Bias]:
     """Sound that a flat body returns to a rigid face comes again as from three times the distance, from five ..."""
     if model.skins[skin].carrier.surface is not None:

@@ -33,11 +33,7 @@ SOURCES = ("mesh", "step", "reduction", "edge", "field", "law")
 
 
 def error_budget(
-    model: HapticModel,
-    skin: int,
-    loudest: LoudestMoment,
-    radiation: Radiation,
-    course: SteppedRun,
+    model: HapticModel, skin: int, loudest: LoudestMoment, radiation: Radiation, course: SteppedRun
 ) -> dict[str, Any]:
     """Return the budget of the motion of a skin as plain JSON.
 

@@ -70,17 +70,10 @@ def _numbers(
     skins = {}
     times: Float = np.asarray(tree["time"])
     for name, ds in instances(tree, "skin").items():
-        number = sim.skins.index(name)
+        loudest, normal = recorder.loudest[sim.skins.index(name)], np.asarray(normal_component(ds))
         arp_peaks = np.concatenate([values.max(axis=1) for _, values in pieces(ds, "arp")])
         skins[name] = skin_numbers(
-            sim,
-            name,
-            recorder.loudest[number],
-            budgets[name],
-            times,
-            np.asarray(normal_component(ds)),
-            arp_peaks,
-            begun_s=recorder.begun_s,
+            sim, name, loudest, budgets[name], times, normal, arp_peaks, begun_s=recorder.begun_s
         )
     run = recorder.loudest, recorder.peak_drive
     stimuli = stimulus_numbers(sim, *run, recorder.turns)

@@ -50,18 +50,11 @@ class Sending:
 
 def sending(board: Board, stimuli: Sequence[StimulusConfig]) -> Sending:
     """The frames that a board with bytes is sent for some stimuli."""
-    rates = [rate for stimulus in stimuli for rate in frame_rates(stimulus)]
-    takes_s = board.frame_time_s
+    fastest = max((rate for stimulus in stimuli for rate in frame_rates(stimulus)), default=0.0)
+    takes_s, most_s = board.frame_time_s, board.max_frame_rate_Hz
     steps = 1 if not board.levels else board.transducers if board.dither else board.amplitude_steps
-    return Sending(
-        board.name,
-        board.frame_bytes,
-        max(rates, default=0.0),
-        board.max_frame_rate_Hz,
-        (takes_s, 2.0 * takes_s),
-        board.phase_loss,
-        steps,
-    )
+    latency_s = takes_s, 2.0 * takes_s
+    return Sending(board.name, board.frame_bytes, fastest, most_s, latency_s, board.phase_loss, steps)
 
 
 def peak_offset(model: HapticModel, number: int) -> tuple[Float, float] | None:

@@ -166,14 +166,12 @@ def draw_foci(times_s: Sequence[float], foci: Float, path: Path) -> None:
     dots = above.scatter(places[:, 0], places[:, 1], c=moments, s=12)
     side.scatter(places[:, 0], places[:, 2], c=moments, s=12)
     for axes, up in ((above, 1), (side, 2)):
-        axes.set_xlabel("x [mm]")
-        axes.set_ylabel(f"{'xyz'[up]} [mm]")
+        axes.set(xlabel="x [mm]", ylabel=f"{'xyz'[up]} [mm]")
         same_scale(axes, places[:, 0], places[:, up])
     for number, name in enumerate("xyz"):
         # A single moment is no line
         course.step(moments, places[:, number], "." if len(moments) == 1 else "", where="post", label=name)
-    course.set_xlabel("time [ms]")
-    course.set_ylabel("focus [mm]")
+    course.set(xlabel="time [ms]", ylabel="focus [mm]")
     course.legend()
     figure.colorbar(dots, ax=side, label="time [ms]")
     save(figure, path, dpi=120)

@@ -171,24 +171,14 @@ def play_scene(
 def scene_frames(scene: Preview, duration_s: float) -> Iterator[TimedFrame]:
     """Return the bytes of each frame of a scene, with poses at its emission, and the driver's ramp."""
     model = scene.runtime.model
-    moves = scene.moves
     limits = SoundLimits.of(model.spec.driver)
-    ramp = limits.ramp_times(model.board, duration_s)
-    times = frame_times(
-        model.configs, duration_s, model.spec.timestep_s if moves else None, ramp, model.board.frame_time_s
-    )
-
-    if not moves:
-        frames = Frames(model, scene.runtime.work.emission)
-        for time_s in times:
-            data = frames.at(scene.runtime.posed, time_s, limits.share(model.board, time_s, duration_s))
-            yield TimedFrame(time_s, data, frames.sounds)
-        return
-    moving: Frames | None = None
+    ramp, step_s = limits.ramp_times(model.board, duration_s), model.spec.timestep_s if scene.moves else None
+    times = frame_times(model.configs, duration_s, step_s, ramp, model.board.frame_time_s)
+    frames: Frames | None = None
     for time_s, runtime, posed in scene.posed_at(times):
-        moving = moving or Frames(runtime.model, runtime.work.emission)
-        data = moving.at(posed, time_s, limits.share(model.board, time_s, duration_s))
-        yield TimedFrame(time_s, data, moving.sounds)
+        frames = frames or Frames(runtime.model, runtime.work.emission)
+        data = frames.at(posed, time_s, limits.share(model.board, time_s, duration_s))
+        yield TimedFrame(time_s, data, frames.sounds)
 
 
 def send(

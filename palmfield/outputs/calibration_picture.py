@@ -24,8 +24,7 @@ def draw_calibration(calibration: Calibration, array: Array, path: Path) -> Path
         x, y = 1e3 * array.positions[:, 0], 1e3 * array.positions[:, 1]
         size = _marker(array)
         for axis in axes:
-            axis.set_aspect("equal")
-            axis.set_xlabel("x [mm]")
+            axis.set(aspect="equal", xlabel="x [mm]")
             axis.grid(False)
         axes[0].set_ylabel("y [mm]")
         if elements is None:

@@ -31,8 +31,7 @@ def draw_agreement(measured: Scan, computed: Scan, numbers: Agreement, path: Pat
         both = (measured, "measured"), (computed, "computed")
         for (scan, name), colour, line in zip(both, COLOURS, LINES, strict=False):
             trace.plot(1e3 * scan.times_s, factor * scan.values[:, best], line, color=colour, lw=1.0, label=name)
-        trace.set_xlabel("time [ms]")
-        trace.set_ylabel(label)
+        trace.set(xlabel="time [ms]", ylabel=label)
         trace.set_title(f"loudest point, gain {numbers.gain[best]:.2f}, coherence {numbers.coherence[best]:.2f}")
         trace.legend(loc="upper right")
         maps: list[tuple[str, Any, str, str, tuple[float, float] | None]] = [
@@ -51,9 +50,7 @@ def draw_agreement(measured: Scan, computed: Scan, numbers: Agreement, path: Pat
                 flat[chosen, 0], flat[chosen, 1], s=size, c=values[chosen], cmap=colours, vmin=low, vmax=high, lw=0
             )
             figure.colorbar(dots, ax=axis, shrink=0.7)
-            axis.set_title(title)
-            axis.set_aspect("equal")
-            axis.set_xlabel("along the scan [mm]")
+            axis.set(title=title, aspect="equal", xlabel="along the scan [mm]")
             axis.grid(False)
         save(figure, path)
     return path
@@ -73,9 +70,7 @@ def draw_wavenumbers(spectra: Sequence[FrequencyWavenumber], names: Sequence[str
             for speed in (1.0, 2.0, 4.0, 8.0):
                 axis.plot(one.wavenumber_rad_m, speed * one.wavenumber_rad_m / (2.0 * np.pi), color="white", lw=0.5,
                           ls=":")  # fmt: skip
-            axis.set_ylim(one.frequency_Hz[0], one.frequency_Hz[-1])
-            axis.set_title(name)
-            axis.set_xlabel("wavenumber [rad/m]")
+            axis.set(ylim=(one.frequency_Hz[0], one.frequency_Hz[-1]), title=name, xlabel="wavenumber [rad/m]")
             axis.grid(False)
         axes[0].set_ylabel("frequency [Hz]")
         figure.colorbar(shown, ax=list(axes), label="amplitude, largest 1; dotted: 1, 2, 4, 8 m/s")

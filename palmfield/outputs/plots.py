@@ -57,12 +57,11 @@ def pressure_picture(result: xr.DataTree, names: list[str] | None = None, time_s
         height = float(np.median(views[name].vertices[:, 2])) * 1e3
         whose = f" '{name}'" if len(skins) > 1 else ""
         onto = f"array '{views[name].array}'" if len(instances(result, "array")) > 1 else "the array"
-        row.suptitle(
+        title = (
             f"Skin patch{whose} at t = {views[name].loudest.time_s * 1e3:.2f} ms, view onto {onto}\n"
-            f"through the hand: x to the right, y up; the array is {height:.0f} mm behind the skin",
-            fontsize=9,
-            color="#555555",
+            f"through the hand: x to the right, y up; the array is {height:.0f} mm behind the skin"
         )
+        row.suptitle(title, fontsize=9, color="#555555")
     return figure
 
 
@@ -101,10 +100,7 @@ def _instant(skin: xr.Dataset, time_s: float) -> Loudest:
 def _pressures(skin: xr.Dataset, when: Loudest, over_time: bool) -> list[tuple[str, str, Float]]:
     """Return title, colours and values [Pa] of each panel of a skin; over_time: of its record, at the instant."""
     panels: list[tuple[str, str, Float]] = []
-    for name, title, colours in (
-        ("pressure", "Peak pressure", "magma"),
-        ("arp", "Radiation pressure (ARP)", "viridis"),
-    ):
+    for name, title, colours in ("pressure", "Peak pressure", "magma"), ("arp", "Radiation pressure (ARP)", "viridis"):
         if not over_time and has_records(skin, f"loudest_{name}"):
             values = skin[f"loudest_{name}"]
         elif (over_time or name == "arp") and has_records(skin, name):
@@ -142,17 +138,8 @@ def _draw_skin(
     """stimuli: with the numbers of their focal points that are drawn here"""
     columns = figure.subplots(1, len(panels), squeeze=False)[0]
     for axes, (title, colours, values) in zip(columns, panels, strict=True):
-        draw_patch(
-            figure,
-            axes,
-            skin["face"].values,
-            view.vertices,
-            np.nan_to_num(values),
-            colours,
-            (0.0, max(float(np.nanmax(values)), 1e-9)),
-            "Pa",
-            SIDE_LOBES,
-        )
+        faces, shown, limits = skin["face"].values, np.nan_to_num(values), (0.0, max(float(np.nanmax(values)), 1e-9))
+        draw_patch(figure, axes, faces, view.vertices, shown, colours, limits, "Pa", SIDE_LOBES)
         for stimulus, numbers in stimuli:
             _draw_foci(axes, stimulus, view, numbers)
         if axes.get_legend_handles_labels()[0]:
@@ -211,14 +198,8 @@ def _draw_spectra(axes: Any, time_s: Float, motion: Any) -> None:
         # Two labels in one line need a tenth of the axis.
         lifted = not lifted and at - before < 0.1 * last
         before = at
-        axes.annotate(
-            f"{at:.4g} Hz\n{_number(height * 1e6)} µm",
-            (at, height * 1e6),
-            (0, 30 if lifted else 6),
-            textcoords="offset points",
-            ha="center",
-            fontsize=8,
-        )
+        text, above = f"{at:.4g} Hz\n{_number(height * 1e6)} µm", (0, 30 if lifted else 6)
+        axes.annotate(text, (at, height * 1e6), above, textcoords="offset points", ha="center", fontsize=8)
     axes.set(xlim=(0, min(last, frequency[-1])), ylim=(top * 1e-4, top * 40))
     axes.set(xlabel="frequency [Hz]", ylabel="amplitude [µm]")
     axes.set_title(f"Amplitude spectrum (single-sided, Hann window, DC excluded, bins of {frequency[0]:.3g} Hz)")

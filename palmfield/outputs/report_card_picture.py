@@ -105,5 +105,4 @@ def draw_view(axes: Axes, card: ReportCard, up: Float, to_eye: Float, title: str
             axes.plot(*at.T, "o", ms=16, mfc="none", mec=COLOURS[finding["outcome"]], mew=1.5)
     axes.set_aspect("equal")
     axes.autoscale_view()
-    axes.set_title(title)
-    axes.set_xlabel("mm")
+    axes.set(title=title, xlabel="mm")

@@ -66,9 +66,7 @@ def draw_levels(title: str, maps: Sequence[LevelMap], course: LevelCourse, path:
         above = [f"{limit:g} ({what})" for what, limit in one.limits_dB.items() if one.loudest_dB > limit]
         said = "above " + ", ".join(above) if above else "below its limits" if one.limits_dB else "no limit is set"
         axes.set_title(f"{one.name}: {one.loudest_dB:.0f} dB at +\n{said}", fontsize=8)
-        axes.set_xlabel(f"{one.axes[0]} [mm]")
-        axes.set_ylabel(f"{one.axes[1]} [mm]")
-        axes.set_aspect("equal")
+        axes.set(xlabel=f"{one.axes[0]} [mm]", ylabel=f"{one.axes[1]} [mm]", aspect="equal")
     over = figure.add_subplot(grid[1, :])
     for number, (name, levels) in enumerate(course.levels_dB.items()):
         over.plot(
@@ -83,8 +81,7 @@ def draw_levels(title: str, maps: Sequence[LevelMap], course: LevelCourse, path:
     known = known[np.isfinite(known)]
     if len(known):
         over.set_ylim(max(known.min(), known.max() - 2.0 * SHOWN_DB) - 3.0, known.max() + 5.0)
-    over.set_xlabel("time of the play [s]")
-    over.set_ylabel("dB SPL")
+    over.set(xlabel="time of the play [s]", ylabel="dB SPL")
     over.legend(loc="lower left", fontsize=8)
     figure.suptitle(title, fontsize=11)
     save(figure, path, dpi=110)

@@ -69,10 +69,7 @@ def _mesh(what: str) -> dict[str, Variable]:
     return {
         "rest_position": Variable(("vertex", "xyz"), "float64", "m", f"vertices at rest, of the {what}", _BODY),
         "face": Variable(
-            ("triangle", "corner"),
-            "int32",
-            "1",
-            f"triangles, of the {what}, counter-clockwise from outside; first 0",
+            ("triangle", "corner"), "int32", "1", f"triangles, of the {what}, counter-clockwise from outside; first 0"
         ),
         "bone_index": Variable(
             ("vertex", "influence"), "int32", "1", "bones that carry each vertex: places along bone in /body; first 0"

@@ -18,9 +18,8 @@ from palmfield.types import Air, Array, Complex, Float
 
 def driven_arrays(result: xr.DataTree) -> dict[str, xr.Dataset]:
     """Return the arrays with drives in a result. Raises OutputError if there are none."""
-    arrays = {
-        name: array for name, array in instances(result, "array").items() if has_records(array, "drive_amplitude")
-    }
+    listed = instances(result, "array").items()
+    arrays = {name: array for name, array in listed if has_records(array, "drive_amplitude")}
     if not arrays:
         raise OutputError("the result holds no drives of an array; run at least one step")
     return arrays
@@ -63,19 +62,12 @@ def _sound(name: str, array: xr.Dataset, points: Float, time_s: float, index: in
 def _transducers(name: str, group: xr.Dataset, config: ArrayConfig) -> Array:
     """Return the transducers of an array in its own frame, from the result; from its keys for an earlier version."""
     if "transducer_p0" in group:
-        phase = np.exp(1j * group["transducer_phase"].values)
-        table = None
+        gain = group["transducer_p0"].values * np.exp(1j * group["transducer_phase"].values)
+        table, radius_m = None, float(group["piston_radius"].item())
         if "off_axis_angle" in group:
             table = np.column_stack([group["off_axis_angle"].values, group["off_axis_level"].values])
-        sounds = Array(
-            name,
-            group["transducer_position"].values,
-            group["transducer_direction"].values,
-            1.0,
-            piston_radius_m=float(group["piston_radius"].item()),
-            gain=group["transducer_p0"].values * phase,
-            directivity_table=table,
-        )
+        places, directions = group["transducer_position"].values, group["transducer_direction"].values
+        sounds = Array(name, places, directions, 1.0, piston_radius_m=radius_m, gain=gain, directivity_table=table)
         return FORMS[config.directivity].of(sounds) if config.directivity in FORMS else sounds
     for key, found in (("layout", config.layout in ("sites", "csv")), ("calibration", config.calibration is not None)):
         if found:

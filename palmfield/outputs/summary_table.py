@@ -1,12 +1,8 @@
 """The short table that `palmfield run` prints at its end."""
 
-import io
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
-
-from rich.console import Console
-from rich.table import Table
 
 from palmfield.outputs.budget_text import (
     COARSE,
@@ -19,17 +15,9 @@ from palmfield.outputs.budget_text import (
     parts_text,
     widest,
 )
-from palmfield.outputs.felt import (
-    RULE,
-    band_text,
-    chosen_observer,
-    first_line,
-    level_text,
-    shown_level,
-    strongest_line,
-)
+from palmfield.outputs.felt import RULE, band_text, chosen_observer, first_line, level_text, shown_level, strongest_line
 from palmfield.perception.registry import ALL_OBSERVERS
-from palmfield.terminal import columns, folded
+from palmfield.terminal import printed, table
 
 WIDTH = 110
 """Width of the table in columns, unless the terminal is narrower."""
@@ -49,7 +37,7 @@ def format_summary(summary: Mapping[str, Any], details: bool = False) -> str:
         one_alone, stimuli = len(summary["stimuli"]) == 1, [one for one in summary["stimuli"] if "drive_level" in one]
         drives = [("drive" if one_alone else f"drive, {one['name']}", of_full(one["drive_level"])) for one in stimuli]
         drives += array_rows(summary["arrays"])
-    grid = Table(*folded(("", "")), show_header=False)
+    grid = table(())
     for number, skin in enumerate(skins):
         sound, motion = _sound(skin, level), _motion(skin) if details else _short(skin)
         # With one skin, sound, drive and motion are in causal order.
@@ -63,9 +51,7 @@ def format_summary(summary: Mapping[str, Any], details: bool = False) -> str:
     if "wall_time_s" in summary:
         took = f"{summary['wall_time_s']:.1f} s, {summary['peak_memory_MiB']:.0f} MiB"
         grid.add_row("wall time, peak memory", took)
-    stream = io.StringIO()
-    Console(file=stream, width=columns(WIDTH)).print(grid)
-    return f"{first_line(summary)}\n{stream.getvalue()}"
+    return f"{first_line(summary)}\n{printed(grid, most=WIDTH)}"
 
 
 def _short(skin: Mapping[str, Any]) -> list[TextRow]:

@@ -47,15 +47,13 @@ def draw_trial(names: Sequence[str], rows: Float, numbers: Mapping[str, Any], pa
         with np.errstate(divide="ignore", invalid="ignore"):
             share = column[after] / column[before]
         kept.plot(moments, share, LINES[number], lw=1.0, color=colour, label=label)
-    kept.set_ylabel("share of the pressure")
-    kept.set_xlabel("time [ms]")
+    kept.set(ylabel="share of the pressure", xlabel="time [ms]")
     kept.axhline(1.0, color="0.8", lw=0.6, zorder=0)
     kept.legend(loc="lower right", fontsize=8)
     for axes, up in ((above, "y"), (side, "z")):
         for what, style, label in (("true", "k-", "on the hand"), ("sounding", "C3.", "of the sound")):
             axes.plot(1e3 * column[f"{what}_x_m"], 1e3 * column[f"{what}_{up}_m"], style, ms=3, lw=1.0, label=label)
-        axes.set_xlabel("x [mm]")
-        axes.set_ylabel(f"{up} [mm]")
+        axes.set(xlabel="x [mm]", ylabel=f"{up} [mm]")
         x, rest = (
             1e3 * np.concatenate([column[f"{what}_{one}_m"] for what in ("true", "sounding")]) for one in ("x", up)
         )

@@ -64,11 +64,5 @@ def _p0_row(model: HapticModel, number: int, stimulus: StimulusModel) -> list[Ro
         return [Row("p0", "none", why, name)]
     if band is None:
         return []
-    return [
-        Row(
-            "p0",
-            f"x {band[0]:.2f} to x {band[1]:.2f}",
-            f"ARP and displacement are proportional to p0 squared; {known}",
-            name,
-        )
-    ]
+    why = f"ARP and displacement are proportional to p0 squared; {known}"
+    return [Row("p0", f"x {band[0]:.2f} to x {band[1]:.2f}", why, name)]

@@ -128,13 +128,7 @@ def _everything(posed: PosedScene) -> Surface:
 
 
 def _sight(
-    model: HapticModel,
-    posed: PosedScene,
-    skin: int,
-    stimulus: StimulusModel,
-    foci: Float,
-    mesh: wp.Mesh,
-    time_s: float,
+    model: HapticModel, posed: PosedScene, skin: int, stimulus: StimulusModel, foci: Float, mesh: wp.Mesh, time_s: float
 ) -> Sight:
     layer = model.skins[skin].layer
     points, normals = posed.skins[skin].quadrature

@@ -56,8 +56,11 @@ class Preview:
     def posed_at(self, times: Iterable[float]) -> Iterator[tuple[float, SceneRuntime, PosedScene]]:
         """Yield each of some rising times [s], the runtime at it, and the pose of its MuJoCo step.
 
-        A copy of the scene without its skins is stepped. Raises the errors of modules in a step.
+        A copy of the scene without its skins is stepped, if a part of it moves. Raises the errors of modules in a step.
         """
+        if not self.moves:
+            yield from ((time_s, self.runtime, self.runtime.posed) for time_s in times)
+            return
         data = copy.copy(self.data)
         world = world_of(data)
         assert world is not None and world.scene is not None

@@ -37,13 +37,9 @@ class LoudestSound:
             body = PosedSurface(part.carrier, other, body.frame, (body.bone_positions, body.bone_rotations))
         obstacles = place.obstacle_positions, place.obstacle_rotations
         varied_model = replace(model, skins=_exchanged(model.skins, skin, other))
-        varied = PosedScene(
-            posed.array_frame,
-            posed.arrays,
-            posed.frames,
-            _exchanged(posed.bodies, part.body, body),
-            _exchanged(posed.skins, skin, PosedSkin(other, body, obstacles)),
-        )
+        bodies = _exchanged(posed.bodies, part.body, body)
+        skins = _exchanged(posed.skins, skin, PosedSkin(other, body, obstacles))
+        varied = PosedScene(posed.array_frame, posed.arrays, posed.frames, bodies, skins)
         radiation, solution = Radiation(varied_model), self.radiation.solution(skin)
         if solution is not None and not disc:
             radiation.adopt(skin, solution._replace(posed=varied))

@@ -1,12 +1,16 @@
 """The sound of a scene at moments of its play, for safety estimates."""
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from palmfield.acoustics.exposure import radiated_power_W
 from palmfield.acoustics.phased_array import PhasedArray
+from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.estimate.array_inputs import p0_band_at
 from palmfield.hardware.safety.exposure import Heard, SoundMoment, at_head, with_band
 from palmfield.session.preview import Preview
+from palmfield.simulation.posed_scene import PosedScene
 from palmfield.types import Complex, Float
 
 MOMENTS = 96
@@ -20,18 +24,11 @@ def moments_of(count: int, duration_s: float) -> Float:
     return (number + np.modf((number + 1) * GOLDEN)[0]) * duration_s / count
 
 
-def scene_drives(view: Preview, duration_s: float) -> list[tuple[PhasedArray, Complex]]:
-    """Return arrays at their places, and the drive of their transducers, at `moments_of` a play."""
-    times = moments_of(MOMENTS, duration_s)
-    if view.moves:
-        stepped = ((time_s, runtime.work.emission, posed) for time_s, runtime, posed in view.posed_at(times))
-    else:
-        stepped = ((time_s, view.runtime.work.emission, view.runtime.posed) for time_s in times)
-    drives = []
-    for time_s, emission, posed in stepped:
-        emission.begin(posed, float(time_s))
-        drives.append((posed.arrays, emission.commanded(posed, np.array([time_s]))[0]))
-    return drives
+def drives_over(view: Preview, duration_s: float) -> Iterator[tuple[float, SceneRuntime, PosedScene, Complex]]:
+    """Yield times of `moments_of` a play [s], the runtime, the pose, and the drive of all transducers, shape (N,)."""
+    for time_s, runtime, posed in view.posed_at(moments_of(MOMENTS, duration_s).tolist()):
+        runtime.work.emission.begin(posed, time_s)
+        yield time_s, runtime, posed, runtime.work.emission.commanded(posed, np.array([time_s]))[0]
 
 
 def sound_of(drives: list[tuple[PhasedArray, Complex]]) -> list[SoundMoment]:
@@ -48,7 +45,8 @@ def scene_at_head(view: Preview, duration_s: float) -> Heard:
 
     Errors as `palmfield.hardware.safety.exposure.at_head`.
     """
-    model, drives = view.runtime.model, scene_drives(view, duration_s)
+    model = view.runtime.model
+    drives = [(posed.arrays, drive) for *_, posed, drive in drives_over(view, duration_s)]
     heard = at_head(sound_of(drives), model.spec.driver, model.arrays.array.positions)
     return banded(view, drives, heard)
 

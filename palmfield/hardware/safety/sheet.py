@@ -12,7 +12,7 @@ from palmfield.errors import DeviceError
 from palmfield.hardware.safety.byproduct import COUNT, RATE_HZ, Byproduct, byproduct, rung
 from palmfield.hardware.safety.exposure import Heard, at_head, check_head
 from palmfield.hardware.safety.maps import course, head_map, skin_map
-from palmfield.hardware.safety.scene_sound import MOMENTS, banded, moments_of, power_W, sound_of
+from palmfield.hardware.safety.scene_sound import MOMENTS, banded, drives_over, moments_of, power_W, sound_of
 from palmfield.outputs.safety_picture import LevelCourse, LevelMap
 from palmfield.session.preview import Preview
 from palmfield.simulation.model import array_instances
@@ -81,15 +81,12 @@ def safety_sheet(view: Preview, duration_s: float) -> SafetySheet:
     """
     model = view.runtime.model
     times = moments_of(MOMENTS, duration_s)
-    still = ((float(time_s), view.runtime, view.runtime.posed) for time_s in times)
     loudest = [_Loudest() for _ in model.skins]
     drives: list[tuple[PhasedArray, Complex]] = []
     squares = np.zeros(len(model.skins))
     at_skins = [np.zeros(len(skin.quadrature[0])) for skin in view.runtime.posed.skins]
     over_play = np.zeros((len(model.skins), MOMENTS))
-    for time_s, runtime, posed in view.posed_at(times) if view.moves else still:
-        runtime.work.emission.begin(posed, float(time_s))
-        drive = runtime.work.emission.commanded(posed, np.array([time_s]))[0]
+    for time_s, runtime, posed, drive in drives_over(view, duration_s):
         drives.append((posed.arrays, drive))
         if not drive.any():
             continue
@@ -102,9 +99,8 @@ def safety_sheet(view: Preview, duration_s: float) -> SafetySheet:
             squares[number] += 0.5 * float(peaks[most]) ** 2 / MOMENTS
             if peaks[most] > best.peak_Pa:
                 loudest[number] = _Loudest(
-                    float(peaks[most]), points[most].copy(), posed, runtime.work.radiation, drive, float(time_s),
-                    points.copy(),
-                )  # fmt: skip
+                    float(peaks[most]), points[most].copy(), posed, runtime.work.radiation, drive, time_s, points.copy()
+                )
     driver = model.spec.driver
     placed = driver if driver.head_m is not None else driver.model_copy(update={"head_m": DEFAULT_HEAD_M})
     moments = sound_of(drives)

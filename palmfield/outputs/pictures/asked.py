@@ -79,18 +79,14 @@ def asked_for(
     Raises OutputError for another quantity, and for texts that are not that many finite numbers.
     """
     refuse_unknown(OutputError, "--quantity has value {}", quantity, UNITS)
-    places = [_numbers("--place", text, 3) for text in places_mm]
+    in_mm = [_numbers("--place", text, 3) for text in places_mm]
     ends = None if limits is None else _numbers("--limits", limits, 2)
     if ends is not None and not ends[0] < ends[1]:
         raise OutputError(f"--limits has value '{limits}'; allowed: a lower number, then a higher one")
-    return Asked(
-        None if time_ms is None else 1e-3 * time_ms,
-        tuple((1e-3 * x, 1e-3 * y, 1e-3 * z) for x, y, z in places),
-        None if ends is None else (ends[0], ends[1]),
-        skin,
-        cast(Quantity, quantity),
-        observer,
-    )
+    time_s = None if time_ms is None else 1e-3 * time_ms
+    places = tuple((1e-3 * x, 1e-3 * y, 1e-3 * z) for x, y, z in in_mm)
+    between = None if ends is None else (ends[0], ends[1])
+    return Asked(time_s, places, between, skin, cast(Quantity, quantity), observer)
 
 
 def _numbers(option: str, text: str, count: int) -> list[float]:

@@ -40,14 +40,8 @@ def read_mat(file: Path) -> Scan:
         if name in found and (np.asarray(found[name]).dtype.kind not in "fiu"):
             raise MeasurementError(f"{file}: variable {name} does not hold real numbers")
     arrays = {name: np.asarray(found[name], dtype=float) for name in KNOWN if name in found}
-    return Scan(
-        VALUES[there[0]],
-        arrays["time_s"].ravel(),
-        arrays["points_m"],
-        arrays[there[0]],
-        arrays.get("sights"),
-        file.name,
-    )
+    times_s, points, values = arrays["time_s"].ravel(), arrays["points_m"], arrays[there[0]]
+    return Scan(VALUES[there[0]], times_s, points, values, arrays.get("sights"), file.name)
 
 
 def _variables(file: Path) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from palmfield.outputs.usd.prims import Moves, about, add_mesh, add_primvar, flo
 from palmfield.outputs.usd.quantise import rounding
 from palmfield.outputs.usd.samples import Samples
 from palmfield.outputs.usd.skeleton import BoneMoves, add_skeleton, bind, identifiers
-from palmfield.outputs.usd.skins import SkinWriter
+from palmfield.outputs.usd.skins import LOUDEST, SkinWriter
 from palmfield.types import Float, Float32, Int
 
 SKIN_COLOUR = (0.70, 0.47, 0.36)
@@ -87,14 +87,9 @@ class BodyWriter:
         first, everything = surfaces[0], slice(None)
         points, faces = first["rest_position"].values, first["face"].values
         mesh = add_mesh(stage, f"{path}/Surface", points, faces, colour)
-        about(
-            mesh.GetPrim(),
-            holds="surface of the body in the computation; Drawn is the same surface, lowered below its skins",
-        )
-        for name, sign in (
-            ("loudest_arp", "at the loudest instant; positive values push into the surface"),
-            ("loudest_pressure", "peak amplitude at the loudest instant"),
-        ):
+        holds = "surface of the body in the computation; Drawn is the same surface, lowered below its skins"
+        about(mesh.GetPrim(), holds=holds)
+        for name, sign in LOUDEST.items():
             # Skins on one body share its surface; each brings its own loudest instant
             values = [surface[name].values for surface in surfaces if has_records(surface, name)]
             if values:
@@ -103,14 +98,8 @@ class BodyWriter:
             low, high = float(first["face_arp"].min()), float(first["face_arp"].max())
             rounded = rounding(low, high, face_normals(points, faces)[1], FORCE_PART)
             told = rounding_told(rounded) | {"quantisation": FORCE_ROUNDING}
-            primvar = add_primvar(
-                mesh.GetPrim(),
-                "arp",
-                "Pa",
-                "mean over the step; positive values push into the surface",
-                told,
-                "uniform",
-            )
+            sign = "mean over the step; positive values push into the surface"
+            primvar = add_primvar(mesh.GetPrim(), "arp", "Pa", sign, told, "uniform")
             self._pressed = first, rounded, Samples(primvar.GetAttr(), floats)
         mesh.CreatePurposeAttr(UsdGeom.Tokens.guide)
         # Normals are those at the true place: the lowered part's edge would darken the body next to the skin

@@ -46,13 +46,8 @@ def add_legend(
     sides = np.stack([np.zeros(COLOURS + 1), rows], axis=1), np.stack([np.full(COLOURS + 1, WIDE), rows], axis=1)
     lower = np.arange(COLOURS)
     right = lower + COLOURS + 1
-    bar = add_mesh(
-        stage,
-        f"{path}/Bar",
-        placed(np.concatenate(sides)),
-        np.stack([lower, right, right + 1, lower + 1], axis=1),
-        None,
-    )
+    quads = np.stack([lower, right, right + 1, lower + 1], axis=1)
+    bar = add_mesh(stage, f"{path}/Bar", placed(np.concatenate(sides)), quads, None)
     colour = paint(bar, palette, "uniform", quantity=name, units=quantity.unit)
     indices_of(colour).Set(integers(lower))
     low, high = quantity.per_unit * palette.low, quantity.per_unit * palette.high

@@ -22,6 +22,11 @@ from palmfield.types import Float, Float32, Int
 MOTION = "motion"
 REST, MAGNIFIED = "rest", "magnified"
 """The variant set of each skin and its variants: points at rest, and points moved by a factor."""
+LOUDEST = {
+    "loudest_arp": "at the loudest instant; positive values push into the surface",
+    "loudest_pressure": "peak amplitude at the loudest instant",
+}
+"""Quantities of skins and bodies at the loudest instant [Pa], and their signs."""
 
 
 def strip_order(points: Float) -> Int:
@@ -101,12 +106,9 @@ class SkinWriter:
         numbers = UsdGeom.PrimvarsAPI(self.mesh).CreatePrimvar("vertex_number", Sdf.ValueTypeNames.IntArray, "vertex")
         numbers.Set(integers(self.order))
         about(numbers.GetAttr(), units="1", sign="number of the vertex in result.nc, from 0")
-        for name, unit, sign in (
-            ("loudest_arp", "Pa", "at the loudest instant; positive values push into the surface"),
-            ("loudest_pressure", "Pa", "peak amplitude at the loudest instant"),
-        ):
+        for name, sign in LOUDEST.items():
             if has_records(skin, name):
-                add_primvar(self.mesh.GetPrim(), name, unit, sign, {}).Set(floats(skin[name].values[self.order]))
+                add_primvar(self.mesh.GetPrim(), name, "Pa", sign, {}).Set(floats(skin[name].values[self.order]))
         self._tracks: dict[str, _Track] = {}
         self._levels: LevelCourse | None = None
         self._window = -1

@@ -244,12 +244,7 @@ def _magnification(shown: Shown, clock: Clock, ranges: _Ranges, skin: xr.Dataset
 
 
 def _add_view(
-    stage: Usd.Stage,
-    result: xr.DataTree,
-    shown: Shown,
-    clock: Clock,
-    palette: Palette | None,
-    field: Palette | None,
+    stage: Usd.Stage, result: xr.DataTree, shown: Shown, clock: Clock, palette: Palette | None, field: Palette | None
 ) -> None:
     """Add camera and lights, and the legend of the colours: of the skins, else of the field."""
     times = clock.times_s if len(clock.codes) else np.zeros(1)

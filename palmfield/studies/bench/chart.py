@@ -33,14 +33,11 @@ def speed_figure(rows: list[FieldRow], models: dict[str, str]) -> Figure:
     with style():
         figure = Figure(figsize=(11.0, 5.6), layout="constrained")
         axes = figure.subplots(1, len(ranges), sharex=True, sharey=True, squeeze=False)[0]
-        axes[0].set_xscale("log")
-        axes[0].set_yscale("log")
-        axes[0].set_xlim(min(errors) / 5.0, max(errors) * 5.0)
-        axes[0].set_ylim(min(speeds) / 2.0, max(speeds) * 2.0)
+        axes[0].set(xscale="log", yscale="log")
+        axes[0].set(xlim=(min(errors) / 5.0, max(errors) * 5.0), ylim=(min(speeds) / 2.0, max(speeds) * 2.0))
         axes[0].set_ylabel("pairs of transducer and point per core-second" + (" (GPU: per second)" if on_gpu else ""))
         for axis, text in zip(axes, ranges, strict=True):
-            axis.set_title(f"Points {text} away")
-            axis.set_xlabel("relative L2 error against float64 of the same model")
+            axis.set(title=f"Points {text} away", xlabel="relative L2 error against float64 of the same model")
             some = [row for row in measured if row.range == text]
             for row in some:
                 colour, marker = looks[row.model]

@@ -54,14 +54,7 @@ class Problem:
 
     def array(self) -> Array:
         """Return the transducers, which are all equal."""
-        return Array(
-            "bench",
-            self.positions,
-            self.normals,
-            self.p0_Pa_m,
-            frequency_Hz=self.frequency_Hz,
-            piston_radius_m=self.piston_radius_m,
-        )
+        return Array("bench", self.positions, self.normals, self.p0_Pa_m, self.frequency_Hz, self.piston_radius_m)
 
     def points(self) -> Float32:
         """Points of the grid [m], shape (product of steps, 3), float32, x running fastest."""

@@ -206,9 +206,7 @@ def speed_figure(rows: list[SkinRow]) -> Figure:
                 [100 * row.worst for row in some], [row.seconds for row in some],
                 MARKERS[number % len(MARKERS)] + line, color=f"C{number % 10}", label=name,
             )  # fmt: skip
-        axis.set_xscale("log")
-        axis.set_yscale("log")
+        axis.set(xscale="log", yscale="log", ylabel="seconds")
         axis.set_xlabel("error of the centre displacement [%], the larger of static and 200 Hz")
-        axis.set_ylabel("seconds")
         axis.legend(fontsize="small")
     return figure

@@ -135,13 +135,7 @@ class Comparison:
         return "\n".join(lines)
 
 
-LABELS = {
-    "gain": "gain",
-    "delay_s": "delay",
-    "l2": "difference",
-    "l2_shape": "of the shape",
-    "coherence": "coherence",
-}
+LABELS = {"gain": "gain", "delay_s": "delay", "l2": "difference", "l2_shape": "of the shape", "coherence": "coherence"}
 COLUMNS = ("point", "x_m", "y_m", "z_m", "skin_x_m", "skin_y_m", "skin_z_m", "residual_m", *Agreement._fields)
 
 

@@ -68,19 +68,14 @@ def compare(
     settings = read_settings(instrument, Vibrometer) if isinstance(instrument, str | Path) else instrument
     with open_result(run) as result:
         name, data = _skin(result, skin)
-        place = registration(
-            scan.points,
-            data["rest_position"].values,
-            data["face"].values,
-            pairs=_pairs(fiducials),
-            surface=onto_surface,
-        )
+        rest, faces = data["rest_position"].values, data["face"].values
+        place = registration(scan.points, rest, faces, pairs=_pairs(fiducials), surface=onto_surface)
         near = place.residual_m <= OFF_M
         if near.sum() < 2:
             raise MeasurementError(
                 f"{scan.name}: {near.sum()} of {len(near)} points lie within {1e3 * OFF_M:g} mm of the skin, the "
                 f"nearest at {1e3 * place.residual_m.min():.3g} mm; give the scan in the frame of the body at "
-                "rest, or give fiducials" + _in_millimetres(scan, data["rest_position"].values)
+                "rest, or give fiducials" + _in_millimetres(scan, rest)
             )
         motion = of_skin(data, place.transform.points(scan.points[near]), OFF_M)
     ours = _through_instrument(motion, scan.at_points(near), place, settings)

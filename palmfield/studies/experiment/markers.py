@@ -1,7 +1,6 @@
 """Marks of the moment at which sound begins: for Lab Streaming Layer, and as a line of a serial port."""
 
 import time
-from types import TracebackType
 from typing import Any, Protocol, Self
 
 from palmfield.drive.trigger_line import TriggerLine
@@ -70,8 +69,6 @@ class Markers:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         for part in self.parts:
             part.close()

@@ -16,6 +16,7 @@ from palmfield.errors import OutputError
 from palmfield.types import Float
 
 Scale = Literal["linear", "log"]
+STRICT = ConfigDict(extra="forbid", strict=False)
 
 
 class Answered(NamedTuple):
@@ -26,7 +27,20 @@ class Answered(NamedTuple):
     word: str = ""
 
 
-@with_config(ConfigDict(extra="forbid", strict=False))
+def _mean(levels: Sequence[float], scale: Scale) -> float:
+    """Mean by a scale, geometric for ratios; NaN of none."""
+    if not levels:
+        return math.nan
+    return float(np.exp(np.mean(np.log(levels)))) if scale == "log" else float(np.mean(levels))
+
+
+def _moved(level: float, step: float, scale: Scale, low: float, high: float) -> float:
+    """A level moved by a step, in dB for a scale of ratios, within limits."""
+    moved = level + step if scale == "linear" else level * 10.0 ** (step / 20.0)
+    return round(min(max(moved, low), high), 12)
+
+
+@with_config(STRICT)
 @dataclass(frozen=True)
 class Staircase:
     """A transformed up-down staircase (Levitt 1971): harder after `down` right answers in a row, easier after `up`
@@ -89,10 +103,7 @@ class Staircase:
         It estimates the level of `convergence`.
         """
         levels = [run[turn].level for turn in self.turns(run)[self.skipped :]]
-        levels = levels[len(levels) % 2 :]
-        if not levels:
-            return math.nan
-        return float(np.exp(np.mean(np.log(levels)))) if self.scale == "log" else float(np.mean(levels))
+        return _mean(levels[len(levels) % 2 :], self.scale)
 
     def _course(self, run: Sequence[Answered]) -> "_Course":
         level, heading, rights, wrongs = self.start, 0, 0, 0
@@ -107,14 +118,10 @@ class Staircase:
             if heading and move != heading:
                 turns.append(number)
             heading = move
-            level = self._moved(trial.level, move, self.steps[min(len(turns), len(self.steps) - 1)])
+            size = self.steps[min(len(turns), len(self.steps) - 1)] * (1.0 if move > 0 else self.up_ratio)
+            sign = -move if self.harder == "lower" else move
+            level = _moved(trial.level, sign * size, self.scale, self.low, self.high)
         return _Course(level, turns)
-
-    def _moved(self, level: float, move: int, step: float) -> float:
-        size = step * (1.0 if move > 0 else self.up_ratio)
-        sign = -move if self.harder == "lower" else move
-        moved = level + sign * size if self.scale == "linear" else level * 10.0 ** (sign * size / 20.0)
-        return round(min(max(moved, self.low), self.high), 12)
 
 
 class _Course(NamedTuple):
@@ -122,7 +129,7 @@ class _Course(NamedTuple):
     turns: list[int]
 
 
-@with_config(ConfigDict(extra="forbid", strict=False))
+@with_config(STRICT)
 @dataclass(frozen=True)
 class ConstantStimuli:
     """Present each level equally often, in an order drawn for each repetition. levels; repeats; seed: of the order"""
@@ -147,7 +154,7 @@ class ConstantStimuli:
         return float(order[len(run)]) if len(run) < len(order) else None
 
 
-@with_config(ConfigDict(extra="forbid", strict=False))
+@with_config(STRICT)
 @dataclass(frozen=True)
 class Adjustment:
     """A participant makes a level stronger and weaker until it is just felt, several times from random start levels.
@@ -184,9 +191,7 @@ class Adjustment:
                 return round(self.low + share * (self.high - self.low), 12)
             return round(self.low * (self.high / self.low) ** share, 12)
         sign = {"stronger": 1.0, "weaker": -1.0}.get(run[-1].word, 0.0)
-        last = run[-1].level
-        moved = last + sign * self.step if self.scale == "linear" else last * 10.0 ** (sign * self.step / 20.0)
-        return round(min(max(moved, self.low), self.high), 12)
+        return _moved(run[-1].level, sign * self.step, self.scale, self.low, self.high)
 
     def settings_of(self, run: Sequence[Answered]) -> list[float]:
         """Levels at which `done` was said."""
@@ -194,10 +199,7 @@ class Adjustment:
 
     def estimate(self, run: Sequence[Answered]) -> float:
         """Mean of the settings by the scale, NaN without one."""
-        levels = self.settings_of(run)
-        if not levels:
-            return math.nan
-        return float(np.exp(np.mean(np.log(levels)))) if self.scale == "log" else float(np.mean(levels))
+        return _mean(self.settings_of(run), self.scale)
 
     def _ends(self, run: Sequence[Answered]) -> list[int]:
         """Return the numbers of the trials with which settings ended."""
@@ -209,7 +211,7 @@ class Adjustment:
         return ends
 
 
-@with_config(ConfigDict(extra="forbid", strict=False))
+@with_config(STRICT)
 @dataclass(frozen=True)
 class Limits:
     """The method of limits: series of rising and of falling levels, in turn, each until the answer changes.
@@ -233,7 +235,9 @@ class Limits:
 
     def next_level(self, run: Sequence[Answered]) -> float | None:
         """The level of the next trial, None at the end."""
-        number, place = self._at(run)
+        number, place = 0, 0
+        for trial in run:
+            number, place = self._after(number, place, trial)
         return None if number >= self.series else self._order(number)[place]
 
     def estimate(self, run: Sequence[Answered]) -> float:
@@ -251,21 +255,13 @@ class Limits:
                 pair = order[place - 1], order[place]
                 ends.append(math.sqrt(pair[0] * pair[1]) if self.scale == "log" else 0.5 * sum(pair))
             number, place = self._after(number, place, trial)
-        if not ends:
-            return math.nan
-        return float(np.exp(np.mean(np.log(ends)))) if self.scale == "log" else float(np.mean(ends))
+        return _mean(ends, self.scale)
 
     def _order(self, number: int) -> tuple[float, ...]:
         return self.levels if number % 2 == 0 else self.levels[::-1]
 
-    def _at(self, run: Sequence[Answered]) -> tuple[int, int]:
-        """Return the number of the series and the place in it of the next trial."""
-        number, place = 0, 0
-        for trial in run:
-            number, place = self._after(number, place, trial)
-        return number, place
-
     def _after(self, number: int, place: int, trial: Answered) -> tuple[int, int]:
+        """Return the number of the series and the place in it, after a trial."""
         turned = trial.right == (number % 2 == 0)
         return (number + 1, 0) if turned or place + 1 == len(self.levels) else (number, place + 1)
 

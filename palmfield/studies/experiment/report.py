@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -16,13 +16,6 @@ from palmfield.studies.experiment.procedures import Adjustment, Answered, Limits
 
 STEEP = 0.5
 """Share of the smallest distance between levels: a function with a smaller spread rises between two of them."""
-
-
-class _Settings(NamedTuple):
-    shape: Shape
-    lapse: float | None
-    spread: float | None
-    confidence: float
 
 
 @dataclass(frozen=True)
@@ -86,7 +79,7 @@ def report_of(
     if shape == "weibull" and design.varied.scale == "log":
         raise OutputError("shape 'weibull' needs linear levels, but the scale 'log' of this log is in dB; "
                           "allowed: normal, logistic")  # fmt: skip
-    settings = _Settings(shape, lapse, spread, confidence)
+    settings = {"shape": shape, "lapse": lapse, "spread": spread, "confidence": confidence}
     conditions = tuple(
         _condition(design, number, [trial for trial in log.trials if trial.condition == number], settings)
         for number in range(len(design.conditions))
@@ -96,7 +89,7 @@ def report_of(
     return Report(log, conditions, convergence, next_trial(design, log.trials) is None, spread is not None)
 
 
-def _condition(design: Design, number: int, trials: Sequence[Trial], settings: _Settings) -> ConditionReport:
+def _condition(design: Design, number: int, trials: Sequence[Trial], settings: dict[str, Any]) -> ConditionReport:
     runs, estimates = [], []
     for block in range(design.blocks):
         run = [trial.answered for trial in trials if trial.block == block]
@@ -117,13 +110,13 @@ def _condition(design: Design, number: int, trials: Sequence[Trial], settings: _
     adaptive = design.procedure["kind"] in ("staircase", "limits")
     found, notes = None, [f"{silent} trials with level 0 are excluded"] if silent else []
     try:
-        found = fit(levels, count, right, guess=design.task.chance, adaptive=adaptive, **settings._asdict())
+        found = fit(levels, count, right, guess=design.task.chance, adaptive=adaptive, **settings)
         if not found.settled:
             notes.append(
                 "the threshold lies outside the levels, or the spread is at its bound: there are too few "
                 "answers near the threshold"
             )
-        elif settings.spread is None and found.spread < STEEP * float(np.diff(levels).min()):
+        elif settings["spread"] is None and found.spread < STEEP * float(np.diff(levels).min()):
             notes.append(
                 "the spread is small compared with the distance of the levels, so only an upper bound is known"
             )
@@ -199,7 +192,7 @@ def as_text(report: Report) -> str:
     lines = [
         f"{head['name']}: participant {head['participant']}, observer {head['observer']}, board {head['board']}; "
         f"{len(report.log.trials)} trials in {report.log.sessions} "
-        f"session{'' if report.log.sessions == 1 else 's'}, {state}",
+        f"session{'' if report.log.sessions == 1 else 's'}, {state}"
     ]
     if report.convergence is not None:
         lines.append(

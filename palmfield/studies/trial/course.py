@@ -48,17 +48,14 @@ class SceneCourse:
         self._turns: dict[int, Float] = {}
         self._bones: list[list[tuple[Float, Float]]] = []
         self._outer: list[tuple[Transform, PhasedArray]] = []
-        if view.moves:
-            try:
-                for _, runtime, posed in view.posed_at(self.step_s * np.arange(count)):
-                    self.model = runtime.model
-                    self._add(posed)
-            except SceneError as error:
-                if not as_far_as_it_goes or len(self._rows) < 2:
-                    raise
-                count, self.refused = len(self._rows), str(error)
-        else:
-            self._add(view.runtime.posed)
+        try:
+            for _, runtime, posed in view.posed_at(self.step_s * np.arange(count)):
+                self.model = runtime.model
+                self._add(posed)
+        except SceneError as error:
+            if not as_far_as_it_goes or len(self._rows) < 2:
+                raise
+            count, self.refused = len(self._rows), str(error)
         self.end_s = (count - 1) * self.step_s
 
     @property

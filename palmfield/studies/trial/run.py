@@ -184,13 +184,7 @@ def _scripted(view: Preview, way: _Way) -> _Done:
 
 
 def _followed(
-    view: Preview,
-    scene: str | Path,
-    board: str | None,
-    keys: Mapping[str, object],
-    live: Live,
-    way: _Way,
-    folder: Path,
+    view: Preview, scene: str | Path, board: str | None, keys: Mapping[str, object], live: Live, way: _Way, folder: Path
 ) -> _Done:
     """Send a scene with the hand of a live tracker; the scene then moves by its samples."""
     tracker, duration_s, truth, flight, port, log, show_stage = way

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import viser
 
+from palmfield.studies.view import messages
 from palmfield.studies.view.colours import (
     AT_REST,
     NOTHING,
@@ -26,25 +27,6 @@ from palmfield.studies.view.colours import (
 )
 from palmfield.studies.view.gate import ALIVE, LOCAL, Gate, only_for_gate
 from palmfield.studies.view.glb import GlbMesh, linear
-from palmfield.studies.view.messages import (
-    Address,
-    Ask,
-    End,
-    FromPage,
-    FromSimulation,
-    Moment,
-    Notice,
-    Pace,
-    Place,
-    Pose,
-    Press,
-    Replay,
-    SceneShown,
-    SetKey,
-    Slider,
-    Turn,
-    Values,
-)
 from palmfield.types import Float32
 
 PORT = 8080
@@ -133,7 +115,7 @@ class SkinNode:
 class Page:
     """The page, in the process that shows it. address: for the browser"""
 
-    def __init__(self, talk: Connection, place: Address) -> None:
+    def __init__(self, talk: Connection, place: messages.Address) -> None:
         """Raises OutputError if it cannot listen."""
         self._talk, self._lock, self._place = talk, Lock(), place
         # Never at another address, and for the gate alone: viser does not check its clients
@@ -157,14 +139,14 @@ class Page:
         self._server.scene.add_light_ambient("/light/all", intensity=1.3)
         for number, lit_from in enumerate(((0.3, 0.5, 1.0), (1.0, 1.2, -0.6))):
             self._server.scene.add_light_directional(f"/light/{number}", intensity=1.1, position=lit_from)
-        self._scene: SceneShown | None = None
-        self._moment: Moment | None = None
-        self._replay: Replay | None = None
+        self._scene: messages.SceneShown | None = None
+        self._moment: messages.Moment | None = None
+        self._replay: messages.Replay | None = None
         self._asked_moment = self._asked_replay = -math.inf
         self._picture = 0
         self._skins: list[SkinNode] = []
         self._bodies: list[viser.MeshHandle] = []
-        self._sliders: dict[Place, Any] = {}
+        self._sliders: dict[messages.Place, Any] = {}
         self._folders: dict[str, Any] = {}
         self._slow = 1.0
         self._magnified = 1.0
@@ -173,7 +155,7 @@ class Page:
 
     # -- to and from the simulation ------------------------------------------------------------------------------------
 
-    def _say(self, message: FromPage) -> None:
+    def _say(self, message: messages.FromPage) -> None:
         with self._lock:
             self._talk.send(message)
 
@@ -185,8 +167,8 @@ class Page:
             wait = due - time.monotonic()
             try:
                 if self._talk.poll(max(wait, 0.0)):
-                    message: FromSimulation = self._talk.recv()
-                    if isinstance(message, End):
+                    message: messages.FromSimulation = self._talk.recv()
+                    if isinstance(message, messages.End):
                         return
                     self._take(message)
                     continue
@@ -197,18 +179,18 @@ class Page:
                 return
             due = max(due + period_s, time.monotonic())
 
-    def _take(self, message: FromSimulation) -> None:
-        if isinstance(message, SceneShown):
+    def _take(self, message: messages.FromSimulation) -> None:
+        if isinstance(message, messages.SceneShown):
             self._begin(message)
-        elif isinstance(message, Moment):
+        elif isinstance(message, messages.Moment):
             self._asked_moment = -math.inf
             self._take_moment(message)
-        elif isinstance(message, Replay):
+        elif isinstance(message, messages.Replay):
             self._asked_replay = -math.inf
             self._take_replay(message)
-        elif isinstance(message, Notice):
+        elif isinstance(message, messages.Notice):
             self._show_notice(message)
-        elif isinstance(message, Values):
+        elif isinstance(message, messages.Values):
             for place, value in message.values.items():
                 if place in self._sliders:
                     self._put(self._sliders[place], value)
@@ -221,7 +203,7 @@ class Page:
 
     # -- what there is -------------------------------------------------------------------------------------------------
 
-    def _begin(self, scene: SceneShown) -> None:
+    def _begin(self, scene: messages.SceneShown) -> None:
         """Show a scene, the first one or a rebuilt one."""
         first = self._scene is None
         self._scene, self._replay, self._moment = scene, None, None
@@ -256,7 +238,7 @@ class Page:
         else:
             self._add_sliders(scene)
 
-    def _look(self, pose: Pose, directions: Float32) -> None:
+    def _look(self, pose: messages.Pose, directions: Float32) -> None:
         """Put the camera to the side of the sound's path, so that skin and array are visible."""
         array = pose.transducers.mean(axis=0)
         skin = np.concatenate([points for points, _ in pose.skins]).mean(axis=0)
@@ -271,13 +253,15 @@ class Page:
         camera.position = tuple(middle + far * (0.85 * beside + 0.9 * ahead - 0.38 * axis))
         camera.look_at = tuple(middle)
 
-    def _controls(self, scene: SceneShown) -> None:
+    def _controls(self, scene: messages.SceneShown) -> None:
         gui = self._server.gui
         self._status = gui.add_html("")
         self._notice = gui.add_html("")
         self._play = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE)
         self._on_press(self._play, self._play_pressed)
-        self._on_press(gui.add_button("Reset", icon=viser.Icon.PLAYER_SKIP_BACK), lambda: self._say(Press("reset")))
+        self._on_press(
+            gui.add_button("Reset", icon=viser.Icon.PLAYER_SKIP_BACK), lambda: self._say(messages.Press("reset"))
+        )
         self._record = gui.add_button("Record", icon=viser.Icon.PLAYER_RECORD)
         self._on_press(self._record, self._record_pressed)
         with gui.add_folder("What is seen"):
@@ -290,13 +274,13 @@ class Page:
             gui.add_html(phase_legend())
         with gui.add_folder("Level above threshold"):
             self._meter = gui.add_html("")
-        self._pace.on_update(lambda event: self._say(Pace(PACES[self._pace.value])) if event.client else None)
+        self._pace.on_update(lambda event: self._say(messages.Pace(PACES[self._pace.value])) if event.client else None)
         with gui.add_folder("Any key", expand_by_default=False):
             text = gui.add_text("INSTANCE.key=VALUE", "", hint="separate several by ;")
-            self._on_press(gui.add_button("Set it"), lambda: self._say(SetKey(text.value)))
+            self._on_press(gui.add_button("Set it"), lambda: self._say(messages.SetKey(text.value)))
         self._add_sliders(scene)
 
-    def _add_sliders(self, scene: SceneShown) -> None:
+    def _add_sliders(self, scene: messages.SceneShown) -> None:
         """Replace the sliders by those of a scene; no change if they are the same."""
         if self._sliders and set(self._sliders) == {slider.place for slider in scene.sliders}:
             return
@@ -314,12 +298,14 @@ class Page:
             with self._folders["Hand"]:
                 gui.add_html(_small(html.escape(scene.no_pose)))
 
-    def _add_slider(self, slider: Slider) -> None:
+    def _add_slider(self, slider: messages.Slider) -> None:
         label = f"{slider.label} [{slider.unit}]" if slider.unit else slider.label
         low, high = min(slider.low, slider.value), max(slider.high, slider.value)
         handle = self._server.gui.add_slider(label, low, high, slider.step, slider.value)
         # Changes by the simulation come without a client, and are not sent back
-        handle.on_update(lambda event: self._say(Turn(slider.place, float(handle.value))) if event.client else None)
+        handle.on_update(
+            lambda event: self._say(messages.Turn(slider.place, float(handle.value))) if event.client else None
+        )
         self._sliders[slider.place] = handle
 
     @staticmethod
@@ -327,15 +313,15 @@ class Page:
         button.on_click(lambda _: do())
 
     def _play_pressed(self) -> None:
-        self._say(Press("pause" if self._moment is not None and self._moment.playing else "play"))
+        self._say(messages.Press("pause" if self._moment is not None and self._moment.playing else "play"))
 
     def _record_pressed(self) -> None:
         going = self._moment is not None and self._moment.recording
-        self._say(Press("stop recording" if going else "record"))
+        self._say(messages.Press("stop recording" if going else "record"))
 
     # -- what comes ----------------------------------------------------------------------------------------------------
 
-    def _show_notice(self, notice: Notice) -> None:
+    def _show_notice(self, notice: messages.Notice) -> None:
         colour, mark = {
             "info": ("inherit", ""), "busy": ("light-dark(#8a5a00, #ffc46b)", "&#8987; "),
             "error": ("light-dark(#b00020, #ff8a94)", "&#9888; "),
@@ -345,7 +331,7 @@ class Page:
             f"{html.escape(notice.text)}</div>"
         )
 
-    def _take_moment(self, moment: Moment) -> None:
+    def _take_moment(self, moment: messages.Moment) -> None:
         self._moment = moment
         if moment.pose is not None:
             for body, vertices in zip(self._bodies, moment.pose.bodies, strict=True):
@@ -368,7 +354,7 @@ class Page:
             self._record.label = label
             self._record.color = "red" if moment.recording else None
 
-    def _take_replay(self, replay: Replay) -> None:
+    def _take_replay(self, replay: messages.Replay) -> None:
         self._replay, self._picture = replay, 0
         rows = []
         for name, skin in zip(self._scene.skins if self._scene else (), replay.skins, strict=True):
@@ -385,11 +371,11 @@ class Page:
         now = time.monotonic()
         if now - self._asked_moment > AGAIN_s:
             self._asked_moment = now
-            self._say(Ask("full moment" if shown in NOWS else "moment"))
+            self._say(messages.Ask("full moment" if shown in NOWS else "moment"))
         through = self._replay is None or self._picture >= len(self._replay.times) * self._repeats()
         if now - self._asked_replay > AGAIN_s and through:
             self._asked_replay = now
-            self._say(Ask("replay"))
+            self._say(messages.Ask("replay"))
         states, scale, words = self._state(shown)
         if not states:
             return
@@ -422,11 +408,7 @@ class Page:
             if moment is None or not moment.displacement:
                 return [], nothing, ""
             scale, values = self._now_scale(shown, moment)
-            return (
-                list(zip(moment.displacement, values, strict=True)),
-                scale,
-                NOW_WORDS,
-            )
+            return list(zip(moment.displacement, values, strict=True)), scale, NOW_WORDS
         if replay is None:
             return [], nothing, ""
         repeats = self._repeats()
@@ -445,7 +427,7 @@ class Page:
         scale = motion_scale("normal displacement, outward positive", self._largest())
         return [(one, one) for one in motion], scale, words
 
-    def _now_scale(self, shown: str, moment: Moment) -> tuple[Scale, tuple[Float32, ...]]:
+    def _now_scale(self, shown: str, moment: messages.Moment) -> tuple[Scale, tuple[Float32, ...]]:
         if shown == NOWS[1]:
             top = max(_most(moment.arp), _most([skin.arp for skin in self._replay.skins]) if self._replay else 0.0)
             return size_scale("radiation pressure (ARP)", top, "Pa", 1.0), moment.arp

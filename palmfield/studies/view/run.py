@@ -16,23 +16,10 @@ from palmfield.errors import OutputError, PalmfieldError, SceneError
 from palmfield.session.changed_stimuli import change_stimuli
 from palmfield.session.simulation import Simulation
 from palmfield.session.worlds import stimulus_texts
+from palmfield.studies.view import messages
 from palmfield.studies.view.gate import is_loopback
 from palmfield.studies.view.hands import NO_HAND, Hands
 from palmfield.studies.view.link import Link
-from palmfield.studies.view.messages import (
-    Address,
-    Ask,
-    FromPage,
-    FromSimulation,
-    Notice,
-    Pace,
-    Place,
-    Press,
-    SetKey,
-    Slider,
-    Turn,
-    Values,
-)
 from palmfield.studies.view.page_process import need_viser
 from palmfield.studies.view.periods import Periods, steps_watched
 from palmfield.studies.view.recording import Recording, next_folder
@@ -80,12 +67,12 @@ class ShownScene:
     """
 
     def __init__(
-        self, wanted: Wanted, keys: Mapping[str, object], out: Path, send: Callable[[FromSimulation], None]
+        self, wanted: Wanted, keys: Mapping[str, object], out: Path, send: Callable[[messages.FromSimulation], None]
     ) -> None:
         """out: folder of recordings, each in a folder of its own. Errors as `palmfield.Simulation`."""
         self.wanted, self.keys, self.out, self.send = wanted, dict(keys), out, send
         self.playing, self.most_pace = True, 1.0
-        self._turns: dict[Place, float] = {}
+        self._turns: dict[messages.Place, float] = {}
         self._turned_at = 0.0
         self._set: dict[str, object] = {}
         self._asked: set[str] = set()
@@ -93,7 +80,7 @@ class ShownScene:
         self._recording: Recording | None = None
         self.sim = wanted.open(keys)
         self._hands = Hands(self.sim)
-        self.sliders: dict[Place, Slider] = {}
+        self.sliders: dict[messages.Place, messages.Slider] = {}
         self._attach()
 
     def _attach(self) -> None:
@@ -123,28 +110,28 @@ class ShownScene:
         )
         self.send(self._values())
 
-    def _values(self) -> Values:
+    def _values(self) -> messages.Values:
         stimuli = self.sim.runtime.spec.stimuli
         values = {place: value_of(one, stimuli) for place, one in self.sliders.items() if place[0] == "key"}
-        return Values(values | self._hands.values)
+        return messages.Values(values | self._hands.values)
 
     # -- what the page sends -------------------------------------------------------------------------------------------
 
-    def take(self, message: FromPage) -> None:
+    def take(self, message: messages.FromPage) -> None:
         """Do what the page requests; errors are reported there."""
-        if isinstance(message, Ask):
+        if isinstance(message, messages.Ask):
             self._asked.add(message.what)
-        elif isinstance(message, Turn):
+        elif isinstance(message, messages.Turn):
             self._turn(message)
-        elif isinstance(message, Pace):
+        elif isinstance(message, messages.Pace):
             self.most_pace = message.most if message.most > 0.0 else 1.0
             self._begin_clock()
-        elif isinstance(message, SetKey):
+        elif isinstance(message, messages.SetKey):
             self._guarded(lambda: self._take_text(message.text))
-        elif isinstance(message, Press):
+        elif isinstance(message, messages.Press):
             self._guarded(lambda: self._press(message.what))
 
-    def _turn(self, turn: Turn) -> None:
+    def _turn(self, turn: messages.Turn) -> None:
         if turn.place not in self.sliders:
             return
         if turn.place[0] == "pose":
@@ -181,7 +168,7 @@ class ShownScene:
             self._stop_watching()
             folder = next_folder(self.out)
             self._recording = Recording(self.sim, folder, str(self.wanted.scene), self.keys)
-            self.send(Notice("info", f"recording to {folder}"))
+            self.send(messages.Notice("info", f"recording to {folder}"))
         elif what == "stop recording":
             self.stop_recording("stopped in the live view")
 
@@ -191,12 +178,12 @@ class ShownScene:
             do()
         except PalmfieldError as error:
             LOG.warning("%s", error)
-            self.send(Notice("error", str(error)))
+            self.send(messages.Notice("error", str(error)))
             return False
         except Exception as error:
             # A fault of palmfield must not end the view: the scene is unchanged, and keys can be set back
             LOG.exception("internal error of the live view")
-            self.send(Notice("error", f"internal error of palmfield: {type(error).__name__}: {error}"))
+            self.send(messages.Notice("error", f"internal error of palmfield: {type(error).__name__}: {error}"))
             return False
         return True
 
@@ -324,9 +311,9 @@ class ShownScene:
                 self.keys |= texts
                 self._texts = own
                 self._watch_soon()
-                self.send(Notice("info", f"{changes}: the scene is unchanged"))
+                self.send(messages.Notice("info", f"{changes}: the scene is unchanged"))
                 return
-        self.send(Notice("busy", f"rebuilding with {changes}; the page still shows the previous scene"))
+        self.send(messages.Notice("busy", f"rebuilding with {changes}; the page still shows the previous scene"))
         started = time.monotonic()
         keys = self.keys | {name: value or None for name, value in texts.items()}
         new = self.wanted.open(keys)
@@ -338,7 +325,7 @@ class ShownScene:
         new.reset()
         self._attach()
         self.show()
-        self.send(Notice("info", f"{changes}: rebuilt in {time.monotonic() - started:.1f} s, from time 0"))
+        self.send(messages.Notice("info", f"{changes}: rebuilt in {time.monotonic() - started:.1f} s, from time 0"))
 
     def _reset(self) -> None:
         self.stop_recording("reset in the live view")
@@ -346,7 +333,7 @@ class ShownScene:
         self.sim.reset()
         self._begin_clock()
         self._watch_soon()
-        self.send(Notice("info", "back to time 0"))
+        self.send(messages.Notice("info", "back to time 0"))
 
     def stop_recording(self, reason: str) -> None:
         """Finish a recording if there is one, and report its folder."""
@@ -355,7 +342,7 @@ class ShownScene:
         recording, self._recording = self._recording, None
         if self._guarded(lambda: recording.finish(reason)):
             LOG.info("wrote %s: `palmfield plot %s` draws it", recording.out, recording.out)
-            self.send(Notice("info", f"wrote {recording.out}: `palmfield plot {recording.out}` draws it"))
+            self.send(messages.Notice("info", f"wrote {recording.out}: `palmfield plot {recording.out}` draws it"))
 
 
 def view(
@@ -396,17 +383,17 @@ def view(
     given = dict(keys or {})
     if modes:
         given.setdefault("palmfield.skin.solver", "modal")
-    unsent: list[FromSimulation] = []
+    unsent: list[messages.FromSimulation] = []
     folder = Path("out") / f"view_{path.stem}" if out is None else Path(out)
     live = ShownScene(Wanted(path, device, accuracy, board), given, folder, unsent.append)
-    live.take(Pace(pace))
+    live.take(messages.Pace(pace))
     on_gpu = live.sim.runtime.spec.device != "cpu"
     rate = rate_Hz or (GPU_RATE_Hz if on_gpu else RATE_Hz)
     token = "" if is_loopback(host) else secrets.token_urlsafe(24)
     end = Ending()
     with (
         handling(dict.fromkeys(("SIGINT", "SIGTERM", "SIGHUP"), end.note)),
-        Link(Address(host, port, token, rate)) as link,
+        Link(messages.Address(host, port, token, rate)) as link,
     ):
         live.send = link.send
         live.show()
