@@ -60,12 +60,6 @@ def p0_known(model: HapticModel, stimulus: int) -> list[Estimate]:
     return list(dict.fromkeys(instances[number].p0 for number in model.stimuli[stimulus].spec.arrays))
 
 
-def quality_known(model: HapticModel, stimulus: int) -> list[Estimate]:
-    """Quality factors of the transducers in the arrays of a stimulus, each once where several are equal."""
-    instances = array_instances(model.spec)
-    return list(dict.fromkeys(instances[number].quality for number in model.stimuli[stimulus].spec.arrays))
-
-
 def qualities(stimulus: StimulusModel) -> str:
     """Quality factors of the transducers that a stimulus drives, in words."""
     response = stimulus.response

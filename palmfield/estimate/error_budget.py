@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from palmfield.estimate.array_inputs import p0_band_at, p0_known, quality_known, stimulus_of
+from palmfield.estimate.array_inputs import p0_band_at, p0_known, stimulus_of
 from palmfield.estimate.biases import biases
 from palmfield.estimate.numerical_error import SteppedRun, error_estimate
 from palmfield.estimate.numerics.depth_band import depth_band
 from palmfield.session.loudest_moment import LoudestMoment, loudest_place, nearest_focus, place_under_focus
-from palmfield.simulation.model import HapticModel
+from palmfield.simulation.model import HapticModel, array_instances
 from palmfield.simulation.radiation import Radiation
 from palmfield.stimulus.schedule import frame_at
 from palmfield.types import Float
@@ -141,7 +141,8 @@ def _unknown_inputs(model: HapticModel, skin: int, stimulus: int) -> list[dict[s
         key = "arp_law" if part.spec.config.arp_alpha is None else "arp_alpha"
         why = f"{alpha:g} by key {key}; allowed: 1 to 2; the ARP on the skin is proportional to it"
         inputs.append(("alpha of the ARP", "assumed", why))
-    known = quality_known(model, stimulus)
+    instances, arrays = array_instances(model.spec), model.stimuli[stimulus].spec.arrays
+    known = list(dict.fromkeys(instances[number].quality for number in arrays))
     kinds = " and ".join(dict.fromkeys(one.kind for one in known))
     ranges = "; ".join(f"{one.value:g} ({one.low:g} to {one.high:g}): {one.source}" for one in known)
     inputs.append(("quality factor of the transducers", kinds, f"{ranges}; affects onsets and fast modulation"))

@@ -63,10 +63,10 @@ def _budgets(sim: Simulation, recorder: Recorder, bar: Progress) -> dict[str, An
         bar.remove_task(task)
 
 
-def _numbers(
-    sim: Simulation, recorder: Recorder, budgets: dict[str, Any], tree: xr.DataTree
-) -> tuple[dict[str, Any], dict[str, dict[str, Any]], dict[str, dict[str, Any]]]:
-    """Summary of a run beyond its arrays: of the scene, of each skin and of each stimulus."""
+def _whole_summary(
+    sim: Simulation, recorder: Recorder, budgets: dict[str, Any], tree: xr.DataTree, extra: dict[str, Any]
+) -> dict[str, Any]:
+    """The numbers of a run that went to its end. budgets: of its skins"""
     skins = {}
     times: Float = np.asarray(tree["time"])
     for name, ds in instances(tree, "skin").items():
@@ -84,12 +84,4 @@ def _numbers(
                 "eigenvalues cross: drive and sound may jump there, as on a real board", name, len(turned),
                 turned[0],
             )  # fmt: skip
-    return scene_numbers(sim, *run), skins, stimuli
-
-
-def _whole_summary(
-    sim: Simulation, recorder: Recorder, budgets: dict[str, Any], tree: xr.DataTree, extra: dict[str, Any]
-) -> dict[str, Any]:
-    """The numbers of a run that went to its end. budgets: of its skins"""
-    whole, skins, stimuli = _numbers(sim, recorder, budgets, tree)
-    return summary(tree, extra | whole, skins, stimuli, array_numbers(sim.runtime.model))
+    return summary(tree, extra | scene_numbers(sim, *run), skins, stimuli, array_numbers(sim.runtime.model))

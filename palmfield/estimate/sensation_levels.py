@@ -196,16 +196,11 @@ def _refused(
     region = region_at(config.hand, model.skins[skin].nodes[0][int(arp.argmax())])
     if region not in PALM_AREAS:
         return f"it was measured on palms, but the loudest point lies on '{region}'"
-    moved = _moved_m(loudest.posed, reference, skin)
-    if model.spec.skins[skin].moves or sounding[0].spec.frame_moves or moved > STILL_m:
+    now, at_rest = (scene.skins[skin].nodes[0] for scene in (loudest.posed, reference))
+    moved_m = np.linalg.norm(now - at_rest, axis=1).max()
+    if model.spec.skins[skin].moves or sounding[0].spec.frame_moves or moved_m > STILL_m:
         return "it was measured with hand and focus at rest, but in this scene one of them moves"
     return why_refused(sounding[0].config)
-
-
-def _moved_m(posed: PosedScene, reference: PosedScene, skin: int) -> float:
-    """Largest distance of a point of a skin from its place in the reference pose [m]."""
-    places = [scene.skins[skin].nodes[0] for scene in (posed, reference)]
-    return float(np.linalg.norm(places[0] - places[1], axis=1).max())
 
 
 def region_at(hand: str, point: Float) -> str:

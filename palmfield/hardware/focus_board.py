@@ -85,11 +85,6 @@ class FocusBoard:
         return head.measured(self.array, self.board.places)
 
 
-def allowed_layouts(board: Board) -> str:
-    """List layouts of a board for messages, `csv` for a file of places."""
-    return ", ".join("FILE.csv of its transducers" if name == "csv" else name for name in board.layouts)
-
-
 def array_named(name: str, p0_Pa_m: float | None = None) -> tuple[Array, Estimate]:
     """The array of a layout, or of a CSV file of transducers, and its p0. Raises SceneError for other names."""
     if not name.lower().endswith(".csv"):
@@ -108,7 +103,8 @@ def focus_board(board: str, sound: FocusSound, keys: Mapping[str, object]) -> Fo
     name = chosen.layouts[0] if sound.layout is None else sound.layout
     kind = "csv" if name.lower().endswith(".csv") else name
     if kind not in chosen.layouts or name == "csv":
-        raise DeviceError(f"board '{board}' cannot drive layout '{name}'; allowed: {allowed_layouts(chosen)}")
+        allowed = ("FILE.csv of its transducers" if one == "csv" else one for one in chosen.layouts)
+        raise DeviceError(f"board '{board}' cannot drive layout '{name}'; allowed: {', '.join(allowed)}")
     if chosen.arrays[0] > 1:
         raise SceneError(f"board '{board}' drives {chosen.arrays[0]} arrays; give a scene with their positions")
     if not 0.0 <= sound.level <= 1.0:

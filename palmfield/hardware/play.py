@@ -26,7 +26,7 @@ from palmfield.estimate.sending import offset_words, peak_offset, sending
 from palmfield.hardware.focus_board import FocusSound, am_share, focus_board
 from palmfield.hardware.log_head import log_head
 from palmfield.hardware.safety.exposure import SoundMoment, at_head, check_head, with_band
-from palmfield.hardware.safety.scene_sound import scene_at_head
+from palmfield.hardware.safety.scene_sound import warn_at_head
 from palmfield.session.open_scene import Source
 from palmfield.session.preview import Preview, preview
 from palmfield.simulation.frames import Frames
@@ -120,7 +120,8 @@ def play_focus(
     if driver.head_m is not None:
         share = 0.375 if am_Hz > 0.0 else 1.0  # mean square of (1 + sin)/2
         moments = [SoundMoment(at_loudest, share)] if played.any() else []
-        _warn(check_head(with_band(at_head(moments, driver, array.positions), made.band), driver))
+        for line in check_head(with_band(at_head(moments, driver, array.positions), made.band), driver):
+            LOG.warning(line)
     done = send(frames, chosen, duration_s, target, made.head, limits, progress).saying(*made.said)
     if not played.any():
         return done
@@ -156,8 +157,7 @@ def play_scene(
         raise DeviceError(f"{view.name} uses board '{model.board.name}', which takes no bytes; give another by --board")
     duration = view.duration_s if duration_s is None else duration_s
     spec, head = view.runtime.spec, log_head(model)
-    if spec.driver.head_m is not None:
-        _warn(check_head(scene_at_head(view, duration), spec.driver))
+    warn_at_head(view, duration)
     limits = SoundLimits.of(spec.driver)
     done = send(scene_frames(view, duration), model.board, duration, target, head, limits, progress)
     said = [f"board {model.board.name}: {sending(model.board, model.configs)}"]
@@ -212,11 +212,6 @@ def send(
     assert target.port is not None
     done = play_on_port(ready, board, target.port, duration_s, log=target.log, head=head, progress=progress)
     return done.saying(*said)
-
-
-def _warn(lines: list[str]) -> None:
-    for line in lines:
-        LOG.warning(line)
 
 
 def play_on_port(

@@ -91,10 +91,3 @@ def sampled(times_s: ArrayLike, signal: ArrayLike, at_s: ArrayLike) -> Float:
         band = ANTI_ALIAS_SHARE / step
         values = lowpass(values, 1.0 / fine, band, ANTI_ALIAS_ORDER, phase="zero_phase")
     return np.asarray(CubicSpline(times, values, axis=0)(np.clip(at, times[0], times[-1])))
-
-
-def white_noise(
-    shape: tuple[int, ...], density: float, rate_Hz: float, averages: int, rng: np.random.Generator
-) -> Float:
-    """Noise of a one-sided density [unit/sqrt(Hz)] up to half the rate: deviation density sqrt(rate/2/averages)."""
-    return rng.normal(0.0, density * math.sqrt(0.5 * rate_Hz / averages), shape)

@@ -14,7 +14,7 @@ from pydantic import Field
 
 from palmfield.errors import MeasurementError
 from palmfield.instruments.settings import NonNegative, Positive, Settings, Vector3
-from palmfield.instruments.signal_chain import Phase, highpass, integrated, lowpass, sampled, white_noise
+from palmfield.instruments.signal_chain import Phase, highpass, integrated, lowpass, sampled
 from palmfield.instruments.surface_motion import SurfaceMotion
 from palmfield.types import Float
 
@@ -123,8 +123,9 @@ def vibrometer_record(
     times = np.arange(count) / rate
     signal = sampled(moments, seen, start + times)
     if settings.noise_m_s_rtHz > 0.0:
-        rng = np.random.default_rng(seed)
-        signal = signal + white_noise(signal.shape, settings.noise_m_s_rtHz, rate, settings.averages, rng)
+        # White, of a one-sided density up to half the rate
+        deviation = settings.noise_m_s_rtHz * math.sqrt(0.5 * rate / settings.averages)
+        signal = signal + np.random.default_rng(seed).normal(0.0, deviation, signal.shape)
     return labelled(times, chain(signal, settings), motion.points, beams, settings.reading)
 
 

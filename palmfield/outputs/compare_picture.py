@@ -1,6 +1,5 @@
 """Pictures of a measured and a computed scan: maps of gain, delay and coherence; frequency and wavenumber."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -56,12 +55,12 @@ def draw_agreement(measured: Scan, computed: Scan, numbers: Agreement, path: Pat
     return path
 
 
-def draw_wavenumbers(spectra: Sequence[FrequencyWavenumber], names: Sequence[str], path: Path) -> Path:
+def draw_wavenumbers(measured: FrequencyWavenumber, computed: FrequencyWavenumber, path: Path) -> Path:
     """Draw a PNG of amplitude over frequency and wavenumber, a panel for each; returns its path."""
     with style():
-        figure = Figure(figsize=(4.8 * len(spectra), 4.2), dpi=150, layout="constrained")
-        axes = np.atleast_1d(figure.subplots(1, len(spectra), sharex=True, sharey=True))
-        for axis, one, name in zip(axes, spectra, names, strict=True):
+        figure = Figure(figsize=(9.6, 4.2), dpi=150, layout="constrained")
+        axes = figure.subplots(1, 2, sharex=True, sharey=True)
+        for axis, one, name in zip(axes, (measured, computed), ("measured", "computed"), strict=True):
             largest = float(one.amplitude.max())
             shown = axis.pcolormesh(
                 one.wavenumber_rad_m, one.frequency_Hz, np.maximum(one.amplitude / largest, DEPTH), cmap="magma",

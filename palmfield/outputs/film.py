@@ -25,7 +25,7 @@ from palmfield.outputs.motion import extremes, normal_component
 from palmfield.outputs.pictures.asked import IN_MICRO, UNITS
 from palmfield.outputs.render import Part, cast, joined
 from palmfield.outputs.schema import has_records, instances
-from palmfield.outputs.style import signed_colours, style
+from palmfield.outputs.style import rounded_down, signed_colours, style
 from palmfield.types import Float
 
 SHOWN = ("displacement", "velocity", "arp")
@@ -39,7 +39,6 @@ DPI, DRAWN_FOR = 100, (800, 600)
 """Pixels per inch of text at this width and height of the picture; text scales with the picture."""
 POSES = 16
 """Number of moments whose poses the camera must see."""
-NICE = (1.0, 2.0, 5.0)
 
 
 @dataclass(frozen=True)
@@ -126,7 +125,7 @@ def _look(result: xr.DataTree, cut: Cut, times: Float) -> _Look:
     if not skins or not instances(result, "array"):
         raise OutputError("the result holds no displacement of a skin, or no array; run at least one step with both")
     most = max(float(extremes(skin).peak.max()) for skin in skins.values())
-    magnify = cut.magnify if cut.magnify is not None else _round(SEEN_M / most) if most > 0.0 else 1.0
+    magnify = cut.magnify if cut.magnify is not None else rounded_down(SEEN_M / most) if most > 0.0 else 1.0
     lacking = [name for name, skin in skins.items() if not has_records(skin, cut.shown)]
     if lacking:
         raise OutputError(f"the result holds no {cut.shown} of skin '{lacking[0]}'; give another quantity by --show")
@@ -157,12 +156,6 @@ def _look(result: xr.DataTree, cut: Cut, times: Float) -> _Look:
         if first_own is not None:
             around[first_own] = sunk(surfaces[first_own], [skins[name] for name in own])
     return _Look(skins, around, camera, ListedColormap(colours), limits, unit, magnify)
-
-
-def _round(value: float) -> float:
-    """Round down to one of 1, 2, 5, 10, 20, ..."""
-    ten = 10.0 ** np.floor(np.log10(value))
-    return float(ten * max(step for step in NICE if step * ten <= value * (1.0 + 1e-9)))
 
 
 class _Frame:
@@ -237,7 +230,7 @@ class _Frame:
         ends = camera.project(np.stack([middle, middle + 0.01 * camera.right]))
         pixels_a_cm = float(np.linalg.norm(ends[1] - ends[0]))
         width, height = self._cut.size
-        length_mm = 10.0 * _round(max(0.18 * width / pixels_a_cm, 1e-3))
+        length_mm = 10.0 * rounded_down(max(0.18 * width / pixels_a_cm, 1e-3))
         end = 0.03 * width + 0.1 * length_mm * pixels_a_cm
         y = 0.955 * height
         self._scale_bar = self._axes.plot([0.03 * width, end], [y, y], "-", color="#333333", lw=2.5)

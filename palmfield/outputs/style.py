@@ -35,8 +35,6 @@ RC: Any = {
 COLOURS = ("#c2410c", "#0f766e", "#4338ca")
 LINES = ("-", "--", ":", "-.")
 """Lines differ in grey too."""
-
-
 LEAST_MM = 10.0
 """Least range of axes of places: a fixed focus or hand has no extent."""
 
@@ -70,6 +68,12 @@ def beyond(values: Float, low: float, high: float) -> Any:
     slack = 1e-6 * (high - low)
     below, above = bool((values < low - slack).any()), bool((values > high + slack).any())
     return "both" if below and above else "min" if below else "max" if above else "neither"
+
+
+def rounded_down(value: float) -> float:
+    """The last of 1, 2, 5, 10, 20, ... that is not above a value."""
+    ten = 10.0 ** np.floor(np.log10(value))
+    return float(ten * max(step for step in (1.0, 2.0, 5.0) if step * ten <= value * (1.0 + 1e-9)))
 
 
 FORMATS = ("png", "svg", "pdf")

@@ -36,8 +36,6 @@ HARDLY = 0.05
 """Share of the |p|^2 of a focus on it: skin with less hardly moves."""
 ROUNDED = 0.01
 """Share of its duration by which MuJoCo's steps may change a run without a warning."""
-
-
 DENSITIES_kg_m3 = 500.0, 3000.0
 SHEAR_Pa = 50.0, 1e9
 """Range of skin and phantoms, from the softest gels to dry stratum corneum."""

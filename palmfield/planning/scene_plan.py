@@ -19,8 +19,6 @@ from palmfield.session.preview import preview
 from palmfield.session.simulation import Simulation
 
 __all__ = ["Plan", "Row", "plan", "warnings"]
-
-
 WIDTH = 130
 """Width of the tables in columns, unless the terminal is narrower."""
 

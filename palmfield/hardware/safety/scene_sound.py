@@ -1,5 +1,6 @@
 """The sound of a scene at moments of its play, for safety estimates."""
 
+import logging
 from collections.abc import Iterator
 
 import numpy as np
@@ -8,11 +9,12 @@ from palmfield.acoustics.exposure import radiated_power_W
 from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.estimate.array_inputs import p0_band_at
-from palmfield.hardware.safety.exposure import Heard, SoundMoment, at_head, with_band
+from palmfield.hardware.safety.exposure import Heard, SoundMoment, at_head, check_head, with_band
 from palmfield.session.preview import Preview
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.types import Complex, Float
 
+LOG = logging.getLogger(__name__)
 MOMENTS = 96
 """Number of sampled moments of a play: even, with a shift that avoids synchrony with periods."""
 GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
@@ -49,6 +51,16 @@ def scene_at_head(view: Preview, duration_s: float) -> Heard:
     drives = [(posed.arrays, drive) for *_, posed, drive in drives_over(view, duration_s)]
     heard = at_head(sound_of(drives), model.spec.driver, model.arrays.array.positions)
     return banded(view, drives, heard)
+
+
+def warn_at_head(view: Preview, duration_s: float) -> None:
+    """Log what users should know of the sound at the head, if the driver's keys say where one is.
+
+    Raises DeviceError above key head_limit_dB, and errors as `scene_at_head`.
+    """
+    driver = view.runtime.spec.driver
+    for line in check_head(scene_at_head(view, duration_s), driver) if driver.head_m is not None else ():
+        LOG.warning(line)
 
 
 def banded(view: Preview, drives: list[tuple[PhasedArray, Complex]], heard: Heard) -> Heard:

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -61,17 +62,16 @@ class SafetySheet:
     course: LevelCourse
 
 
-@dataclass
-class _Loudest:
-    """The loudest moment at a skin so far."""
+class _Loudest(NamedTuple):
+    """The loudest moment at a skin so far. place: the loudest of its points [m], shape (3,)"""
 
-    peak_Pa: float = 0.0
-    place: Float | None = None
-    posed: PosedScene | None = None
-    radiation: Radiation | None = None
-    drive: Complex | None = None
-    time_s: float = 0.0
-    points: Float | None = None
+    peak_Pa: float
+    place: Float
+    points: Float
+    posed: PosedScene
+    radiation: Radiation
+    drive: Complex
+    time_s: float
 
 
 def safety_sheet(view: Preview, duration_s: float) -> SafetySheet:
@@ -81,7 +81,7 @@ def safety_sheet(view: Preview, duration_s: float) -> SafetySheet:
     """
     model = view.runtime.model
     times = moments_of(MOMENTS, duration_s)
-    loudest = [_Loudest() for _ in model.skins]
+    loudest: list[_Loudest | None] = [None] * len(model.skins)
     drives: list[tuple[PhasedArray, Complex]] = []
     squares = np.zeros(len(model.skins))
     at_skins = [np.zeros(len(skin.quadrature[0])) for skin in view.runtime.posed.skins]
@@ -97,10 +97,9 @@ def safety_sheet(view: Preview, duration_s: float) -> SafetySheet:
             at_skins[number] = np.maximum(at_skins[number], peaks)
             over_play[number, len(drives) - 1] = peaks[most]
             squares[number] += 0.5 * float(peaks[most]) ** 2 / MOMENTS
-            if peaks[most] > best.peak_Pa:
-                loudest[number] = _Loudest(
-                    float(peaks[most]), points[most].copy(), posed, runtime.work.radiation, drive, time_s, points.copy()
-                )
+            if peaks[most] > (0.0 if best is None else best.peak_Pa):
+                at = points[most].copy(), points.copy(), posed, runtime.work.radiation, drive, time_s
+                loudest[number] = _Loudest(float(peaks[most]), *at)
     driver = model.spec.driver
     placed = driver if driver.head_m is not None else driver.model_copy(update={"head_m": DEFAULT_HEAD_M})
     moments = sound_of(drives)
@@ -108,15 +107,14 @@ def safety_sheet(view: Preview, duration_s: float) -> SafetySheet:
     hands, maps = [], [head_map(moments, placed, head, model.arrays.array.positions)]
     for number, best in enumerate(loudest):
         name = model.skins[number].spec.name
-        if best.posed is None or best.radiation is None or best.drive is None or best.place is None:
+        if best is None:
             hands.append(AtHand(name, Heard(np.zeros(3), 0.0, 0.0), 0.0))
             continue
         heard = Heard(best.place, best.peak_Pa, float(squares[number]))
         arp = best.radiation.on(best.posed, number, "quadrature", best.drive).arp
         hands.append(AtHand(name, banded(view, [(best.posed.arrays, best.drive)], heard), float(arp.max())))
-        assert best.points is not None
         maps.append(skin_map(name, best.points, at_skins[number], heard))
-    first = max(loudest, key=lambda best: best.peak_Pa, default=_Loudest())
+    first = max((best for best in loudest if best is not None), key=lambda best: best.peak_Pa, default=None)
     distance, sound = _audible(view, placed, first)
     on = sum(bool(drive.any()) for _, drive in drives) / len(drives)
     skins = {skin.spec.name: own for skin, own in zip(model.skins, over_play, strict=True)}
@@ -135,9 +133,9 @@ def _said(head: Heard, driver: DriverConfig) -> tuple[str, ...]:
         return (f"palmfield drive refuses this scene: {error}",)
 
 
-def _audible(view: Preview, driver: DriverConfig, loudest: _Loudest) -> tuple[float, Byproduct | None]:
+def _audible(view: Preview, driver: DriverConfig, loudest: _Loudest | None) -> tuple[float, Byproduct | None]:
     """Return the distance of the head from the beam [m], and the by-product there at the loudest moment."""
-    if loudest.posed is None or loudest.place is None or loudest.drive is None:
+    if loudest is None:
         return math.inf, Byproduct(-math.inf, -math.inf, 0.0)
     posed, emission = loudest.posed, view.runtime.work.emission
     assert driver.head_m is not None
@@ -161,6 +159,3 @@ def _audible(view: Preview, driver: DriverConfig, loudest: _Loudest) -> tuple[fl
     shape = intensity / most if most > 0.0 else intensity
     along_m = share * float(np.linalg.norm(along))
     return distance, byproduct(power * shape, distance, posed.arrays.air, carrier, along_m)
-
-
-__all__ = ["DEFAULT_HEAD_M", "AtHand", "SafetySheet", "safety_sheet"]

@@ -18,7 +18,7 @@ COLUMNS, SIDE_INCH = 4, 2.6
 SMALL_DPI, DPI = 110, 150
 
 
-def draw_sheet(result: xr.DataTree, path: Path, asked: Asked | None = None) -> dict[str, str]:
+def draw_sheet(result: xr.DataTree, path: Path) -> dict[str, str]:
     """Draw a small picture of every kind, with its name and description, into one PNG.
 
     Returns why some could not be drawn, by kind; the sheet shows the reason in their places. Raises OutputError if the
@@ -33,7 +33,7 @@ def draw_sheet(result: xr.DataTree, path: Path, asked: Asked | None = None) -> d
         axes = sheet.subplots(rows, COLUMNS, squeeze=False).ravel()
         for axis, (name, kind) in zip(axes, KINDS.items(), strict=False):
             try:
-                figure = kind.draw(result, asked or Asked())
+                figure = kind.draw(result, Asked())
             except (OutputError, MeasurementError) as problem:
                 missing[name] = str(problem)
                 axis.text(0.5, 0.5, textwrap.fill(str(problem), 34), ha="center", va="center", fontsize=6)

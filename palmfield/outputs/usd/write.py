@@ -14,6 +14,7 @@ from palmfield.outputs.camera import Camera, look_along_emission
 from palmfield.outputs.frames import IDENTITY, bodies, in_world, pose_at, to_world
 from palmfield.outputs.levels import FLOOR_DB, LevelCourse, level_course
 from palmfield.outputs.schema import MUJOCO_SCENE, has_records, instances
+from palmfield.outputs.style import rounded_down
 from palmfield.outputs.usd.arrays import ArrayWriter
 from palmfield.outputs.usd.bodies import SKIN_COLOUR, BodyWriter
 from palmfield.outputs.usd.clock import Clock, clock_of
@@ -239,8 +240,7 @@ def _magnification(shown: Shown, clock: Clock, ranges: _Ranges, skin: xr.Dataset
     most = 0.0 if whole is None else max(map(abs, whole))
     if most == 0.0 or 12 * skin.sizes["vertex"] * len(clock.codes) > POINTS_BYTES:
         return 0.0
-    ten = 10.0 ** np.floor(np.log10(SEEN_M / most))
-    return float(ten * max(step for step in (1.0, 2.0, 5.0) if step * ten * most <= SEEN_M * (1.0 + 1e-9)))
+    return rounded_down(SEEN_M / most)
 
 
 def _add_view(

@@ -12,7 +12,6 @@ from palmfield.studies.bench.table import FieldRow
 MARKERS = "os^"
 PANEL_POINTS = 300.0
 """Height of a panel's axes in points of print, about; labels keep LABEL_POINTS between them."""
-
 LABEL_POINTS = 10.0
 
 

@@ -32,26 +32,21 @@ from palmfield.types import Air, Complex
 
 AIR = Air(temperature_C=273.15 * ((340.0 / 331.3) ** 2 - 1.0))
 """Air whose sound speed is 340 m/s, which every program can represent."""
-
 MODELS = {
     "piston": "piston, with absorption",
     "piston, lossless": "piston, without absorption",
     "sphere": "point source, without absorption",
 }
 """Radiation model of one transducer, by the name that methods use. Errors are against float64 of the same model."""
-
 LAYOUT = "autd3_2x2"
 RANGES_M = ((0.05, 0.4), (0.4, 1.2))
 """Distances from the plane of the array."""
-
 WIDTH_M = 0.2
 """Width of the box of points along x and y, centred on the array."""
-
 FOCUS_M = (0.02, 0.01, 0.2)
 POINTS, RUNS = 20_000, 5
 CHECKED = 20_000
 """Largest number of points compared with float64, evenly spaced among all."""
-
 OWN = "palmfield.studies.bench.own"
 COMMAND = "palmfield bench field"
 

@@ -38,7 +38,6 @@ def pressure_gradient(state: State) -> NDArray[np.complex64]:
 
 ALL_CORES = "palmfield, all cores"
 """Name of the method that does not apply to a GPU."""
-
 METHODS = [
     Method("palmfield", "piston", evaluator(threads=1), pressure),
     Method(ALL_CORES, "piston", evaluator(), pressure),

@@ -23,7 +23,6 @@ from palmfield.studies.bench.problem import Method
 ROOT = Path(__file__).resolve().parents[3]
 SIZE = 1000
 """Rows of the matrices of the yardstick."""
-
 ONE_THREAD = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS", "RAYON_NUM_THREADS", "POLARS_MAX_THREADS"), "1"
 )

@@ -5,7 +5,7 @@ import os
 import subprocess
 import sys
 import tempfile
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,7 +15,7 @@ from palmfield.errors import PalmfieldError
 from palmfield.studies.bench.consumer_card import CARD
 from palmfield.studies.bench.drawn import LEVELS, SIZES, SPEEDS, ASIDE_m, TILT_rad
 from palmfield.studies.bench.field import check_writable, device_name, git_commit, written
-from palmfield.studies.bench.scene_run import Job, Task, as_line
+from palmfield.studies.bench.scene_run import Job, Task
 from palmfield.studies.bench.table import processor
 from palmfield.terminal import bars
 
@@ -108,7 +108,7 @@ def found(name: str) -> Path:
 def asked(job: Job, cache: Path) -> dict[str, Any]:
     """Return the answer of a process of its own, with a cache folder. Raises PalmfieldError with its last lines."""
     done = subprocess.run(
-        [sys.executable, "-m", "palmfield.studies.bench.scene_run", as_line(job)],
+        [sys.executable, "-m", "palmfield.studies.bench.scene_run", json.dumps(asdict(job))],
         capture_output=True,
         text=True,
         env={**os.environ, "PALMFIELD_CACHE": str(cache)},

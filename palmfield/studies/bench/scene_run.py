@@ -8,7 +8,7 @@ import json
 import statistics
 import sys
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -261,11 +261,6 @@ def reference(job: Job) -> tuple[Simulation, str]:
 
 def main() -> None:
     print(json.dumps(answer(Job(**json.loads(sys.argv[1])))))
-
-
-def as_line(job: Job) -> str:
-    """Return a job as the command line of this module takes it."""
-    return json.dumps(asdict(job))
 
 
 if __name__ == "__main__":

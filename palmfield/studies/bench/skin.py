@@ -34,7 +34,6 @@ ACCURACIES = {
     "particles": (0.2, 0.1, 0.05),
 }
 """Target accuracies of each palmfield solver."""
-
 COMMAND = "palmfield bench skin"
 MARKERS = "o^sDvP*X"
 END_s, LAST_s = 0.1, 0.02

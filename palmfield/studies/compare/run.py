@@ -130,8 +130,8 @@ def compare(
     write_report(done, folder)
     write_scan(folder / "computed.csv", ours)
     draw_agreement(theirs, ours, numbers, folder / "agreement.png")
-    spectra = [frequency_wavenumber(one.times_s, one.values, one.points) for one in (theirs, ours)]
-    draw_wavenumbers(spectra, ("measured", "computed"), folder / "wavenumbers.png")
+    first, second = (frequency_wavenumber(one.times_s, one.values, one.points) for one in (theirs, ours))
+    draw_wavenumbers(first, second, folder / "wavenumbers.png")
     return done
 
 

@@ -1,6 +1,5 @@
 """Presentations: a scene's frames, made in advance, sent to a board, and the times at which they sounded."""
 
-import logging
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -15,12 +14,10 @@ from palmfield.drive.player import Player
 from palmfield.errors import DeviceError
 from palmfield.hardware.log_head import log_head
 from palmfield.hardware.play import scene_frames
-from palmfield.hardware.safety.exposure import check_head
-from palmfield.hardware.safety.scene_sound import scene_at_head
+from palmfield.hardware.safety.scene_sound import warn_at_head
 from palmfield.session.preview import preview
 from palmfield.whole_files import made_folder
 
-LOG = logging.getLogger(__name__)
 Heard = Callable[[float], None]
 """Called with the time of the first frame's sound as soon as it is measured [s, time.monotonic]."""
 MOST_KEPT = 256
@@ -68,12 +65,9 @@ def presentation(
     model = view.runtime.model
     if model.board.exact:
         raise DeviceError(f"{view.name} uses board '{model.board.name}', which takes no bytes; give another by --board")
-    driver = model.spec.driver
-    if driver.head_m is not None:
-        for line in check_head(scene_at_head(view, duration_s), driver):
-            LOG.warning(line)
+    warn_at_head(view, duration_s)
     frames = tuple(scene_frames(view, duration_s))
-    SoundLimits.of(driver).check([one.time_s for one in frames], [one.sounds for one in frames], duration_s)
+    SoundLimits.of(model.spec.driver).check([one.time_s for one in frames], [one.sounds for one in frames], duration_s)
     return Presentation(frames, model.board, log_head(model), duration_s)
 
 

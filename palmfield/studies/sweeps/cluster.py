@@ -17,7 +17,6 @@ REACH_S = 5.0
 """Longest wait for a scheduler [s]."""
 WORKERS_S = 60.0
 """Longest wait for workers to start [s]."""
-
 ADDRESS = r"\w+://.+:\d+"
 EXAMPLE = "such as tcp://192.168.1.10:8786"
 

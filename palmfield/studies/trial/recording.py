@@ -9,13 +9,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import takewhile
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 
-from palmfield.errors import SceneError, did_you_mean
+from palmfield.errors import SceneError, naming, refuse_unknown
 from palmfield.estimate.array_inputs import p0_band
 from palmfield.given_files import read_text, reading
+from palmfield.instruments import scan
 from palmfield.studies.trial.field import TrialMoment, TrueSound
 from palmfield.studies.trial.sending import Heard
 from palmfield.studies.trial.skin_response import SkinResponse
@@ -23,10 +24,9 @@ from palmfield.types import Float
 
 Quantity = Literal["pressure", "displacement", "velocity"]
 UNITS: dict[Quantity, dict[str, float]] = {
-    "pressure": {"Pa": 1.0, "kPa": 1e3, "mPa": 1e-3},
-    "displacement": {"m": 1.0, "mm": 1e-3, "um": 1e-6, "nm": 1e-9},
-    "velocity": {"m/s": 1.0, "mm/s": 1e-3, "um/s": 1e-6},
-}
+    "pressure": {"Pa": 1.0, "kPa": 1e3, "mPa": 1e-3}, "displacement": scan.UNITS["displacement"],
+    "velocity": scan.UNITS["velocity"],
+}  # fmt: skip
 """Factors to Pa, m and m/s."""
 HEAD = ("quantity", "unit", "place_m")
 SHIFT = 0.25
@@ -87,65 +87,55 @@ def read_recording(path: str | Path) -> Recording:
     file = Path(path)
     with reading(f"recording {file}", SceneError, "a CSV file (UTF-8)"):
         lines = read_text(file, "utf-8-sig").splitlines()
+    with naming(f"recording {file}"):
+        return _recording(lines, file.name)
+
+
+def _recording(lines: list[str], name: str) -> Recording:
     head: dict[str, str] = {}
     begin = sum(1 for _ in takewhile(lambda line: line.startswith("#"), lines))
     for line in lines[:begin]:
-        name, _, value = line[1:].partition(":")
-        if name.strip() in HEAD:
-            head[name.strip()] = value.strip()
-    for name in HEAD:
-        if name not in head:
+        key, _, value = line[1:].partition(":")
+        if key.strip() in HEAD:
+            head[key.strip()] = value.strip()
+    for known in HEAD:
+        if known not in head:
             raise SceneError(
-                f"recording {file}: the head has no '# {name}: ...'; begin with lines '# quantity: pressure', "
-                "'# unit: Pa', '# place_m: 0 0 0.15'"
+                f"the head has no '# {known}: ...'; begin with lines '# quantity: pressure', '# unit: Pa', "
+                "'# place_m: 0 0 0.15'"
             )
-    quantity = next((known for known in UNITS if known == head["quantity"]), None)
-    if quantity is None:
-        near = did_you_mean(head["quantity"], UNITS)
-        raise SceneError(f"recording {file}: quantity is '{head['quantity']}'{near}; allowed: {', '.join(UNITS)}")
-    if head["unit"] not in UNITS[quantity]:
-        raise SceneError(
-            f"recording {file}: unit of {quantity} is '{head['unit']}'; allowed: {', '.join(UNITS[quantity])}"
-        )
+    refuse_unknown(SceneError, "quantity is {}", head["quantity"], UNITS)
+    quantity = cast(Quantity, head["quantity"])
+    refuse_unknown(SceneError, f"unit of {quantity} is {{}}", head["unit"], UNITS[quantity])
+    place = _numbers(head["place_m"].replace(",", " ").split())
+    if len(place) != 3 or max(map(abs, place)) > 10.0:
+        raise SceneError(f"place_m is '{head['place_m']}'; give three finite numbers in metres, in the array's frame")
     if begin == len(lines) or [cell.strip() for cell in lines[begin].split(",")] != ["t", "value"]:
-        raise SceneError(
-            f"recording {file}: line {begin + 1} does not hold column names; give 't,value' after the head"
-        )
-    rows = [_row(file, number, line) for number, line in enumerate(lines[begin + 1 :], begin + 2) if line.strip()]
+        raise SceneError(f"line {begin + 1} does not hold column names; give 't,value' after the head")
+    rows = []
+    for number, line in enumerate(lines[begin + 1 :], begin + 2):
+        if line.strip():
+            rows.append(_numbers(line.split(",")))
+            if len(rows[-1]) != 2:
+                raise SceneError(f"line {number} is '{line}'; give two finite numbers, t and value")
     table = np.array(rows).reshape(-1, 2)
     if len(table) < FEWEST:
-        raise SceneError(f"recording {file} has {len(table)} rows; needed: {FEWEST} or more")
+        raise SceneError(f"{len(table)} rows; needed: {FEWEST} or more")
     late = np.flatnonzero(np.diff(table[:, 0]) <= 0.0)
     if len(late):
         n = int(late[0])
-        raise SceneError(
-            f"recording {file}: t = {table[n + 1, 0]:g} s comes after {table[n, 0]:g} s; allowed: rising times"
-        )
-    scale = UNITS[quantity][head["unit"]]
-    return Recording(quantity, table[:, 0], scale * table[:, 1], _place(file, head["place_m"]), file.name)
+        raise SceneError(f"t = {table[n + 1, 0]:g} s comes after {table[n, 0]:g} s; allowed: rising times")
+    values = UNITS[quantity][head["unit"]] * table[:, 1]
+    return Recording(quantity, table[:, 0], values, (place[0], place[1], place[2]), name)
 
 
-def _row(file: Path, number: int, line: str) -> list[float]:
-    cells = line.split(",")
+def _numbers(cells: list[str]) -> list[float]:
+    """The cells as finite numbers; empty if one is none."""
     try:
         values = [float(cell) for cell in cells]
     except ValueError:
-        raise SceneError(f"recording {file}: line {number} is '{line}'; give two numbers, t and value") from None
-    if len(values) != 2 or not np.isfinite(values).all():
-        raise SceneError(f"recording {file}: line {number} is '{line}'; give two finite numbers, t and value")
-    return values
-
-
-def _place(file: Path, text: str) -> tuple[float, float, float]:
-    try:
-        x, y, z = (float(part) for part in text.replace(",", " ").split())
-    except ValueError:
-        raise SceneError(
-            f"recording {file}: place_m is '{text}'; give three numbers [m] in the array's frame"
-        ) from None
-    if not np.isfinite([x, y, z]).all() or max(abs(x), abs(y), abs(z)) > 10.0:
-        raise SceneError(f"recording {file}: place_m is '{text}'; give three finite numbers in metres")
-    return x, y, z
+        return []
+    return values if np.isfinite(values).all() else []
 
 
 def compare(

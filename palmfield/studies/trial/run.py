@@ -1,7 +1,6 @@
 """A trial of a scene: hand, tracker, focus, bytes, board, sound at the hand's true place, and skin."""
 
 import json
-import logging
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -19,8 +18,7 @@ from palmfield.drive.playback import frame_times
 from palmfield.drive.ports import check_port
 from palmfield.errors import DeviceError, OutputError
 from palmfield.hardware.log_head import log_head
-from palmfield.hardware.safety.exposure import check_head
-from palmfield.hardware.safety.scene_sound import scene_at_head
+from palmfield.hardware.safety.scene_sound import warn_at_head
 from palmfield.interrupts import interrupts_held
 from palmfield.motion.tracking import write_stream
 from palmfield.outputs.trial_picture import draw_trial
@@ -40,7 +38,6 @@ from palmfield.tables import write_table
 from palmfield.terminal import bars
 from palmfield.whole_files import made_folder, write_text
 
-LOG = logging.getLogger(__name__)
 FINEST_S = 1e-3
 """Largest step between two moments at which the sound at the hand is computed."""
 FILES = "sent.jsonl", "course.csv", "trial.json", "trial.png"
@@ -112,10 +109,8 @@ def trial(
             f"{view.name} uses board '{played.name}', which takes no bytes and has no port; give another by --board"
         )
     duration = view.duration_s if duration_s is None else duration_s
-    driver = view.runtime.spec.driver
-    if port is not None and driver.head_m is not None:
-        for line in check_head(scene_at_head(view, duration), driver):
-            LOG.warning(line)
+    if port is not None:
+        warn_at_head(view, duration)
     watched = tracker or Tracker()
     with TemporaryDirectory() as spare, _bar(progress) as show_stage:
         log = None if folder is None or played.exact else FrameLog(folder / "sent.jsonl", log_head(view.runtime.model))

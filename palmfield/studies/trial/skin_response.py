@@ -80,24 +80,21 @@ def skin_response(
     *,
     board: str | None,
     keys: Mapping[str, object],
-    accuracy: float | None = None,
     places: Float,
-    skin: str | None = None,
 ) -> SkinResponse:
-    """Step a scene with the output of a board; skin: by name, None for the first.
+    """Step a scene with the output of a board, and observe its first skin.
 
     places: of the motion, array frame at the beginning [m], shape (p, 3): the nearest nodes of the skin
     Ctrl-C ends it early with the results so far. Errors as `palmfield.Simulation`.
     """
-    sim = Simulation(scene, device="cpu", accuracy=accuracy, board=board, keys=keys)
-    name = skin or sim.skins[0]
-    number = sim.skins.index(name)
-    if not sim.runtime.model.skins[number].choice.solver.any_pose:
+    sim = Simulation(scene, device="cpu", board=board, keys=keys)
+    name = sim.skins[0]
+    if not sim.runtime.model.skins[0].choice.solver.any_pose:
         # A reduced model serves only the scene's own sound; modes serve any
-        sim = Simulation(scene, device="cpu", accuracy=accuracy, board=board, keys={**keys, f"{name}.solver": "modal"})
+        sim = Simulation(scene, device="cpu", board=board, keys={**keys, f"{name}.solver": "modal"})
     sim.steps.play({0: PlayedEmission(sim.runtime.model, emitted)})
     part = sim.skin(name)
-    there = sim.runtime.posed.skins[number].nodes[0]
+    there = sim.runtime.posed.skins[0].nodes[0]
     nodes = np.linalg.norm(there[None] - places[:, None], axis=2).argmin(axis=1)
     normals = part.rest_normal[nodes]
     times, arps, rows = [], [], []

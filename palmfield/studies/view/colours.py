@@ -19,8 +19,6 @@ def _table(name: str, low: float = 0.0, high: float = 1.0) -> NDArray[np.uint8]:
 
 
 MOTION, PRESSURE, PHASE = _table("RdBu_r", 0.02, 0.98), _table("magma_r", 0.03, 0.85), _table("twilight")
-
-
 AT_REST = (int(MOTION[128, 0]), int(MOTION[128, 1]), int(MOTION[128, 2]))
 """Colour of bodies and of skin that does not move."""
 

@@ -6,6 +6,7 @@ import struct
 import numpy as np
 from numpy.typing import NDArray
 
+from palmfield.outputs.style import linear_rgb
 from palmfield.types import Float32, Int
 
 JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
@@ -63,9 +64,7 @@ class GlbMesh:
         return b"".join((self._head, places, linear(colours).tobytes(), self._indices))
 
 
-_LINEAR = np.round(255.0 * np.where(
-    (steps := np.arange(256) / 255.0) <= 0.04045, steps / 12.92, ((steps + 0.055) / 1.055) ** 2.4
-)).astype(np.uint8)  # fmt: skip
+_LINEAR = np.round(255.0 * linear_rgb(np.arange(256) / 255.0)).astype(np.uint8)
 
 
 def linear(colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
