@@ -69,16 +69,24 @@ def limit_bytes() -> int:
     return round(megabytes * 1e6)
 
 
-def kept(kind: str, depends_on: Sequence[Any], make: Callable[[], Arrays]) -> Arrays:
+def kept(
+    kind: str,
+    depends_on: Sequence[Any],
+    make: Callable[[], Arrays],
+    *,
+    where: Path | None = None,
+    code: str | None = None,
+) -> Arrays:
     """The answer that `make` gives, from the cache where an earlier run has left it there.
 
     kind: what it is, a word for a file's name; depends_on: everything that the answer depends on, see `digest`
     make: gives the answer as arrays by name, without objects. Raises what it raises, and keeps nothing then.
+    where: a folder that the environment does not change; code: digest of the code that makes it, None for `code_mark`
     """
-    where = folder()
+    where = where or folder()
     if where is None:
         return make()
-    key = digest(code_mark(), kind, *depends_on)
+    key = digest(code or code_mark(), kind, *depends_on)
     path = where / f"{kind}-{key}.npz"
     try:
         where.mkdir(parents=True, exist_ok=True)

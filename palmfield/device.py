@@ -297,6 +297,26 @@ def vectors(values: ArrayLike, device: str) -> Any:
     return wp.array(np.ascontiguousarray(values, np.float64), dtype=wp.vec3d, device=device)
 
 
+def gather(arrays: Sequence[Any], out: NDArray[Any]) -> None:
+    """Write the numbers of contiguous arrays one after the other into `out`."""
+    start = 0
+    for array in arrays:
+        if array.size:
+            numbers = array.numpy().ravel()
+            out[start : start + len(numbers)] = numbers
+            start += len(numbers)
+
+
+def scatter(numbers: NDArray[Any], arrays: Sequence[Any]) -> None:
+    """Fill arrays from what `gather` has written."""
+    start = 0
+    for array in arrays:
+        if array.size:
+            shape = (*array.shape, wp.types.type_size(array.dtype))
+            array.assign(numbers[start : start + math.prod(shape)].reshape(shape))
+            start += math.prod(shape)
+
+
 def available_bytes() -> int:
     """Memory that programs can take without swapping; 8 GB where the system doesn't say."""
     try:

@@ -16,7 +16,6 @@ from PIL import Image
 from scipy.optimize import least_squares
 
 from palmfield.outputs.style import COLOURS, save, style
-from palmfield.skin.analytic import as_printed
 from palmfield.skin.analytic.layer_oracle import centre_response
 from palmfield.skin.materials.catalogue import CATALOGUE, DEPTH_M, PRESETS, TISSUES, hand_skin, varied
 from palmfield.skin.materials.dispersion import Waves, describe
@@ -24,6 +23,8 @@ from palmfield.skin.materials.material import Material, complex_shear, elastic, 
 from palmfield.skin.materials.prony_fit import fractional, fractional_kelvin_voigt
 from palmfield.skin.materials.ranges import UNITS
 from palmfield.studies.bench.table import cells
+from palmfield_papers.chilles2019.ecoflex import ecoflex_rate_law_mixed, ecoflex_time_as_printed
+from palmfield_papers.mizushima2024 import as_printed
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "oracles"))
 
@@ -217,11 +218,11 @@ def draw_as_printed() -> Figure:
     gel.set_title("standard linear solid of Mizushima & Sato")
     gel.set_ylabel("stress over strain [kPa]")
     gel.set_ylim(bottom=0.0)
-    right, printed = PRESETS["ecoflex_00-10"], as_printed.ecoflex_time_as_printed()
+    right, printed = PRESETS["ecoflex_00-10"], ecoflex_time_as_printed()
     for label, loss, colour in (
         ("right, tau 171 us", [-complex_shear(right, x).imag for x in f], "black"),
         ("tau 0.171 us as printed", [-complex_shear(printed, x).imag for x in f], COLOURS[0]),
-        ("rate law, mixed", [-as_printed.ecoflex_rate_law_mixed(x).imag for x in f], COLOURS[1]),
+        ("rate law, mixed", [-ecoflex_rate_law_mixed(x).imag for x in f], COLOURS[1]),
     ):
         ecoflex.loglog(f, np.array(loss) / 1e3, color=colour, label=label)
     ecoflex.set_title("loss modulus of Chilles et al.'s Ecoflex")
@@ -421,8 +422,8 @@ def page(traded: dict[int, tuple[list[float], list[float]]], fits: list[tuple[in
         "and in simple shear.",
         "![finite strain](images/materials/finite_strain.png)",
         "## As printed",
-        "`palmfield.skin.analytic.as_printed` has formulas that papers print wrongly, beside the right ones. The "
-        "gel's numbers "
+        "`palmfield_papers` has formulas that papers print wrongly, beside the right ones, in "
+        "`mizushima2024.as_printed` and `chilles2019.ecoflex`. The gel's numbers "
         f"are not printed; here E1 {GEL_SOLID[0]:g}, E2 {GEL_SOLID[1]:g} Pa, eta3 {GEL_SOLID[2]:g} Pa s.",
         "![as printed](images/materials/as_printed.png)",
     ]

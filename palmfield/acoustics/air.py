@@ -2,6 +2,7 @@
 
 import math
 
+from palmfield.acoustics.check import frequency
 from palmfield.errors import SceneError
 from palmfield.types import AIR_LIMITS, Air
 
@@ -40,10 +41,7 @@ def absorption_Np_m(air: Air, frequency_Hz: float) -> float:
     Raises SceneError for air outside AIR_LIMITS and for a frequency that is not positive.
     """
     check(air)
-    if not 0.0 < frequency_Hz < math.inf:
-        raise SceneError(
-            f"frequency_Hz = {frequency_Hz} is not positive and finite: give the carrier, for example 40e3"
-        )
+    frequency(frequency_Hz)
     kelvin = air.temperature_C + ZERO_CELSIUS_K
     pressure = air.pressure_Pa / 101325.0  # over the reference pressure
     temperature = kelvin / 293.15  # over the reference temperature

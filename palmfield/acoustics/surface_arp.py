@@ -211,7 +211,6 @@ class SurfaceArp:
         points: Float | Float32,
         normals: Float | Float32,
         drives: Complex,
-        out: Float32 | None = None,
         shades: Shades | None = None,
         amplitudes: Float32 | None = None,
     ) -> Float32:
@@ -220,12 +219,12 @@ class SurfaceArp:
         From MATRIX_FROM drives on a transfer matrix, which is stored for the next call with the same points. For fewer,
         or if directivities differ, mode is "accurate" or points are too far apart, the kernels of the field.
 
-        drives: shape (m, field.count). out: array to fill and return, float32. shades: as `evaluate`, without a matrix.
+        drives: shape (m, field.count). shades: as `evaluate`, without a matrix.
         amplitudes: array to fill with the peak amplitudes of the pressures [Pa], shape (m, count), float32.
         Raises PalmfieldError as `evaluate`, and for normals that are not unit vectors.
         """
         evaluator, frames = self.field.evaluators[0], len(drives)
-        result = np.empty((frames, self.count), np.float32) if out is None else out
+        result = np.empty((frames, self.count), np.float32)
         alike = len(self._group_drives) == 1 and self.field.mode == "fast" and shades is None
         if frames == 0 or self.count == 0:
             return result

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.spatial import Delaunay
 
 from palmfield.hand.region import Shape
+from palmfield.hand.triangles import signed_areas
 from palmfield.types import Float, Int
 
 SMOOTHING_ROUNDS = 12
@@ -48,7 +49,7 @@ def triangulate(shape: Shape, size: Size, radius_m: float, centre_m: tuple[float
     for _ in range(SMOOTHING_ROUNDS):
         faces = _inside(points, shape)
         centroid = points[faces].mean(axis=1)
-        weight = _areas(points, faces) / size(centroid) ** 3
+        weight = signed_areas(points, faces) / size(centroid) ** 3
         total = np.bincount(faces.ravel(), np.repeat(weight, 3), len(points))
         moved = np.stack(
             [np.bincount(faces.ravel(), np.repeat(weight * centroid[:, k], 3), len(points)) for k in (0, 1)], axis=1
@@ -87,15 +88,10 @@ def _resample(loop: Float, size: Size) -> Float:
 
 def _inside(points: Float, shape: Shape) -> Int:
     faces = Delaunay(points).simplices.astype(np.int32)
-    area = _areas(points, faces)
+    area = signed_areas(points, faces)
     faces[area < 0.0] = faces[area < 0.0][:, ::-1]
     flat = np.abs(area) < 1e-6 * np.abs(area).mean()
     return faces[~flat & (shape.at(points[faces].mean(axis=1)) < 0.0)]
-
-
-def _areas(points: Float, faces: Int) -> Float:
-    a, b, c = (points[faces[:, i]] for i in range(3))
-    return 0.5 * ((b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0]))
 
 
 def _compact(points: Float, faces: Int) -> tuple[Float, Int]:

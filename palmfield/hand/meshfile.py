@@ -18,7 +18,7 @@ from palmfield.hand.mano import read_mano
 from palmfield.hand.repair import Finding, Repair, repair
 from palmfield.hand.rigged import RiggedMesh, SkinRig, scaled, strongest
 from palmfield.hand.subdivide import split_long_edges
-from palmfield.hand.triangles import unique_edges, vertex_normals
+from palmfield.hand.triangles import edge_lengths, vertex_normals
 from palmfield.hand.units import DIGITS, Unit, choose_unit
 from palmfield.types import Float, Int, Surface
 
@@ -97,8 +97,7 @@ def examine(path: str | Path, unit: str = "auto", longest_edge_m: float | None =
     points, corners = mended.vertices * scale.metres, mended.faces
     findings = [Finding(f.name, f.count, f.outcome, f.places * scale.metres, f.text) for f in mended.findings]
     if longest_edge_m is not None and not mended.refused:
-        edges, _ = unique_edges(corners)
-        long = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1) > longest_edge_m
+        long = edge_lengths(points, corners)[1] > longest_edge_m
         if long.any():
             finer, corners = split_long_edges(points, corners, longest_edge_m)
             text = f"edges longer than {longest_edge_m * 1e3:.2g} mm were halved until all were shorter"

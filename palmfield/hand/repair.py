@@ -15,6 +15,7 @@ from palmfield.hand.triangles import (
     face_components,
     face_normals,
     unique_edges,
+    volume,
     winding_numbers,
 )
 from palmfield.types import Float, Int
@@ -29,6 +30,7 @@ CRUMB_SHARE = FIN_SHARE = 0.01
 # the hand; an elbow about half of that of the forearm with its hand).
 WRIST_END_SHARE, WRIST_COSINE, WRIST_AROUND_SHARE = 1.0 / 6.0, 0.6, 0.4
 MOST_PLACES, WITHIN_POINTS = 50, 100
+Outcome = Literal["repaired", "refused", "noted"]
 NO_VOLUME = "it encloses no volume; give a closed hand, not a flat sheet"
 
 
@@ -38,7 +40,7 @@ class Finding:
 
     name: str
     count: int
-    outcome: Literal["repaired", "refused", "noted"]
+    outcome: Outcome
     places: Float
     text: str
 
@@ -59,9 +61,7 @@ class Repair:
     def refused(self) -> list[Finding]:
         return [finding for finding in self.findings if finding.outcome == "refused"]
 
-    def note(
-        self, name: str, count: int, outcome: Literal["repaired", "refused", "noted"], places: Float, text: str
-    ) -> None:
+    def note(self, name: str, count: int, outcome: Outcome, places: Float, text: str) -> None:
         if count:
             self.findings.append(Finding(name, count, outcome, np.reshape(places, (-1, 3))[:MOST_PLACES], text))
 
@@ -101,7 +101,7 @@ def repair(vertices: Float, faces: Int) -> Repair:
         return mesh
     _split_pinched(mesh)
     _drop_crumbs(mesh)
-    _drop_unused(mesh)
+    mesh.keep(np.unique(mesh.faces))
     own = len(mesh.faces)
     _close(mesh)
     _check_closed(mesh)
@@ -139,9 +139,8 @@ def _merge(mesh: Repair) -> None:
     mesh.faces = target[mesh.faces].astype(np.int32)
     text = "vertices at equal positions (UV seams, STL corners) were merged"
     mesh.note("split vertices", int(merged.sum()), "repaired", mesh.vertices[merged], text)
-    mesh.note(
-        "unused vertices", int((~used).sum()), "repaired", np.zeros((0, 3)), "vertices without a face were removed"
-    )
+    text = "vertices without a face were removed"
+    mesh.note("unused vertices", int((~used).sum()), "repaired", np.zeros((0, 3)), text)
     mesh.keep(np.unique(mesh.faces))
 
 
@@ -216,9 +215,7 @@ def _drop_fins(mesh: Repair) -> None:
 def _split_pinched(mesh: Repair) -> None:
     """Split a vertex without open edges at which fans of faces without a common edge meet, one for each fan."""
     faces = mesh.faces
-    corner = np.arange(3 * len(faces)).reshape(-1, 3)
-    start = np.concatenate([corner[:, 0], corner[:, 1], corner[:, 2]])
-    end = np.concatenate([corner[:, 1], corner[:, 2], corner[:, 0]])
+    start, end = directed_edges(np.arange(3 * len(faces), dtype=np.int32).reshape(-1, 3)).T
     flat = faces.ravel()
     swap = flat[start] > flat[end]
     low, high = np.where(swap, end, start), np.where(swap, start, end)
@@ -232,8 +229,7 @@ def _split_pinched(mesh: Repair) -> None:
     edges, count = unique_edges(faces)
     opened = np.isin(flat, edges[count == 1])
     # At an open vertex all fans remain one: the faces that close its holes may join them.
-    joined = flat + number
-    label = np.where(opened, joined, fan)
+    label = np.where(opened, flat + number, fan)
     _, first, part = np.unique(label, return_index=True, return_inverse=True)
     origin = flat[first]
     repeated = np.bincount(origin, minlength=len(mesh.vertices)) > 1
@@ -272,10 +268,6 @@ def _within(vertices: Float, outer: Int, inner: Int) -> bool:
     return bool((np.abs(winding_numbers(vertices, outer, some)) > 0.5).all())
 
 
-def _drop_unused(mesh: Repair) -> None:
-    mesh.keep(np.unique(mesh.faces))
-
-
 def _close(mesh: Repair) -> None:
     """Close small holes and the wrist; refuse the others."""
     loops = boundary_loops(mesh.faces)
@@ -283,10 +275,8 @@ def _close(mesh: Repair) -> None:
     large = [loop for loop in loops if len(loop) > SMALL_HOLE_EDGES]
     middle = {id(loop): mesh.vertices[loop].mean(axis=0) for loop in loops}
     wrist = [loop for loop in large if _is_wrist(mesh.vertices, loop)]
-    for loop in small:
-        mesh.add(
-            sparse.csr_array((0, len(mesh.vertices))), np.zeros((0, 3)), loop[least_area_faces(mesh.vertices[loop])]
-        )
+    filled = [loop[least_area_faces(mesh.vertices[loop])] for loop in small]
+    mesh.faces = np.concatenate([mesh.faces, *filled]).astype(np.int32)
     text = f"holes of at most {SMALL_HOLE_EDGES} edges were filled"
     mesh.note("small holes", len(small), "repaired", np.array([middle[id(loop)] for loop in small]), text)
     holes = [loop for loop in large if len(wrist) != 1 or loop is not wrist[0]]
@@ -347,12 +337,11 @@ def _turn_outward(mesh: Repair, own: int) -> None:
     if len(np.unique(directed_edges(faces), axis=0)) < 3 * len(faces):
         mesh.note("one-sided surface", 1, "refused", np.zeros((0, 3)), "it has no inside; export it as a closed body")
         return
-    a, b, c = (mesh.vertices[faces[:, i]] for i in range(3))
-    volume = float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum()) / 6.0
-    if abs(volume) < 1e-9 * float(np.ptp(mesh.vertices, axis=0).max()) ** 3:
+    size = volume(mesh.vertices, faces)
+    if abs(size) < 1e-9 * float(np.ptp(mesh.vertices, axis=0).max()) ** 3:
         mesh.note("no volume", 1, "refused", np.zeros((0, 3)), NO_VOLUME)
         return
-    if volume < 0.0:
+    if size < 0.0:
         faces = np.ascontiguousarray(faces[:, ::-1])
     # Flipping changes the order of the corners but not the set of three directed edges.
     turned = (_orientation(before) != _orientation(faces))[:own]

@@ -38,6 +38,13 @@ HAND_SIZES = "hands are 130 to 260 mm long, forearms with a hand 360 to 560"
 THIN_SHARE, THIN_FACES = 0.025, 2000
 """Half of the skin of a hand has more than this share of its length below it; approximate number of sampled faces."""
 LAYERS_m = (0.001, 0.002, 0.003, 0.005)
+LAYER_FACTS = {
+    "p10_share": "p10_share",
+    "thinned_share": "area_thinned",
+    "least_quality": "quality_min",
+    "volume_share": "volume_share",
+}
+"""Names of a layer's facts in the card, and in the report of `hand_layer`."""
 PALMAR_COSINE = 0.3
 
 
@@ -187,15 +194,8 @@ def palmar_layers(vertices: Float, faces: Int, hand: Chirality) -> list[dict[str
         except SceneError as error:
             out.append({"asked_mm": 1e3 * thickness_m, "error": str(error)})
             continue
-        out.append(
-            {
-                "asked_mm": 1e3 * thickness_m,
-                "p10_share": round(report["p10_share"], 4),
-                "thinned_share": round(report["area_thinned"], 4),
-                "least_quality": round(report["quality_min"], 4),
-                "volume_share": round(report["volume_share"], 4),
-            }
-        )
+        shown = {key: round(report[name], 4) for key, name in LAYER_FACTS.items()}
+        out.append({"asked_mm": 1e3 * thickness_m} | shown)
     return out
 
 

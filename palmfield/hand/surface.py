@@ -1,9 +1,5 @@
 """Closed skin surface of a hand preset: signed distance, marching cubes, relaxation; cached on disk."""
 
-import hashlib
-import io
-import os
-import tempfile
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -14,10 +10,10 @@ import numpy as np
 import platformdirs
 import trimesh
 import warp as wp
-from trimesh.exchange import ply
 from warp.geometry import IsoSurfaceMarchingCubes
 
 import warp_kernels.sdf as kernels
+from palmfield import cache
 from palmfield.device import resolve
 from palmfield.errors import SceneError
 from palmfield.hand import preset as preset_module
@@ -64,8 +60,8 @@ class HandSurface:
 def hand_surface(preset: HandPreset, edge_m: float = 0.003) -> HandSurface:
     """Watertight skin mesh of a preset, with mean edge length close to `edge_m` [m].
 
-    The mesh is cached in the user's cache folder under a hash of the preset, the edge length and the generating code. A
-    damaged file there is replaced; a folder that cannot be written is ignored.
+    The mesh is kept in the user's cache folder (`palmfield.cache`), for this preset, edge length and generating code,
+    whatever the environment names: a hand takes seconds.
 
     Raises SceneError for an edge length outside 1 to 4 mm (a coarser grid closes the gaps between fingers), and if
     digits of the preset touch.
@@ -76,14 +72,15 @@ def hand_surface(preset: HandPreset, edge_m: float = 0.003) -> HandSurface:
     _check_gaps(skeleton)
     # A left hand's mesh is the right one's mirror image, vertex by vertex
     right = preset.model_copy(update={"side": "right"})
-    path = _cache_path(right, edge_m)
-    mesh = _read_cache(path)
-    if mesh is None:
-        data = _generate(centred_skeleton(right), edge_m)
-        _write_cache(path, data)
-        mesh = trimesh.load_mesh(io.BytesIO(data), file_type="ply", process=False)
-    vertices = np.asarray(mesh.vertices, dtype=np.float64)
-    faces = np.asarray(mesh.faces, dtype=np.int32)
+    sources = (__file__, preset_module.__file__, skeleton_module.__file__, kernels.__file__)
+    mesh = cache.kept(
+        "hand",
+        (right, edge_m),
+        lambda: _generate(centred_skeleton(right), edge_m),
+        where=Path(platformdirs.user_cache_dir("palmfield")) / "hands",
+        code=cache.digest(*(Path(source).read_bytes() for source in sources)),
+    )
+    vertices, faces = mesh["vertices"].astype(np.float64), mesh["faces"]
     surface = Surface(vertices, faces, vertex_normals(vertices, faces))
     if preset.side == "left":
         surface = mirrored_surface(surface)
@@ -185,8 +182,8 @@ def _check_gaps(skeleton: Skeleton) -> None:
             )
 
 
-def _generate(skeleton: Skeleton, edge_m: float) -> bytes:
-    """The relaxed mesh as PLY bytes."""
+def _generate(skeleton: Skeleton, edge_m: float) -> cache.Arrays:
+    """Vertices and faces of the relaxed mesh."""
     segments = _segments(skeleton)
     step = edge_m / EDGE_PER_VOXEL
     ends = np.array([end for s in skeleton.skin for end in (s.start, s.end)])
@@ -216,7 +213,7 @@ def _generate(skeleton: Skeleton, edge_m: float) -> bytes:
         )
     if mesh.volume < 0.0:
         mesh.invert()
-    return ply.export_ply(mesh)
+    return {"vertices": mesh.vertices.astype(np.float32), "faces": mesh.faces.astype(np.int32)}
 
 
 def _relax(segments: wp.array, vertices: Float, faces: Int, rounds: int) -> Float:
@@ -237,40 +234,3 @@ def _project(segments: wp.array, points: Float) -> Float:
         squared = np.maximum(np.einsum("ij,ij->i", gradient, gradient), 0.25)
         points = points - (distance / squared)[:, None] * gradient
     return points
-
-
-def _cache_path(preset: HandPreset, edge_m: float) -> Path:
-    digest = hashlib.sha256(f"{preset.model_dump_json()} {edge_m!r}".encode())
-    for source in (__file__, preset_module.__file__, skeleton_module.__file__, kernels.__file__):
-        digest.update(Path(source).read_bytes())
-    return Path(platformdirs.user_cache_dir("palmfield")) / "hands" / f"{digest.hexdigest()[:24]}.ply"
-
-
-def _read_cache(path: Path) -> trimesh.Trimesh | None:
-    """Return the mesh in the cache, or None if there is none or it is damaged."""
-    try:
-        data = path.read_bytes()
-        if path.with_suffix(".sha256").read_text() != _checksum(path, data):
-            return None
-        return trimesh.load_mesh(io.BytesIO(data), file_type="ply", process=False)
-    except (OSError, UnicodeDecodeError):
-        return None
-
-
-def _checksum(path: Path, data: bytes) -> str:
-    """Checksum of a cached mesh and of its name, which identifies the hand."""
-    return hashlib.sha256(path.name.encode() + data).hexdigest()
-
-
-def _write_cache(path: Path, data: bytes) -> None:
-    """Write both files under another name first, so that a reader never sees an incomplete file."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        checksum = _checksum(path, data).encode()
-        for target, content in ((path, data), (path.with_suffix(".sha256"), checksum)):
-            handle, temporary = tempfile.mkstemp(dir=path.parent)
-            with os.fdopen(handle, "wb") as file:
-                file.write(content)
-            os.replace(temporary, target)
-    except OSError:
-        return

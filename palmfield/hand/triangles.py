@@ -57,6 +57,12 @@ def face_samples(vertices: Float, faces: Int) -> FaceSamples:
     return FaceSamples(vertices[faces].mean(axis=1), normals, areas)
 
 
+def signed_areas(points: Float, faces: Int) -> Float:
+    """Areas of faces on points of the plane, (n, 2), below 0 for clockwise ones [m2], shape (m,)."""
+    a, b, c = (points[faces[:, i]] for i in range(3))
+    return 0.5 * ((b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0]))
+
+
 def volume(vertices: Float, faces: Int) -> float:
     """Volume of a closed surface [m3]."""
     a, b, c = (vertices[faces[:, i]] for i in range(3))

@@ -139,7 +139,7 @@ def align(touches: Touches) -> Alignment:
     arm = _cross(ABOVE_M * normal)
     place = touch**2 / count * np.eye(3) + arm @ turns @ arm.T
     return Alignment(
-        position_m=_three(position),
+        position_m=tuple(position.tolist()),
         quaternion=tuple(turn.as_quat(scalar_first=True).tolist()),
         points=count,
         rms_m=rms,
@@ -201,8 +201,3 @@ def _spread(points: Float) -> float:
 def _cross(vector: Float) -> Float:
     x, y, z = vector
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-
-
-def _three(values: Float) -> Place:
-    x, y, z = values.tolist()
-    return x, y, z

@@ -26,6 +26,7 @@ class Listener(LineListener):
     """Reads samples from a socket. Use as a context manager.
 
     samples: good ones in the order of arrival, by rising times of the tracker
+    offset_s: from the tracker's clock to this machine's [s], by the sample with the shortest transport
     """
 
     def __init__(
@@ -40,7 +41,7 @@ class Listener(LineListener):
         self._before: Arrived | None = None
         self._agreeing = 0
         self._joints: tuple[int, ...] | None = None
-        self._offset_s = math.inf
+        self.offset_s = math.inf
         super().__init__(host, port, by)
 
     def stream(self) -> Stream:
@@ -50,10 +51,6 @@ class Listener(LineListener):
             np.array([one.time_s for one in taken]),
             *(np.array(part) for part in zip(*(one[1:] for one in taken), strict=True)),
         )
-
-    def offset_s(self) -> float:
-        """Offset from the tracker's clock to this machine's [s], from the sample with the shortest transport."""
-        return self._offset_s
 
     def report(self) -> str:
         """Return the numbers of used and skipped samples, in words."""
@@ -74,7 +71,7 @@ class Listener(LineListener):
             raise BadLine("joints", f"{len(joints)} joints, where there were {len(self._joints)}")
         self._joints = self._joints or joints
         arrived = self._before
-        self._offset_s = min(self._offset_s, came_s - sample.time_s)
+        self.offset_s = min(self.offset_s, came_s - sample.time_s)
         self.samples.append(arrived)
         self.taken += 1
         if self._on_sample is not None:

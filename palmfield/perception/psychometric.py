@@ -223,8 +223,9 @@ def _counts(levels: ArrayLike, trials: ArrayLike, right: ArrayLike, shape: str) 
         )
     if not np.all(np.isfinite(x)) or len(np.unique(x)) < len(x) or (shape == "weibull" and x.min() <= 0.0):
         raise OutputError(f"levels {x.tolist()}; allowed: different finite ones, of shape 'weibull' above 0")
-    if np.any((n < 0) | (n != np.rint(n)) | (k < 0) | (k > n) | (k != np.rint(k))):
-        row = int(np.argmax((n < 0) | (n != np.rint(n)) | (k < 0) | (k > n) | (k != np.rint(k))))
+    bad = (n < 0) | (n != np.rint(n)) | (k < 0) | (k > n) | (k != np.rint(k))
+    if bad.any():
+        row = int(np.argmax(bad))
         raise OutputError(f"{k[row]:g} right of {n[row]:g} at level {x[row]:g}; allowed: whole numbers, 0 to all")
     return x, n, k
 

@@ -11,6 +11,7 @@ BaseKind = Literal["bonded", "free_slip", "free"]
 SideKind = Literal["fixed", "free", "roller", "absorbing"]
 BASES = ("bonded", "free_slip", "free")
 SIDES = ("fixed", "free", "roller", "absorbing")
+NEEDS_AXIS = "roller sides need a patch with an axis, which this patch lacks: use side 'fixed' or 'free'"
 
 
 @dataclass(frozen=True)

@@ -30,19 +30,9 @@ def factor_s(dofs: float) -> float:
     return 2e-5 * dofs + 3e-9 * dofs**1.82
 
 
-def wedge_step_s(dofs: float) -> float:
-    """One substep of the whole layer: both passes over its blocks, and products with its matrices."""
-    return 7.5e-9 * dofs**1.4
-
-
 def vector_s(dofs: float) -> float:
     """One vector of a reduced model: a solve by factors that fill like dofs^1.5, and products with all matrices."""
     return 9e-9 * dofs**1.52
-
-
-def reduced_step_s(vectors: float) -> float:
-    """One substep of a reduced model, a dense product of three times its vectors."""
-    return 2e-5 + 3e-9 * vectors**2
 
 
 def modes_s(dofs: float, modes: float, laws: int = 1) -> float:
@@ -61,14 +51,14 @@ def modal_step_s(modes: float, laws: int = 1) -> float:
 
 
 def wedges_s(dofs: float, steps: float) -> float:
-    """Factorise and step the whole layer."""
-    return factor_s(dofs) + steps * wedge_step_s(dofs)
+    """Factorise and step the whole layer: both passes over its blocks, and products with its matrices."""
+    return factor_s(dofs) + steps * (7.5e-9 * dofs**1.4)
 
 
 def reduced_s(dofs: float, steps: float, vectors: float) -> float:
-    """Make and step a reduced model of a layer; its matrix exponential is of five times its vectors."""
+    """Make a reduced model of a layer, by the exponential of five times its vectors, and step it by that of three."""
     exponential = 7.5e-10 * (5.0 * vectors) ** 3
-    return factor_s(dofs) + vectors * vector_s(dofs) + exponential + steps * reduced_step_s(vectors)
+    return factor_s(dofs) + vectors * vector_s(dofs) + exponential + steps * (2e-5 + 3e-9 * vectors**2)
 
 
 def memory_bytes(layers: Sequence[tuple[float, bool]]) -> int:

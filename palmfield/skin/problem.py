@@ -199,6 +199,15 @@ def is_pressed(load: Load) -> bool:
     return bool(np.any(load.peak_Pa if isinstance(load, Spot) else load.pressure_Pa))
 
 
+def between(load: Load, values: Float, times_s: Float) -> Float:
+    """Values at the times of a load, (f, ...), taken by its law at other times [s], (t,); shape (t, ...)."""
+    if load.law == "held":
+        place = np.searchsorted(load.times_s, times_s, side="right") - 1
+        return values[np.clip(place, 0, len(values) - 1)]
+    columns = [np.interp(times_s, load.times_s, column) for column in values.reshape(len(values), -1).T]
+    return np.stack(columns, axis=1).reshape(-1, *values.shape[1:])
+
+
 @dataclass(frozen=True)
 class Motion:
     """Motion of the skin at the requested times and points.
@@ -363,7 +372,7 @@ def lifted(patch: Patch, places: Float) -> Float:
 
 
 def points_on_face(body: Body, at: ArrayLike) -> Float:
-    """Requested points [m], (n, 3), with z = 0 on a slab. Raises SceneError as `asked_points`, also off the body.
+    """Requested points [m], (n, 3), with z = 0 on a slab. Raises SceneError as `requested_points`, or off the body.
 
     A point is off a layer if no vertex of its patch is nearer than its longest edge.
     """

@@ -55,33 +55,20 @@ def _kind(am: Modulation | None) -> tuple[object, ...]:
 
 def _stacked(envelopes: Sequence[Envelope]) -> Envelope:
     """Envelopes of one kind as one, in columns."""
-    first = envelopes[0]
-    return Envelope(
-        start_s=_column([one.start_s for one in envelopes]),
-        ends=tuple(_column([one.ends[i] for one in envelopes]) for i in range(len(first.ends))),
-        ramp_s=None if first.ramp_s is None else _column([one.ramp_s for one in envelopes]),
-        am=None if first.am is None else _modulations([one.am for one in envelopes if one.am is not None]),
-        burst=None,
-    )
+    modulations = [one.am for one in envelopes if one.am is not None]
+    am = None
+    if modulations:
+        numbers = ("frequency_Hz", "highest", "duty", "burst_length_s", "burst_period_s", "burst_phase")
+        waveform = _in_columns([one.waveform for one in modulations], *numbers)
+        am = _in_columns(modulations, "depth", "peak_duty", "exponent")._replace(waveform=waveform)
+    times = ("start_s",) if envelopes[0].ramp_s is None else ("start_s", "ramp_s")
+    ends = tuple(_column(moments) for moments in zip(*(one.ends for one in envelopes), strict=True))
+    return _in_columns(envelopes, *times)._replace(ends=ends, am=am, burst=None)
 
 
-def _modulations(modulations: Sequence[Modulation]) -> Modulation:
-    """Modulations of one kind as one, in columns."""
-    forms = [one.waveform for one in modulations]
-    waveform = forms[0]._replace(
-        frequency_Hz=_column([form.frequency_Hz for form in forms]),
-        highest=_column([form.highest for form in forms]),
-        duty=_column([form.duty for form in forms]),
-        burst_length_s=_column([form.burst_length_s for form in forms]),
-        burst_period_s=_column([form.burst_period_s for form in forms]),
-        burst_phase=_column([form.burst_phase for form in forms]),
-    )
-    return modulations[0]._replace(
-        waveform=waveform,
-        depth=_column([one.depth for one in modulations]),
-        peak_duty=_column([one.peak_duty for one in modulations]),
-        exponent=_column([one.exponent for one in modulations]),
-    )
+def _in_columns(many: Sequence[Any], *names: str) -> Any:
+    """The first of named tuples, with the numbers of all in columns."""
+    return many[0]._replace(**{name: _column([getattr(one, name) for one in many]) for name in names})
 
 
 def _column(values: Sequence[Any]) -> Float:

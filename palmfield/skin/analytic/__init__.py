@@ -1,4 +1,4 @@
-"""Exact solutions and printed formulas, with which solvers and presets are compared."""
+"""Exact solutions with which solvers are compared."""
 
 import lazy_loader
 

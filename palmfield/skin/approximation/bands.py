@@ -6,7 +6,7 @@ import math
 import numpy as np
 
 from palmfield.skin.materials.material import Material, shear_wave
-from palmfield.skin.problem import Load, Spot, spread
+from palmfield.skin.problem import Load, Spot, between, spread
 from palmfield.types import Float
 
 COUNT = 14
@@ -68,15 +68,10 @@ def resonance(material: Material, depth_m: float) -> float:
 
 def course_at(load: Load, times: Float) -> Float:
     """Pressure [Pa] over times at the middle of a spot's path, or at a traction's strongest point, shape (t,)."""
-    held = load.law == "held"
-    place = np.clip(np.searchsorted(load.times_s, times, side="right") - 1, 0, len(load.times_s) - 1)
-
-    def at(values: Float) -> Float:
-        return values[place] if held else np.interp(times, load.times_s, values)
-
     if not isinstance(load, Spot):
-        return at(load.pressure_Pa[:, int(np.argmax(np.abs(load.pressure_Pa).max(axis=0)))])
+        strongest = int(np.argmax(np.abs(load.pressure_Pa).max(axis=0)))
+        return between(load, load.pressure_Pa[:, strongest], times)
     centres = load.centres()
     halfway = 0.5 * (load.times_s[0] + load.times_s[-1])
-    away = np.stack([at(row) - np.interp(halfway, load.times_s, row) for row in centres.T], axis=1)
-    return at(load.peak_Pa) * np.exp(-0.5 * (away**2).sum(axis=1) / spread(load.fwhm_m) ** 2)
+    away = between(load, centres, times) - [np.interp(halfway, load.times_s, column) for column in centres.T]
+    return between(load, load.peak_Pa, times) * np.exp(-0.5 * (away**2).sum(axis=1) / spread(load.fwhm_m) ** 2)

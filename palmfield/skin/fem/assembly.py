@@ -12,7 +12,7 @@ from scipy import sparse
 from palmfield.device import resolve
 from palmfield.errors import SceneError
 from palmfield.locked import Lazy
-from palmfield.skin.base import BASES, SIDES, BaseKind, Foundation, SideKind, Springs
+from palmfield.skin.base import BASES, NEEDS_AXIS, SIDES, BaseKind, Foundation, SideKind, Springs
 from palmfield.skin.fem.linear_body import Matrices, Part
 from palmfield.skin.materials.material import Material
 from palmfield.skin.mesh.element import corner_slopes, displacement_shape, prism_rule, volume_basis
@@ -361,9 +361,7 @@ def _free_directions(mesh: WedgeMesh, base: BaseKind, side: SideKind, deeper: in
         held = {int(n): [d] for n, d in zip(on_base, mesh.surface_normals(mesh.levels - 1), strict=True)}
     if side == "roller":
         if mesh.axis is None:
-            raise SceneError(
-                "roller sides need a patch with an axis, which this patch lacks: use side 'fixed' or 'free'"
-            )
+            raise SceneError(NEEDS_AXIS)
         for n, d in zip(on_side, np.tile(mesh.side_normals[: len(rim)], (levels, 1)), strict=True):
             held.setdefault(int(n), []).append(d)
     for node, directions in held.items():

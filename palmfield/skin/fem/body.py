@@ -31,6 +31,4 @@ def build(body: Body, sizes: Sizes) -> SkinSystem:
     damping = None
     if side == "absorbing" and in_ring is not None:
         damping = sponge(mesh, in_ring, sizes.ring_m, match_speed(materials[0], sizes.match_Hz))
-    return assemble(
-        mesh, materials, base=body.base, side=side, absorbing_Hz=sizes.match_Hz, sponge_1_s=damping
-    )  # fmt: skip
+    return assemble(mesh, materials, base=body.base, side=side, absorbing_Hz=sizes.match_Hz, sponge_1_s=damping)

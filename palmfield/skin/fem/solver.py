@@ -37,14 +37,12 @@ def harmonic(system: SkinSystem, force: Float, f_Hz: float) -> Complex:
     return _solve_dynamic(system, force, s**2, s, [complex(part.material.stiffening(s)) for part in system.parts])
 
 
-def harmonic_discrete(
-    system: SkinSystem, force: Float, f_Hz: float, step_s: float, rho_inf: float = RHO_INF
-) -> Complex:
+def harmonic_discrete(system: SkinSystem, force: Float, f_Hz: float, step_s: float) -> Complex:
     """The steady state that WedgeStepper itself reaches under force [N] times e^{-i w t}: its z-symbol.
 
     |harmonic_discrete - harmonic| is the error of the time step. f_Hz > 0, below half the step rate.
     """
-    return _solve_dynamic(system, force, *discrete_weights(system, f_Hz, step_s, rho_inf))
+    return _solve_dynamic(system, force, *discrete_weights(system, f_Hz, step_s))
 
 
 def harmonic_both(system: SkinSystem, force: Float, f_Hz: float, step_s: float) -> tuple[Complex, Complex]:
@@ -61,19 +59,15 @@ def harmonic_both(system: SkinSystem, force: Float, f_Hz: float, step_s: float) 
     weights = discrete_weights(system, f_Hz, step_s)
     other = _dynamic(system, *weights)
     undo = LinearOperator(other.shape, factor.solve, dtype=complex)
-    discrete, failed = gmres(
-        other, right, continuous, rtol=ITERATED, restart=MOST_ITERATIONS, maxiter=1, M=undo
-    )  # fmt: skip
+    discrete, failed = gmres(other, right, continuous, rtol=ITERATED, restart=MOST_ITERATIONS, maxiter=1, M=undo)
     if failed:
         discrete = _solve_dynamic(system, force, *weights)
     return continuous, discrete
 
 
-def discrete_weights(
-    system: SkinSystem, f_Hz: float, step_s: float, rho_inf: float = RHO_INF
-) -> tuple[complex, complex, list[complex]]:
+def discrete_weights(system: SkinSystem, f_Hz: float, step_s: float) -> tuple[complex, complex, list[complex]]:
     """Factors of mass, damping and the stiffnesses of the parts in the z-symbol of the scheme."""
-    alpha_m, alpha_f, beta, gamma = alpha_weights(rho_inf)
+    alpha_m, alpha_f, beta, gamma = alpha_weights(RHO_INF)
     z = cmath.exp(-2j * math.pi * f_Hz * step_s)
     # u (z - 1) = h v + h^2 a (1/2 - beta + beta z) and v (z - 1) = h a (1 - gamma + gamma z).
     u_over_a = step_s**2 * ((1.0 - gamma + gamma * z) / (z - 1.0) ** 2 + (0.5 - beta + beta * z) / (z - 1.0))

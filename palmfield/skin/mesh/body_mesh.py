@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from palmfield.skin.mesh.disc import disc_patch
+from palmfield.skin.mesh.disc import disc_patch, flat_patch
 from palmfield.skin.problem import Slab
 from palmfield.types import Float, Patch
 
@@ -78,9 +78,7 @@ def slab_patch(slab: Slab, sizes: Sizes) -> tuple[Patch, Float]:
 
 def box_patch(half_m: Float, thickness_m: float, sizes: Sizes) -> Patch:
     """A rectangle of half widths half_m (2,), with line spacing by `sizes`, its squares cut crosswise in turn."""
-    x, y = (
-        _lines(float(half), centre, sizes) for half, centre in zip(half_m, sizes.centre_m, strict=True)
-    )  # fmt: skip
+    x, y = (_lines(float(half), centre, sizes) for half, centre in zip(half_m, sizes.centre_m, strict=True))
     grid = np.stack(np.meshgrid(x, y, indexing="ij"), axis=2).reshape(-1, 2)
     i, j = (a.ravel() for a in np.meshgrid(np.arange(len(x) - 1), np.arange(len(y) - 1), indexing="ij"))
     a = i * len(y) + j
@@ -88,15 +86,8 @@ def box_patch(half_m: Float, thickness_m: float, sizes: Sizes) -> Patch:
     turned = ((i + j) % 2 == 1)[:, None]
     first = np.where(turned, np.column_stack([a, b, d]), np.column_stack([a, b, c]))
     second = np.where(turned, np.column_stack([b, c, d]), np.column_stack([a, c, d]))
-    count = len(grid)
-    return Patch(
-        vertices=np.column_stack([grid, np.zeros(count)]),
-        faces=np.concatenate([first, second]).astype(np.int32),
-        inward=np.tile([0.0, 0.0, -1.0], (count, 1)),
-        depth=np.full(count, thickness_m),
-        rim=np.asarray((np.abs(grid) > half_m * (1.0 - 1e-9)).any(axis=1)),
-        axis=np.array([0.0, 0.0, 1.0]),
-    )
+    rim = np.asarray((np.abs(grid) > half_m * (1.0 - 1e-9)).any(axis=1))
+    return flat_patch(grid, np.concatenate([first, second]), thickness_m, rim)
 
 
 def _lines(half: float, centre: float, sizes: Sizes) -> Float:

@@ -3,11 +3,13 @@
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import Delaunay
 
 from palmfield.errors import SceneError
 from palmfield.hand.grading import graded_size, triangulate
 from palmfield.hand.region import Shape
+from palmfield.hand.triangles import signed_areas
 from palmfield.types import Float, Int, Patch
 
 STEEPEST = 0.4
@@ -42,16 +44,20 @@ def disc_patch(
 
     sizes = radius_m, fine_m, coarse_m, fine_radius_m
     points, faces = _round(*sizes, fine_at) if any(fine_at) else _ringed(*sizes)
-    a, b, c = (points[faces[:, i]] for i in range(3))
-    twice_area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
-    faces[twice_area < 0] = faces[twice_area < 0][:, ::-1]
+    clockwise = signed_areas(points, faces) < 0.0
+    faces[clockwise] = faces[clockwise][:, ::-1]
+    return flat_patch(points, faces, thickness_m, np.linalg.norm(points, axis=1) > radius_m * (1.0 - 1e-9))
+
+
+def flat_patch(points: Float, faces: Int, thickness_m: float, rim: NDArray[np.bool_]) -> Patch:
+    """A face at z = 0 looking along +z, of vertices (n, 2) [m], over a layer of one thickness."""
     count = len(points)
     return Patch(
         vertices=np.column_stack([points, np.zeros(count)]),
         faces=faces.astype(np.int32),
         inward=np.tile([0.0, 0.0, -1.0], (count, 1)),
         depth=np.full(count, thickness_m),
-        rim=np.linalg.norm(points, axis=1) > radius_m * (1.0 - 1e-9),
+        rim=rim,
         axis=np.array([0.0, 0.0, 1.0]),
     )
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from palmfield.errors import SceneError
+from palmfield.hand.triangles import directed_edges
 from palmfield.skin.mesh.element import EDGES, corner_slopes, prism_rule
 from palmfield.types import Float, Int, Patch
 
@@ -158,7 +159,7 @@ def closed_boundary(mesh: WedgeMesh) -> tuple[Float, Int]:
     """
     count, top = mesh.surface_nodes, output_triangles(mesh)
     vertices = np.concatenate([mesh.nodes[:count], mesh.nodes[-count:]])
-    edges = np.concatenate([top[:, [0, 1]], top[:, [1, 2]], top[:, [2, 0]]])
+    edges = directed_edges(top)
     _, index, uses = np.unique(np.sort(edges, axis=1), axis=0, return_index=True, return_counts=True)
     rim = edges[index[uses == 1]]
     a, b = rim[:, 0], rim[:, 1]

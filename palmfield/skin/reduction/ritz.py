@@ -152,7 +152,7 @@ def ritz_modes(
         diagonals = [np.einsum("ik,ik->k", turn, matrix[:order, :order] @ turn) for matrix in own]
         rigidities = _rigidities(values, diagonals, means)
         loaded = turn.T @ pushed[:order]
-        answers.append(_answers(materials, rigidities, loaded @ trials, seen[:, :order] @ turn, FREQUENCIES_Hz))
+        answers.append(_answers(materials, rigidities, loaded @ trials, seen[:, :order] @ turn))
     if len(materials) == 1:
         gram, before = _motion_alone(materials, rigidities, loaded), answers[1]
     else:
@@ -241,7 +241,7 @@ class _Modes:
     def answers(self, coupled: Sequence[int], force: Float, watched: Float) -> Complex:
         """Harmonic motion of what is seen, shape (f, S, trials), at FREQUENCIES_Hz."""
         if not coupled:
-            return _answers(self._materials, self.rigidities, force, watched, FREQUENCIES_Hz)
+            return _answers(self._materials, self.rigidities, force, watched)
         return np.array([watched @ np.linalg.solve(self.at(f, coupled), force) for f in FREQUENCIES_Hz])
 
     def left_out(self, coupled: Sequence[int], force: Float, watched: Float) -> float:
@@ -355,12 +355,10 @@ def _projected(matrix: sparse.csr_matrix, space: Float32) -> Float:
     return 0.5 * (result + result.T)
 
 
-def _answers(
-    materials: Sequence[Material], rigidities: Float, pushed: Float, seen: Float, frequencies_Hz: Float
-) -> Complex:
-    """Harmonic motion of what is seen, shape (f, S, trials), under e^{-i w t}, each mode by itself."""
+def _answers(materials: Sequence[Material], rigidities: Float, pushed: Float, seen: Float) -> Complex:
+    """Harmonic motion of what is seen at FREQUENCIES_Hz, shape (f, S, trials), each mode by itself."""
     result = []
-    for f in frequencies_Hz:
+    for f in FREQUENCIES_Hz:
         s = -2j * np.pi * f
         rigidity = s**2 + laws_at(materials, s) @ rigidities
         result.append(seen @ (pushed / rigidity[:, None]))

@@ -23,7 +23,7 @@ from palmfield.skin.fem.body import build
 from palmfield.skin.fem.load import SurfaceQuadrature
 from palmfield.skin.fem.probe import SurfaceProbe
 from palmfield.skin.fem.traction import bell, sampled
-from palmfield.skin.problem import Body, Load, Motion, SkinProblem, Slab, Spot, Traction, normals_on_face
+from palmfield.skin.problem import Body, Load, Motion, SkinProblem, Slab, Spot, Traction, between, normals_on_face
 from palmfield.skin.reduction.dynamic_stiffness import DynamicStiffness
 from palmfield.skin.reduction.krylov import Krylov
 from palmfield.skin.reduction.reduced import Projection
@@ -170,11 +170,8 @@ def course(load: Load, weights: Float, requested: Float) -> tuple[Float, Float, 
     """
     knots = load.times_s
     clock = np.unique(np.concatenate([knots, requested[requested > knots[0]]]))
-    if load.law == "held":
-        there = weights[np.searchsorted(knots, clock, side="right") - 1]
-    else:
-        there = np.stack([np.interp(clock, knots, column) for column in weights.T], axis=1)
-    return clock, there, np.minimum(np.searchsorted(clock, requested), len(clock) - 1).astype(np.int32)
+    rows = np.minimum(np.searchsorted(clock, requested), len(clock) - 1)
+    return clock, between(load, weights, clock), rows.astype(np.int32)
 
 
 def common_length(clock: Float) -> float:

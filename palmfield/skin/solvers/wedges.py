@@ -26,6 +26,7 @@ from palmfield.skin.approximation.refine import (
 )
 from palmfield.skin.approximation.richardson import error_of_finer
 from palmfield.skin.approximation.trim_absorbing_rim import refusal_of_spot, trim_absorbing_rim
+from palmfield.skin.base import NEEDS_AXIS
 from palmfield.skin.costs import assembly_s, wedges_s
 from palmfield.skin.fem.assembly import SkinSystem
 from palmfield.skin.fem.body import build
@@ -43,7 +44,7 @@ from palmfield.types import Float
 def refusal_wedges(body: Body, load: Load) -> str | None:
     """Why this solver can't, in a sentence, or None."""
     if isinstance(body, Layer) and body.side == "roller" and body.patch.axis is None:
-        return "roller sides need a patch with an axis, which this layer lacks"
+        return NEEDS_AXIS
     turned = refusal_of_spot(body, load)
     if turned is not None:
         return turned

@@ -154,7 +154,7 @@ def play_live(
             board, times, make, duration_s, port=port or VIRTUAL, log=log, limits=limits, on_progress=on_progress
         )
         listener = follower.listener
-        start_s = listener.offset_s() - tracker.latency_s - sent.zero_s
+        start_s = listener.offset_s - tracker.latency_s - sent.zero_s
         for one in sent.frames:
             one.frame.seen_s += start_s
         fitted = 1e3 * np.array(follower.fit_s)

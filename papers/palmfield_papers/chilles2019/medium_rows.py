@@ -3,10 +3,10 @@
 import math
 
 from palmfield.skin import CATALOGUE, shear_wave
-from palmfield.skin.analytic.as_printed import ecoflex_rate_law_as_printed, ecoflex_rate_law_mixed
 from palmfield.skin.materials.dispersion import elastic_root
 from palmfield.skin.materials.material import complex_shear
 from palmfield_papers.answer import Answer, Compute, Setting
+from palmfield_papers.chilles2019.ecoflex import ecoflex_rate_law_as_printed, ecoflex_rate_law_mixed
 from palmfield_papers.chilles2019.setup import (
     CIRCLE_HZ,
     CIRCLE_RADIUS_M,

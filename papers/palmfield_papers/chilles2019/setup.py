@@ -6,11 +6,11 @@ from typing import Any, Literal
 import numpy as np
 
 from palmfield.skin import CATALOGUE, Material, Sheet, Slab, Spot, preset, softest_and_stiffest
-from palmfield.skin.analytic.as_printed import ecoflex_bulk_corrected, ecoflex_time_as_printed
 from palmfield.skin.base import BaseKind, SideKind
 from palmfield.skin.materials.catalogue import scaled
 from palmfield.types import Float
 from palmfield_papers.answer import Setting
+from palmfield_papers.chilles2019.ecoflex import ecoflex_bulk_corrected, ecoflex_time_as_printed
 from palmfield_papers.entries import book
 
 SILICONE = "ecoflex_00-10"

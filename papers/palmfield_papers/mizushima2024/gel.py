@@ -10,12 +10,6 @@ from scipy.special import i0e
 
 from palmfield.instruments import Analyser, analyser_reading
 from palmfield.skin import CATALOGUE, Material, Sheet, Slab, Traction, preset, softest_and_stiffest, static
-from palmfield.skin.analytic.as_printed import (
-    equivalent_modulus_as_printed,
-    sls_modulus,
-    uniaxial_displacement,
-    vibration_modulus_as_printed,
-)
 from palmfield.skin.analytic.layer_oracle import layer_compliance
 from palmfield.skin.base import BaseKind
 from palmfield.skin.materials.catalogue import GEL_STORAGE_PA
@@ -23,6 +17,12 @@ from palmfield.skin.materials.material import complex_bulk, complex_shear
 from palmfield.types import Float
 from palmfield_papers.answer import Answer, Cause, Compute, Setting
 from palmfield_papers.entries import book
+from palmfield_papers.mizushima2024.as_printed import (
+    equivalent_modulus_as_printed,
+    sls_modulus,
+    uniaxial_displacement,
+    vibration_modulus_as_printed,
+)
 from palmfield_papers.mizushima2024.bows import value_of
 
 THICKNESS_M = 1e-3

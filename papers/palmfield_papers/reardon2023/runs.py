@@ -75,8 +75,8 @@ def endless(plate: Plate, period_m: float, level: int) -> PeriodicSlab:
     return PeriodicSlab(
         plate.slab,
         plate.fwhm_m,
-        period_m,
-        TOLERANCE[level],
+        period_m=period_m,
+        tolerance=TOLERANCE[level],
         horizon_s=0.1,
         speed_m_s=DEPTH_m_s[level],
         modes_tolerance=MODES[level],
@@ -89,7 +89,7 @@ def walled(plate: Plate, level: int) -> WalledDisc:
     return WalledDisc(
         plate.slab,
         plate.fwhm_m,
-        TOLERANCE[level],
+        tolerance=TOLERANCE[level],
         horizon_s=0.1,
         speed_m_s=DEPTH_m_s[level],
         modes_tolerance=MODES[level],

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palmfield.skin.problem import Law, Slab, Spot, spread
+from palmfield.skin.problem import Law, Slab, Spot, between, spread
 from palmfield.types import Float
 
 REACH = 3.0
@@ -43,12 +43,8 @@ def sample(load: Spot, times: Float, error: float) -> Samples:
     grid = np.unique(np.concatenate(knots))
     # Times that differ by round-off only are one.
     grid = grid[np.concatenate([np.diff(grid) > 1e-12 * abs(end), [True]])]
-    if load.law == "held":
-        place = np.searchsorted(load.times_s, grid + 1e-12 * abs(end), side="right") - 1
-        peak, centre = np.asarray(load.peak_Pa)[place], load.centres()[place]
-    else:
-        peak = np.interp(grid, load.times_s, load.peak_Pa)
-        centre = np.stack([np.interp(grid, load.times_s, c) for c in load.centres().T], axis=1)
+    there = grid + 1e-12 * abs(end) if load.law == "held" else grid
+    peak, centre = between(load, load.peak_Pa, there), between(load, load.centres(), there)
     return Samples(grid, peak, np.hypot(*centre.T), np.arctan2(centre[:, 1], centre[:, 0]), load.law)
 
 

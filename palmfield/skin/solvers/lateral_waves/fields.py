@@ -11,7 +11,7 @@ velocity = plate.normal_velocity(spot, times, half_m=0.125, cells=600)
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -22,7 +22,7 @@ from scipy.interpolate import CubicSpline
 from scipy.special import jnp_zeros, jv
 
 from palmfield.errors import SceneError
-from palmfield.skin.problem import Slab, Spot, rising
+from palmfield.skin.problem import Slab, Spot, between, rising
 from palmfield.skin.solvers.lateral_waves.depth import depth_problem
 from palmfield.skin.solvers.lateral_waves.drive import Timeline, given, spot_transform, timeline
 from palmfield.skin.solvers.lateral_waves.march import march
@@ -51,13 +51,10 @@ WALL_STEP_m = 5e-4
 
 
 @dataclass(frozen=True)
-class PeriodicSlab:
-    """An endless slab with a periodic load in both directions.
+class _Field:
+    """The waves of a slab under spots of one width.
 
-    The motion of the face is right until waves of the repeated loads arrive: about (period - distance to the load) over
-    the fastest group speed, which is twice the shear speed on a free slab and below it on a bonded one.
-
-    slab: endless. fwhm_m: width of the spot [m]. period_m: [m].
+    slab: of the shape of the subclass. fwhm_m: width of the spot [m].
     tolerance: of the cut of short waves and of the modes, for which modes_tolerance may give another value.
     horizon_s: last requested time [s]. speed_m_s: largest speed of the spot. threads: None for all cores.
     Raises SceneError for another shape and sizes that are not above 0.
@@ -65,12 +62,23 @@ class PeriodicSlab:
 
     slab: Slab
     fwhm_m: float
-    period_m: float
+    _: KW_ONLY
     tolerance: float = 3e-3
     horizon_s: float = 0.05
     speed_m_s: float = 20.0
     threads: int | None = None
     modes_tolerance: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class PeriodicSlab(_Field):
+    """An endless slab with a periodic load in both directions, period_m apart [m].
+
+    The motion of the face is right until waves of the repeated loads arrive: about (period - distance to the load) over
+    the fastest group speed, which is twice the shear speed on a free slab and below it on a bonded one.
+    """
+
+    period_m: float
 
     def __post_init__(self) -> None:
         _check(self.slab, "infinite", fwhm_m=self.fwhm_m, period_m=self.period_m)
@@ -168,23 +176,13 @@ def _maps(amplitude: Complex, numbers: Int, cells: int, shown: Int) -> Float32:
 
 
 @dataclass(frozen=True)
-class WalledDisc:
+class WalledDisc(_Field):
     """A disc within a smooth wall, which reflects all waves: no radial motion there, free along z.
 
     Its lateral waves are J_m(k r) e^{i m phi} with J_m'(k R) = 0. They leave a shear traction along the wall of about
     2 m / (k R)^2 of that of the wave, from the curvature of the wall, which is neglected: 1 % for 12 mm waves on 25 cm.
-    A free slab moves as a whole, because it has no support.
-
-    slab: a disc with rollers; others as of `PeriodicSlab`
+    A free slab moves as a whole, because it has no support. The slab is a disc with rollers.
     """
-
-    slab: Slab
-    fwhm_m: float
-    tolerance: float = 3e-3
-    horizon_s: float = 0.05
-    speed_m_s: float = 20.0
-    threads: int | None = None
-    modes_tolerance: float | None = None
 
     def __post_init__(self) -> None:
         _check(self.slab, "disc", fwhm_m=self.fwhm_m)
@@ -307,8 +305,7 @@ class WalledDisc:
             way = float(np.linalg.norm(centres[n + 1] - centres[n]))
             times.append(np.linspace(spot.times_s[n], spot.times_s[n + 1], max(1, math.ceil(way / step)) + 1)[1:])
         fine = np.concatenate(times)
-        places = np.stack([np.interp(fine, spot.times_s, centres[:, axis]) for axis in range(2)], axis=1)
-        return Spot(spot.fwhm_m, fine, np.interp(fine, spot.times_s, spot.peak_Pa), places, "linear")
+        return Spot(spot.fwhm_m, fine, between(spot, spot.peak_Pa, fine), between(spot, centres, fine), "linear")
 
 
 def _cubic(x: Float) -> tuple[Float, ...]:
@@ -361,7 +358,7 @@ def _found(slab: Slab, fwhm_m: float, resolution: Resolution, horizon_s: float) 
     return {}
 
 
-def _modes(of: PeriodicSlab | WalledDisc, k: Float) -> tuple[FaceModes, ...]:
+def _modes(of: _Field, k: Float) -> tuple[FaceModes, ...]:
     slab, fwhm_m, horizon_s = of.slab, of.fwhm_m, of.horizon_s
     resolution = resolution_for(of.modes_tolerance or of.tolerance, 0.0, of.speed_m_s)
     whole = float(spot_transform(fwhm_m, np.zeros(1))[0])

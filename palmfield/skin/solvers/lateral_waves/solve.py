@@ -84,16 +84,12 @@ def static_lateral_waves(
     """
     problem = SkinProblem(body, last_of(load), np.ones(1), at, accuracy, device=device)
     slab = accepted(problem)
-    if is_unheld(slab.base):
+    if slab.base == "free" or (isinstance(slab.base, Springs) and slab.base.normal_Pa_m == 0.0):
         raise SceneError(
             "solver 'lateral_waves': a slab with a free base has no static solution; give a base with support"
         )
     motion = _solve(slab, problem, settings_of(tolerance, device, threads, still=True))
     return replace(motion, times_s=load.times_s[-1:])
-
-
-def is_unheld(base: object) -> bool:
-    return base == "free" or (isinstance(base, Springs) and base.normal_Pa_m == 0.0)
 
 
 def last_of(load: Load) -> Load:

@@ -7,6 +7,8 @@ import numpy as np
 from scipy.spatial import Delaunay
 
 from palmfield.errors import SceneError
+from palmfield.hand.triangles import signed_areas
+from palmfield.skin.base import NEEDS_AXIS
 from palmfield.skin.mesh.wedges import extrude
 from palmfield.skin.problem import Body, Layer, Slab
 from palmfield.types import Float, Int
@@ -135,10 +137,9 @@ def _disc(body: Slab, spacing_m: float) -> tuple[Float, Int, Int, Int, Float]:
     circle = np.column_stack([np.cos(angle), np.sin(angle)])
     flat = np.concatenate([lattice, radius * circle])
     triangles = Delaunay(flat).simplices.astype(np.int32)
-    a, b, c = (flat[triangles[:, i]] for i in range(3))
-    twice = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
-    triangles[twice < 0] = triangles[twice < 0][:, ::-1]
-    triangles = triangles[np.abs(twice) > 1e-6 * spacing_m**2]
+    area = signed_areas(flat, triangles)
+    triangles[area < 0.0] = triangles[area < 0.0][:, ::-1]
+    triangles = triangles[np.abs(area) > 0.5e-6 * spacing_m**2]
 
     number = np.full(inside.shape, -1, dtype=np.int32)
     number[inside] = np.arange(len(lattice))
@@ -173,7 +174,7 @@ def _below_patch(body: Layer, spacing_m: float, fewest_cells: int) -> Columns:
     whole = extrude(patch, np.array([0.0, 1.0]))  # names the place of an inside-out column
     rim = np.flatnonzero(patch.rim).astype(np.int32)
     if body.side == "roller" and patch.axis is None:
-        raise SceneError("roller sides need a patch with an axis, which this patch lacks: use side 'fixed' or 'free'")
+        raise SceneError(NEEDS_AXIS)
     normals = whole.side_normals[: len(rim)] if patch.axis is not None else np.full((len(rim), 3), np.nan)
     thicknesses = np.array([sheet.thickness_m for sheet in body.sheets])
     shares, sheet_of = _levels(thicknesses / thicknesses.sum(), float(np.median(patch.depth)), spacing_m, fewest_cells)

@@ -6,7 +6,7 @@ from scipy import sparse
 
 from palmfield.skin.fem.load import halvings_for, quartered_rule
 from palmfield.skin.fem.traction import face_pressure
-from palmfield.skin.problem import GAUSSIAN, Law, Load, Spot, Traction
+from palmfield.skin.problem import GAUSSIAN, Law, Load, Spot, Traction, between
 from palmfield.skin.solvers.particles.cloud import Cloud
 from palmfield.types import Float
 from warp_kernels import particles as kernels
@@ -56,7 +56,7 @@ class Pressure:
             table.assign(rows)
             return
         peak = means(load.times_s, load.peak_Pa, load.law, times_s, step_s)
-        centre = _path(load, times_s)
+        centre = between(load, load.centres(), times_s)
         wp.launch(
             kernels.spot_pressure,
             dim=(len(times_s), table.shape[1]),
@@ -69,14 +69,6 @@ class Pressure:
             outputs=[table],
             device=self.device,
         )
-
-
-def _path(load: Spot, times_s: Float) -> Float:
-    """Centre at each time, shape (n, 2)."""
-    times, centres = np.asarray(load.times_s, dtype=float), load.centres()
-    if load.law == "held":
-        return centres[np.clip(np.searchsorted(times, times_s, side="right") - 1, 0, len(times) - 1)]
-    return np.column_stack([np.interp(times_s, times, centres[:, c]) for c in range(2)])
 
 
 def _spread(cloud: Cloud, load: Traction) -> sparse.csr_matrix:

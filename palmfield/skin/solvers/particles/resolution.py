@@ -8,7 +8,7 @@ import numpy as np
 from palmfield.errors import SceneError
 from palmfield.hand.triangles import face_normals
 from palmfield.skin.approximation.load_scales import mean_frequency, motion_width, passing_frequency
-from palmfield.skin.base import Foundation, Springs
+from palmfield.skin.base import NEEDS_AXIS, Foundation, Springs
 from palmfield.skin.materials.material import shear_wave
 from palmfield.skin.problem import ONLY_WEDGES, Body, Layer, Load, SkinProblem, Slab, depth_of
 from palmfield.skin.solvers.particles.columns import FEWEST_CELLS
@@ -41,7 +41,7 @@ def refusal_particles(body: Body, load: Load) -> str | None:
     if body.side == "absorbing":
         return "particles do not support absorbing sides: use side 'fixed', 'free' or 'roller'"
     if isinstance(body, Layer) and body.side == "roller" and body.patch.axis is None:
-        return "roller sides need a patch with an axis, which this patch lacks: use side 'fixed' or 'free'"
+        return NEEDS_AXIS
     for material in (sheet.material for sheet in body.sheets):
         if material.bulk_Pa > STIFFEST * material.shear_instant_Pa:
             return (

@@ -7,7 +7,7 @@ import numpy as np
 import warp as wp
 from scipy.sparse.linalg import LinearOperator, eigsh
 
-from palmfield.device import resolve
+from palmfield.device import gather, resolve, scatter
 from palmfield.errors import SceneError
 from palmfield.skin.materials.material import Material
 from palmfield.skin.solvers.particles.cloud import Cloud
@@ -159,22 +159,11 @@ class Particles:
 
     def begin(self, numbers: Float) -> None:
         """Go on from a state, shape (state_size,)."""
-        start = 0
-        for array in self._state_arrays():
-            count = array.size * wp.types.type_size(array.dtype)
-            if count:
-                shape = (*array.shape, wp.types.type_size(array.dtype))
-                array.assign(numbers[start : start + count].astype(np.float32).reshape(shape))
-            start += count
+        scatter(numbers, self._state_arrays())
 
     def numbers(self, out: Float) -> None:
         """Write the state into `out`, shape (state_size,)."""
-        start = 0
-        for array in self._state_arrays():
-            count = array.size * wp.types.type_size(array.dtype)
-            if count:
-                out[start : start + count] = array.numpy().ravel()
-            start += count
+        gather(self._state_arrays(), out)
 
     def check(self, longest_s: float) -> None:
         """Check that the body is whole and the step still stable; longest_s: longest stable step at rest [s].

@@ -130,16 +130,19 @@ def graded(low: float, high: float, fine: tuple[float, float], size_m: float) ->
         inner = (low, high)
     middle = np.linspace(*inner, max(1, math.ceil((inner[1] - inner[0]) / size_m - 1e-9)) + 1)
 
-    def outside(length: float) -> Float:
-        if length <= 1e-9 * (high - low):
-            return np.zeros(0)
-        steps = [size_m]
-        while sum(steps) < length:
-            steps.append(min(GROWTH * steps[-1], COARSEST * size_m))
-        return np.cumsum(steps) * (length / sum(steps))
-
-    left, right = outside(inner[0] - low), outside(high - inner[1])
+    left, right = (
+        growing(length, size_m, size_m) if length > 1e-9 * (high - low) else np.zeros(0)
+        for length in (inner[0] - low, high - inner[1])
+    )
     return np.concatenate([inner[0] - left[::-1], middle, inner[1] + right])
+
+
+def growing(length: float, first: float, size_m: float) -> Float:
+    """Ends of elements from 0 to length [m] that grow outwards from the first to at most COARSEST * size_m, about."""
+    steps = [first]
+    while sum(steps) < length:
+        steps.append(min(GROWTH * steps[-1], COARSEST * size_m))
+    return np.cumsum(steps) * (length / sum(steps))
 
 
 def build(body: Body, chosen: Plan) -> tuple[Solid, Float]:
@@ -175,11 +178,7 @@ def build(body: Body, chosen: Plan) -> tuple[Solid, Float]:
         core = max(2, math.ceil(2.0 * inner / size - 1e-9))
         outer_radius = radius + sponge
         start = 1.15 * inner
-        fine = size if body.shape == "infinite" else 1.6 * size
-        steps = [fine]
-        while sum(steps) < outer_radius - start:
-            steps.append(min(GROWTH * steps[-1], COARSEST * size))
-        radii = start + np.cumsum(steps) * ((outer_radius - start) / sum(steps))
+        radii = start + growing(outer_radius - start, size if body.shape == "infinite" else 1.6 * size, size)
         quads = disc_quads(thickness, inner, core, radii, order)
         quads.nodes[:, :2] += middle
         beyond = np.linalg.norm(quads.nodes[:, :2] - middle, axis=1) - radius

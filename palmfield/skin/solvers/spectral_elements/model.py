@@ -285,9 +285,9 @@ def hold(model: Model, base: BaseKind | Springs, side: SideKind | None, damping:
     elif side == "absorbing":
         dashpot += _side_dashpots(model, row_of, len(rows))
     if isinstance(base, Springs):
-        area = np.linalg.norm(base_areas(solid), axis=1)[:, None, None]
-        out = base_areas(solid)
-        out /= np.linalg.norm(out, axis=1, keepdims=True)
+        areas = base_areas(solid)
+        area = np.linalg.norm(areas, axis=1)[:, None, None]
+        out = areas / area[:, 0]
         along = np.einsum("sc,sd->scd", out, out)
         across = np.eye(3) - along
         spring[row_of[bottom]] = area * (base.normal_Pa_m * along + base.tangential_Pa_m * across)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from palmfield.device import gather, scatter
 from palmfield.errors import SceneError
 from palmfield.skin.materials.material import Material, Relaxation
 from palmfield.skin.solvers.spectral_elements.loads import Table
@@ -251,18 +252,11 @@ class Stepper:
 
     def numbers(self, out: Float) -> None:
         """Write the state into `out`, shape (state_size,): u and v by node, w and y of each branch by copy."""
-        start = 0
-        for array in self._state_arrays():
-            out[start : start + 3 * len(array)] = array.numpy().ravel()
-            start += 3 * len(array)
+        gather(self._state_arrays(), out)
 
     def begin(self, numbers: Float, frames: Float) -> None:
         """Continue from a state, shape (state_size,), at the beginning of the table, under other frames [Pa]."""
-        start = 0
-        for array in self._state_arrays():
-            values = numbers[start : start + 3 * len(array)].reshape(-1, 3)
-            array.assign(self.model.vectors(values))
-            start += 3 * len(array)
+        scatter(numbers, self._state_arrays())
         self.frames[: len(frames)].assign(self.model.put(frames))
         self.clock.zero_()
         self.finished.zero_()

@@ -180,9 +180,7 @@ def comparison_plan(body: Body, chosen: Plan, singular: bool) -> Plan:
 
 def at_lower_order(chosen: Plan) -> Plan:
     """The same elements of the next lower order, in a smaller sponge."""
-    return replace(
-        chosen, order=chosen.order - 1, margin_m=0.6 * chosen.margin_m, sponge_m=0.8 * chosen.sponge_m
-    )  # fmt: skip
+    return replace(chosen, order=chosen.order - 1, margin_m=0.6 * chosen.margin_m, sponge_m=0.8 * chosen.sponge_m)
 
 
 def width_under(solid: Solid, chosen: Plan) -> float:

@@ -2,20 +2,22 @@ import math
 
 import pytest
 
-from palmfield.skin.analytic.as_printed import (
+from palmfield.skin.analytic.layer_oracle import centre_response
+from palmfield.skin.materials.catalogue import preset
+from palmfield.skin.materials.material import complex_shear, elastic, standard_linear
+from palmfield_papers.chilles2019.ecoflex import (
     ecoflex_bulk_corrected,
     ecoflex_rate_law_as_printed,
     ecoflex_rate_law_mixed,
     ecoflex_time_as_printed,
+)
+from palmfield_papers.mizushima2024.as_printed import (
     equivalent_modulus_as_printed,
     law_as_printed,
     sls_modulus,
     uniaxial_displacement,
     vibration_modulus_as_printed,
 )
-from palmfield.skin.analytic.layer_oracle import centre_response
-from palmfield.skin.materials.catalogue import preset
-from palmfield.skin.materials.material import complex_shear, elastic, standard_linear
 
 SOLID = (4e4, 6e4, 30.0)
 """E1, E2 [Pa], eta3 [Pa s]: transition at E2 / (2 pi eta3) = 318 Hz."""

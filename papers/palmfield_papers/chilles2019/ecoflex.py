@@ -1,0 +1,57 @@
+"""The law of Ecoflex 00-10 that Chilles et al. 2019 (doi 10.1109/WHC.2019.8816097) print wrongly, with its corrected
+forms: sigma = sigma_1 + sigma_2 with sigma_1 = G_r eps. Complex moduli are G' - iG'' (e^{-i w t}).
+"""
+
+import math
+from dataclasses import replace
+
+from palmfield.skin import Branch, Material, preset
+from palmfield.skin.materials.material import bulk_from_poisson
+
+
+def ecoflex_time_as_printed() -> Material:
+    """Ecoflex 00-10 with their printed time, tau = 0.171 us.
+
+    eta / G_m = 3.42 Pa s / 20 kPa is 171 us, a thousand times more: with the printed time the material shows no loss
+    below 100 kHz. Corrected: preset 'ecoflex_00-10'.
+    """
+    right = preset("ecoflex_00-10")
+    return replace(right, name="ecoflex_00-10, tau as printed", branches=(Branch(20e3, 0.171e-6),))
+
+
+def ecoflex_bulk_corrected() -> Material:
+    """Ecoflex 00-10 with nu 0.495 of the instantaneous modulus.
+
+    Preset 'ecoflex_00-10' reads nu as printed, of the relaxed modulus: it softens in volume as it stiffens in shear, to
+    nu 0.487 at once.
+    """
+    right = preset("ecoflex_00-10")
+    bulk = bulk_from_poisson(0.495, right.shear_instant_Pa)
+    return replace(right, name="ecoflex_00-10, nu with the instantaneous modulus", bulk_Pa=bulk)
+
+
+def ecoflex_rate_law_as_printed() -> float:
+    """Shear modulus [Pa] of Ecoflex 00-10 by their law as printed, eps' = sigma_1'/G_m + sigma_2'/eta.
+
+    With sigma_1 = G_r eps it says sigma_2 = eta (1 - G_r/G_m) eps: a strain times Pa s is no stress, and, taken in SI
+    numbers, the solid has the same modulus at all frequencies and no loss. Corrected: eps' = sigma_2'/G_m +
+    sigma_2/eta, `complex_shear` of the preset.
+    """
+    material = preset("ecoflex_00-10")
+    return material.shear_relaxed_Pa + left_over_viscosity(material)
+
+
+def ecoflex_rate_law_mixed(f_Hz: float) -> complex:
+    """Complex shear modulus [Pa] at f [Hz] of their law with its last dot treated as a misprint.
+
+    eps' = sigma_1'/G_m + sigma_2/eta still has sigma_1 of the spring in the place of sigma_2 of the branch: G = G_r -
+    i w eta (1 - G_r/G_m), a Kelvin-Voigt solid that never stiffens. Corrected as above.
+    """
+    material = preset("ecoflex_00-10")
+    return complex(material.shear_relaxed_Pa, -2.0 * math.pi * f_Hz * left_over_viscosity(material))
+
+
+def left_over_viscosity(material: Material) -> float:
+    """eta (1 - G_r/G_m) of a standard linear solid [Pa s]."""
+    branch = material.branches[0]
+    return branch.shear_Pa * branch.time_s * (1.0 - material.shear_relaxed_Pa / branch.shear_Pa)
