@@ -10,7 +10,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from chosen_tests import choose, lacks_marker
+from chosen_tests import FIXTURE, choose, lacks_marker, name_of_fixture
 from second_of_something import add_array as add_array
 from second_of_something import add_skin as add_skin
 from second_of_something import moment as moment
@@ -41,6 +41,19 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 @pytest.hookimpl(tryfirst=True)  # before -m chooses
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     choose(config, items)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_fixture_setup(fixturedef: pytest.FixtureDef[object], request: pytest.FixtureRequest) -> Iterator[object]:
+    """Write down what a fixture takes that serves several tests: it is not the first test's own time."""
+    began = time.perf_counter()
+    result = yield
+    if fixturedef.scope != "function":
+        took = time.perf_counter() - began
+        request._pyfuncitem.user_properties.append(
+            (FIXTURE, f"{name_of_fixture(fixturedef.baseid, fixturedef.argname)} {took:.2f}")
+        )
+    return result
 
 
 Write = Callable[..., Path]

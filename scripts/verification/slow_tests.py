@@ -4,7 +4,7 @@
 python scripts/verification/slow_tests.py TIMES.xml [TIMES.xml ...]
 
 TIMES.xml: of --junitxml; scripts/test.py writes out/tests-whole.xml. Writes tests/slow_tests.txt, with the seconds of
-all cases of each function, by which files begin, and prints the thirty functions that take most.
+all cases of each function, by which files begin, and of each shared fixture, and prints the thirty that take most.
 """
 
 import sys
@@ -12,19 +12,27 @@ import xml.etree.ElementTree as ET
 from collections import defaultdict
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests" / "helpers"))
+
+from chosen_tests import FIXTURE, SLOW_TESTS
+
+ROOT = SLOW_TESTS.parents[1]
 QUICK_S = 0.2
-"""The longest of a function's cases, with fixtures, that is still quick [s]."""
-SLOW_TESTS = ROOT / "tests" / "slow_tests.txt"
+"""The longest of a function's cases, or a fixture that serves several tests, that is still quick [s]."""
 
 
-def functions(files: list[str]) -> dict[str, list[float]]:
-    """Seconds of each case of each test function."""
+def parts(files: list[str]) -> dict[str, list[float]]:
+    """Seconds of each case of each test function without its shared fixtures, and of each making of these."""
     found = defaultdict[str, list[float]](list)
     for file in files:
         for case in ET.parse(file).iter("testcase"):
             name = case.get("name", "").partition("[")[0]
-            found[f"{place(case.get('classname', ''))}::{name}"].append(float(case.get("time", "0")))
+            seconds = float(case.get("time", "0"))
+            for told in case.iterfind(f"properties/property[@name='{FIXTURE}']"):
+                fixture, _, took = told.get("value", "").rpartition(" ")
+                found[fixture].append(float(took))
+                seconds -= float(took)
+            found[f"{place(case.get('classname', ''))}::{name}"].append(max(seconds, 0.0))
     return found
 
 
@@ -42,11 +50,11 @@ def main() -> None:
     """See the module's docstring."""
     if not sys.argv[1:]:
         raise SystemExit(__doc__)
-    times = functions(sys.argv[1:])
+    times = parts(sys.argv[1:])
     slow = sorted((name, sum(seconds)) for name, seconds in times.items() if max(seconds) > QUICK_S)
     SLOW_TESTS.write_text("".join(f"{seconds:6.1f} {name}\n" for name, seconds in slow))
     for name, seconds in sorted(times.items(), key=lambda one: -sum(one[1]))[:30]:
-        print(f"{sum(seconds):7.1f} s {len(seconds):4} cases, longest {max(seconds):5.1f} s  {name}")
+        print(f"{sum(seconds):7.1f} s {len(seconds):4} times, longest {max(seconds):5.1f} s  {name}")
 
 
 if __name__ == "__main__":
