@@ -88,8 +88,11 @@ def module_scene(tmp_path_factory: pytest.TempPathFactory) -> Write:
 @pytest.fixture(scope="module")
 def kept_operators(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """One cache for the files that use it: what equal scenes need is computed once. Not where a test changes code."""
+    base = tmp_path_factory.getbasetemp()
+    # Of all processes of a run, not of each
+    folder = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("PALMFIELD_CACHE", str(tmp_path_factory.getbasetemp() / "kept_operators"))
+        patch.setenv("PALMFIELD_CACHE", str(folder / "kept_operators"))
         yield
 
 

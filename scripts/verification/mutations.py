@@ -151,7 +151,9 @@ def imported(tree: Path) -> Connection:
 def _options(tree: Path, tests: Sequence[str]) -> list[str]:
     report = tree / "junit.xml"
     report.unlink(missing_ok=True)
-    return ["-p", "no:cacheprovider", "-q", "-x", "--tb=short", f"--junitxml={report}", *tests]
+    # Without what takes longer than a short test: source lines of a failure, and collections of garbage at the end
+    plugins = ["-p", "no:cacheprovider", "-p", "no:unraisableexception"]
+    return [*plugins, "-q", "-x", "--tb=line", f"--junitxml={report}", *tests]
 
 
 def _ended(tree: Path, code: int) -> Ended:

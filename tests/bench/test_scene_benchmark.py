@@ -13,6 +13,8 @@ from palmfield.studies.bench.consumer_card import SHARE, BEGIN_s, Card, KERNEL_s
 from palmfield.studies.bench.drawn import LEVELS, ASIDE_m, TILT_rad, draw_again, drawn_stimulus, move_arrays
 from palmfield.studies.bench.scene_run import node_areas, relative_errors, sounding
 
+pytestmark = pytest.mark.usefixtures("kept_operators")
+
 STEADY = {"modulation": "none", "am_quantity": None, "am_frequency_Hz": None, "am_depth": None}
 
 

@@ -25,6 +25,8 @@ from palmfield.simulation.model import array_instances
 from palmfield.stimulus.standard import names, standard
 from palmfield.types import Air
 
+pytestmark = pytest.mark.usefixtures("kept_operators")
+
 SCENES = Path(__file__).parents[2] / "mjcf" / "scenes"
 
 COMMANDS = (

@@ -9,6 +9,8 @@ import palmfield
 from palmfield.cli.app import main
 from palmfield.config import CONFIGS, unit
 
+pytestmark = pytest.mark.usefixtures("kept_operators")
+
 
 def call(monkeypatch, capsys, *arguments):
     monkeypatch.setattr(sys, "argv", ["palmfield", *map(str, arguments)])

@@ -9,6 +9,8 @@ from unestimated import UNESTIMATED
 import palmfield
 from palmfield.cli.app import main
 
+pytestmark = pytest.mark.usefixtures("kept_operators")
+
 
 @pytest.fixture(scope="module")
 def run(module_scene, tmp_path_factory):

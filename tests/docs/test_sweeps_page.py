@@ -11,6 +11,8 @@ import pytest
 from palmfield.studies.sweeps.batch import MOST_IN_BATCH
 from palmfield.studies.sweeps.variables import variables
 
+pytestmark = pytest.mark.usefixtures("kept_operators")
+
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "sweeps.md").read_text()
 QUICK = {

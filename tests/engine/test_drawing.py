@@ -15,6 +15,8 @@ from palmfield.engine.skin_plugin import ARP_GROUP, LIFT_m
 from palmfield.engine.stimulus_plugin import FOCI_GROUP
 from palmfield.session.simulation import Simulation
 
+pytestmark = pytest.mark.usefixtures("kept_operators")
+
 STEADY = {"modulation": None, "am_quantity": None, "am_frequency_Hz": None, "am_depth": None}
 CIRCLE = STEADY | {"path": "circle", "path_diameter_m": 0.01, "path_rate_Hz": 100}
 ALL = ("phases", "foci", "arp")

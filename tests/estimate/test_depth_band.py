@@ -9,6 +9,8 @@ from palmfield.estimate.numerics.depth_band import depth_band
 from palmfield.estimate.numerics.point_response import Response
 from palmfield.outputs.summary_table import format_summary
 
+pytestmark = pytest.mark.usefixtures("kept_operators")
+
 BLOCK = {"shape": "mesh", "mesh": "block.obj", "mesh_unit": "mm", "patch_site": "centre", "patch_radius_m": 0.025,
          "radius_m": None, "thickness_m": None, "element_m": 0.005, "solver": "wedges", "step_s": 2.5e-4,
          "material": "palm", "side": "fixed"}  # fmt: skip

@@ -13,6 +13,8 @@ from palmfield.estimate.summary import (
     stimulus_numbers,
 )
 
+pytestmark = pytest.mark.usefixtures("kept_operators")
+
 TIMES = np.arange(0.0, 0.05, 5e-4)
 MOTION = 2e-6 * np.sin(2 * np.pi * 200.0 * TIMES)
 PEAK = np.abs(MOTION).max()  # of samples: the sine's own lies between them

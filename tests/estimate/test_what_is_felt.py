@@ -8,6 +8,8 @@ from palmfield.outputs.motion import normal_component
 from palmfield.outputs.schema import instances
 from palmfield.perception.observers import OBSERVERS, threshold_m
 
+pytestmark = pytest.mark.usefixtures("kept_operators")
+
 CIRCLE = {"path": "circle", "path_diameter_m": 0.016, "path_rate_Hz": 60, "modulation": "none", "am_frequency_Hz": None}
 
 

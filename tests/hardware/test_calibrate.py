@@ -13,6 +13,8 @@ from palmfield.cli.app import app
 from palmfield.drive.calibration.readings import MEASUREMENTS
 from palmfield.errors import SceneError
 
+pytestmark = pytest.mark.usefixtures("kept_operators")
+
 RUN = CliRunner()
 
 

@@ -18,6 +18,8 @@ from palmfield.session.preview import preview
 from palmfield.session.scene_text import Instance
 from palmfield.types import Air, Estimate
 
+pytestmark = pytest.mark.usefixtures("kept_operators")
+
 SCENES = Path(__file__).parents[2] / "mjcf" / "scenes"
 BOARD_OF = {
     "approach_withdraw": "autd2018",

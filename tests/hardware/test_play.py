@@ -12,6 +12,8 @@ from palmfield.drive.focus_fit import fitted_focus
 from palmfield.hardware.play import Target, play_focus, play_scene, scene_frames
 from palmfield.session.preview import preview
 
+pytestmark = pytest.mark.usefixtures("kept_operators")
+
 CIRCLE = Path(__file__).parents[2] / "mjcf" / "scenes" / "palm_circle_sonicsurface.xml"
 
 

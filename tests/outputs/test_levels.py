@@ -13,6 +13,8 @@ from palmfield.outputs.levels import level_maps
 from palmfield.outputs.motion import normal_component
 from palmfield.perception.observers import OBSERVERS, threshold_m
 
+pytestmark = pytest.mark.usefixtures("kept_operators")
+
 
 @pytest.fixture(scope="module")
 def run(module_scene, tmp_path_factory):

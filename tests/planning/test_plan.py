@@ -17,6 +17,8 @@ from palmfield.planning.costs import SCATTER_ELEMENT_S, SCATTER_PAIR_S
 from palmfield.planning.scene_plan import warnings
 from palmfield.types import Air
 
+pytestmark = pytest.mark.usefixtures("kept_operators")
+
 STEADY = {"modulation": "none", "am_quantity": None, "am_frequency_Hz": None, "am_depth": None}
 SCATTERED = {
     "stimulus": STEADY,

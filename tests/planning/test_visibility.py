@@ -14,6 +14,8 @@ from palmfield.planning.scene_plan import warnings
 from palmfield.planning.visibility import KINDS, MOMENTS, out_of_sight
 from palmfield.session.preview import preview
 
+pytestmark = pytest.mark.usefixtures("kept_operators")
+
 SCENES = Path(__file__).parents[2] / "mjcf" / "scenes"
 FACING = 'quat="0 1 0 0"'
 TOLD = re.compile("faces away|edge-on|is hidden|too far")

@@ -9,6 +9,8 @@ from palmfield.errors import SceneError
 from palmfield.outputs.store import open_result
 from palmfield.planning.scene_plan import plan
 
+pytestmark = pytest.mark.usefixtures("kept_operators")
+
 
 def finished(path, out, **keys):
     sim = palmfield.Simulation(path, keys={"skin.solver": "wedges"} | keys)

@@ -16,6 +16,8 @@ from palmfield.outputs import store
 from palmfield.session import recorded_run
 from palmfield.session.recorder import Recorder
 
+pytestmark = pytest.mark.usefixtures("kept_operators")
+
 
 @pytest.fixture(autouse=True)
 def python_raises():

@@ -14,6 +14,8 @@ from palmfield.errors import PalmfieldError
 from palmfield.session.mujoco_messages import in_words
 from palmfield.session.scene_text import read_scene_text
 
+pytestmark = pytest.mark.usefixtures("kept_operators")
+
 SCENES = Path(__file__).parents[2] / "mjcf" / "scenes"
 HAPTIC = sorted(p for p in SCENES.glob("*.xml") if not p.name.startswith("plain_"))
 PLAIN = sorted(SCENES.glob("plain_*.xml"))

@@ -16,6 +16,8 @@ from palmfield.session.stimulus_import import import_stimulus
 from palmfield.stimulus.autd3_stm import stm_of_table, write_foci_stm
 from palmfield.stimulus.focus_table_file import focus_table, read_focus_table, write_focus_table
 
+pytestmark = pytest.mark.usefixtures("kept_operators")
+
 NO_AM = dict.fromkeys(("modulation", "am_quantity", "am_frequency_Hz", "am_depth"))
 
 

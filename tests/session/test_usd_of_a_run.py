@@ -12,6 +12,8 @@ import palmfield
 from palmfield.outputs import open_result
 from palmfield.outputs.usd import validate_usd
 
+pytestmark = pytest.mark.usefixtures("kept_operators")
+
 
 @pytest.fixture(scope="module")
 def run(module_scene, tmp_path_factory):

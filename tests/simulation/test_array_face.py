@@ -20,6 +20,8 @@ from palmfield.simulation.radiation import Radiation
 from palmfield.transforms import IDENTITY, Placement
 from palmfield.types import Air, Array
 
+pytestmark = pytest.mark.usefixtures("kept_operators")
+
 AIR = Air()
 WAVELENGTH = sound_speed(AIR) / 40e3
 HEIGHT = 0.12

@@ -9,6 +9,8 @@ from palmfield.drive.transducer_response import rows
 from palmfield.simulation.radiation import Radiation
 from palmfield.simulation.workspace import gather
 
+pytestmark = pytest.mark.usefixtures("kept_operators")
+
 SCENES = folder("mjcf") / "scenes"
 
 

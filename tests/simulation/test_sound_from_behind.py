@@ -13,6 +13,8 @@ from palmfield.acoustics.surface_arp import MATRIX_FROM, SurfaceArp
 from palmfield.session.simulation import Simulation, load
 from palmfield.types import Air, Complex, Float
 
+pytestmark = pytest.mark.usefixtures("kept_operators")
+
 AIR = Air()
 FRONT = '<instance name="array"><config key="layout" value="openmpd"/></instance>'
 REAR = '<instance name="back"><config key="layout" value="openmpd"/><config key="site" value="rear"/></instance>'

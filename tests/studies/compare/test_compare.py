@@ -23,6 +23,8 @@ from palmfield.studies.compare.run import FILES, compare
 from palmfield.studies.compare.suspected_faults import above
 from palmfield.studies.compare.waves import guided_modes, in_words
 
+pytestmark = pytest.mark.usefixtures("kept_operators")
+
 GAIN, DELAY_S = 1.3, 0.4e-3
 TURN = Rotation.from_euler("xy", [2.0, -1.0], degrees=True).as_matrix()
 LIFT = np.array([0.0, 0.0, 2e-3])

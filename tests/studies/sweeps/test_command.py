@@ -10,6 +10,8 @@ from palmfield.cli import sweep as command
 from palmfield.cli.app import main
 from palmfield.studies.sweeps.whole_sweep import Sweep
 
+pytestmark = pytest.mark.usefixtures("kept_operators")
+
 
 def palmfield(*arguments):
     return subprocess.run(

@@ -15,6 +15,8 @@ from palmfield.studies.sweeps import batch, store, whole_sweep
 from palmfield.studies.sweeps.design import Range, listed, sobol
 from palmfield.studies.sweeps.variables import DONE, FAILED, NOT_DONE
 
+pytestmark = pytest.mark.usefixtures("kept_operators")
+
 FREQUENCY, LEVEL, THICKNESS = "stimulus.am_frequency_Hz", "stimulus.drive_amplitude", "skin.thickness_m"
 
 

@@ -7,6 +7,8 @@ import palmfield
 from palmfield.studies.trial import Tracker, read_recording, trial
 from palmfield.studies.trial.recording import aligned
 
+pytestmark = pytest.mark.usefixtures("kept_operators")
+
 HEAD = "# quantity: pressure\n# unit: kPa\n# place_m: 0 0 0.12\n"
 ROWS = "".join(f"{0.001 * n},{0.1 + 0.01 * n}\n" for n in range(40))
 

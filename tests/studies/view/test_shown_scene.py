@@ -19,6 +19,8 @@ from palmfield.studies.view.hands import Offset
 from palmfield.studies.view.messages import Ask, Moment, Notice, Pace, Press, Replay, SceneShown, SetKey, Turn, Values
 from palmfield.studies.view.run import QUIET_s, ShownScene, Wanted
 
+pytestmark = pytest.mark.usefixtures("kept_operators")
+
 FREQUENCY = ("key", "stimulus.am_frequency_Hz", None)
 DEPTH = ("key", "stimulus.am_depth", None)
 FOCUS_X = ("key", "stimulus.focus_m", 0)
