@@ -57,7 +57,8 @@ def triangulate(shape: Shape, size: Size, radius_m: float, centre_m: tuple[float
         free = np.flatnonzero(total > 0.0)
         free = free[free >= fixed]
         points[free] = moved[free] / total[free, None]
-    return _compact(points, _inside(points, shape))
+    used, local = np.unique(_inside(points, shape), return_inverse=True)
+    return points[used], local.reshape(-1, 3).astype(np.int32)
 
 
 def _rings(size: Size, radius_m: float, centre_m: tuple[float, float]) -> Float:
@@ -92,8 +93,3 @@ def _inside(points: Float, shape: Shape) -> Int:
     faces[area < 0.0] = faces[area < 0.0][:, ::-1]
     flat = np.abs(area) < 1e-6 * np.abs(area).mean()
     return faces[~flat & (shape.at(points[faces].mean(axis=1)) < 0.0)]
-
-
-def _compact(points: Float, faces: Int) -> tuple[Float, Int]:
-    used, local = np.unique(faces, return_inverse=True)
-    return points[used], local.reshape(-1, 3).astype(np.int32)

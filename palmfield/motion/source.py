@@ -24,7 +24,6 @@ from palmfield.motion.retarget import retarget
 from palmfield.motion.tracking import Stream, read_stream
 from palmfield.motion.trajectory import from_callable, read_trajectory
 from palmfield.transforms import IDENTITY, Transform
-from palmfield.types import Float
 
 FARTHEST_m = 10.0
 """Largest distance of a hand from an array: beyond it the unit is wrong."""
@@ -102,8 +101,6 @@ def read_keyframes(path: Path, hand: ArticulatedHand, preset: str | None) -> Cal
         keys = read_toml(path).get("key", [])
     if not isinstance(keys, list) or len(keys) < 2:
         raise SceneError(f"keyframes {path}: give two tables [[key]] or more, each with time_s and position_m")
-    times: list[float] = []
-    places: list[Float] = []
     turns, poses = [], []
     for number, key in enumerate(keys, start=1):
         where = f"keyframes {path}: key {number}"
@@ -118,14 +115,13 @@ def read_keyframes(path: Path, hand: ArticulatedHand, preset: str | None) -> Cal
             raise SceneError(
                 f"{where}: pose and joints_deg need an articulated hand: name the preset of that hand", mends=("hand",)
             )
-        times.append(float(numbers(key["time_s"], (), f"{where}: time_s")))
+        numbers(key["time_s"], (), f"{where}: time_s")
         place = numbers(key["position_m"], (3,), f"{where}: position_m")
         if (far := float(np.linalg.norm(place))) > FARTHEST_m:
             raise SceneError(
                 f"{where}: position_m is {key['position_m']}, {far:g} m away; allowed: metres, at most {FARTHEST_m:g} "
                 "from the origin"
             )
-        places.append(place)
         turns.append(_turn(key, where))
         poses.append(_angles(key, hand, where))
     if preset is not None:

@@ -55,7 +55,8 @@ def drive(load: Load, line: Timeline, waves: WaveSet, part: slice) -> Float:
     The transform of the shape of a spot is part of the weight of the wave; here are its amplitude and centre phase.
     """
     if not isinstance(load, Spot):
-        return given(load.law, load.times_s, transform(waves.vectors[part], _weighted(load), load.points[:, :2]), line)
+        forces = transform(waves.vectors[part], load.pressure_Pa * load.weights_m2, load.points[:, :2])
+        return given(load.law, load.times_s, forces, line)
     if waves.centre is not None:
         still = np.ones((len(waves.group[part]), 1)) * load.peak_Pa
         return given(load.law, load.times_s, still.astype(complex), line)
@@ -71,11 +72,6 @@ def drive(load: Load, line: Timeline, waves: WaveSet, part: slice) -> Float:
     _split(result, before * size[:-1], before * np.diff(size), phase[:, 1:] * before.conj())
     result[:, :, 6] = np.diff(turned, axis=1) / line.durations[line.kind]
     return result
-
-
-def _weighted(load: Load) -> Float:
-    assert not isinstance(load, Spot)
-    return load.pressure_Pa * load.weights_m2
 
 
 def given(law: str, times: Float, values: Complex, line: Timeline) -> Float:
