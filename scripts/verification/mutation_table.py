@@ -824,8 +824,8 @@ MUTATIONS = (
         "first world's depth for all",
         "levels",
         "palmfield/stimulus/levels.py",
-        "depth=_column([one.depth for one in modulations])",
-        "depth=modulations[0].depth",
+        'am = _in_columns(modulations, "depth", "peak_duty", "exponent")',
+        'am = _in_columns(modulations, "peak_duty", "exponent")',
         "tests/stimulus/test_levels.py::test_levels_of_one_kind_are_those_of_each",
     ),
     Mutation(

@@ -8,7 +8,6 @@ from palmfield.config import DriverConfig, allowed
 from palmfield.config.driver import SAFETY_KEYS
 from palmfield.drive.board import check, control_rate_Hz, play
 from palmfield.drive.boards import BOARDS, board_named, board_of
-from palmfield.drive.boards.autd2018 import duty_course
 from palmfield.errors import DeviceError
 
 BOARD = BOARDS["sonicsurface"]
@@ -219,15 +218,6 @@ def test_without_sync_units_drift_apart_and_with_it_they_do_not():
         early, late = twin.at(0.0), twin.at(1.0)
         apart = np.abs(np.angle(late / early)).max()
         assert (apart > 1.0) == (sync == "off")
-
-
-def test_the_duty_of_packets_is_smoothed_to_the_carrier():
-    steady = duty_course(np.full(20, 160))
-    assert len(steady) == 400
-    np.testing.assert_allclose(steady, 0.25, atol=1e-12)
-    jump = duty_course(np.repeat([80, 240], 20))
-    # Without the filter a packet's step would come at once, from 1/8 to 3/8
-    assert np.abs(np.diff(jump)).max() < 0.25 / 8 and jump[0] == 0.125 and jump[-1] == 0.375
 
 
 def test_an_exponent_changes_the_pulse_and_not_the_level():

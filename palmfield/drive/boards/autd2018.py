@@ -16,8 +16,9 @@ from numpy.typing import ArrayLike
 
 from palmfield.acoustics.arrays import layout
 from palmfield.drive.board import GOLDEN, Board, Emitted, REFERENCE_SPEED_m_s, Twin, serial_line
-from palmfield.drive.pulse_width import HASEGAWA_TICKS, Edge, edge_phase, relative_pressure, resample, widths
+from palmfield.drive.pulse_width import HASEGAWA_TICKS, Edge, edge_phase, widths
 from palmfield.errors import DeviceError
+from palmfield.stimulus.duty_law import relative_pressure
 from palmfield.types import Complex, Float
 
 TRANSDUCERS = 249
@@ -157,15 +158,6 @@ def _depth(unit: int) -> int:
     while unit > 0:
         unit, depth = (unit - 1) // CHILDREN, depth + 1
     return depth
-
-
-def duty_course(packet_widths: ArrayLike) -> Float:
-    """Duty in each carrier period, shape (20 k,), for the pulse widths of k packets, in ticks.
-
-    Units smooth the 2 kHz input by an FIR low-pass; see `palmfield.drive.pulse_width.resample`.
-    """
-    duty = np.asarray(packet_widths, float) / HASEGAWA_TICKS
-    return np.clip(resample(duty, PACKET_RATE_HZ, carrier_Hz=CARRIER_HZ), 0.0, 0.5).astype(np.float64)
 
 
 class Autd2018Twin(Twin):

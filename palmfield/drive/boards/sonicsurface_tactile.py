@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 
 from palmfield.drive.board import Board, Line, switched
 from palmfield.drive.boards.sonicsurface import EMITTERS, FRAME_BYTES, OFF, START, SWAP, BufferedTwin
-from palmfield.drive.pulse_width import relative_pressure
 from palmfield.errors import DeviceError
+from palmfield.stimulus.duty_law import relative_pressure
 from palmfield.types import Complex
 
 STEPS = 16

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from palmfield.drive.board import Board, Emitted, Twin, commanded, serial_line
-from palmfield.drive.pulse_width import relative_pressure, widths
+from palmfield.drive.pulse_width import widths
+from palmfield.stimulus.duty_law import relative_pressure
 from palmfield.types import Complex, Float
 
 SIGNALS = 64

@@ -11,12 +11,13 @@ from scipy.signal import butter
 from palmfield.acoustics import sound_speed
 from palmfield.acoustics.nonlinear import arp_left
 from palmfield.drive import Pole
-from palmfield.drive.boards.autd2018 import CARRIER_HZ, PACKET_RATE_HZ, duty_course
-from palmfield.drive.pulse_width import HASEGAWA_TICKS, edge_phase, waveform, widths
+from palmfield.drive.boards.autd2018 import CARRIER_HZ, PACKET_RATE_HZ
+from palmfield.drive.pulse_width import HASEGAWA_TICKS, edge_phase, widths
 from palmfield.drive.response import envelope_response, filter_frames
 from palmfield.stimulus.duty_law import duty_cycle, relative_pressure
 from palmfield.types import Complex, Float
 from palmfield_papers.answer import Answer, Cause, Compute, Setting
+from palmfield_papers.hasegawa2018.pulses import duty_course, waveform
 from palmfield_papers.hasegawa2018.units import FORCE_DEPTH_M, ROOM, Units, array_of, value_of
 
 FREQUENCIES_HZ = (5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 300.0, 500.0, 1000.0)

@@ -5,7 +5,7 @@ from matplotlib.figure import Figure
 from scipy.signal import butter, sosfiltfilt
 
 from palmfield.drive.boards.autd2018 import CARRIER_HZ, PACKET_RATE_HZ
-from palmfield.drive.pulse_width import HASEGAWA_TICKS, Edge, edge_phase, resample
+from palmfield.drive.pulse_width import HASEGAWA_TICKS, Edge, edge_phase
 from palmfield.outputs.style import COLOURS
 from palmfield.stimulus.duty_law import relative_pressure
 from palmfield_papers.answer import Picture, Setting
@@ -18,6 +18,7 @@ from palmfield_papers.hasegawa2018.drive import (
     packets,
 )
 from palmfield_papers.hasegawa2018.focus import DRIFT_PPM, STEPS_M, force, level_of_units, peaks_mm
+from palmfield_papers.hasegawa2018.pulses import resample
 from palmfield_papers.hasegawa2018.units import (
     DEPTHS_M,
     FORCE_DEPTH_M,
