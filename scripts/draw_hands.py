@@ -82,11 +82,11 @@ def measure_table() -> list[str]:
 
 def depth_table() -> list[str]:
     """Depth from skin to bone by region, in mm."""
-    lines = ["| least / p10 / median, mm | `" + "` | `".join(DEPTH_PRESETS) + "` |", "|---" * 3 + "|"]
+    lines = ["| least, p10, median, mm | `" + "` | `".join(DEPTH_PRESETS) + "` |", "|---" * 3 + "|"]
     presets = [load_preset(name) for name in DEPTH_PRESETS]
     depths = [depth_by_region(articulate(preset), hand_surface(preset, EDGE_m)) for preset in presets]
     for region in REGIONS:
-        cells = [" / ".join(f"{1e3 * value:.1f}" for value in depth[region]) for depth in depths]
+        cells = [", ".join(f"{1e3 * value:.1f}" for value in depth[region]) for depth in depths]
         lines.append(f"| `{region}` | {' | '.join(cells)} |")
     return lines
 

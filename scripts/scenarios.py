@@ -28,15 +28,12 @@ DURATIONS_S = {"stroke_palm": 0.5}
 HEAD = """\
 # Scripted scenarios
 
-Eight scenes in `mjcf/scenes/` with moving hands, or sound that moves over a hand. Made by `python
-scripts/scenarios.py`; do not edit. `[NAME ...]` runs some of them, `--duration S` sets the duration, `--draw` redraws
-earlier runs.
+For everyone who writes scenes with moving hands: eight of them, in `mjcf/scenes/`. Made by `python
+scripts/scenarios.py`; do not edit. Run one by `palmfield run mjcf/scenes/tap_button.xml --out out/tap_button`.
 
-Figures are from single runs, each with its own mesh of the skin layer for its `accuracy` (0.2; the stroke 0.1). Checks
-concern motion, sound and, for the stroke, the time course of the skin motion, not the size of the displacement. Its
-estimated error is given for each run: small patches (15 to 32 mm) with fixed cut edges save time, and the edge causes
-most of the error. Other work ran on the machine, so wall times are upper bounds. A plus after a commit hash marks
-uncommitted changes.
+Figures are from single runs with `accuracy` 0.2 (the stroke 0.1) on a shared machine. Checks concern motion, sound
+and, for the stroke, the time course of the skin motion. Most of the error comes from the fixed cut edges of small
+patches (15 to 32 mm).
 
 ## Writing one
 
@@ -52,14 +49,12 @@ uncommitted changes.
 </plugin>
 ```
 
-`hand` names the preset whose joints move; without it the hand is rigid and only its pose moves. One of `keyframes`,
-`trajectory` (CSV or NPZ), `tracking` (a recorded OpenXR hand) and `function` (`package.module:function` of time)
-gives the motion ([motion.md](motion.md)); files are relative to the scene. `start_s` shifts it. `follow` is `servo`
-(springs lead the hand, which lags slightly and yields to contacts) or `exact`. A second hand has its own instance
-with `body` set to `PREFIXhand_target` (`two_hands.xml`), and its own instance of `palmfield.skin` if it has skin
-(`two_hands_both_feel.xml`). With `body_sound` `shadows` bodies with skin cast shadows on each other, and so do bodies
-listed in key `obstacles` of `palmfield.skin`. Sound is diffracted at their edges; with `shadow_edges` `rays` a point
-is lit or dark ([shadows](bench/shadows.md)), which is faster and used here.
+`hand` names the preset whose joints move; without it only the pose moves. One of `keyframes`, `trajectory`,
+`tracking` and `function` gives the motion ([motion.md](motion.md)); files are relative to the scene. `start_s` shifts
+it. `follow` is `servo` (springs, with a slight lag) or `exact`. A second hand has an instance with `body`
+`PREFIXhand_target` (`two_hands.xml`), and one of `palmfield.skin` if it has skin (`two_hands_both_feel.xml`). With
+`body_sound` `shadows` bodies with skin and those in key `obstacles` cast shadows; `shadow_edges` `rays` is faster and
+used here ([shadows](bench/shadows.md)).
 
 A keyframe file is TOML, two or more tables `[[key]]` with rising times:
 
@@ -76,16 +71,12 @@ turn_deg = [0.0, 20.0, 0.0]      # rotation vector; or quaternion = [w, x, y, z]
 joints_deg = { index_mcp_flexion = 30 }    # angles that differ from the pose
 ```
 
-Between keys, positions and angles are monotone cubics, at rest at the first and last key. A pose in which the skin of
-the hand intersects itself is refused with the number of the key.
+A pose in which the skin of the hand intersects itself is refused with the number of the key.
 
-The stimulus moves with the hand if `frame` names one of its sites (`index_pad`, `palm_centre`): `focus_m` and path
-are then in that frame. `path_on` `skin` draws the path on the surface, from the skin nearest to `focus_m`; `path`
-`sites` with `path_sites` takes the shortest path on the skin through the named sites. The path moves with the skin;
-`on_skin` selects one of several skins.
-
-Any key can be changed without a new file: `palmfield.Simulation(path, keys={"stimulus.path_speed_m_s": 11})`, or on the
-command line `--set stimulus.path_speed_m_s=11`.
+The stimulus moves with the hand if `frame` names one of its sites (`index_pad`, `palm_centre`). `path_on` `skin` draws
+the path on the surface, from the skin nearest to `focus_m`; `path` `sites` with `path_sites` takes the shortest path on
+the skin through sites. `on_skin` selects one of several skins. Change a key without a new file by
+`palmfield.Simulation(path, keys={"stimulus.path_speed_m_s": 11})` or `--set stimulus.path_speed_m_s=11`.
 """
 
 
@@ -167,14 +158,11 @@ def write_page(results: Path) -> None:
             continue
         facts = json.loads(path.read_text())
         summary = json.loads((results / name / "summary.json").read_text())
-        length = f" --duration {DURATIONS_S[name]:g}" if name in DURATIONS_S else ""
         parts.append(
-            f"## {name}\n\n{story.text}\n\n```\npalmfield run mjcf/scenes/{name}.xml --out out/{name}{length}\n```\n\n"
-            f"![{name}](images/scenario_{name}.png)\n\n**Check.** {facts['check']}\n\n"
-            f"{1e3 * facts['simulated_s']:.0f} ms in {facts['steps']} MuJoCo steps and {facts['skin_steps'] - 1} "
-            f"skin steps; {facts['unknowns']} unknowns, solver {facts['solver']}; {facts['processor_s']:.0f} s of "
-            f"processor time, {facts['wall_s']:.0f} s of wall time, with loading, error estimate and pictures; "
-            f"commit {facts['commit']}. {error_in_words(summary['skins'][0])}\n"
+            f"## {name}\n\n{story.text}\n\n![{name}](images/scenario_{name}.png)\n\n**Check.** {facts['check']}\n\n"
+            f"{1e3 * facts['simulated_s']:.0f} ms, {facts['skin_steps'] - 1} skin steps, {facts['unknowns']} unknowns, "
+            f"{facts['solver']}; {facts['processor_s']:.0f} s of processor time; commit {facts['commit']}. "
+            f"{error_in_words(summary['skins'][0])}\n"
         )
     PAGE.write_text("\n".join(parts), encoding="utf-8")
 
@@ -185,7 +173,7 @@ def error_in_words(skin: dict[str, Any]) -> str:
         return f"No error estimate: {skin.get('displacement_error_missing', 'the skin did not move')}."
     error, wanted = skin["displacement_error_relative"], skin["accuracy_wanted_relative"]
     return (
-        f"Estimated error of the displacement {100 * error:.0f} % (target {100 * wanted:.0f} %): mesh "
+        f"Error of the displacement {100 * error:.0f} % (target {100 * wanted:.0f} %): mesh "
         f"{100 * skin['mesh_error_relative']:.0f} %, cut edge {100 * skin['edge_error_relative']:.0f} %."
     )
 
