@@ -1,5 +1,6 @@
 """`palmfield keys`: the scene's keys as text and print the page docs/keys.md, from the configuration models."""
 
+import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,6 +14,7 @@ if TYPE_CHECKING:
     from palmfield.config import Config
 
 HEADINGS = ("key", "unit", "allowed", "default", "meaning")
+SHORT = re.compile(r"finite number (?=[<>])|finite (number)")
 RENAMED = "Keys renamed since the last version; a scene with an old name gets an error that states the new one."
 SCENE = "Of the whole scene, as elements of MJCF's <custom>: numeric name=KEY data=VALUE, or text name=KEY data=VALUE."
 SCENE_KEYS = (
@@ -124,7 +126,9 @@ def _renamed(configs: Sequence[type["Config"]]) -> list[tuple[str, str]]:
 
 
 def _section(title: str, about: str, rows: Sequence[tuple[str, ...]]) -> list[str]:
-    table = [(key, takes.replace("finite number", "number"), *rest) for key, _, takes, *rest in [HEADINGS, *rows]]
+    table = [
+        (key, SHORT.sub(r"\1", takes).replace(" and <", ", <"), *rest) for key, _, takes, *rest in [HEADINGS, *rows]
+    ]
     return [f"## {title}", "", about, "", _line(table[0]), "|---|---|---|---|", *map(_line, table[1:]), ""]
 
 
