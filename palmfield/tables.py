@@ -1,6 +1,7 @@
 """Columns of numbers in CSV and NPZ files, with messages that name line and column."""
 
 import csv
+import math
 import zlib
 from collections import Counter
 from collections.abc import Sequence
@@ -9,7 +10,7 @@ from zipfile import BadZipFile, is_zipfile
 
 import numpy as np
 
-from palmfield.errors import OutputError, SceneError
+from palmfield.errors import OutputError, PalmfieldError, SceneError
 from palmfield.given_files import regular
 from palmfield.types import Float
 from palmfield.whole_files import whole, writing
@@ -79,13 +80,8 @@ def _csv(file: Path) -> tuple[dict[str, Float], list[str]]:
         for row in reader:
             if not any(cell.strip() for cell in row):
                 continue
-            place = f"line {reader.line_num}"
-            if len(row) != len(header):
-                raise SceneError(
-                    f"{file}: {place} has {len(row)} values for {len(header)} columns; give one per column"
-                )
-            rows.append([_number(file, place, name, cell) for name, cell in zip(header, row, strict=True)])
-            places.append(place)
+            places.append(f"line {reader.line_num}")
+            rows.append(numbers_in(f"{file}: {places[-1]}", header, row, finite=False))
     table = np.array(rows, dtype=np.float64).reshape(-1, len(header))
     return {name: table[:, n] for n, name in enumerate(header)}, places
 
@@ -105,11 +101,31 @@ def _check_header(file: Path, header: Sequence[str]) -> None:
         raise SceneError(f"{file}: line 1 is a comment, '{header[0]}'; begin with one line of different column names")
 
 
-def _number(file: Path, place: str, column: str, cell: str) -> float:
-    try:
-        return float(cell)
-    except ValueError:
-        raise SceneError(f"{file}: {place}, column {column}: '{cell[:40]}' is not a number; give a number") from None
+def numbers_in(
+    place: str,
+    names: Sequence[str],
+    cells: Sequence[str],
+    error: type[PalmfieldError] = SceneError,
+    *,
+    finite: bool = True,
+    instead: str = "give a finite number",
+) -> list[float]:
+    """The numbers in the cells of a row of text, one for each name of a column.
+
+    place: file and line, for messages; finite: whether to check that; instead: of a number that is not finite
+    Raises `error`, with the column, for text and numbers that are not finite, and for more or fewer cells.
+    """
+    if len(cells) != len(names):
+        raise error(f"{place} has {len(cells)} values for {len(names)} columns; give one per column")
+    values = []
+    for name, cell in zip(names, cells, strict=True):
+        try:
+            values.append(float(cell))
+        except ValueError:
+            raise error(f"{place}, column {name}: '{cell.strip()[:40]}' is not a number; give a number") from None
+        if finite and not math.isfinite(values[-1]):
+            raise error(f"{place}, column {name}: {values[-1]:g}; {instead}")
+    return values
 
 
 def write_table(file: Path, names: Sequence[str], table: Float) -> None:

@@ -66,7 +66,6 @@ def _known(view: Preview) -> set[int]:
 
 
 def _ancestors(model: mujoco.MjModel, body: int) -> set[int]:
-    """Return a body and its ancestors."""
     found = {body}
     while body != 0:
         body = int(model.body_parentid[body])

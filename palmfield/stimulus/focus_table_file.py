@@ -12,7 +12,6 @@ t,x,y,z,intensity
 """
 
 import csv
-import math
 import re
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -25,6 +24,7 @@ from palmfield.config.stimulus import too_far
 from palmfield.errors import SceneError, did_you_mean
 from palmfield.given_files import read_text, reading
 from palmfield.stimulus.focus_table import Between, FocusTable, Quantity, TableFrame
+from palmfield.tables import numbers_in
 from palmfield.types import Float
 from palmfield.whole_files import write_text
 
@@ -145,7 +145,7 @@ def read_focus_table(path: str | Path) -> FocusTable:
     if not body:
         raise SceneError(f"{file}: the line of column names is missing; see the example in docs/stimuli.md")
     head, names = _head(file, heads), _names(file, *body[0])
-    table = np.array([_row(file, number, line, names) for number, line in body[1:]])
+    table = np.array([numbers_in(f"{file}: line {n}", names, next(csv.reader([line]))) for n, line in body[1:]])
     if not len(table):
         raise SceneError(f"{file}: there are no rows below line {body[0][0]}; give one or more")
     foci = (len(names) - 1) // 4
@@ -243,23 +243,6 @@ def _names(file: Path, number: int, line: str) -> list[str]:
             f"{file}: line {number}: {fault}; allowed: t, x, y, z, intensity, or t, x1, y1, z1, intensity1, x2, ..."
         )
     return names
-
-
-def _row(file: Path, number: int, line: str, names: Sequence[str]) -> list[float]:
-    cells = next(csv.reader([line]))
-    if len(cells) != len(names):
-        raise SceneError(f"{file}: line {number} has {len(cells)} values for {len(names)} columns; give one per column")
-    values = []
-    for name, cell in zip(names, cells, strict=True):
-        try:
-            values.append(float(cell))
-        except ValueError:
-            raise SceneError(
-                f"{file}: line {number}, column {name}: '{cell.strip()}' is not a number; give a number"
-            ) from None
-        if not math.isfinite(values[-1]):
-            raise SceneError(f"{file}: line {number}, column {name}: {values[-1]:g}; give a finite number")
-    return values
 
 
 def focus_table_text(table: FocusTable) -> str:

@@ -15,13 +15,14 @@ sight_x,0.7071,0.7071,0.7071      (the three lines of sight_x, sight_y, sight_z 
 import csv
 from itertools import pairwise
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
 from palmfield.errors import MeasurementError, did_you_mean, naming, refuse_unknown
 from palmfield.given_files import regular
 from palmfield.instruments.scan import QUANTITIES, UNITS, Quantity, Scan
-from palmfield.tables import UNREADABLE
+from palmfield.tables import UNREADABLE, numbers_in
 from palmfield.whole_files import writing
 
 PLACES = ("x_m", "y_m", "z_m")
@@ -50,29 +51,26 @@ def read_csv(file: Path) -> Scan:
             "separated by commas"
         )
     names = rows[0][1][1:]
+    instead = "give a finite number, or remove the column"
     labelled: dict[str, list[float]] = {}
-    numbers: list[list[float]] = []
+    moments: list[list[float]] = []
     for line_number, cells in rows[1:]:
-        if len(cells) != len(names) + 1:
-            raise MeasurementError(
-                f"{file}: line {line_number} has {len(cells)} values for {len(names) + 1} columns; give one per column"
-            )
+        place = f"{file}: line {line_number}"
         if cells[0] in labelled:
-            raise MeasurementError(f"{file}: line {line_number} repeats '{cells[0]}'; give it once")
+            raise MeasurementError(f"{place} repeats '{cells[0]}'; give it once")
         if cells[0] in (*PLACES, *SIGHTS):
-            labelled[cells[0]] = [_number(file, line_number, n, c) for n, c in zip(names, cells[1:], strict=True)]
+            labelled[cells[0]] = numbers_in(place, names, cells[1:], MeasurementError, instead=instead)
         elif cells[0][:1].isalpha() and cells[0].lower() not in ("nan", "inf", "infinity"):
             raise MeasurementError(
-                f"{file}: line {line_number} begins with '{cells[0]}'{did_you_mean(cells[0], (*PLACES, *SIGHTS))}; "
+                f"{place} begins with '{cells[0]}'{did_you_mean(cells[0], (*PLACES, *SIGHTS))}; "
                 f"allowed: a time, or {', '.join((*PLACES, *SIGHTS))}, positions in metres"
             )
         else:
-            columns = zip(("time_s", *names), cells, strict=True)
-            numbers.append([_number(file, line_number, n, c) for n, c in columns])
+            moments.append(numbers_in(place, ("time_s", *names), cells, MeasurementError, instead=instead))
     for name in PLACES if not set(SIGHTS) & set(labelled) else (*PLACES, *SIGHTS):
         if name not in labelled:
             raise MeasurementError(f"{file}: has no line '{name},...'; give the {', '.join(PLACES)} of the points")
-    table = np.array(numbers).reshape(-1, len(names) + 1)
+    table = np.array(moments).reshape(-1, len(names) + 1)
     for first, second in pairwise(range(len(table))):
         if table[second, 0] <= table[first, 0]:
             raise MeasurementError(f"{file}: time {table[second, 0]:g} follows {table[first, 0]:g}; times must rise")
@@ -90,22 +88,9 @@ def _quantity(file: Path, head: dict[str, str]) -> tuple[Quantity, float]:
             raise MeasurementError(f"{file}: has no line '# {name}: ...'; {example}")
     with naming(str(file)):
         refuse_unknown(MeasurementError, "quantity is {}", head["quantity"], QUANTITIES)
-    quantity: Quantity = "velocity" if head["quantity"] == "velocity" else "displacement"
-    with naming(str(file)):
+        quantity = cast(Quantity, head["quantity"])
         refuse_unknown(MeasurementError, f"unit of {quantity} is {{}}", head["unit"], UNITS[quantity])
     return quantity, UNITS[quantity][head["unit"]]
-
-
-def _number(file: Path, line: int, column: str, cell: str) -> float:
-    try:
-        value = float(cell)
-    except ValueError:
-        raise MeasurementError(f"{file}: line {line}, column {column}: '{cell}' is not a number") from None
-    if not np.isfinite(value):
-        raise MeasurementError(
-            f"{file}: line {line}, column {column}: {cell}; give a finite number, or remove the column"
-        )
-    return value
 
 
 def write_csv(file: Path, scan: Scan) -> None:

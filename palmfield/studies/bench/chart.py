@@ -16,7 +16,6 @@ LABEL_POINTS = 10.0
 
 
 def draw(rows: list[FieldRow], models: dict[str, str], path: Path) -> None:
-    """Write `speed_figure`."""
     with style():
         save(speed_figure(rows, models), path)
 

@@ -6,7 +6,7 @@ import statistics
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -86,9 +86,7 @@ def main(
         names = ", ".join(method.name for _, method in methods)
         raise PalmfieldError(f"--only '{only}' matches no method; use part of {names}")
     device = resolve(device)
-    for option, path in (("--out", out), ("--picture", picture)):
-        if path is not None:
-            check_writable(option, path)
+    check_writable({"--out": out, "--picture": picture})
     if device != "cpu":
         chosen = [(module, method) for module, method in chosen if method.name != own.ALL_CORES]
     rows: list[FieldRow] = []
@@ -149,18 +147,21 @@ def written(report: str, out: Path | None, draw: Callable[[], None] | None = Non
     return report
 
 
-def check_writable(option: str, path: Path) -> None:
-    """Make the file's folder. Raises OutputError if the file cannot be written."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        if path.is_dir():
-            raise IsADirectoryError(None, "it is a folder")
-        with tempfile.TemporaryFile(dir=path.parent):
-            pass
-        if path.exists():
-            path.open("a").close()
-    except OSError as error:
-        raise OutputError(f"cannot write {path}: {error.strerror}; choose another {option}") from error
+def check_writable(files: Mapping[str, Path | None]) -> None:
+    """Make the folders of files, by option. Raises OutputError for a file that cannot be written."""
+    for option, path in files.items():
+        if path is None:
+            continue
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            if path.is_dir():
+                raise IsADirectoryError(None, "it is a folder")
+            with tempfile.TemporaryFile(dir=path.parent):
+                pass
+            if path.exists():
+                path.open("a").close()
+        except OSError as error:
+            raise OutputError(f"cannot write {path}: {error.strerror}; choose another {option}") from error
 
 
 def run_range(

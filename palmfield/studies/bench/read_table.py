@@ -48,7 +48,7 @@ def _rows(lines: list[str]) -> Iterator[tuple[str, list[str], list[str]]]:
             columns = []
             heading = line[3:].strip() if line.startswith("## ") else heading
             continue
-        cells = [cell.strip() for cell in line.strip()[1:-1].split("|")]
+        cells = table.cells(line)
         if not columns:
             columns = cells
         elif set(line) - set("|-: ") and len(cells) == len(columns):

@@ -66,8 +66,7 @@ def main(
         raise PalmfieldError(f"--seed has value {seed}; allowed: whole numbers >= 0")
     files = [found(name) for name in scenes or GOALS]
     device = resolve(device)
-    if out is not None:
-        check_writable("--out", out)
+    check_writable({"--out": out})
     load = os.getloadavg()[0]
     first = Job("measure", "", device, "auto" if known else "modal", not known, seed, steps)
     results: list[tuple[str, dict[str, Any]]] = []

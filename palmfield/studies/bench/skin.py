@@ -118,9 +118,7 @@ def main(
     """
     if not 1 <= runs <= 99:
         raise PalmfieldError(f"--runs has value {runs}; allowed: 1 to 99")
-    for option, path in (("--out", out), ("--picture", picture)):
-        if path is not None:
-            check_writable(option, path)
+    check_writable({"--out": out, "--picture": picture})
     device = resolve(device)
     jobs: list[tuple[str, Callable[[], SkinRow]]] = []
     for name, accuracies in ACCURACIES.items():
@@ -187,7 +185,6 @@ def as_markdown(
 
 
 def draw(rows: list[SkinRow], path: Path) -> None:
-    """Write `speed_figure`."""
     with style():
         save(speed_figure([row for row in rows if not row.missing]), path)
 

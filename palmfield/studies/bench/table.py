@@ -35,8 +35,6 @@ class FieldRow:
 
 @dataclass(frozen=True)
 class Head:
-    """Head of the table."""
-
     command: str
     commit: str
     processor: str

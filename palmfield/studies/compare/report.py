@@ -57,7 +57,6 @@ class Comparison:
         return float(middle), float(low), float(high)
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
         turn = Rotation.from_matrix(self.place.transform.rotation)
         return {
             "measured": self.measured,

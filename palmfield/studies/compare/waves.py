@@ -62,7 +62,6 @@ def _wave_in_words(wave: Wave, frequency_Hz: float) -> str:
 
 
 def as_dict(mode: GuidedMode) -> dict[str, Any]:
-    """For JSON."""
     others = [_wave_as_dict(other) for other in mode.others]
     return {**_wave_as_dict(mode), "misfit": mode.misfit, "waves_fitted": mode.rings, "other_waves": others}
 

@@ -38,8 +38,6 @@ class Trial(NamedTuple):
 
 
 class Log(NamedTuple):
-    """Contents of a log."""
-
     head: Mapping[str, Any]
     design: Design
     sessions: int

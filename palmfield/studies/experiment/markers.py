@@ -57,7 +57,6 @@ class Markers:
         return cls(parts)
 
     def mark(self, text: str, when: float) -> None:
-        """See Marker."""
         for part in self.parts:
             part.mark(text, when)
 

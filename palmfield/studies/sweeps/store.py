@@ -93,7 +93,6 @@ class SweepStore:
         return int((np.asarray(self._groups["status"][...]) == DONE).sum())
 
     def failure(self, number: int) -> str:
-        """Return why a point has failed."""
         return str(self._small["failure"][self.design.index(number)])
 
     def _take(self, index: tuple[int, ...], result: Numbers | Failed) -> None:

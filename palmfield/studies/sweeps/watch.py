@@ -76,7 +76,6 @@ class Watched:
         return slice(1 + self._steps * count, 1 + (self._steps + 1) * count)
 
     def _observe(self, trace: StepTrace) -> None:
-        """Record the step of some worlds."""
         rows = self._rows(len(trace.times))
         self.times[rows] = trace.times - self.begun_s
         for motion, watched in zip(self.motion, trace.motion, strict=True):

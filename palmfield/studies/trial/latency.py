@@ -52,7 +52,6 @@ class Latency:
     notes: tuple[str, ...]
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
         return asdict(self)
 
     def __str__(self) -> str:

@@ -20,6 +20,7 @@ from palmfield.instruments import scan
 from palmfield.studies.trial.field import TrialMoment, TrueSound
 from palmfield.studies.trial.sending import Heard
 from palmfield.studies.trial.skin_response import SkinResponse
+from palmfield.tables import numbers_in
 from palmfield.types import Float
 
 Quantity = Literal["pressure", "displacement", "velocity"]
@@ -65,7 +66,6 @@ class Compared:
     band: tuple[float, float]
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
         return {**self.__dict__, "band": list(self.band)}
 
     def __str__(self) -> str:
@@ -107,17 +107,19 @@ def _recording(lines: list[str], name: str) -> Recording:
     refuse_unknown(SceneError, "quantity is {}", head["quantity"], UNITS)
     quantity = cast(Quantity, head["quantity"])
     refuse_unknown(SceneError, f"unit of {quantity} is {{}}", head["unit"], UNITS[quantity])
-    place = _numbers(head["place_m"].replace(",", " ").split())
-    if len(place) != 3 or max(map(abs, place)) > 10.0:
+    try:
+        place = tuple(float(cell) for cell in head["place_m"].replace(",", " ").split())
+    except ValueError:
+        place = ()
+    if len(place) != 3 or not np.all(np.abs(place) <= 10.0):
         raise SceneError(f"place_m is '{head['place_m']}'; give three finite numbers in metres, in the array's frame")
     if begin == len(lines) or [cell.strip() for cell in lines[begin].split(",")] != ["t", "value"]:
         raise SceneError(f"line {begin + 1} does not hold column names; give 't,value' after the head")
-    rows = []
-    for number, line in enumerate(lines[begin + 1 :], begin + 2):
-        if line.strip():
-            rows.append(_numbers(line.split(",")))
-            if len(rows[-1]) != 2:
-                raise SceneError(f"line {number} is '{line}'; give two finite numbers, t and value")
+    rows = [
+        numbers_in(f"line {number}", ("t", "value"), line.split(","))
+        for number, line in enumerate(lines[begin + 1 :], begin + 2)
+        if line.strip()
+    ]
     table = np.array(rows).reshape(-1, 2)
     if len(table) < FEWEST:
         raise SceneError(f"{len(table)} rows; needed: {FEWEST} or more")
@@ -126,16 +128,7 @@ def _recording(lines: list[str], name: str) -> Recording:
         n = int(late[0])
         raise SceneError(f"t = {table[n + 1, 0]:g} s comes after {table[n, 0]:g} s; allowed: rising times")
     values = UNITS[quantity][head["unit"]] * table[:, 1]
-    return Recording(quantity, table[:, 0], values, (place[0], place[1], place[2]), name)
-
-
-def _numbers(cells: list[str]) -> list[float]:
-    """The cells as finite numbers; empty if one is none."""
-    try:
-        values = [float(cell) for cell in cells]
-    except ValueError:
-        return []
-    return values if np.isfinite(values).all() else []
+    return Recording(quantity, table[:, 0], values, place, name)
 
 
 def compare(

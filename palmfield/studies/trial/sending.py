@@ -113,6 +113,17 @@ class Sent:
         self.late_s, self.end_s = max(self.late_s, ends - frame.due_s), ends
 
 
+@dataclass(frozen=True)
+class _Order:
+    """What is to be sent: arguments of `send`."""
+
+    board: Board
+    times_s: Sequence[float]
+    make: Make
+    duration_s: float
+    show_progress: Callable[[float], None]
+
+
 def send(
     board: Board,
     times_s: Sequence[float],
@@ -134,15 +145,14 @@ def send(
     early; the board is off at the end. Raises DeviceError if the port cannot be opened or is lost, and for a port on a
     system without POSIX.
     """
-    show_progress = on_progress or (lambda time_s: None)
+    order = _Order(board, times_s, make, duration_s, on_progress or (lambda time_s: None))
     if board.exact:
-        sent = _play_exactly(times_s, make)
-        sent.end_s = duration_s
+        sent = _play_exactly(order)
     elif port is None:
-        sent = _play_on_twin(board, times_s, make, duration_s, log, show_progress)
+        sent = _play_on_twin(order, log)
     elif port == VIRTUAL:
         with VirtualBoard(board, decodes=False, realtime=True) as virtual:
-            sent = _play_on_port(board, virtual.port, times_s, make, duration_s, log, limits, show_progress)
+            sent = _play_on_port(order, virtual.port, log, limits)
             virtual.settle()
             virtual.decode()
             offset = time.monotonic() - virtual.clock - sent.zero_s
@@ -150,7 +160,7 @@ def send(
         sent.emitted = _not_early(board, sent.frames, emitted)
         sent.flags = [f"at {flag.time_s + offset:.3f} s {flag.kind}: {flag.text}" for flag in virtual.flags]
     else:
-        sent = _play_on_port(board, port, times_s, make, duration_s, log, limits, show_progress)
+        sent = _play_on_port(order, port, log, limits)
         _emit_by_twin(board, sent, duration_s)
     for one in sent.frames:
         one.frame.wanted  # noqa: B018 - in the order in which they were made
@@ -172,11 +182,11 @@ def _not_early(board: Board, frames: list[SentFrame], emitted: list[Emitted]) ->
     return sorted(result, key=lambda one: one.time_s)
 
 
-def _play_exactly(times_s: Sequence[float], make: Make) -> Sent:
+def _play_exactly(order: _Order) -> Sent:
     """Return the emission of a board without limits and without a line: each frame at its time."""
-    sent = Sent(due=len(times_s))
-    for number, due_s in enumerate(times_s):
-        frame = make(due_s, due_s)
+    sent = Sent(due=len(order.times_s), end_s=order.duration_s)
+    for number, due_s in enumerate(order.times_s):
+        frame = order.make(due_s, due_s)
         sent.frames.append(SentFrame(number, due_s, due_s, due_s, frame))
         sent.emitted.append(Emitted(due_s, frame.wanted))
     return sent
@@ -202,15 +212,9 @@ class _Twin:
         sent.flags = [f"at {flag.time_s - zero_s:.3f} s {flag.kind}: {flag.text}" for flag in self.twin.flags]
 
 
-def _play_on_twin(
-    board: Board,
-    times_s: Sequence[float],
-    make: Make,
-    duration_s: float,
-    log: FrameLog | None,
-    show_progress: Callable[[float], None],
-) -> Sent:
+def _play_on_twin(order: _Order, log: FrameLog | None) -> Sent:
     """Return the emission of a virtual board whose line takes its real time, but without waiting."""
+    board, times_s = order.board, order.times_s
     line, takes_s = _line(board), board.frame_time_s
     sent, twin = Sent(due=len(times_s)), _Twin(board, log)
     twin.feed(board.start, 0.0)
@@ -222,11 +226,12 @@ def _play_on_twin(
         for choice in on_the_line(schedule, line.time_s(1), free_s):
             now, due_s = choice.at_s, times_s[choice.number]
             sent.due = choice.number + 1
-            made = SentFrame(choice.number, due_s, now - zero, now - zero, make(now - zero, due_s))
+            made = SentFrame(choice.number, due_s, now - zero, now - zero, order.make(now - zero, due_s))
             twin.feed(made.frame.data, now)
             sent.add(made, takes_s)
-            show_progress(made.made_s)
-        sent.due, sent.end_s, now = len(times_s), duration_s, max(now, zero + sent.end_s, zero + duration_s)
+            order.show_progress(made.made_s)
+        now = max(now, zero + sent.end_s, zero + order.duration_s)
+        sent.due, sent.end_s = len(times_s), order.duration_s
     except KeyboardInterrupt:
         sent.interrupted = True
     finally:
@@ -241,16 +246,7 @@ def _line(board: Board) -> Line:
     return board.line
 
 
-def _play_on_port(
-    board: Board,
-    port: str,
-    times_s: Sequence[float],
-    make: Make,
-    duration_s: float,
-    log: FrameLog | None,
-    limits: SoundLimits | None,
-    show_progress: Callable[[float], None],
-) -> Sent:
+def _play_on_port(order: _Order, port: str, log: FrameLog | None, limits: SoundLimits | None) -> Sent:
     """Make frames here and send them by a player, which reports when each was on the line."""
     within = limits or SoundLimits()
     if log is not None:
@@ -258,19 +254,19 @@ def _play_on_port(
     path = None if log is None else log.path
     given: list[tuple[int, float, MadeFrame]] = []
     player = Player(
-        board, port, log=path, stale_s=STALE_S, refresh_s=10.0 * STALE_S, tells_frames=True,
+        order.board, port, log=path, stale_s=STALE_S, refresh_s=10.0 * STALE_S, tells_frames=True,
         on_time_s=within.on_time_s or 0.0, duty=within.duty,
     )  # fmt: skip
     try:
-        sent = _make_and_give(player, times_s, make, duration_s, given, show_progress)
+        sent = _make_and_give(order, player, given)
     finally:
         player.close()
     report = player.played
-    ended_s, takes_s = sent.end_s, board.frame_time_s
-    for order, on_line_s in report.on_line:
-        number, made_s, frame = given[order]
+    ended_s, takes_s = sent.end_s, order.board.frame_time_s
+    for which, on_line_s in report.on_line:
+        number, made_s, frame = given[which]
         begun_s = on_line_s - sent.zero_s - takes_s
-        sent.add(SentFrame(number, times_s[number], made_s, begun_s, frame), takes_s)
+        sent.add(SentFrame(number, order.times_s[number], made_s, begun_s, frame), takes_s)
     sent.end_s = sent.end_s if sent.interrupted else max(sent.end_s, ended_s)
     late = len(given) - len(sent.frames)
     sent.notes.append(f"sent by a player at {player.priority}; {late} computed frames were too late for the line")
@@ -281,19 +277,13 @@ def _play_on_port(
     return sent
 
 
-def _make_and_give(
-    player: Player,
-    times_s: Sequence[float],
-    make: Make,
-    duration_s: float,
-    given: list[tuple[int, float, MadeFrame]],
-    show_progress: Callable[[float], None],
-) -> Sent:
+def _make_and_give(order: _Order, player: Player, given: list[tuple[int, float, MadeFrame]]) -> Sent:
     """Make frames just before they are due, and pass them to a player.
 
     given: filled with each frame, its number among the due ones, and when it was made [s]
     """
-    takes_s, making = player.board.frame_time_s, _practised(make, times_s)
+    times_s = order.times_s
+    takes_s, making = order.board.frame_time_s, _practised(order.make, times_s)
     first_s = times_s[0] if len(times_s) else 0.0
     sent = Sent(zero_s=time.monotonic() + making.ahead_s + takes_s - first_s)
     begins = [*(sent.zero_s + due_s - takes_s for due_s in times_s), np.inf]
@@ -306,15 +296,15 @@ def _make_and_give(
                 continue
             time.sleep(max(0.0, max(rested_s, begins[number] - making.ahead_s) - time.monotonic()))
             now = time.monotonic()
-            frame = make(now - sent.zero_s, due_s)
+            frame = order.make(now - sent.zero_s, due_s)
             player.send([frame.data], float(frame.sounds), made_s=now, due_s=sent.zero_s + due_s)
             given.append((number, now - sent.zero_s, frame))
-            show_progress(now - sent.zero_s)
+            order.show_progress(now - sent.zero_s)
             done_s = time.monotonic()
             making.add(done_s - now)
             rested_s = done_s + REST * (done_s - now)
-        time.sleep(max(0.0, sent.zero_s + max(duration_s, first_s + takes_s) - time.monotonic()))
-        sent.interrupted, sent.end_s = False, duration_s
+        time.sleep(max(0.0, sent.zero_s + max(order.duration_s, first_s + takes_s) - time.monotonic()))
+        sent.interrupted, sent.end_s = False, order.duration_s
     sent.notes.append(f"frames computed at {priority}: {making}")
     return sent
 

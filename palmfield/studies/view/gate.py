@@ -100,7 +100,6 @@ class Head:
 
     @property
     def cookies(self) -> dict[str, str]:
-        """Cookies by name."""
         pairs = (part.strip().partition("=") for part in self.headers.get("cookie", "").split(";"))
         return {name: value for name, _, value in pairs}
 

@@ -35,7 +35,6 @@ class Blocks:
         self._on = on
 
     def append(self, block: Arrays) -> None:
-        """Take a block."""
         self.kept.append(block)
         if self._on is not None:
             self._on.append(block)
