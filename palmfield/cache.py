@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel
 from scipy import sparse
 
-from palmfield.errors import PalmfieldError
+from palmfield.errors import PalmfieldError, reason_of
 from palmfield.given_files import regular
 
 LIMIT_MB = 2048
@@ -93,7 +93,7 @@ def kept(
         lock = filelock.FileLock(path.with_suffix(".lock"), timeout=WAIT_S)
         lock.acquire()
     except (OSError, NotImplementedError, filelock.Timeout) as error:
-        _say(f"cache folder {where}: {_reason(error)}; continuing without a cache")
+        _say(f"cache folder {where}: {reason_of(error)}; continuing without a cache")
         return make()
     try:
         answer = _read(path, key)
@@ -224,7 +224,7 @@ def _read(path: Path, key: str) -> Arrays | None:
     except FileNotFoundError:
         return None
     except Exception as error:  # NumPy, zipfile and zlib raise nearly any kind on a damaged archive
-        _say(f"cache file {path} is damaged ({_reason(error)}): its content is recomputed")
+        _say(f"cache file {path} is damaged ({reason_of(error)}): its content is recomputed")
         return None
     return answer
 
@@ -240,7 +240,7 @@ def _write(path: Path, key: str, answer: Arrays) -> None:
             aside.unlink(missing_ok=True)
         _make_room(path)
     except OSError as error:
-        _say(f"cache folder {path.parent}: {_reason(error)}; continuing without a cache")
+        _say(f"cache folder {path.parent}: {reason_of(error)}; continuing without a cache")
 
 
 def _make_room(newest: Path) -> None:
@@ -259,11 +259,6 @@ def _make_room(newest: Path) -> None:
                 part.unlink(missing_ok=True)
         except OSError:
             continue  # another process has just removed it
-
-
-def _reason(error: BaseException) -> str:
-    strerror = getattr(error, "strerror", None)
-    return str(strerror or error or type(error).__name__).strip()
 
 
 def _say(text: str) -> None:

@@ -19,7 +19,7 @@ import platformdirs
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from palmfield.errors import DeviceError, PalmfieldError
+from palmfield.errors import DeviceError, PalmfieldError, reason_of
 from warp_kernels import products
 
 KERNELS = "WARP_CACHE_PATH"
@@ -36,7 +36,7 @@ def _kernels_folder() -> None:
         tempfile.TemporaryFile(dir=usual).close()
         return
     except OSError as error:
-        why = error.strerror or error
+        why = reason_of(error)
     try:
         made = tempfile.mkdtemp(prefix="palmfield-kernels-")
     except OSError as error:

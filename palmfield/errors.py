@@ -38,7 +38,13 @@ class MeasurementError(PalmfieldError):
 
 def unwritable(path: object, error: OSError) -> OutputError:
     """What to raise where a file can't be written, from what the system said."""
-    return OutputError(f"cannot write {path}: {error.strerror or error}; choose a folder that exists and has room")
+    return OutputError(f"cannot write {path}: {reason_of(error)}; choose a folder that exists and has room")
+
+
+def reason_of(error: BaseException, longest: int | None = None) -> str:
+    """What an error of the system or of a library says, in one line of so many letters; its kind if it says nothing."""
+    text = str(getattr(error, "strerror", None) or error)
+    return " ".join(text.split())[:longest] or type(error).__name__
 
 
 LEAST_BEGINNING = 3

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from palmfield.errors import PalmfieldError
+from palmfield.errors import PalmfieldError, reason_of
 
 MOST_BYTES = 1 << 30
 """Of a file of data: a 900,000-sample scan of 60 points has 0.5 GB as text."""
@@ -40,8 +40,7 @@ def reading(what: object, error: type[PalmfieldError], wanted: str) -> Iterator[
     try:
         yield
     except (OSError, ValueError) as said:
-        reason = getattr(said, "strerror", None) or said
-        raise error(f"{what}: cannot be read: {reason}; give {wanted}") from None
+        raise error(f"{what}: cannot be read: {reason_of(said)}; give {wanted}") from None
 
 
 def regular(path: str | Path, most_bytes: int = MOST_BYTES) -> Path:

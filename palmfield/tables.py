@@ -10,7 +10,7 @@ from zipfile import BadZipFile, is_zipfile
 
 import numpy as np
 
-from palmfield.errors import OutputError, PalmfieldError, SceneError
+from palmfield.errors import OutputError, PalmfieldError, SceneError, reason_of
 from palmfield.given_files import regular
 from palmfield.types import Float
 from palmfield.whole_files import whole, writing
@@ -38,9 +38,7 @@ def read_table(file: Path, gaps: Sequence[str] = ()) -> tuple[dict[str, Float], 
         else:
             raise SceneError(f"{file}: the file's kind is '{file.suffix}'; use .csv or .npz")
     except UNREADABLE as error:
-        raise SceneError(
-            f"{file}: cannot be read: {error or type(error).__name__}; give a CSV (UTF-8) or NPZ file"
-        ) from None
+        raise SceneError(f"{file}: cannot be read: {reason_of(error)}; give a CSV (UTF-8) or NPZ file") from None
     for name, values in columns.items():
         bad = np.flatnonzero(~np.isfinite(values))
         if len(bad) and name not in gaps:

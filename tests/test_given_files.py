@@ -7,7 +7,7 @@ import pytest
 
 from palmfield.acoustics.calibration_file import read_calibration
 from palmfield.acoustics.transducer_file import read_transducers
-from palmfield.errors import PalmfieldError
+from palmfield.errors import PalmfieldError, reason_of
 from palmfield.hand.articulated import articulate
 from palmfield.hand.meshfile import load_mesh
 from palmfield.hand.preset import load_preset
@@ -86,3 +86,9 @@ def test_a_path_with_a_zero_byte_is_refused():
     for name, read in READERS.items():
         with pytest.raises(PalmfieldError):
             read(Path(f"a\0{name}"))
+
+
+def test_an_error_without_words_has_its_kind_as_reason():
+    assert reason_of(MemoryError()) == "MemoryError"
+    assert reason_of(FileNotFoundError(2, "No such file", "a.csv")) == "No such file"
+    assert reason_of(ValueError("two\n  lines of it"), longest=9) == "two lines"

@@ -10,7 +10,7 @@ from pygltflib import GLTF2, Primitive
 from scipy import sparse
 from scipy.spatial.transform import Rotation
 
-from palmfield.errors import SceneError
+from palmfield.errors import SceneError, reason_of
 from palmfield.given_files import plain, read_bytes
 from palmfield.hand.rigged import Joints, SkinRig
 from palmfield.types import Float, Int
@@ -45,7 +45,7 @@ def read_gltf(file: Path, check: Callable[[int], None]) -> tuple[Float, Int, Ski
         raise
     # pygltflib and NumPy pass on every kind of exception for damaged files.
     except Exception as error:
-        reason = " ".join(str(error).split())[:120] or type(error).__name__
+        reason = reason_of(error, 120)
         raise SceneError(f"mesh {file} cannot be read as glTF ({reason}); export it again") from error
 
 

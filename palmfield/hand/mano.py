@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from palmfield.errors import SceneError
+from palmfield.errors import SceneError, reason_of
 from palmfield.hand.rigged import Joints, SkinRig
 from palmfield.types import Float, Int
 
@@ -54,7 +54,7 @@ def read_mano(file: Path) -> tuple[Float, Int, SkinRig]:
         raise
     # A damaged pickle causes nearly any exception of the unpickler and of NumPy.
     except Exception as error:
-        reason = " ".join(str(error).split())[:120] or type(error).__name__
+        reason = reason_of(error, 120)
         raise SceneError(f"mesh {file} cannot be read as a MANO pickle ({reason}); download it again") from error
     if not isinstance(model, dict):
         raise SceneError(f"mesh {file} holds a {type(model).__name__}, not the dictionary of a MANO model")
@@ -66,7 +66,7 @@ def read_mano(file: Path) -> tuple[Float, Int, SkinRig]:
     try:
         return _model(model)
     except Exception as error:  # a record may contain any data, or none
-        reason = " ".join(str(error).split())[:120] or type(error).__name__
+        reason = reason_of(error, 120)
         raise SceneError(f"mesh {file}: its arrays do not fit together ({reason}); download it again") from error
 
 

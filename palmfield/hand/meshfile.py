@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from palmfield.errors import SceneError
+from palmfield.errors import SceneError, reason_of
 from palmfield.given_files import read_bytes, regular
 from palmfield.hand.chirality import fingertips, way_from_wrist
 from palmfield.hand.holes import plane_axes
@@ -210,7 +210,7 @@ def _read_plain(file: Path) -> tuple[Float, Int]:
         mesh = trimesh.load_mesh(io.BytesIO(read_bytes(file)), file_type=file.suffix[1:].lower(), process=False)
     # trimesh passes on every kind of exception of its parsers (ValueError, IndexError, struct.error, ...).
     except Exception as error:
-        reason = " ".join(str(error).split())[:120] or type(error).__name__
+        reason = reason_of(error, 120)
         if isinstance(error, ImportError):
             # trimesh uses another package to guess the encoding of an unknown text
             reason = f"it is not a {file.suffix[1:].upper()} file, or its text is not UTF-8"

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from palmfield.errors import OutputError, unwritable
+from palmfield.errors import OutputError, reason_of, unwritable
 from palmfield.interrupts import interrupts_held
 from palmfield.outputs.netcdf import (
     UNREADABLE,
@@ -167,7 +167,7 @@ class Store:
     def finish(self, attributes: Mapping[str, Any], complete: bool) -> Path:
         """Join all blocks into out/result.nc and remove .partial; returns the result's path.
 
-        attributes: more of the result; `reason` describes why the run ended; `complete` becomes 1 or 0 If the last
+        attributes: more of the result; `reason` describes why the run ended; `complete` becomes 1 or 0. If the last
         blocks cannot be flushed they are left out: the result reports it, is incomplete, and `lost` is set. Files that
         an earlier run derived from its own result are removed. Raises OutputError if the disk is full; .partial then
         remains for `palmfield recover`.
@@ -175,10 +175,9 @@ class Store:
         try:
             self._flush()
         except OutputError as error:
-            said = error.__cause__ or error
+            said = reason_of(error.__cause__ or error)
             self.lost = OutputError(
-                f"the last blocks of {self.out} are lost: {getattr(said, 'strerror', None) or said}; free some space "
-                "and run the scene again"
+                f"the last blocks of {self.out} are lost: {said}; free some space and run the scene again"
             )
             self.lost.__cause__ = error
         attributes = dict(attributes)
@@ -197,7 +196,7 @@ class Store:
             _write_sealed(path, image(joined(blocks), {}))
         except OSError as error:
             raise OutputError(
-                f"cannot write {path}: {error.strerror or error}; {count} earlier chunks are safe, "
+                f"cannot write {path}: {reason_of(error)}; {count} earlier chunks are safe, "
                 f"free some space and run `palmfield recover {self.out}`"
             ) from error
         # One assignment: Ctrl-C must not fall between counting a chunk and releasing its blocks.
@@ -364,7 +363,7 @@ def _assemble(out: Path, attributes: dict[str, Any], complete: bool) -> Path:
         os.replace(temporary, out / RESULT)
     except OSError as error:
         raise OutputError(
-            f"cannot write {out / RESULT}: {error.strerror or error}; {len(chunks)} chunks are safe in {partial}: "
+            f"cannot write {out / RESULT}: {reason_of(error)}; {len(chunks)} chunks are safe in {partial}: "
             f"free some space and run `palmfield recover {out}`"
         ) from error
     finally:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from palmfield.errors import MeasurementError, OutputError
+from palmfield.errors import MeasurementError, OutputError, reason_of
 from palmfield.given_files import reading, regular
 from palmfield.instruments.scan import UNITS, Quantity, Scan
 from palmfield.types import Float
@@ -46,10 +46,8 @@ def _sets(file: Path) -> list[dict[str, Any]]:
         # pyuff raises plain Exceptions, and ignores data that it cannot read
         found = [opened.read_sets(n) for n, kind in enumerate(opened.get_set_types()) if int(kind) in wanted]
     except Exception as error:
-        text = " ".join(str(error).split())[:LONGEST_PATH]
-        raise MeasurementError(
-            f"{file}: cannot be read as UFF: {text or type(error).__name__}; give a UFF file"
-        ) from None
+        text = reason_of(error, LONGEST_PATH)
+        raise MeasurementError(f"{file}: cannot be read as UFF: {text}; give a UFF file") from None
     if not found:
         raise MeasurementError(f"{file}: holds no data sets 15, 2411 or 58; give a UFF file of a scan")
     # pyuff drops a set without an end, so that a point would be missing without a message
@@ -205,4 +203,4 @@ def _write(file: Path, sets: list[dict[str, Any]]) -> None:
         except OSError:
             raise
         except Exception as error:
-            raise OutputError(f"cannot write {file}: {' '.join(str(error).split())[:LONGEST_PATH]}") from None
+            raise OutputError(f"cannot write {file}: {reason_of(error, LONGEST_PATH)}") from None

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from pxr import Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdUtils
 
-from palmfield.errors import OutputError
+from palmfield.errors import OutputError, reason_of
 
 SUFFIXES = (".usdc", ".usda", ".usdz")
 SAVE_EVERY = 50
@@ -103,7 +103,7 @@ class StageFile:
 def unwritable_scene(path: Path, error: Exception) -> OutputError:
     """Return the cause in one line; USD's own errors are pages long: function, then cause, in quotes."""
     if isinstance(error, OSError):
-        cause = error.strerror or str(error)
+        cause = reason_of(error)
     else:
         quoted = re.findall("'([^']*)'", str(error))
         cause = quoted[1] if len(quoted) > 1 else "USD could not save it"

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from palmfield import cache
-from palmfield.errors import PalmfieldError
+from palmfield.errors import PalmfieldError, reason_of
 from palmfield.threads import cores
 
 REACH_S = 5.0
@@ -57,7 +57,7 @@ def local_cluster(workers: int, gpus: list[str]) -> Iterator[Any]:
     try:
         cluster = SpecCluster(workers=specs, scheduler=scheduler, silence_logs=logging.CRITICAL)
     except Exception as error:
-        raise PalmfieldError(f"the local workers did not start: {_line(error)}; use --workers 0") from error
+        raise PalmfieldError(f"the local workers did not start: {reason_of(error, 300)}; use --workers 0") from error
     try:
         with Client(cluster, set_as_default=False) as client:
             try:
@@ -91,8 +91,8 @@ def remote_cluster(address: str) -> Iterator[Any]:
         client = Client(address, timeout=REACH_S, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
         raise PalmfieldError(
-            f"--scheduler {address} was not reached within {REACH_S:g} s ({_line(error)}); give the address of a "
-            f"running `dask scheduler`, {EXAMPLE}"
+            f"--scheduler {address} was not reached within {REACH_S:g} s ({reason_of(error, 300)}); give the address "
+            f"of a running `dask scheduler`, {EXAMPLE}"
         ) from None
     try:
         _wait(client, 1, f"a worker of {address} (start some with `dask worker {address}`)", 2 * REACH_S)
@@ -112,7 +112,8 @@ def slots(client: Any, scene: Path) -> list[Slot]:
         known: dict[str, dict[str, Any]] = client.run(worker_facts, str(scene))
     except Exception as error:
         raise PalmfieldError(
-            f"the workers cannot run palmfield: {_line(error)}; install the same palmfield there, with extra [sweep]"
+            f"the workers cannot run palmfield: {reason_of(error, 300)}; install the same palmfield there, with extra "
+            "[sweep]"
         ) from None
     for address, facts in known.items():
         if facts["mark"] != own:
@@ -162,7 +163,3 @@ def _wait(client: Any, count: int, what: str, timeout_s: float) -> None:
         client.wait_for_workers(count, timeout=timeout_s)
     except TimeoutError:
         raise PalmfieldError(f"{what}: no reply within {timeout_s:g} s; check that the workers run") from None
-
-
-def _line(error: BaseException) -> str:
-    return " ".join(str(error or type(error).__name__).split())[:300]

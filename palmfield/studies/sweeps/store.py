@@ -17,7 +17,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from palmfield.errors import OutputError
+from palmfield.errors import OutputError, reason_of
 from palmfield.outputs.schema import LABELS, Variable
 from palmfield.studies.sweeps.batch import Failed
 from palmfield.studies.sweeps.design import Design
@@ -70,7 +70,7 @@ class SweepStore:
                 self._make(labels, attributes)
             self._open()
         except (OSError, KeyError, ValueError) as error:
-            raise OutputError(f"cannot open {self.path}: {_reason(error)}; choose another folder") from error
+            raise OutputError(f"cannot open {self.path}: {reason_of(error)}; choose another folder") from error
 
     def write(self, results: Mapping[int, Numbers | Failed]) -> None:
         """Write points by their numbers in the design. Raises OutputError if the disk is full, without loss of data."""
@@ -83,7 +83,7 @@ class SweepStore:
             self._flush([self.design.index(number)[0] for number in results])
         except OSError as error:
             raise OutputError(
-                f"cannot write {self.path}: {_reason(error)}; {self.done} points are saved: free some space, and "
+                f"cannot write {self.path}: {reason_of(error)}; {self.done} points are saved: free some space, and "
                 "repeat the command"
             ) from error
 
@@ -218,7 +218,7 @@ def open_dataset(path: Path) -> xr.Dataset:
         # Zarr does not keep their order
         return dataset[[name for name in variables(True) if name in dataset]]
     except (OSError, KeyError, ValueError) as error:
-        raise OutputError(f"{path} is not a dataset of a sweep: {_reason(error)}") from error
+        raise OutputError(f"{path} is not a dataset of a sweep: {reason_of(error)}") from error
 
 
 def swept_keys(dataset: xr.Dataset) -> list[str]:
@@ -266,7 +266,3 @@ def _text(identity: Mapping[str, Any]) -> str:
 def _short(value: Any) -> str:
     text = value if isinstance(value, str) else json.dumps(value)
     return text if len(text) < 200 else f"{text[:200]}..."
-
-
-def _reason(error: BaseException) -> str:
-    return " ".join(str(getattr(error, "strerror", None) or error or type(error).__name__).split())

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from palmfield.errors import SceneError, naming
+from palmfield.errors import SceneError, naming, reason_of
 from palmfield.given_files import regular
 from palmfield.studies.sweeps.design import Design, Range, Value, check_range, grid, listed, random, sobol
 
@@ -120,7 +120,7 @@ def _read_table(path: Path, fixed: dict[str, Value | None]) -> Design:
         with regular(path).open(newline="", encoding="utf-8-sig") as file:
             rows = [row for row in csv.reader(file, skipinitialspace=True) if any(cell.strip() for cell in row)]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise SceneError(f"--list {path} cannot be read: {getattr(error, 'strerror', None) or error}") from None
+        raise SceneError(f"--list {path} cannot be read: {reason_of(error)}") from None
     if len(rows) < 2:
         raise SceneError(f"--list {path} has {len(rows)} lines; allowed: a line of keys, then a line for each point")
     head = [cell.strip() for cell in rows[0]]

@@ -106,14 +106,15 @@ def sweep(
         `listed`, `random`, `sobol`. Keys are INSTANCE.KEY or PLUGIN.KEY, or one number of a vector, such as
         "stimulus.focus_m[0]"; keys: values that all points share, None removes a key from the scene
     out: folder, made if missing; an interrupted sweep there continues, and failed points are tried again
-        workers: processes on this machine, by default as many as cores and memory allow, at most 8 a GPU; 0 computes in
+    workers: processes on this machine, by default as many as cores and memory allow, at most 8 a GPU; 0 computes in
         this process, without Dask
     scheduler: address of a running Dask cluster, in place of workers; it must see the file of the scene
     device, accuracy: see `palmfield.load`; duration_s: of each point [s], that of the scene by default
     errors: whether each point's error is estimated, which takes longer than most runs; picture: whether one is drawn
     progress: whether a bar is drawn on a terminal's standard error
-    yes: whether a sweep of more than 2 GB or an hour goes on; without it `ask` is called with a question Ctrl-C, a full
-    disk and lost workers keep the results so far: the same call continues. A point that fails is recorded.
+    yes: whether a sweep of more than 2 GB or an hour goes on; without it `ask` is called with a question
+    Ctrl-C, a full disk and lost workers keep the results so far: the same call continues. A point that fails is
+    recorded.
     Raises SceneError for invalid keys and values before anything runs; PalmfieldError for a cluster that cannot be
     reached; OutputError for a folder that cannot be written or holds another sweep, and if `ask` refuses.
     """
