@@ -41,7 +41,7 @@ def surface_patch(
     fine_at: place of the fine edges [m], shape (3,), seen along `facing`; default the centre
     max_depth_m: largest thickness [m]
     axis: passed on to the patch; facing: outward direction, shape (3,), default the normal at the centre
-        max_fraction: largest thickness as a share of the distance through the body along the inward direction. 0.45
+    max_fraction: largest thickness as a share of the distance through the body along the inward direction. 0.45
         leaves room for a layer on the far side; use 1 if the far side is the rigid base itself.
 
     Patch.report: vertices, triangles, area_m2, angle_min_deg, edge_mean_m, quality_min (scaled Jacobian of the wedges),

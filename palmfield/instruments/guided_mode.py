@@ -103,7 +103,7 @@ def guided_mode_fit(
 
     amplitudes: shape (n,), e^{-i w t}; points_m: [m], shape (n, 2) or (n, 3), of which x and y count
     source_m: expected place of the source [m], (2,); it is fitted within `ring_fit.REACH_M`
-        source_radius_m: nearer points are left out; 1.5 times the spot's full width at half maximum leaves 0.2 % of its
+    source_radius_m: nearer points are left out; 1.5 times the spot's full width at half maximum leaves 0.2 % of its
         pressure outside
     sights: lines of sight, shape (n, 3), z along the normal; None: only the normal motion is measured. The number of
     rings is the one with the least Bayesian information criterion.

@@ -63,7 +63,7 @@ class Observer:
     source: of the values, and their validity
     why: in one line, meaning of a level of this observer in mid-air
     spread_dB: half-width of its own spread [dB], None if not established; spread_of: its origin, in words
-        channels_from_Hz: frequencies from which on another channel of the skin is the most sensitive one [Hz]; levels
+    channels_from_Hz: frequencies from which on another channel of the skin is the most sensitive one [Hz]; levels
         of channels are not added up, the highest counts
     summation: dependence of thresholds on area, None if the source has no such law
     temporal: their dependence on duration, None if the source has no such law

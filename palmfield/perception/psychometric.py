@@ -156,7 +156,7 @@ def fit(
     adaptive: whether the levels followed from the answers, as a staircase's do. Then, with a fitted spread, the
         threshold's interval is that of the profile likelihood: all thresholds at which some spread makes the answers
         nearly as likely. Deviances of `confidence` were too small a limit in simulations, see ADAPTIVE_SHARE.
-        samples: of the bootstrap, each with new answers of the fitted function at the same levels. It treats the levels
+    samples: of the bootstrap, each with new answers of the fitted function at the same levels. It treats the levels
         as chosen beforehand, unlike those of a staircase.
     Raises OutputError for other shapes and counts, levels of one value, and answers that are all equal, which determine
     no threshold.

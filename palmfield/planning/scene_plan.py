@@ -44,7 +44,7 @@ class Plan:
     """Decisions for a scene.
 
     left_out: ignored effects, with their influence on the displacement of the skin under the focus, besides: others
-        error: expected error of that displacement; seconds: expected wall time of `palmfield run` on two CPU cores,
+    error: expected error of that displacement; seconds: expected wall time of `palmfield run` on two CPU cores,
         pictures included
     """
 

@@ -65,7 +65,7 @@ class PathStep(NamedTuple):
     foci: at each moment, of each of d groups of transducers, and at the step's beginning, first array's frame [m],
         shape (m d + 1, 3); group: of each transducer, shape (n,), None for a single one
     levels: of the pressure there relative to the loudest moment's, 0..1, shape (m d,); now: the same at the beginning
-        mean: of the ARP over the step, relative to the loudest moment's; weights: of the moments in the mean emission
+    mean: of the ARP over the step, relative to the loudest moment's; weights: of the moments in the mean emission
         of transducers that ring, shape (m,)
     """
 

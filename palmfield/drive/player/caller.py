@@ -159,7 +159,7 @@ class Player:
         steps: the same frame at rising levels up to its own, all of one length, for the ramp; only itself if the board
             has no levels
         level: of its sound, 0 for silence; made_s: time of its input data, on time.monotonic() [s], None for now
-            due_s: target time of its last byte on the line, on that clock, later than those of all before; of several
+        due_s: target time of its last byte on the line, on that clock, later than those of all before; of several
             due frames the newest is sent; 0: as soon as possible
         Raises DeviceError if the board is lost or the player has died.
         """

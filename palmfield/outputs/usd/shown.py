@@ -15,8 +15,8 @@ class Shown:
     """Contents of a USD scene of a run.
 
     colour: quantity of the skins' colours, of `palmfield.outputs.usd.quantities.QUANTITIES`, or "none"
-        limits: of the colours, in the quantity's SI unit; None for the whole range of the run, of both signs alike
-        magnify: factor of the motion in the variant "magnified": None for a largest motion of about 2 mm, if its points
+    limits: of the colours, in the quantity's SI unit; None for the whole range of the run, of both signs alike
+    magnify: factor of the motion in the variant "magnified": None for a largest motion of about 2 mm, if its points
         take 8 MB or less; 0 for none at all
     quantities: written as primvars, None for all in the result
     start_s, end_s: of the run [s], None for its ends; frames: largest number of time codes

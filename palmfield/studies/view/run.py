@@ -368,7 +368,7 @@ def view(
         make, once for a skin
     host: address to listen at, this machine's own by default; any other one needs the token in the page's address,
         which is sent over the network as plain text; port: by default the first free one from 8080 on
-        rate_Hz: pictures a second, 15 by default, and 30 on a GPU
+    rate_Hz: pictures a second, 15 by default, and 30 on a GPU
     pace: limit of simulated seconds per second; inf for no limit
     on_ready: called with the page's address
     Raises SceneError or DeviceError as `palmfield.Simulation`, and OutputError if the page is not available or its
