@@ -12,14 +12,6 @@ Complex = NDArray[np.complex128]
 Int = NDArray[np.int32]
 
 
-AIR_LIMITS = {
-    "temperature_C": (-20.0, 50.0),
-    "humidity_percent": (0.0, 100.0),
-    "pressure_Pa": (10e3, 200e3),
-}
-"""Air that ISO 9613-1 covers; its lower end of pressure is an altitude of about 16 km."""
-
-
 @dataclass(frozen=True)
 class Air:
     """Still air. Defaults are the project's reference conditions."""

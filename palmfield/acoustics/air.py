@@ -3,8 +3,9 @@
 import math
 
 from palmfield.acoustics.check import frequency
+from palmfield.config.array import AIR_LIMITS
 from palmfield.errors import SceneError
-from palmfield.types import AIR_LIMITS, Air
+from palmfield.types import Air
 
 GAS_CONSTANT_AIR = 287.06
 ZERO_CELSIUS_K = 273.15

@@ -16,12 +16,6 @@ MOST_FACES = 1_000_000
 EDGES_PER_WAVELENGTH = 6.0
 """Longest edge of the boundary elements; they come out with about 8 edges a wavelength in the mean."""
 
-BODY_SOUNDS = {
-    "none": "faces turned away from the sound are unlit; parts cast no shadows on each other; no echoes",
-    "shadows": "a point is dark if the line back along the energy flux is blocked by another part or the body itself",
-    "scattering": "boundary elements on the whole body: total field on a rigid wall, with echoes between its parts",
-}
-
 
 def boundary_mesh(vertices: Float, faces: Int, wavelength_m: float) -> tuple[Float, Int]:
     """The closed surface with edges short enough for boundary elements: vertices [m] and faces.
@@ -35,7 +29,7 @@ def boundary_mesh(vertices: Float, faces: Int, wavelength_m: float) -> tuple[Flo
     # Equilateral triangles of such edges are the fewest that cover the surface
     if not (edge > 0.0 and 2.31 * face_normals(vertices, faces)[1].sum() < MOST_FACES * edge**2):
         raise PalmfieldError(f"wavelength_m is {wavelength_m:g}; allowed: above 0, and at most {MOST_FACES:,} faces")
-    fine, triangles = with_short_edges(vertices, faces, edge)
+    fine, triangles, _ = with_short_edges(vertices, faces, edge)
     merged, inverse = np.unique(np.round(fine, 12), axis=0, return_inverse=True)
     return merged, inverse.reshape(-1)[triangles].astype(np.int32)
 

@@ -40,12 +40,15 @@ BOW_TILT_DEG = 30.0
 BOW_SPACING_M = 10e-3
 
 
+Point = tuple[float, float, float]
+
+
 @dataclass(frozen=True)
 class Layout:
     """One known board.
 
     about: a description. source: of its values, and the values that it leaves open.
-    focus_m: the point at which it is commonly used [m], array frame.
+    focus: the point at which it is commonly used [m], array frame, or a function that finds it for the array.
     build: makes the array, with a p0 that `palmfield.acoustics.arrays.layout` replaces.
     p0: peak pressure of one transducer at 1 m on its axis at full drive [Pa m]. quality: of its resonance.
     earlier: layouts that this name meant before, first version first.
@@ -53,11 +56,16 @@ class Layout:
 
     about: str
     source: str
-    focus_m: tuple[float, float, float]
+    focus: Point | Callable[[Array], Point]
     build: Callable[[], Array]
     p0: Estimate = ANY_P0
     quality: Estimate = ANY_QUALITY
     earlier: tuple[str, ...] = ()
+
+    @property
+    def focus_m(self) -> Point:
+        """The point at which it is commonly used [m], array frame."""
+        return self.focus(self.build()) if callable(self.focus) else self.focus
 
     @property
     def version(self) -> int:
@@ -211,7 +219,7 @@ def two_bow_corrected() -> Array:
     return two_bow("two_bow_corrected", 30e-3, 5e-3)
 
 
-def bow_focus(array: Array) -> tuple[float, float, float]:
+def bow_focus(array: Array) -> Point:
     """Point on the z axis where the axes of the first and the last speaker of a two-bow array meet [m], by symmetry."""
     (_, y, z), (_, slope_y, slope_z) = array.positions[0], array.normals[0]
     return 0.0, 0.0, float(z - y * slope_z / slope_y)
@@ -328,7 +336,7 @@ LAYOUTS = {
     "two_bow_as_printed": Layout(
         "Two bows of 6 speakers, focal length 50 mm, diaphragms 6 mm across",
         BOW_SETUP + "As printed: focal length 50 mm, a = 6 mm called the diameter",
-        bow_focus(two_bow_as_printed()),
+        bow_focus,
         two_bow_as_printed,
     ),
     "two_bow_corrected": Layout(
@@ -336,7 +344,7 @@ LAYOUTS = {
         BOW_SETUP
         + "Corrected: a focal length of 30 mm agrees better with the printed angles 40, 28 and 10 deg; a radius of "
         "5 mm gives k a^2/2 = 9.2 mm, near the printed Rayleigh length of about 10 mm",
-        bow_focus(two_bow_corrected()),
+        bow_focus,
         two_bow_corrected,
     ),
 }

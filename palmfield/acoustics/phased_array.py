@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy  # which loads its parts when they are used
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from palmfield.acoustics.air import density, sound_speed
 from palmfield.acoustics.arrays import LAYOUTS, combined, from_poses, layout, placed, with_faults
@@ -172,7 +172,7 @@ class BoardOutline:
     low: tuple[float, float]
     high: tuple[float, float]
     height: float
-    nearest: cKDTree | None = None
+    nearest: "scipy.spatial.cKDTree | None" = None
 
     @staticmethod
     def of(array: Array) -> "BoardOutline":
@@ -184,7 +184,7 @@ class BoardOutline:
             (low_x - HOUSING_M, low_y - HOUSING_M),
             (high_x + HOUSING_M, high_y + HOUSING_M),
             float(positions[:, 2].mean()),
-            None if flat else cKDTree(positions),
+            None if flat else scipy.spatial.cKDTree(positions),
         )
 
     def clearance(self, points: Float) -> float:

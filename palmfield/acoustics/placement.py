@@ -4,8 +4,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
+import scipy  # which loads its parts when they are used
 from numpy.typing import ArrayLike
-from scipy.linalg import polar
 
 from palmfield.acoustics import check
 from palmfield.acoustics.directivities import form_of
@@ -65,7 +65,7 @@ def placed(array: Array, position: ArrayLike, rotation: ArrayLike) -> Array:
         raise SceneError(f"position {shift.tolist()} is not three finite numbers: give (x, y, z), in metres")
     if turn.shape != (3, 3) or not np.allclose(turn @ turn.T, np.eye(3), 0.0, ROUNDED) or np.linalg.det(turn) < 0.0:
         raise SceneError(f"rotation {turn.tolist()} is not a rotation matrix: give orthonormal columns, determinant +1")
-    turn = polar(turn)[0]
+    turn = scipy.linalg.polar(turn)[0]
     return replace(array, positions=array.positions @ turn.T + shift, normals=array.normals @ turn.T)
 
 

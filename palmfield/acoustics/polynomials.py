@@ -4,8 +4,8 @@ import functools
 from collections.abc import Callable
 
 import numpy as np
+import scipy  # which loads its parts when they are used
 from numpy.polynomial import Chebyshev, Polynomial
-from scipy.special import j1
 
 from palmfield.types import Float
 
@@ -25,7 +25,7 @@ def piston(x: Float) -> Float:
     """2 J1(x)/x, and its limit 1 at x = 0 (far-field directivity of a baffled piston, x = k b sin(angle))."""
     # Below 1e-8 it is 1 to the last digit
     safe = np.maximum(np.abs(x), 1e-8)
-    return 2.0 * j1(safe) / safe
+    return 2.0 * scipy.special.j1(safe) / safe
 
 
 def attenuation(absorption_Np_m: float) -> Float:

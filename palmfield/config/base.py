@@ -170,7 +170,7 @@ def unknown_key(model: type[Config], key: str) -> str:
 
 def allowed(model: type[BaseModel], key: str) -> str:
     """What a key takes, in words, e.g. `number > 0` or `bonded | free_slip`."""
-    schema = model.model_json_schema()["properties"][key]
+    schema = _properties(model)[key]
     options = [o for o in schema.get("anyOf", [schema]) if o.get("type") != "null"]
     option = options[0]
     if "enum" in option:
@@ -189,6 +189,13 @@ def allowed(model: type[BaseModel], key: str) -> str:
     signs = {"exclusiveMinimum": ">", "minimum": ">=", "exclusiveMaximum": "<", "maximum": "<="}
     bounds = [f"{sign} {option[name]:g}" for name, sign in signs.items() if name in option]
     return " ".join([words, " and ".join(bounds)]).strip()
+
+
+@lru_cache(maxsize=32)
+def _properties(model: type[BaseModel]) -> dict[str, Any]:
+    """The JSON schema of each key; of a whole model, so that it is made once for all its keys."""
+    properties: dict[str, Any] = model.model_json_schema()["properties"]
+    return properties
 
 
 def unit(key: str) -> str:

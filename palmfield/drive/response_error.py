@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solve_banded
+import scipy  # which loads its parts when they are used
 
 from palmfield.config import StimulusConfig
 from palmfield.stimulus.modulation import sharpest_s
@@ -210,7 +210,7 @@ def _oscillation(load: Float, angle: float) -> Float:
 def _recursion(rows: Sequence[complex], loads: Complex | Float) -> Complex:
     """x of rows[0] x[n] + rows[1] x[n-1] + ... = loads[n], with zeros before: a banded system."""
     bands = np.tile(np.array(rows)[:, None], len(loads))
-    return np.asarray(solve_banded((len(rows) - 1, 0), bands, loads, check_finite=False))
+    return np.asarray(scipy.linalg.solve_banded((len(rows) - 1, 0), bands, loads, check_finite=False))
 
 
 def _rung(drive: Complex, z: complex) -> Complex:

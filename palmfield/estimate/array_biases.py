@@ -1,14 +1,17 @@
 """Effects of arrays that a run omits: they warm up, and don't follow their level. With the size where measured."""
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from palmfield.acoustics.calibration_file import Calibration
 from palmfield.drive.board import FULL
 from palmfield.estimate.bias import Bias
 from palmfield.simulation.model import HapticModel, array_instances
 from palmfield.types import Complex
+
+if TYPE_CHECKING:
+    from palmfield.acoustics.calibration_file import Calibration
 
 SETTLED = 0.01
 """An amplitude within 1 % of that in the end has settled."""
@@ -26,7 +29,7 @@ def array_biases(model: HapticModel, stimulus: int, drive: Complex) -> list[Bias
     ]
 
 
-def _warm_up(known: list[Calibration | None]) -> Bias:
+def _warm_up(known: "list[Calibration | None]") -> Bias:
     measured = [one.warm_up for one in known if one is not None and one.warm_up is not None]
     if not measured or len(measured) < len(known):
         why = "resonance and level drift over minutes; usually the sound becomes weaker"
@@ -38,7 +41,7 @@ def _warm_up(known: list[Calibration | None]) -> Bias:
     return Bias("warm-up", min(0.0, *starts), max(0.0, *starts), why)
 
 
-def _level(known: list[Calibration | None], level: float) -> list[Bias]:
+def _level(known: "list[Calibration | None]", level: float) -> list[Bias]:
     """p = p0 a^exponent, where a run has p0 a."""
     measured = [one.level for one in known if one is not None and one.level is not None]
     if not measured or level == 0.0:

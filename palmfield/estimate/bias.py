@@ -4,6 +4,11 @@ from dataclasses import dataclass
 
 from palmfield.outputs.budget_text import bias_text
 
+QUANTITY = (
+    "displacement amplitude at the skin point nearest to the focus, static and at the main frequency, under the "
+    "loudest sound of the run; relative to its value"
+)
+
 
 @dataclass(frozen=True)
 class Bias:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from palmfield.estimate.array_inputs import p0_band_at, p0_known, stimulus_of
+from palmfield.estimate.bias import QUANTITY
 from palmfield.estimate.biases import biases
 from palmfield.estimate.numerical_error import SteppedRun, error_estimate
 from palmfield.estimate.numerics.depth_band import depth_band
@@ -21,10 +22,6 @@ from palmfield.simulation.radiation import Radiation
 from palmfield.stimulus.schedule import frame_at
 from palmfield.types import Float
 
-QUANTITY = (
-    "displacement amplitude at the skin point nearest to the focus, static and at the main frequency, under the "
-    "loudest sound of the run; relative to its value"
-)
 LOUDEST_POINTS = 64
 """Points of the skin at which the field is computed once more in double precision."""
 DEPTH = "depth to the bone"

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 from rich.progress import Progress
 
-from palmfield.estimate.numerical_error import estimate_s
+from palmfield.estimate.cost import estimate_s
 from palmfield.estimate.summary import array_numbers, estimated_budget, scene_numbers, skin_numbers, stimulus_numbers
 from palmfield.outputs.motion import normal_component, pieces
 from palmfield.outputs.schema import instances

@@ -13,8 +13,9 @@ import numpy as np
 from palmfield import cache
 from palmfield.errors import SceneError
 from palmfield.estimate.array_inputs import stimulus_of
+from palmfield.estimate.cost import compares_with_finer
 from palmfield.estimate.numerics.loudest_sound import LoudestSound
-from palmfield.estimate.numerics.mesh_error import RATIO, compares_with_finer, mesh_error, meshes_to_compare
+from palmfield.estimate.numerics.mesh_error import mesh_error, meshes_to_compare
 from palmfield.estimate.numerics.other_layers import (
     Ends,
     edge_error,
@@ -25,9 +26,8 @@ from palmfield.estimate.numerics.other_layers import (
 )
 from palmfield.estimate.numerics.point_response import Response, course_change, side_by_side
 from palmfield.session.loudest_moment import LoudestMoment, place_under_focus
-from palmfield.simulation.model import HapticModel, SkinModel
+from palmfield.simulation.model import HapticModel
 from palmfield.simulation.radiation import Radiation
-from palmfield.skin.costs import factor_s
 from palmfield.skin.from_config import softest_and_stiffest_sheets
 from palmfield.skin.scene_layer import SceneLayer
 from palmfield.skin.stepper import SkinStepper
@@ -221,17 +221,3 @@ def _as_numbers(mesh: float, step: float, reduction: float, edge: float) -> dict
         "reduction_error_relative": float(reduction),
         "edge_error_relative": float(edge),
     }
-
-
-def estimate_s(skin: SkinModel) -> float:
-    """Seconds that the error estimate of the run takes."""
-    dofs, more = skin.layer.dofs, RATIO**3
-    # A complex factorisation counts twice
-    materials = 0 if softest_and_stiffest_sheets(skin.spec.config) is None else 6
-    edge = 0 if skin.spec.config.shape == "disc" else 2
-    if skin.solver.own_mesh:
-        # The estimate of the solver is included in its seconds.
-        return (3 + edge + materials) * factor_s(dofs) if edge or materials else 0.0
-    low, high = (dofs, more * dofs) if compares_with_finer(skin.layer, dofs) else (dofs / more, dofs)
-    step = 0 if skin.choice.solver.exact_in_time else 2
-    return (3 + step + edge + materials) * factor_s(low) + 3 * factor_s(high)

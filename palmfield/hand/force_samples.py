@@ -3,9 +3,8 @@
 from typing import NamedTuple
 
 import numpy as np
+import scipy  # which loads its parts when they are used
 from scipy import sparse
-from scipy.spatial import cKDTree
-from trimesh.remesh import subdivide
 
 from palmfield import cache
 from palmfield.hand.meshquery import barycentric, build_mesh, closest_faces
@@ -65,8 +64,11 @@ def sample_mesh(vertices: Float, faces: Int, accuracy: float) -> SampleMesh:
     """
     spacing_m = _spacing_m(accuracy)
     if spacing_m == 0.0:
-        areas, parts = face_normals(vertices, faces)[1], 4 if accuracy < A_FACE else 1
-        points, corners = (vertices, faces) if parts == 1 else subdivide(vertices, faces)
+        areas, parts, points, corners = face_normals(vertices, faces)[1], 1, vertices, faces
+        if accuracy < A_FACE:
+            from trimesh.remesh import subdivide
+
+            parts, (points, corners) = 4, subdivide(vertices, faces)
         numbers: Int = np.arange(len(corners), dtype=np.int32)
         return SampleMesh(points, corners, numbers // parts, numbers, np.repeat(areas / parts, parts))
     of = vertices, faces, spacing_m
@@ -108,7 +110,7 @@ def _interpolation(samples: Float, outward: Float, places: Float, normals: Float
     By a Gaussian process of unknown mean over points [m] and their unit normals, all of shape (n, 3).
     """
     count = min(NEIGHBOURS, len(samples))
-    tree = cKDTree(np.concatenate([samples, SIDE_m * outward], axis=1))
+    tree = scipy.spatial.cKDTree(np.concatenate([samples, SIDE_m * outward], axis=1))
     near = tree.query(np.concatenate([places, SIDE_m * normals], axis=1), count)[1].reshape(len(places), count)
     at, around = (
         np.concatenate([p / KERNEL_m, n / KERNEL_TURN], axis=1) for p, n in ((places, normals), (samples, outward))
@@ -136,9 +138,9 @@ def _cells(points: Float, normals: Float, areas: Float, spacing_m: float) -> Int
         seeds.append(int(np.argmax(gap)))
     centres: Float = places[seeds]
     for _ in range(ROUNDS):
-        owner = cKDTree(centres).query(places)[1]
+        owner = scipy.spatial.cKDTree(centres).query(places)[1]
         centres = _means(np.unique(owner, return_inverse=True)[1].astype(np.int32), areas, places)[0]
-    return np.unique(cKDTree(centres).query(places)[1], return_inverse=True)[1].astype(np.int32)
+    return np.unique(scipy.spatial.cKDTree(centres).query(places)[1], return_inverse=True)[1].astype(np.int32)
 
 
 def _means(owner: Int, areas: Float, *values: Float) -> list[Float]:

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 import numpy as np
-from scipy.spatial import Delaunay
+import scipy  # which loads its parts when they are used
 
 from palmfield.hand.region import Shape
 from palmfield.hand.triangles import signed_areas
@@ -88,7 +88,7 @@ def _resample(loop: Float, size: Size) -> Float:
 
 
 def _inside(points: Float, shape: Shape) -> Int:
-    faces = Delaunay(points).simplices.astype(np.int32)
+    faces = scipy.spatial.Delaunay(points).simplices.astype(np.int32)
     area = signed_areas(points, faces)
     faces[area < 0.0] = faces[area < 0.0][:, ::-1]
     flat = np.abs(area) < 1e-6 * np.abs(area).mean()

@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
+from palmfield import cache
 from palmfield.errors import SceneError
 from palmfield.hand.grading import graded_size, triangulate
 from palmfield.hand.layer import depth_by_vertex, fit_thickness, inward_directions, mesh_report
@@ -12,6 +13,8 @@ from palmfield.hand.triangles import face_normals, on_rim
 from palmfield.types import Float, Patch, Surface
 
 CENTRE_TOLERANCE_m = 0.005
+MADE = ("vertices", "faces", "inward", "depth", "rim")
+"""The arrays of a patch that `palmfield.cache` keeps."""
 
 
 def surface_patch(
@@ -53,12 +56,32 @@ def surface_patch(
     middle = np.asarray(centre, dtype=np.float64)
     _check_numbers(middle, radius_m, fine_m, coarse_m, fine_radius_m, max_depth_m, max_fraction)
     thickness = depth_by_vertex(depth, len(surface.vertices))
+    lengths = radius_m, fine_m, coarse_m, fine_radius_m, max_depth_m, max_fraction
+    direction = None if facing is None else _unit_vector(facing, "facing")
+    fine_middle = None if fine_at is None else np.asarray(fine_at, dtype=np.float64)
+    symmetry = None if axis is None else _unit_vector(axis, "axis")
+    of = surface, thickness, middle, lengths, direction, fine_middle
+    made = cache.kept("patch", of, lambda: _made(*of))
+    report = dict(zip(made["report_names"].tolist(), made["report"].tolist(), strict=True))
+    return Patch(**{name: made[name] for name in MADE}, axis=symmetry, report=report)
+
+
+def _made(
+    surface: Surface,
+    thickness: Float,
+    middle: Float,
+    lengths: tuple[float, float, float, float, float, float],
+    facing: Float | None,
+    fine_at: Float | None,
+) -> cache.Arrays:
+    """The arrays of `surface_patch`, by the names MADE, and its report."""
+    radius_m, fine_m, coarse_m, fine_radius_m, max_depth_m, max_fraction = lengths
     origin, seed = _closest(surface, middle)
-    outward = _outward(surface, seed, origin, facing)
+    outward = _outward(surface, seed, origin) if facing is None else facing
 
     region = facing_region(surface, origin, seed, outward, radius_m)
     shape = trace_shape(region, step_m=max(0.5 * fine_m, radius_m / 80.0), spike_m=0.75 * coarse_m)
-    x, y = (0.0, 0.0) if fine_at is None else (region.frame[:2] @ (np.asarray(fine_at) - origin)).tolist()
+    x, y = (0.0, 0.0) if fine_at is None else (region.frame[:2] @ (fine_at - origin)).tolist()
     size = graded_size(fine_m, coarse_m, fine_radius_m, radius_m, (x, y))
     plane, faces = triangulate(shape, size, radius_m, (x, y))
     vertices, requested = _lift(region, plane, thickness)
@@ -76,8 +99,9 @@ def surface_patch(
         report[f"depth_{name}_p10_m"] = float(np.percentile(value, 10.0))
         report[f"depth_{name}_mean_m"] = float(value.mean())
     report["through_m"] = float(np.median(way))
-    symmetry = None if axis is None else _unit_vector(axis, "axis")
-    return Patch(vertices, faces, inward, got, on_rim(faces, len(vertices)), symmetry, report)
+    arrays = vertices, faces, inward, got, on_rim(faces, len(vertices))
+    facts = {"report_names": np.array(list(report)), "report": np.array(list(report.values()), dtype=np.float64)}
+    return dict(zip(MADE, arrays, strict=True)) | facts
 
 
 def _check_numbers(
@@ -126,9 +150,7 @@ def _closest(surface: Surface, centre: Float) -> tuple[Float, int]:
     return origin, face
 
 
-def _outward(surface: Surface, seed: int, origin: Float, facing: ArrayLike | None) -> Float:
-    if facing is not None:
-        return _unit_vector(facing, "facing")
+def _outward(surface: Surface, seed: int, origin: Float) -> Float:
     corners = surface.faces[seed]
     weights = barycentric(surface.vertices[corners][None], origin[None])[0]
     return _unit_vector(weights @ surface.normals[corners], "facing")

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import contourpy
 import numpy as np
+import scipy  # which loads its parts when they are used
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from palmfield.errors import SceneError
 from palmfield.hand.triangles import face_components, face_normals, unique_edges
@@ -49,7 +49,7 @@ class Shape:
         """Distance by linear interpolation [m], shape (n,)."""
         step = self.x[1] - self.x[0]
         where = (points - self.x[0]) / step
-        return ndimage.map_coordinates(self.distance, where.T[::-1], order=1, mode="nearest")
+        return scipy.ndimage.map_coordinates(self.distance, where.T[::-1], order=1, mode="nearest")
 
 
 def facing_region(surface: Surface, origin: Float, seed: int, facing: Float, radius_m: float) -> Region:
@@ -145,7 +145,7 @@ def trace_shape(region: Region, step_m: float, spike_m: float) -> Shape:
     x = np.asarray(step_m * np.arange(-half, half + 1), dtype=np.float64)
     grid = np.stack(np.meshgrid(x, x), axis=-1).reshape(-1, 2)
     distance = region_distance(region, grid).reshape(len(x), len(x))
-    core, _ = ndimage.label(distance < -spike_m)
+    core, _ = scipy.ndimage.label(distance < -spike_m)
     home = core[half, half]
     if home == 0:
         raise SceneError(
@@ -153,7 +153,7 @@ def trace_shape(region: Region, step_m: float, spike_m: float) -> Shape:
             "the centre inward, use a smaller coarse_m, or change `facing`"
         )
     # An opening (erode, then dilate) by spike_m; the slack of the grid keeps smooth boundaries as they are.
-    opened = step_m * ndimage.distance_transform_edt(core != home) - spike_m - step_m
+    opened = step_m * scipy.ndimage.distance_transform_edt(core != home) - spike_m - step_m
     distance = np.maximum(distance, opened)
     loops = [
         _snap(region, Shape(x, opened, []), np.asarray(line)[:-1])

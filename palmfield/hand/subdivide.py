@@ -2,26 +2,35 @@
 
 import numpy as np
 from scipy import sparse
-from trimesh.remesh import subdivide_to_size
 
+from palmfield import cache
 from palmfield.hand.triangles import directed_edges
 from palmfield.types import Float, Int
 
+CUT = ("vertices", "faces", "parents")
+"""The arrays of `sampling_surface`, as the cache names them."""
 MOST_ROUNDS = 6
 EDGE_m = 4.3e-3
 """Longest edge for one sound sample a face: half of the wavelength of 40 kHz in air at 20 C, which resolves ARP,
 quadratic in the pressure; on longer ones its phase changes by more than pi."""
 
 
-def with_short_edges(vertices: Float, faces: Int, longest_m: float) -> tuple[Float, Int]:
-    """Vertices [m] and faces of a surface cut until no edge is longer; vertices are no longer shared among faces."""
-    points, corners = subdivide_to_size(vertices, faces, longest_m, max_iter=20)
-    return points, corners
+def with_short_edges(vertices: Float, faces: Int, longest_m: float) -> tuple[Float, Int, Int]:
+    """Vertices [m] and faces of a surface cut until no edge is longer, and the original face of each, shape (m,)."""
+    from trimesh.remesh import subdivide_to_size
+
+    points, corners, parents = subdivide_to_size(vertices, faces, longest_m, max_iter=20, return_index=True)
+    return points, corners, np.asarray(parents, np.int32)
 
 
-def short_edge_parents(vertices: Float, faces: Int, longest_m: float) -> Int:
-    """Return the original face of each face of `with_short_edges`, shape (m,)."""
-    return np.asarray(subdivide_to_size(vertices, faces, longest_m, max_iter=20, return_index=True)[2], np.int32)
+def sampling_surface(vertices: Float, faces: Int) -> tuple[Float, Int, Int]:
+    """`with_short_edges` for one sound sample a face, kept in the cache."""
+
+    def cut() -> cache.Arrays:
+        return dict(zip(CUT, with_short_edges(vertices, faces, EDGE_m), strict=True))
+
+    made = cache.kept("short-edges", (vertices, faces, EDGE_m), cut)
+    return made["vertices"], made["faces"], made["parents"]
 
 
 def split_long_edges(vertices: Float, faces: Int, longest_m: float) -> tuple[sparse.csr_array, Int]:

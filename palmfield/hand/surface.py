@@ -8,9 +8,7 @@ from typing import Any
 
 import numpy as np
 import platformdirs
-import trimesh
 import warp as wp
-from warp.geometry import IsoSurfaceMarchingCubes
 
 import warp_kernels.sdf as kernels
 from palmfield import cache
@@ -184,6 +182,9 @@ def _check_gaps(skeleton: Skeleton) -> None:
 
 def _generate(skeleton: Skeleton, edge_m: float) -> cache.Arrays:
     """Vertices and faces of the relaxed mesh."""
+    import trimesh
+    from warp.geometry import IsoSurfaceMarchingCubes
+
     segments = _segments(skeleton)
     step = edge_m / EDGE_PER_VOXEL
     ends = np.array([end for s in skeleton.skin for end in (s.start, s.end)])

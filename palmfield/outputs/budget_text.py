@@ -117,3 +117,8 @@ def in_a_line(budget: Mapping[str, Any] | str | None) -> str:
     parts += [f"{one['what']} (not modelled): {bias_text(one['low'], one['high'])}" for one in largest]
     parts += [f"{one['what']} x {one['low']:.2g} to {one['high']:.2g}" for one in _ranges(budget)]
     return "Error of the skin response under the focus: " + "; ".join(parts)
+
+
+def of_full(level: float) -> str:
+    """Return a drive relative to full, in words."""
+    return f"{level:.3f} of full" if level == 0.0 or level >= 1e-3 else f"{level:.2g} of full"

@@ -12,6 +12,7 @@ from palmfield.outputs.budget_text import (
     figures,
     input_parts,
     largest_left_out,
+    of_full,
     parts_text,
     widest,
 )
@@ -123,11 +124,6 @@ def response_band(skin: Mapping[str, Any]) -> float:
     low, high = combined(input_parts(skin, ("p0",)))
     error = skin.get("displacement_error_relative", 0.0)
     return unknown_or(max(error, widest(skin.get("error_budget")), (high - low) / 2.0), skin)
-
-
-def of_full(level: float) -> str:
-    """Return a drive relative to full, in words."""
-    return f"{level:.3f} of full" if level == 0.0 or level >= 1e-3 else f"{level:.2g} of full"
 
 
 def level_band(skin: Mapping[str, Any]) -> float:

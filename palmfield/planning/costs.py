@@ -3,8 +3,7 @@
 from typing import NamedTuple
 
 from palmfield.acoustics.air import sound_speed
-from palmfield.acoustics.body_scattering import boundary_mesh
-from palmfield.estimate.numerical_error import estimate_s
+from palmfield.estimate.cost import estimate_s
 from palmfield.planning.facts import force_samples
 from palmfield.session.preview import Preview
 from palmfield.simulation.model import HapticModel
@@ -41,6 +40,10 @@ def scatterings(view: Preview) -> list[Scattering]:
     """Return the cost of boundary elements, for each skin that uses them."""
     model = view.runtime.model
     asking = [i for i, skin in enumerate(model.skins) if skin.spec.config.body_sound == "scattering"]
+    if not asking:
+        return []
+    from palmfield.acoustics.body_scattering import boundary_mesh
+
     result = []
     for number in asking:
         skin, moves = model.skins[number], _can_move(view, number)

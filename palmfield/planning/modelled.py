@@ -1,13 +1,11 @@
 """Effects that a plan models, and how."""
 
 from palmfield import cache
-from palmfield.acoustics.body_scattering import BODY_SOUNDS
 from palmfield.acoustics.directivities import form_of
 from palmfield.estimate.array_inputs import qualities
-from palmfield.estimate.numerical_error import estimate_s
-from palmfield.estimate.numerics.mesh_error import RATIO
+from palmfield.estimate.cost import RATIO, estimate_s
 from palmfield.estimate.sending import offset_words, peak_offset, sending
-from palmfield.outputs.summary_table import of_full
+from palmfield.outputs.budget_text import of_full
 from palmfield.planning.facts import force_samples
 from palmfield.planning.rows import Row
 from palmfield.simulation.emission import array_drives
@@ -16,6 +14,12 @@ from palmfield.simulation.small_models.known_load import SHARE
 from palmfield.skin.from_config import sheets_in_words
 from palmfield.skin.materials.material import shear_wave
 from palmfield.stimulus.modulation import arp_lines
+
+BODY_SOUNDS = {
+    "none": "faces turned away from the sound are unlit; parts cast no shadows on each other; no echoes",
+    "shadows": "a point is dark if the line back along the energy flux is blocked by another part or the body itself",
+    "scattering": "boundary elements on the whole body: total field on a rigid wall, with echoes between its parts",
+}
 
 
 def modelled(model: HapticModel, duration_s: float, felt: str) -> list[Row]:

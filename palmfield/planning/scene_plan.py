@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from palmfield import terminal
-from palmfield.estimate.error_budget import QUANTITY
+from palmfield.estimate.bias import QUANTITY
 from palmfield.planning.advice import advice
 from palmfield.planning.costs import run_s
 from palmfield.planning.expected_error import expected_errors

@@ -10,8 +10,8 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy  # which loads its parts when they are used
 from scipy import sparse
-from scipy.spatial import cKDTree
 
 from palmfield.acoustics.phased_array import ArrayInstance, PhasedArray
 from palmfield.config import StimulusConfig
@@ -19,7 +19,7 @@ from palmfield.drive.board import Board
 from palmfield.drive.response import Pole
 from palmfield.drive.transducer_response import TransducerResponse
 from palmfield.hand.force_samples import BY_DEFAULT, SampleMesh, sample_count, sample_mesh
-from palmfield.hand.subdivide import EDGE_m, short_edge_parents, with_short_edges
+from palmfield.hand.subdivide import sampling_surface
 from palmfield.hand.triangles import face_normals, face_samples
 from palmfield.locked import Lazy, locked_cached_property
 from palmfield.simulation.spec import SceneSpec, SkinSpec, StimulusSpec
@@ -94,23 +94,26 @@ class BodyModel:
     @locked_cached_property
     def sample_mesh(self) -> SampleMesh:
         """The triangles whose middles are the samples for the force, at rest."""
-        made = sample_mesh(*self._short_edged(), self.force_accuracy)
-        if self.hand is not None:
-            return made
-        assert self.surface is not None
-        return made._replace(faces=short_edge_parents(self.surface.vertices, self.surface.faces, EDGE_m)[made.faces])
+        vertices, faces, parents = self._short_edged
+        made = sample_mesh(vertices, faces, self.force_accuracy)
+        return made if parents is None else made._replace(faces=parents[made.faces])
 
     @locked_cached_property
     def sample_count(self) -> int:
         """About how many samples `sample_mesh` has, without making them."""
-        return sample_count(face_normals(*self._short_edged())[1], self.force_accuracy)
+        vertices, faces, _ = self._short_edged
+        return sample_count(face_normals(vertices, faces)[1], self.force_accuracy)
 
-    def _short_edged(self) -> tuple[Float, Int]:
-        """Vertices [m] and faces of the resting surface, with edges as short as samples need; those of hands are."""
+    @locked_cached_property
+    def _short_edged(self) -> tuple[Float, Int, Int | None]:
+        """Vertices [m] and faces of the resting surface, with edges as short as samples need, and the original faces.
+
+        Edges of hands are short, so that there are no others.
+        """
         if self.hand is not None:
-            return self.hand.surface.vertices, self.hand.surface.faces
+            return self.hand.surface.vertices, self.hand.surface.faces, None
         assert self.surface is not None
-        return with_short_edges(self.surface.vertices, self.surface.faces, EDGE_m)
+        return sampling_surface(self.surface.vertices, self.surface.faces)
 
     @locked_cached_property
     def sampled(self) -> "SkinnedSurface":
@@ -287,7 +290,7 @@ class SkinModel:
         # The face of the skin itself comes first
         quadrature = self.layer.quadrature
         lit = centroids[: len(output_triangles(self.layer.mesh))]
-        owners = cKDTree(lit).query(quadrature.points)[1].astype(np.int32)
+        owners = scipy.spatial.cKDTree(lit).query(quadrature.points)[1].astype(np.int32)
         return owners, np.arange(len(owners), dtype=np.int32), quadrature.weights / face_areas[owners]
 
 

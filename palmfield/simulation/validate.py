@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy  # which loads its parts when they are used
 
 from palmfield.acoustics.phased_array import HOUSING_M, PhasedArray
 from palmfield.acoustics.surface_load import CLEARANCE_M
@@ -78,7 +78,7 @@ def check_apart(names: Sequence[str], arrays: PhasedArray) -> None:
                 f"allowed: at least {1e3 * LEAST_APART_M:.1f} mm: check the unit of their positions"
             )
         for other in range(number):
-            distance = float(cKDTree(positions[other]).query(positions[number])[0].min())
+            distance = float(scipy.spatial.cKDTree(positions[other]).query(positions[number])[0].min())
             radii = arrays.parts[number].piston_radius_m + arrays.parts[other].piston_radius_m
             least = max(radii, LEAST_APART_M)
             if distance < least:
@@ -91,7 +91,7 @@ def check_apart(names: Sequence[str], arrays: PhasedArray) -> None:
 
 def pitch_m(positions: Float) -> float:
     """Least distance of two transducers [m], from their places, shape (n, 3); without end of one alone."""
-    return float(cKDTree(positions).query(positions, k=[2])[0].min()) if len(positions) > 1 else math.inf
+    return float(scipy.spatial.cKDTree(positions).query(positions, k=[2])[0].min()) if len(positions) > 1 else math.inf
 
 
 def check_overlaps(skins: Sequence[SkinModel]) -> None:
@@ -100,7 +100,7 @@ def check_overlaps(skins: Sequence[SkinModel]) -> None:
         for other in skins[:number]:
             if other.body != skin.body:
                 continue
-            distance = cKDTree(other.nodes[0]).query(skin.nodes[0])[0].min()
+            distance = scipy.spatial.cKDTree(other.nodes[0]).query(skin.nodes[0])[0].min()
             least = 0.5 * max(skin.layer.sizes.edge_coarse_m, other.layer.sizes.edge_coarse_m)
             if distance < least:
                 raise SceneError(

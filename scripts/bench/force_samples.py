@@ -71,7 +71,9 @@ def measure(scene: str, times: int, lit: int, accuracies: list[float]) -> list[s
         vertices, faces, origin = body.vertices_in_array, body.faces, body.frame.position
         if scene == "box":
             cube = box((BOX_m,) * 3)
-            vertices, faces = with_short_edges(cube.vertices + part.first_focus + (0, 0, BOX_m / 2), cube.faces, EDGE_m)
+            vertices, faces, _ = with_short_edges(
+                cube.vertices + part.first_focus + (0, 0, BOX_m / 2), cube.faces, EDGE_m
+            )
             # Each vertex once
             vertices, numbers = np.unique(np.round(vertices, 9), axis=0, return_inverse=True)
             faces = numbers.reshape(-1)[faces]

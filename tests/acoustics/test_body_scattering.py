@@ -6,7 +6,7 @@ from rigid_sphere import geodesic
 from shadow_rays import lit
 
 from palmfield.acoustics.air import sound_speed
-from palmfield.acoustics.body_scattering import BODY_SOUNDS, RigidScatteredField, boundary_mesh
+from palmfield.acoustics.body_scattering import RigidScatteredField, boundary_mesh
 from palmfield.acoustics.occlusion import Occlusion
 from palmfield.acoustics.scattering import wall_arp
 from palmfield.acoustics.shadow import shadow_mesh
@@ -118,7 +118,3 @@ def test_the_scattered_field_is_read_at_the_nearest_face() -> None:
     near = field.at(solution.centroids + step).amplitude
     expected = np.abs(solution.pressure + np.einsum("ij,ij->i", step, solution.gradient))
     np.testing.assert_allclose(near, expected, rtol=1e-5)
-
-
-def test_body_sounds_are_the_keys_values() -> None:
-    assert list(BODY_SOUNDS) == ["none", "shadows", "scattering"]

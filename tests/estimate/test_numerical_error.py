@@ -11,8 +11,8 @@ from scipy import sparse
 
 import palmfield
 from palmfield.estimate.array_inputs import p0_band, p0_known
+from palmfield.estimate.cost import RATIO
 from palmfield.estimate.numerical_error import SteppedRun, error_estimate
-from palmfield.estimate.numerics.mesh_error import RATIO
 from palmfield.simulation.emission import array_drives
 from palmfield.simulation.forces import BodyForces
 from palmfield.simulation.radiation import Radiation
@@ -135,8 +135,8 @@ def test_the_other_mesh_is_coarser_where_a_finer_one_costs_too_much(small_scene,
     scene.step(3)
     loudest = moment(scene)
     finer = estimate(scene, loudest)
-    monkeypatch.setattr("palmfield.estimate.numerics.mesh_error.FINER_BELOW", 0)
-    monkeypatch.setattr("palmfield.estimate.numerics.mesh_error.LAYERS", 2)
+    monkeypatch.setattr("palmfield.estimate.cost.FINER_BELOW", 0)
+    monkeypatch.setattr("palmfield.estimate.cost.LAYERS", 2)
     coarser = estimate(scene, loudest)
     assert finer["mesh_error_relative"] != coarser["mesh_error_relative"]
     assert 0.2 < finer["mesh_error_relative"] / coarser["mesh_error_relative"] < 5.0 and RATIO > 1.0

@@ -14,6 +14,7 @@ from palmfield.acoustics.air import sound_speed
 from palmfield.estimate.biases import FACE_BY_FACE
 from palmfield.estimate.summary import estimated_budget
 from palmfield.planning.costs import SCATTER_ELEMENT_S, SCATTER_PAIR_S
+from palmfield.planning.modelled import BODY_SOUNDS
 from palmfield.planning.scene_plan import warnings
 from palmfield.types import Air
 
@@ -311,3 +312,7 @@ def test_a_plan_solves_for_no_scattering(small_scene, solutions):
     """Where the sound arrives is looked at in free air."""
     palmfield.plan(small_scene(stimulus=STEADY, skin={"body_sound": "scattering"}))
     assert not solutions
+
+
+def test_body_sounds_are_the_keys_values() -> None:
+    assert list(BODY_SOUNDS) == ["none", "shadows", "scattering"]

@@ -5,10 +5,11 @@ import pytest
 
 from palmfield.acoustics.arrays import layout, placed
 from palmfield.acoustics.field import FieldEvaluator
+from palmfield.config.array import AIR_LIMITS
 from palmfield.errors import SceneError
 from palmfield.session.simulation import load
 from palmfield.simulation.emission import array_drives
-from palmfield.types import AIR_LIMITS, Air
+from palmfield.types import Air
 
 STEADY = {"modulation": "none", "am_quantity": None, "am_frequency_Hz": None, "am_depth": None}
 SECOND = (

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from palmfield.estimate.cost import RATIO
 from palmfield.estimate.numerics.point_response import Response, changes
 from palmfield.skin.approximation.estimate import ORDER
 from palmfield.skin.approximation.richardson import error_of_coarser, error_of_finer
@@ -12,8 +13,6 @@ from palmfield.skin.reduction.point_model import TOLERANCE
 from palmfield.skin.scene_layer import SceneLayer
 from palmfield.types import Float
 
-RATIO = 1.25
-"""Element sizes of the two meshes that are compared."""
 ALIKE = 1.3
 """Triangles of one mesh over those of another, below which their difference is no measure of the error."""
 LEAST_RATIO = 1.1
@@ -27,15 +26,6 @@ COURSE_ORDER = 1.5
 ORDER, as a small ratio of edges makes much of a little: on discs of palm and gelatin 1.8 to 3.3 was seen."""
 MOST_CHANGES = 6
 """How often the elements of the other mesh are refined or coarsened by RATIO at most, until the two differ."""
-FINER_BELOW = 15_000
-"""Unknowns above which a finer mesh costs minutes and gigabytes."""
-LAYERS = 3
-"""A coarser mesh must keep two rows of elements: one alone is off by 20 %."""
-
-
-def compares_with_finer(layer: SceneLayer, dofs: int) -> bool:
-    """Whether the error estimate of a layer with `dofs` unknowns takes a finer mesh, rather than a coarser one."""
-    return dofs < FINER_BELOW or len(layer.sizes.depth_fractions) - 1 < LAYERS
 
 
 def meshes_to_compare(layer: SceneLayer, finer: bool) -> tuple[SceneLayer, float, list[SceneLayer]]:

@@ -1,11 +1,11 @@
 """Motion of the skin surface, at its nodes and at given points, from the unknowns of a layer."""
 
 import numpy as np
+import scipy  # which loads its parts when they are used
 from scipy import sparse
-from scipy.spatial import cKDTree
-from trimesh.triangles import closest_point, points_to_barycentric
 
 from palmfield.errors import SceneError
+from palmfield.hand.triangles import closest_on_each, in_triangles
 from palmfield.skin.fem.assembly import SkinSystem
 from palmfield.skin.mesh.element import triangle_shape
 from palmfield.skin.mesh.wedges import WedgeMesh
@@ -51,7 +51,7 @@ def nearest_on_surface(mesh: WedgeMesh, points: Float) -> tuple[Float, Float, In
     """
     corners = mesh.nodes[mesh.surface_triangles6[:, :3]]
     triangles, closest = closest_on_triangles(corners, points)
-    local: Float = points_to_barycentric(corners[triangles], closest)[:, 1:]
+    local = in_triangles(corners[triangles], closest)
     normals = np.einsum("pi,pic->pc", triangle_shape(local), mesh.surface_normals()[mesh.surface_triangles6[triangles]])
     return closest, normals / np.linalg.norm(normals, axis=1, keepdims=True), triangles, local
 
@@ -60,15 +60,14 @@ def closest_on_triangles(corners: Float, points: Float) -> tuple[Int, Float]:
     """Index of the closest triangle (n,) and the closest point on it (n, 3)."""
     centroids = corners.mean(axis=1)
     reach = np.linalg.norm(corners - centroids[:, None], axis=2).max()
-    tree = cKDTree(centroids)
+    tree = scipy.spatial.cKDTree(centroids)
     nearest, _ = tree.query(points)
     # The nearest centroid lies on the surface, so the centroid of the closest triangle is within `reach` of that far.
     lists = tree.query_ball_point(points, nearest + reach)
     counts = np.array([len(result) for result in lists])
     candidates = np.concatenate([np.asarray(result, dtype=np.int64) for result in lists])
     owner = np.repeat(np.arange(len(points)), counts)
-    # trimesh takes edges for reached within an absolute tolerance that is meant for millimetres.
-    spots = 1e-3 * closest_point(1e3 * corners[candidates], 1e3 * points[owner])
+    spots = 1e-3 * closest_on_each(1e3 * corners[candidates], 1e3 * points[owner])
     order = np.lexsort((np.linalg.norm(spots - points[owner], axis=1), owner))
     first = order[np.concatenate(([0], np.cumsum(counts)[:-1]))]
     return candidates[first].astype(np.int32), spots[first]

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import block_diag
+import scipy  # which loads its parts when they are used
 
 from palmfield.types import Complex, Float
 
@@ -31,7 +31,7 @@ def periodic(shapes: Complex, frequencies_Hz: Float, events: list[tuple[float, F
     events: for each, the time t [s] at which it comes, and how
     """
     omega = 2.0 * np.pi * np.asarray(frequencies_Hz)
-    turns = block_diag(*(np.array([[0.0, w], [-w, 0.0]]) for w in omega))
+    turns = scipy.linalg.block_diag(*(np.array([[0.0, w], [-w, 0.0]]) for w in omega))
     both = np.stack([shapes.real, -shapes.imag], axis=2).reshape(len(shapes), -1)
     unit = np.eye(len(turns))
     rates = sorted({rate for _, fade in events for rate, _ in fade})
@@ -40,7 +40,10 @@ def periodic(shapes: Complex, frequencies_Hz: Float, events: list[tuple[float, F
         for time, fade in events
     ]
     return Course(
-        both, np.hstack([unit] * len(rates)), block_diag(*(turns - rate * unit for rate in rates)), np.array(starts).T
+        both,
+        np.hstack([unit] * len(rates)),
+        scipy.linalg.block_diag(*(turns - rate * unit for rate in rates)),
+        np.array(starts).T,
     )
 
 

@@ -10,8 +10,7 @@ shapes and least squares between them.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg
-from scipy.linalg import lapack
+import scipy  # which loads its parts when they are used
 
 from palmfield.errors import SceneError
 from palmfield.types import Float, Float32, Int
@@ -62,7 +61,7 @@ def load_shapes(examples: Float | Float32, weights: Float, tolerance: float, poi
     if not size > 0.0:
         raise SceneError("the sound of the arrays does not reach the skin, so there are no sample loads for modes")
     taken, shares = _taken(products, (CLOSENESS * tolerance) ** 2)
-    basis = linalg.solve_triangular(shares[taken], examples[taken] * root, lower=True)
+    basis = scipy.linalg.solve_triangular(shares[taken], examples[taken] * root, lower=True)
     values, turn = np.linalg.eigh(shares.T @ shares)
     values, turn = values[::-1], turn[:, ::-1]
     left_out = np.sqrt(np.maximum(1.0 - np.cumsum(values) / size, 0.0))
@@ -71,7 +70,7 @@ def load_shapes(examples: Float | Float32, weights: Float, tolerance: float, poi
     flat = _orthonormal(turn[:, :count].T @ basis)
     chosen, shapes = _telling_points(flat, points), flat / root
     turned, triangle = np.linalg.qr(shapes[:, chosen].T)
-    fit = np.asarray(linalg.solve_triangular(triangle, turned.T), dtype=np.float64)
+    fit = np.asarray(scipy.linalg.solve_triangular(triangle, turned.T), dtype=np.float64)
     return LoadShapes(shapes, np.sqrt(values[:count] / len(examples)), chosen, fit)
 
 
@@ -100,8 +99,8 @@ def _telling_points(shapes: Float, times: int) -> Int:
 def _pivots(shapes: Float) -> Int:
     """Columns of shapes (m, q), the best first: by QR, which finds better ones, or by LU for MANY shapes."""
     if len(shapes) < MANY:
-        return np.asarray(linalg.qr(shapes, mode="r", pivoting=True, check_finite=False)[1])
-    _, exchanged = linalg.lu_factor(shapes.T, check_finite=False)
+        return np.asarray(scipy.linalg.qr(shapes, mode="r", pivoting=True, check_finite=False)[1])
+    _, exchanged = scipy.linalg.lu_factor(shapes.T, check_finite=False)
     rows = np.arange(shapes.shape[1], dtype=np.int32)
     for row, other in enumerate(exchanged):
         rows[[row, other]] = rows[[other, row]]
@@ -127,7 +126,7 @@ def _taken(products: Float, left_out: float) -> tuple[Int, Float]:
     squares = np.diagonal(products)
     enough = max(left_out * squares.mean(), len(squares) * np.finfo(float).eps * squares.max())
     # Symmetric: transposed it has the layout that LAPACK needs, without a copy
-    lower, pivots, rank, _ = lapack.dpstrf(products.T, tol=enough, lower=1, overwrite_a=1)
+    lower, pivots, rank, _ = scipy.linalg.lapack.dpstrf(products.T, tol=enough, lower=1, overwrite_a=1)
     taken = pivots - 1
     shares = np.empty((len(squares), rank))
     shares[taken] = np.tril(lower[:, :rank])
@@ -136,4 +135,6 @@ def _taken(products: Float, left_out: float) -> tuple[Int, Float]:
 
 def _orthonormal(rows: Float) -> Float:
     """Rows that are orthonormal except for round-off, without the round-off."""
-    return np.asarray(linalg.solve_triangular(np.linalg.cholesky(rows @ rows.T), rows, lower=True), dtype=np.float64)
+    return np.asarray(
+        scipy.linalg.solve_triangular(np.linalg.cholesky(rows @ rows.T), rows, lower=True), dtype=np.float64
+    )

@@ -14,7 +14,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.linalg import expm
+import scipy  # which loads its parts when they are used
 
 from palmfield.errors import SceneError
 from palmfield.skin.materials.material import Material
@@ -162,7 +162,7 @@ class Reduced:
             block[:size, :size] = step_s * self.rates
             block[:size, size : size + inputs] = step_s * self.inputs
             block[size : size + inputs, size + inputs :] = np.eye(inputs)
-            whole = expm(block)
+            whole = scipy.linalg.expm(block)
             ramp = whole[:size, size + inputs :]
             # Several threads may share a model, so that what was found isn't looked up again
             found = self._steps[step_s] = whole[:size, :size], whole[:size, size : size + inputs] - ramp, ramp
