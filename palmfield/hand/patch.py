@@ -99,9 +99,8 @@ def _made(
         report[f"depth_{name}_p10_m"] = float(np.percentile(value, 10.0))
         report[f"depth_{name}_mean_m"] = float(value.mean())
     report["through_m"] = float(np.median(way))
-    arrays = vertices, faces, inward, got, on_rim(faces, len(vertices))
-    facts = {"report_names": np.array(list(report)), "report": np.array(list(report.values()), dtype=np.float64)}
-    return dict(zip(MADE, arrays, strict=True)) | facts
+    made: cache.Arrays = dict(zip(MADE, (vertices, faces, inward, got, on_rim(faces, len(vertices))), strict=True))
+    return made | {"report_names": np.array(list(report)), "report": np.array(list(report.values()), dtype=np.float64)}
 
 
 def _check_numbers(
