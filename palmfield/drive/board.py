@@ -4,6 +4,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
@@ -273,7 +274,7 @@ class Board:
         """Return the emission of a board just switched on after each change, shape (n,) each."""
         twin = self.wired_twin()
         changes = twin.take(data)
-        return [one.amplitudes for one in (*changes, *twin.until(twin.time_s + HELD_BACK_S))]
+        return list(map(attrgetter("amplitudes"), (*changes, *twin.until(twin.time_s + HELD_BACK_S))))
 
     def _takes(self) -> str:
         return "no bytes" if self.exact else "a focus" if self.takes == "focus" else "amplitudes"
@@ -300,7 +301,7 @@ FULL = 1.0 + 1e-6
 def commanded(board: Board, amplitudes: ArrayLike) -> Complex:
     """Return amplitudes in board byte order, shape (n,). Raises DeviceError for another shape, and above full drive."""
     values = np.asarray(amplitudes, dtype=np.complex128)
-    if values.shape != (board.transducers,):
+    if values.shape != (board.unit * board.units,):
         raise DeviceError(f"a frame of {board.name} has shape {values.shape}; give ({board.transducers},)")
     magnitude = np.abs(values)
     bad = ~(magnitude <= FULL)
