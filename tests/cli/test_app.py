@@ -88,7 +88,8 @@ def test_new_scene_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert call(monkeypatch, capsys, "new", "first")[0] == 0
     assert mujoco.MjModel.from_xml_path("first/first_plain.xml").nplugin == 0
-    quick = ("--duration", "0.011", "--device", "cpu", "--accuracy", 0.3)
+    small = ("--set", "skin.accuracy=0.3", "--set", "skin.patch_radius_m=0.02")
+    quick = ("--duration", "0.011", "--device", "cpu", "--accuracy", 0.4, *small[2:])
     code, out = call(monkeypatch, capsys, "run", "first/first.xml", "--out", "o", *quick)
     assert code == 0
     assert out.out.startswith("felt: ") and "peak ARP" in out.out and "o/scene.usdc" in out.out
@@ -96,7 +97,6 @@ def test_new_scene_runs(tmp_path, monkeypatch, capsys):
     again = ("run", "first/first.xml", "--duration", "0.005", "--out", "o", "--no-plots")
     code, out = call(monkeypatch, capsys, *again)
     assert code == 2 and "of another run" in out.err and "--overwrite" in out.err
-    small = ("--set", "skin.accuracy=0.3", "--set", "skin.patch_radius_m=0.02")
     code, out = call(monkeypatch, capsys, *again, "--overwrite", *small)
     assert code == 0 and json.loads(Path("o/summary.json").read_text())["steps"] == 5
     code, out = call(monkeypatch, capsys, "new", "first")

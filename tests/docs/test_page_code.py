@@ -57,6 +57,8 @@ NOT_RUN = {
     "tutorials/paper_figure.md": 1,
 }
 """How many blocks of a page are marked as not run; each says why in its source."""
+NIGHTLY = ("usd.md", "tutorials/paper_figure.md", "tutorials/your_hand.md", "tutorials/your_stimulus.md")
+"""Pages of many commands, each of which has tests of its own; that it has these options is in test_readme.py."""
 
 
 def name_of(page: Path) -> str:
@@ -79,7 +81,14 @@ def test_blocks_that_do_not_run_are_counted(page):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("page", [page for page in [*PAGES, *NOTEBOOKS] if to_run(page)], ids=name_of)
+@pytest.mark.parametrize(
+    "page",
+    [
+        pytest.param(page, id=name_of(page), marks=[pytest.mark.nightly] if name_of(page) in NIGHTLY else [])
+        for page in [*PAGES, *NOTEBOOKS]
+        if to_run(page)
+    ],
+)
 def test_the_code_of_a_page_runs_and_prints_what_the_page_shows(page, tmp_path, monkeypatch):
     name = name_of(page)
     if name in ELSEWHERE:

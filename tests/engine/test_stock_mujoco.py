@@ -7,6 +7,8 @@ from pathlib import Path
 import mujoco
 import pytest
 
+pytestmark = pytest.mark.usefixtures("kept_operators")
+
 SCENES = Path(__file__).parents[2] / "mjcf" / "scenes"
 MOVED = (
     "approach_withdraw", "hover_explore", "tap_button", "follow_fingertip", "trace_shape", "two_hands", "grasp_object",

@@ -97,7 +97,7 @@ def test_an_estimate_that_fails_leaves_its_reason(small_scene, moment, monkeypat
 
 
 def test_each_skin_has_its_own_numbers(small_scene, add_skin, moment):
-    scene = palmfield.load(add_skin(small_scene(), "0.05 0 0.12"))
+    scene = palmfield.load(add_skin(small_scene(skin={"radius_m": 0.012}), "0.05 0 0.12"))
     scene.step(4)
     first, second = (numbers(scene, moment(scene), name) for name in scene.skins)
     assert "displacement_error_relative" in first and "displacement_error_relative" in second

@@ -3,6 +3,8 @@
 import pytest
 from check_scene_reference import allowed, differences, scenes
 
+pytestmark = pytest.mark.usefixtures("kept_operators")
+
 
 @pytest.mark.parametrize("name", scenes("small"))
 def test_a_scene_does_what_it_did(name):
