@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from palmfield.errors import SceneError
-from palmfield.hand.triangles import directed_edges, unique_edges
+from palmfield.hand.triangles import numbered_edges, unique_edges
 from palmfield.types import Float, Int, Surface
 
 EDGE_POINTS = 5
@@ -99,7 +99,7 @@ def _corridor(surface: Surface, start: tuple[int, Float], end: tuple[int, Float]
 def _crossed(surface: Surface, nearby: NDArray[np.int64], start: tuple[int, Float], end: tuple[int, Float]) -> Int:
     """Edges that the shortest path over points of the edges crosses, shape (n, 2)."""
     faces = surface.faces[nearby]
-    edges, which = np.unique(np.sort(directed_edges(faces), axis=1), axis=0, return_inverse=True)
+    edges, which, _ = numbered_edges(faces)
     sides = which.reshape(3, -1).T
     count = EDGE_POINTS
     share = ((np.arange(count) + 0.5) / count)[:, None]

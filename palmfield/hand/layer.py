@@ -12,6 +12,7 @@ from palmfield.hand.triangles import (
     edge_lengths,
     face_normals,
     neighbour_mean,
+    numbered_edges,
     vertex_normals,
 )
 from palmfield.types import Float, Int
@@ -203,10 +204,10 @@ def curvature_integrals(vertices: Float, faces: Int) -> tuple[Float, Float]:
     """
     unit, _ = face_normals(vertices, faces)
     directed = directed_edges(faces)
-    edges, inverse, count = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True, return_counts=True)
+    edges, inverse, count = numbered_edges(faces)
     owner = np.tile(np.arange(len(faces)), 3)
-    order = np.argsort(inverse.ravel(), kind="stable")
-    inner = (count == 2)[inverse.ravel()[order]]
+    order = np.argsort(inverse, kind="stable")
+    inner = (count == 2)[inverse[order]]
     first, second = order[inner].reshape(-1, 2).T
     start, end = vertices[directed[first, 0]], vertices[directed[first, 1]]
     n, m = unit[owner[first]], unit[owner[second]]

@@ -4,7 +4,7 @@ import numpy as np
 from scipy import sparse
 
 from palmfield import cache
-from palmfield.hand.triangles import directed_edges
+from palmfield.hand.triangles import numbered_edges
 from palmfield.types import Float, Int
 
 CUT = ("vertices", "faces", "parents")
@@ -41,8 +41,7 @@ def split_long_edges(vertices: Float, faces: Int, longest_m: float) -> tuple[spa
     carry = sparse.csr_array(sparse.eye_array(len(vertices)))
     for _ in range(MOST_ROUNDS):
         points = carry @ vertices
-        directed = np.sort(directed_edges(faces), axis=1)
-        edges, inverse = np.unique(directed, axis=0, return_inverse=True)
+        edges, inverse, _ = numbered_edges(faces)
         # Edge i of a face runs from its corner i to the next.
         of_face = inverse.reshape(3, len(faces)).T
         long = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1) > longest_m

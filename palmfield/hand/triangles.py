@@ -147,8 +147,24 @@ def directed_edges(faces: Int) -> Int:
 
 def unique_edges(faces: Int) -> tuple[Int, NDArray[np.int64]]:
     """Undirected edges, shape (e, 2), and the number of faces of each, shape (e,)."""
-    edges, count = np.unique(np.sort(directed_edges(faces), axis=1), axis=0, return_counts=True)
-    return edges, count
+    key, count = np.unique(_edge_keys(faces), return_counts=True)
+    return _edges_of_keys(key, faces), count
+
+
+def numbered_edges(faces: Int) -> tuple[Int, NDArray[np.int64], NDArray[np.int64]]:
+    """As `unique_edges`, with the number of the edge that each directed one is between them, shape (3 m,)."""
+    key, which, count = np.unique(_edge_keys(faces), return_inverse=True, return_counts=True)
+    return _edges_of_keys(key, faces), which, count
+
+
+def _edge_keys(faces: Int) -> NDArray[np.int64]:
+    """A number for each directed edge, in the order of undirected ones: numpy sorts rows 20 times as slowly."""
+    directed = directed_edges(faces).astype(np.int64)
+    return np.asarray(directed.min(axis=1) * (int(faces.max(initial=0)) + 1) + directed.max(axis=1))
+
+
+def _edges_of_keys(key: NDArray[np.int64], faces: Int) -> Int:
+    return np.stack(np.divmod(key, int(faces.max(initial=0)) + 1), axis=1).astype(faces.dtype)
 
 
 def edge_lengths(vertices: Float, faces: Int) -> tuple[Int, Float]:

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from palmfield.errors import SceneError
 from palmfield.hand.geodesic import Piece, shortest_way
-from palmfield.hand.triangles import directed_edges, face_normals, vertex_normals
+from palmfield.hand.triangles import face_normals, numbered_edges, vertex_normals
 from palmfield.stimulus.curves import PlanePath, folded, zigzag_about
 from palmfield.types import Float, Int, Surface
 
@@ -228,12 +228,10 @@ def _nearest(surface: Surface, point: Float, name: str) -> tuple[int, Float]:
 
 def _mesh(surface: Surface) -> _Mesh:
     faces = surface.faces
-    edges = np.sort(directed_edges(faces), axis=1)
     owner = np.tile(np.arange(len(faces)), 3)
     # The edge from corner i to i + 1 lies opposite corner i + 2
     opposite = np.repeat([2, 0, 1], len(faces))
-    _, which, count = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
-    which = which.reshape(-1)
+    _, which, count = numbered_edges(faces)
     order = np.argsort(which, kind="stable")
     order = order[count[which[order]] == 2].reshape(-1, 2)
     across = np.full((len(faces), 3), -1, dtype=np.int32)

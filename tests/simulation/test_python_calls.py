@@ -11,8 +11,6 @@ from palmfield.data import folder
 from palmfield.engine.host import raise_errors
 from palmfield.session.simulation import Simulation
 
-pytestmark = pytest.mark.usefixtures("kept_operators")
-
 MOST = 255
 """210 before the stages took worlds first: 0.02 ms more of 2 to 5 ms. In a graph a step runs 67."""
 MORE = 70
