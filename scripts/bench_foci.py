@@ -17,10 +17,12 @@ from palmfield.acoustics.field import FieldEvaluator
 from palmfield.drive.foci import ITERATIONS, SOLVERS, Foci, Method, solve_transfer, transfer64
 from palmfield.outputs.style import COLOURS, save, style
 from palmfield.studies.bench.field import git_commit
-from palmfield.studies.bench.table import processor
+from palmfield.studies.bench.table import cells, keep_rows, processor
 from palmfield.types import Air, Array, Complex, Float
 
 ROOT = Path(__file__).resolve().parents[1]
+PAGE = ROOT / "docs" / "bench" / "foci.md"
+ALL = "| foci | method | level | quietest | per power | uniformity | side lobe dB | mean a^2 | steps | time ms |"
 METHODS: tuple[Method, ...] = get_args(Method)
 COUNTS = (2, 4, 8, 16)
 LAYOUTS = 20
@@ -134,15 +136,14 @@ def measure(name: str) -> None:
         "",
         "    python scripts/bench_foci.py",
         "",
-        "- level: mean |p| of the foci over that of a single focus; quietest: the same of the quietest focus",
-        "- per power: quietest x sqrt(foci / mean |a|^2); 1 is m foci that share the power without loss or help",
-        "- uniformity: quietest over loudest focus",
-        f"- side lobe: loudest |p| in their plane, {1e3 * LOBE_M:.0f} mm or more from each, over the quietest focus",
-        f"- time: median of {RUNS} solutions of one layout, without the transfer matrix",
+        "Quietest: |p| of the quietest focus over that of a single focus. Per power: quietest x sqrt(foci / mean",
+        "|a|^2). Uniformity: quietest over loudest focus. Side lobe: loudest |p| in their plane,",
+        f"{1e3 * LOBE_M:.0f} mm or more from each, over the quietest focus. Time: median of {RUNS} solutions without",
+        f"the transfer matrix. {keep_rows(PAGE, [ALL, '', *rows])} has mean levels, drives and steps.",
         "",
-        "| foci | method | level | quietest | per power | uniformity | side lobe dB | mean a^2 | steps | time ms |",
-        "|---|---|---|---|---|---|---|---|---|---|",
-        *rows,
+        "| foci | method | quietest | per power | uniformity | side lobe [dB] | time [ms] |",
+        "|---|---|---|---|---|---|---|",
+        *(f"| {' | '.join(cells(row)[i] for i in (0, 1, 3, 4, 5, 6, 9))} |" for row in rows),
         "",
         "`lbfgs` searches directly for the loudest quietest focus. On the means above `gsw` reaches at least",
         f"{100 * closest:.1f} % of it, in {100 * min(shares):.0f} to {100 * max(shares):.0f} % of the time: it is",
@@ -159,8 +160,7 @@ def measure(name: str) -> None:
         "![Fields of three methods, quality beside time, and convergence](../images/foci.png)",
         "",
     ]
-    target = ROOT / "docs" / "bench" / "foci.md"
-    target.write_text("\n".join(lines))
+    PAGE.write_text("\n".join(lines))
     print("\n".join(lines))
 
 

@@ -190,22 +190,20 @@ def head(device: str, commit: str) -> list[str]:
 TEXT = f"""# Many frames on the same skin
 
 {FRAMES} frames of 256 transducers (uhev1) to radiation pressure on {POINTS} points of a dome {HEIGHT_M:g} m above: a
-focus that goes {TURNS} times round a circle of {2e3 * RADIUS_M:g} mm (frames differ, so none is computed twice), and
-the same with its phases rounded to 8 bits. `Transfer` computes the matrix of pressures and gradients once, reduces the
-frames to the dimensions that they span, where that saves work, and turns all of them into ARP by products. The result
-holds {4e-6 * FRAMES * POINTS:.0f} MB. Medians of {RUNS} runs. Error: relative L2 difference to float64 over {CHECKED}
-frames.
+focus that goes {TURNS} times round a circle of {2e3 * RADIUS_M:g} mm, and the same with its phases rounded to 8 bits.
+`Transfer` computes the matrix of pressures and gradients once, reduces the frames to the dimensions that they span,
+and computes all ARP by products. The result holds {4e-6 * FRAMES * POINTS:.0f} MB. Medians of {RUNS} runs. Error:
+relative L2 difference to float64 over {CHECKED} frames.
 """
 
 CPU_TEXT = f"""
-The matrix serves any number of frames. GFLOP/s is the product's work over the time of product and ARP. Of that time
-{{pages_s:.2f}} s go to the system, which clears new pages for the result; `out` saves them. Frame by frame is
-extrapolated from {ONE_BY_ONE} frames.
+GFLOP/s: work of the product over the time of product and ARP, of which {{pages_s:.2f}} s clear new pages (`out` saves
+them). Frame by frame is extrapolated from {ONE_BY_ONE} frames.
 """
 
 GPU_TEXT = """
-All times hold the whole call of `Transfer.arp_on_gpu`, from NumPy drives to ARP on the GPU, after a call that compiled
-the kernels. The matrix goes over with the first call.
+Times of `Transfer.arp_on_gpu`, from NumPy drives to ARP on the GPU, kernels compiled before. The first call uploads the
+matrix.
 """
 
 

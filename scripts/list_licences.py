@@ -18,8 +18,8 @@ from packaging.utils import canonicalize_name
 ROOT = Path(__file__).resolve().parents[1]
 HEAD = """# Licences of what palmfield needs
 
-palmfield itself is under the Apache License 2.0. The table is made by `python scripts/list_licences.py` from the
-metadata of the installed packages; *through* is the package that asks for it, where palmfield does not itself.
+palmfield is under the Apache License 2.0. Made by `python scripts/list_licences.py` from the metadata of the installed
+packages; *through* is the package that requires it, if palmfield does not.
 
 | package | licence | through |
 |---|---|---|
@@ -27,14 +27,11 @@ metadata of the installed packages; *through* is the package that asks for it, w
 BUNDLES = """
 ## What wheels bundle
 
-Shared libraries that wheels for Linux on x86-64 carry beside their own code, by the licences that the wheels and the
-libraries' makers tell. Those of the GPL in a plain install are GCC's run-time libraries, whose exception lets any
-program use them.
-
-What is linked into a wheel's own code is told in its folder of licences. Of mujoco it is permissive, with Eigen under
-the MPL and Glslang's parser, made by Bison, under the GPL with the exception that lets any program have it. Of
-warp-lang it is permissive too, but for NVIDIA's CUDA run time, NVRTC and libmathdx: they are proprietary, may be passed
-on with Warp free of charge, and do nothing where there is no NVIDIA GPU.
+Shared libraries in wheels for Linux on x86-64. Those under the GPL in a plain install are GCC's run-time libraries,
+whose exception lets any program use them. Code linked into a wheel is listed in its folder of licences. That of
+mujoco is permissive, with Eigen under the MPL and Glslang's parser, made by Bison, under the GPL with its exception.
+That of warp-lang is permissive except NVIDIA's CUDA run time, NVRTC and libmathdx, which are proprietary, may be
+passed on with Warp free of charge, and do nothing without an NVIDIA GPU.
 
 | wheel | library | licence |
 |---|---|---|
@@ -42,11 +39,10 @@ on with Warp free of charge, and do nothing where there is no NVIDIA GPU.
 EXTRAS = """
 ## Extras
 
-What is installed only when it is asked for by name (`pip install 'palmfield[sweep]'`); what these bring in turn is not
-listed, but for two. **`mkl`** brings Intel's libraries (mkl, intel-openmp, tbb), which are free of charge and not open
-source: no other package of an extra is proprietary. **`video`**: PyAV is under a BSD licence, and its wheels bundle
-FFmpeg, under the LGPL by what it says of itself, with x264 and x265, under the GPL (table above). Nothing of them is in
-palmfield or its wheel; whoever passes on an environment with them passes on software under the GPL.
+Installed by name only (`pip install 'palmfield[sweep]'`), without their own dependencies, except two. **`mkl`**
+brings Intel's libraries (mkl, intel-openmp, tbb), free of charge and not open source, the only proprietary ones.
+**`video`**: wheels of PyAV (BSD) bundle FFmpeg (LGPL) with x264 and x265 (GPL). palmfield's wheel has none of them;
+whoever passes on an environment with them passes on software under the GPL.
 
 | extra | package | licence |
 |---|---|---|

@@ -126,10 +126,13 @@ def _renamed(configs: Sequence[type["Config"]]) -> list[tuple[str, str]]:
 
 
 def _section(title: str, about: str, rows: Sequence[tuple[str, ...]]) -> list[str]:
-    table = [
-        (key, SHORT.sub(r"\1", takes).replace(" and <", ", <"), *rest) for key, _, takes, *rest in [HEADINGS, *rows]
-    ]
-    return [f"## {title}", "", about, "", _line(table[0]), "|---|---|---|---|", *map(_line, table[1:]), ""]
+    lines = [_line((key, _limits(takes), *rest)) for key, _, takes, *rest in [HEADINGS, *rows]]
+    return [f"## {title}", "", about, "", lines[0], "|---|---|---|---|", *lines[1:], ""]
+
+
+def _limits(takes: str) -> str:
+    """What a key takes, shortened for the page: `> 0, <= 20` for `finite number > 0 and <= 20`."""
+    return SHORT.sub(r"\1", takes).replace(" and <", ", <").replace(" | ", ", ")
 
 
 def _line(row: tuple[str, ...]) -> str:

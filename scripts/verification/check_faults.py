@@ -99,9 +99,8 @@ CASES: list[tuple[str, Callable[[], tuple[str, Outcome]]]] = [
 ]
 HEAD = """# Faults
 
-What the player makes of faults of the line, of the host and of its processes, on a virtual SonicSurface that is sent a
-new frame 88 times a second. "Torn": frames that were played with another number of bytes than a frame has, as half a
-frame would be, or one that was resumed.
+Faults of the line, the host and its processes, on a virtual SonicSurface with 88 new frames a second. "Torn": frames
+played with another number of bytes than a frame has.
 
     python scripts/verification/check_faults.py --write docs/bench/faults.md
 

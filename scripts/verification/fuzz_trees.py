@@ -25,6 +25,7 @@ from small_scene import ARRAYS, small_scene_texts
 
 from palmfield.config import CONFIGS, Config
 from palmfield.studies.bench.field import git_commit
+from palmfield.studies.bench.table import keep_rows
 
 SCENES = ARRAYS.parent / "scenes"
 SHARE_OF_SHIPPED = 0.25
@@ -377,6 +378,10 @@ def main() -> int:
     names = sorted(set(CHANGES) | {name for one in outcomes for name in one.case.fault.split(" + ")})
     counts = {name: Counter(one.outcome for one in outcomes if name in one.case.fault.split(" + ")) for name in names}
     counts["all"] = Counter(one.outcome for one in outcomes)
+    table = ["| change | refused | accepted | bad |", ""]
+    for name, own in counts.items():
+        table.append(f"| {name} | {own['refused']} | {own['accepted']} | {sum(own[one] for one in BAD)} |")
+    link = keep_rows(arguments.write, table, "fuzzing_scenes") if arguments.write else "by change: --write"
     section = [
         HEADING,
         "",
@@ -388,12 +393,8 @@ def main() -> int:
         "Each is planned, and stepped three times if the plan expects a few seconds. Bad: as above, NumPy warnings, "
         "and numbers that are not finite.",
         "",
-        "| change | refused | accepted | bad |",
-        "|---|---|---|---|",
-        *(
-            f"| {name} | {own['refused']} | {own['accepted']} | {sum(own[one] for one in BAD)} |"
-            for name, own in counts.items()
-        ),
+        f"Refused: {counts['all']['refused']}, accepted: {counts['all']['accepted']}, bad: "
+        f"{sum(counts['all'][one] for one in BAD)} ({link}).",
         "",
     ]
     bad = [one for one in outcomes if one.outcome in BAD]

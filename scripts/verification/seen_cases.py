@@ -10,6 +10,7 @@ for, or finer, by another solver where the case allows it; tests of each case ho
 import argparse
 import contextlib
 import io
+import re
 import sys
 import tempfile
 import time
@@ -28,7 +29,7 @@ from palmfield.hand.reportcard import report_card
 from palmfield.planning.scene_plan import warnings
 from palmfield.skin import Motion, Sheet, Slab, Spot, preset, solve, static
 from palmfield.studies.bench.field import git_commit
-from palmfield.studies.bench.table import processor
+from palmfield.studies.bench.table import keep_rows, processor
 from palmfield.types import Float
 
 GEL = preset("ecoflex_00-10")
@@ -237,7 +238,7 @@ def typed(*line: str) -> str:
     return f"exit {code}: {shortened(error.getvalue().strip())}"
 
 
-def shortened(text: str, most: int = 110) -> str:
+def shortened(text: str, most: int = 220) -> str:
     line = " ".join(text.split()).replace("|", "/")
     return line if len(line) <= most else line[:most] + " ..."
 
@@ -327,16 +328,26 @@ CASES = (
 )
 
 
-def page(rows: list[tuple[Case, str]], commit: str) -> str:
+HEAD = ["| case | before | now |", "|---|---|---|"]
+
+
+def verdict(now: str) -> str:
+    """What became of a case, without the words of the message."""
+    found = re.match(r"refused before it is examined|refused|warned|exit \d+|accepted with doubts", now)
+    return found[0] if found else now
+
+
+def page(rows: list[tuple[Case, str]], commit: str, link: str) -> str:
+    """Markdown; link: to the rows with whole messages."""
     lines = [
         "# Cases that went wrong without a word", "",
         "    python scripts/verification/seen_cases.py --write docs/bench/seen_cases.md", "",
         f"Before: what readers found at commit f6cb3e2. Now: what a run of the case gives at commit {commit}, on "
-        f"{processor()}.", "",
+        f"{processor()}. {link} has the messages.", "",
     ]  # fmt: skip
     for part in dict.fromkeys(case.part for case, _ in rows):
-        lines += [f"## {part}", "", "| case | before | now |", "|---|---|---|"]
-        lines += [f"| {case.what} | {case.before} | {now} |" for case, now in rows if case.part == part]
+        lines += [f"## {part}", "", *HEAD]
+        lines += [f"| {case.what} | {case.before} | {verdict(now)} |" for case, now in rows if case.part == part]
         lines.append("")
     return "\n".join(lines)
 
@@ -353,7 +364,8 @@ def main() -> int:
             rows.append((case, case.now()))
             print(f"{case.what}: {rows[-1][1]}", flush=True)
     if arguments.write is not None:
-        arguments.write.write_text(page(rows, arguments.commit or git_commit()))
+        link = keep_rows(arguments.write, [*HEAD, *(f"| {case.what} | {case.before} | {now} |" for case, now in rows)])
+        arguments.write.write_text(page(rows, arguments.commit or git_commit(), link))
     return 1 if any(word in now for _, now in rows for word in ("NOT covered", "ACCEPTED", "SILENT")) else 0
 
 

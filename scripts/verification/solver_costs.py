@@ -24,6 +24,7 @@ from scipy.sparse.linalg import splu
 from palmfield.errors import SceneError
 from palmfield.skin import Sheet, Slab, Spot, Traction, choices, preset, solve
 from palmfield.skin.solver_choice import PREVIEW
+from palmfield.studies.bench.table import keep_rows
 
 YARDSTICK_S = 0.037
 """What the yardstick takes on the machine whose seconds the predictions are."""
@@ -114,7 +115,7 @@ def within(ratios: list[float], factor: float) -> int:
     return sum(1.0 / factor <= ratio <= factor for ratio in ratios)
 
 
-def page(seed: int, rows: list[dict[str, Any]]) -> str:
+def page(seed: int, rows: list[dict[str, Any]], out: Path) -> str:
     """Markdown of a run."""
     commit = subprocess.run(["git", "rev-parse", "HEAD"], capture_output=True, text=True, check=True).stdout.strip()
     ratios = [row["measured_s"] / row["predicted_s"] for row in rows]
@@ -146,19 +147,14 @@ def page(seed: int, rows: list[dict[str, Any]]) -> str:
             lines.append(
                 f"| {name} | {len(some)} | {within(some, 2.0)} | {within(some, 3.0)} | {np.median(some):.2f} |"
             )
-    lines += [
-        "",
-        "Cases outside a factor of 3:",
-        "",
-        "| case | kind | solver | accuracy | predicted [s] | measured [s] | ratio |",
-        "|---|---|---|---|---|---|---|",
-    ]
+    table = ["| case | kind | solver | accuracy | predicted [s] | measured [s] | ratio |", ""]
     for row, ratio in zip(rows, ratios, strict=True):
         if 1 / 3 <= ratio <= 3:
             continue
         took = f"{row['measured_s']:.2g}" + (" (stopped)" if row["words"].startswith("stopped") else "")
         cells = (row["number"], row["kind"], row["solver"], f"{row['accuracy']:.2g}", f"{row['predicted_s']:.2g}", took)
-        lines.append("| " + " | ".join(map(str, cells)) + f" | {ratio:.2f} |")
+        table.append("| " + " | ".join(map(str, cells)) + f" | {ratio:.2f} |")
+    lines += ["", f"Cases outside a factor of 3: {keep_rows(out, table)}."]
     return "\n".join(lines) + "\n"
 
 
@@ -171,7 +167,9 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="write the page of the rows that there are, and measure nothing")
     args = parser.parse_args()
     if args.out:
-        args.out.write_text(page(args.seed, [json.loads(line) for line in args.rows.read_text().splitlines()]))
+        args.out.write_text(
+            page(args.seed, [json.loads(line) for line in args.rows.read_text().splitlines()], args.out)
+        )
         return
     signal.signal(signal.SIGPROF, stop)
     args.rows.write_text("")

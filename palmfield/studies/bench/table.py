@@ -71,6 +71,26 @@ def keep_rows(page: Path, table: list[str], name: str = "") -> str:
     return f"[{file.name}](data/{file.name})"
 
 
+def ranged(rows: list[str], by: tuple[int, ...], of: tuple[int, ...]) -> list[str]:
+    """Return one row for all rows of markdown with equal cells in the columns `by`, with the ranges of columns `of`.
+
+    of: columns of numbers, with a unit after a space or without
+    """
+
+    def number(cell: str) -> float:
+        return float(cell.split()[0])
+
+    groups: dict[tuple[str, ...], list[list[str]]] = {}
+    for own in map(cells, rows):
+        groups.setdefault(tuple(own[i] for i in by), []).append([own[i] for i in of])
+    lines = []
+    for key, some in groups.items():
+        ends = [(min(column, key=number), max(column, key=number)) for column in zip(*some, strict=True)]
+        spread = (low if number(low) == number(high) else f"{low.split()[0]}-{high}" for low, high in ends)
+        lines.append(f"| {' | '.join((*key, *spread))} |")
+    return lines
+
+
 def as_markdown(rows: list[FieldRow], head: Head, models: dict[str, str]) -> str:
     lines = [
         "# Speed and error of the field",
