@@ -20,12 +20,16 @@ from palmfield.acoustics import field, surface_arp
 from palmfield.acoustics.air import density, sound_speed
 from palmfield.acoustics.reference import pressure64
 from palmfield.engine.host import world_of
+from palmfield.outputs import render
 from palmfield.types import Air, Array, Complex, Float
 
 # A test computes what it tests, and leaves nothing behind
 os.environ["PALMFIELD_CACHE"] = "off"
 # Tables are as wide as their words want, whatever terminal the tests run in
 os.environ["COLUMNS"] = "130"
+# A run draws its scene, which takes two seconds at the quality that users get: `drawn_as_for_users`
+QUALITY = render.SUPERSAMPLING, render.AMBIENT_RAYS
+render.SUPERSAMPLING, render.AMBIENT_RAYS = 1, 1
 
 AIR = Air()
 
@@ -94,6 +98,13 @@ def kept_operators(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PALMFIELD_CACHE", str(folder / "kept_operators"))
         yield
+
+
+@pytest.fixture
+def drawn_as_for_users(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pictures of scenes have all their rays."""
+    monkeypatch.setattr(render, "SUPERSAMPLING", QUALITY[0])
+    monkeypatch.setattr(render, "AMBIENT_RAYS", QUALITY[1])
 
 
 @pytest.fixture(scope="session")

@@ -80,7 +80,7 @@ def render_scene(result: xr.DataTree, path: Path, size: tuple[int, int] = (960, 
     level = np.concatenate([pressure for _, pressure in scene.bodies]) / max(scene.peak_Pa, 1e-9)
     solids = np.concatenate([painted.vertices, *(part.mesh.vertices for part in parts)])
     camera = _camera(scene, painted, level, solids, (0.0, 0.09 * height, 0.9 * width, 0.91 * height))
-    image = cast(painted, level, parts, camera, size)
+    image = cast(painted, level, parts, camera, size, quality=(SUPERSAMPLING, AMBIENT_RAYS))
     with style():
         figure = Figure(figsize=(width / DPI, height / DPI), dpi=DPI)
         picture = figure.add_axes((0.0, 0.0, 1.0, 1.0))

@@ -161,6 +161,7 @@ def _silent(arrays, names):
 SCENE = np.s_[50:, :390]
 
 
+@pytest.mark.usefixtures("drawn_as_for_users")
 def test_render_shows_the_pressure(tmp_path, whole, keep):
     # Without the focus, whose guide lines are drawn over the spot.
     loud = keep(whole, ("palm",), ("below",), ())
@@ -217,6 +218,7 @@ def test_obstacles_are_drawn(tmp_path, whole, keep):
     assert bluish.sum() > 200
 
 
+@pytest.mark.usefixtures("drawn_as_for_users")
 def test_render_takes_a_few_seconds(tmp_path, result, yardsticks):
     render_scene(result, tmp_path / "small.png", (64, 48))
     assert yardsticks(lambda: render_scene(result, tmp_path / "scene.png")) < 1000.0
