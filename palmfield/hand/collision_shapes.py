@@ -23,6 +23,7 @@ class Obstacle(NamedTuple):
         """Return vertices [m], shape (n, 3), and faces, shape (m, 3), of all its geoms together."""
         # Imported here: MuJoCo registers the plugins in every process, and most do not need it.
         from trimesh.transformations import quaternion_matrix
+        from trimesh.util import append_faces
 
         parts = []
         for kind, size, position, quaternion in self.geoms:
@@ -30,9 +31,8 @@ class Obstacle(NamedTuple):
             part.apply_transform(quaternion_matrix(quaternion))
             part.apply_translation(position)
             parts.append(part)
-        starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
-        faces = [part.faces + start for part, start in zip(parts, starts[:-1], strict=True)]
-        return np.concatenate([part.vertices for part in parts]), np.concatenate(faces).astype(np.int32)
+        vertices, faces = append_faces([part.vertices for part in parts], [part.faces for part in parts])
+        return vertices.astype(np.float64), faces.astype(np.int32)
 
 
 def _geom_mesh(kind: str, size: tuple[Any, ...]) -> "trimesh.Trimesh":

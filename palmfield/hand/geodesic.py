@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from palmfield.errors import SceneError
-from palmfield.hand.triangles import numbered_edges, unique_edges
+from palmfield.hand.triangles import edge_lengths, numbered_edges
 from palmfield.types import Float, Int, Surface
 
 EDGE_POINTS = 5
@@ -75,8 +75,7 @@ def shortest_way(surface: Surface, start: tuple[int, Float], end: tuple[int, Flo
 def _corridor(surface: Surface, start: tuple[int, Float], end: tuple[int, Float], number: int) -> NDArray[np.int64]:
     """Return faces that the shortest path can cross, by distances along the edges."""
     vertices, faces = surface.vertices, surface.faces
-    edges, _ = unique_edges(faces)
-    length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
+    edges, length = edge_lengths(vertices, faces)
     count = len(vertices)
     graph = sparse.csr_array((np.maximum(length, 1e-12), (edges[:, 0], edges[:, 1])), shape=(count, count))
     away = []

@@ -8,6 +8,7 @@ from scipy.linalg import null_space
 from scipy.spatial.transform import Rotation
 
 from palmfield.errors import MeasurementError
+from palmfield.hand.triangles import face_normals
 from palmfield.instruments.surface_motion import on_mesh
 from palmfield.metrics.checks import finite
 from palmfield.transforms import IDENTITY, Transform
@@ -69,9 +70,7 @@ def to_surface(
     Directions in which the points slide along the surface, on a plane two shifts and one rotation, are not changed.
     """
     points = np.asarray(points_m, dtype=float)
-    corners = np.asarray(vertices, dtype=float)[np.asarray(faces)]
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)
+    across, _ = face_normals(np.asarray(vertices, dtype=float), np.asarray(faces))
     transform, known = begin, np.zeros((0, 6))
     for _ in range(ROUNDS):
         at = transform.points(points)

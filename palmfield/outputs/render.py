@@ -231,9 +231,8 @@ def _copies(mesh: trimesh.Trimesh, positions: Float) -> trimesh.Trimesh:
 
 
 def joined(meshes: list[trimesh.Trimesh]) -> trimesh.Trimesh:
-    starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
-    faces = [mesh.faces + start for mesh, start in zip(meshes, starts[:-1], strict=True)]
-    return trimesh.Trimesh(np.concatenate([m.vertices for m in meshes]), np.concatenate(faces), process=False)
+    vertices, faces = trimesh.util.append_faces([mesh.vertices for mesh in meshes], [mesh.faces for mesh in meshes])
+    return trimesh.Trimesh(vertices, faces, process=False)
 
 
 def cast(
@@ -250,15 +249,11 @@ def cast(
     level: place in the colour map by vertex of painted meshes, 0 to 1; quality: samples a pixel's side, rays of shade
     """
     meshes = [painted, *(part.mesh for part in parts)]
-    offsets = np.cumsum([0, *(len(m.vertices) for m in meshes)])
-    points = np.concatenate([m.vertices for m in meshes])
-    faces = np.concatenate([m.faces + start for m, start in zip(meshes, offsets[:-1], strict=True)])
+    points, faces = trimesh.util.append_faces([m.vertices for m in meshes], [m.faces for m in meshes])
     normals = np.concatenate([painted.vertex_normals, *(p.mesh.vertex_normals for p in parts)])
     counts = [len(part.mesh.vertices) for part in parts]
-    own = (
-        np.repeat([linear_rgb(np.array(part.colour)) for part in parts], counts, axis=0) if parts else np.zeros((0, 3))
-    )
-    albedo = np.concatenate([np.zeros((len(level), 3)), own])
+    tints = [np.zeros(3), *(linear_rgb(np.array(part.colour)) for part in parts)]
+    albedo = np.repeat(tints, [len(level), *counts], axis=0)
     gloss = np.repeat([0.06, *(part.gloss for part in parts)], [len(level), *counts])
     opacity = np.repeat([1.0, *(part.opacity for part in parts)], [len(m.faces) for m in meshes])
     levels = np.concatenate([level, np.full(sum(counts), -1.0)])
