@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from palmfield.types import Float
+from palmfield.types import Float, Float32
 
 Numbers = tuple[float, ...]
 
@@ -87,6 +87,15 @@ def quaternion(rotation: Float) -> Float:
     q = np.empty(4)
     mujoco.mju_mat2Quat(q, np.asarray(rotation, dtype=np.float64).ravel())
     return q if q[0] >= 0 else -q
+
+
+def facing(directions: Float | Float32) -> Float:
+    """Unit quaternions (w, x, y, z) that turn the z axis to unit vectors, (n, 3) -> (n, 4)."""
+    x, y, z = np.asarray(directions, np.float64).T
+    half = np.column_stack([1.0 + z, -y, x, np.zeros(len(z))])
+    # Straight down: half a turn about x
+    half[z < -1.0 + 1e-9] = (0.0, 1.0, 0.0, 0.0)
+    return half / np.linalg.norm(half, axis=1, keepdims=True)
 
 
 def corners_of(points: Float) -> Float:

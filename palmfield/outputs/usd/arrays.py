@@ -14,6 +14,7 @@ from palmfield.outputs.usd.palette import Palette, cyclic_palette, indices_of, p
 from palmfield.outputs.usd.prims import Moves, add_mesh, add_primvar, floats, integers, rounding_told, vectors
 from palmfield.outputs.usd.quantise import rounding
 from palmfield.outputs.usd.samples import Samples
+from palmfield.transforms import facing
 from palmfield.types import Float, Int
 
 CASE_COLOUR = (0.35, 0.37, 0.40)
@@ -45,10 +46,9 @@ class ArrayWriter:
         instancer.CreatePrototypesRel().SetTargets([prototype.GetPath()])
         instancer.CreateProtoIndicesAttr(Vt.IntArray([0] * len(positions)))
         instancer.CreatePositionsAttr(vectors(positions))
-        turns = _facing(array["transducer_direction"].values) if "transducer_direction" in array else None
+        turns = _turns(array)
         if turns is not None:
-            quaternions = np.roll(turns.as_quat(), 1, axis=1)
-            instancer.CreateOrientationsAttr(Vt.QuathArray([Gf.Quath(*one) for one in quaternions.tolist()]))
+            instancer.CreateOrientationsAttr(Vt.QuathArray([Gf.Quath(*one) for one in turns.tolist()]))
         instancer.CreateExtentAttr(instancer.ComputeExtentAtTime(Usd.TimeCode.Default(), Usd.TimeCode.Default()))
         palette = cyclic_palette(TURN)
         self._palette = palette._replace(colours=np.vstack([palette.colours, CASE_COLOUR]))  # with one for silence
@@ -98,21 +98,19 @@ def _numbers(palette: Palette, size: Float, phase: Float) -> Int:
     return np.where(size > SILENT, palette.numbers(phase), len(palette.colours) - 1).astype(np.int32)
 
 
-def _facing(directions: Float) -> Rotation | None:
-    """Return rotations of z to each direction, shape (n, 3); None if all are z."""
-    axis = np.cross([0.0, 0.0, 1.0], directions)
-    sine = np.linalg.norm(axis, axis=1)
-    if sine.max() < 1e-9 and directions[:, 2].min() > 0.0:
+def _turns(array: xr.Dataset) -> Float | None:
+    """Return quaternions (w, x, y, z) that turn z to the directions of transducers, (n, 4); None if all are z."""
+    directions = array.get("transducer_direction")
+    if directions is None or np.abs(directions.values - [0.0, 0.0, 1.0]).max() < 1e-9:
         return None
-    # The opposite direction is half a turn about x
-    axis = np.where(sine[:, None] > 1e-9, axis / np.maximum(sine, 1e-9)[:, None], [1.0, 0.0, 0.0])
-    return Rotation.from_rotvec(np.arctan2(sine, directions[:, 2])[:, None] * axis)
+    return facing(directions.values)
 
 
-def _discs(positions: Float, turns: Rotation | None, radius: float, above: float) -> Float:
+def _discs(positions: Float, turns: Float | None, radius: float, above: float) -> Float:
     """Corners of a disc at each transducer, at this height above its face, shape (n * CORNERS, 3)."""
     angle = TURN * np.arange(CORNERS) / CORNERS
     ring = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), np.full(CORNERS, above)])
     if turns is None:
         return (positions[:, None, :] + ring).reshape(-1, 3)
-    return (positions[:, None, :] + np.einsum("nij,cj->nci", turns.as_matrix(), ring)).reshape(-1, 3)
+    matrices = Rotation.from_quat(turns, scalar_first=True).as_matrix()
+    return (positions[:, None, :] + np.einsum("nij,cj->nci", matrices, ring)).reshape(-1, 3)

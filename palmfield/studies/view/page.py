@@ -27,6 +27,7 @@ from palmfield.studies.view.colours import (
 )
 from palmfield.studies.view.gate import ALIVE, LOCAL, Gate, only_for_gate
 from palmfield.studies.view.glb import GlbMesh, linear
+from palmfield.transforms import facing
 from palmfield.types import Float32
 
 PORT = 8080
@@ -481,12 +482,3 @@ def disc(radius_m: float) -> tuple[np.ndarray, np.ndarray]:
     ring = np.arange(1, DISC_SIDES + 1)
     faces = np.column_stack([np.zeros(DISC_SIDES, int), ring, np.roll(ring, -1)])
     return np.vstack([np.zeros(3), rim]).astype(np.float32), faces.astype(np.uint32)
-
-
-def facing(directions: Float32) -> np.ndarray:
-    """Quaternions (w, x, y, z) that turn the z axis to unit vectors, (n, 3) -> (n, 4)."""
-    x, y, z = np.asarray(directions, np.float64).T
-    half = np.column_stack([1.0 + z, -y, x, np.zeros(len(z))])
-    # Straight down: half a turn about x
-    half[z < -1.0 + 1e-9] = (0.0, 1.0, 0.0, 0.0)
-    return half / np.linalg.norm(half, axis=1, keepdims=True)

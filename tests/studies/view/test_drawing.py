@@ -10,6 +10,7 @@ from pygltflib import GLTF2
 
 from palmfield.studies.view.colours import motion_scale, phase_colours, rounded_up, size_scale
 from palmfield.studies.view.glb import GlbMesh, linear
+from palmfield.transforms import facing
 
 page = pytest.importorskip("palmfield.studies.view.page", reason="the extra `view` is not installed")
 
@@ -86,7 +87,7 @@ def test_discs_face_where_transducers_emit():
     directions = rng.normal(size=(50, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     directions[:2] = [[0, 0, 1], [0, 0, -1]]
-    w, x, y, z = page.facing(directions.astype(np.float32)).T
+    w, x, y, z = facing(directions.astype(np.float32)).T
     turned = np.column_stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
     np.testing.assert_allclose(turned, directions, atol=1e-6)
     vertices, faces = page.disc(0.005)
