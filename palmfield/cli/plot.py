@@ -69,7 +69,7 @@ def plot(
     """
     from palmfield.outputs.pictures.asked import asked_for
     from palmfield.outputs.pictures.draw import checked_kinds, draw_pictures
-    from palmfield.outputs.store import RESULT, open_result
+    from palmfield.outputs.store import open_result
 
     if listed:
         list_kinds(run, out, as_json)
@@ -82,9 +82,8 @@ def plot(
         _plot_speed(run, named, asked, out, suffix, as_json)
         return
     checked_kinds(named)
-    file = run / RESULT if run.is_dir() else run
-    with open_result(file) as result:
-        files, missing = draw_pictures(result, out or file.parent / "plots", named, asked, suffix)
+    with open_result(run) as result:
+        files, missing = draw_pictures(result, out or _plots(run), named, asked, suffix)
     if as_json:
         print_json({"files": {kind: str(path) for kind, path in files.items()}, "missing": missing})
         return
@@ -98,14 +97,13 @@ def list_kinds(run: Path | None, out: Path | None, as_json: bool) -> None:
     """Print the kinds with a line about each; of a run, draw small pictures of all into one, kinds.png."""
     from palmfield.outputs.pictures.kinds import KINDS
     from palmfield.outputs.pictures.sheet import draw_sheet
-    from palmfield.outputs.store import RESULT, open_result
+    from palmfield.outputs.store import open_result
 
     about = {name: kind.about for name, kind in KINDS.items()} | {SPEED: ABOUT_SPEED}
     sheet, missing = None, {}
     if run is not None:
-        file = run / RESULT if run.is_dir() else run
-        sheet = (out or file.parent / "plots") / SHEET
-        with open_result(file) as result:
+        sheet = (out or _plots(run)) / SHEET
+        with open_result(run) as result:
             missing = draw_sheet(result, sheet)
     if as_json:
         print_json(about if sheet is None else {"kinds": about, "sheet": str(sheet), "missing": missing})
@@ -113,6 +111,11 @@ def list_kinds(run: Path | None, out: Path | None, as_json: bool) -> None:
     for name, words in about.items():
         print(f"{name:12} {words}{' (this run has none)' if name in missing else ''}")
     print("overview of all plots: " + ("give a run, palmfield plot DIR --list" if sheet is None else f"wrote {sheet}"))
+
+
+def _plots(run: Path) -> Path:
+    """The folder of a run's plots, from that of the run or from a file in it."""
+    return (run if run.is_dir() else run.parent) / "plots"
 
 
 def _plot_speed(run: Path, kinds: Sequence[str], asked: "Asked", out: Path | None, suffix: str, as_json: bool) -> None:
@@ -132,7 +135,7 @@ def _plot_speed(run: Path, kinds: Sequence[str], asked: "Asked", out: Path | Non
     refuse_unknown(OutputError, "--format has value {}", suffix, FORMATS)
     figure = speed_picture(run)
     figure.set_dpi(DPI)
-    path = (out or run.parent / "plots") / f"{SPEED}.{suffix}"
+    path = (out or _plots(run)) / f"{SPEED}.{suffix}"
     made_folder(path.parent)
     with style():
         save(figure, path, DPI)

@@ -39,14 +39,13 @@ def render(
     """
     from palmfield.outputs.film import FPS, Cut, film
     from palmfield.outputs.pictures.asked import asked_for
-    from palmfield.outputs.store import RESULT, open_result
+    from palmfield.outputs.store import open_result
     from palmfield.terminal import bars
 
     ends = asked_for(None, (), limits, None, "displacement", None).limits
     start, end = (None if at is None else 1e-3 * at for at in (start_ms, end_ms))
     cut = Cut(start, end, slow, magnify, show, ends, _size_of(size))
-    file = run / RESULT if run.is_dir() else run
-    with open_result(file) as result, bars(not context.obj) as bar:
+    with open_result(run) as result, bars(not context.obj) as bar:
         task = bar.add_task("drawing frames", total=None)
         frames = film(result, video, cut, lambda done, of: bar.update(task, completed=done, total=of))
     if as_json:

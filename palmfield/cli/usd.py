@@ -67,7 +67,7 @@ def usd(
     palmfield usd out/palm --from 20 --to 40 --magnify 5000 --field slice --field isosurface --check
     """
     from palmfield.outputs.pictures.asked import asked_for
-    from palmfield.outputs.store import RESULT, open_result
+    from palmfield.outputs.store import open_result
     from palmfield.outputs.usd.shown import Shown
     from palmfield.outputs.usd.validation import validate_usd
     from palmfield.outputs.usd.write import write_usd
@@ -85,9 +85,8 @@ def usd(
         start_s=start, end_s=end, frames=frames, field=tuple(field or ()),
         field_times_s=tuple(1e-3 * at for at in field_ms or ()), level_Pa=level_Pa, observer=observer,
     )  # fmt: skip
-    file = run / RESULT if run.is_dir() else run
-    path = out or file.parent / "scene.usdc"
-    with open_result(file) as result, bars(not context.obj) as bar:
+    path = out or (run if run.is_dir() else run.parent) / "scene.usdc"
+    with open_result(run) as result, bars(not context.obj) as bar:
         task = bar.add_task("writing frames", total=None)
         write_usd(result, path, shown, on_frame=lambda done, of: bar.update(task, completed=done, total=of))
     findings = validate_usd(path) if check else []

@@ -1,6 +1,6 @@
 """The motion of a scene's keys, from a file or function."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -60,23 +60,26 @@ def motion_of(config: MotionConfig, array: Transform = IDENTITY) -> HandMotion:
     return HandMotion(hand, at)
 
 
-def tracker_frame(config: MotionConfig, array: Transform) -> Transform:
+def tracker_frame(
+    array: Transform, alignment: str | Path | None, up: str | None, origin_m: Sequence[float] = (0.0, 0.0, 0.0)
+) -> Transform:
     """The tracker's space in the world of a scene whose first array is at `array`.
 
-    Raises SceneError for an alignment that cannot be read.
+    alignment: file of `palmfield track align`; without it the tracker's origin is at `origin_m` [m], and `up` is its
+        axis that points up. Raises SceneError for an alignment that cannot be read.
     """
-    if config.tracking_alignment is not None:
-        position, rotation = read_alignment(config.tracking_alignment).transform
+    if alignment is not None:
+        position, rotation = read_alignment(alignment).transform
         return Transform(array.points(position), array.rotation @ rotation)
-    turn = Rotation.from_euler("x", 90.0 if config.tracking_up == "y" else 0.0, degrees=True)
-    return Transform(np.array(config.tracking_origin_m), turn.as_matrix())
+    turn = Rotation.from_euler("x", 90.0 if up == "y" else 0.0, degrees=True)
+    return Transform(np.array(origin_m), turn.as_matrix())
 
 
 def _tracked(config: MotionConfig, array: Transform) -> Stream:
     """Return the recorded stream in the world of the scene; with ahead_s as a live system would predict it."""
     assert config.tracking is not None
     stream = read_stream(config.tracking)
-    frame = tracker_frame(config, array)
+    frame = tracker_frame(array, config.tracking_alignment, config.tracking_up, config.tracking_origin_m)
     turn = Rotation.from_matrix(frame.rotation)
     turned = turn * Rotation.from_quat(stream.quaternions.reshape(-1, 4), scalar_first=True)
     stream = replace(

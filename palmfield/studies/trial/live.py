@@ -6,15 +6,14 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from palmfield.drive.frame_log import FrameLog
 from palmfield.drive.limits import SoundLimits
 from palmfield.drive.playback import frame_times
 from palmfield.errors import SceneError
-from palmfield.motion.alignment import read_alignment
 from palmfield.motion.line_listener import By
 from palmfield.motion.live_hand import STALE_S, LiveHand
+from palmfield.motion.source import tracker_frame
 from palmfield.motion.tracking import Stream
 from palmfield.session.live_scene import LiveScene
 from palmfield.session.preview import Preview
@@ -50,11 +49,7 @@ class Live:
 
     def frame(self, array: Transform) -> Transform:
         """The tracker's space in the world. array: frame of the first array. Raises SceneError for a bad file."""
-        if self.align is not None:
-            position, rotation = read_alignment(self.align).transform
-            return Transform(array.points(position), array.rotation @ rotation)
-        turn = Rotation.from_euler("x", 90.0 if self.up == "y" else 0.0, degrees=True)
-        return Transform(np.zeros(3), turn.as_matrix())
+        return tracker_frame(array, self.align, self.up)
 
     def keys(self, name: str, stream: Path, start_s: float) -> dict[str, object]:
         """Return keys that make an instance, by its name, follow the tracker's samples."""
