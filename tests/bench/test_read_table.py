@@ -12,8 +12,8 @@ from palmfield.studies.bench.read_table import speed_picture
 
 HEAD = table.Head("command", "abc", "processor", "CPU", 0.04, 2.0, 5, 996, (100,), "")
 SKIN_ROWS = [
-    skin.SkinRow("one", "asked for 0.1", 0.359, 0.0043, 0.0068, 0.0081),
-    skin.SkinRow("one", "asked for 0.01", 1.35, 0.0038, 0.0073, None),
+    skin.SkinRow("one", "target 0.1", 0.359, 0.0043, 0.0068, 0.0081),
+    skin.SkinRow("one", "target 0.01", 1.35, 0.0038, 0.0073, None),
     skin.SkinRow("still", "4 cells", 0.428, 0.77, None, None),
     skin.SkinRow("absent", "4 cells", missing="it is not installed"),
 ]

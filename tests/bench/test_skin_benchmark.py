@@ -18,7 +18,7 @@ def test_our_row_holds_the_true_error_and_the_stated_one() -> None:
 
 def test_report_and_picture(tmp_path: Path) -> None:
     rows = [
-        skin.SkinRow("palmfield lateral_waves", "asked for 0.1", 0.3, 0.004, 0.007, 0.005),
+        skin.SkinRow("palmfield lateral_waves", "target 0.1", 0.3, 0.004, 0.007, 0.005),
         skin.SkinRow("scikit-fem, quadratic", "4 cells", missing="not here"),
         skin.SkinRow("MuJoCo flex, trilinear", "8 cells", 3.8, 0.53, None),
     ]
@@ -26,7 +26,7 @@ def test_report_and_picture(tmp_path: Path) -> None:
     skin.draw([row for row in rows if not row.missing], picture)
     assert picture.stat().st_size > 5000
     text = skin.as_markdown(rows, "cpu", 0.04, "abc", picture, tmp_path / "skin.md")
-    assert "| palmfield lateral_waves | asked for 0.1 | 0.3 | 0.4 % | 0.7 % | 0.5 % |" in text
+    assert "| palmfield lateral_waves | target 0.1 | 0.3 | 0.4 % | 0.7 % | 0.5 % |" in text
     assert "not run: not here" in text and "![Time against error](skin.png)" in text
 
 

@@ -96,7 +96,7 @@ def own(case: Case, name: str, accuracy: float, device: str, runs: int) -> SkinR
     moving = 2.0 * 2.0 * np.mean(push * np.exp(2j * np.pi * F_Hz * times)) / 1j
     still, exact = case.exact()
     return SkinRow(
-        f"palmfield {name}", f"asked for {accuracy:g}", statistics.median(seconds[1:] or seconds),
+        f"palmfield {name}", f"target {accuracy:g}", statistics.median(seconds[1:] or seconds),
         abs(2.0 * push.mean() / still - 1.0), abs(moving / exact - 1.0), motions[-1].error,
     )  # fmt: skip
 
