@@ -2,12 +2,11 @@
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from rich.progress import Progress
 
 from palmfield.drive.transducer_response import EmittedCourse
 from palmfield.errors import SceneError
@@ -25,6 +24,9 @@ from palmfield.simulation.validate import check_clear
 from palmfield.simulation.workspace import Workspace, gather
 from palmfield.skin.stepper import SkinStepper
 from palmfield.types import Complex, Float
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
 
 RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
 PASSIVE = int(mujoco.mjtDisableBit.mjDSBL_SPRING) | int(mujoco.mjtDisableBit.mjDSBL_DAMPER)
@@ -109,7 +111,7 @@ class SceneRuntime:
         """Forget the last pose."""
         self._posed, self._numbers, self._begun = self.work.reference, b"", None
 
-    def prepare(self, bar: Progress) -> None:
+    def prepare(self, bar: "Progress") -> None:
         """Make what steps the skins and is not made yet, with the time that the plan expects for it on a bar."""
         if all(lazy.made for lazy in self.model.begin):
             return

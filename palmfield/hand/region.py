@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 
-import contourpy
 import numpy as np
 import scipy  # which loads its parts when they are used
 from numpy.typing import NDArray
@@ -155,9 +154,11 @@ def trace_shape(region: Region, step_m: float, spike_m: float) -> Shape:
     # An opening (erode, then dilate) by spike_m; the slack of the grid keeps smooth boundaries as they are.
     opened = step_m * scipy.ndimage.distance_transform_edt(core != home) - spike_m - step_m
     distance = np.maximum(distance, opened)
+    from contourpy import contour_generator
+
     loops = [
         _snap(region, Shape(x, opened, []), np.asarray(line)[:-1])
-        for line in contourpy.contour_generator(x, x, distance).lines(0.0)
+        for line in contour_generator(x, x, distance).lines(0.0)
         if len(line) > 3
     ]
     around = [loop for loop in loops if contains(loop, np.zeros((1, 2)))]

@@ -8,6 +8,8 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
+from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,15 +20,10 @@ from rich.progress import Progress
 
 from palmfield.errors import MeasurementError, OutputError
 from palmfield.interrupts import interrupts_held
-from palmfield.outputs.pictures.draw import checked_kinds, draw_pictures
-from palmfield.outputs.plots import plot_displacement, plot_pressure
-from palmfield.outputs.render import render_scene
 from palmfield.outputs.schema import MUJOCO_SCENE, group
 from palmfield.outputs.store import MemoryStore, Store, open_result, refuse_occupied, write_json
 from palmfield.outputs.store import recover as assemble
 from palmfield.outputs.summary import summary
-from palmfield.outputs.usd import write_usd
-from palmfield.outputs.usd.stage_file import left_scenes
 from palmfield.session.duration import check_duration, step_count
 from palmfield.session.mujoco_scene import body_poses
 from palmfield.session.open_scene import Source
@@ -35,11 +32,18 @@ from palmfield.session.simulation import Simulation
 from palmfield.terminal import bars
 
 LOG = logging.getLogger("palmfield.session")
+
+
+def _drawn_by(module: str, function: str, tree: xr.DataTree, path: Path) -> None:
+    """Call a function of `palmfield.outputs`: Matplotlib and OpenUSD load when the steps are done."""
+    getattr(import_module(f"palmfield.outputs.{module}"), function)(tree, path)
+
+
 PICTURES: tuple[tuple[str, Callable[[Any, Path], None]], ...] = (
-    ("pressure.png", plot_pressure),
-    ("displacement.png", plot_displacement),
-    ("scene.png", render_scene),
-    ("scene.usdc", write_usd),
+    ("pressure.png", partial(_drawn_by, "plots", "plot_pressure")),
+    ("displacement.png", partial(_drawn_by, "plots", "plot_displacement")),
+    ("scene.png", partial(_drawn_by, "render", "render_scene")),
+    ("scene.usdc", partial(_drawn_by, "usd.write", "write_usd")),
 )
 CONVENTIONS = {
     "time_factor": "e^{-i w t}: a delay is +phase",
@@ -100,6 +104,8 @@ def run_recorded(
     if duration_s is not None:
         check_duration(duration_s)
     if plots:
+        from palmfield.outputs.pictures.draw import checked_kinds
+
         checked_kinds(plots)
     if out is not None:
         # Before any computation; the store checks again.
@@ -179,6 +185,8 @@ def recover(out: str | Path, *, progress: bool = False) -> dict[str, Path]:
     Remains of a killed USD export are reported and not removed: a user may need them, or they may still be written.
     Returns the files by name. Raises OutputError if there is no data to recover or the disk is full.
     """
+    from palmfield.outputs.usd.stage_file import left_scenes
+
     out = Path(out)
     try:
         return _recovered(out, progress)
@@ -210,6 +218,8 @@ def draw(tree: xr.DataTree, out: Path, bar: Progress, plots: Sequence[str] | Non
     for kind in plots or ():
         bar.update(task, description=f"drawing {kind}")
         try:
+            from palmfield.outputs.pictures.draw import draw_pictures
+
             drawn, _ = draw_pictures(tree, out / "plots", [kind])
             files |= {f"plots/{path.name}": path for path in drawn.values()}
         except (OutputError, MeasurementError) as error:
