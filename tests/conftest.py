@@ -1,5 +1,6 @@
 """Scenes small enough to step in a test."""
 
+import functools
 import gc
 import os
 import sys
@@ -16,6 +17,7 @@ from second_of_something import add_skin as add_skin
 from second_of_something import moment as moment
 from small_scene import small_scene_texts
 
+from palmfield import threads
 from palmfield.acoustics import field, surface_arp
 from palmfield.acoustics.air import density, sound_speed
 from palmfield.acoustics.reference import pressure64
@@ -38,6 +40,13 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--nightly", action="store_true", help="also run the long checks marked nightly")
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """Of processes that share the machine each takes its share of cores, but where times are real, and nightly."""
+    processes = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+    if processes > 1 and not config.getoption("--nightly") and config.option.markexpr != "wall_clock":
+        threads.limit(max(1, threads.cores() // processes))
+
+
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
     return lacks_marker(config, collection_path) or None
 
@@ -58,6 +67,11 @@ def pytest_fixture_setup(fixturedef: pytest.FixtureDef[object], request: pytest.
             (FIXTURE, f"{name_of_fixture(fixturedef.baseid, fixturedef.argname)} {took:.2f}")
         )
     return result
+
+
+def pytest_collection_finish() -> None:
+    """What was imported stays: collections of garbage in tests need not go through it again."""
+    gc.freeze()
 
 
 Write = Callable[..., Path]
@@ -98,6 +112,13 @@ def kept_operators(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PALMFIELD_CACHE", str(folder / "kept_operators"))
         yield
+
+
+@pytest.fixture
+def all_cores(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No limit of cores, and helpers for all of them, until the test ends."""
+    monkeypatch.setattr(threads, "_most", [])
+    monkeypatch.setattr(threads, "_helpers", functools.cache(threads._helpers.__wrapped__))
 
 
 @pytest.fixture

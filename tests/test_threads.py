@@ -12,6 +12,8 @@ import pytest
 from palmfield import threads
 from palmfield.threads import share
 
+pytestmark = pytest.mark.usefixtures("all_cores")
+
 
 def test_the_first_error_of_a_helper_is_raised_when_none_works_any_more():
     """The caller's own block lasts until two helpers have begun theirs; one of them fails, and the other goes on."""

@@ -172,6 +172,7 @@ def test_threads_must_be_able_to_compute(threads: int) -> None:
         FieldEvaluator(layout("uhev1"), AIR, "cpu", threads=threads)
 
 
+@pytest.mark.usefixtures("all_cores")
 def test_threads_are_as_many_as_the_process_may_use(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {3, 5, 6}, raising=False)
     assert FieldEvaluator(layout("uhev1"), AIR, "cpu").threads == 3

@@ -41,7 +41,7 @@ BOARD_OF = {
     "two_hands_both_feel": "autd3",
 }
 QUICK = {"skin.accuracy": 0.5}
-STEPPED = ("grasp_object", "palm_circle_sonicsurface", "palm_step_sonicsurface", "stroke_palm", "two_hands_both_feel")
+STEPPED = ("grasp_object", "palm_circle_sonicsurface", "palm_step_sonicsurface", "tap_button", "two_hands_both_feel")
 """Scenes that are stepped on another board in each run: every board, and hands that move; the others nightly."""
 
 

@@ -86,6 +86,7 @@ def test_what_blocks_cannot_take_goes_to_superlu():
 
 
 @pytest.mark.numerics
+@pytest.mark.usefixtures("all_cores")
 @pytest.mark.parametrize("kind", [float, complex])
 def test_one_thread_and_two_give_the_same_bits(kind):
     """Two branches, and a trunk of two supernodes: threads share out the products of its first one."""
