@@ -8,8 +8,7 @@ import typer
 from palmfield.cli.options import group
 
 bench = group(
-    "bench",
-    "Measure the speed and the accuracy of palmfield on this machine.\n\nExample: palmfield bench field",
+    "bench", "Measure the speed and the accuracy of palmfield on this machine.\n\nExample: palmfield bench field"
 )
 
 

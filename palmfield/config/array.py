@@ -12,11 +12,7 @@ Layout = Literal[
     "uhev1", "sonicsurface", "autd2018", "autd2018_2x2", "autd3", "autd3_2x2", "autd3_3x2", "autd3_4x2",
     "two_bow_as_printed", "two_bow_corrected", "stratos_explore", "openmpd", "openmpd_rows", "ultraino", "sites", "csv",
 ]  # fmt: skip
-AIR_LIMITS = {
-    "temperature_C": (-20.0, 50.0),
-    "humidity_percent": (0.0, 100.0),
-    "pressure_Pa": (10e3, 200e3),
-}
+AIR_LIMITS = {"temperature_C": (-20.0, 50.0), "humidity_percent": (0.0, 100.0), "pressure_Pa": (10e3, 200e3)}
 """Air that ISO 9613-1 covers; its lower end of pressure is an altitude of about 16 km."""
 DIRECTIVITIES_FOLDER = Path(__file__).parents[1] / "acoustics" / "directivities"
 if TYPE_CHECKING:
