@@ -6,7 +6,6 @@ from typing import Any, Literal
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
 from palmfield.device import recorded, whole_numbers
 from palmfield.mujoco_host.mujoco_view import DataView
@@ -76,11 +75,8 @@ class ManyData:
         host[:] = values
         call()
 
-    def push(self, bodies: Sequence[int], worlds: NDArray[np.intp], forces: Float, torques: Float) -> None:
-        """Add forces on bodies [N] and torques about their origins [N m] to the passive ones of some worlds, (g,).
-
-        World axes, shapes (g, n, 3)
-        """
+    def push(self, bodies: Sequence[int], forces: Float, torques: Float) -> None:
+        """Add forces on bodies [N] and torques about their origins [N m] to the passive ones, world axes, (w, n, 3)."""
         if self.views[0].model.raw.nv == 0:
             return
         whole = np.asarray(bodies, np.int32)
@@ -96,8 +92,7 @@ class ManyData:
                 calls.append(recorded(kernels.push_bodies, own.stop - own.start, inputs, "cpu"))
             self._pushing[key] = buffer.numpy(), calls
         host, shared = self._pushing[key]
-        host[:] = 0.0
-        host[worlds, :, :3], host[worlds, :, 3:] = forces, torques
+        host[..., :3], host[..., 3:] = forces, torques
         self._share(shared)
 
     def _blocks(self) -> list[slice]:

@@ -21,8 +21,7 @@ class WorldPoses:
     positions, matrices: where the runtimes put the world frames that they take, shapes (worlds, m, 3), (worlds, m, 9)
     """
 
-    def __init__(self, runtimes: Sequence[SceneRuntime], many: ManyData, positions: Float, matrices: Float):
-        self._many = many
+    def __init__(self, runtimes: Sequence[SceneRuntime], positions: Float, matrices: Float):
         self.runtimes, self._positions, self._matrices = runtimes, positions, matrices
         first = runtimes[0]
         self._model, self._layout = first.model, first.layout
@@ -46,10 +45,10 @@ class WorldPoses:
         self._resting: NDArray[np.bool_] = np.zeros(count, dtype=bool)
         self._where: Float = np.zeros((count, self._fixed, 12))
 
-    def take(self) -> None:
-        """Take the world frames of all worlds."""
-        for taking in self._taking:
-            self._many.take(*taking)
+    def take(self, many: ManyData, own: slice) -> None:
+        """Take the world frames of some worlds; many: their data."""
+        for field, offsets, result in self._taking:
+            many.take(field, offsets, result[own])
 
     def now(self, some: NDArray[np.bool_]) -> dict[int, PosedScene]:
         """The pose of some worlds, shape (worlds,), by what `take` has found.

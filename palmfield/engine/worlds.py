@@ -65,7 +65,6 @@ class SceneWorlds:
                     module.hand_over()
         like: SceneRuntime = led.scene
         views = [DataView(self.mujoco_model._address, one._address) for one in self.data]
-        self.many = ManyData(views, bool(self._worlds))
         self.runtimes = [SceneRuntime(view, like) for view in views]
         frames = like.frames
         positions, matrices = np.zeros((count, frames, 3)), np.zeros((count, frames, 9))
@@ -78,7 +77,10 @@ class SceneWorlds:
             self._sensors.append([view.sensors(skin.instance) for skin in runtime.binding.skins])
         self.steps = Steps(models, works, self.state, alone=True)
         self._watched = False
-        self._poses = WorldPoses(self.runtimes, self.many, positions, matrices)
+        # Each with the data of its worlds: a graph computes one while MuJoCo moves the bodies of another
+        owns = [backend.own for backend in self.steps.backends[:-1]] or [slice(0, count)]
+        self._parts = [(own, ManyData(views[own], bool(self._worlds))) for own in owns]
+        self._poses = WorldPoses(self.runtimes, positions, matrices)
         self._frames = Frames(positions, matrices, self._poses.now)
 
     # -- stepping ------------------------------------------------------------------------------------------------------
@@ -89,10 +91,7 @@ class SceneWorlds:
         t0 = self._common_time()
         with explaining():
             self._lead(t0)
-            self._each("mj_step1")
-            self._push(t0)
-            self._sense()
-            self._each("mj_step2")
+            self._begin(t0, moves=True)
             t1 = self._common_time()
             for module in self._scripts:
                 self._put(module.due(t1))
@@ -124,10 +123,8 @@ class SceneWorlds:
         """Forces and sensors at the present time, without a step."""
         t0 = self._common_time()
         self._lead(t0)
-        self._each("mj_step1")
         with explaining():
-            self._push(t0)
-            self._sense()
+            self._begin(t0, moves=False)
         for one in self.data:
             mujoco.mj_forwardSkip(self.mujoco_model, one, int(mujoco.mjtStage.mjSTAGE_VEL), 0)
 
@@ -138,7 +135,8 @@ class SceneWorlds:
             self._put(module.due(time_s, at_once=True))
         for one in self.data:
             place(one)
-        self.many.call("mj_kinematics")
+        for part in range(len(self._parts)):
+            self._each(part, "mj_kinematics")
 
     def adopt(self, other: "SceneWorlds") -> None:
         """Go on as the other would, whose data and state are copied already."""
@@ -157,22 +155,25 @@ class SceneWorlds:
 
     # -- the parts of a step -------------------------------------------------------------------------------------------
 
-    def _each(self, call: str) -> None:
-        """Let MuJoCo do something in every world."""
-        self.many.call(call)
-        for number, world in enumerate(self._worlds):
+    def _each(self, part: int, call: str) -> None:
+        """Let MuJoCo do something in every world of a part."""
+        own, many = self._parts[part]
+        many.call(call)
+        for number, world in enumerate(self._worlds[own], own.start):
             if world.error is not None:
                 with naming_world(number):
                     raise_errors(self.data[number])
 
     def _put(self, writes: Sequence[Write]) -> None:
         """Write the same numbers, or those of each world, into all of them."""
-        for write in writes:
-            self.many.put(*write)
+        for field, offsets, values in writes:
+            each = np.asarray(values)
+            for own, many in self._parts:
+                many.put(field, offsets, each[own] if each.ndim > 1 else each)
 
     def _common_time(self) -> float:
         """The time of MuJoCo [s]. Raises SceneError for worlds at different times."""
-        times = self.many.times()
+        times = np.concatenate([many.times() for _, many in self._parts])
         if (times != times[0]).any():
             number = int(np.argmax(times != times[0]))
             raise SceneError(
@@ -193,19 +194,45 @@ class SceneWorlds:
         """Bring the state up to date, where a device has what is newer."""
         self.steps.fetch()
 
-    def _push(self, t0: float) -> None:
-        """Add the forces of the sound to the passive forces of MuJoCo."""
+    def _begin(self, t0: float, moves: bool) -> None:
+        """Poses, forces and sensors at the beginning of a step; moves: MuJoCo then moves the bodies."""
         if not self._watched and self.steps.in_graph:
             for skin, sensors in enumerate(self._sensors[0]):
                 for sensor in sensors:
                     self.steps.watch(skin, self.runtimes[0].place(skin, sensor))
-        self._watched = True
-        self._poses.take()
-        self.steps.begin(self._frames, t0)
-        everybody = np.arange(len(self.data))
-        for body, own in enumerate(self.steps.forces):
-            self.forces[:, body] = np.add.reduce(own[:, 0], axis=1)
-            self.many.push(self.runtimes[0].parts[body], everybody, own[:, 0], own[:, 1])
+        self._watched, parts, late = True, range(len(self._parts)), list[int]()
+        for part in parts:
+            own, many = self._parts[part]
+            self._each(part, "mj_step1")
+            self._poses.take(many, own)
+            if part < len(self.steps.backends) - 1:
+                self.steps.start(part, self._frames, t0)
+        for part in parts:
+            if len(parts) > 1 and self.steps.ready(part):
+                self._push(part)
+                if moves:
+                    self._each(part, "mj_step2")
+            else:
+                late.append(part)
+        try:
+            self.steps.begin(self._frames, t0)
+        except Exception:
+            # All worlds keep one time
+            for part in late if moves and len(late) < len(parts) else ():
+                self._each(part, "mj_step2")
+            raise
+        for part in late:
+            self._push(part)
+        self._sense()
+        for part in late if moves else ():
+            self._each(part, "mj_step2")
+
+    def _push(self, part: int) -> None:
+        """Add the forces of the sound to the passive forces of MuJoCo."""
+        own, many = self._parts[part]
+        for body, forces in enumerate(self.steps.forces):
+            self.forces[own, body] = np.add.reduce(forces[own, 0], axis=1)
+            many.push(self.runtimes[0].parts[body], forces[own, 0], forces[own, 1])
 
     def _sense(self) -> None:
         """Fill the sensors of all worlds."""
@@ -213,7 +240,9 @@ class SceneWorlds:
             force = self.forces[:, self.models[0].skins[skin].body]
             for sensor in sensors:
                 arp, motion = self.steps.sense(skin, self.runtimes[0].place(skin, sensor))
-                self.many.put("sensordata", sensor.offsets, channels_of_worlds(force, motion, arp))
+                read = channels_of_worlds(force, motion, arp)
+                for own, many in self._parts:
+                    many.put("sensordata", sensor.offsets, read[own])
 
     def _advance(self, t1: float) -> None:
         """Carry transducers and skins of all worlds over the last MuJoCo step, with the poses at its beginning."""

@@ -2,6 +2,8 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import repeat
+from operator import is_not
 from typing import NamedTuple
 
 import numpy as np
@@ -61,8 +63,10 @@ class Backend:
     A step begins with `place`, `emit`, `press` and `push`, in this order; `sense` follows for each sensor, and
     `step_skins` when MuJoCo has moved its bodies.
 
+    own: the worlds that may take steps here.
     joined: numbers of the worlds whose present step is computed here, rising, shape (g,).
     stepped: the skins whose step is computed with its beginning already, each with the size of its state.
+    observer: gets the trace of each step of each group of worlds.
     in_graph: whether a graph computes steps: it must know sensors before the first one, and keeps the ARP of bodies.
     """
 
@@ -70,8 +74,15 @@ class Backend:
 
     def __init__(self, models: Sequence[HapticModel], works: Sequence[Workspace], state: HapticState):
         self.models, self.works, self.state = models, works, state
+        self.own = slice(0, len(models))
+        self.observer: Observer | None = None
         self.joined: Rows = np.zeros(0, dtype=np.intp)
         self.stepped: list[tuple[int, int]] = []
+
+    @property
+    def watched(self) -> bool:
+        """Whether every substep is observed, which a graph does not give."""
+        return self.observer is not None or any(map(is_not, self.works[0].observe, repeat(None)))
 
     def forget(self) -> None:
         """The state has not come from here: after a reset, or in a copy."""
@@ -85,15 +96,18 @@ class Backend:
     def watch(self, skin: int, place: SensorPlace) -> None:
         """Compute the readings of a sensor there as well, from the next step on."""
 
-    def place(self, frames: Frames, free: Bool, t0: float, watched: bool) -> Rows:
+    def place(self, frames: Frames, free: Bool, t0: float) -> Rows:
         """Take the poses at the beginning of a step, t0 [s]; numbers of the worlds that may take it here, rising.
 
-        free: the worlds that no other backend steps, shape (worlds,); watched: whether all substeps are observed
+        free: the worlds that no other backend steps, shape (worlds,)
         """
         raise NotImplementedError
 
     def emit(self, t0: float) -> None:
-        """Compute what transducers emit over the step, as far as forces and sensors need it."""
+        """Compute what transducers emit over the step, as far as forces and sensors need it.
+
+        A device begins to compute the step, while the host does other work until `press`.
+        """
         raise NotImplementedError
 
     def press(self) -> Rows:
@@ -112,11 +126,10 @@ class Backend:
         """
         raise NotImplementedError
 
-    def step_skins(self, t0: float, t1: float, skins: bool, observer: Observer | None) -> None:
+    def step_skins(self, t0: float, t1: float, skins: bool) -> None:
         """Carry transducers and skins of the joined worlds from t0 to t1 [s], in place; skins: False leaves them.
 
-        observer: gets the trace of each group of worlds. Raises SceneError for a state of another solver, and where a
-        small model that key `solver` names can't go on.
+        Raises SceneError for a state of another solver, and where a small model that key `solver` names can't go on.
         """
         raise NotImplementedError
 

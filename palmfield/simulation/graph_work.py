@@ -86,6 +86,7 @@ class GraphOf(NamedTuple):
 
     worlds: how many with the same bodies. probes: places of sensors, each with the number of its skin.
     skins: their steppers, by number. drives: makes drives of a path, None where they are given.
+    room_for: number of worlds for which the device must have room, these and others.
     free: whether frames are MuJoCo's of worlds that step alike: skins take pressure only where their steppers do, and
         what is the same in all steps is not copied; kept: whether the state stays on the device from step to step.
     """
@@ -94,6 +95,7 @@ class GraphOf(NamedTuple):
     probes: tuple[tuple[int, SensorPlace], ...]
     skins: Mapping[int, DeviceModel]
     drives: PathDrives | None
+    room_for: int
     free: bool = False
     kept: bool = False
 
@@ -120,7 +122,8 @@ class GraphWork:
         points = ScenePoints(model, reference, self._motions, of.probes, device, worlds, self._steppers(), of.free)
         tables = sum(map(nbytes, (parts | results).values()))
         with naming_keys("plugin 'palmfield.skin'"):
-            check_room(worlds * points.nbytes(sizes.sums[0], sizes.sums[1]) + tables, worlds, device)
+            needed = worlds * points.nbytes(sizes.sums[0], sizes.sums[1]) + tables
+            check_room(needed * of.room_for // worlds, of.room_for, device)
         points.make()
         self.inputs = SharedBlock({name: part for name, part in parts.items() if name not in inside}, device)
         self.results = SharedBlock({name: part for name, part in results.items() if name not in inside}, device)
@@ -159,6 +162,7 @@ class GraphWork:
             self._taking.append(launch(kernels.take_over, begun.shape, [self._active.array, end, begun], device))
         self._replays: dict[tuple[bool, bool, tuple[int, ...]], Callable[[], object]] = {}
         self._taken: Callable[[], object] | None = None
+        self._done: Any = None if device == "cpu" else wp.Event(device)
 
     def _shapes(self, transducers: int, frames: int) -> tuple[dict[str, Any], dict[str, Any]]:
         """Shapes and types of all that goes in and comes out, or might."""
@@ -332,13 +336,18 @@ class GraphWork:
             known = self._replays[key] = replayed(calls, self.device) if captures else partial(_do, calls)
         return known
 
-    def run(self, moved: bool, sounds: bool, skins: tuple[int, ...]) -> None:
-        """Compute a step and wait for what comes out."""
+    def launch(self, moved: bool, sounds: bool, skins: tuple[int, ...]) -> None:
+        """Begin to compute a step; arguments as of `calls`."""
         replay = self.replay(moved, sounds, skins)
         with launching:
             replay()
-        if self.device != "cpu":
-            wp.synchronize_stream(self.device)
+            if self._done is not None:
+                wp.get_stream(self.device).record_event(self._done)
+
+    def wait(self) -> None:
+        """Wait for what comes out of the last launch."""
+        if self._done is not None:
+            wp.synchronize_event(self._done)
 
     def take_over(self, rows: Any) -> None:
         """Let the state of some worlds that the device keeps be as the last step has left it."""

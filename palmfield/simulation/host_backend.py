@@ -14,7 +14,7 @@ import numpy as np
 from palmfield.device import resolve
 from palmfield.drive.transducer_response import EmittedCourse, present_drive
 from palmfield.errors import naming_world
-from palmfield.simulation.backend import Backend, Frames, Observer, StepTrace
+from palmfield.simulation.backend import Backend, Frames, StepTrace
 from palmfield.simulation.emission import MeanDrives
 from palmfield.simulation.kept import Bool, Kept, Rows, Serials
 from palmfield.simulation.model import HapticModel
@@ -132,7 +132,7 @@ class HostBackend(Backend):
 
     # -- the beginning of a step ---------------------------------------------------------------------------------------
 
-    def place(self, frames: Frames, free: Bool, t0: float, watched: bool) -> Rows:
+    def place(self, frames: Frames, free: Bool, t0: float) -> Rows:
         posed = frames.posed(free)
         for world, now in posed.items():
             self._posed[world], self._poses[world] = now, now.serial
@@ -278,15 +278,15 @@ class HostBackend(Backend):
 
     # -- its end -------------------------------------------------------------------------------------------------------
 
-    def step_skins(self, t0: float, t1: float, skins: bool, observer: Observer | None) -> None:
+    def step_skins(self, t0: float, t1: float, skins: bool) -> None:
         joined = self.smooth.joined
         new = joined[self.state.arrays[0][joined, 0] != BEGUN] if self._several else joined
         for world in [*new.tolist(), *self._apart]:
             self._in(self._check, world)
         if len(joined):
-            self._step_smooth(t0, t1, skins, observer)
+            self._step_smooth(t0, t1, skins)
         for world in self._apart:
-            self._in(self._step_one, world, t0, t1, skins, observer)
+            self._in(self._step_one, world, t0, t1, skins)
 
     def _check(self, world: int) -> None:
         """Begin a run in a state without a writer; SceneError for the state of another model."""
@@ -294,7 +294,7 @@ class HostBackend(Backend):
             self.works[world].begin_run()
             self._served[:, world] = 0
 
-    def _step_smooth(self, t0: float, t1: float, skins: bool, observer: Observer | None) -> None:
+    def _step_smooth(self, t0: float, t1: float, skins: bool) -> None:
         """`step_skins` in the worlds whose sound one level determines."""
         model, smooth = self.models[0], self.smooth
         worlds, moments = smooth.joined, substep_moments((), t0, model.step_s, model.substeps)
@@ -314,10 +314,10 @@ class HostBackend(Backend):
                 (factors @ moments.first.T)[..., None],
                 (factors @ moments.last.T)[..., None],
             )
-            self._step_group(group, t0, t1, observer)
+            self._step_group(group, t0, t1)
         smooth.advance(end)
 
-    def _step_one(self, world: int, t0: float, t1: float, skins: bool, observer: Observer | None) -> None:
+    def _step_one(self, world: int, t0: float, t1: float, skins: bool) -> None:
         """`step_skins` in a world that is stepped here alone."""
         model, work, posed, state = self.models[world], self.works[world], self._posed[world], self._states[world]
         begun = gather(state, work)
@@ -330,7 +330,7 @@ class HostBackend(Backend):
             group = Group(
                 np.array([world]), keys, moments, levels, lambda _: course, lambda _: begun, first[None], last[None]
             )
-            self._step_group(group, t0, t1, observer)
+            self._step_group(group, t0, t1)
         if model.response_on:
             scatter(state, course.end)
 
@@ -338,7 +338,7 @@ class HostBackend(Backend):
         """The emission of a world by itself over some substeps; begun: at t0 [s], shape (N,)."""
         return self.works[world].emission.over(self._posed[world], begun, t0, count)
 
-    def _step_group(self, group: Group, t0: float, t1: float, observer: Observer | None) -> None:
+    def _step_group(self, group: Group, t0: float, t1: float) -> None:
         """Step the skins of a group of worlds, in place, and hand on what is watched."""
         motion = []
         for skin in range(len(self.models[0].skins)):
@@ -353,11 +353,11 @@ class HostBackend(Backend):
                 if seen is not None:
                     watched.append((own, seen))
             motion.append(tuple(watched))
-        if observer is not None:
+        if self.observer is not None:
             model, worlds = self.models[0], group.worlds
             times = t0 + model.step_s * np.arange(1, group.first.shape[1] + 1, dtype=np.float64)
             posed = tuple([self._posed[world] for world in worlds.tolist()])
-            observer(
+            self.observer(
                 StepTrace(times, worlds, posed, group.moments, group.levels, group.course, group.begun, tuple(motion))
             )
 

@@ -15,7 +15,7 @@ from palmfield.acoustics.surface_load import CLEARANCE_M
 from palmfield.device import resolve
 from palmfield.drive.path_drives import PathDrives, aim_of, foci_made, push_rows
 from palmfield.drive.transducer_response import SILENT
-from palmfield.simulation.backend import Backend, Frames, Observer
+from palmfield.simulation.backend import Backend, Frames
 from palmfield.simulation.emission import LEAST_MEANS, array_drives, mean_weights
 from palmfield.simulation.graph_work import FORCE, LOAD, NOW, GraphOf, GraphSizes, GraphWork
 from palmfield.simulation.kept import Bool, Rows
@@ -58,25 +58,34 @@ class MovingWorlds(Backend):
 
     in_graph = True
 
-    def __init__(self, models: Sequence[HapticModel], works: Sequence[Workspace], state: HapticState, alone: bool):
-        """alone: whether no other code writes the state, which then stays on the device from step to step"""
+    def __init__(
+        self,
+        models: Sequence[HapticModel],
+        works: Sequence[Workspace],
+        state: HapticState,
+        alone: bool,
+        first: int,
+        room_for: int,
+    ):
+        """first: number of the first of these worlds. room_for: number of worlds for which the device must have room.
+
+        alone: whether no other code writes the state, which then stays on the device from step to step
+        """
         super().__init__(models, works, state)
-        self._alone = alone
-        self._layout = PoseLayout.of(models[0])
-        able = [may_join(model, self._layout) for model in models]
-        self.some = any(able)
+        self._alone, self._room_for = alone, room_for
+        self.own = slice(first, first + len(models))
+        able = np.array([may_join(model, PoseLayout.of(model)) for model in models])
+        self.some = bool(able.any())
+        self._rings = models[int(able.argmax())].response_on
+        self._may: Bool = able & [model.response_on == self._rings for model in models]
+        self._joins: Bool = np.zeros(len(models), dtype=bool)
+        self._here: Bool = np.zeros(len(models), dtype=bool)
+        self._fetched = True
         self._probes: list[tuple[int, SensorPlace]] = []
         self._columns: list[int] = []  # of each among those of its skin
         self._work: GraphWork | None = None
         self._ahead: _Ahead | None = None
         self._seen: dict[int, Outside] = {}  # what lies outside the modes' class in this step, by skin, shape (w,) each
-        if not self.some:
-            return
-        self._rings = models[able.index(True)].response_on
-        self._joins: Bool = np.zeros(len(models), dtype=bool)
-        self._may: Bool = np.array(able) & [model.response_on == self._rings for model in models]
-        self._here: Bool = np.zeros(len(models), dtype=bool)
-        self._fetched = True
         stimuli = [model.stimuli[0] for model in models]
         kinds: dict[str, int] = {}
         self._kinds = np.array([kinds.setdefault(part.config.model_dump_json(), len(kinds)) for part in stimuli])
@@ -100,7 +109,8 @@ class MovingWorlds(Backend):
         self._fetched = True
 
     def leave_out(self, world: int) -> None:
-        self._may[world] = False
+        if self.own.start <= world < self.own.stop:
+            self._may[world - self.own.start] = False
 
     def fetch(self) -> None:
         work = self._work
@@ -124,9 +134,9 @@ class MovingWorlds(Backend):
 
     # -- the beginning of a step ---------------------------------------------------------------------------------------
 
-    def place(self, frames: Frames, free: Bool, t0: float, watched: bool) -> Rows:
+    def place(self, frames: Frames, free: Bool, t0: float) -> Rows:
         self.stepped = []
-        joins = self._joins = self._may & free & (not watched)
+        joins = self._joins = self._may & free[self.own] & (not self.watched)
         end = t0 + self.models[0].spec.timestep_s + TICK_S
         joins &= ~np.logical_or.reduce((self._edges > t0 + TICK_S) & (self._edges <= end), axis=1)
         for part in self.state.skins:
@@ -135,15 +145,19 @@ class MovingWorlds(Backend):
         if work is None:
             joins[:] = False
             self._release(joins)
-            return joins.nonzero()[0]
+            return self._rows()
         if self._alone:
             self._bring(work, joins)
         else:
             self._take(work)
         hosts = work.inputs.hosts
-        hosts["places"][:] = frames.places
-        hosts["axes"][:] = frames.axes.reshape(hosts["axes"].shape)
-        return joins.nonzero()[0]
+        hosts["places"][:] = frames.places[self.own]
+        hosts["axes"][:] = frames.axes[self.own].reshape(hosts["axes"].shape)
+        return self._rows()
+
+    def _rows(self) -> Rows:
+        """Numbers of the worlds that take this step here."""
+        return self._joins.nonzero()[0] + self.own.start
 
     def _release(self, joins: Bool) -> None:
         """Bring the state of worlds that take this step elsewhere back from the device."""
@@ -172,7 +186,7 @@ class MovingWorlds(Backend):
         counted = drives.pushed(weights)
         rows = first.substeps + 1, len(counted), 1
         worlds, probes = len(self.models), tuple(self._probes)
-        of = GraphOf(worlds, probes, steppers, drives, True, self._alone)
+        of = GraphOf(worlds, probes, steppers, drives, self._room_for, True, self._alone)
         sizes = GraphSizes(rows, rows, first.substeps + 2)
         work = self._work = GraphWork(first, self.works[0].reference, transducers, of, sizes)
         aims = [aim_of(array_drives(self.models[world], first.arrays)[0]) for world in self._leading]
@@ -261,14 +275,15 @@ class MovingWorlds(Backend):
             hosts[f"{name}_counts"][:] = (count * sounds)[:, None]
         hosts["path_counts"][:, 0], hosts["path_counts"][:, 1] = (moments + 1) * sounds, sounds
         self._levels, self._means, self._sounds = levels, means, sounds
+        work.launch(True, True, self._all)
 
     def press(self) -> Rows:
         work = self._work
         assert work is not None
-        work.run(True, True, self._all)
+        work.wait()
         self._joins &= self._good(work)
         self._release(self._joins)
-        joined = self._joins.nonzero()[0]
+        joined = self._rows()
         self.stepped = self._sizes if len(joined) else []
         return joined
 
@@ -311,28 +326,28 @@ class MovingWorlds(Backend):
         return np.asarray(good)
 
     def push(self, forces: Sequence[Float]) -> None:
-        work, rows = self._work, self.joined
+        work, rows = self._work, self._joins.nonzero()[0]
         assert work is not None
         turn = work.inputs.hosts["axes"][rows, 0].swapaxes(1, 2)
         start = 0
         for own in forces:
             computed = work.results.hosts["forces"][rows, start : start + own.shape[2]]
             # Forces and torques
-            own[rows] = computed.reshape(*computed.shape[:2], 2, 3).swapaxes(1, 2) @ turn[:, None]
+            own[self.joined] = computed.reshape(*computed.shape[:2], 2, 3).swapaxes(1, 2) @ turn[:, None]
             start += own.shape[2]
 
     def sense(self, skin: int, place: SensorPlace, arp: Float, motion: Float) -> None:
-        work, rows = self._work, self.joined
+        work, rows = self._work, self._joins.nonzero()[0]
         assert work is not None
         number = self._probes.index((skin, place))
-        sounding = rows[work.inputs.hosts["now_counts"][rows, 0] > 0]
-        arp[sounding] = work.results.hosts["probes"][sounding, number]
-        motion[rows] = work.results.hosts[f"read_{skin}"][rows, :, self._columns[number]]
+        sounding = work.inputs.hosts["now_counts"][rows, 0] > 0
+        arp[self.joined[sounding]] = work.results.hosts["probes"][rows[sounding], number]
+        motion[self.joined] = work.results.hosts[f"read_{skin}"][rows, :, self._columns[number]]
 
     # -- its end -------------------------------------------------------------------------------------------------------
 
-    def step_skins(self, t0: float, t1: float, skins: bool, observer: Observer | None) -> None:
-        work, rows = self._work, self.joined
+    def step_skins(self, t0: float, t1: float, skins: bool) -> None:
+        work, rows = self._work, self._joins.nonzero()[0]
         assert work is not None
         if not self._alone:
             self._give(work, skins)

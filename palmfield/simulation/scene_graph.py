@@ -82,7 +82,6 @@ class SceneGraph(HostBackend):
         self._force_scale = 0.0
         self._present_factor = 0.0  # on what sensors read
         self._stepped: dict[int, SkinStepper] = {}
-        self._watched = False
 
     def forget(self) -> None:
         super().forget()
@@ -95,9 +94,9 @@ class SceneGraph(HostBackend):
 
     # -- the beginning of a step ---------------------------------------------------------------------------------------
 
-    def place(self, frames: Frames, free: Bool, t0: float, watched: bool) -> Rows:
-        self.course, self.stepped, self._watched = None, [], watched
-        return super().place(frames, free, t0, watched)
+    def place(self, frames: Frames, free: Bool, t0: float) -> Rows:
+        self.course, self.stepped = None, []
+        return super().place(frames, free, t0)
 
     def hold(self, posed: PosedScene, t0: float) -> None:
         self.course, self.stepped = None, []
@@ -112,7 +111,7 @@ class SceneGraph(HostBackend):
         emission = self._work.emission
         emitted = gather(self.state, self._work)
         self._made.of("transducers", posed.arrays.serial, self._transducers.move, posed.arrays)
-        path = None if self._watched else emission.path_step(posed, t0, self.model.substeps)
+        path = None if self.watched else emission.path_step(posed, t0, self.model.substeps)
         if path is not None:
             moments, course = path.moments, self._along(posed, path, emitted, t0)
             if course is None:
@@ -205,7 +204,7 @@ class SceneGraph(HostBackend):
             skins = models if known is None else {**known.of.skins, **models}
             self._graphs.pop(drives is not None, None)  # its memory is free for the next one
             self._now = known = None
-            of = GraphOf(1, self._probes, skins, drives)
+            of = GraphOf(1, self._probes, skins, drives, 1)
             known = self._graphs[drives is not None] = GraphWork(
                 self.model, self._reference, self._transducers, of, sizes
             )
@@ -251,7 +250,8 @@ class SceneGraph(HostBackend):
         kept = (self._computed, self._sounding) if graph is self._now else (0, dict[str, int]())
         # If it fails, no result is valid
         self._now, self._computed, self._sounding, self._stepped = None, 0, {}, {}
-        graph.run(moved, sounds, skins)
+        graph.launch(moved, sounds, skins)
+        graph.wait()
         self.launches += 1
         self._now, (self._computed, self._sounding) = graph, ((posed.serial, serials) if sounds else kept)
         self._fetched &= not sounds

@@ -43,10 +43,13 @@ class HapticState:
         """The same, in its own memory."""
         return HapticState(tuple(part.copy() for part in self.arrays), tuple(part.copy() for part in self.skins))
 
+    def of(self, worlds: slice) -> "HapticState":
+        """The part of some worlds, as views."""
+        return HapticState(tuple(part[worlds] for part in self.arrays), tuple(part[worlds] for part in self.skins))
+
     def world(self, number: int) -> "HapticState":
         """The part of one world, as views."""
-        one = slice(number, number + 1)
-        return HapticState(tuple(part[one] for part in self.arrays), tuple(part[one] for part in self.skins))
+        return self.of(slice(number, number + 1))
 
 
 def array_room(transducers: int) -> int:

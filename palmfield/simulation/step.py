@@ -5,8 +5,8 @@ and `advance` carries transducers and skins over it. Backends compute them: see 
 """
 
 from collections.abc import Mapping, Sequence
-from itertools import repeat
-from operator import is_not, methodcaller
+from itertools import pairwise
+from operator import methodcaller
 
 import numpy as np
 
@@ -24,6 +24,8 @@ from palmfield.types import Complex, Float
 
 TOGETHER = 16
 """Steps in one pose that are taken in one go: more cost as much each."""
+PARTS, LEAST_WORLDS = 4, 128
+"""Graphs among which worlds are shared out at most, and from how many worlds on there is one graph more."""
 
 
 def backends_of(
@@ -36,15 +38,20 @@ def backends_of(
     from palmfield.simulation.moving_worlds import MovingWorlds
     from palmfield.simulation.scene_graph import SceneGraph
 
-    moving = MovingWorlds(models, works, state, alone)
+    # In parts, so that a device computes one while MuJoCo moves the bodies of another
+    bounds = np.linspace(0, len(models), 1 + min(PARTS, 1 + len(models) // LEAST_WORLDS)).round().astype(int).tolist()
+    moving = []
+    for begin, end in pairwise(bounds):
+        own, room_for = slice(begin, end), 0 if begin else len(models)
+        moving.append(MovingWorlds(models[own], works[own], state.of(own), alone, begin, room_for))
     host = (SceneGraph if len(models) == 1 else HostBackend)(models, works, state, alone)
-    return (moving,) if moving.some else (), host
+    return moving if any(part.some for part in moving) else (), host
 
 
 class Steps:
     """The steps of the worlds of a state, in sequence. Belongs to one state and is used by one thread at a time.
 
-    models, works: of each world. state: of all. observer: gets the trace of each step of each group of worlds.
+    models, works: of each world. state: of all.
     host: steps what no other of the `backends` does. forces: by body, mean force on its parts over the step that has
         begun [N], and torques about their origins [N m], world axes, shape (worlds, 2, b, 3).
     """
@@ -57,8 +64,19 @@ class Steps:
         others, self.host = backends_of(models, works, state, alone)
         self.backends: tuple[Backend, ...] = (*others, self.host)
         self.forces: list[Float] = [np.zeros((len(models), 2, body.parts, 3)) for body in models[0].bodies]
-        self.observer: Observer | None = None
-        self._everyone: Bool = np.ones(len(models), dtype=bool)
+        self._free: Bool = np.ones(len(models), dtype=bool)  # of all backends so far
+        self._started = 0  # how many backends have begun the step
+        self._waits = [False] * len(self.backends)  # whether they compute it and have not been waited for
+
+    @property
+    def observer(self) -> Observer | None:
+        """Gets the trace of each step of each group of worlds."""
+        return self.host.observer
+
+    @observer.setter
+    def observer(self, observer: Observer | None) -> None:
+        for backend in self.backends:
+            backend.observer = observer
 
     @property
     def in_graph(self) -> bool:
@@ -104,17 +122,50 @@ class Steps:
 
     def begin(self, frames: Frames, t0: float) -> None:
         """Take the poses of all worlds at the beginning of a step, t0 [s], and compute the forces over it."""
-        free = self._everyone.copy()
-        # A graph does not give every substep
-        watched = self.observer is not None or any(map(is_not, self.works[0].observe, repeat(None)))
+        try:
+            for number in range(self._started, len(self.backends) - 1):
+                self.start(number, frames, t0)
+            for number in range(self._started):
+                self.ready(number)
+            if not self._started:
+                self._free[:] = True
+        finally:
+            self._started = 0
+        host = self.host
+        if not np.logical_or.reduce(self._free):
+            host.joined, host.stepped = host.joined[:0], []
+            return
         with one_blas_thread:
-            for backend in self.backends:
-                backend.joined = backend.place(frames, free, t0, watched)
-                if len(backend.joined):
-                    backend.emit(t0)
-                    backend.joined = backend.press()
-                    backend.push(self.forces)
-                    free[backend.joined] = False
+            host.joined = host.place(frames, self._free, t0)
+            if len(host.joined):
+                host.emit(t0)
+                host.joined = host.press()
+                host.push(self.forces)
+
+    def start(self, number: int, frames: Frames, t0: float) -> None:
+        """The same for one backend other than the host, by its number, before `begin` does so for those that are left.
+
+        A device may go on with it after this call.
+        """
+        if number == 0:
+            self._free[:] = True
+        backend = self.backends[number]
+        backend.joined = backend.place(frames, self._free, t0)
+        if len(backend.joined):
+            backend.emit(t0)
+            self._free[backend.joined] = False
+        self._started, self._waits[number] = number + 1, True
+
+    def ready(self, number: int) -> bool:
+        """Wait for the forces by a backend that has started; whether it takes the step of all its worlds."""
+        backend = self.backends[number]
+        if self._waits[number] and len(backend.joined):
+            self._free[backend.joined] = True
+            backend.joined = backend.press()
+            backend.push(self.forces)
+            self._free[backend.joined] = False
+        self._waits[number] = False
+        return len(backend.joined) == len(self._free[backend.own])
 
     def sense(self, skin: int, place: SensorPlace) -> tuple[Float, Float]:
         """ARP [Pa], shape (worlds,), displacement [m] and velocity [m/s], (worlds, 2), at the place of a sensor at the
@@ -131,13 +182,13 @@ class Steps:
         with one_blas_thread:
             for backend in self.backends:
                 if len(backend.joined):
-                    backend.step_skins(t0, t1, skins, self.observer)
+                    backend.step_skins(t0, t1, skins)
 
     def over(self, posed: PosedScene, t0: float, steps: int, skins: bool = True) -> None:
         """Step the only world several times from t0 [s] on, in one pose, without forces or sensors in between."""
         self.host.hold(posed, t0)
         with one_blas_thread:
-            self.host.step_skins(t0, t0 + steps * self.models[0].spec.timestep_s, skins, self.observer)
+            self.host.step_skins(t0, t0 + steps * self.models[0].spec.timestep_s, skins)
 
     def state_now(self) -> bytes:
         """The inputs of the step that has begun, for a state that other code may write: equal while it is valid."""

@@ -148,11 +148,13 @@ def by_itself(work: GraphWork, device: str, options: argparse.Namespace) -> None
     again = AGAIN.get(device, 200)
     for moved in (True, False):
         asked = moved, True, tuple(work.of.skins)
-        work.run(*asked)
+        work.launch(*asked)
+        work.wait()
         waits = []
         for _ in range(again):
             start = time.perf_counter()
-            work.run(*asked)
+            work.launch(*asked)
+            work.wait()
             waits.append(1e6 * (time.perf_counter() - start))
         graph = device_us([work.replay(*asked)], device, again)
         what = "moved" if moved else "at rest"
@@ -182,7 +184,8 @@ def measure(scene: Path, watch: Stopwatch, options: argparse.Namespace) -> None:
         there = numbers(sim, options.compare)
         other = opened(scene, "cpu", argparse.Namespace(device="", accuracy=options.accuracy))
         print(f"  against the CPU over {options.compare} steps: {differences(numbers(other, options.compare), there)}")
-    watch.watch(GraphWork, "run", "device")
+    watch.watch(GraphWork, "launch", "device")
+    watch.watch(GraphWork, "wait", "device")
     watch.watch(SceneGraph, "load", "load fetched")
     for lazy in (*sim.runtime.model.begin, *sim.runtime.model.whole):
         if lazy.made:

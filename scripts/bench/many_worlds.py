@@ -82,13 +82,14 @@ def main() -> None:
         times.append(time.perf_counter() - start)
     us = 1e6 / given.worlds
     scenes: Any = sim._scenes
-    joined = len(scenes.steps.backends[0].joined)
+    graphs = [backend for backend in scenes.steps.backends if isinstance(backend, MovingWorlds)]
+    joined = sum(len(graph.joined) for graph in graphs)
     print(f"{processor()}, {cores()} cores, {given.device}")
-    print(f"{given.scene}, {given.worlds} worlds, {joined} in one graph")
+    print(f"{given.scene}, {given.worlds} worlds, {joined} in {len(graphs)} graphs")
     print(f"ready after {ready_s:.1f} s; {us * statistics.median(times):.1f} us a world and step")
     for _, _, what in PARTS:
         print(f"{what:32} {us * spent[what] / given.steps:7.2f}")
-    work = scenes.steps.backends[0]._work
+    work = graphs[0]._work if graphs else None
     if work is None or given.device == "cpu":
         return
     device = wp.get_device(given.device)
@@ -100,7 +101,7 @@ def main() -> None:
     for one in timer.timing_results:
         kernels[one.name.removeprefix("forward kernel ")] += 1e3 * one.elapsed
     for name, elapsed in kernels.most_common(12):
-        print(f"  {name[:40]:40} {elapsed / given.worlds:7.2f}")
+        print(f"  {name[:40]:40} {elapsed / work.of.worlds:7.2f}")
 
 
 if __name__ == "__main__":

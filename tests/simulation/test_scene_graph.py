@@ -53,7 +53,8 @@ def at(posed: PosedScene) -> Frames:
 
 def begin(graph: SceneGraph, posed: PosedScene, t0: float) -> None:
     """Compute the step that begins at t0 [s] there, in the graph."""
-    graph.joined = graph.place(at(posed), np.ones(1, dtype=bool), t0, True)
+    graph.observer = lambda trace: None
+    graph.joined = graph.place(at(posed), np.ones(1, dtype=bool), t0)
     graph.emit(t0)
     assert graph.course is not None
 
@@ -379,7 +380,7 @@ def test_memory_that_runs_out_says_what_to_change(
     if at == "step":
         sim = by_graph(small_scene(stimulus=CIRCLE | NO_WAVE))
         sim.step()
-        monkeypatch.setattr(graph_work.GraphWork, "run", full)
+        monkeypatch.setattr(graph_work.GraphWork, "launch", full)
     else:
         monkeypatch.setattr(scene_graph, "Transducers", full)
     with pytest.raises(DeviceError, match=r"cuda:0.*accuracy.*patch_radius_m.*worlds.*device") as raised:
