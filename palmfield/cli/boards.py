@@ -86,7 +86,8 @@ def as_markdown() -> str:
         lines += ["", f"### {board.name}", "", f"{board.description[0].upper()}{board.description[1:]}.", ""]
         lines.append(f"- If the host stops: {board.when_host_dies}.")
         lines.append(f"- Limits: {board.cannot_guarantee}")
-        lines.append(f"- Start: {_bytes(board.start)}. Stop: {_bytes(board.stop)}.")
+        start, stop = _bytes(board.start), _bytes(board.stop)
+        lines.append(f"- Start and stop: {start}." if start == stop else f"- Start: {start}. Stop: {stop}.")
         if board.keys:
             lines.append(f"- Keys of `palmfield.driver`: {', '.join(f'`{key}`' for key in board.keys)}.")
     return "\n".join(lines) + "\n"
