@@ -214,8 +214,8 @@ def in_phase(name: str) -> float:
 def bow_notes(spots: dict[str, Spot]) -> list[str]:
     names = [name for name in spots if name.startswith("two_bow")]
     lines = [
-        "Mizushima & Sato 2024 print speakers at 40, 28 and 10 deg from the line to the focus, and half-widths of 3 mm in "
-        "y, 8 (or 10) mm in x and 10 (or 8) mm in z. Driving all speakers together gives less than focusing them.",
+        "Mizushima & Sato 2024 print speakers at 40, 28 and 10 deg from the line to the focus, and half-widths of 3 mm "
+        "in y, 8 (or 10) mm in x and 10 (or 8) mm in z. Driving all speakers together gives less than focusing them.",
         "",
         "| layout | angles [deg] | half-width y, x, z [mm] | driven together / focused |",
         "|---|---|---|---|",
