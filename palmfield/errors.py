@@ -2,6 +2,10 @@
 
 import difflib
 from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pydantic import ValidationError
 
 
 class PalmfieldError(Exception):
@@ -45,6 +49,15 @@ def reason_of(error: BaseException, longest: int | None = None) -> str:
     """What an error of the system or of a library says, in one line of so many letters; its kind if it says nothing."""
     text = str(getattr(error, "strerror", None) or error)
     return " ".join(text.split())[:longest] or type(error).__name__
+
+
+def fault_of(error: "ValidationError") -> str:
+    """The first fault that pydantic finds in what a file holds: its place, what is wrong, and the value."""
+    first = error.errors()[0]
+    place = ".".join(map(str, first["loc"]))
+    message = first["msg"].removeprefix("Value error, ")
+    given = "" if first["type"] in ("value_error", "missing") else f", not {str(first['input'])[:60]}"
+    return f"{place}{': ' if place else ''}{message}{given}"
 
 
 LEAST_BEGINNING = 3

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from palmfield.data import folder
-from palmfield.errors import SceneError, did_you_mean
+from palmfield.errors import SceneError, did_you_mean, fault_of
 from palmfield.given_files import read_toml
 
 DIGITS = ("thumb", "index", "middle", "ring", "little")
@@ -169,9 +169,7 @@ def load_preset(name_or_path: str | Path) -> HandPreset:
         data = read_toml(path)
         return _resized(data) if "based_on" in data else HandPreset.model_validate(data)
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"]) or "the file"
-        raise SceneError(f"hand preset {path}: {where}: {first['msg']}, got {_brief(first['input'])}") from error
+        raise SceneError(f"hand preset {path}: {fault_of(error)}") from error
     except (OSError, ValueError) as error:
         raise SceneError(f"hand preset {path} cannot be read as TOML: {error}; correct the file") from error
 
@@ -184,8 +182,3 @@ def _resized(data: dict[str, Any]) -> HandPreset:
     base = load_preset(resized.based_on)
     measures = resized.model_dump(exclude={"name", "based_on", "side"}, exclude_none=True)
     return sized(base, **measures).model_copy(update={"name": resized.name, "side": resized.side or base.side})
-
-
-def _brief(value: object) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from scipy.spatial.transform import Rotation
 
-from palmfield.errors import SceneError
+from palmfield.errors import SceneError, fault_of
 from palmfield.given_files import MOST_SETTINGS_BYTES, read_bytes, reading
 from palmfield.tables import read_table
 from palmfield.transforms import Transform
@@ -158,9 +158,7 @@ def read_alignment(path: str | Path) -> Alignment:
     try:
         made = Alignment.model_validate_json(data)
     except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(str(step) for step in first["loc"])
-        raise SceneError(f"{file}: {place}: {first['msg']}; give a file of `palmfield track align`") from None
+        raise SceneError(f"{file}: {fault_of(error)}; give a file of `palmfield track align`") from None
     length = float(np.linalg.norm(made.quaternion))
     if abs(length - 1.0) > 1e-6:
         raise SceneError(f"{file}: quaternion has length {length:g}; give one of length 1, w first")

@@ -20,7 +20,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from palmfield.acoustics.arrays import layout
-from palmfield.errors import OutputError, SceneError, naming
+from palmfield.errors import OutputError, SceneError, fault_of, naming
 from palmfield.given_files import read_json
 from palmfield.stimulus.focus_table import FocusTable
 from palmfield.stimulus.focus_table_file import focus_table
@@ -82,9 +82,7 @@ def read_foci_stm(path: str | Path) -> FociStm:
             _check(stm)
             return stm
     except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(str(part) for part in first["loc"]) or "the whole"
-        raise SceneError(f"{file}: {place}: {first['msg']}, not {str(first['input'])[:60]}") from None
+        raise SceneError(f"{file}: {fault_of(error)}") from None
     except json.JSONDecodeError as error:
         raise SceneError(f"{file}: line {error.lineno}, column {error.colno}: {error.msg}; give JSON") from None
     except (OSError, ValueError) as error:

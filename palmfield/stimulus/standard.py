@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from palmfield.config import StimulusConfig
 from palmfield.config.base import Positive
 from palmfield.data import folder
-from palmfield.errors import SceneError, refuse_unknown
+from palmfield.errors import SceneError, fault_of, refuse_unknown
 from palmfield.given_files import read_toml
 
 
@@ -74,6 +74,5 @@ def read_stimulus(path: Path) -> StandardStimulus:
     try:
         return StandardStimulus(name=path.stem, **read_toml(path))
     except (OSError, ValueError, TypeError) as error:
-        first = error.errors()[0] if isinstance(error, ValidationError) else None
-        fault = f"{'.'.join(map(str, first['loc']))}: {first['msg']}" if first else str(error)
+        fault = fault_of(error) if isinstance(error, ValidationError) else str(error)
         raise SceneError(f"{path}: {fault}; give about, source, published, read, duration_s and [keys]") from None

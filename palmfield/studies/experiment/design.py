@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from palmfield.config import CONFIGS
-from palmfield.errors import OutputError, PalmfieldError
+from palmfield.errors import OutputError, PalmfieldError, fault_of
 from palmfield.given_files import read_json, read_toml, reading
 from palmfield.perception.psychometric import PsychometricFunction, Shape
 from palmfield.studies.experiment.procedures import Adjustment, ConstantStimuli, Limits, Procedure, Staircase
@@ -185,7 +185,7 @@ class Design(_Part):
         try:
             made: Procedure = TypeAdapter(kind).validate_python(keys)
         except ValidationError as error:
-            raise ValueError(f"procedure.{_told(error)}") from None
+            raise ValueError(f"procedure.{fault_of(error)}") from None
         except PalmfieldError as error:
             raise ValueError(f"procedure: {error}") from None
         return made
@@ -241,12 +241,4 @@ def read_design(path: Path) -> Design:
     try:
         return Design.model_validate(content)
     except ValidationError as error:
-        raise OutputError(f"{path}: {_told(error)}") from None
-
-
-def _told(error: ValidationError) -> str:
-    first = error.errors()[0]
-    place = ".".join(str(part) for part in first["loc"])
-    message = first["msg"].removeprefix("Value error, ")
-    given = "" if first["type"] in ("value_error", "missing") else f", not {str(first['input'])[:60]}"
-    return f"{place}{': ' if place else ''}{message}{given}"
+        raise OutputError(f"{path}: {fault_of(error)}") from None
