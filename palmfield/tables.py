@@ -46,6 +46,20 @@ def read_table(file: Path, gaps: Sequence[str] = ()) -> tuple[dict[str, Float], 
     return columns, places
 
 
+def taken(
+    file: Path, columns: dict[str, Float], names: Sequence[str], error: type[PalmfieldError] = SceneError
+) -> Float:
+    """Columns that belong together, which are taken out of the table, shape (rows, names). Raises `error` if some lack.
+
+    file: for messages; columns: of `read_table`
+    """
+    missing = [name for name in names if name not in columns]
+    if missing:
+        together = f"{', '.join(names)} must be given together"
+        raise error(f"{file}: column '{missing[0]}' is missing; {together}; columns are: {', '.join(columns)}")
+    return np.stack([columns.pop(name) for name in names], axis=1)
+
+
 def _npz(file: Path) -> tuple[dict[str, Float], list[str]]:
     columns: dict[str, Float] = {}
     with regular(file).open("rb") as data:

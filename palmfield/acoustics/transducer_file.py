@@ -1,6 +1,5 @@
 """Arrays from a CSV file with a line for each transducer."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -8,7 +7,7 @@ import numpy as np
 
 from palmfield.acoustics.placement import from_poses
 from palmfield.errors import SceneError
-from palmfield.tables import read_table
+from palmfield.tables import read_table, taken
 from palmfield.types import Array, Float
 
 LENGTHS_m = {"m": 1.0, "mm": 1e-3}
@@ -56,11 +55,11 @@ def read_transducers(path: str | Path) -> TransducerTable:
     if len(units) != 1:
         raise SceneError(f"{file}: columns are {', '.join(columns)}; give x_m, y_m, z_m or x_mm, y_mm, z_mm")
     coordinates = [f"{axis}_{units[0]}" for axis in "xyz"]
-    positions = _taken(file, columns, coordinates) * LENGTHS_m[units[0]]
+    positions = taken(file, columns, coordinates) * LENGTHS_m[units[0]]
     _check_places(file, positions, places)
     normals = np.tile([0.0, 0.0, 1.0], (len(places), 1))
     if any(name in columns for name in NORMAL):
-        normals = _taken(file, columns, NORMAL)
+        normals = taken(file, columns, NORMAL)
         lengths = np.linalg.norm(normals, axis=1)
         if lengths.min() < 1e-6:
             n = int(np.argmin(lengths))
@@ -93,15 +92,6 @@ def read_transducers(path: str | Path) -> TransducerTable:
             "phase_deg, address"
         )
     return TransducerTable(_rows(positions), _rows(normals), gains, addresses)
-
-
-def _taken(file: Path, columns: dict[str, Float], names: Sequence[str]) -> Float:
-    """Columns that belong together, which are taken out of the table, shape (rows, names)."""
-    missing = [name for name in names if name not in columns]
-    if missing:
-        together = f"{', '.join(names)} must be given together"
-        raise SceneError(f"{file}: column '{missing[0]}' is missing; {together}; columns are: {', '.join(columns)}")
-    return np.stack([columns.pop(name) for name in names], 1)
 
 
 def _check_places(file: Path, positions: Float, places: list[str]) -> None:

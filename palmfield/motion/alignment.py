@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from palmfield.errors import SceneError, fault_of
 from palmfield.given_files import MOST_SETTINGS_BYTES, read_bytes, reading
-from palmfield.tables import read_table
+from palmfield.tables import read_table, taken
 from palmfield.transforms import Transform
 from palmfield.types import Float
 from palmfield.whole_files import write_text
@@ -93,10 +93,7 @@ def read_touches(path: str | Path) -> Touches:
     """Read touches from a CSV or NPZ table with COLUMNS. Raises SceneError for an invalid file."""
     file = Path(path)
     columns, _ = read_table(file)
-    missing = [name for name in COLUMNS if name not in columns]
-    if missing:
-        raise SceneError(f"{file}: column '{missing[0]}' is missing; use {', '.join(COLUMNS)}")
-    table = np.column_stack([columns[name] for name in COLUMNS])
+    table = taken(file, columns, COLUMNS)
     return Touches(table[:, :3], table[:, 3:])
 
 

@@ -20,7 +20,7 @@ from palmfield.outputs.store import open_result
 from palmfield.studies.compare.report import Comparison, write_report
 from palmfield.studies.compare.suspected_faults import WILD, suspected_faults, wild
 from palmfield.studies.compare.waves import guided_modes
-from palmfield.tables import read_table
+from palmfield.tables import read_table, taken
 from palmfield.types import Float
 from palmfield.whole_files import made_folder
 
@@ -152,10 +152,7 @@ def _pairs(file: str | Path | None) -> tuple[Float, Float] | None:
     if file is None:
         return None
     columns, _ = read_table(Path(file))
-    for name in PAIR_COLUMNS:
-        if name not in columns:
-            raise MeasurementError(f"{file}: has no column '{name}'; give {', '.join(PAIR_COLUMNS)}")
-    table = np.column_stack([columns[name] for name in PAIR_COLUMNS])
+    table = taken(Path(file), columns, PAIR_COLUMNS, MeasurementError)
     return table[:, :3], table[:, 3:]
 
 

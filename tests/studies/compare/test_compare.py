@@ -150,7 +150,7 @@ def test_fiducials_are_read_and_wrong_ones_named(run, tmp_path):
     done = compare(run / "run", scan, fiducials=tmp_path / "f.csv", onto_surface=False)
     assert done.place.fiducials_m.max() < 1e-6 and "fiducials 0.00 mm" in str(done)
     (tmp_path / "f.csv").write_text(head.replace("skin_y_m", "y2") + lines)
-    with pytest.raises(MeasurementError, match="has no column 'skin_y_m'"):
+    with pytest.raises(MeasurementError, match="column 'skin_y_m' is missing"):
         compare(run / "run", scan, fiducials=tmp_path / "f.csv")
 
 
