@@ -1,5 +1,5 @@
 """`python -m palmfield` is the command line."""
 
-from palmfield.cli.app import main
+from palmfield.cli.app import start
 
-main()
+start()

@@ -21,9 +21,9 @@ RARE = {
 }  # fmt: skip
 """What few scenes have: files about arrays, bones of hands, viewers, modes, bursts, paths, shadows."""
 COMMAND = """
-from palmfield.cli.app import main
+from palmfield.cli.app import start
 try:
-    main()
+    start()
 except SystemExit as ended:
     assert not ended.code
 """

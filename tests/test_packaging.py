@@ -137,7 +137,7 @@ def test_the_wheel_holds_the_packages_the_licence_and_nothing_else(wheel):
     )
     assert any(name.endswith("licenses/LICENSE") for name in names)
     assert "License-Expression: Apache-2.0" in metadata
-    assert "palmfield = palmfield.cli.app:main" in entry_points
+    assert "palmfield = palmfield.cli.app:start" in entry_points
     assert "[mujoco.plugins]" in entry_points
     assert "palmfield/py.typed" in names
     modules = {name for name in names if name.endswith(".py")}

@@ -3,6 +3,7 @@
 A command's options stand in its own file, which loads what it needs inside functions, so that --help is quick.
 """
 
+import gc
 import os
 import re
 import sys
@@ -55,6 +56,10 @@ GROUPS: dict[str, tuple[Callable[..., None] | typer.Typer, ...]] = {
 OF_OTHERS = "From other distributions"
 INTERRUPTED_CODE = 130
 """Exit code after Ctrl-C."""
+USUAL_THRESHOLDS = gc.get_threshold()
+OBJECTS_AT_START = 300_000
+"""Slightly more objects than imports and a scene make. They all stay: looking through them for garbage takes a fifth of
+the time to start."""
 ANYWHERE = {"-v": 0, "--verbose": 0, "-q": 0, "--quiet": 0, "--log-level": 1}
 """Options of the whole program, which may also stand after a command, and how many values follow each."""
 
@@ -157,7 +162,7 @@ def program(
 
 
 def main() -> None:
-    """Entry point: users' errors become one line on standard error and exit code 2."""
+    """The command line: users' errors become one line on standard error and exit code 2."""
     try:
         app(_anywhere(sys.argv[1:]), standalone_mode=True)
     except PalmfieldError as error:
@@ -170,6 +175,20 @@ def main() -> None:
             raise
         complain("interrupted")
         sys.exit(INTERRUPTED_CODE)
+
+
+def start() -> None:
+    """Entry point: `main` in a process of its own, which looks for garbage only after the start."""
+    gc.callbacks.append(_before_garbage)
+    gc.set_threshold(OBJECTS_AT_START)
+    main()
+
+
+def _before_garbage(phase: str, info: dict[str, int]) -> None:
+    """Before Python looks for garbage for the first time: leave out all objects so far, then go on as usual."""
+    gc.callbacks.remove(_before_garbage)
+    gc.freeze()
+    gc.set_threshold(*USUAL_THRESHOLDS)
 
 
 def _unsaid(error: SystemExit) -> bool:

@@ -84,6 +84,25 @@ def test_help_is_quick_to_import():
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"
 
 
+def test_the_program_looks_for_garbage_as_usual_after_its_start():
+    code = """
+import gc, sys
+from palmfield.cli.app import start
+usual, sys.argv = gc.get_threshold(), ["palmfield", "--version"]
+try:
+    start()
+except SystemExit:
+    assert gc.get_threshold() != usual
+kept = [[] for _ in range(400_000)]
+assert gc.get_threshold() == usual and gc.get_freeze_count() > 200_000
+ring = []
+ring.append(ring)
+del ring
+assert gc.collect() > 0
+"""
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
 def test_new_scene_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert call(monkeypatch, capsys, "new", "first")[0] == 0
