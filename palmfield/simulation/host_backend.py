@@ -121,6 +121,9 @@ class HostBackend(Backend):
         self._served[:] = 0
         self.smooth.forget()
 
+    def fetch(self) -> None:
+        self.smooth.fetch()
+
     def leave_out(self, world: int) -> None:
         self.smooth.leave_out(world)
 

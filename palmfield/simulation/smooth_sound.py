@@ -71,11 +71,12 @@ class SmoothSound:
         self._held: Complex = state.arrays[0][:, LEVEL].view(np.complex128)[:, 0]
         self.now: Complex = np.zeros(worlds, np.complex128)
         self._known: Bool = np.zeros(worlds, dtype=bool)
+        self._late: Bool = np.zeros(worlds, dtype=bool)  # whose emission has not been written into the state
         self.joined: Rows = np.zeros(0, dtype=np.intp)
 
     def forget(self) -> None:
         """Begin again: after a reset no emission is known."""
-        self._known[:] = False
+        self._known[:] = self._late[:] = False
 
     def leave_out(self, world: int) -> None:
         """Leave the sound of a world to other code from now on."""
@@ -101,6 +102,8 @@ class SmoothSound:
             if joins[world] and self._poses[world] != now.serial:
                 joins[world] = self._meet(world, now, t0)
         joins &= self._levels_alike(joins)
+        if np.logical_or.reduce(self._late & ~joins):
+            self.fetch()
         self._known = joins & self._alone
         self.joined = joins.nonzero()[0]
         self._command(t0)
@@ -108,6 +111,8 @@ class SmoothSound:
 
     def _meet(self, world: int, posed: PosedScene, t0: float) -> bool:
         """Take the unit drive of a world in a new pose; whether there is one."""
+        if self._late[world]:
+            self.fetch()
         part, drive, points = self.emissions[world].placed(posed, t0)[0]
         point = first_point(part.config)
         try:
@@ -219,9 +224,17 @@ class SmoothSound:
         rings = self._ringing[self.joined]
         worlds, levels = self.joined[rings], end[rings]
         self.now[worlds] = self._held[worlds] = levels
+        self._late[worlds] = True
+        if not self._alone:
+            self.fetch()
+
+    def fetch(self) -> None:
+        """Write what worlds emit into the state; no other code reads it meanwhile if none writes it."""
+        worlds = self._late.nonzero()[0]
+        self._late[:] = False
         start = 0
         for part in self.state.emitted:
-            part[worlds] = levels[:, None] * self._units[worlds, start : start + part.shape[1]]
+            part[worlds] = self._held[worlds, None] * self._units[worlds, start : start + part.shape[1]]
             start += part.shape[1]
 
 

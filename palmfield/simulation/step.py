@@ -44,8 +44,10 @@ def backends_of(
     for begin, end in pairwise(bounds):
         own, room_for = slice(begin, end), 0 if begin else len(models)
         moving.append(MovingWorlds(models[own], works[own], state.of(own), alone, begin, room_for))
-    host = (SceneGraph if len(models) == 1 else HostBackend)(models, works, state, alone)
-    return moving if any(part.some for part in moving) else (), host
+    others = moving if any(part.some for part in moving) else ()
+    # These read and write the state as well
+    host = (SceneGraph if len(models) == 1 else HostBackend)(models, works, state, alone and not others)
+    return others, host
 
 
 class Steps:

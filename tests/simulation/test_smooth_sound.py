@@ -37,17 +37,19 @@ def test_one_level_a_world_is_what_its_transducers_emit(small_scene, response, a
     state, emissions = new_state(first, 3), [Emission(model) for model in models]
     smooth = SmoothSound(models, [Emission(model) for model in models], state, [True] * 3, alone)
     [emitted], met = state.emitted, np.zeros(3, int)
+    ends = emitted.copy()
     for step in range(14):
         t0 = step * first.spec.timestep_s
         if not alone and step == PUT_BACK_AT:
             emitted[2] *= 0.5  # by somebody else
+            ends[2] *= 0.5
         scenes = {world: moved if world == 0 and step >= MOVES_AT else rest for world in worlds}
         others = smooth.begin(scenes, t0)
         levels, end = smooth.over(substep_moments((), t0, first.step_s, first.substeps))
         present, mean = smooth.present_factors(), smooth.mean_factors()
         courses = {}
         for world, scene in scenes.items():
-            begun = emitted[world].copy()
+            begun = ends[world].copy()
             courses[world] = emissions[world].over(scene, begun, t0, first.substeps)[1]
             if world in others:
                 continue
@@ -63,7 +65,11 @@ def test_one_level_a_world_is_what_its_transducers_emit(small_scene, response, a
         for world in others:
             emitted[world] = courses[world].end
         if response == "on":
-            np.testing.assert_allclose(emitted, [courses[world].end for world in worlds], atol=1e-9)
+            ends = np.array([courses[world].end for world in worlds])
+            if step % 2:  # in the others the state of worlds that nobody else writes may wait
+                smooth.fetch()
+            if step % 2 or not alone:
+                np.testing.assert_allclose(emitted, ends, atol=1e-9)
     # All but steps in which a sound begins or ends, and 5 in which the old drive fades: exp(-pi 40 kHz/25 t) = SILENT
     assert met.tolist() == [9 if response == "on" else 14, 12, 13]
 

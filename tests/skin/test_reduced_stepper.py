@@ -199,6 +199,24 @@ def test_one_pressure_of_all_worlds_is_as_one_of_each(disc, at_one_place, fixed)
     np.testing.assert_allclose(*states, rtol=0.0, atol=1e-12 * np.abs(states[1]).max())
 
 
+def test_many_worlds_are_what_each_is_by_itself(disc, at_one_place):
+    """In blocks on all cores; one sensor is read in another order of products."""
+    worlds, random = 2 * module.BLOCK + 3, np.random.default_rng(4)
+    pressure = random.random((1, 1, len(at_one_place.shares)), np.float32)
+    shared = np.broadcast_to(pressure, (worlds, *pressure.shape[1:]))
+    first, last = random.random((2, worlds, 4, 1))
+    state = random.standard_normal((worlds, at_one_place.state_size))
+    alone = state.copy()
+    at_one_place.step(state, SurfaceLoads(shared, first, last, True), 0.0, 4 * STEP)
+    reader = at_one_place.reader(disc[2][:3])
+    seen = at_one_place.read(state, reader)
+    for world in (0, module.BLOCK - 1, module.BLOCK, worlds - 1):
+        own = slice(world, world + 1)
+        at_one_place.step(alone[own], SurfaceLoads(pressure, first[own], last[own], True), 0.0, 4 * STEP)
+        np.testing.assert_allclose(state[own], alone[own], rtol=0.0, atol=1e-12 * np.abs(alone[own]).max())
+        np.testing.assert_allclose(seen[own], at_one_place.read(alone[own], reader), rtol=1e-9, atol=1e-15)
+
+
 def test_a_device_moves_a_small_model_as_its_stepper(disc, at_one_place, on_device):
     stepper, random = at_one_place, np.random.default_rng(3)
     pressure = random.standard_normal((2, 2, disc[0].system.ndof)).astype(np.float32)

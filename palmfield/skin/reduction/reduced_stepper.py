@@ -6,6 +6,7 @@ It is exact in time, and a substep is one dense product.
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,12 +27,15 @@ from palmfield.skin.stepper import (
     check_step,
     checked_operator,
 )
+from palmfield.threads import cores, share
 from palmfield.types import Complex, Float, Float32, Int
 
 if TYPE_CHECKING:
     from palmfield.skin.reduction.krylov import Krylov
 
 MOST_VECTORS = 400
+BLOCK = 256
+"""Worlds whose step is one product."""
 MIXED = 64
 """Largest number of loads for the displacement of the residual: their mean square is right to a tenth."""
 
@@ -150,9 +154,16 @@ class ReducedStepper(SkinStepper):
                 ways = np.stack(steps[::-1], axis=2).reshape(len(forces), -1, self.state_size)
                 self._leaps = known = loads.pressure_Pa, substeps, ways, power
             weights = np.stack([loads.first, loads.last], axis=1).reshape(worlds, 1, -1)
-            after = state @ known[3]
-            after += weights[:, 0] @ known[2][0] if len(known[2]) == 1 else np.matmul(weights, known[2])[:, 0]
-        state[:] = after
+            _, _, ways, power = known
+
+            def leap(own: slice) -> None:
+                after = state[own] @ power
+                after += weights[own, 0] @ ways[0] if len(ways) == 1 else np.matmul(weights[own], ways[own])[:, 0]
+                state[own] = after
+
+            # In blocks of one size, so that results do not depend on the number of cores
+            blocks = [slice(begin, begin + BLOCK) for begin in range(0, worlds, BLOCK)]
+            share([(partial(leap, own),) for own in blocks], cores())
 
     def _march(self, state: Float, states: Float) -> None:
         """All substeps of some worlds: each overwrites what drove it by the state after it; (w, n) and (w, s, n)."""
@@ -189,8 +200,12 @@ class ReducedStepper(SkinStepper):
         return result
 
     def _read(self, states: Float, reader: Reader) -> Float:
-        seen = self.motion(states).reshape(-1, self.order) @ reader.matrix
-        return seen.reshape(-1, 2, reader.count)
+        if len(states) <= self.order:
+            seen = self.motion(states).reshape(-1, self.order) @ reader.matrix
+            return seen.reshape(-1, 2, reader.count)
+        # Of many worlds a few places are read: less work in this order
+        displaced = states[:, : self.order] @ (self._moved.T @ reader.matrix)
+        return np.stack([displaced, states[:, self.order : 2 * self.order] @ (self._moves.T @ reader.matrix)], axis=1)
 
     def harmonic(self, pressure_Pa: Float, f_Hz: float, operator: sparse.csr_matrix) -> Complex:
         s = -2j * np.pi * f_Hz
