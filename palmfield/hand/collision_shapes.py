@@ -32,7 +32,8 @@ class Obstacle(NamedTuple):
             part.apply_translation(position)
             parts.append(part)
         vertices, faces = append_faces([part.vertices for part in parts], [part.faces for part in parts])
-        return vertices.astype(np.float64), faces.astype(np.int32)
+        # Plain arrays: a step that reads trimesh's own runs Python for each view
+        return np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int32)
 
 
 def _geom_mesh(kind: str, size: tuple[Any, ...]) -> "trimesh.Trimesh":
