@@ -46,7 +46,7 @@ atexit.register(count)
 def code_of(case: str | list[str]) -> str:
     if isinstance(case, str):
         return case
-    return f"import sys; sys.argv = {['palmfield', *case]!r}\nfrom palmfield.cli.app import start; start()"
+    return f"import runpy, sys; sys.argv = {['palmfield', *case]!r}; runpy.run_module('palmfield', run_name='__main__')"
 
 
 def call(code: str, where: Path, caches: Path, *, keeps: bool = True) -> tuple[float, list[str]]:
