@@ -176,8 +176,8 @@ MUTATIONS = (
         "J1(x)/x for 2 J1(x)/x",
         "directivity",
         "palmfield/acoustics/polynomials.py",
-        "return 2.0 * j1(safe) / safe",
-        "return 1.0 * j1(safe) / safe",
+        "return 2.0 * scipy.special.j1(safe) / safe",
+        "return 1.0 * scipy.special.j1(safe) / safe",
         "tests/acoustics/test_reference.py::test_far_field_of_the_directivity_is_that_of_a_rayleigh_integral",
     ),
     Mutation(
@@ -920,8 +920,8 @@ MUTATIONS = (
         "worlds that one backend steps offered to the next as well",
         "backends",
         "palmfield/simulation/step.py",
-        "free[backend.joined] = False",
-        "free[:] = True",
+        "backend.push(self.forces)\n            self._free[backend.joined] = False",
+        "backend.push(self.forces)\n            self._free[:] = True",
         "tests/simulation/test_moving_worlds.py::test_one_world_takes_the_same_graph[hover_explore]",
     ),
     Mutation(
