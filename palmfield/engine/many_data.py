@@ -18,7 +18,7 @@ Field = Literal[
     "xpos", "xmat", "site_xpos", "site_xmat", "mocap_pos", "mocap_quat", "ctrl", "qpos", "qvel", "sensordata", "time"
 ]
 """Numbers of float64 in mjData, whose addresses are constant during its life."""
-WORLDS_PER_THREAD = 8
+WORLDS_PER_THREAD = 16
 """Fewest data per thread."""
 
 

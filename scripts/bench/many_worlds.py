@@ -26,12 +26,12 @@ from palmfield.studies.bench.table import processor
 from palmfield.threads import cores
 
 PARTS = (
-    (SceneWorlds, "_each", "MuJoCo"),
-    (SceneWorlds, "_push", "poses, sound and forces"),
+    (SceneWorlds, "_begin", "MuJoCo, poses, sound and forces"),
+    (SceneWorlds, "_each", "  MuJoCo"),
     (ManyData, "take", "  poses taken"),
     (MovingWorlds, "place", "  frames taken in"),
     (MovingWorlds, "emit", "  foci and levels"),
-    (MovingWorlds, "press", "  sound, skins"),
+    (MovingWorlds, "press", "  waited for sound and skins"),
     (MovingWorlds, "_good", "    results looked at"),
     (MovingWorlds, "push", "  forces read"),
     (ManyData, "push", "  forces applied"),
