@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy  # which loads its parts when they are used
 
+from palmfield.blas import one_blas_thread
 from palmfield.errors import SceneError
 from palmfield.skin.materials.material import Material
 from palmfield.types import Complex, Float
@@ -162,7 +163,8 @@ class Reduced:
             block[:size, :size] = step_s * self.rates
             block[:size, size : size + inputs] = step_s * self.inputs
             block[size : size + inputs, size + inputs :] = np.eye(inputs)
-            whole = scipy.linalg.expm(block)
+            with one_blas_thread:
+                whole = scipy.linalg.expm(block)
             ramp = whole[:size, size + inputs :]
             # Several threads may share a model, so that what was found isn't looked up again
             found = self._steps[step_s] = whole[:size, :size], whole[:size, size : size + inputs] - ramp, ramp
