@@ -1,5 +1,6 @@
 """Which tests run: long checks only when wanted, and those that take little carry the marker `quick`."""
 
+import math
 from collections import defaultdict
 from pathlib import Path
 
@@ -71,5 +72,6 @@ def longest_file_first(items: list[pytest.Item], slow: dict[str, float]) -> None
         files[item.path] += OTHERS_S
         parts[item.path] |= slow_parts(item, slow)
     for path, names in parts.items():
-        files[path] += sum(slow[name] for name in names)
-    items.sort(key=lambda item: -files[item.path])
+        # Exact, as each process goes through a set in an order of its own, and all must agree
+        files[path] += math.fsum(slow[name] for name in names)
+    items.sort(key=lambda item: (-files[item.path], item.path))
