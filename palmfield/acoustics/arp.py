@@ -36,7 +36,7 @@ class SurfaceSound(NamedTuple):
 class ArpLaw:
     """ARP = pressure |p|^2/(rho c^2) - along rho |u_t|^2 + across rho |u_n|^2, with peak amplitudes of the field.
 
-    about: in words; u_t, u_n: the velocity along the surface and along its normal
+    about: description; u_t, u_n: velocity along the surface and along its normal
     """
 
     about: str
@@ -146,7 +146,7 @@ def wall_pressure(pressure: Complex, gradient: Complex, wavenumber: float, air: 
 
 
 def law_named(law: str | ArpLaw) -> ArpLaw:
-    """The law of this name in LAWS; a law itself comes back as it is. Raises SceneError for a name not in LAWS."""
+    """Return the law of a name in LAWS, or the argument if it is a law. Raises SceneError for a name not in LAWS."""
     if isinstance(law, ArpLaw):
         return law
     if law not in LAWS:
@@ -157,7 +157,7 @@ def law_named(law: str | ArpLaw) -> ArpLaw:
 def alpha_law(alpha: float) -> ArpLaw:
     """ARP = alpha p_rms^2/(rho c^2) on lit points, eq 1 of Hasegawa & Shinoda 2018.
 
-    alpha: 1 + R of skin that reflects the share R of the sound energy: 1 to 2, which is LAWS["alpha"]
+    alpha: 1 + R for skin that reflects the share R of the sound energy, 1 to 2; 2 is LAWS["alpha"]
     Raises SceneError for an alpha outside 1..2.
     """
     least, most = ALPHA_RANGE

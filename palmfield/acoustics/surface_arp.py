@@ -22,9 +22,9 @@ from warp_kernels.gradient import MOST
 from warp_kernels.pressure import BLOCK
 
 MATRIX_FROM = 128
-"""Drives from which a transfer matrix is cheaper. For 256 transducers and 762 points on one core 128 drives take 15 ms
-with a new one and without; 32 take 8.5 ms with a new one, 3.7 ms with a stored one and 3.6 ms without. The choice
-depends on their number alone, not on whether a matrix is stored: so a run repeats to the bit."""
+"""Number of drives from which a transfer matrix is used. For 256 transducers and 762 points on one core 128 drives take
+15 ms with a new matrix and without one; 32 take 8.5 ms with a new matrix, 3.7 ms with a stored one and 3.6 ms without.
+The choice depends only on the number of drives, not on whether a matrix is stored, so runs repeat to the bit."""
 RANGES_KEPT = 64
 MATRIX_KEPT_BYTES = 2**26
 """A transfer matrix up to this size is kept for the next call with the same points."""
@@ -117,7 +117,7 @@ class SurfaceArp:
     ) -> Float32:
         """ARP [Pa] of sums of a few drives, levels @ units, shape (m, count): the field of each drive is computed once.
 
-        units: drives, shape (k, field.count), of which zeros have no cost; levels: weight of each, shape (m, k).
+        units: drives, shape (k, field.count); silent transducers cost nothing. levels: weight of each, shape (m, k).
         Raises PalmfieldError as `evaluate`, and for levels of another number of units or that are not finite.
         """
         shape = self.count, 3
@@ -216,8 +216,8 @@ class SurfaceArp:
     ) -> Float32:
         """ARP [Pa] of many drives at the points, shape (m, count), by the cheaper way.
 
-        From MATRIX_FROM drives on a transfer matrix, which is stored for the next call with the same points. For fewer,
-        or if directivities differ, mode is "accurate" or points are too far apart, the kernels of the field.
+        From MATRIX_FROM drives on it uses a transfer matrix, and stores it for the next call with the same points. For
+        fewer drives, different directivities, mode "accurate" or points far apart it uses the kernels of the field.
 
         drives: shape (m, field.count). shades: as `evaluate`, without a matrix.
         amplitudes: array to fill with the peak amplitudes of the pressures [Pa], shape (m, count), float32.

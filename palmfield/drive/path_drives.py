@@ -72,8 +72,8 @@ class PathDrives:
     """The transducers of one stimulus that drives all of them, on a device.
 
     drive: with the present places of the arrays; transducers: the same ones as in the sound field
-    pole: their response, all alike; None without ring-up; rings: whether there is one
-    aim: of `aim_of`
+    pole: response of all transducers, None without ring-up; rings: whether there is ring-up
+    aim: result of `aim_of`
     """
 
     def __init__(self, drive: ArrayDrive, transducers: Transducers, pole: PoleStepper | None):
@@ -159,7 +159,7 @@ class PathDrives:
 
 
 def foci_made(totals: Float, levels: Float, quiet: Any, target: Any) -> NDArray[np.bool_]:
-    """In which worlds the transducers can make all active foci, shape (w,).
+    """Return for each world whether the transducers can produce all active foci, shape (w,).
 
     totals: of PathMemory, as numbers, shape (w, f, 3), the focus at the step's beginning last; levels: of the pressure
     at the others, (w, f - 1); quiet: whether the last one is silent, (w,); target: the first of `aim_of`, (w,)

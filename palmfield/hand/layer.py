@@ -136,7 +136,7 @@ def wedge_quality(vertices: Float, faces: Int, inward: Float, depth: Float) -> F
 
 
 def mesh_report(vertices: Float, faces: Int, area: Float, quality: Float) -> dict[str, float]:
-    """What a patch's report says of its triangles and wedges; area: parts of the whole [m2]."""
+    """Return numbers on the triangles and wedges of a patch for its report; area: of its parts [m2]."""
     return {
         "vertices": float(len(vertices)),
         "triangles": float(len(faces)),
@@ -150,9 +150,10 @@ def mesh_report(vertices: Float, faces: Int, area: Float, quality: Float) -> dic
 def fit_thickness(vertices: Float, faces: Int, inward: Float, requested: Float, limit: Float) -> tuple[Float, Float]:
     """Thickness [m], shape (n,), no more than `requested` and `limit`, and the wedges' quality, shape (m,).
 
-    The share that the limit leaves is min-filtered over neighbours. At an inverted or poor wedge it is repeatedly cut
-    by 0.9, and around it the thickness rises by at most STEEPEST_RISE of the distance along the surface. A wedge is
-    poor below LEAST_QUALITY; under a triangle whose own quality is below SOUND_TRIANGLE, below the same share of that.
+    The ratio of limit to request is min-filtered over neighbours. At an inverted or poor wedge the thickness is
+    multiplied by 0.9, repeatedly. Around this wedge it rises by at most STEEPEST_RISE of the distance along the
+    surface. A wedge is poor below LEAST_QUALITY. Under a triangle whose own quality is below SOUND_TRIANGLE this limit
+    is proportionally lower.
 
     Raises SceneError with the place if no thickness above 5 % of the requested one gives sound wedges.
     """

@@ -43,10 +43,10 @@ class Wave:
     """One wave of a scan.
 
     wavenumber_rad_m: k, Re k = w/c, Im k = 1/L, or None if it is not resolved; reason: why it is not, else empty
-    estimate_rad_m: of the best fit, whether resolved or not
+    estimate_rad_m: k of the best fit, whether resolved or not
     error: relative to |k|: the standard deviation by noise and the change by another number of waves
-    motion: its rms at the points over the scan's; waves: wavelengths in the scan's width
-    points_a_wave: of the scan's pitch
+    motion: ratio of the rms of this wave to that of the scan; waves: wavelengths in the width of the scan
+    points_a_wave: points of the scan per wavelength
     """
 
     wavenumber_rad_m: complex | None

@@ -45,9 +45,9 @@ POSES = 16
 class Cut:
     """Contents of a film. start_s, end_s: of the run [s], None for its ends; slow: factor of slow motion
 
-    magnify: of the motion along the normal, None to show the largest as SEEN_M
+    magnify: factor on the motion along the normal, None to show the largest motion as SEEN_M
     shown: quantity of the colours, one of SHOWN
-    limits: of the colours, in their unit; size: width and height [pixels], even
+    limits: of the colours, in the unit of `shown`; size: width and height [pixels], even
     """
 
     start_s: float | None = None

@@ -152,7 +152,7 @@ def threshold_m(
     """Peak displacement at threshold [m], interpolated on log-log axes.
 
     f_Hz: [Hz], any shape; the result has the same shape and is NaN outside the observer's table.
-    area_m2: moving area [m^2], summed over; None for the contact of the observer's own table
+    area_m2: moving area [m^2] for spatial summation; None for the contact area of the observer's own table
     duration_s: of the steady vibration [s]; None for a long one
     Raises OutputError for an area or duration that is not above 0, or of an observer without a law for it.
     """

@@ -33,7 +33,7 @@ class Simulation:
     sim.run(0.1)
     print(sim.skin("palm").displacement)
 
-    With `worlds` there are several of them, stepped together, whose results have a leading axis:
+    With `worlds`, several copies of the scene are stepped together; results then have a leading axis for the worlds:
     sim = palmfield.Simulation("scene.xml", worlds=2, keys={"stimulus.focus_m": [(0, 0, 0.19), (0, 0.01, 0.19)]})
 
     model, data: of MuJoCo, for callers of mj_step (then `palmfield.raise_errors(data)` raises errors inside a plugin);
@@ -125,7 +125,7 @@ class Simulation:
         """Do `count` MuJoCo steps. Raises the errors of plugins (SceneError, DeviceError), naming the world.
 
         If the sound acts on no degree of freedom and no sensor is read in between, up to GATHERED steps are computed
-        together, with forces and sensors of the last alone: as `mj_step` gives them, to rounding.
+        together. Forces and sensors are then those of the last step, equal to those of `mj_step` to rounding.
         Ctrl-C waits for the end of these, or of the present step: after the KeyboardInterrupt the state is consistent,
         at an earlier time, and the simulation can continue. SceneError for a count that is no whole number of 0 or
         more.
@@ -182,7 +182,7 @@ class Simulation:
     # -- what there is to see: with a leading axis where there are `worlds` ----------------------------------------
 
     def _of(self, values: Sequence[Any] | Float) -> Any:
-        """Return values of the worlds in one array; for a single one without that axis."""
+        """Stack the values of the worlds in one array; without `worlds` there is no such axis."""
         return np.array(values[0] if self.worlds is None else values)
 
     @property
@@ -196,9 +196,9 @@ class Simulation:
         return tuple(body.name for body in self._scenes.runtimes[0].model.bodies)
 
     def skin(self, name: str | None = None) -> Any:
-        """Return a skin by its instance name; the only one without. Raises SceneError for an unknown name.
+        """Return a skin by its instance name, or the only skin without a name. Raises SceneError for an unknown name.
 
-        It is a `palmfield.session.Skin`, of worlds a `palmfield.session.WorldsSkin`.
+        The type is `palmfield.session.Skin`, or `palmfield.session.WorldsSkin` with worlds.
         """
         from palmfield.session.skin import Skin, chosen_name
 

@@ -23,8 +23,8 @@ from palmfield.types import Complex, Float, Float32
 class Frames(NamedTuple):
     """The poses of all worlds at the beginning of a step.
 
-    places [m], axes: of the rows of the layout, shapes (worlds, rows, 3) and (worlds, rows, 9).
-    posed: gives the PosedScenes of some worlds, shape (worlds,): only backends that need them call it.
+    places, axes: origins [m] and axes of the frames in the rows of PoseLayout, (worlds, rows, 3) and (worlds, rows, 9).
+    posed: returns the PosedScenes of the selected worlds, shape (worlds,); called only by backends that need them.
     """
 
     places: Float
@@ -37,11 +37,11 @@ class StepTrace:
     """The results of a step, in one world or in several with equal courses. Valid until the next step.
 
     times: ends of the substeps [s], shape (s,). worlds: their numbers, shape (g,). posed: the pose of each.
-    moments: of the load. levels: of the drives then, complex, shape (g, m, k), as of EmittedCourse.
-    course: gives the whole emission of the i-th of the worlds.
-    begun: gives the emission of the i-th at the beginning, shape (N,).
-    motion: of each skin by stepper, numbers of the worlds (w,) and the watched displacement [m] and velocity [m/s]
-        after each substep, (w, s, 2, m); all worlds watch the same points.
+    moments: at which the load is given. levels: of the drives at these moments, complex, shape (g, m, k), as in
+        EmittedCourse. course: returns the whole emission of the i-th world.
+    begun: returns the emission of the i-th world at the beginning, shape (N,).
+    motion: for each skin and each of its steppers, numbers of the worlds (w,) and the observed displacement [m] and
+        velocity [m/s] after each substep, (w, s, 2, m). The same points are observed in all worlds.
     """
 
     times: Float
@@ -65,9 +65,10 @@ class Backend:
 
     own: the worlds that may take steps here.
     joined: numbers of the worlds whose present step is computed here, rising, shape (g,).
-    stepped: the skins whose step is computed with its beginning already, each with the size of its state.
+    stepped: number and state size of each skin whose whole step is computed already at its beginning.
     observer: gets the trace of each step of each group of worlds.
-    in_graph: whether a graph computes steps: it must know sensors before the first one, and keeps the ARP of bodies.
+    in_graph: whether a graph computes steps. Its sensors must be set before the first step, and it keeps the ARP of
+        bodies.
     """
 
     in_graph = False
@@ -81,23 +82,23 @@ class Backend:
 
     @property
     def watched(self) -> bool:
-        """Whether every substep is observed, which a graph does not give."""
+        """Whether every substep is observed. Graphs do not return single substeps."""
         return self.observer is not None or any(map(is_not, self.works[0].observe, repeat(None)))
 
     def forget(self) -> None:
-        """The state has not come from here: after a reset, or in a copy."""
+        """Drop data of the last step, after a reset or in a copy: other code has written the state."""
 
     def fetch(self) -> None:
         """Update the state from a device that has newer numbers."""
 
     def leave_out(self, world: int) -> None:
-        """Another sound than that of the stimuli sounds in a world from now on."""
+        """Mark a world whose emission does not come from its stimuli from now on."""
 
     def watch(self, skin: int, place: SensorPlace) -> None:
-        """Compute the readings of a sensor there as well, from the next step on."""
+        """Compute the readings of a sensor at this place too, from the next step on."""
 
     def place(self, frames: Frames, free: Bool, t0: float) -> Rows:
-        """Take the poses at the beginning of a step, t0 [s]; numbers of the worlds that may take it here, rising.
+        """Read the poses at the beginning of a step, t0 [s]; return the numbers of the worlds that it can step, rising.
 
         free: the worlds that no other backend steps, shape (worlds,)
         """
@@ -111,12 +112,15 @@ class Backend:
         raise NotImplementedError
 
     def press(self) -> Rows:
-        """Compute the ARP for forces and sensors; numbers of the worlds in which it is valid."""
+        """Compute the ARP for forces and sensors; return the numbers of the worlds in which it is valid."""
         raise NotImplementedError
 
     def push(self, forces: Sequence[Float]) -> None:
-        """Fill the rows of the joined worlds: by body, mean forces over the step [N] and torques about the origins of
-        its parts [N m], world axes, shape (worlds, 2, b, 3)."""
+        """Write the forces on each body into the rows of the joined worlds.
+
+        forces: by body, mean force over the step [N] and torque about the origins of its parts [N m], world axes,
+            shape (worlds, 2, b, 3)
+        """
         raise NotImplementedError
 
     def sense(self, skin: int, place: SensorPlace, arp: Float, motion: Float) -> None:
@@ -127,15 +131,17 @@ class Backend:
         raise NotImplementedError
 
     def step_skins(self, t0: float, t1: float, skins: bool) -> None:
-        """Carry transducers and skins of the joined worlds from t0 to t1 [s], in place; skins: False leaves them.
+        """Advance transducers and skins of the joined worlds from t0 to t1 [s], in place.
 
-        Raises SceneError for a state of another solver, and where a small model that key `solver` names can't go on.
+        skins: False leaves the skins as they are
+        Raises SceneError for a state of another solver, and if a reduced model selected by key `solver` is not valid
+        any more.
         """
         raise NotImplementedError
 
 
 def serves(model: HapticModel) -> bool:
-    """Whether graphs compute the sound of a model: on a GPU, except echoes, boundary elements and 'accurate'."""
+    """Whether graphs compute the sound of a model: on a GPU, without echo, boundary elements, precision 'accurate'."""
     fast = model.arrays.precision == "fast" and model.arrays.wall_m is None
     solved = any(skin.spec.config.body_sound == "scattering" for skin in model.skins)
     return resolve(model.spec.device) != "cpu" and fast and not solved

@@ -1,7 +1,7 @@
 """The stages of a step on the host, for all worlds that no graph steps.
 
-Worlds whose sound one number determines are computed together, others one after the other; both give drives, forces
-and loads in one form. Data that a step hands to the next are stored under serial numbers of poses and drives.
+Worlds whose sound is one number times one drive are computed together, the others one after the other. Both kinds have
+drives, forces and loads in one form. Data for later steps are stored under serial numbers of poses and drives.
 """
 
 from collections.abc import Callable, Sequence
@@ -44,14 +44,14 @@ from palmfield.types import Complex, Float, Float32
 T = TypeVar("T")
 ONE: Float = np.ones((1, 1, 1))
 KEPT = 64
-"""Ways in which worlds were shared out among steppers."""
+"""Number of cached assignments of worlds to steppers."""
 
 
 class Sounding(NamedTuple):
-    """A drive in each of some worlds, and its share in the ARP there.
+    """One drive in each of some worlds, and its factor in their ARP.
 
     worlds: their numbers, rising, shape (g,); keys: serial numbers of pose and drive, shape (g, 2)
-    factors: on the ARP of the drive, shape (g,); unit: gives the drive of a world by its number, shape (N,)
+    factors: multiply the ARP of the drive, shape (g,); unit: returns the drive of a world by its number, shape (N,)
     """
 
     worlds: Rows
@@ -80,11 +80,11 @@ class Group(NamedTuple):
 class HostBackend(Backend):
     """The stages for all worlds, or for those that no other backend steps.
 
-    smooth: the worlds whose sound one number determines.
+    smooth: the worlds whose sound is one number times one drive.
     """
 
     moves_smoothly = True
-    """Whether a world with a new pose in every step may be one of `smooth`."""
+    """Whether `smooth` may include worlds whose pose changes in every step."""
 
     def __init__(self, models: Sequence[HapticModel], works: Sequence[Workspace], state: HapticState, alone: bool):
         """alone: whether no other code writes the state"""
@@ -101,11 +101,11 @@ class HostBackend(Backend):
         self._poses: Serials = np.zeros(worlds, np.int64)
         self._apart: list[int] = []
         self._smooth_keys: Serials = np.zeros((0, 2), np.int64)
-        # The mean over the step: drives that are summed up; by body one drive a world, or ARP at the samples by world
+        # Mean over the step: several drives of a world; by body, one drive of a world, or its ARP at the samples
         self._means: dict[int, MeanDrives] = {}
         self._singles: list[list[Sounding]] = [[] for _ in first.bodies]
         self._pressed: list[dict[int, Float]] = [{} for _ in first.bodies]
-        # What sounds at the beginning of the step, where a sensor has read it
+        # Drives at the beginning of the step, once a sensor has been read
         self._present: list[Sounding] | None = None
         # Of one drive a world: forces by body, what lies outside the modes' class, and stacks of patterns by skin
         self._kept = Kept(worlds)
@@ -128,7 +128,7 @@ class HostBackend(Backend):
         self.smooth.leave_out(world)
 
     def adopt(self, other: "HostBackend") -> None:
-        """Continue from another one, in a copy of its state in the same PosedScenes."""
+        """Continue from another HostBackend, whose state has been copied, in the same PosedScenes."""
         self.smooth.adopt(other.smooth)
         self._posed, self._poses, self._served = list(other._posed), other._poses.copy(), other._served.copy()
         self._kept.adopt(other._kept)
@@ -163,7 +163,7 @@ class HostBackend(Backend):
         self.works[0].look_ahead(posed)
 
     def _hold_points(self, world: int, t0: float) -> None:
-        """Take the points of stimuli whose control tick is due; after a reset nothing is held or looked at ahead."""
+        """Update foci whose control tick is due; after a reset drop held foci and precomputed steps."""
         emission = self.works[world].emission
         if untouched(self._states[world]):
             emission.forget()
@@ -183,12 +183,12 @@ class HostBackend(Backend):
             self._in(self._emit_one, world, t0)
 
     def _loud(self, factors: Float) -> Sounding:
-        """Those worlds of `smooth` whose unit drive sounds; factors: on its ARP, shape (g,)."""
+        """The worlds of `smooth` that are not silent; factors: multiply the ARP of their unit drives, shape (g,)."""
         loud = factors > 0.0
         return Sounding(self.smooth.joined[loud], self._smooth_keys[loud], factors[loud], self.smooth.unit)
 
     def _emit_one(self, world: int, t0: float) -> None:
-        """The mean drives of a world by itself."""
+        """Compute the mean drives of a world that is stepped alone."""
         work, posed = self.works[world], self._posed[world]
         work.look_ahead(posed)
         mean = work.emission.mean_drives(posed, gather(self._states[world], work), t0)
@@ -201,7 +201,7 @@ class HostBackend(Backend):
         return self.joined
 
     def _press_one(self, world: int, mean: MeanDrives) -> None:
-        """The mean ARP of a world at the samples of each body; that of one drive is left to `push`, which stores it."""
+        """Compute the mean ARP of a world at the samples of each body. For a single drive, `push` computes it."""
         work, posed = self.works[world], self._posed[world]
         for body, pressed in enumerate(self._pressed):
             arp = work.mean_pressure(posed, body, mean)
@@ -264,9 +264,9 @@ class HostBackend(Backend):
             arp[one.worlds] = one.factors * made
 
     def _sounds_now(self, world: int) -> list[Sounding]:
-        """What sounds at the beginning of the step in a world by itself; empty in silence."""
+        """Drive at the beginning of the step in a world that is stepped alone; empty in silence."""
         work, posed = self.works[world], self._posed[world]
-        # What `emit` has gathered
+        # work.amplitudes: gathered by `emit`
         course = work.emission.now(posed, work.amplitudes, self._begun_s)
         drive, factor = present_drive(course)
         return [] if drive is None else [self._single(world, np.array([factor]), drive, course.serial)]
@@ -298,7 +298,7 @@ class HostBackend(Backend):
             self._served[:, world] = 0
 
     def _step_smooth(self, t0: float, t1: float, skins: bool) -> None:
-        """`step_skins` in the worlds whose sound one level determines."""
+        """`step_skins` in the worlds of `smooth`."""
         model, smooth = self.models[0], self.smooth
         worlds, moments = smooth.joined, substep_moments((), t0, model.step_s, model.substeps)
         levels, end = smooth.over(moments)
@@ -338,11 +338,11 @@ class HostBackend(Backend):
             scatter(state, course.end)
 
     def _course(self, world: int, begun: Complex, t0: float, count: int) -> tuple[Moments, EmittedCourse]:
-        """The emission of a world by itself over some substeps; begun: at t0 [s], shape (N,)."""
+        """The emission of a world that is stepped alone; begun: its emission at t0 [s], shape (N,)."""
         return self.works[world].emission.over(self._posed[world], begun, t0, count)
 
     def _step_group(self, group: Group, t0: float, t1: float) -> None:
-        """Step the skins of a group of worlds, in place, and hand on what is watched."""
+        """Step the skins of a group of worlds, in place, and pass the observed motion to the observer."""
         motion = []
         for skin in range(len(self.models[0].skins)):
             if not self._anywhere[skin]:
@@ -365,7 +365,7 @@ class HostBackend(Backend):
             )
 
     def _leave_small_models(self, group: Group, skin: int, t0: float) -> None:
-        """Turn small models into whole layers where something has moved."""
+        """Replace reduced models by the full layer in worlds where something has moved."""
         worlds, served = group.worlds, self._served[skin]
         moved = (served[worlds] != self._poses[worlds]) & (self.state.skins[skin][worlds, 0] != WHOLE)
         if not np.logical_or.reduce(moved):
@@ -382,14 +382,14 @@ class HostBackend(Backend):
                 served[world] = self._poses[world]
 
     def _leaves(self, world: int, skin: int, t0: float) -> bool:
-        """Whether the small model of a skin is no longer valid."""
+        """Whether the reduced model of a skin is no longer valid."""
         work, state = self.works[world], self._states[world]
         return leaves_small_model(
             self.models[world], state, skin, self._posed[world], work.reference, work.emission, t0
         )
 
     def _continue_whole(self, group: Group, i: int, skin: int, t0: float) -> None:
-        """Continue with the whole layer from the motion of a skin in the i-th world."""
+        """Continue with the full layer from the motion of a skin in the i-th world."""
         world = int(group.worlds[i])
         work, state = self.works[world], self._states[world]
         continue_on_whole_layer(
@@ -476,14 +476,14 @@ class HostBackend(Backend):
             claim(self.models[world], self._states[world], skin, stepper)
 
     def _stack(self, group: Group, skin: int, stepper: SkinStepper, at: Rows) -> tuple[Float32, bool]:
-        """Patterns of ARP in the worlds at some places of a group, shape (w, p, n): the same array while pose and
-        drive stay, and whether it may."""
+        """Patterns of ARP in some worlds of a group, shape (w, p, n): the same array while pose and drive stay;
+        and whether steppers may keep results computed from it."""
         key = group.worlds[at].tobytes() + group.keys[at].tobytes()
         stacked = self._kept.of((skin, stepper), key, self._stacked, group, skin, stepper, at)
         return stacked, group.first.shape[2] == 1
 
     def _stacked(self, group: Group, skin: int, stepper: SkinStepper, at: Rows) -> Float32:
-        """Compute these patterns, once for worlds with the same pose and drive."""
+        """Compute the patterns of `_stack`, once for worlds with the same pose and drive."""
         made: dict[bytes, Float32] = {}
         patterns = []
         for i in at.tolist():
@@ -498,7 +498,7 @@ class HostBackend(Backend):
         return np.stack(patterns)
 
     def steppers(self, skin: int, worlds: Rows) -> list[tuple[SkinStepper, Rows]]:
-        """Some worlds by what steps a skin in them."""
+        """The steppers of a skin, each with the given worlds that it steps."""
         whole = self.state.skins[skin][worlds, 0] == WHOLE
         key = skin, worlds.tobytes(), whole.tobytes()
         known = self._shared_out.get(key)

@@ -23,9 +23,9 @@ from palmfield.simulation.workspace import Workspace
 from palmfield.types import Complex, Float
 
 TOGETHER = 16
-"""Steps in one pose that are taken in one go: more cost as much each."""
+"""Largest number of steps in one pose that are computed together. More steps do not reduce the cost of each."""
 PARTS, LEAST_WORLDS = 2, 128
-"""Graphs among which worlds are shared out at most, and from how many worlds on there is one graph more.
+"""Largest number of graphs that share the worlds, and number of worlds from which another graph is used.
 
 1,024 worlds on an H100 and 16 cores: hover_explore 25, 19, 17.5 and 17 us a world with 1, 2, 3 and 4 graphs,
 follow_fingertip 21, 15, 18 and 18."""
@@ -34,21 +34,21 @@ follow_fingertip 21, 15, 18 and 18."""
 def backends_of(
     models: Sequence[HapticModel], works: Sequence[Workspace], state: HapticState, alone: bool
 ) -> tuple[Sequence[Backend], HostBackend]:
-    """What a step is offered to, one after the other, and the host, which takes all that is left."""
+    """Return the backends to which a step is offered, in this order, and the host, which steps all remaining worlds."""
     if not serves(models[0]):
         return (), HostBackend(models, works, state, alone)
     # The kernels of graphs are not loaded for scenes that have none
     from palmfield.simulation.moving_worlds import MovingWorlds
     from palmfield.simulation.scene_graph import SceneGraph
 
-    # In parts, so that a device computes one while MuJoCo moves the bodies of another
+    # Several graphs, so that a device computes one while MuJoCo moves the bodies of another
     bounds = np.linspace(0, len(models), 1 + min(PARTS, 1 + len(models) // LEAST_WORLDS)).round().astype(int).tolist()
     moving = []
     for begin, end in pairwise(bounds):
         own, room_for = slice(begin, end), 0 if begin else len(models)
         moving.append(MovingWorlds(models[own], works[own], state.of(own), alone, begin, room_for))
     others = moving if any(part.some for part in moving) else ()
-    # These read and write the state as well
+    # The graphs read and write the state as well
     host = (SceneGraph if len(models) == 1 else HostBackend)(models, works, state, alone and not others)
     return others, host
 
@@ -56,9 +56,9 @@ def backends_of(
 class Steps:
     """The steps of the worlds of a state, in sequence. Belongs to one state and is used by one thread at a time.
 
-    models, works: of each world. state: of all.
-    host: steps what no other of the `backends` does. forces: by body, mean force on its parts over the step that has
-        begun [N], and torques about their origins [N m], world axes, shape (worlds, 2, b, 3).
+    models, works: one for each world. state: of all worlds. host: steps the worlds that no other backend steps.
+    forces: by body, mean force on its parts over the current step [N], and torques about their origins [N m], world
+        axes, shape (worlds, 2, b, 3).
     """
 
     def __init__(
@@ -69,9 +69,9 @@ class Steps:
         others, self.host = backends_of(models, works, state, alone)
         self.backends: tuple[Backend, ...] = (*others, self.host)
         self.forces: list[Float] = [np.zeros((len(models), 2, body.parts, 3)) for body in models[0].bodies]
-        self._free: Bool = np.ones(len(models), dtype=bool)  # of all backends so far
+        self._free: Bool = np.ones(len(models), dtype=bool)  # worlds that no backend has taken so far
         self._started = 0  # how many backends have begun the step
-        self._waits = [False] * len(self.backends)  # whether they compute it and have not been waited for
+        self._waits = [False] * len(self.backends)  # whether each computes the step and `ready` has not been called
 
     @property
     def observer(self) -> Observer | None:
@@ -85,13 +85,15 @@ class Steps:
 
     @property
     def in_graph(self) -> bool:
-        """Whether a graph computes steps: it must know sensors before the first one, and keeps the ARP of bodies."""
+        """Whether a graph computes steps, see Backend."""
         return any(backend.in_graph for backend in self.backends)
 
     @property
     def together(self) -> int:
-        """How many steps in one pose `over` takes in one go: one where points are held, or where skins serve a class of
-        loads, of which every step is measured."""
+        """Largest number of steps in one pose for `over`.
+
+        It is 1 if foci are held between control ticks, or if skins use modes: their load is measured in every step.
+        """
         model = self.models[0]
         free = not self.works[0].emission.holds and not any(one.value.of_class for one in model.begin)
         return TOGETHER if free else 1
@@ -102,7 +104,7 @@ class Steps:
             backend.forget()
 
     def adopt(self, other: "Steps") -> None:
-        """Continue from another one, in a copy of its state in the same PosedScenes."""
+        """Continue from other Steps, whose state has been copied, in the same PosedScenes."""
         for work, origin in zip(self.works, other.works, strict=True):
             work.adopt(origin)
         self.host.adopt(other.host)
@@ -114,14 +116,14 @@ class Steps:
             backend.fetch()
 
     def play(self, emissions: Mapping[int, Emission]) -> None:
-        """Let other sound take the place of that of some worlds' stimuli."""
+        """Replace the emission of the stimuli in some worlds, by number."""
         for world, emission in emissions.items():
             self.works[world].emission = emission
             for backend in self.backends:
                 backend.leave_out(world)
 
     def watch(self, skin: int, place: SensorPlace) -> None:
-        """Compute what a sensor reads there with the beginning of each step; before the first one."""
+        """Compute the readings of a sensor here at the beginning of each step. Call it before the first step."""
         for backend in self.backends:
             backend.watch(skin, place)
 
@@ -148,9 +150,9 @@ class Steps:
                 host.push(self.forces)
 
     def start(self, number: int, frames: Frames, t0: float) -> None:
-        """The same for one backend other than the host, by its number, before `begin` does so for those that are left.
+        """Begin a step in one backend, by its number (not the host), before `begin` begins it in the others.
 
-        A device may go on with it after this call.
+        A device may still compute after this call returns.
         """
         if number == 0:
             self._free[:] = True
@@ -162,7 +164,7 @@ class Steps:
         self._started, self._waits[number] = number + 1, True
 
     def ready(self, number: int) -> bool:
-        """Wait for the forces by a backend that has started; whether it takes the step of all its worlds."""
+        """Wait for the forces of a backend that has started; return whether it steps all its worlds."""
         backend = self.backends[number]
         if self._waits[number] and len(backend.joined):
             self._free[backend.joined] = True
@@ -183,7 +185,7 @@ class Steps:
         return arp, motion
 
     def advance(self, t0: float, t1: float, skins: bool = True) -> None:
-        """Carry transducers and skins of all worlds from t0 to t1 [s]; see `Backend.step_skins`."""
+        """Advance transducers and skins of all worlds from t0 to t1 [s]; see `Backend.step_skins`."""
         with one_blas_thread:
             for backend in self.backends:
                 if len(backend.joined):
@@ -196,7 +198,7 @@ class Steps:
             self.host.step_skins(t0, t0 + steps * self.models[0].spec.timestep_s, skins)
 
     def state_now(self) -> bytes:
-        """The inputs of the step that has begun, for a state that other code may write: equal while it is valid."""
+        """Return the state from which this step was computed, as bytes. If they change, the step is invalid."""
         parts: tuple[Complex | Float, ...] = self.state.emitted
         for backend in self.backends:
             for skin, size in backend.stepped:

@@ -100,13 +100,14 @@ class SkinStepper(Protocol):
     points: numbers of the quadrature points of the layer at which it takes pressure, shape (p,), None for all of them.
     error: relative error of the displacement that the stepper itself adds, by its own estimate; 0 where it adds none.
         With its own mesh it includes that of the mesh, and the estimate may take as long as a short run.
-    any_pose, any_course: whether it is valid after body, arrays or focus have moved, and from rest during sound.
+    any_pose: whether it is valid after body, arrays or focus have moved. any_course: whether it is valid for any
+        course of the load in time, also from rest while sound is on.
     of_class: whether it serves only a class of loads.
-    adds_error: relative errors of displacement and velocity that a small model adds to its layer for its loads, the
-        second None without an estimate; None for other steppers.
+    adds_error: relative errors of displacement and velocity that a reduced model adds to those of its layer. The second
+        is None without an estimate. None for other steppers.
     exact_in_time: whether its substeps add no error.
     factorises: whether it holds the factors of the whole layer.
-    made_of: all inputs of the results of a small model.
+    made_of: all inputs that determine the results of a reduced model.
     """
 
     name: str
@@ -150,7 +151,7 @@ class SkinStepper(Protocol):
         return None
 
     def device_worlds(self, most: int, device: str) -> "DeviceStep | None":
-        """The stepper of this number of worlds on a device in place of `step`, None without one."""
+        """Return a stepper on a device that replaces `step` for up to `most` worlds, or None."""
         return None
 
     def work(self, patterns: int, substeps: int) -> StepWork | None:
@@ -166,7 +167,7 @@ class SkinStepper(Protocol):
         raise TypeError(f"solver '{self.name}' accepts any load")
 
     def lifted(self, state: Float, pressure_Pa: Callable[[], Float]) -> Float:
-        """For a small model: the same motion as a state of WedgeStepper, (w, its state_size).
+        """For a reduced model: convert its state to the same motion as a state of WedgeStepper, (w, size of that).
 
         pressure_Pa: gives the present inward pressure at its points, shape (p,)
         """

@@ -25,7 +25,7 @@ FULL_DUTY = 0.5
 """Beyond this duty pulses become softer again."""
 ROUNDING = 1e-9
 SILENT = 1e-9
-"""Share of full drive: an amplitude below it is silence, whose pulses have no course."""
+"""Share of full drive below which an amplitude counts as silence: its pulses have no course."""
 HARMONIC = 0.1
 """Share of the largest line in the ARP, each over its frequency, above which a harmonic is a main frequency: the skin's
 response decreases with frequency. A square wave of 200 Hz thus needs 600 Hz; a layer for 1 kHz differs by 0.2 %."""
@@ -39,7 +39,7 @@ COURSE_POWER = 0.99
 class Modulation(NamedTuple):
     """AM of a stimulus; numbers, or columns of shape (n, 1) for n stimuli with one quantity and waveform.
 
-    quantity: duty, amplitude or arp; power: of it to which the ARP is proportional, 0 for duty; depth: m
+    quantity: duty, amplitude or arp; depth: m; power: the ARP is proportional to this power of it, 0 for duty
     peak_duty: duty at the loudest moment, and exponent: g, for duty
     """
 

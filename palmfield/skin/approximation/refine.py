@@ -22,9 +22,9 @@ MESH_ORDER = 1.5
 under spots that reach the sides, and with few triangles under them in nearly incompressible sheets: of 19 round cases
 of a coverage run order 2 gave too small an error in 4, by up to half of it."""
 FINEST_RATIO = 2.0
-"""Largest ratio of the sizes of one mesh and the next finer."""
+"""Largest ratio of the element sizes of one mesh and the next finer one."""
 LEAST_MORE = 1.1
-"""Least ratio of two meshes' edges that Richardson's rule is trusted with."""
+"""Least ratio of the edges of two meshes for which Richardson's rule is used."""
 ALIKE = 1.3
 """Triangles of the finer mesh over those of the coarser, below which their difference does not measure the error: with
 43 and 41 on a small disc it gave a fifth of the error."""
@@ -69,9 +69,9 @@ class MeshSolution:
 
 @dataclass(frozen=True)
 class ConvergedSolution:
-    """The finest solution, its sizes, and what other meshes, rows in depth and extents say of its errors, (3,) each.
+    """The finest solution, its sizes, and its errors estimated with other meshes, rows in depth and extents, (3,) each.
 
-    judged: place among QUANTITIES of the one that was refined for
+    judged: index in QUANTITIES of the quantity that was refined for
     """
 
     fine: MeshSolution
@@ -107,11 +107,11 @@ def refine_until_converged(
     judged: int = 0,
     taken: float = 0.0,
 ) -> ConvergedSolution:
-    """Widen what absorbs, then add rows, then refine, until the errors fit the accuracy; at most ROUNDS times each.
+    """Widen absorbing bodies, add rows in depth, refine, each at most ROUNDS times, until the errors fit the accuracy.
 
     coarse: the solution of `now`, one mesh coarser; pinned: neither widen nor refine, only estimate the errors
-    taken: what other errors, not estimated here, take of the accuracy
-    judged: place among QUANTITIES of the one whose error must fit
+    taken: part of the accuracy that other errors, not estimated here, use up
+    judged: index in QUANTITIES of the quantity whose error must fit
     """
     reach_error = np.zeros(3)
     if isinstance(body, Slab) and (body.shape == "infinite" or body.side == "absorbing"):
