@@ -1,4 +1,4 @@
-"""Key `array_face`: the way from a rigid array face to a flat disc, and what between the two is not computed."""
+"""Key `array_face`: the distance from a rigid array face to a flat disc, and the scenes that it cannot represent."""
 
 import math
 
@@ -8,14 +8,14 @@ from palmfield.simulation.spec import ArraySpec, SceneSpec
 from palmfield.types import Array
 
 TILT_RAD = 5e-4
-"""Sound that has gone to and fro twice then is a seventieth of a wavelength off, 60 mm from the middle of the face."""
+"""After two round trips the sound path is then wrong by 1/70 wavelength, 60 mm from the middle of the face."""
 
 
 def wall_distance(spec: SceneSpec, array: Array) -> float | None:
-    """From the plane of the transducers to the disc [m] where the face of the array is rigid, None where it absorbs.
+    """Return the distance from the transducer plane to the disc [m]; None if the array face absorbs sound.
 
     array: transducers of the first array in its own frame.
-    Raises SceneError, with the reason and the remedy, for all that image sources of the array cannot represent.
+    Raises SceneError, with the reason and the remedy, for scenes that image sources of the array cannot represent.
     """
     rigid = next((array for array in spec.arrays if array.config.array_face == "rigid"), None)
     if rigid is None:
@@ -47,7 +47,7 @@ def wall_distance(spec: SceneSpec, array: Array) -> float | None:
 
 
 def refused(array: ArraySpec, why: str, allowed: str) -> SceneError:
-    """The message for a rigid face that can't be computed."""
+    """Return the error for a rigid face that cannot be computed."""
     return SceneError(
         f"{array.element}: key 'array_face' has value 'rigid', but {why}; allowed: {allowed}; or set array_face to "
         "absorbing: the error budget then includes a band for the echo"

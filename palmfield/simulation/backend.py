@@ -1,4 +1,4 @@
-"""Interface of what computes the steps of worlds, on the host or elsewhere."""
+"""Interface of the backends, which compute the steps of worlds on the host or on a device."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -36,9 +36,9 @@ class Frames(NamedTuple):
 class StepTrace:
     """The results of a step, in one world or in several with equal courses. Valid until the next step.
 
-    times: ends of the substeps [s], shape (s,). worlds: their numbers, shape (g,). posed: the pose of each.
-    moments: at which the load is given. levels: of the drives at these moments, complex, shape (g, m, k), as in
-        EmittedCourse. course: returns the whole emission of the i-th world.
+    times: ends of the substeps [s], shape (s,). worlds: their numbers, shape (g,). posed: the pose of each world.
+    moments: times at which the load is computed. levels: levels of the drives at these moments, complex, shape
+        (g, m, k), as in EmittedCourse. course: returns the whole emission of the i-th world.
     begun: returns the emission of the i-th world at the beginning, shape (N,).
     motion: for each skin and each of its steppers, numbers of the worlds (w,) and the observed displacement [m] and
         velocity [m/s] after each substep, (w, s, 2, m). The same points are observed in all worlds.
@@ -58,15 +58,15 @@ Observer = Callable[[StepTrace], None]
 
 
 class Backend:
-    """Computes steps of the worlds of a state. `Steps` offers each step to its backends one after the other.
+    """Computes steps of the worlds of a state. `Steps` calls its backends for each step, one after the other.
 
     A step begins with `place`, `emit`, `press` and `push`, in this order; `sense` follows for each sensor, and
     `step_skins` when MuJoCo has moved its bodies.
 
     own: the worlds that may take steps here.
-    joined: numbers of the worlds whose present step is computed here, rising, shape (g,).
-    stepped: number and state size of each skin whose whole step is computed already at its beginning.
-    observer: gets the trace of each step of each group of worlds.
+    joined: numbers of the worlds whose present step is computed here, ascending, shape (g,).
+    stepped: number and state size of each skin whose whole step is computed when the step begins.
+    observer: receives the trace of each step of each group of worlds.
     in_graph: whether a graph computes steps. Its sensors must be set before the first step, and it keeps the ARP of
         bodies.
     """
@@ -86,7 +86,7 @@ class Backend:
         return self.observer is not None or any(map(is_not, self.works[0].observe, repeat(None)))
 
     def forget(self) -> None:
-        """Drop data of the last step, after a reset or in a copy: other code has written the state."""
+        """Drop data of the last step. Call it after a reset and in a copy, because other code has written the state."""
 
     def fetch(self) -> None:
         """Update the state from a device that has newer numbers."""
@@ -98,7 +98,7 @@ class Backend:
         """Compute the readings of a sensor at this place too, from the next step on."""
 
     def place(self, frames: Frames, free: Bool, t0: float) -> Rows:
-        """Read the poses at the beginning of a step, t0 [s]; return the numbers of the worlds that it can step, rising.
+        """Read the poses at the start of a step, t0 [s]; return the numbers of worlds that it can step, ascending.
 
         free: the worlds that no other backend steps, shape (worlds,)
         """
@@ -107,7 +107,7 @@ class Backend:
     def emit(self, t0: float) -> None:
         """Compute what transducers emit over the step, as far as forces and sensors need it.
 
-        A device begins to compute the step, while the host does other work until `press`.
+        A device starts to compute the step; the host does other work until `press`.
         """
         raise NotImplementedError
 
@@ -134,14 +134,14 @@ class Backend:
         """Advance transducers and skins of the joined worlds from t0 to t1 [s], in place.
 
         skins: False leaves the skins as they are
-        Raises SceneError for a state of another solver, and if a reduced model selected by key `solver` is not valid
-        any more.
+        Raises SceneError for a state of another solver, and if a reduced model selected by key `solver` has become
+        invalid.
         """
         raise NotImplementedError
 
 
 def serves(model: HapticModel) -> bool:
-    """Whether graphs compute the sound of a model: on a GPU, without echo, boundary elements, precision 'accurate'."""
+    """Whether graphs compute the sound of a model: on a GPU, without echo, boundary elements and 'accurate' fields."""
     fast = model.arrays.precision == "fast" and model.arrays.wall_m is None
     solved = any(skin.spec.config.body_sound == "scattering" for skin in model.skins)
     return resolve(model.spec.device) != "cpu" and fast and not solved

@@ -1,4 +1,4 @@
-"""From what a scene says to its model: the one place where parts are made and joined."""
+"""Build the model of a scene from its spec. All parts of a model are made and connected in this file."""
 
 import threading
 from collections.abc import Sequence
@@ -52,20 +52,20 @@ if TYPE_CHECKING:
     from palmfield.stimulus.surface_path import SurfacePath
 
 LEAST_FREQUENCY_Hz = 200.0
-"""Mesh and step resolve at least this, unless key max_frequency_Hz says otherwise."""
+"""Mesh and time step resolve at least this frequency, unless key max_frequency_Hz sets another."""
 NEAR = 0.25
-"""Share of the spot width: a focus this near to the middle of a layer is meshed as if it were at the middle."""
+"""A focus nearer to the middle of a layer than this share of the spot width is meshed as if at the middle."""
 MOST_MODELS = 8
 _lock = threading.RLock()
 _models: list[HapticModel] = []
 _kept: "list[tuple[SceneLayer, Lazy[WedgeStepper]]]" = []
-# While a model holds them, others that need the same ones reuse them: a mesh and its matrices take seconds
+# Models that need the same parts share them while any model uses them: a mesh and its matrices take seconds
 _bodies: WeakValueDictionary[SkinConfig, BodyModel] = WeakValueDictionary()
 _known_layers: WeakValueDictionary[tuple[object, ...], SceneLayer] = WeakValueDictionary()
 
 
 def model_of(spec: SceneSpec) -> HapticModel:
-    """The model of a spec; equal specs share one, so that two scenes alike factorise once. Errors as `build`."""
+    """Return the model of a spec; equal specs share one model and its factors. Errors as `build`."""
     with _lock:
         for known in _models:
             if known.spec == spec:
@@ -77,9 +77,9 @@ def model_of(spec: SceneSpec) -> HapticModel:
 
 
 def keep_model(spec: SceneSpec, model: HapticModel) -> None:
-    """Forget all models but that of a spec, and keep the layers of one, which serve later scenes that need the same.
+    """Drop all models except that of a spec, and keep the layers of `model` for later scenes that need the same ones.
 
-    model: that of the spec, or of a world with other layers
+    model: the model of the spec, or of a world with other layers
     """
     with _lock:
         _models[:] = [known for known in _models if known.spec == spec]
@@ -87,15 +87,15 @@ def keep_model(spec: SceneSpec, model: HapticModel) -> None:
 
 
 def _but_for_texts(spec: SceneSpec) -> SceneSpec:
-    """The spec without the entries that MuJoCo fills in last: MuJoCo reads the sizes of the states earlier."""
+    """Return the spec without the entries that MuJoCo fills in last, after it reads the sizes of the states."""
     return replace(spec, duration_s=1.0, device="cpu")
 
 
 def build(spec: SceneSpec, alike: HapticModel | None = None) -> HapticModel:
     """Make the model of a scene.
 
-    alike: a model of the same scene for another duration or device, whose bodies and layers serve here as well
-    Raises SceneError or DeviceError, with element, key, value and what is allowed, for what doesn't fit together.
+    alike: a model of the same scene for another duration or device; its bodies and layers are reused
+    Raises SceneError or DeviceError, with element, key, value and allowed values, for inconsistent keys.
     """
     check_bodies(spec)
     arrays = _arrays(spec)
@@ -116,7 +116,7 @@ def build(spec: SceneSpec, alike: HapticModel | None = None) -> HapticModel:
 
 
 def board_for(spec: SceneSpec, arrays: PhasedArray) -> Board:
-    """The board that plays the drive. SceneError for arrays that it does not drive, DeviceError for unknown keys."""
+    """Return the board of a scene. SceneError for arrays that it does not drive, DeviceError for unknown keys."""
     check_arrays(BOARDS[spec.driver.board], spec.arrays)
     known = any(array.calibration is not None for array in spec.arrays)
     with naming_keys("plugin 'palmfield.driver'", spec.driver):
@@ -129,21 +129,21 @@ def board_for(spec: SceneSpec, arrays: PhasedArray) -> Board:
 
 
 def whole_of(layer: SceneLayer) -> "Lazy[WedgeStepper]":
-    """The stepper of a whole layer, with its matrix factorised at first use; the stored one, if any."""
+    """Return the stepper of a whole layer, stored or new; its matrix is factorised at first use."""
     with _lock:
         known = next((whole for other, whole in _kept if other is layer), None)
         return known or Lazy(partial(whole_stepper, layer))
 
 
 def whole_stepper(layer: SceneLayer) -> "WedgeStepper":
-    """The stepper of a whole layer, with its factorised matrix."""
+    """Make the stepper of a whole layer, with its factorised matrix."""
     from palmfield.skin.fem.wedge_stepper import WedgeStepper
 
     return WedgeStepper(layer.system, layer.quadrature.operator, layer.sizes.step_s)
 
 
 def _arrays(spec: SceneSpec) -> PhasedArray:
-    """Arrays of the scene in the reference pose. Raises SceneError, which names the instance that can't be built."""
+    """Return the arrays in the reference pose. SceneError names the instance that cannot be built."""
     instances = array_instances(spec)
     for array, instance in zip(spec.arrays, instances, strict=True):
         with array.naming():
@@ -163,7 +163,7 @@ def _arrays(spec: SceneSpec) -> PhasedArray:
 
 
 def _body(skin: SkinConfig) -> BodyModel:
-    """The surface of the body of a skin, and its bones; the same object for the same keys, while a model holds it."""
+    """Return the body of a skin: surface and bones. Equal keys share one object while a model uses it."""
     with _lock:
         body = _bodies.get(skin) or _bodies.setdefault(skin, _new_body(skin))
         body.force_accuracy = skin.force_accuracy
@@ -175,7 +175,7 @@ def _new_body(skin: SkinConfig) -> BodyModel:
         return BodyModel(skin.body, None, None, skin.depth_m)
     if skin.shape == "mesh":
         assert skin.mesh
-        from palmfield.hand.meshfile import load_mesh  # which brings all that mends a mesh
+        from palmfield.hand.meshfile import load_mesh  # slow import: it loads the mesh repair code
 
         return BodyModel(skin.body, load_mesh(Path(skin.mesh), skin.unit), None, skin.depth_m)
     if skin.shape == "cylinder":
@@ -202,7 +202,7 @@ def _new_body(skin: SkinConfig) -> BodyModel:
 
 
 Responses = dict[tuple[StimulusSpec, bool], TransducerResponse]
-"""Responses of stimuli at any level, and whether they are silent."""
+"""Cached responses of stimuli, independent of the level, and whether the stimulus is silent."""
 
 
 def stimuli_of(
@@ -212,9 +212,9 @@ def stimuli_of(
     carriers: Sequence[BodyModel],
     known: Responses | None = None,
 ) -> tuple[tuple[StimulusModel, ...], Pole, bool]:
-    """The stimuli, the pole of all transducers, and whether their ring-up is modelled.
+    """Return the stimuli, the common pole of all transducers, and whether their ring-up is modelled.
 
-    carriers: the body of each skin; known: responses that other worlds of the scene have, which are added to
+    carriers: the body of each skin; known: responses of other worlds of the scene; new ones are added
     """
     strictest = min(skin.config.accuracy for skin in spec.skins)
     scattering = any(skin.config.body_sound == "scattering" for skin in spec.skins)
@@ -226,7 +226,7 @@ def stimuli_of(
         stimuli.append(_stimulus(stimulus, spec, arrays, board, carrier, strictest, own, spread=not scattering))
     pole = stimuli[0].response.pole
     response_on = any(stimulus.response.on for stimulus in stimuli)
-    # Transducers of one scene ring up, or none do: their sounds add up in one state.
+    # Ring-up is modelled for all transducers of a scene or for none: they share one state.
     stimuli = [replace(stimulus, response=replace(stimulus.response, on=response_on)) for stimulus in stimuli]
     for skin in spec.skins:
         check_body_sound(skin, spec.stimuli, pole, response_on)
@@ -244,7 +244,7 @@ def _stimulus(
     *,
     spread: bool,
 ) -> StimulusModel:
-    """A stimulus with its path and its transducers' response.
+    """Make a stimulus with its path and the response of its transducers.
 
     carrier: the body that its path runs on; accuracy: the strictest of all skins; known: see `stimuli_of`; spread:
         whether flight times may differ
@@ -271,7 +271,7 @@ def _stimulus(
         drive = ArrayDrive(arrays, transducers.astype(np.int32), config.arp_peak_Pa, amplitude, board, about[:1], about)
         foci = focal_points.at(frame_at(config, config.start_s).focus)
         silent = not np.any(drive.unit_drive(foci).amplitudes)
-        # Equal at any level that the board plays unchanged, except silence, in which no level is left out
+        # The key is equal at any level that the board plays unchanged. Silence has its own key.
         key = (replace(spec, config=at_any_level(spec.config)) if board.exact else spec), silent
         response = known.get(key)
         if response is None:
@@ -281,8 +281,8 @@ def _stimulus(
 
 
 def at_any_level(config: StimulusConfig) -> StimulusConfig:
-    """Equal for stimuli that differ only in their level. Where the duty is modulated, which changes the course of the
-    ARP, the stimulus itself."""
+    """Return a key that is equal for stimuli that differ only in level. If the duty is modulated, which changes the
+    waveform of the ARP, return the stimulus itself."""
     if config.am_quantity == "duty":
         return config
     by_pressure = config.arp_peak_Pa is not None
@@ -290,7 +290,7 @@ def at_any_level(config: StimulusConfig) -> StimulusConfig:
 
 
 def _path_on(spec: StimulusSpec, carrier: BodyModel, body: Transform) -> "SurfacePath":
-    """The path that the focus takes on the resting surface.
+    """Return the path of the focus on the resting surface.
 
     body: frame of the surface, seen from the first array, in the reference pose
     """
@@ -326,7 +326,7 @@ def _skins(
     response_on: bool,
     layers: list[SceneLayer] | None,
 ) -> tuple[SkinModel, ...]:
-    """The skins with their layers, which are made here if they are not stored."""
+    """Return the skins with their layers; layers that are not stored are made here."""
     if layers is None:
         carriers = [bodies[names.index(skin.config.body)] for skin in spec.skins]
         layers = layers_for(spec, stimuli, demands_of(spec, stimuli, arrays, board, carriers), carriers)
@@ -346,7 +346,7 @@ def demands_of(
     board: Board,
     carriers: Sequence[BodyModel],
 ) -> list[LayerDemand]:
-    """The demands of the stimuli on the layer of each skin; carriers: the body of each skin."""
+    """Return the demands of the stimuli on the layer of each skin; carriers: the body of each skin."""
     demands = []
     for skin, body in zip(spec.skins, carriers, strict=True):
         stimulus = nearest_stimulus(skin, stimuli)
@@ -375,11 +375,11 @@ def layers_for(
     demands: Sequence[LayerDemand],
     carriers: Sequence[BodyModel],
 ) -> list[SceneLayer]:
-    """The skins' layers; all have the time step of the one that needs the shortest. carriers: the body of each skin"""
+    """Return the layers of the skins, all with the shortest time step that one needs. carriers: body of each skin"""
     layers = []
     for skin, body, demand in zip(spec.skins, carriers, demands, strict=True):
         layers.append(_layer(skin, body, demand))
-        # Before any layer is meshed, which is slow itself where the elements are too small.
+        # Check before meshing: meshing is slow if the elements are too small.
         check_cost(skin, layers[-1], spec.timestep_s, nearest_stimulus(skin, stimuli))
     if len(layers) == 1:
         return layers
@@ -391,7 +391,7 @@ def layers_for(
 
 
 def _layer(skin: SkinSpec, body: BodyModel, demand: LayerDemand) -> SceneLayer:
-    """The layer of a skin; the same object for the same keys, place and demand on one body, while a model holds it."""
+    """Return the layer of a skin. Equal keys, place and demand on one body share a layer while a model uses it."""
     key = skin.name, skin.config, skin.patch_centre, body, demand
     with _lock:
         return _known_layers.get(key) or _known_layers.setdefault(
@@ -404,14 +404,14 @@ def _layer(skin: SkinSpec, body: BodyModel, demand: LayerDemand) -> SceneLayer:
 
 
 def nearest_stimulus(skin: SkinSpec, stimuli: tuple[StimulusModel, ...]) -> StimulusModel:
-    """The stimulus whose first focus is nearest to the middle of a skin: its sound is what the layer is made for."""
+    """Return the stimulus whose first focus is nearest to the middle of a skin: the layer is made for its sound."""
     centre = skin.body.transform.points(np.array(skin.patch_centre))
     sounding = [stimulus for stimulus in stimuli if not stimulus.silent] or list(stimuli)
     return min(sounding, key=lambda stimulus: float(np.linalg.norm(stimulus.first_focus - centre)))
 
 
 def _common_step(steps_s: list[float], spec: SceneSpec) -> float:
-    """The time step that all skins share [s], so that results have one time."""
+    """Return the time step that all skins share [s], so that results have one time axis."""
     step_s = min(steps_s)
     for skin, own in zip(spec.skins, steps_s, strict=True):
         if skin.config.step_s is not None and own > (1.0 + 1e-9) * step_s:
@@ -423,14 +423,14 @@ def _common_step(steps_s: list[float], spec: SceneSpec) -> float:
 
 
 def spot_fwhm(arrays: PhasedArray, board: Board, stimulus: StimulusModel) -> float:
-    """Full width at half maximum of |p|^2 around the first focus of a stimulus, along the x axis of the array [m]."""
+    """Return the full width at half maximum of |p|^2 at a stimulus's first focus, along the x axis of the array [m]."""
     focus = stimulus.first_focus
     config = stimulus.config
-    # Of a silent stimulus: the spot that it would have
+    # For a silent stimulus: the spot that it would have
     drive = ArrayDrive(arrays, stimulus.transducers, config.arp_peak_Pa, peak_amplitude(config) or 1.0, board)
     amplitudes = drive.unit_drive(focus).amplitudes
     offsets, peak = np.linspace(0.0, 0.06, 241), None
-    # In pieces: most spots end in the first
+    # The line is searched in pieces: most spots end in the first
     for offset in np.array_split(offsets, 8):
         points = focus + offset[:, None] * np.array([1.0, 0.0, 0.0])
         square = np.abs(arrays.pressure64(points, amplitudes)) ** 2
@@ -444,7 +444,7 @@ def spot_fwhm(arrays: PhasedArray, board: Board, stimulus: StimulusModel) -> flo
 def path_reach(
     stimulus: StimulusModel, skin: SkinSpec, body: BodyModel, spot_m: float
 ) -> tuple[tuple[float, float, float], tuple[float, float]]:
-    """Distance from the middle of a layer to the middle of a focus or path, and its greatest distance from both [m].
+    """Return the distance from layer middle to path (or focus) middle, and the path's greatest distance from both [m].
 
     The first is 0 for three cases: a path on the skin, which is measured from the middle of the layer; a skin that
     moves; and a focus that is less than NEAR of its spot away, or that misses the layer.
@@ -476,7 +476,7 @@ def path_reach(
 
 
 def _on_skin(body: BodyModel, point: Float) -> Float:
-    """The nearest place of the resting surface of a body to a point, body frame [m]; of a disc the one above it."""
+    """Return the surface point of a resting body nearest to a point, body frame [m]; for a disc its projection."""
     surface = body.surface
     if surface is None:
         return np.array([*point[:2], 0.0])

@@ -1,6 +1,6 @@
-"""Models of worlds that differ in what their stimuli do: one set of arrays, bodies, layers and whole steppers for all.
+"""Models of worlds with different stimuli. All share one set of arrays, bodies, layers and full-layer steppers.
 
-The model of each world is a HapticModel, so that whatever steps one scene steps one world; worlds alike share one.
+The model of each world is a HapticModel, so that the same code steps a scene and a world; equal worlds share one.
 """
 
 import math
@@ -26,15 +26,15 @@ from palmfield.skin.scene_layer import LayerDemand, SceneLayer
 from palmfield.skin.stepper import SkinStepper
 
 Stimuli = tuple[tuple[StimulusModel, ...], bool]
-"""The stimuli of a world, and whether the ring-up of its transducers is modelled."""
+"""Stimuli of a world, and whether the ring-up of its transducers is modelled."""
 
 
 @dataclass(frozen=True)
 class Shared:
     """Data that a world shares with worlds outside its group, so that it does not depend on the other members.
 
-    demands: what the layer of each skin is made for; None for the demands of the scene by itself.
-    modal: whether modes for every load step skins whose loads are predicted, where key `solver` is auto.
+    demands: the demand on the layer of each skin; None for the demands of this scene alone.
+    modal: whether general modes step skins with predicted loads too, if key `solver` is auto.
     """
 
     demands: tuple[LayerDemand, ...] | None = None
@@ -46,11 +46,11 @@ def build_worlds(
 ) -> tuple[HapticModel, ...]:
     """Build the model of each world, for specs that differ only in the keys of their stimuli.
 
-    scene: of MuJoCo's model, which differs only in such keys; the first of specs by default.
+    scene: spec of MuJoCo's model, which differs only in such keys; the first of specs by default.
     shared: the data shared with other worlds; without it, the demands of these worlds.
-    The layers are made for the strictest of the worlds with sound. If all have the same demands, each has the layer
-    that it would have by itself. A skin gets small models if every world with sound would have one, at most
-    MOST_SMALL_MODELS different ones; loads that differ only in level share one. Otherwise one stepper serves all:
+    The layers are made for the strictest demand of the worlds with sound. With equal demands, each world has the same
+    layer as when simulated alone. A skin gets reduced models if every world with sound would have one, at most
+    MOST_SMALL_MODELS different ones; loads that differ only in level share one. Otherwise one stepper is used for all:
     modes or whole layer. Raises SceneError or DeviceError as `palmfield.simulation.build.build`.
     """
     first = model_of(scene or specs[0])
@@ -80,18 +80,18 @@ def build_worlds(
     begins: dict[tuple[int, object], Lazy[SkinStepper]] = {}
     for number, skin in enumerate(skins):
         if scene is not None and skin is first.skins[number]:
-            # Data made for MuJoCo's model serve worlds in which it sounds the same
+            # Worlds with the same sound as MuJoCo's model reuse its data
             own_load = load_key(first.stimuli, first.board.exact) if not skin.choice.solver.any_pose else None
             begins[number, own_load] = first.begin[number]
     models: dict[SceneSpec, HapticModel] = {}
-    # Worlds with sound come first: any of their steppers serves silence
+    # Worlds with sound come first: a silent world can use any of their steppers
     fallback = next((load for load in loads.values() if load is not None), None)
     for spec in sorted(stimuli, key=lambda spec: loads[spec] is None):
         made, response_on = stimuli[spec]
         model = replace(first, spec=spec, stimuli=made, response_on=response_on, skins=skins, whole=whole)
         begin = []
         for number, skin in enumerate(skins):
-            # A small model is made for its load; any other stepper of a skin serves all loads
+            # A reduced model is made for its load; any other stepper of a skin can take all loads
             key = number, None if skin.choice.solver.any_pose else loads[spec] or fallback
             if key not in begins:
                 begins[key] = Lazy(partial(first_stepper, model, number))
@@ -103,7 +103,7 @@ def build_worlds(
 def _skins(
     first: HapticModel, layers: Sequence[SceneLayer], sounding: Mapping[SceneSpec, Stimuli], loads: int, modal: bool
 ) -> tuple[SkinModel, ...]:
-    """The skins that all worlds share; sounding: the stimuli of worlds that sound; loads: how many different ones.
+    """Return the skins that all worlds share; sounding: stimuli of worlds with sound; loads: number of different loads.
 
     modal: see Shared
     """
@@ -118,7 +118,7 @@ def _skins(
                 for spec, (made, response_on) in sounding.items()
             ]
             choice = common_choice(first.spec, known.spec, layer, choices, loads) if choices else known.choice
-            # As in each world by itself, where the load is predicted: in a still pose its field is stored
+            # As for each world simulated alone with a predicted load: in a still pose its field is stored
             settles = not (choice.solver.factorises or any(own.solver.any_pose for own in choices))
         if layer is known.layer and choice == known.choice:
             skins.append(known)
@@ -129,9 +129,9 @@ def _skins(
 
 
 def strictest(demands: Sequence[LayerDemand]) -> LayerDemand:
-    """The demand that covers all of some demands on a layer: absorbing sides are for the first main frequency.
+    """Return the demand that covers several demands on a layer. Absorbing sides are set by the first main frequency.
 
-    Elements are fine round the focus of the first one, out to the foci of the others.
+    Elements are fine around the focus of the first demand, and as far as the foci of the others.
     """
     near, far = zip(*(demand.path_reach_m for demand in demands), strict=True)
     near = tuple(
@@ -147,9 +147,9 @@ def strictest(demands: Sequence[LayerDemand]) -> LayerDemand:
 
 
 def load_key(stimuli: Sequence[StimulusModel], exact: bool) -> tuple[object, ...] | None:
-    """Equal for stimuli whose loads differ in their level alone; None for silence.
+    """Return a key that is equal for stimuli whose loads differ only in level; None for silence.
 
-    exact: whether the board plays any level unchanged: otherwise another level may give another field
+    exact: whether the board plays any level unchanged; if not, the shape of the field may depend on the level
     """
     if all(stimulus.silent for stimulus in stimuli):
         return None

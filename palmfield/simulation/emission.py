@@ -1,7 +1,7 @@
 """Commanded drive and emission of the transducers over a step: the stages drive and emitted.
 
-An Emission belongs to one state and is used by one thread at a time. It stores the drives of the arrays in their
-present pose, and the points of each stimulus at the last control tick.
+An Emission belongs to one state and is used by one thread at a time. It stores the drives for the present pose of
+the arrays, and the points of each stimulus at the last control tick.
 """
 
 from typing import NamedTuple
@@ -31,21 +31,21 @@ from palmfield.stimulus.schedule import Moments, first_point, frames_at, mean_ar
 from palmfield.types import Complex, Float, Int
 
 TICK_S = 1e-9
-"""A control tick that is nearer than this counts as reached."""
+"""A control tick closer in time than this counts as reached."""
 LEAST_MEANS = 4
-"""Parts of a MuJoCo step over which the force on bodies is averaged, at least; 2 for moving drives, which cost more.
+"""Minimum number of parts of a MuJoCo step for the mean force on bodies; 2 for moving drives, which cost more.
 
-By estimate two parts leave 5 % of error in the millisecond in which transducers ring up, and then 1 % for 7 m/s."""
+Estimated error with two parts: 5 % in the millisecond of ring-up, then 1 % for a focus that moves at 7 m/s."""
 BOOLE, BOOLE_SHARES = 4, np.array([7.0, 32.0, 12.0, 32.0, 7.0]) / 90.0
-"""Parts of a step over which a course is linear, and the shares of their ends in its mean."""
+"""Parts of a step in which a course is linear, and the weights of their ends in its mean."""
 AHEAD, WORTHWHILE = 128, 32
-"""Substeps of look-ahead where nothing moves, and the number of different drives among them from which that pays."""
+"""Substeps computed ahead if nothing moves, and the least number of different drives for which this saves time."""
 NEGLIGIBLE = 1e-5
-"""Share of the emitted power that the mean force may leave out."""
+"""Share of the emitted power that the mean force may omit."""
 
 
 class MeanDrives(NamedTuple):
-    """Mean ARP: weights @ ARP(levels @ units). weights: shape (m,), none in silence.
+    """Mean ARP: weights @ ARP(levels @ units). weights: shape (m,), empty in silence.
 
     units: drives, shape (k, N); levels: complex, shape (m, k); serial: as of EmittedCourse
     """
@@ -60,13 +60,13 @@ SILENCE = MeanDrives(np.zeros((0, 0), np.complex128), np.zeros((0, 0), np.comple
 
 
 class PathStep(NamedTuple):
-    """A focus that moves over a MuJoCo step. moments: of the step
+    """A focus that moves during a MuJoCo step. moments: moments of the step
 
-    foci: at each moment, of each of d groups of transducers, and at the step's beginning, first array's frame [m],
-        shape (m d + 1, 3); group: of each transducer, shape (n,), None for a single one
-    levels: of the pressure there relative to the loudest moment's, 0..1, shape (m d,); now: the same at the beginning
-    mean: of the ARP over the step, relative to the loudest moment's; weights: of the moments in the mean emission
-        of transducers that ring, shape (m,)
+    foci: of each of d groups of transducers at each moment, then at the beginning of the step, frame of the first
+        array [m], shape (m d + 1, 3); group: group of each transducer, shape (n,), None for one group
+    levels: pressure at the foci relative to the loudest moment, 0..1, shape (m d,); now: the same at the beginning
+    mean: mean ARP over the step relative to the loudest moment; weights: of the moments in the mean emission of
+        transducers that ring, shape (m,)
     """
 
     moments: Moments
@@ -79,7 +79,7 @@ class PathStep(NamedTuple):
 
 
 class _Coming(NamedTuple):
-    """A step that was looked at ahead. pose: its serial number; begun: what is emitted at t0 [s], shape (N,)"""
+    """A step computed ahead. pose: serial number of its pose; begun: emission at t0 [s], shape (N,)"""
 
     pose: int
     t0: float
@@ -92,7 +92,7 @@ Ticks = tuple[float | None, ...]
 
 
 class PlacedStimulus(NamedTuple):
-    """A stimulus, its drive of the transducers with the arrays in their present pose, and its points."""
+    """A stimulus, its drive for the present pose of the arrays, and its points."""
 
     stimulus: StimulusModel
     drive: ArrayDrive
@@ -109,8 +109,8 @@ class HeldPoints(NamedTuple):
 class Emission:
     """Drives and emission of the transducers of a model.
 
-    held: of each stimulus with a control rate, None before its first step. holds: whether there is such a stimulus.
-    ahead: whether steps are computed ahead while nothing moves, so that the fields of all are one product.
+    held: held points of each stimulus with a control rate, None before its first step. holds: whether there is such
+    a stimulus. ahead: whether steps are computed ahead while nothing moves, with all fields in one matrix product.
     coming: the steps computed ahead.
     """
 
@@ -124,12 +124,12 @@ class Emission:
         self._over: tuple[tuple[int, float, int, bytes, Ticks], tuple[Moments, EmittedCourse]] | None = None
         self._now: tuple[tuple[int, float, bytes, Ticks], EmittedCourse] | None = None
         self.coming: list[_Coming] = []
-        self._last_pose = 0  # of the last step, by its serial number
+        self._last_pose = 0  # serial number of the pose of the last step
         self.holds = any(config.control_rate_Hz > 0.0 for config in model.configs)
         self._moves_alone = _moves_alone(model, self._drives[1])
 
     def forget(self) -> None:
-        """Begin again, as at the start of a run: no held points and no steps computed ahead."""
+        """Reset to the start of a run: no held points and no steps computed ahead."""
         self.held = [None] * len(self.model.stimuli)
         self.coming, self._last_pose = [], 0
 
@@ -144,7 +144,7 @@ class Emission:
             if stimulus.config.control_rate_Hz > 0.0:
                 held = self.held[number]
                 if held is not None and time_s <= held.time_s:
-                    # The same moment again, or an earlier one after a reset: held points may lie elsewhere now.
+                    # After a repeated moment or a reset to an earlier one, held points may lie elsewhere.
                     self.held[number] = None
                 points = self.placed(posed, time_s)[number].points
                 held = self.held[number]
@@ -152,7 +152,7 @@ class Emission:
                     self.held[number] = HeldPoints(time_s, points)
 
     def placed(self, posed: PosedScene, time_s: float) -> list[PlacedStimulus]:
-        """The stimuli with their drives and points; between control ticks, points are where they were at the last."""
+        """Return the stimuli with their drives and points; between control ticks, points stay as at the last tick."""
         if self._placed[0] != posed.serial:
             if self._drives[0] != posed.arrays.serial:
                 self._drives = posed.arrays.serial, array_drives(self.model, posed.arrays)
@@ -173,10 +173,10 @@ class Emission:
         return one._replace(points=held.points) if ticks[0] == ticks[1] else one
 
     def over(self, posed: PosedScene, emitted: Complex, t0: float, count: int) -> tuple[Moments, EmittedCourse]:
-        """The emission at the moments of `count` substeps from t0 [s] on; emitted: at t0, shape (N,)."""
+        """Return the emission at the moments of `count` substeps from t0 [s]; emitted: emission at t0, shape (N,)."""
         model, last = self.model, self._over
         key = posed.serial, round(t0, 12), count, emitted.tobytes(), self._ticks() if self.holds else ()
-        # The mean force and the skins' loads take the same
+        # The mean force and the loads of the skins use the same course
         if last is not None and last[0] == key:
             return last[1]
         result = self._looked_ahead(posed, emitted, t0) if self.ahead and count == model.substeps else None
@@ -187,11 +187,11 @@ class Emission:
         return result
 
     def _ticks(self) -> Ticks:
-        """When the points that are held were taken [s]."""
+        """Return the times at which the held points were taken [s]."""
         return tuple([held and held.time_s for held in self.held])
 
     def _looked_ahead(self, posed: PosedScene, emitted: Complex, t0: float) -> tuple[Moments, EmittedCourse] | None:
-        """A step from among those that were looked at ahead, in a pose in which the last step was taken."""
+        """Return this step from the steps computed ahead, if the pose is still that of the last step."""
         still, self._last_pose = posed.serial == self._last_pose, posed.serial
         coming = self.coming.pop(0) if self.coming else None
         if still and (coming is None or not _begins(coming, posed, emitted, t0)):
@@ -203,7 +203,7 @@ class Emission:
         return coming.moments, coming.course
 
     def _look_ahead(self, posed: PosedScene, begun: Complex, t0: float) -> list[_Coming]:
-        """The next steps, AHEAD substeps in all, with a batch of their drives."""
+        """Compute the next steps, AHEAD substeps in all, with a batch of their drives."""
         model, steps = self.model, list[_Coming]()
         while not steps or len(steps) * model.substeps < AHEAD:
             moments = substep_moments(model.configs, t0, model.step_s, model.substeps)
@@ -213,7 +213,7 @@ class Emission:
         if not all(len(one.course.units) == len(one.course.levels) > 1 for one in steps):
             return steps
         drives = np.concatenate([one.course.units for one in steps])
-        # A focus that rests at a few points is a few drives: each of them costs less by itself
+        # A focus that rests at a few points has few drives: computing each separately costs less
         changes = np.logical_or.reduce(drives[1:] != drives[:-1], axis=1)
         if np.add.reduce(changes) + 1 < WORTHWHILE:
             return steps
@@ -230,10 +230,10 @@ class Emission:
         return courses[0] if len(courses) == 1 else combined(courses)
 
     def path_step(self, posed: PosedScene, t0: float, count: int) -> PathStep | None:
-        """The focus over `count` substeps from t0 [s] on, for a device that computes the drives.
+        """Return the focus over `count` substeps from t0 [s] on, for a device that computes the drives.
 
-        None where it can't: in silence, for a point, and for anything but one focus of all transducers, which are alike
-        and play what is commanded.
+        None if the device cannot: in silence, for a fixed point, and unless there is a single focus of all transducers,
+        which must be equal and emit the commanded drive.
         """
         model = self.model
         if not self._moves_alone or (model.response_on and model.substeps == 1):
@@ -254,8 +254,8 @@ class Emission:
         return PathStep(moments, place.along(points), group, levels[:-1], float(levels[-1]), mean, weights)
 
     def now(self, posed: PosedScene, emitted: Complex, time_s: float) -> EmittedCourse:
-        """The emission at the present time [s], as a course of one moment; emitted: shape (N,)."""
-        # The sensors of several skins need the same
+        """Return the emission at the present time [s], as a course of one moment; emitted: shape (N,)."""
+        # Stored because the sensors of several skins need it
         last, key = self._now, (posed.serial, time_s, emitted.tobytes(), self._ticks() if self.holds else ())
         if last is not None and last[0] == key:
             return last[1]
@@ -271,9 +271,9 @@ class Emission:
         return result
 
     def _first(self, posed: PosedScene, emitted: Complex, t0: float) -> Complex | None:
-        """The emission at t0 [s], shape (1, N), if `over` has computed the step from there on; None if not.
+        """Return the emission at t0 [s], shape (1, N), if `over` has computed the step that begins at t0; else None.
 
-        Only along a straight line from there; for drives that sound at once.
+        Only for a focus that moves on a straight line from there, and transducers without ring-up.
         """
         if self._over is None or self.holds:
             return None
@@ -284,14 +284,14 @@ class Emission:
         return course.units[:1]
 
     def commanded(self, posed: PosedScene, times: Float) -> Complex:
-        """The commanded drive at some times [s], shape (k, N), before the response of the transducers."""
+        """Return the commanded drive at some times [s], shape (k, N), before the response of the transducers."""
         total = np.zeros((len(times), len(posed.arrays)), np.complex128)
         for part, drive, place in self.placed(posed, float(times[0])):
             total += commanded_drive(part.config, drive, None, times, place)
         return total
 
     def foci(self, posed: PosedScene, times: Float) -> list[Float]:
-        """The foci of each stimulus at some times [s], array frame [m], shapes (k, foci, 3)."""
+        """Return the foci of each stimulus at some times [s], array frame [m], shapes (k, foci, 3)."""
         result = []
         for part, _, place in self.placed(posed, float(times[0])):
             points, _ = frames_at(part.config, times)
@@ -302,10 +302,10 @@ class Emission:
         return result
 
     def mean_drives(self, posed: PosedScene, emitted: Complex, t0: float) -> MeanDrives:
-        """Return the function that gives the mean ARP over the MuJoCo step that begins at t0 [s].
+        """Return the drives whose mean ARP is that over the MuJoCo step that begins at t0 [s].
 
-        The mean is over the emission at the moments of the step. For one stimulus whose drive sounds at once, it is
-        that of its focus at the beginning of the step. None in silence.
+        The mean is over the emission at the moments of the step. For a single stimulus without ring-up, the focus is
+        that at the beginning of the step. None in silence.
         """
         model = self.model
         timestep_s = model.spec.timestep_s
@@ -337,7 +337,7 @@ class Emission:
 
 
 def mean_weights(moments: Moments) -> Float:
-    """Share of each moment in the mean over all steps, shape (m,); 0 for moments that are left out.
+    """Return the weight of each moment in the mean over all steps, shape (m,); 0 for omitted moments.
 
     On a linear course five moments are as exact as all, by Boole's rule (Abramowitz and Stegun 25.4.14). The forces of
     `hover_explore` differ by 0.077 % from those of eight times as many moments; with all 13 it is 0.084 %.
@@ -351,14 +351,14 @@ def mean_weights(moments: Moments) -> Float:
 
 
 def of_one(unit: Complex, weight: float, serial: int) -> MeanDrives:
-    """The mean ARP of one drive, shape (1, N), that gets louder and softer."""
+    """Return the mean ARP of one drive, shape (1, N), whose level varies."""
     return MeanDrives(unit, np.ones((1, 1), np.complex128), np.array([weight]), serial)
 
 
 def of_moments(course: EmittedCourse, weights: Float) -> MeanDrives:
-    """The mean ARP over a course, by as few drives as its moments are sums of; weights: of its moments, shape (m,).
+    """Return the mean ARP over a course, by the fewest drives that span its moments; weights: of moments, (m,).
 
-    Moments are computed separately: the lit points of each moment follow from its own flow of energy.
+    Moments are computed separately, because the lit points of each moment depend on its own energy flux.
     """
     if len(course.units) < 2:
         level = float(np.add.reduce(weights @ np.abs(course.levels) ** 2))
@@ -377,13 +377,13 @@ def of_moments(course: EmittedCourse, weights: Float) -> MeanDrives:
 
 
 def _begins(step: _Coming, posed: PosedScene, emitted: Complex, t0: float) -> bool:
-    """Whether a step begins so."""
+    """Whether a step begins with this pose and emission."""
     here = step.pose == posed.serial and abs(step.t0 - t0) < TICK_S
     return here and not np.logical_or.reduce(step.begun != emitted)
 
 
 def looks_ahead(model: HapticModel) -> bool:
-    """Whether coming drives differ, and one product gives the load of many of them."""
+    """Whether coming drives differ, and one matrix product computes the loads of many of them."""
     changing = any(part.config.path != "point" or part.response.delayed for part in model.stimuli)
     free = all(skin.spec.config.body_sound == "none" for skin in model.skins)
     alike = len(model.arrays.groups) == 1 and model.arrays.wall_m is None
@@ -391,7 +391,7 @@ def looks_ahead(model: HapticModel) -> bool:
 
 
 def _moves_alone(model: HapticModel, drives: list[ArrayDrive]) -> bool:
-    """Whether all that sounds is one focus that moves, of transducers that are all alike."""
+    """Whether the only sound is one moving focus of equal transducers."""
     if len(model.stimuli) != 1:
         return False
     stimulus, drive = model.stimuli[0], drives[0]
@@ -402,7 +402,7 @@ def _moves_alone(model: HapticModel, drives: list[ArrayDrive]) -> bool:
 
 
 def array_drives(model: HapticModel, arrays: PhasedArray, board: Board | None = None) -> list[ArrayDrive]:
-    """The drive function of each stimulus, with the arrays in one relative pose; board: None for that of the model."""
+    """Return the drive of each stimulus for one relative pose of the arrays; board: None for that of the model."""
     board = model.board if board is None else board
     drives = []
     for part in model.stimuli:

@@ -11,9 +11,9 @@ from palmfield.types import Complex, Float, Float32, Int
 
 
 class BodyForces:
-    """Forces [N] on the parts of the bodies and torques about their origins [N m], array frame, shape (2, b, 3).
+    """Compute forces [N] on body parts and torques about their origins [N m], array frame, shape (2, b, 3).
 
-    Belongs to one state, and stores the effect of a unit pressure in the last pose.
+    An object belongs to one state, and stores the effect of a unit pressure in the last pose.
     """
 
     def __init__(self, model: HapticModel, radiation: Radiation):
@@ -23,11 +23,11 @@ class BodyForces:
         self._pushes: dict[int, tuple[Key, Float, Parts]] = {}
 
     def under(self, posed: PosedScene, body: int, drive: Complex, serial: int = 0) -> Float:
-        """Force on one body, for an emission of the transducers, shape (N,); serial: as of `Radiation.on`."""
+        """Return the force on one body for an emission of the transducers, shape (N,); serial: as in `Radiation.on`."""
         return self.pressed(posed, body, self.radiation.on(posed, self.skins[body], "samples", drive, serial).arp)
 
     def pressed(self, posed: PosedScene, body: int, arp: Float | Float32) -> Float:
-        """Force on one body, for a pressure at its samples [Pa], shape (n,)."""
+        """Return the force on one body for a pressure at its samples [Pa], shape (n,)."""
         origins, key = posed.bodies[body].origins, (posed.arrays.serial, posed.bodies[body].serial)
         known = self._pushes.get(body)
         if known is None or known[0] != key:

@@ -1,4 +1,4 @@
-"""The bytes of one frame for a board at a moment of a scene."""
+"""Encode frames for a board: the bytes of one frame at a moment of a scene."""
 
 from dataclasses import replace
 
@@ -19,28 +19,28 @@ UNMODULATED = {"modulation": "none", "am_quantity": None, "am_frequency_Hz": Non
 
 
 class Frames:
-    """The frames of the board of a model. Belongs to one state, as the Emission that it takes ticks and points from.
+    """Makes frames for the board of a model. It belongs to one state and reads ticks and points from its Emission.
 
-    sounds: whether any stimulus is on in the last frame
+    sounds: whether any stimulus was on in the last frame
     """
 
     sounds = False
 
     def __init__(self, model: HapticModel, emission: Emission):
         self.model, self.emission = model, emission
-        # The commanded drive of the transducers, before the board rounds it
+        # Commanded drive of the transducers, before the board rounds it
         self._exact: Board = replace(BOARDS["ideal"], compensate=model.board.compensate)
-        # A board that modulates by itself gets the drive of the loudest moment all the time
+        # A board that makes the envelope itself always gets the drive of the loudest moment
         self._configs = [
             config.model_copy(update=UNMODULATED) if model.board.modulates else None for config in model.configs
         ]
         self._kept = Kept()
 
     def at(self, posed: PosedScene, time_s: float, share: float = 1.0) -> bytes:
-        """The bytes that make the board emit the drive of the stimuli at a time [s].
+        """Return the bytes that make the board emit the drive of the stimuli at a time [s].
 
-        posed: the poses then; share: of all amplitudes.
-        Raises SceneError for a focus that can't be made, DeviceError for what the board can't play.
+        posed: the poses at that time; share: factor on all amplitudes.
+        Raises SceneError for a focus that cannot be made, DeviceError for a drive that the board cannot play.
         """
         board = self.model.board
         self.emission.begin(posed, time_s)
@@ -58,7 +58,7 @@ class Frames:
         return board.encode(wanted)
 
     def wanted(self, posed: PosedScene, time_s: float) -> Complex:
-        """The commanded drive of the transducers at a time [s] before the board makes bytes of it, shape (N,).
+        """Return the commanded drive at a time [s] before the board encodes it, shape (N,).
 
         Relative to full drive, e^{-iwt}, with all compensations for the board. Errors as `at`.
         """

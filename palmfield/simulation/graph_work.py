@@ -1,6 +1,6 @@
-"""Memory and launches of a step on a device: one captured graph from frames to forces, sensors and skins.
+"""Memory and kernel launches of a step on a device: one captured graph from frames to forces, sensors and skins.
 
-One copy takes in the frames, the foci or drives, and the part of the state that the device does not keep. Another copy
+One copy sends the frames, the foci or drives, and the part of the state that the device does not keep. Another copy
 returns forces, sensor readings and the numbers of the skins at the end of the step. The inputs are filled and the
 results read by `palmfield.simulation.moving_worlds` (moving bodies) and `palmfield.simulation.scene_graph` (one world).
 """
@@ -60,20 +60,20 @@ PATH = "counts", "group", "foci", "wanted", "aims", "ring", "pushes", "begun", "
 
 
 class GraphSizes(NamedTuple):
-    """Room for so much at most. drives, sums: for each of PURPOSES; foci: of a path, with that at the beginning; 0
-    where drives are given"""
+    """Largest sizes that fit in memory. drives, sums: numbers for each of PURPOSES; foci: number of foci of a path,
+    including the first; 0 if drives are the input"""
 
     drives: tuple[int, int, int]
     sums: tuple[int, int, int]
     foci: int
 
     def holds(self, other: "GraphSizes") -> bool:
-        """Whether there is room for as much as in another."""
+        """Whether these sizes are at least those of another."""
         pairs = zip((*self.drives, *self.sums, self.foci), (*other.drives, *other.sums, other.foci), strict=True)
         return all(mine >= its for mine, its in pairs)
 
     def joined(self, other: "GraphSizes") -> "GraphSizes":
-        """Room for either."""
+        """Return the larger of each pair of sizes."""
         drives, sums = (
             (max(a, x), max(b, y), max(c, z))
             for (a, b, c), (x, y, z) in ((self.drives, other.drives), (self.sums, other.sums))
@@ -82,13 +82,13 @@ class GraphSizes(NamedTuple):
 
 
 class GraphOf(NamedTuple):
-    """The purpose of a graph.
+    """The task of a graph.
 
-    worlds: how many with the same bodies. probes: places of sensors, each with the number of its skin.
-    skins: their steppers, by number. drives: makes drives of a path, None where they are given.
-    room_for: number of worlds for which the device must have room, these and others.
-    free: whether frames are MuJoCo's of worlds that step alike: skins take pressure only where their steppers do, and
-        what is the same in all steps is not copied; kept: whether the state stays on the device from step to step.
+    worlds: number of worlds, with the same bodies. probes: places of sensors, each with the number of its skin.
+    skins: steppers by skin number. drives: makes the drives of a path, None if drives are the input.
+    room_for: total number of worlds for which the device must have memory, including other graphs.
+    free: whether frames come from MuJoCo and all worlds step in the same way. Then pressure is computed only at points
+        of steppers, and constant data are not copied again. kept: whether the state stays on the device between steps.
     """
 
     worlds: int
@@ -101,16 +101,16 @@ class GraphOf(NamedTuple):
 
 
 class GraphWork:
-    """Memory and launches for this number of worlds and these sizes at most.
+    """Memory and kernel launches for a number of worlds and the largest sizes.
 
-    inputs: copied in. results: copied out. arrays: all of these and what stays on the device, by name.
+    inputs: copied to the device. results: copied back. arrays: these and the arrays that stay on the device, by name.
     load: ARP on the skins, (w m, q); `quadrature` gives the columns of each skin.
     """
 
     def __init__(
         self, model: HapticModel, reference: PosedScene, transducers: Transducers, of: GraphOf, sizes: GraphSizes
     ):
-        """Raises DeviceError where the device has no room."""
+        """Raises DeviceError if the device has too little memory."""
         self.of, self.sizes, self.model = of, sizes, model
         device = self.device = transducers.device
         layout = PoseLayout.of(model)
@@ -165,7 +165,7 @@ class GraphWork:
         self._done: Any = None if device == "cpu" else wp.Event(device)
 
     def _shapes(self, transducers: int, frames: int) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Shapes and types of all that goes in and comes out, or might."""
+        """Return shapes and types of all possible inputs and results."""
         of, sizes, worlds = self.of, self.sizes, self.of.worlds
         parts: dict[str, tuple[tuple[int, ...], Any]] = {
             "places": ((worlds, frames), wp.vec3d),
@@ -197,7 +197,7 @@ class GraphWork:
         return parts, results
 
     def _inside(self) -> list[str]:
-        """The part that stays on the device."""
+        """Return the names of the arrays that stay on the device."""
         of = self.of
         names = ["turns", "shifts", "origins", *(f"squares_{number}" for number in of.skins)]
         if of.drives is not None:
@@ -214,11 +214,11 @@ class GraphWork:
         return names
 
     def _steppers(self) -> dict[int, Any]:
-        """Of the skins whose points are only those of their steppers."""
+        """Return the steppers of the skins that have only the points of their steppers."""
         return {number: one.stepper for number, one in self.of.skins.items()} if self.of.free else {}
 
     def _placing(self, layout: PoseLayout, motions: int) -> Launches:
-        """Launches that make motions of frames."""
+        """Return launches that compute motions from frames."""
         arrays, device, worlds, of = self.arrays, self.device, self.of.worlds, self._motions
         moved = [arrays["turns"], arrays["shifts"], arrays["origins"]]
         inputs = [arrays["places"], arrays["axes"], whole_numbers(of.frames, device), vectors(of.rest, device)]
@@ -233,7 +233,7 @@ class GraphWork:
     def _sounds(
         self, reference: PosedScene, transducers: Transducers, points: ScenePoints, arps: tuple[Any, Any, Any]
     ) -> dict[str, Launches]:
-        """Launches of the ARP of each purpose; those that place points and shadows belong to the pose."""
+        """Return launches of the ARP of each purpose; those that place points and shadows belong to the pose."""
         model, arrays, device = self.model, self.arrays, self.device
         meshes = self._kept = meshes_of(model, reference, device)
         surfaces: dict[str, list[Surface]] = {name: [] for name in PURPOSES}
@@ -275,7 +275,7 @@ class GraphWork:
         return sound
 
     def _pushing(self, reference: PosedScene, points: ScenePoints, pressed: Any, transducers: Transducers) -> Launches:
-        """Launches that make forces of the ARP at the samples."""
+        """Return launches that compute forces from the ARP at the samples."""
         arrays, device = self.arrays, self.device
         sampled = points.points[:, points.sampled], points.normals[:, points.sampled]
         loads: Any = wp.zeros((self.of.worlds, pressed.shape[1]), dtype=wp.float64, device=device)
@@ -287,12 +287,12 @@ class GraphWork:
         ]
 
     def _path_memory(self) -> PathMemory:
-        """Place of the numbers of a moving focus."""
+        """Return the memory for the data of a moving focus."""
         here = self.arrays
         return PathMemory(*(here[f"path_{name}"] for name in PATH), *(here[f"{name}_drives"] for name in PURPOSES))
 
     def _stepping(self, skin: int, model: DeviceModel) -> Launches:
-        """Launches of the step of a skin; those that read its sensors and store its final state belong to others."""
+        """Return launches of the step of a skin, without those that read its sensors and store its final state."""
         arrays, device, worlds = self.arrays, self.device, self.of.worlds
         counts, pressure = arrays[f"{LOAD}_counts"], self.load.array[:, self.quadrature[skin]]
         names = "weights", "before", "after", "squares"
@@ -310,9 +310,9 @@ class GraphWork:
         return [*model.calls(memory), launch(kernels.sums_of_squares, sums.shape, [squares, sums], device)]
 
     def calls(self, moved: bool, sounds: bool, skins: tuple[int, ...]) -> Launches:
-        """The launches of a step, in order.
+        """Return the launches of a step, in order.
 
-        moved: whether poses are new; sounds: whether sound is computed; skins: numbers of those that are stepped
+        moved: whether poses are new; sounds: whether sound is computed; skins: numbers of the skins to step
         """
         stepped = [call for number in skins for call in self._skins[number]]
         placed = Branches((self._pose if moved else [], self._focus if sounds else []))
@@ -325,7 +325,7 @@ class GraphWork:
         return [*calls, self.results.download]
 
     def replay(self, moved: bool, sounds: bool, skins: tuple[int, ...]) -> Callable[[], object]:
-        """All of these calls in one: on a GPU a captured graph, made at first use."""
+        """Return one function for all these calls; on a GPU it is a captured graph, made at first use."""
         key = moved, sounds, skins
         known = self._replays.get(key)
         if known is None:
@@ -337,7 +337,7 @@ class GraphWork:
         return known
 
     def launch(self, moved: bool, sounds: bool, skins: tuple[int, ...]) -> None:
-        """Begin to compute a step; arguments as of `calls`."""
+        """Start to compute a step; arguments as in `calls`."""
         replay = self.replay(moved, sounds, skins)
         with launching:
             replay()
@@ -345,12 +345,12 @@ class GraphWork:
                 wp.get_stream(self.device).record_event(self._done)
 
     def wait(self) -> None:
-        """Wait for what comes out of the last launch."""
+        """Wait for the results of the last launch."""
         if self._done is not None:
             wp.synchronize_event(self._done)
 
     def take_over(self, rows: Any) -> None:
-        """Let the state of some worlds that the device keeps be as the last step has left it."""
+        """Set the state of some worlds on the device to the result of the last step."""
         if self._taken is None:
             self._taken = replayed([self._active.upload, *self._taking], self.device)
         if self.device != "cpu":
@@ -362,14 +362,14 @@ class GraphWork:
 
 
 def _boxes(model: HapticModel) -> tuple[Float, Float]:
-    """Middles and half sizes of the boxes of all parts that the sound pushes [m], shapes (p, 3)."""
+    """Return middles and half sizes of the boxes of all parts that the sound pushes [m], shapes (p, 3)."""
     low = np.concatenate([body.boxes.min(axis=1) for body in model.bodies])
     high = np.concatenate([body.boxes.max(axis=1) for body in model.bodies])
     return 0.5 * (low + high), 0.5 * (high - low)
 
 
 def _boards(model: HapticModel) -> Float:
-    """Normals of the arrays' boards and their heights along them [m], array frame, shape (boards, 4)."""
+    """Return normals of the arrays' boards and their heights along them [m], array frame, shape (boards, 4)."""
     result = []
     for board, (place, turn) in zip(model.arrays.boards, model.arrays.frames, strict=True):
         normal = turn[:, 2]
@@ -378,10 +378,10 @@ def _boards(model: HapticModel) -> Float:
 
 
 def _numbers(pairs: Any) -> Any:
-    """The same memory of pairs (w, n) as numbers, shape (w, 2 n)."""
+    """Return the memory of pairs (w, n) as an array of numbers, shape (w, 2 n)."""
     worlds, count = pairs.shape
     numbers: Any = wp.array(ptr=pairs.ptr, dtype=wp.float64, shape=(worlds, 2 * count), device=pairs.device)
-    numbers.owner = pairs  # whose memory it is
+    numbers.owner = pairs  # keeps the memory alive
     return numbers
 
 

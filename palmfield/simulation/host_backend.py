@@ -1,7 +1,7 @@
-"""The stages of a step on the host, for all worlds that no graph steps.
+"""Stages of a step on the host, for all worlds that no graph steps.
 
-Worlds whose sound is one number times one drive are computed together, the others one after the other. Both kinds have
-drives, forces and loads in one form. Data for later steps are stored under serial numbers of poses and drives.
+Worlds whose sound is one number times one drive are computed together, the others one after the other. Both use the
+same form of drives, forces and loads. Data for later steps are stored under serial numbers of poses and drives.
 """
 
 from collections.abc import Callable, Sequence
@@ -48,9 +48,9 @@ KEPT = 64
 
 
 class Sounding(NamedTuple):
-    """One drive in each of some worlds, and its factor in their ARP.
+    """One drive in each of some worlds, and its factor on their ARP.
 
-    worlds: their numbers, rising, shape (g,); keys: serial numbers of pose and drive, shape (g, 2)
+    worlds: their numbers, ascending, shape (g,); keys: serial numbers of pose and drive, shape (g, 2)
     factors: multiply the ARP of the drive, shape (g,); unit: returns the drive of a world by its number, shape (N,)
     """
 
@@ -78,9 +78,9 @@ class Group(NamedTuple):
 
 
 class HostBackend(Backend):
-    """The stages for all worlds, or for those that no other backend steps.
+    """Computes the stages for all worlds, or for those that no other backend steps.
 
-    smooth: the worlds whose sound is one number times one drive.
+    smooth: handles the worlds whose sound is one number times one drive.
     """
 
     moves_smoothly = True
@@ -101,19 +101,19 @@ class HostBackend(Backend):
         self._poses: Serials = np.zeros(worlds, np.int64)
         self._apart: list[int] = []
         self._smooth_keys: Serials = np.zeros((0, 2), np.int64)
-        # Mean over the step: several drives of a world; by body, one drive of a world, or its ARP at the samples
+        # Means over the step: drives of a world with several; by body, its single drive or its ARP at the samples
         self._means: dict[int, MeanDrives] = {}
         self._singles: list[list[Sounding]] = [[] for _ in first.bodies]
         self._pressed: list[dict[int, Float]] = [{} for _ in first.bodies]
-        # Drives at the beginning of the step, once a sensor has been read
+        # Drives at the start of the step, set when the first sensor is read
         self._present: list[Sounding] | None = None
-        # Of one drive a world: forces by body, what lies outside the modes' class, and stacks of patterns by skin
+        # For worlds with one drive: forces by body, load outside the class of modes, and stacks of patterns by skin
         self._kept = Kept(worlds)
-        # ARP of one drive a world by sensor, and what steps skins on a device: a copy of the state has its own of both
+        # Not shared with copies of the state: ARP by sensor for worlds with one drive, and steppers on a device
         self._own = Kept(worlds)
-        # The pose in which a small model was last found to serve, by skin and world
+        # Last pose in which the reduced model was valid, by skin and world
         self._served: Serials = np.zeros((len(first.skins), worlds), np.int64)
-        # Whether the first stepper of a skin is valid in any pose and course
+        # Whether the first stepper of a skin is valid for any pose and course
         self._anywhere = [False] * len(first.skins)
         self._shared_out: dict[tuple[int, bytes, bytes], list[tuple[SkinStepper, Rows]]] = {}
 
@@ -155,7 +155,7 @@ class HostBackend(Backend):
         return np.sort(np.concatenate([self.smooth.joined, apart])) if self._several else apart
 
     def hold(self, posed: PosedScene, t0: float) -> None:
-        """Take the pose of the only world for several steps from t0 [s] on."""
+        """Use one pose of the only world for several steps from t0 [s] on."""
         self._posed[0], self._poses[0], self._apart = posed, posed.serial, [0]
         self.smooth.forget()
         self.smooth.joined = self.smooth.joined[:0]
@@ -183,12 +183,12 @@ class HostBackend(Backend):
             self._in(self._emit_one, world, t0)
 
     def _loud(self, factors: Float) -> Sounding:
-        """The worlds of `smooth` that are not silent; factors: multiply the ARP of their unit drives, shape (g,)."""
+        """Return the worlds of `smooth` with sound; factors: multiply the ARP of their unit drives, shape (g,)."""
         loud = factors > 0.0
         return Sounding(self.smooth.joined[loud], self._smooth_keys[loud], factors[loud], self.smooth.unit)
 
     def _emit_one(self, world: int, t0: float) -> None:
-        """Compute the mean drives of a world that is stepped alone."""
+        """Compute the mean drives of a world that is stepped separately."""
         work, posed = self.works[world], self._posed[world]
         work.look_ahead(posed)
         mean = work.emission.mean_drives(posed, gather(self._states[world], work), t0)
@@ -211,7 +211,7 @@ class HostBackend(Backend):
             self._singles[body].append(self._single(world, mean.weights, mean.units[0], mean.serial))
 
     def _single(self, world: int, factors: Float, drive: Complex, serial: int) -> Sounding:
-        """One drive in one world."""
+        """Return the Sounding of one drive in one world."""
         keys = np.array([[self._poses[world], serial]])
         return Sounding(np.array([world]), keys, factors, {world: drive}.__getitem__)
 
@@ -227,13 +227,13 @@ class HostBackend(Backend):
                 own[world] = force @ posed.array_frame.rotation.T
 
     def _unit_force(self, world: int, body: int, one: Sounding) -> Float:
-        """The force of the drive of a world on a body, world axes, shape (2, b, 3)."""
+        """Return the force of the drive of a world on a body, world axes, shape (2, b, 3)."""
         posed, serial = self._posed[world], int(one.keys[one.worlds.searchsorted(world), 1])
         force = self.works[world].unit_forces.under(posed, body, one.unit(world), serial)
         return np.asarray(force @ posed.array_frame.rotation.T)
 
     def pressed(self, world: int, body: int) -> Float | None:
-        """The mean ARP [Pa] at the samples of a body in the step that began last, shape (n,); None in silence."""
+        """Return the mean ARP [Pa] at the samples of a body in the present step, shape (n,); None in silence."""
         work, posed = self.works[world], self._posed[world]
         for one in self._singles[body]:
             for i in (one.worlds == world).nonzero()[0].tolist():
@@ -248,7 +248,7 @@ class HostBackend(Backend):
         part, here = self.state.skins[skin], self.joined
         begun = here[part[here, 0] != 0.0]
         if not self._several and len(begun):
-            stepper_of(self.models[0], self.state, skin)  # refuses the state of another model
+            stepper_of(self.models[0], self.state, skin)  # raises SceneError for the state of another model
         for stepper, own in self.steppers(skin, begun):
             read = stepper.read(part[own, HEADER : HEADER + stepper.state_size], place.reader(stepper))
             motion[own] = read[..., 0]
@@ -264,7 +264,7 @@ class HostBackend(Backend):
             arp[one.worlds] = one.factors * made
 
     def _sounds_now(self, world: int) -> list[Sounding]:
-        """Drive at the beginning of the step in a world that is stepped alone; empty in silence."""
+        """Return the drives at the start of the step in a world that is stepped separately; empty in silence."""
         work, posed = self.works[world], self._posed[world]
         # work.amplitudes: gathered by `emit`
         course = work.emission.now(posed, work.amplitudes, self._begun_s)
@@ -272,7 +272,7 @@ class HostBackend(Backend):
         return [] if drive is None else [self._single(world, np.array([factor]), drive, course.serial)]
 
     def _probe(self, world: int, skin: int, place: SensorPlace, one: Sounding) -> float:
-        """ARP at a sensor [Pa] of the drive of a world."""
+        """Return the ARP at a sensor [Pa] due to the drive of a world."""
         posed = self._posed[world]
         body = posed.bodies[self.models[0].skins[skin].body]
         points, normals = body.moved(place.probe.closest, place.probe.normals, place.binding)
@@ -292,13 +292,13 @@ class HostBackend(Backend):
             self._in(self._step_one, world, t0, t1, skins)
 
     def _check(self, world: int) -> None:
-        """Begin a run in a state without a writer; SceneError for the state of another model."""
+        """Start a run if the state has no writer. SceneError for the state of another model."""
         if check_arrays(self.models[world], self._states[world]):
             self.works[world].begin_run()
             self._served[:, world] = 0
 
     def _step_smooth(self, t0: float, t1: float, skins: bool) -> None:
-        """`step_skins` in the worlds of `smooth`."""
+        """Do `step_skins` in the worlds of `smooth`."""
         model, smooth = self.models[0], self.smooth
         worlds, moments = smooth.joined, substep_moments((), t0, model.step_s, model.substeps)
         levels, end = smooth.over(moments)
@@ -321,7 +321,7 @@ class HostBackend(Backend):
         smooth.advance(end)
 
     def _step_one(self, world: int, t0: float, t1: float, skins: bool) -> None:
-        """`step_skins` in a world that is stepped here alone."""
+        """Do `step_skins` in a world that is stepped separately."""
         model, work, posed, state = self.models[world], self.works[world], self._posed[world], self._states[world]
         begun = gather(state, work)
         count = round((t1 - t0) / model.step_s)
@@ -338,7 +338,7 @@ class HostBackend(Backend):
             scatter(state, course.end)
 
     def _course(self, world: int, begun: Complex, t0: float, count: int) -> tuple[Moments, EmittedCourse]:
-        """The emission of a world that is stepped alone; begun: its emission at t0 [s], shape (N,)."""
+        """Return the emission of a world that is stepped separately; begun: emission at t0 [s], shape (N,)."""
         return self.works[world].emission.over(self._posed[world], begun, t0, count)
 
     def _step_group(self, group: Group, t0: float, t1: float) -> None:
@@ -376,13 +376,13 @@ class HostBackend(Backend):
             world = int(worlds[i])
             if self._in(self._leaves, world, skin, t0):
                 self._continue_whole(group, i, skin, t0)
-            # One that serves only from the beginning of the sound on must be looked at again, and so where points are
-            # held
+            # Check again if the model is valid only from the start of the sound, or if
+            # points are held
             elif not self.works[world].emission.holds and self.models[world].begin[skin].value.any_course:
                 served[world] = self._poses[world]
 
     def _leaves(self, world: int, skin: int, t0: float) -> bool:
-        """Whether the reduced model of a skin is no longer valid."""
+        """Whether the reduced model of a skin has become invalid."""
         work, state = self.works[world], self._states[world]
         return leaves_small_model(
             self.models[world], state, skin, self._posed[world], work.reference, work.emission, t0
@@ -421,7 +421,7 @@ class HostBackend(Backend):
         return left
 
     def _outside(self, group: Group, skin: int, stepper: SkinStepper, at: Rows) -> list[Outside]:
-        """The part of the loads on a skin outside the class of its modes, in the worlds at some places of a group."""
+        """Return the part of the loads on a skin outside the class of its modes; at: indices of worlds in the group."""
         worlds = group.worlds[at]
         first, last = group.first[at], group.last[at]
         pressure, fixed = self._stack(group, skin, stepper, at)
@@ -438,7 +438,7 @@ class HostBackend(Backend):
         return [Outside(*row) for row in (squares[:, None] * units).tolist()]
 
     def _patterns(self, group: Group, skin: int, stepper: SkinStepper, i: int) -> Float32:
-        """Patterns of ARP in the i-th world of a group [Pa], shape (p, n)."""
+        """Return the patterns of ARP in the i-th world of a group [Pa], shape (p, n)."""
         world = int(group.worlds[i])
         posed, course = self._posed[world], group.course(i)
         return self.works[world].patterns(posed, skin, stepper, course)
@@ -451,7 +451,7 @@ class HostBackend(Backend):
         worlds: Rows,
         times: tuple[float, float],
     ) -> Float | Float32 | None:
-        """Step a skin in some worlds by one stepper; all of them watch the points that the first one watches."""
+        """Step a skin in some worlds by one stepper. The points watched in the first world are watched in all."""
         part, numbers = self.state.skins[skin], slice(HEADER, HEADER + stepper.state_size)
         self._claim(skin, stepper, worlds)
         at = group.worlds.searchsorted(worlds)
@@ -469,15 +469,15 @@ class HostBackend(Backend):
         return seen
 
     def _claim(self, skin: int, stepper: SkinStepper, worlds: Rows) -> None:
-        """Write a stepper into the states of a skin; refuses a state that is not at rest but has no writer."""
+        """Write a stepper into the states of a skin. Raises an error for a state in motion without a writer."""
         part = self.state.skins[skin]
         for world in worlds.tolist() if not self._several else worlds[part[worlds, 0] == 0.0].tolist():
             stepper_of(self.models[world], self._states[world], skin)
             claim(self.models[world], self._states[world], skin, stepper)
 
     def _stack(self, group: Group, skin: int, stepper: SkinStepper, at: Rows) -> tuple[Float32, bool]:
-        """Patterns of ARP in some worlds of a group, shape (w, p, n): the same array while pose and drive stay;
-        and whether steppers may keep results computed from it."""
+        """Return the ARP patterns in some worlds of a group, shape (w, p, n), the same array while pose and drive stay,
+        and whether steppers may store results computed from it."""
         key = group.worlds[at].tobytes() + group.keys[at].tobytes()
         stacked = self._kept.of((skin, stepper), key, self._stacked, group, skin, stepper, at)
         return stacked, group.first.shape[2] == 1
@@ -493,12 +493,12 @@ class HostBackend(Backend):
             patterns.append(made[own])
         if len(patterns) == 1:
             return patterns[0][None]
-        if len(made) == 1:  # there once for all worlds
+        if len(made) == 1:  # one array for all worlds
             return np.broadcast_to(patterns[0], (len(patterns), *patterns[0].shape))
         return np.stack(patterns)
 
     def steppers(self, skin: int, worlds: Rows) -> list[tuple[SkinStepper, Rows]]:
-        """The steppers of a skin, each with the given worlds that it steps."""
+        """Return the steppers of a skin, each with those of `worlds` that it steps."""
         whole = self.state.skins[skin][worlds, 0] == WHOLE
         key = skin, worlds.tobytes(), whole.tobytes()
         known = self._shared_out.get(key)
@@ -515,10 +515,10 @@ class HostBackend(Backend):
         return found
 
     def _on_device(self, skin: int, stepper: SkinStepper) -> DeviceStep | None:
-        """The stepper of a skin on the device in place of its stepper, if the device is a GPU and has one; stored."""
+        """Return the GPU version of a stepper of a skin, stored; None without a GPU or such a version."""
         return self._own.of((skin, stepper), (), stepper.device_worlds, len(self.models), self._device)
 
     def _named(self, function: Callable[..., T], world: int, *arguments: Any) -> T:
-        """The result of a function for one of several worlds, which its errors name."""
+        """Return the result of a function for one of several worlds; its errors name the world."""
         with naming_world(world):
             return function(world, *arguments)

@@ -1,4 +1,4 @@
-"""Results that are computed again only where what they were computed from is another: pose or drive, as a rule."""
+"""Cached results: computed again only if their inputs change, usually the pose or the drive."""
 
 from collections.abc import Callable, Hashable
 from typing import Any, TypeVar
@@ -15,7 +15,7 @@ T = TypeVar("T")
 
 
 class Kept:
-    """The last result under each name, with its key: serial numbers, or anything that is equal while it is valid."""
+    """The last result under each name, with its key: serial numbers, or a value that is equal while it is valid."""
 
     def __init__(self, worlds: int = 1):
         """worlds: number of rows of results in `rows`"""
@@ -24,9 +24,9 @@ class Kept:
         self._rows: dict[Hashable, tuple[Serials, Float]] = {}
 
     def of(self, name: Hashable, key: object, make: Callable[..., T], *given: Any, move: Any = None) -> T:
-        """The result under a name; computed from what is given if the key is another than last time.
+        """Return the result under a name; it is computed from `given` if the key has changed.
 
-        move: function of the last result, and of what is given, where an object is made once and then moved in place
+        move: function of the last result and of `given`, for an object that is made once and then moved in place
         """
         known = self._last.get(name)
         if known is not None and known[0] == key:
@@ -40,15 +40,15 @@ class Kept:
         return value
 
     def last(self, name: Hashable) -> Any:
-        """The last result under a name, whatever its key; None without one."""
+        """Return the last result under a name, for any key; None without one."""
         return self._last.get(name, (None, None))[1]
 
     def rows(
         self, name: Hashable, shape: tuple[int, ...], worlds: Rows, keys: Serials, make: Callable[..., Any], *given: Any
     ) -> Float:
-        """The results of some worlds, shape (g, *shape), under pairs of serial numbers, shape (g, 2).
+        """Return the results of some worlds, shape (g, *shape), under pairs of serial numbers, shape (g, 2).
 
-        make: computes that of a world by its number and what is given, once for worlds with the same numbers
+        make: computes the result of a world from its number and `given`, once for worlds with equal serial numbers
         """
         known = self._rows.get(name)
         if known is None:
@@ -64,6 +64,6 @@ class Kept:
         return values[worlds]
 
     def adopt(self, other: "Kept") -> None:
-        """Take over all results of another one, in a copy of its state."""
+        """Copy all results of another Kept, for a copy of its state."""
         self._last = dict(other._last)
         self._rows = {name: (last.copy(), values.copy()) for name, (last, values) in other._rows.items()}

@@ -1,7 +1,7 @@
-"""All of a scene that is constant in a run: phased arrays, stimuli, surfaces, skin layers and what steps them.
+"""Constant data of a scene in a run: phased arrays, stimuli, surfaces, skin layers and their steppers.
 
-Made by `palmfield.simulation.build.build`, shared by every mjData of the scene and by threads. Costly parts are made
-when they are first needed, once.
+`palmfield.simulation.build.build` makes the model. All mjData of the scene and all threads share it. Costly parts are
+made once, at first use.
 """
 
 import threading
@@ -10,7 +10,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy  # which loads its parts when they are used
+import scipy  # loads its parts at first use
 from scipy import sparse
 
 from palmfield.acoustics.phased_array import ArrayInstance, PhasedArray
@@ -32,7 +32,7 @@ from palmfield.skin.stepper_choice import StepperChoice as StepperChoice
 from palmfield.transforms import Transform, corners_of
 from palmfield.types import Float, Int, Surface
 
-if TYPE_CHECKING:  # made where it is used: many bodies are in one piece, and most stimuli have no path on a surface
+if TYPE_CHECKING:  # imported at use: many bodies are in one piece, and most stimuli have no path on a surface
     from palmfield.hand.posed_surface import FaceSampler, SkinBinding
     from palmfield.hand.skinning import SkinnedSurface
     from palmfield.skin.fem.wedge_stepper import WedgeStepper
@@ -43,8 +43,8 @@ if TYPE_CHECKING:  # made where it is used: many bodies are in one piece, and mo
 class StimulusModel:
     """One stimulus with the transducers that it drives.
 
-    config: its keys, with the length of a path through sites. transducers: numbers of those that it drives, (k,).
-    path: on the skin, None for one in space. offsets: of several foci at once [m], shape (m, 3), or (0, 3).
+    config: its keys, with the length of a path through sites. transducers: numbers of driven transducers, (k,).
+    path: path on the skin, None in space. offsets: offsets of simultaneous foci [m], shape (m, 3), or (0, 3).
     response: ring-up and flight time of its transducers.
     reference_foci: the first foci in the reference pose, array frame [m], shape (3,) or (m, 3).
     silent: whether it never sounds.
@@ -61,21 +61,21 @@ class StimulusModel:
 
     @property
     def first_focus(self) -> Float:
-        """The focus, or the first of several, in the reference pose, array frame [m], shape (3,)."""
+        """Return the focus, or the first of several, in the reference pose, array frame [m], shape (3,)."""
         first: Float = np.atleast_2d(self.reference_foci)[0]
         return first
 
 
 class BodyModel:
-    """A body that carries skin: its surface, and how its bones move it. All in the frame of the body.
+    """A body that carries skin: its surface and the bones that move it, in the frame of the body.
 
-    name: of the MuJoCo body. surface: whole and closed, None for a disc, whose lit face is the skin itself.
+    name: of the MuJoCo body. surface: the whole closed surface, None for a disc, whose lit face is the skin.
     hand: the surface with its bones, None for a body in one piece.
-    depth_to_bone_m: by vertex of the surface, shape (v,), or one depth for all.
+    depth_to_bone_m: depth by vertex of the surface, shape (v,), or one depth for all.
     """
 
     force_accuracy: float = BY_DEFAULT
-    """Relative accuracy with which its samples give the force of the sound."""
+    """Relative accuracy of the force of the sound from the samples."""
 
     def __init__(
         self, name: str, surface: Surface | None, hand: "SkinnedSurface | None", depth_to_bone_m: Float | float
@@ -84,31 +84,31 @@ class BodyModel:
         self.lock = threading.RLock()
         origins = [] if hand is None else [bone.origin for bone in hand.bones]
         self.rest_origins: Float = np.array(origins).reshape(-1, 3)
-        """Origins of the bones at rest [m], shape (b, 3); none for a body in one piece."""
+        """Return the origins of the bones at rest [m], shape (b, 3); b is 0 for a body in one piece."""
 
     @property
     def parts(self) -> int:
-        """Number of MuJoCo bodies that the sound pushes: the bones, or one."""
+        """Return the number of MuJoCo bodies that the sound pushes: the bones, or one."""
         return max(1, len(self.rest_origins))
 
     @locked_cached_property
     def sample_mesh(self) -> SampleMesh:
-        """The triangles whose middles are the samples for the force, at rest."""
+        """Return the triangles whose middles are the samples for the force, at rest."""
         vertices, faces, parents = self._short_edged
         made = sample_mesh(vertices, faces, self.force_accuracy)
         return made if parents is None else made._replace(faces=parents[made.faces])
 
     @locked_cached_property
     def sample_count(self) -> int:
-        """About how many samples `sample_mesh` has, without making them."""
+        """Return about how many samples `sample_mesh` has, without making them."""
         vertices, faces, _ = self._short_edged
         return sample_count(face_normals(vertices, faces)[1], self.force_accuracy)
 
     @locked_cached_property
     def _short_edged(self) -> tuple[Float, Int, Int | None]:
-        """Vertices [m] and faces of the resting surface, with edges as short as samples need, and the original faces.
+        """Return vertices [m] and faces of the resting surface, with short edges for samples, and the original faces.
 
-        Edges of hands are short, so that there are no others.
+        Edges of hands are short already, so their faces are unchanged.
         """
         if self.hand is not None:
             return self.hand.surface.vertices, self.hand.surface.faces, None
@@ -117,7 +117,7 @@ class BodyModel:
 
     @locked_cached_property
     def sampled(self) -> "SkinnedSurface":
-        """The samples' triangles with their bones: those of the hand itself where each of its faces is a sample."""
+        """Return the triangles of the samples with their bones; the hand itself if each of its faces is a sample."""
         assert self.hand is not None
         mesh = self.sample_mesh
         if mesh.corners is self.hand.surface.faces:
@@ -130,18 +130,18 @@ class BodyModel:
 
     @locked_cached_property
     def sample_bones(self) -> Int:
-        """The bone that each sample of a surface with bones pushes: that with the largest share in it, shape (n,)."""
+        """Return the bone that each sample pushes, which has the largest weight in it, shape (n,)."""
         weights = np.asarray(self.sampled.weights)[self.sampled.surface.faces].mean(axis=1)
         largest: Int = np.argmax(np.round(weights, 9), axis=1).astype(np.int32)
         return largest
 
     @locked_cached_property
     def rest_samples(self) -> tuple[Float, Float, Float]:
-        """Points [m], outward normals, shapes (n, 3), and areas [m^2], (n,), of a surface in one piece."""
+        """Return points [m], outward normals, shapes (n, 3), and areas [m^2], (n,), of a surface in one piece."""
         return face_samples(self.sample_mesh.points, self.sample_mesh.corners)
 
     def posed_samples(self, vertices: Float, frame: Transform) -> tuple[Float, Float, Float]:
-        """Points [m], outward normals, shapes (n, 3), in the outer frame, and areas [m^2], (n,): `sampled`, moved."""
+        """Move `sampled`: points [m], outward normals, outer frame, shapes (n, 3), and areas [m^2], (n,)."""
         with self.lock:
             samples = self._sampler.at(vertices)
             return *frame.surface(samples.centroids, samples.normals), samples.areas.copy()
@@ -155,9 +155,9 @@ class BodyModel:
 
     @locked_cached_property
     def boxes(self) -> Float:
-        """Corners of a box round the part of the resting surface on each bone, from the bone's origin, (b, 8, 3) [m].
+        """Return corners of a box around the part of the resting surface on each bone, from its origin, (b, 8, 3) [m].
 
-        For a body in one piece, round its whole surface, from its origin.
+        For a body in one piece the box is around its whole surface, from its origin.
         """
         assert self.surface is not None
         if self.hand is None:
@@ -171,7 +171,7 @@ class BodyModel:
         )
 
     def bind(self, points: Float) -> "SkinBinding | None":
-        """The bones that carry points of the resting skin [m], shape (n, 3); None for a body in one piece."""
+        """Return the bones that carry points of the resting skin [m], shape (n, 3); None for a body in one piece."""
         if self.hand is None:
             return None
         from palmfield.hand.posed_surface import SkinBinding
@@ -182,9 +182,9 @@ class BodyModel:
 class SkinModel:
     """One skin layer on its body.
 
-    body: number of the body that carries it, carrier: that body. layer: mesh and matrices.
-    choice: of its stepper. still_m: smaller movements count as still [m].
-    settles: whether the body is put at its reference pose while it is still; by default where a small model steps it.
+    body: number of the body that carries it; carrier: that body. layer: mesh and matrices.
+    choice: choice of its stepper. still_m: smaller movements count as still [m].
+    settles: whether the body is put at its reference pose while it is still; default: if a reduced model steps it.
     """
 
     def __init__(
@@ -204,38 +204,38 @@ class SkinModel:
 
     @property
     def state_room(self) -> int:
-        """Numbers of state that the skin can need, without its matrices."""
+        """Return the largest number of state variables of the skin; needs no matrices."""
         return self.solver.state_size
 
     @property
     def solver(self) -> LayerSolver:
-        """The layer as its solver takes it."""
+        """Return the layer in the form that its solver uses."""
         return layer_solver(self.layer, self.choice.name)
 
     @locked_cached_property
     def nodes(self) -> tuple[Float, Float]:
-        """Rest positions [m] and outward normals of the surface nodes of the layer, body frame, shapes (S, 3)."""
+        """Return rest positions [m] and outward normals of the layer's surface nodes, body frame, shapes (S, 3)."""
         mesh = self.layer.mesh
         return mesh.nodes[: mesh.surface_nodes], mesh.surface_normals()
 
     @locked_cached_property
     def nodes_binding(self) -> "SkinBinding | None":
-        """Bones of the surface nodes."""
+        """Return the bones of the surface nodes."""
         return self.carrier.bind(self.nodes[0])
 
     @locked_cached_property
     def quadrature_binding(self) -> "SkinBinding | None":
-        """Bones of the points at which the ARP is integrated."""
+        """Return the bones of the points at which the ARP is integrated."""
         return self.carrier.bind(self.layer.quadrature.points)
 
     @locked_cached_property
     def obstacles(self) -> list[tuple[Float, Int]]:
-        """Meshes [m] of the obstacles besides bodies with skins, each in the frame of its own body."""
+        """Return meshes [m] of the obstacles other than bodies with skins, each in the frame of its own body."""
         return [obstacle.shape.mesh() for obstacle in self.spec.obstacles]
 
     @locked_cached_property
     def obstacles_in_one(self) -> tuple[list[Float], list[slice], Int]:
-        """Vertices of each obstacle, their places among those of all, and the faces of all, shape (f, 3)."""
+        """Return the vertices of each obstacle, their slices in the list of all, and the faces of all, shape (f, 3)."""
         shapes: list[Float] = []
         slices: list[slice] = []
         faces: list[Int] = []
@@ -249,39 +249,39 @@ class SkinModel:
 
     @locked_cached_property
     def obstacle_boxes(self) -> Float:
-        """Corners of a box round each obstacle, in its own frame [m], shape (k, 8, 3)."""
+        """Return corners of a box around each obstacle, in its own frame [m], shape (k, 8, 3)."""
         return np.array([corners_of(points) for points, _ in self.obstacles]).reshape(-1, 8, 3)
 
     @locked_cached_property
     def corners(self) -> Float:
-        """Corners of a box round the surface of the layer, body frame [m], shape (8, 3)."""
+        """Return corners of a box around the surface of the layer, body frame [m], shape (8, 3)."""
         return corners_of(self.nodes[0])
 
     @locked_cached_property
     def faces(self) -> Int:
-        """Triangles over the surface nodes, counter-clockwise from outside, shape (f, 3)."""
+        """Return triangles over the surface nodes, counter-clockwise from outside, shape (f, 3)."""
         return output_triangles(self.layer.mesh).astype(np.int32)
 
     @locked_cached_property
     def depth(self) -> Float:
-        """Thickness of the layer under each surface node [m], shape (S,)."""
+        """Return the thickness of the layer under each surface node [m], shape (S,)."""
         nodes = self.nodes[0]
         return np.asarray(np.linalg.norm(nodes - self.layer.mesh.nodes[-len(nodes) :], axis=1))
 
     @locked_cached_property
     def surface_vectors(self) -> sparse.csr_matrix:
-        """Unknowns -> displacement of the surface nodes, three components a node, shape (3 S, ndof)."""
+        """Return the operator from unknowns to displacements of the surface nodes, three a node, shape (3 S, ndof)."""
         return surface_vectors(self.layer.mesh, self.layer.system)
 
     @locked_cached_property
     def closed_surface(self) -> tuple[Float, Int]:
-        """Vertices [m] and faces of the body that the sound meets, closed, at rest."""
+        """Return vertices [m] and faces of the closed surface of the body that scatters sound, at rest."""
         surface = self.carrier.surface
         return closed_boundary(self.layer.mesh) if surface is None else (surface.vertices, surface.faces)
 
     @locked_cached_property
     def sample_faces(self) -> tuple[Int, Int, Float]:
-        """Faces of `closed_surface`, samples for the force, and their shares in the faces' mean ARP, shapes (k,)."""
+        """Return faces of `closed_surface`, force samples, and their weights in the faces' mean ARP, shapes (k,)."""
         vertices, faces = self.closed_surface
         centroids, _, face_areas = face_samples(vertices, faces)
         if self.carrier.surface is not None:
@@ -300,7 +300,7 @@ class HapticModel:
 
     arrays: in their relative pose of the reference configuration. board: the one that plays the drive.
     pole: of all transducers. response_on: whether their ring-up is modelled.
-    begin: the stepper with which each skin begins. whole: the one that steps its whole layer.
+    begin: the first stepper of each skin. whole: the stepper of its whole layer.
     marks: numbers that identify states, see `palmfield.simulation.state`; filled at first use.
     """
 
@@ -318,29 +318,29 @@ class HapticModel:
 
     @cached_property
     def configs(self) -> tuple[StimulusConfig, ...]:
-        """Keys of the stimuli."""
+        """Return the keys of the stimuli."""
         return tuple(part.config for part in self.stimuli)
 
     @cached_property
     def sounding(self) -> int:
-        """Number of the stimulus that sounds, the first of several; 0 in silence."""
+        """Return the number of the first stimulus that sounds; 0 in silence."""
         return next((number for number, stimulus in enumerate(self.stimuli) if not stimulus.silent), 0)
 
     @cached_property
     def substeps(self) -> int:
-        """Substeps of the skins in one MuJoCo step; all skins share them, so that results have one time axis."""
+        """Return the number of substeps in one MuJoCo step; all skins share it, so that results have one time axis."""
         return round(self.spec.timestep_s / self.step_s)
 
     @cached_property
     def step_s(self) -> float:
-        """The skins' time step [s]."""
+        """Return the time step of the skins [s]."""
         return self.skins[0].layer.sizes.step_s
 
     @cached_property
     def still_m(self) -> tuple[float, ...]:
-        """By body: movements smaller than this leave it in place for all of its skins [m].
+        """Return for each body the movement below which it counts as still for all of its skins [m].
 
-        The least of its skins; 0 for a body without a small model, because no other stepper gains by it.
+        It is the minimum over its skins; 0 for a body without a reduced model, because other steppers gain nothing.
         """
         carried = [[self.skins[number] for number in self.carried(body)] for body in range(len(self.bodies))]
         return tuple(
@@ -349,22 +349,22 @@ class HapticModel:
 
     @cached_property
     def corners(self) -> tuple[Float, ...]:
-        """By body: corners of boxes round its skins, body frame [m], shape (8 k, 3)."""
+        """Return for each body the corners of boxes around its skins, body frame [m], shape (8 k, 3)."""
         return tuple(
             np.concatenate([self.skins[number].corners for number in self.carried(body)])
             for body in range(len(self.bodies))
         )
 
     def carried(self, body: int) -> list[int]:
-        """Numbers of the skins on a body; the keys of the first one apply to the force on the body."""
+        """Return the numbers of the skins on a body; the keys of the first one apply to the force on the body."""
         return [number for number, skin in enumerate(self.skins) if skin.body == body]
 
 
 def about_stimulus(spec: StimulusSpec) -> tuple[str, str]:
-    """Names of a stimulus of the scene and of its foci in errors."""
+    """Return the names of a stimulus and of its foci for error messages."""
     return spec.element, "key 'focus_m'"
 
 
 def array_instances(spec: SceneSpec) -> tuple[ArrayInstance, ...]:
-    """The arrays of a scene in the form of `palmfield.acoustics.phased_array`."""
+    """Return the arrays of a scene in the form of `palmfield.acoustics.phased_array`."""
     return tuple(ArrayInstance(one.config, one.placement, one.calibration, one.table) for one in spec.arrays)

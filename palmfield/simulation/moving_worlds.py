@@ -1,8 +1,8 @@
-"""Worlds whose bodies move, on a device: sound, forces and modes of all of them in one captured graph.
+"""Worlds with moving bodies on a device: one captured graph computes sound, forces and modes of all of them.
 
-One copy takes in poses and foci; another returns forces, sensor readings and the part of the loads outside the class
-of the modes. Emission and numbers of the skins stay on the device from step to step, and are fetched when they are
-read. Only data for many steps ahead are computed world by world. Any other world is left to the host.
+One copy sends poses and foci; another returns forces, sensor readings and the part of the loads outside the class
+of the modes. Emission and skin states stay on the device from step to step, and are copied back when they are
+read. Only data for many steps ahead are computed world by world. The host computes all other worlds.
 """
 
 from collections.abc import Mapping, Sequence
@@ -34,14 +34,14 @@ from palmfield.types import Float
 
 NOTHING = 1e-300
 AHEAD = 32
-"""Steps for which foci and levels are computed in one go."""
+"""Number of steps for which foci and levels are computed together."""
 
 
 class _Ahead(NamedTuple):
-    """Motion and level of stimuli in coming steps, by kind. starts: times at which the steps begin [s], shape (s,).
+    """Motion and level of stimuli in coming steps, by kind. starts: start times of the steps [s], shape (s,).
 
     foci: at the moments and at the beginning, in the frame of the stimulus [m], shape (kinds, s, m + 1, 3).
-    levels: of the pressure then, shape (kinds, s, m + 1). means: of the ARP over each step, shape (kinds, s).
+    levels: of the pressure at the same times, shape (kinds, s, m + 1). means: mean ARP of each step, (kinds, s).
     """
 
     starts: list[float]
@@ -51,9 +51,9 @@ class _Ahead(NamedTuple):
 
 
 class MovingWorlds(Backend):
-    """The steps of several worlds, with what they keep from one to the next. Belongs to one state.
+    """Computes the steps of several worlds and keeps their data between steps. It belongs to one state.
 
-    some: whether any world can ever take its step here
+    some: whether this backend can step any of the worlds
     """
 
     in_graph = True
@@ -67,7 +67,7 @@ class MovingWorlds(Backend):
         first: int,
         room_for: int,
     ):
-        """first: number of the first of these worlds. room_for: number of worlds for which the device must have room.
+        """first: number of the first of these worlds. room_for: number of worlds for which the device must have memory.
 
         alone: whether no other code writes the state, which then stays on the device from step to step
         """
@@ -82,10 +82,10 @@ class MovingWorlds(Backend):
         self._here: Bool = np.zeros(len(models), dtype=bool)
         self._fetched = True
         self._probes: list[tuple[int, SensorPlace]] = []
-        self._columns: list[int] = []  # of each among those of its skin
+        self._columns: list[int] = []  # index of each sensor among those of its skin
         self._work: GraphWork | None = None
         self._ahead: _Ahead | None = None
-        self._seen: dict[int, Outside] = {}  # what lies outside the modes' class in this step, by skin, shape (w,) each
+        self._seen: dict[int, Outside] = {}  # load outside the class of modes in this step, by skin, shape (w,) each
         stimuli = [model.stimuli[0] for model in models]
         kinds: dict[str, int] = {}
         self._kinds = np.array([kinds.setdefault(part.config.model_dump_json(), len(kinds)) for part in stimuli])
@@ -156,11 +156,11 @@ class MovingWorlds(Backend):
         return self._rows()
 
     def _rows(self) -> Rows:
-        """Numbers of the worlds that take this step here."""
+        """Return the numbers of the worlds that take this step here."""
         return self._joins.nonzero()[0] + self.own.start
 
     def _release(self, joins: Bool) -> None:
-        """Bring the state of worlds that take this step elsewhere back from the device."""
+        """Copy the state of worlds that another backend steps back from the device."""
         if np.logical_or.reduce(self._here & ~joins):
             self.fetch()
             self._here &= joins
@@ -213,7 +213,7 @@ class MovingWorlds(Backend):
         self._begin_class(work.of.skins)
 
     def _begin_class(self, steppers: Mapping[int, DeviceModel]) -> None:
-        """Against which load that of each world is little."""
+        """Set the reference load against which the load outside the class is compared in each world."""
         for number, model in steppers.items():
             known: dict[int, float] = {}
             for world, kind in enumerate(self._kinds.tolist()):
@@ -228,7 +228,7 @@ class MovingWorlds(Backend):
                 self._sums[number, :, world] = outside.sums
 
     def _bring(self, work: GraphWork, joins: Bool) -> None:
-        """Give the device the state of worlds that join and are not there."""
+        """Copy the state of worlds that join to the device, if it is not there yet."""
         if not (joins & ~self._here).any():
             return
         self.fetch()
@@ -288,7 +288,7 @@ class MovingWorlds(Backend):
         return joined
 
     def _look_ahead(self, t0: float) -> _Ahead:
-        """Foci and levels of AHEAD steps from t0 [s] on."""
+        """Compute foci and levels of AHEAD steps from t0 [s] on."""
         first = self.models[0]
         timestep_s = first.spec.timestep_s
         starts = [t0]
@@ -312,7 +312,7 @@ class MovingWorlds(Backend):
         return _Ahead(starts, np.array(foci), np.array(levels), np.array(means))
 
     def _good(self, work: GraphWork) -> Bool:
-        """The worlds in which the results hold: no body near a board, foci that can be made, loads of the class."""
+        """Return the worlds with valid results: no body near a board, foci that can be made, loads in the class."""
         hosts = work.results.hosts
         good = np.logical_and.reduce(hosts["heights"] >= CLEARANCE_M, axis=1)
         levels = self._levels[self._kinds]
@@ -377,15 +377,15 @@ class MovingWorlds(Backend):
 
 
 def _outside(work: GraphWork, skin: int) -> Outside:
-    """The part of a skin's load in the last step outside the class of the modes, shape (w,) each."""
+    """Return the part of a skin's load in the last step outside the class of the modes, shape (w,) each."""
     seen = work.of.skins[skin].outside([*work.results.hosts[f"sums_{skin}"].T])
     assert seen is not None
     return seen
 
 
 def may_join(model: HapticModel, layout: PoseLayout) -> bool:
-    """Whether sound and skins of a world can be computed here: one focus of equal transducers at rest, which moves and
-    sounds without jumps, on surfaces without shadows whose skins move by modes."""
+    """Whether sound and skins of a world can be computed here. Conditions: equal transducers at rest, one focus that
+    moves and changes level without jumps, surfaces without shadows, and skins that move by modes."""
     if len(model.stimuli) != 1 or layout.movable or model.substeps < 2:
         return False
     part, drive = model.stimuli[0], array_drives(model, model.arrays)[0]

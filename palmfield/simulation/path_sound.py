@@ -1,4 +1,4 @@
-"""ARP along a predicted path, on bodies at rest: computed from a few fields that are made once."""
+"""ARP along a predicted path, on bodies at rest, computed from a few stored fields."""
 
 from typing import TYPE_CHECKING
 
@@ -15,16 +15,16 @@ if TYPE_CHECKING:
 
 
 class PathSound:
-    """ARP on the skins of a model, and on what carries them. Belongs to one state, and is used by one thread at a time.
+    """Computes ARP on the skins of a model and on their bodies. It belongs to one state and to one thread at a time.
 
-    serves: whether the model has such a path; off: number of consecutive courses off it
-    reference: as `reference_scene`: only there do the fields hold
+    serves: whether the model has such a path; off: number of consecutive courses off the path
+    reference: as `reference_scene`: the fields are valid only in this pose
     """
 
     def __init__(
         self, model: HapticModel, radiation: Radiation, reference: PosedScene, beside: "PathSound | None" = None
     ):
-        """beside: of another world, stepped by the same thread: both share results for the same stimuli"""
+        """beside: the PathSound of another world stepped by the same thread; both share results for the same stimuli"""
         self.model, self.radiation, self.reference = model, radiation, reference
         self.serves, self.off = serves(model), 0
         same = beside is not None and beside.model.spec.stimuli == model.spec.stimuli
@@ -32,7 +32,7 @@ class PathSound:
         self._arp = Kept()  # with buffers of its own
 
     def adopt(self, other: "PathSound") -> None:
-        """Take over what another state of the same model has made."""
+        """Copy the results of another state of the same model."""
         self.reference, self.off, self._arp = other.reference, other.off, Kept()
         self._fields.adopt(other._fields)
 
@@ -45,7 +45,7 @@ class PathSound:
         )
 
     def arp(self, posed: PosedScene, skin: int, role: Role, drives: Complex) -> Float32 | None:
-        """ARP [Pa] at the points of a skin for a role, shape (m, n), of drives (m, N).
+        """Return the ARP [Pa] of drives (m, N) at the points of a skin for a role, shape (m, n).
 
         None where the pose is another, one of the drives is not on the path, or its sound can't be spanned. A view of a
         buffer that the next call for the same number of drives overwrites.

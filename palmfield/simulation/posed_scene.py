@@ -1,6 +1,6 @@
-"""One pose of the MuJoCo bodies with the data for sound and skin that follow from it, in the frame of the first array.
+"""One pose of the MuJoCo bodies and its data for sound and skin, in the frame of the first array.
 
-A PosedScene is made once per MuJoCo step. It holds all data that follow from the pose and computes them at first use.
+A PosedScene is made once per MuJoCo step. It computes the data that depend on the pose at first use and stores them.
 The scene and its parts have serial numbers, which are the keys of stored fields.
 """
 
@@ -26,17 +26,17 @@ if TYPE_CHECKING:
 
 SERIAL = attrgetter("serial")
 STILL = 0.05
-"""A body or focus that moves by less than this part of accuracy times spot width counts as still: the load then is off
-by less than a tenth of the accuracy (displacement over standard deviation, over sqrt 2)."""
+"""A body or focus counts as still if it moves less than this factor times accuracy times spot width. The load error is
+then below a tenth of the accuracy (displacement over standard deviation, over sqrt 2)."""
 
 
 @dataclass(frozen=True)
 class PoseLayout:
-    """The meaning of the rows in a list of all world frames on which the sound and the skins of a scene depend.
+    """Order of the rows in the list of all world frames on which the sound and the skins of a scene depend.
 
     Rows are the arrays, the frames of the stimuli, the transducers that are sites, each body with its bones, and the
     obstacles of each skin. transducers: one slice per array; bodies: row and bones; obstacles: by skin.
-    movable: whether transducers may move against one another: those of several arrays, or sites.
+    movable: whether transducers may move relative to each other: several arrays, or transducers that are sites.
     """
 
     arrays: int
@@ -48,7 +48,7 @@ class PoseLayout:
 
     @staticmethod
     def of(model: HapticModel) -> "PoseLayout":
-        """Layout for the arrays, stimuli, bodies and skins of a model."""
+        """Make the layout for the arrays, stimuli, bodies and skins of a model."""
         spec = model.spec
         row = len(spec.arrays)
         frames = slice(row, row + len(spec.stimuli))
@@ -71,7 +71,7 @@ class PoseLayout:
 class PosedSurface:
     """One body in one pose; data are computed at first use.
 
-    model: the body at rest. skin: the first skin on it. frame: seen from the first array.
+    model: the body at rest. skin: the first skin on it. frame: frame of the body in that of the first array.
     bone_positions, bone_rotations: in the body's frame, shapes (b, 3) and (b, 3, 3); empty for a body in one piece.
     serial: unique number.
     """
@@ -84,12 +84,12 @@ class PosedSurface:
         self.numbers = place.tobytes() + turn.tobytes() + bones[0].tobytes() + bones[1].tobytes()
 
     def same(self, other: "PosedSurface") -> bool:
-        """Exactly equal: only then may a field be used again."""
+        """Whether two poses are exactly equal: only then may a stored field be reused."""
         return self.numbers == other.numbers
 
     @cached_property
     def vertices(self) -> Float:
-        """Vertices of the closed surface, in the body's frame [m], shape (v, 3)."""
+        """Return vertices of the closed surface, in the body's frame [m], shape (v, 3)."""
         if self.model.surface is None:
             return self.skin.closed_surface[0]
         if self.model.hand is None:
@@ -98,7 +98,7 @@ class PosedSurface:
 
     @cached_property
     def vertices_in_array(self) -> Float:
-        """The same in the array frame."""
+        """Return vertices of the closed surface, in the array frame [m], shape (v, 3)."""
         return self.frame.points(self.vertices)
 
     @property
@@ -113,12 +113,12 @@ class PosedSurface:
 
     @property
     def faces(self) -> Int:
-        """Of the closed surface, shape (m, 3)."""
+        """Return faces of the closed surface, shape (m, 3)."""
         return self.skin.closed_surface[1]
 
     @cached_property
     def samples(self) -> tuple[Float, Float, Float]:
-        """Points for the force on the body [m], outward normals, array frame, (n, 3), and areas [m^2], (n,)."""
+        """Return points for the force on the body [m], outward normals, array frame, (n, 3), and areas [m^2], (n,)."""
         if self.model.surface is None:
             quadrature = self.skin.layer.quadrature
             points, normals, areas = quadrature.points, quadrature.normals, quadrature.weights
@@ -133,18 +133,18 @@ class PosedSurface:
 
     @cached_property
     def sample_parts(self) -> Int:
-        """The number of the body at `origins` that each sample pushes, shape (n,)."""
+        """Return for each sample the number of the body in `origins` that it pushes, shape (n,)."""
         if self.model.hand is None:
             return np.zeros(len(self.samples[2]), np.int32)
         return self.model.sample_bones
 
     @cached_property
     def origins(self) -> Float:
-        """Origins of the bodies that the sound pushes, bones or the body itself, array frame [m], shape (b, 3)."""
+        """Return origins of the bodies that the sound pushes (bones or the body), array frame [m], shape (b, 3)."""
         return self.frame.position[None] if self.model.hand is None else self.frame.points(self.bone_positions)
 
     def moved(self, points: Float, normals: Float, binding: "SkinBinding | None") -> tuple[Float, Float]:
-        """Points of the resting surface [m] and their normals, body frame, now in the array frame, shapes (n, 3)."""
+        """Move points of the resting surface [m] and normals from the body frame to the array frame, shapes (n, 3)."""
         if binding is not None and self.model.hand is not None:
             turns = self.bone_rotations
             points, normals = binding.blend(self.model.hand, self.bone_positions, turns, points, normals)
@@ -154,7 +154,7 @@ class PosedSurface:
 class PosedSkin:
     """One skin layer in one pose; positions are in the array frame.
 
-    obstacle_positions, obstacle_rotations: of the obstacles besides bodies with skins, in the body's frame
+    obstacle_positions, obstacle_rotations: of the obstacles other than bodies with skins, in the body's frame
     """
 
     def __init__(self, skin: SkinModel, body: PosedSurface, obstacles: tuple[Float, Float]):
@@ -168,26 +168,26 @@ class PosedSkin:
 
     @cached_property
     def nodes(self) -> tuple[Float, Float]:
-        """Surface nodes of the skin layer [m] and their outward normals, shapes (S, 3)."""
+        """Return the surface nodes of the skin layer [m] and their outward normals, shapes (S, 3)."""
         points, normals = self.skin.nodes
         return self.body.moved(points, normals, self.skin.nodes_binding)
 
     @cached_property
     def quadrature(self) -> tuple[Float, Float]:
-        """Points at which the ARP on the skin is integrated [m] and their outward normals, shapes (q, 3)."""
+        """Return the integration points of the ARP on the skin [m] and their outward normals, shapes (q, 3)."""
         quadrature = self.skin.layer.quadrature
         return self.body.moved(quadrature.points, quadrature.normals, self.skin.quadrature_binding)
 
     @property
     def obstacle_hull(self) -> Float:
-        """Corners of boxes with all obstacles in them, array frame [m], shape (8 k, 3)."""
+        """Return corners of boxes that contain all obstacles, array frame [m], shape (8 k, 3)."""
         place, turn = self.body.frame
         boxes = self.skin.obstacle_boxes @ self.obstacle_rotations.transpose(0, 2, 1) + self.obstacle_positions[:, None]
         return boxes.reshape(-1, 3) @ turn.T + place
 
     @cached_property
     def obstacles(self) -> tuple[Float, Int] | None:
-        """Vertices [m] and faces of the obstacles that key `obstacles` names; None without any."""
+        """Return vertices [m] and faces of the obstacles that key `obstacles` names; None without any."""
         if not self.skin.obstacles:
             return None
         shapes, slices, faces = self.skin.obstacles_in_one
@@ -203,9 +203,9 @@ class PosedScene:
     """Arrays, frames of the stimuli, bodies and skins in one pose.
 
     array_frame: frame of the first array in the world.
-    arrays: all arrays in their relative pose. frames: of each stimulus, seen from the first array.
-    sources: the numbers from which `arrays` was made, where arrays or transducers may move. serial: unique number.
-    sound_keys: of each skin, equal in poses in which the sound of a drive on it is the same.
+    arrays: all arrays in their relative pose. frames: frame of each stimulus in that of the first array.
+    sources: the numbers from which `arrays` was made, if arrays or transducers may move. serial: unique number.
+    sound_keys: key of each skin, equal for poses in which a drive gives the same sound on the skin.
     """
 
     def __init__(
@@ -231,12 +231,12 @@ class PosedScene:
             self.numbers += position.tobytes() + rotation.tobytes()
 
     def same(self, other: "PosedScene") -> bool:
-        """Whether all that sound and skins depend on is the same: parts that keep still keep their serial numbers."""
+        """Whether sound and skins are unchanged. Parts that do not move keep their serial numbers."""
         mine, its = (self.arrays, *self.bodies, *self.skins), (other.arrays, *other.bodies, *other.skins)
         return self.numbers == other.numbers and list(map(SERIAL, mine)) == list(map(SERIAL, its))
 
     def focal_points(self, stimulus: StimulusModel, number: int) -> FocalPoints:
-        """The points of a stimulus, by its number, in this pose."""
+        """Return the points of a stimulus, by its number, in this pose."""
         course = None
         if stimulus.path is not None:
             assert stimulus.spec.on_skin is not None
@@ -275,9 +275,9 @@ def posed_scene(
     """Return the scene in a pose.
 
     world_positions [m], shape (m, 3), world_rotations, shape (m, 3, 3): of the rows of the layout.
-    previous: the last pose, or the reference. Parts that have not moved are reused; it is returned if none has moved.
-    reference: as `reference_scene`, the pose of small models: a body and its skins' obstacles are put there while they
-        are within STILL of it by the strictest of its skins, and the arrays are in it.
+    previous: the last pose, or the reference. Parts that have not moved are reused; if none has, it is returned.
+    reference: as `reference_scene`, the pose of reduced models. A body and the obstacles of its skins are put there if
+        they are within STILL of it (by the strictest of its skins) and the arrays are in the reference pose.
     """
     origin, turn = world_positions[0].copy(), world_rotations[0].copy()
     positions, rotations = (world_positions - origin) @ turn, turn.T @ world_rotations
@@ -291,7 +291,7 @@ def posed_scene(
     frames = []
     for row in range(layout.frames.start, layout.frames.stop):
         frames.append(Transform(positions[row], rotations[row]))
-    # Place of each body, and the place at which it is put: all skins of a body are in one pose.
+    # Actual place of each body, and the place where it is put. All skins of a body have one pose.
     placed, bodies = [], []
     for number, (row, bones) in enumerate(layout.bodies):
         first = reference.bodies[number]
@@ -332,9 +332,9 @@ def posed_scene(
 def settled_worlds(
     model: HapticModel, layout: PoseLayout, world_positions: Float, world_rotations: Float, reference: PosedScene
 ) -> NDArray[np.bool_]:
-    """The worlds in which `posed_scene` puts all bodies at the reference pose, shape (w,).
+    """Return the worlds in which `posed_scene` puts all bodies at the reference pose, shape (w,).
 
-    Arguments as there, with a leading axis for worlds. False in all if bones or obstacles would have to be checked.
+    Arguments as for `posed_scene`, with a leading axis for worlds. All False if bones or obstacles need a check.
     """
     worlds = len(world_positions)
     for number, skin in enumerate(model.skins):
@@ -362,7 +362,7 @@ def _settled(body: PosedSurface, reference: PosedSurface, corners: Float, still_
 
 
 def _obstacles_settled(posed: PosedSkin, reference: PosedSkin) -> bool:
-    """Whether the obstacles are as good as in the reference pose."""
+    """Whether the obstacles count as in the reference pose."""
     if posed.obstacles is None or reference.obstacles is None:
         return True
     return _within(posed.obstacles[0], reference.obstacles[0], posed.skin.still_m)
@@ -380,7 +380,7 @@ def _seen_from(positions: Float, rotations: Float, body: int, others: slice) -> 
 def _arrays(
     model: HapticModel, layout: PoseLayout, positions: Float, rotations: Float, previous: PosedScene
 ) -> PhasedArray:
-    """The arrays in this relative pose; the reference object, or the last one, while their relative pose is equal."""
+    """Return the arrays in this relative pose; the reference or last object if the relative pose is equal."""
     placements = []
     for number, sites in enumerate(layout.transducers):
         frame = Transform(positions[number], rotations[number])

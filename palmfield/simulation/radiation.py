@@ -1,7 +1,7 @@
-"""ARP on the surfaces of a posed scene: the stages field and ARP of a step, with what they keep for the next one.
+"""ARP on the surfaces of a posed scene: the stages field and ARP of a step, with their caches.
 
-A Radiation belongs to one state and is used by one thread at a time: it holds buffers for the points of each skin, and
-the last ARP of each role, under the serial numbers of pose and drive.
+A Radiation belongs to one state and is used by one thread at a time. It stores buffers for the points of each skin,
+and the last ARP of each role, under the serial numbers of pose and drive.
 """
 
 import numpy as np
@@ -20,9 +20,9 @@ ALWAYS = np.ones(1, dtype=bool)
 
 
 class Radiation:
-    """ARP at the points of the skins of a model.
+    """Computes ARP at the points of the skins of a model.
 
-    kept: results, with which a copy of the state goes on; chosen: of each skin, the points for the role "load"
+    kept: results that a copy of the state reuses; chosen: for each skin, its points for the role "load"
     """
 
     def __init__(self, model: HapticModel, beside: "Radiation | None" = None):
@@ -35,7 +35,7 @@ class Radiation:
         self._sound = [self._sound_on(skin) for skin in model.skins]
 
     def _sound_on(self, skin: SkinModel) -> FreeSound:
-        """What bodies do to the sound on a skin, of which only what serves is loaded."""
+        """Make the model of shadows and scattering for a skin; only the needed code is loaded."""
         kind = skin.spec.config.body_sound
         if kind == "none":
             return FreeSound()
@@ -46,13 +46,13 @@ class Radiation:
         return (BentSound if bends(skin) else ShadedSound)(self.model, self._shared)
 
     def choose(self, skin: int, points: Int) -> None:
-        """Take these of the quadrature points of a skin, numbers of shape (p,), for the role "load"."""
+        """Set the points for the role "load": numbers of quadrature points of a skin, shape (p,)."""
         self.chosen[skin] = self._choices.of((skin, id(points)), (), ChosenPoints, self.model.skins[skin], points)
 
     def on(self, posed: PosedScene, skin: int, role: Role, drive: Complex, serial: int = 0) -> SurfaceSound:
-        """ARP at quadrature points, force samples or surface nodes of a skin, for the emission (N,) of the transducers.
+        """Return ARP at quadrature points, force samples or surface nodes of a skin, for an emission of shape (N,).
 
-        serial: of the drive, the key of the stored result; 0 for a drive without one.
+        serial: serial number of the drive, the key of the stored result; 0 for a drive without one.
         """
         if serial:
             key = *self._places(posed, skin, role), serial
@@ -60,7 +60,7 @@ class Radiation:
         return self._sound[skin].sound(self.points(posed, skin, role), drive)
 
     def patterns(self, posed: PosedScene, skin: int, role: Role, course: EmittedCourse) -> Float32:
-        """The patterns of ARP [Pa] to which the `weights` of a course apply, shape (p, n)."""
+        """Return the patterns of ARP [Pa] to which the `weights` of a course apply, shape (p, n)."""
         if len(course.units) == 0:
             return np.zeros((1, len(self.points(posed, skin, role)[3])), np.float32)
         if len(course.units) == 1:
@@ -80,13 +80,13 @@ class Radiation:
         return np.asarray(computed[np.add.accumulate(first, dtype=np.intp) - 1])
 
     def _places(self, posed: PosedScene, skin: int, role: Role) -> Key:
-        """Equal while the points of a skin for a role and all bodies in the path of the sound are in place."""
+        """Return a key, equal while a skin's points for a role and all bodies in the path of the sound do not move."""
         return posed.sound_keys[skin] if role != "load" else (*posed.sound_keys[skin], self.chosen[skin].serial)
 
     def many(
         self, posed: PosedScene, skin: int, drives: Complex, role: Role = "quadrature", peaks: Float32 | None = None
     ) -> Float32:
-        """ARP as `on` gives it for several drives, shape (m, N): shape (m, n).
+        """Return ARP as `on` does, for several drives of shape (m, N); shape (m, n).
 
         peaks: array to fill with the peak amplitudes of the pressures [Pa], shape (m, n)
         """
@@ -101,12 +101,12 @@ class Radiation:
         return field.evaluate_many(points, normals, drives, shades=shades, amplitudes=peaks)
 
     def sounds(self, posed: PosedScene, skin: int, drives: Complex, role: Role = "quadrature") -> SurfaceSound:
-        """ARP as `many` gives it, and the pressures' peak amplitudes, shapes (m, n)."""
+        """Return ARP as `many` does, and the peak amplitudes of the pressures, shapes (m, n)."""
         peaks = np.empty((len(drives), len(self.points(posed, skin, role)[3])), np.float32)
         return SurfaceSound(self.many(posed, skin, drives, role, peaks), peaks)
 
     def sums(self, posed: PosedScene, skin: int, units: Complex, levels: Complex, role: Role = "quadrature") -> Float32:
-        """ARP as from `many` for levels (m, k) @ units (k, N), of which there are few, shape (m, n)."""
+        """Return ARP as `many` does, for the drives levels (m, k) @ units (k, N) with small k; shape (m, n)."""
         if self.model.skins[skin].spec.config.body_sound != "none":
             return self.many(posed, skin, levels @ units, role)
         *_, points, normals, _, field = self.points(posed, skin, role)
@@ -115,22 +115,22 @@ class Radiation:
     def at(
         self, posed: PosedScene, skin: int, role: Role, points: Float, normals: Float, drive: Complex
     ) -> SurfaceSound:
-        """ARP at any points of the body of a skin with outward normals, array frame, shapes (n, 3)."""
+        """Return ARP at any points of the body of a skin with outward normals, array frame, shapes (n, 3)."""
         name = "field", skin, role, len(points)
         field = self._shared.of(name, posed.arrays.serial, self._field, posed, skin, len(points))
         return self._sound[skin].sound((posed, skin, role, points, normals, None, field), drive)
 
     def solution(self, skin: int) -> Solution | None:
-        """The last one by boundary elements for the body of a skin."""
+        """Return the last boundary-element solution for the body of a skin."""
         return self.kept.last(("solution", skin))  # type: ignore[no-any-return]
 
     def adopt(self, skin: int, solution: Solution) -> None:
-        """Begin with a solution for the body of a skin."""
+        """Store a boundary-element solution for the body of a skin."""
         key = Solution.key(solution.posed, skin, solution.drive)
         self.kept.of(("solution", skin), key, lambda: solution)
 
     def continue_from(self, other: "Radiation") -> None:
-        """Take over what another one has computed, for a copy of its state in the same PosedScenes."""
+        """Copy the results of another Radiation, for a copy of its state in the same PosedScenes."""
         self.kept.adopt(other.kept)
         self._choices.adopt(other._choices)
 
@@ -152,16 +152,16 @@ class Radiation:
         return posed, skin, role, points, normals, numbers, field
 
     def samples(self, posed: PosedScene, skin: int) -> SeenSamples:
-        """Points for the force on the body: those that the arrays see, and all where sound goes round the body."""
+        """Return the force samples of the body: those facing the arrays, or all if sound bends around the body."""
         body, arrays = posed.skins[skin].body, posed.arrays
         return self.kept.of(("samples", skin), (arrays.serial, body.serial), self._sound[skin].samples, body, arrays)
 
     def _field(self, posed: PosedScene, skin: int, count: int) -> SurfaceArp:
-        """What computes the sound at this number of points of a skin."""
+        """Return the field evaluator for this number of points of a skin."""
         return SurfaceArp(posed.arrays.field, count, self.model.skins[skin].spec.arp_law)
 
 
 def bends(skin: SkinModel) -> bool:
-    """Whether sound bends round what casts shadows on a skin."""
+    """Whether sound bends around the obstacles that cast shadows on a skin."""
     config = skin.spec.config
     return config.body_sound == "shadows" and config.shadow_edges == "knife_edge"

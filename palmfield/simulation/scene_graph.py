@@ -1,8 +1,8 @@
-"""The step of one world in its PosedScenes, in a captured graph on a device, for scenes that `MovingWorlds` refuses.
+"""Step of one world in a captured graph on a device, for scenes that `MovingWorlds` cannot compute.
 
-These have shadows, several stimuli or foci, flight times, predicted paths, or boards that round. The state goes in and
-out in each step. Drives come from the emission; for one moving focus kernels make them. The host steps skins that the
-device does not step, under the load that it has computed.
+These have shadows, several stimuli or foci, flight times, predicted paths, or boards that round. The state is copied
+to and from the device in each step. Drives come from the emission; for one moving focus kernels compute them. Skins
+that the device cannot step are stepped on the host, under the load from the device.
 """
 
 import cmath
@@ -36,8 +36,8 @@ from palmfield.types import Complex, Float, Float32, Int
 
 
 class Sounding(NamedTuple):
-    """Drives whose sums sound. units: shape (k, N); levels: of each sum, shape (m, k), None for each drive by itself;
-    serial: equal for the same sums; weights: of the sums in a mean, shape (m,)"""
+    """Sums of drives. units: drives, shape (k, N); levels: of each sum, shape (m, k), None if each drive is one sum;
+    serial: equal for equal sums; weights: of the sums in a mean, shape (m,)"""
 
     units: Complex
     levels: Complex | None
@@ -51,10 +51,10 @@ class Sounding(NamedTuple):
 
 
 class SceneGraph(HostBackend):
-    """The host of one world, whose sound and skins a graph computes where it can.
+    """Host backend of one world that computes sound and skins in a graph if possible.
 
-    course: the emission over the step that has begun and its moments, if the graph computes it; of a path without its
-        drives. launches: how many graphs have been launched
+    course: the emission over the present step and its moments, if the graph computes it; for a path without its
+        drives. launches: number of launched graphs
     """
 
     in_graph = True
@@ -69,18 +69,18 @@ class SceneGraph(HostBackend):
         self._transducers, self._made = Transducers(model.arrays, device), Kept()
         layout = PoseLayout.of(model)
         self._motions: MotionRows = motions_of(model, layout)
-        # Arrays and stimuli stay in the frame of the first array
+        # Arrays and stimuli do not move in the frame of the first array
         count = layout.obstacles[-1].stop
         self._frames = np.zeros((count, 3)), np.tile(np.eye(3), (count, 1, 1))
         self._probes: tuple[tuple[int, SensorPlace], ...] = ()
-        self._graphs: dict[bool, GraphWork] = {}  # by whether kernels make the drives
+        self._graphs: dict[bool, GraphWork] = {}  # key: whether kernels compute the drives
         self.launches = 0
         self._now: GraphWork | None = None
         self._computed = 0  # serial number of the pose that the last launch computed
-        self._sounding: dict[str, int] = {}  # of what sounded in it
+        self._sounding: dict[str, int] = {}  # serial numbers of its sound
         self._fetched = False
         self._force_scale = 0.0
-        self._present_factor = 0.0  # on what sensors read
+        self._present_factor = 0.0  # factor on the ARP at sensors
         self._stepped: dict[int, SkinStepper] = {}
 
     def forget(self) -> None:
@@ -117,7 +117,7 @@ class SceneGraph(HostBackend):
             if course is None:
                 return False
         else:
-            # First, as the others take from it what they can
+            # Computed first, because the others reuse its results
             moments, course = emission.over(posed, emitted, t0, self.model.substeps)
             mean, now = emission.mean_drives(posed, emitted, t0), emission.now(posed, emitted, t0)
             self._given(posed, moments, course, mean, now)
@@ -126,7 +126,7 @@ class SceneGraph(HostBackend):
         return True
 
     def _along(self, posed: PosedScene, path: PathStep, emitted: Complex, t0: float) -> EmittedCourse | None:
-        """A step of one focus that moves; None where the transducers can't make it, which is said elsewhere."""
+        """Compute a step of one moving focus; None if the transducers cannot make it (the host raises the error)."""
         if not math.isfinite(np.add.reduce(path.foci, axis=None)):
             raise PalmfieldError(f"focus at {path.foci.tolist()} m is not finite: correct its motion")
         drives = self._path_drives(posed, t0)
@@ -158,7 +158,7 @@ class SceneGraph(HostBackend):
         return course
 
     def _path_drives(self, posed: PosedScene, t0: float) -> PathDrives:
-        """The function that makes drives of a focus, with the arrays in their present pose."""
+        """Return the object that computes drives from a focus, for the present pose of the arrays."""
         drive, response = self._work.emission.placed(posed, t0)[0].drive, self.model.stimuli[0].response
         given = drive, self._transducers, response.stepper if response.on else None
         return self._made.of("drives", posed.arrays.serial, PathDrives, *given, move=lambda one, *_: one.move(drive))
@@ -166,7 +166,7 @@ class SceneGraph(HostBackend):
     def _given(
         self, posed: PosedScene, moments: Moments, course: EmittedCourse, mean: MeanDrives, now: EmittedCourse
     ) -> None:
-        """A step with these drives."""
+        """Compute a step with these drives."""
         force, self._force_scale = _of_mean(mean)
         drive, factor = present_drive(now)
         present = None if drive is None else Sounding(drive[None], None, now.serial)
@@ -177,7 +177,7 @@ class SceneGraph(HostBackend):
         self._take(graph, models, moments, course)
         serials, changed = dict[str, int](), graph is not self._now or posed.serial != self._computed
         for name, one in sounding.items():
-            # In silence the last emission gives no new field, but it may sound again
+            # Silence needs no new field; the stored field may be used again later
             serials[name] = self._sounding.get(name, 0) if one is None else one.serial
             if one is not None and (changed or self._sounding.get(name) != one.serial):
                 self._tell(graph, name, one)
@@ -202,7 +202,7 @@ class SceneGraph(HostBackend):
         if known is None or not same or not known.sizes.holds(sizes):
             sizes = sizes if known is None else sizes.joined(known.sizes)
             skins = models if known is None else {**known.of.skins, **models}
-            self._graphs.pop(drives is not None, None)  # its memory is free for the next one
+            self._graphs.pop(drives is not None, None)  # frees its memory for the next graph
             self._now = known = None
             of = GraphOf(1, self._probes, skins, drives, 1)
             known = self._graphs[drives is not None] = GraphWork(
@@ -211,7 +211,7 @@ class SceneGraph(HostBackend):
         return known, models
 
     def _model(self, skin: int, stepper: SkinStepper) -> DeviceModel | None:
-        """The stepper of a skin on the device, None if it is stepped on the CPU; stored."""
+        """Return the device model of a skin's stepper, stored; None if the skin is stepped on the CPU."""
         points = len(self.model.skins[skin].layer.quadrature.points)
         given = self.model.substeps, points, self._transducers.device
         return self._made.of((skin, stepper), (), stepper.device_model, *given)
@@ -219,17 +219,17 @@ class SceneGraph(HostBackend):
     def _take(
         self, graph: GraphWork, models: Mapping[int, DeviceModel], moments: Moments, course: EmittedCourse
     ) -> None:
-        """Take the numbers of the skins at the beginning of the step, and the weight of each pressure pattern."""
+        """Copy the skin states at the beginning of the step, and the weight of each pressure pattern."""
         hosts = graph.inputs.hosts
         for number, model in models.items():
             weights = model.weights(*course.weights(moments))
             hosts[f"before_{number}"][:] = stepper_of(self.model, self.state, number)[1]
-            # Other patterns get weight 0: in silence the device still holds the last patterns, in the same number
+            # Other patterns get weight 0: in silence the device still holds the same number of old patterns
             hosts[f"weights_{number}"][0] = 0.0
             hosts[f"weights_{number}"][0, :, : weights.shape[1]] = weights
 
     def _tell(self, graph: GraphWork, name: str, sounding: Sounding) -> None:
-        """Take what sounds for one purpose. Raises PalmfieldError for drives that are not finite."""
+        """Copy the drives for one purpose. Raises PalmfieldError for drives that are not finite."""
         if not cmath.isfinite(np.add.reduce(sounding.units, axis=None)):
             bad = check.first_bad(sounding.units.T)
             values = sounding.units[:, bad].tolist()
@@ -258,7 +258,7 @@ class SceneGraph(HostBackend):
         self._stepped = {number: graph.of.skins[number].stepper for number in skins}
 
     def _place(self, graph: GraphWork, posed: PosedScene) -> None:
-        """Take a pose. Raises PalmfieldError for one that is not finite."""
+        """Copy a pose. Raises PalmfieldError for a pose that is not finite."""
         places, axes = graph.inputs.hosts["places"][0], graph.inputs.hosts["axes"][0]
         rows = self._motions
         places[:], axes[:] = self._frames
@@ -292,7 +292,7 @@ class SceneGraph(HostBackend):
             own[0] = force @ turn
 
     def of_bodies(self) -> list[Float]:
-        """The forces that the graph has computed, of each body, array frame, shape (2, b, 3)."""
+        """Return the computed forces on each body, array frame, shape (2, b, 3)."""
         now, scale = self._now, self._force_scale
         if now is None or scale == 0.0:
             return [np.zeros((2, own.stop - own.start, 3)) for own in self._motions.bodies]
@@ -309,7 +309,7 @@ class SceneGraph(HostBackend):
         return self.course or super()._course(world, begun, t0, count)
 
     def _steps_here(self, skin: int, stepper: SkinStepper) -> GraphWork | None:
-        """The graph that has computed the step of a skin by this stepper."""
+        """Return the graph that has computed the step of a skin by this stepper."""
         here = self.course is not None and self._stepped.get(skin) is stepper
         return self._now if here else None
 
@@ -336,7 +336,7 @@ class SceneGraph(HostBackend):
     def load(self, skin: int, points: Int | None = None) -> Float32:
         """ARP [Pa] of the course at the quadrature points of a skin, shape (m, q); points: the numbers of some of them.
 
-        A view that the next step overwrites.
+        The result is a view that the next step overwrites.
         """
         assert self._now is not None and self.course is not None
         load = self._now.load
@@ -352,7 +352,7 @@ class SceneGraph(HostBackend):
 
 
 def _of_course(course: EmittedCourse) -> Sounding | None:
-    """The ARP on the skins over a step; None in silence."""
+    """Return the drives for the ARP on the skins over a step; None in silence."""
     if len(course.units) == 0:
         return None
     few = 1 < len(course.units) < len(course.levels)
@@ -360,7 +360,7 @@ def _of_course(course: EmittedCourse) -> Sounding | None:
 
 
 def _of_mean(mean: MeanDrives) -> tuple[Sounding | None, float]:
-    """The ARP on bodies over a step, and a factor on it; None in silence."""
+    """Return the drives for the mean ARP on bodies over a step, and a factor on it; None in silence."""
     if len(mean.weights) == 0:
         return None, 0.0
     if len(mean.weights) == 1:
