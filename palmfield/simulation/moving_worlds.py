@@ -166,8 +166,8 @@ class MovingWorlds(Backend):
             self._here &= joins
 
     def _made(self) -> GraphWork | None:
-        """Memory and graph for what is watched now; None, now and ever after, where what steps a skin is not what was
-        chosen for it. Raises DeviceError where the device has no room."""
+        """Return memory and graph for the present sensors; None from now on if the stepper of a skin differs from the
+        chosen one. Raises DeviceError if the device has too little memory."""
         first = self.models[0]
         steppers: dict[int, DeviceModel] = {}
         for number, skin in enumerate(first.skins):

@@ -47,8 +47,8 @@ class PathSound:
     def arp(self, posed: PosedScene, skin: int, role: Role, drives: Complex) -> Float32 | None:
         """Return the ARP [Pa] of drives (m, N) at the points of a skin for a role, shape (m, n).
 
-        None where the pose is another, one of the drives is not on the path, or its sound can't be spanned. A view of a
-        buffer that the next call for the same number of drives overwrites.
+        None if the pose differs, a drive is off the path, or the stored fields cannot span its sound. The result is a
+        view of a buffer that the next call for the same number of drives overwrites.
         """
         if not self.holds(posed):
             return None

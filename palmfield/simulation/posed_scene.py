@@ -103,11 +103,11 @@ class PosedSurface:
 
     @property
     def hull(self) -> Float:
-        """Corners of boxes whose convex hull has all of the surface in it, array frame [m], shape (8 b, 3)."""
+        """Return corners of boxes whose convex hull contains the surface, array frame [m], shape (8 b, 3)."""
         place, turn = self.frame
         boxes = self.model.boxes
         if self.model.hand is not None:
-            # A skin point is a mean of its positions by each of its bones, and each of these is in that bone's box
+            # A skin point is a weighted mean of one position per bone, and each position lies in the box of that bone
             boxes = boxes @ self.bone_rotations.transpose(0, 2, 1) + self.bone_positions[:, None]
         return boxes.reshape(-1, 3) @ turn.T + place
 
@@ -353,7 +353,7 @@ def settled_worlds(
 
 
 def _settled(body: PosedSurface, reference: PosedSurface, corners: Float, still_m: float) -> bool:
-    """Whether a body is as good as in the reference pose: boxes round its skins, or with bones all of its surface."""
+    """Whether a body counts as in the reference pose, by boxes around its skins, or with bones by its whole surface."""
     if body.model.hand is None:
         now, then = body.frame.points(corners), reference.frame.points(corners)
     else:

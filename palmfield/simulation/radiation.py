@@ -135,14 +135,14 @@ class Radiation:
         self._choices.adopt(other._choices)
 
     def points(self, posed: PosedScene, skin: int, role: Role) -> SkinPoints:
-        """Points [m] and outward normals, array frame, shapes (n, 3), of a skin or its body."""
+        """Return points [m] and outward normals of a skin or its body, array frame, shapes (n, 3)."""
         part, numbers = posed.skins[skin], None
         if role == "load":
             chosen, move = self.chosen[skin], part.body.moved
             points, normals = self.kept.of(("load", skin), (part.serial, chosen.serial), move, *chosen.rest)
             numbers = chosen.numbers
         elif role == "samples":
-            # As `samples`, without a call more
+            # The same as `samples`, inlined to save a call
             key, given = (posed.arrays.serial, part.body.serial), (self._sound[skin].samples, part.body, posed.arrays)
             points, normals, _, numbers = self.kept.of(("samples", skin), key, *given)
         else:

@@ -189,10 +189,10 @@ class SceneGraph(HostBackend):
             self._stepped = {}
 
     def _room(self, sizes: GraphSizes, drives: PathDrives | None) -> tuple[GraphWork, dict[int, DeviceModel]]:
-        """A graph with room for so much, and which skins it steps now."""
+        """Return a graph with at least these sizes, and the skins that it steps now."""
         models: dict[int, DeviceModel] = {}
         for number, operator in enumerate(self._work.observe):
-            # A skin that has not been stepped may have no stepper: reading forces doesn't make it
+            # A skin before its first step may have no stepper yet; reading forces must not make one
             if operator is None and (self.model.begin[number].made or not at_rest(self.state, number)):
                 model = self._model(number, stepper_of(self.model, self.state, number)[0])
                 if model is not None:

@@ -1,6 +1,6 @@
-"""The points of a scene at which sound is computed, on a device: where motions of bodies and bones take them.
+"""Points of a scene at which sound is computed, on a device, moved with bodies and bones.
 
-They are those of the skins' load, the sensors, and the force on bodies; with them go the meshes of what casts shadows.
+These are points for the load on skins, the sensors, and the force on bodies. The meshes of obstacles move with them.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -26,17 +26,17 @@ from warp_kernels import carried_points as carrying
 from warp_kernels import resultants as summing
 
 SQUARE = 8
-"""Cells per side, a power of two, into which directions are sorted."""
+"""Number of cells per side, a power of two, into which directions are sorted."""
 TINY = 1e-30
 RUN = 16
-"""Force samples that one thread adds up."""
+"""Number of force samples that one thread adds up."""
 
 
 class MotionRows(NamedTuple):
-    """The owners of the motions: those of bodies come first, and push.
+    """The owners of the motions. Motions of bodies come first; sound pushes these.
 
     bodies: by body, its bones or itself. obstacles: by skin. total: number of motions.
-    frames: the row of each one's frame in a PoseLayout. rest: its origin in the resting body [m], shape (total, 3).
+    frames: row of each frame in a PoseLayout. rest: origin of each in the resting body [m], shape (total, 3).
     """
 
     bodies: list[slice]
@@ -47,7 +47,7 @@ class MotionRows(NamedTuple):
 
     @property
     def parts(self) -> int:
-        """Number of motions that push."""
+        """Return the number of motions of bodies that sound pushes."""
         last: int = self.bodies[-1].stop
         return last
 
@@ -68,7 +68,7 @@ def motions_of(model: HapticModel, layout: PoseLayout) -> MotionRows:
 
 
 class _Bound(NamedTuple):
-    """Points at rest [m], shape (n, 3), and the motions that carry them with their shares, both of shape (n, 4)."""
+    """Points at rest [m], shape (n, 3), and the motions that carry them with their weights, both of shape (n, 4)."""
 
     points: Float
     motions: Int
@@ -76,7 +76,7 @@ class _Bound(NamedTuple):
 
 
 def _bound(points: Float, binding: SkinBinding | None, first: int) -> _Bound:
-    """Points that go with a body whose motions begin at row `first`: with its bones, or with the body itself."""
+    """Bind points to a body whose motions begin at row `first`: to its bones, or to the body itself."""
     if binding is not None:
         return _Bound(points, (binding.bones + first).astype(np.int32), binding.shares)
     motions = np.full((len(points), 4), first, np.int32)
@@ -84,7 +84,7 @@ def _bound(points: Float, binding: SkinBinding | None, first: int) -> _Bound:
 
 
 def _bound_vertices(hand: SkinnedSurface | None, vertices: Float, first: int) -> _Bound:
-    """The vertices of a surface, with its bones if it has any."""
+    """Bind the vertices of a surface to its bones, or to the body if it has none."""
     if hand is None:
         return _bound(vertices, None, first)
     shares, bones = strongest(sparse.csr_array(hand.weights))
@@ -96,7 +96,7 @@ def _joined(parts: Sequence[_Bound]) -> _Bound:
 
 
 def _carriers(bound: _Bound, device: str) -> Any:
-    """The numbers in the form of the kernels."""
+    """Return the bound points in the data type of the kernels."""
     return filled(
         carrying.Carriers(),
         motions=wp.array(bound.motions, dtype=wp.vec4i, device=device),
@@ -108,9 +108,9 @@ class ScenePoints:
     """All points of a scene on a device: of the load of the skins, the sensors, and the force on bodies, in this order.
 
     points, normals: vec3. areas: of the force samples [m2], float64.
-    quadrature: the range of each skin. samples: of each body its number and the range of its force samples among all.
-    orders: of bodies whose samples are sorted in another order, the number of each in the order of the body.
-    loaded, probed, sampled: all points of one kind. count: of all.
+    quadrature: the range of each skin. samples: for each body its number and the range of its force samples.
+    orders: for bodies with sorted samples, the number of each sample in the order of the body.
+    loaded, probed, sampled: all points of one kind. count: number of all points.
     """
 
     def __init__(
@@ -124,8 +124,8 @@ class ScenePoints:
         steppers: Mapping[int, SkinStepper] | None = None,
         alike: bool = False,
     ):
-        """steppers: of the skins whose points are only those at which these take pressure; alike: whether force samples
-        that look alike lie together, so that threads side by side are in the dark together"""
+        """steppers: for skins whose points are only those at which the stepper takes pressure; alike: whether force
+        samples are sorted by direction, so that neighbouring threads are in shadow together"""
         self._device, self._worlds = device, worlds
         bound: list[tuple[_Bound, Float]] = []
         self.quadrature: list[slice] = []
@@ -178,12 +178,12 @@ class ScenePoints:
         self._faces: Int | None = np.concatenate(faces) if faces else None
 
     def nbytes(self, loads: int, pushes: int) -> int:
-        """Memory per world of points, and of ARP there of a number of drives."""
+        """Return the memory per world for points, and for their ARP from a number of drives."""
         sampled, loaded = self.sampled.stop - self.sampled.start, self.loaded.stop
         return 24 * self.count + 16 * sampled + 4 * (pushes * sampled + loads * loaded)
 
     def make(self) -> None:
-        """Take memory on the device."""
+        """Allocate memory on the device."""
         shape = self._worlds, self.count
         self.points: Any = wp.zeros(shape, dtype=wp.vec3, device=self._device)
         self.normals: Any = wp.zeros(shape, dtype=wp.vec3, device=self._device)
@@ -191,7 +191,7 @@ class ScenePoints:
         self.areas: Any = wp.array(areas, dtype=wp.float64, device=self._device)
 
     def calls(self, motions: Any) -> list[Callable[[], object]]:
-        """Launches that bring all points where motions take them."""
+        """Return launches that move all points with the motions."""
         device, carried = self._device, slice(0, self._carried)
         inputs = [vectors(self._rest.points, device), vectors(self._directions, device)]
         inputs += [_carriers(self._rest, device), motions, self.points[:, carried], self.normals[:, carried]]
@@ -211,7 +211,7 @@ def _by_direction(surface: Surface, owners: Int) -> Int:
     In 40 % of the groups of 32 consecutive faces of the hand none is lit; unsorted it was 1 to 2 %.
     """
     normals = face_normals(surface.vertices, surface.faces)[0]
-    # On an octahedron unfolded to a square, which a curve fills
+    # Directions map to an octahedron unfolded to a square; a space-filling curve orders its cells
     flat = normals / np.maximum(np.abs(normals).sum(axis=1, keepdims=True), TINY)
     folded = np.where(flat[:, 2:] >= 0.0, flat[:, :2], (1.0 - np.abs(flat[:, 1::-1])) * np.copysign(1.0, flat[:, :2]))
     cells = np.minimum((SQUARE / 2 * (folded + 1.0)).astype(np.int64), SQUARE - 1)
@@ -220,7 +220,7 @@ def _by_direction(surface: Surface, owners: Int) -> Int:
 
 
 def _loaded(skin: SkinModel, stepper: SkinStepper | None) -> tuple[Float, Float, SkinBinding | None]:
-    """Places of the pressure on a skin [m], normals there and their motions: all its points, or those of a stepper."""
+    """Return pressure points on a skin [m], their normals and motions: all its points, or those of a stepper."""
     quadrature = skin.layer.quadrature
     if stepper is None or stepper.points is None:
         return quadrature.points, quadrature.normals, skin.quadrature_binding
@@ -238,7 +238,7 @@ def _rest_samples(reference: PosedScene, number: int) -> tuple[Float, Float, Flo
 
 
 class ForceOwners:
-    """Force samples by the part of a body that they push."""
+    """Force samples grouped by the part of a body that they push."""
 
     def __init__(self, reference: PosedScene, rows: MotionRows, of: ScenePoints):
         samples = of.samples
@@ -261,7 +261,7 @@ class ForceOwners:
     def calls(
         self, loads: Any, points: Any, normals: Any, origins: Any, result: Any, device: str
     ) -> list[Callable[[], object]]:
-        """Launches that add loads up by part."""
+        """Return launches that add up loads by part."""
         order, starts, parts, of_parts = (
             whole_numbers(values, device) for values in (self._order, self._starts, self._run_parts, self._of_parts)
         )
@@ -282,14 +282,14 @@ class ForceOwners:
 
 
 def mesh_number(model: HapticModel, skin: int) -> int:
-    """The first skin on which the same things cast shadows."""
+    """Return the number of the first skin with the same obstacles."""
     if model.skins[skin].spec.obstacles:
         return skin
     return next(number for number, other in enumerate(model.skins) if not other.spec.obstacles)
 
 
 def meshes_of(model: HapticModel, reference: PosedScene, device: str) -> dict[int, Occlusion]:
-    """The obstacles, by the number of a skin that they shade; skins without obstacles share one."""
+    """Return the obstacles by the number of the skin that they shade; skins without obstacles share one entry."""
     meshes: dict[int, Occlusion] = {}
     for number, skin in enumerate(model.skins):
         key = mesh_number(model, number)
@@ -301,7 +301,7 @@ def meshes_of(model: HapticModel, reference: PosedScene, device: str) -> dict[in
 def bring_mesh(
     model: HapticModel, reference: PosedScene, skin: int, rows: MotionRows, mesh: wp.Mesh, motions: Any, device: str
 ) -> list[Callable[[], object]]:
-    """Launches that bring what casts shadows where motions take it."""
+    """Return launches that move the mesh of obstacles with the motions."""
     parts = []
     for body, own in zip(reference.bodies, rows.bodies, strict=True):
         parts.append(_bound_vertices(body.model.hand, body.vertices, own.start))

@@ -1,7 +1,7 @@
-"""Read the spec of a scene from the compiled MuJoCo model: the only reader of keys.
+"""Read the spec of a scene from the compiled MuJoCo model. Only this file reads keys.
 
-It also gives the numbers of the bodies and sites to which the parts of the spec are bound. Poses are read with these
-later.
+It also returns the numbers of the bodies and sites to which the parts of the spec are bound. Poses are read later
+by these numbers.
 """
 
 import math
@@ -41,18 +41,18 @@ if TYPE_CHECKING:
     from palmfield.stimulus.focus_table import FocusTable
 
 DURATION = "palmfield_duration_s"
-"""Custom numeric of a scene: how long `palmfield run` runs it [s]."""
+"""Custom numeric of a scene: duration of `palmfield run` [s]."""
 DEFAULT_DURATION_S = 0.1
 MOST_STEPS = 1e9
-"""Of MuJoCo in a run."""
+"""Warnings of MuJoCo in a run."""
 DEVICE = "palmfield_device"
-"""Custom text of a scene: where fields are computed, auto, cpu or cuda:N."""
+"""Custom text of a scene: device on which fields are computed, auto, cpu or cuda:N."""
 CUSTOM = {DURATION: "numeric", DEVICE: "text"}
-"""The entries of <custom> in a scene that palmfield reads, with their kind."""
+"""Entries of <custom> in a scene that palmfield reads, with their kind."""
 NEAR_MISS = 0.85
-"""Names that are so like one of these are taken for it, misspelt; what begins as they do is always."""
+"""A name this similar to an entry counts as its misspelling; a name with the same prefix always does."""
 REST_M, REST_RAD = 1e-4, 1e-3
-"""Largest distance of a body from the joint whose skin it carries: a tenth of an element of a layer, and rounding."""
+"""Largest allowed distance between a body and its joint: a tenth of an element of a layer, plus rounding."""
 SAME_AIR = ("temperature_C", "humidity_percent", "pressure_Pa", "precision")
 """Keys that all arrays of a scene share."""
 
@@ -135,14 +135,14 @@ def read_scene(model: ModelView) -> tuple[SceneSpec, SceneBinding]:
 
 
 def keys_of(config: type[Config], model: ModelView, instance: int) -> Any:
-    """Typed keys of a plugin instance. Raises SceneError as `palmfield.config.parse`."""
+    """Return the typed keys of a plugin instance. Raises SceneError as `palmfield.config.parse`."""
     name = next(n for i, _, n in model.instances() if i == instance)
     values = model.values(instance, known_keys(config))
     return parse(config, values, config.element(name))
 
 
 def with_files_found(config: AnyConfig, element: str) -> AnyConfig:
-    """The keys of a module, with absolute paths of its files.
+    """Return the keys of a module, with absolute paths of its files.
 
     Raises SceneError as `palmfield.data.find_file`, with element and key.
     """
@@ -157,7 +157,7 @@ def with_files_found(config: AnyConfig, element: str) -> AnyConfig:
 
 
 def first_array_frame(model: ModelView) -> Transform:
-    """Frame of the first array in the world, in the reference configuration; the world frame where there is none."""
+    """Return the world frame of the first array in the reference configuration; the world frame without an array."""
     for number, plugin, name in model.instances():
         if plugin == ArrayConfig.plugin:
             site = keys_of(ArrayConfig, model, number).site
@@ -221,7 +221,7 @@ def read_file(read: Callable[[str], T], config: Config, key: str, element: str) 
 
 
 def check_calibrated_once(calibration: "Calibration", config: ArrayConfig, element: str) -> None:
-    """Raises SceneError where a key and the calibration say the same thing."""
+    """Raise SceneError if a key and the calibration set the same quantity."""
     for key, known in (("p0_Pa_m", calibration.p0), ("quality", calibration.quality)):
         if known is not None and getattr(config, key) is not None:
             raise SceneError(
@@ -233,7 +233,7 @@ def check_calibrated_once(calibration: "Calibration", config: ArrayConfig, eleme
 def transducer_sites(config: ArrayConfig, name: str, model: ModelView) -> tuple[int, ...]:
     """Numbers of the sites that are the transducers of an array; empty for layouts other than `sites`.
 
-    A site that a key names serves another purpose, however its name begins.
+    A site that a key names is not a transducer, for any prefix of its name.
     """
     if config.sites is None:
         return ()
@@ -277,7 +277,7 @@ def _skins(
 def _check_still(
     arrays: tuple[ArraySpec, ...], skins: tuple[SkinBodies, ...], sites: tuple[int, ...], model: ModelView
 ) -> None:
-    """Refuse a rigid array face before what can move against it: echoes are computed for one distance."""
+    """Raise SceneError for a rigid array face in front of a movable body: echoes are computed for one distance."""
     for array, site in zip(arrays, sites, strict=True):
         if array.config.array_face == "absorbing":
             continue
@@ -334,10 +334,10 @@ def _stimuli(
 
 
 def am_table_of(config: StimulusConfig, element: str) -> "AmTable | None":
-    """The waveform in the file of key am_file, None without.
+    """Return the waveform in the file of key am_file; None without a file.
 
-    Raises SceneError, with element and key, as `palmfield.stimulus.am_file.read_am_table`, and for a period without a
-    frequency or a course with one.
+    Raises SceneError, with element and key, as `palmfield.stimulus.am_file.read_am_table`, for a periodic waveform
+    without a frequency, and for a waveform over time with one.
     """
     if config.modulation != "am" or config.am_file is None:
         return None
@@ -358,10 +358,10 @@ def am_table_of(config: StimulusConfig, element: str) -> "AmTable | None":
 
 
 def focus_table_of(config: StimulusConfig, element: str) -> "FocusTable | None":
-    """The foci in the file of key path_file, None without.
+    """Return the foci in the file of key path_file; None without a file.
 
     Raises SceneError, with element and key, as `palmfield.stimulus.focus_table_file.read_focus_table`, and for a table
-    in another frame than key `frame` gives it.
+    in another frame than that of key `frame`.
     """
     if config.path != "file":
         return None
@@ -382,7 +382,7 @@ def focus_table_of(config: StimulusConfig, element: str) -> "FocusTable | None":
 
 
 def _driven_arrays(instances: list[tuple[int, str, Any]], names: list[str]) -> list[tuple[int, ...]]:
-    """Numbers of the arrays that each stimulus drives: those it names, or all that no other one names."""
+    """Return the arrays that each stimulus drives: those it names, or all that no other stimulus names."""
     owner: dict[str, str] = {}
     for _, stimulus, config in instances:
         element = f"{StimulusConfig.element(stimulus)}: key 'arrays'"
@@ -416,7 +416,7 @@ def _driven_arrays(instances: list[tuple[int, str, Any]], names: list[str]) -> l
 
 
 def _path_skin(config: StimulusConfig, element: str, skins: tuple[SkinSpec, ...]) -> int | None:
-    """Number of the skin that a path runs on."""
+    """Return the number of the skin on which a path runs."""
     names = [skin.name for skin in skins]
     if config.on_skin is not None and config.on_skin not in names:
         near = did_you_mean(config.on_skin, names)
@@ -470,7 +470,7 @@ def _timestep(model: ModelView) -> float:
 
 
 def _duration(model: ModelView) -> float:
-    # The value is not available before MuJoCo has filled numerics
+    # MuJoCo fills numerics later, so the value is not available yet
     value = model.numeric(DURATION, DEFAULT_DURATION_S) if model.complete else DEFAULT_DURATION_S
     if not 0.0 < value < math.inf:
         raise SceneError(f"numeric '{DURATION}' has value {value:g}; allowed: seconds > 0")
@@ -487,7 +487,7 @@ def _duration(model: ModelView) -> float:
 
 
 def bones_of(skin: SkinConfig, element: str, model: ModelView) -> list[int]:
-    """Numbers of the bodies that carry the skin of a hand, in the order of its bones; empty for shapes in one piece.
+    """Return the bodies that carry the skin of a hand, in the order of its bones; empty for shapes in one piece.
 
     Raises SceneError in three cases: a body is missing; key `body` is neither the palm of an articulated hand nor a
     joint of a rigged mesh; the bodies of a rigged mesh are not at its joints in the reference pose.
@@ -526,7 +526,7 @@ def _bones(skin: SkinConfig, element: str) -> tuple[str, list[Any]]:
 
 
 def check_rest(bone: Any, frame: Transform, pose: Transform, element: str, advice: str) -> None:
-    """Raise SceneError, with the remedy, where a body isn't at its joint's place, parallel to the axes of the hand."""
+    """Raise SceneError, with the remedy, if a body is not at its joint or not parallel to the axes of the hand."""
     place = relative(frame, pose)
     distance = float(np.linalg.norm(place.position - bone.origin))
     angle = float(np.arccos(np.clip(0.5 * (np.trace(place.rotation) - 1.0), -1.0, 1.0)))
@@ -538,10 +538,10 @@ def check_rest(bone: Any, frame: Transform, pose: Transform, element: str, advic
 
 
 def obstacles_of(skin: SkinConfig, element: str, model: ModelView, bones: list[int]) -> "list[tuple[Obstacle, int]]":
-    """Bodies named by key `obstacles` and their child bodies, with their geoms, and their numbers.
+    """Return the bodies of key `obstacles` and their child bodies, with geoms and body numbers.
 
-    bones: as `bones_of` gives them.
-    Raises SceneError for unknown bodies, for the body of the skin itself, and where none of them has a geom.
+    bones: result of `bones_of`.
+    Raises SceneError for unknown bodies, for the body of the skin itself, and if none of the bodies has a geom.
     """
     element = f"{element}: key 'obstacles'"
     named = {model.find("body", name, element) for name in skin.obstacles}

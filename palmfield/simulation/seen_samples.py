@@ -1,6 +1,6 @@
-"""Points for the force on a body that the arrays can see: the others, behind the body, get no sound.
+"""Force samples of a body that the arrays can see. The others lie behind the body and receive no sound.
 
-Leaving them out saves work: the kernels of ARP give 0 there as well (`warp_kernels.pressure.from_front`).
+Omitting these saves time and changes nothing: the ARP kernels return 0 there (`warp_kernels.pressure.from_front`).
 """
 
 import numpy as np
@@ -11,7 +11,7 @@ from palmfield.simulation.posed_scene import PosedSurface
 from palmfield.types import Float, Int
 
 PADDED_TO = 128
-"""The number of points is filled up to a multiple of this, so that buffers of few sizes serve all poses."""
+"""The number of points is padded to a multiple of this, so that a few buffer sizes are enough for all poses."""
 
 
 SeenSamples = tuple[Float, Float, Float, Int]
@@ -22,14 +22,14 @@ numbers of these samples among all samples of the body, shape (n,)."""
 def seen(points: Float, normals: Float, arrays: PhasedArray) -> NDArray[np.bool_]:
     """Whether at least one transducer may be in front of points [m] with outward normals, shapes (n, 3): shape (n,).
 
-    Told from the corners of a box round the transducers of each array, in whose convex hull they all are.
+    The test uses the corners of a box that contains the transducers of each array.
     """
     nearest: Float = np.maximum.reduce(arrays.corners @ normals.T, axis=0)
     return np.asarray(nearest > np.add.reduce(points * normals, axis=1))
 
 
 def seen_samples(body: PosedSurface, arrays: PhasedArray) -> SeenSamples:
-    """The samples of a body that the arrays can see."""
+    """Return the samples of a body that the arrays can see."""
     points, normals, areas = body.samples
     front = seen(points, normals, arrays).nonzero()[0]
     count = len(front)

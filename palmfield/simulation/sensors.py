@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from palmfield.hand.posed_surface import SkinBinding
 
 REACH_M, OFF_SKIN_M = 0.01, 0.005
-"""Largest distance of the site of a sensor from the skin layer, along the skin and across it."""
+"""Largest distances of the site of a sensor from the skin layer, along the skin and normal to it."""
 
 
 class SkinReading(NamedTuple):
@@ -36,7 +36,7 @@ class SkinReading(NamedTuple):
 
 
 CHANNELS: dict[str, Callable[[SkinReading], float]] = {name: attrgetter(name) for name in SkinReading._fields}
-"""A sensor's numbers, in this order."""
+"""Channels of a sensor, in this order."""
 UNITS = tuple(
     next(unit for ending, unit in (("_m_s", "m s-1"), ("_N", "N"), ("_Pa", "Pa"), ("_m", "m")) if name.endswith(ending))
     for name in CHANNELS
@@ -60,7 +60,7 @@ class SensorPlace:
 
 
 def check_site(skin: SkinModel, site: Float, element: str) -> None:
-    """Refuse a site of the resting body (body frame [m], shape (3,)) at which no sensor can read; needs no matrices.
+    """Check that a sensor can read at a site of the resting body (body frame [m], shape (3,)); needs no matrices.
 
     Raises SceneError, naming the element, for a site above or below the skin, and for one that is far from the layer.
     """
@@ -81,14 +81,14 @@ def check_site(skin: SkinModel, site: Float, element: str) -> None:
 
 
 def sensor_place(skin: SkinModel, site: Float, element: str) -> SensorPlace:
-    """The place for a site of the resting body (body frame [m], shape (3,)). Raises SceneError as `check_site`."""
+    """Return the sensor place for a site of the resting body (body frame [m], (3,)). SceneError as `check_site`."""
     check_site(skin, site, element)
     probe = skin.layer.probe(site)
     return SensorPlace(probe, skin.carrier.bind(probe.closest))
 
 
 def skin_reading(force: Float, motion: Float, arp: Any) -> SkinReading:
-    """Make the reading at the place of a sensor, in one world or in each of several; only here are its fields filled.
+    """Make the reading at the place of a sensor, for one world or for several; only this function fills the fields.
 
     force: on the body [N], shape (3,); motion: displacement [m] and velocity [m/s], shape (2,); arp: [Pa]
     """
@@ -98,9 +98,9 @@ def skin_reading(force: Float, motion: Float, arp: Any) -> SkinReading:
 
 
 def channels_of_worlds(forces: Float, motions: Float, arps: Float) -> Float:
-    """Data of a sensor in several worlds, shape (g, channels); arguments: as of `skin_reading`, with an axis in front.
+    """Return sensor data in several worlds, shape (g, channels); arguments as in `skin_reading`, with a leading axis.
 
-    The fields of a reading are taken for all worlds at once, any other channel for each by itself.
+    The fields of a reading are computed for all worlds together, any other channel for each world separately.
     """
     together = skin_reading(forces.T, motions.T, arps)
     rows = []
@@ -113,5 +113,5 @@ def channels_of_worlds(forces: Float, motions: Float, arps: Float) -> Float:
 
 
 def channels(reading: SkinReading) -> list[float]:
-    """The data of a sensor, shape (channels,)."""
+    """Return the data of a sensor, shape (channels,)."""
     return list(map(call, CHANNELS.values(), repeat(reading)))

@@ -1,7 +1,7 @@
-"""What bodies do to the sound on a skin: shadows by rays, sound that bends round edges, or boundary elements.
+"""Effects of bodies on the sound on a skin: shadows by rays, diffraction at edges, or boundary elements.
 
-Loaded only for scenes in which a skin has any of these. Trees and weights are moved in place; worlds that are stepped
-by one thread share them.
+This file is loaded only for scenes with such a skin. Trees and weights are moved in place; worlds that one thread
+steps share them.
 """
 
 import numpy as np
@@ -21,11 +21,11 @@ from palmfield.simulation.skin_sound import ChosenPoints, FreeSound, SkinPoints,
 from palmfield.types import Complex, Float, Int
 
 SKIN_SPACING_m, BODY_SPACING_m = 0.008, 0.024
-"""Distance between the nodes of the shadows: on the layer of a skin, and on the body for the force on it."""
+"""Distances between shadow nodes: on the layer of a skin, and on the body for the force on it."""
 
 
 class _Behind(FreeSound):
-    """Sound on a skin behind bodies. shared: what is moved in place"""
+    """Sound on a skin behind bodies. shared: trees and weights that are moved in place"""
 
     def __init__(self, model: HapticModel, shared: Kept):
         self.model, self._shared = model, shared
@@ -41,7 +41,7 @@ class _Behind(FreeSound):
 
 
 class ShadedSound(_Behind):
-    """Sound on a skin where no body is in its way: a ray from each point, back along the energy flux."""
+    """Sound on a skin with sharp shadows: a ray from each point, back along the energy flux, tests for bodies."""
 
     one_by_one = True
 
@@ -58,7 +58,7 @@ class ShadedSound(_Behind):
 
 
 class BentSound(_Behind):
-    """Sound on a skin that bends round the edges of bodies."""
+    """Sound on a skin with diffraction at the edges of bodies."""
 
     bends = True
 
@@ -96,7 +96,7 @@ class BentSound(_Behind):
     def _edges(
         self, at: SkinPoints, obstacles: Occlusion, emitters: Emitters
     ) -> tuple[KnifeEdges, ChosenPoints | None]:
-        """What computes the shares at the points of a role, and the nodes, if they are not among these points."""
+        """Return the evaluator of shares at the points of a role, and the nodes if these are other points."""
         _, skin, role, points, normals, _, _ = at
         rest, bound = self._shared.of("reference", (), reference_scene, self.model).skins[skin], None
         if role in ("quadrature", "load"):
@@ -113,7 +113,7 @@ class BentSound(_Behind):
 
 
 class ScatteredSound(FreeSound):
-    """Total sound on the rigid body of a skin. kept: takes the last solution."""
+    """Total sound on the rigid body of a skin. kept: stores the last solution."""
 
     one_by_one = True
 
@@ -122,7 +122,7 @@ class ScatteredSound(FreeSound):
 
     @staticmethod
     def samples(body: PosedSurface, arrays: PhasedArray) -> SeenSamples:
-        """All of them, as sound goes round the body."""
+        """Return all samples, because sound bends around the body."""
         return *body.samples, np.arange(len(body.samples[2]), dtype=np.int32)
 
     def sound(self, at: SkinPoints, drive: Complex) -> SurfaceSound:
@@ -156,7 +156,7 @@ def sample_nodes(body: PosedSurface) -> ShadowNodes:
 
 
 def occlusion(posed: PosedScene, skin: int, device: str) -> Occlusion:
-    """All that casts shadows on a skin, in a pose."""
+    """Return the obstacles of a skin in a pose."""
     meshes = [(len(body.vertices), body.faces) for body in posed.bodies]
     obstacles = posed.skins[skin].obstacles
     if obstacles is not None:
@@ -168,7 +168,7 @@ def occlusion(posed: PosedScene, skin: int, device: str) -> Occlusion:
 
 
 def _vertices(posed: PosedScene, skin: int) -> Float:
-    """Vertices of all that casts shadows on a skin, array frame [m], shape (v, 3)."""
+    """Return the vertices of all obstacles of a skin, array frame [m], shape (v, 3)."""
     parts = []
     for body in posed.bodies:
         parts.append(body.vertices_in_array)

@@ -1,7 +1,7 @@
-"""Emission of many worlds with one drive each of variable level, for example a focus in one place.
+"""Emission of many worlds, each with one drive of variable level, for example a focus at a fixed point.
 
-Such a world emits a number times its unit drive, so that pole, levels and means over a step are a few operations on
-arrays with an entry for each world. The emission of any other world comes from `palmfield.simulation.emission`.
+Such a world emits a number times its unit drive. Pole, levels and means over a step are then a few operations on
+arrays with one entry per world. The emission of other worlds comes from `palmfield.simulation.emission`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,19 +21,19 @@ from palmfield.stimulus.schedule import Moments, first_point, substep_moments
 from palmfield.types import Complex, Float
 
 AHEAD = 16
-"""Steps for which the commanded drive is computed at once."""
+"""Number of steps for which the commanded drive is computed together."""
 SHARED_FROM = 32
-"""Number of worlds with different levels from which they share one field. Its float32 rounding differs, which changes
-ARP by some 1e-6, where the error of the field is 2e-5. Fewer worlds are each as by itself."""
+"""From this number on, worlds with different levels share one field. Its float32 rounding changes the ARP by about
+1e-6; the error of the field is 2e-5. Fewer worlds have exactly the results of a single world."""
 ALIKE, LEAST = 1e-14, 1e-300
-"""Rounding of a drive, of its largest amplitude, and the least power that is no zero."""
+"""Rounding error of a drive relative to its largest amplitude, and the least power that counts as sound."""
 
 
 class SmoothSound:
     """Levels of the worlds' unit drives. Belongs to one state.
 
-    joined: numbers of the worlds whose sound one level determines in the present step, rising, shape (g,)
-    serials: of the unit drives of all worlds; now: how much of them is emitted, complex, shapes (worlds,)
+    joined: numbers of the worlds whose sound one level determines in the present step, ascending, shape (g,)
+    serials: of the unit drives of all worlds; now: their present emitted levels, complex, shapes (worlds,)
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class SmoothSound:
         worlds, first = len(models), models[0]
         count = max(LEAST_MEANS, first.substeps)
         self._timestep_s = first.spec.timestep_s
-        # Moments of a mean in a step that begins at 0, and all at which something is commanded in it
+        # Moments for the mean in a step that begins at 0, and all moments with a command in it
         self._means = substep_moments((), 0.0, self._timestep_s / count, count, hold=True)
         loads = substep_moments((), 0.0, first.step_s, first.substeps)
         self._offsets: Float = np.concatenate([self._means.times, loads.times, np.zeros(1)])
@@ -67,19 +67,19 @@ class SmoothSound:
         self._units: Complex = np.zeros((worlds, len(first.arrays)), np.complex128)
         self._powers, self._peaks = np.zeros(worlds), np.zeros(worlds)
         self.serials: Serials = np.zeros(worlds, np.int64)
-        # Factor on the unit drive when this last wrote the state, and now
+        # Factor on the unit drive when this object last wrote the state, and now
         self._held: Complex = state.arrays[0][:, LEVEL].view(np.complex128)[:, 0]
         self.now: Complex = np.zeros(worlds, np.complex128)
         self._known: Bool = np.zeros(worlds, dtype=bool)
-        self._late: Bool = np.zeros(worlds, dtype=bool)  # whose emission has not been written into the state
+        self._late: Bool = np.zeros(worlds, dtype=bool)  # worlds whose emission is not yet written into the state
         self.joined: Rows = np.zeros(0, dtype=np.intp)
 
     def forget(self) -> None:
-        """Begin again: after a reset no emission is known."""
+        """Drop all emissions, after a reset."""
         self._known[:] = self._late[:] = False
 
     def leave_out(self, world: int) -> None:
-        """Leave the sound of a world to other code from now on."""
+        """Stop computing the sound of a world: other code does it from now on."""
         self._may_join[world] = self._ringing[world] = False
 
     def adopt(self, other: "SmoothSound") -> None:
@@ -110,7 +110,7 @@ class SmoothSound:
         return (here & ~joins).nonzero()[0].tolist()
 
     def _meet(self, world: int, posed: PosedScene, t0: float) -> bool:
-        """Take the unit drive of a world in a new pose; whether there is one."""
+        """Set the unit drive of a world in a new pose; return whether there is one."""
         if self._late[world]:
             self.fetch()
         part, drive, points = self.emissions[world].placed(posed, t0)[0]
@@ -118,7 +118,7 @@ class SmoothSound:
         try:
             unit = drive.unit_drive_at(points, point)
         except PalmfieldError:
-            return False  # the world may be silent now; if not, its own step raises this again
+            return False  # the world may be silent now; if not, its own step raises this error again
         if len(self.models) >= SHARED_FROM:
             unit, self._scales[world] = self._shared(unit, (posed.serial, *point))
         self._of[world], self.serials[world], self._poses[world] = unit, unit.serial, posed.serial
@@ -129,7 +129,7 @@ class SmoothSound:
     def _shared(self, unit: UnitDrive, key: tuple[float, ...]) -> tuple[UnitDrive, float]:
         """The first world's drive in this pose to this point and the factor from it to a world's own, or its own drive.
 
-        So worlds whose drives differ only in their level share one field.
+        Worlds whose drives differ only in level thus share one field.
         """
         if len(self._first) > len(self.models):
             self._first.clear()
@@ -139,7 +139,7 @@ class SmoothSound:
         return (first, scale) if alike else (unit, 1.0)
 
     def _levels_alike(self, joins: Bool) -> Bool:
-        """The worlds whose emission is a number times the unit drive, shape (worlds,); finds these numbers."""
+        """Find the worlds whose emission is a number times the unit drive, shape (worlds,), and set these numbers."""
         alike = joins.copy()
         unknown = (joins & self._ringing & ~self._known).nonzero()[0]
         if len(unknown) == 0:
@@ -165,7 +165,7 @@ class SmoothSound:
         return known.amplitudes
 
     def present_factors(self) -> Float:
-        """ARP as the step begins relative to that of the unit drives, in the worlds that have joined, shape (g,)."""
+        """Return ARP at the start of the step relative to that of the unit drives, in the joined worlds, shape (g,)."""
         level = np.abs(self.now)
         emitted = level**2 * (level * self._peaks >= SILENT)
         if not np.logical_and.reduce(self._ringing):
@@ -182,13 +182,13 @@ class SmoothSound:
         return np.asarray(np.add.reduce(factors * self._shares, axis=1)[self.joined])
 
     def over(self, moments: Moments) -> tuple[Complex, Complex]:
-        """Levels of the unit drives of the worlds that have joined at the moments of the step, (g, m), and at its end,
+        """Return levels of the unit drives of the joined worlds at the moments of the step, (g, m), and at its end,
         (g,)."""
         levels, end = self._over(moments, self._commanded[:, len(self._means.times) : -1])
         return levels[self.joined], end[self.joined]
 
     def _command(self, t0: float) -> None:
-        """Find what is commanded over the step that begins at t0 [s], of AHEAD steps in one go."""
+        """Compute the commanded levels over the step that begins at t0 [s], for AHEAD steps together."""
         if t0 not in self._ahead:
             starts = [t0]
             while len(starts) < AHEAD:
@@ -213,14 +213,14 @@ class SmoothSound:
         return levels, np.asarray(end * ~silent)
 
     def course(self, world: int, levels: Complex, end: complex) -> EmittedCourse:
-        """Result of `over` for a world that has joined: levels, shape (m,), and at the end."""
+        """Return the result of `over` for a joined world as a course. levels: shape (m,); end: level at the end."""
         unit = self._of[world]
         assert unit is not None
         last = end * unit.amplitudes
         return of_unit(unit, levels, last) if np.logical_or.reduce(levels) else silence(len(levels), last)
 
     def advance(self, end: Complex) -> None:
-        """Write what the worlds that have joined emit in the end, levels of shape (g,), into the state."""
+        """Write the emission of the joined worlds at the end of the step, levels of shape (g,), into the state."""
         rings = self._ringing[self.joined]
         worlds, levels = self.joined[rings], end[rings]
         self.now[worlds] = self._held[worlds] = levels
@@ -229,7 +229,7 @@ class SmoothSound:
             self.fetch()
 
     def fetch(self) -> None:
-        """Write what worlds emit into the state; no other code reads it meanwhile if none writes it."""
+        """Write the pending emissions into the state. They may wait if no other code uses the state."""
         worlds = self._late.nonzero()[0]
         self._late[:] = False
         start = 0
@@ -239,13 +239,13 @@ class SmoothSound:
 
 
 def _are(emitted: Complex, levels: Complex, units: Complex) -> Bool:
-    """Whether what is emitted, shape (g, N), is a number times a unit drive in each world, shape (g,)."""
+    """Whether the emission, shape (g, N), is a number times a unit drive, for each world, shape (g,)."""
     rest = emitted - levels[:, None] * units
     return np.asarray(np.maximum.reduce(rest.real**2 + rest.imag**2, axis=1) < SILENT**2)
 
 
 def _may_join(model: HapticModel) -> bool:
-    """Whether what a world emits is as a rule a number times one drive."""
+    """Whether the emission of a world is usually a number times one drive."""
     if len(model.stimuli) != 1:
         return False
     stimulus = model.stimuli[0]

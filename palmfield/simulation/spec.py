@@ -12,7 +12,7 @@ from palmfield.config import ArrayConfig, Config, DriverConfig, SkinConfig, Stim
 from palmfield.config.base import naming_keys
 from palmfield.transforms import Placement
 
-if TYPE_CHECKING:  # what files and obstacles hold, which few scenes have
+if TYPE_CHECKING:  # contents of files and obstacles, which few scenes have
     from palmfield.acoustics.calibration_file import Calibration
     from palmfield.acoustics.transducer_file import TransducerTable
     from palmfield.hand.collision_shapes import Obstacle
@@ -43,7 +43,7 @@ class ArraySpec(Named):
     """One phased array.
 
     placement: seen from the first array
-    calibration, table: what the files of keys `calibration` and `transducers` hold
+    calibration, table: contents of the files of keys `calibration` and `transducers`
     """
 
     name: str
@@ -57,10 +57,10 @@ class ArraySpec(Named):
 class StimulusSpec(Named):
     """One stimulus.
 
-    arrays: numbers of the arrays that it drives, rising. frame: of its focus and path, seen from the first array.
+    arrays: numbers of the arrays that it drives, ascending. frame: of its focus and path, in that of the first array.
     on_skin: number of the skin on which its path runs, None for a path in space.
     path_sites: sites along the path, in the frame of that skin's body [m].
-    frame_moves: whether that frame, or the skin under the path, can move against the arrays.
+    frame_moves: whether that frame, or the skin under the path, can move relative to the arrays.
     am_table: the waveform in the file of key am_file, None without. focus_table: foci over time, of key path_file.
     """
 
@@ -88,7 +88,7 @@ class SkinSpec(Named):
     """One skin layer and the body that carries it.
 
     body: placement of the body, seen from the first array. patch_centre: middle of the layer in the body's frame [m].
-    moves: whether a script moves a body in the scene, so that this body may not stay in place.
+    moves: whether a script moves a body in the scene, so that this body may move too.
     """
 
     name: str

@@ -1,9 +1,9 @@
-"""All data of a scene that change in a run, as plain arrays with a leading axis for worlds.
+"""Variable data of a scene in a run, as plain arrays with a leading axis for worlds.
 
 In a plain mj_step the arrays are views of MuJoCo's plugin state, so that mj_copyData, mj_getState and mj_resetData
-treat them as their own. The array of a skin has room for its whole layer; a small model uses the front, because a run
-may leave the small model. A solver with its own mesh has room for that mesh instead. A header identifies the writer of
-the numbers; all zeros means rest without a writer.
+include them. The array of a skin has room for its whole layer; a reduced model uses only its first part, because a
+run may change to the whole layer. For a solver with its own mesh, the array has room for that mesh. A header
+identifies the writer of the numbers; all zeros means rest without a writer.
 """
 
 import hashlib
@@ -19,17 +19,17 @@ from palmfield.skin.stepper import SkinStepper
 from palmfield.types import Complex, Float
 
 HEADER = 4
-"""Numbers before the state itself: its writer (0 none, BEGUN, WHOLE), its fingerprint, and two more, of which the
-first array uses LEVEL."""
+"""Length of the header: the writer (0 none, BEGUN, WHOLE), a fingerprint, and two more numbers; the first array
+stores LEVEL there."""
 LEVEL = slice(2, 4)
-"""A complex number: how much of a unit drive all transducers emitted when a step of `SmoothSound` wrote the state."""
+"""Place of a complex number: emitted level of the unit drive when a step of `SmoothSound` wrote the state."""
 BEGUN, WHOLE = 1.0, 2.0
 VERSION = 1
 """Version of the layout of these numbers."""
 
 
 class HapticState:
-    """arrays: of each array header and what its transducers emit, shape (w, HEADER + 2 n); skins: of each skin header
+    """arrays: for each array header and emission of its transducers, (w, HEADER + 2 n); skins: for each skin header
     and numbers, shape (w, HEADER + room). float64; w: worlds, 1 in a plain mj_step
 
     emitted: complex amplitude that each transducer emits, by array, shape (w, n), views
@@ -40,30 +40,30 @@ class HapticState:
         self.emitted: tuple[Complex, ...] = tuple(part[:, HEADER:].view(np.complex128) for part in arrays)
 
     def copy(self) -> "HapticState":
-        """The same, in its own memory."""
+        """Return a copy with its own memory."""
         return HapticState(tuple(part.copy() for part in self.arrays), tuple(part.copy() for part in self.skins))
 
     def of(self, worlds: slice) -> "HapticState":
-        """The part of some worlds, as views."""
+        """Return the state of some worlds, as views."""
         return HapticState(tuple(part[worlds] for part in self.arrays), tuple(part[worlds] for part in self.skins))
 
     def world(self, number: int) -> "HapticState":
-        """The part of one world, as views."""
+        """Return the state of one world, as views."""
         return self.of(slice(number, number + 1))
 
 
 def array_room(transducers: int) -> int:
-    """Count of numbers in the state of an array."""
+    """Return the length of the state of an array."""
     return HEADER + 2 * transducers
 
 
 def skin_room(model: HapticModel, skin: int) -> int:
-    """Count of numbers in the state of a skin, available without its matrices."""
+    """Return the length of the state of a skin; needs no matrices."""
     return HEADER + model.skins[skin].state_room
 
 
 def new_state(model: HapticModel, worlds: int = 1) -> HapticState:
-    """Everything at rest."""
+    """Return a new state with everything at rest."""
     arrays = tuple(np.zeros((worlds, array_room(len(part)))) for part in model.arrays.parts)
     return HapticState(arrays, tuple(np.zeros((worlds, skin_room(model, i))) for i in range(len(model.skins))))
 
@@ -74,14 +74,14 @@ def at_rest(state: HapticState, skin: int) -> bool:
 
 
 def untouched(state: HapticState) -> bool:
-    """Whether no step has been taken from this state: it is that after a reset."""
+    """Whether the state is as after a reset, before the first step."""
     return not any(np.logical_or.reduce(part[0]) for part in state.arrays)
 
 
 def check_arrays(model: HapticModel, state: HapticState) -> bool:
-    """Mark the states of the arrays as those of this model; return whether they had no writer, so that a run begins.
+    """Mark the states of the arrays as those of this model; return whether they had no writer (a new run).
 
-    Raises SceneError for one that another scene or version wrote.
+    Raises SceneError for a state written by another scene or version.
     """
     new = False
     for number, (array, part) in enumerate(zip(model.spec.arrays, state.arrays, strict=True)):
@@ -96,7 +96,7 @@ def check_arrays(model: HapticModel, state: HapticState) -> bool:
 
 
 def stepper_of(model: HapticModel, state: HapticState, skin: int) -> tuple[SkinStepper, Float]:
-    """The stepper to which the state of a skin belongs, and its numbers, shape (1, state_size), a view.
+    """Return the stepper that wrote the state of a skin, and its numbers, shape (1, state_size), a view.
 
     Raises SceneError for the state of another solver, basis or version.
     """

@@ -1,7 +1,7 @@
 """One MuJoCo step of the sound and the skins in one world or several: pose -> drive -> field -> ARP -> load -> skin.
 
-`Steps.begin` takes the poses where a step begins and computes the forces over it, `sense` what sensors read there,
-and `advance` carries transducers and skins over it. Backends compute them: see `backends_of`.
+`Steps.begin` reads the poses at the start of a step and computes its forces, `sense` computes sensor readings, and
+`advance` steps transducers and skins. Backends do the computing: see `backends_of`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,7 +25,7 @@ from palmfield.types import Complex, Float
 TOGETHER = 16
 """Largest number of steps in one pose that are computed together. More steps do not reduce the cost of each."""
 PARTS, LEAST_WORLDS = 2, 128
-"""Largest number of graphs that share the worlds, and number of worlds from which another graph is used.
+"""Largest number of graphs that share the worlds, and number of worlds for each additional graph.
 
 1,024 worlds on an H100 and 16 cores: hover_explore 25, 19, 17.5 and 17 us a world with 1, 2, 3 and 4 graphs,
 follow_fingertip 21, 15, 18 and 18."""
@@ -34,7 +34,7 @@ follow_fingertip 21, 15, 18 and 18."""
 def backends_of(
     models: Sequence[HapticModel], works: Sequence[Workspace], state: HapticState, alone: bool
 ) -> tuple[Sequence[Backend], HostBackend]:
-    """Return the backends to which a step is offered, in this order, and the host, which steps all remaining worlds."""
+    """Return the backends in calling order, and the host, which steps all remaining worlds."""
     if not serves(models[0]):
         return (), HostBackend(models, works, state, alone)
     # The kernels of graphs are not loaded for scenes that have none
@@ -75,7 +75,7 @@ class Steps:
 
     @property
     def observer(self) -> Observer | None:
-        """Gets the trace of each step of each group of worlds."""
+        """Return the function that receives the trace of each step of each group of worlds."""
         return self.host.observer
 
     @observer.setter
@@ -90,7 +90,7 @@ class Steps:
 
     @property
     def together(self) -> int:
-        """Largest number of steps in one pose for `over`.
+        """Return the largest number of steps in one pose for `over`.
 
         It is 1 if foci are held between control ticks, or if skins use modes: their load is measured in every step.
         """
@@ -111,12 +111,12 @@ class Steps:
         self.forces = [force.copy() for force in other.forces]
 
     def fetch(self) -> None:
-        """Update the state from a device that has newer numbers."""
+        """Copy newer numbers from a device into the state."""
         for backend in self.backends:
             backend.fetch()
 
     def play(self, emissions: Mapping[int, Emission]) -> None:
-        """Replace the emission of the stimuli in some worlds, by number."""
+        """Use other emissions in some worlds, by world number, instead of those of the stimuli."""
         for world, emission in emissions.items():
             self.works[world].emission = emission
             for backend in self.backends:

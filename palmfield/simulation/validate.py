@@ -1,11 +1,11 @@
-"""Refuse, before the run, scenes that board, boundary elements, bodies or machine cannot follow."""
+"""Refuse, before the run, scenes that the board, the boundary elements, the bodies or the machine cannot do."""
 
 import math
 from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
-import scipy  # which loads its parts when they are used
+import scipy  # loads its parts at first use
 
 from palmfield.acoustics.phased_array import HOUSING_M, PhasedArray
 from palmfield.acoustics.surface_load import CLEARANCE_M
@@ -25,25 +25,25 @@ from palmfield.stimulus.schedule import frame_rates, turn_rate_Hz
 from palmfield.types import Float
 
 MOST_UNKNOWNS = 2_000_000
-"""Factors of the matrix of so large a layer take more than 100 GB."""
+"""Above this number of unknowns, the factors of a layer's matrix take more than 100 GB."""
 FACTOR_BYTES = 180.0
 """Size of the factors of a layer of n unknowns, over n^1.4: two by SuperLU and the blocks; for n of 1.5 k to 13 k."""
 MOST_SUBSTEPS = 10_000
-"""Most substeps of a skin in one MuJoCo step."""
+"""Largest number of substeps of a skin in one MuJoCo step."""
 LEAST_APART_M = 1e-3
-"""Least distance between transducers: those of two arrays may be point sources, which have no width."""
+"""Least distance between transducers; those of two arrays may be point sources without width."""
 STILL_ECHO_M = 1e-5
 """Largest movement of a disc before a rigid array face: 1/200 of the distance that changes the sign of an echo."""
 FACING = np.diag([1.0, -1.0, -1.0])
-"""Orientation of an array that faces another from above: its frame turned by half a turn about x."""
+"""Orientation of an array that faces another from above: a rotation by 180 degrees about x."""
 LEAST_POINTS = 3
 """Least number of frames on one turn of a path: fewer do not define a path."""
 SURFACE_KEYS = ("shape", *(key for key, shapes in OF_SHAPES.items() if shapes != BODIES))
-"""Keys that say what surface a body has; all skins on a body share them."""
+"""Keys that define the surface of a body; all skins on a body must agree on them."""
 
 
 def check_bodies(spec: SceneSpec) -> None:
-    """Refuse skins on one body that take it for different surfaces, and two discs on one body."""
+    """Refuse skins on one body whose keys define different surfaces, and two discs on one body."""
     first: dict[str, SkinSpec] = {}
     for skin in spec.skins:
         other = first.setdefault(skin.config.body, skin)
@@ -65,9 +65,9 @@ def check_bodies(spec: SceneSpec) -> None:
 
 
 def check_apart(names: Sequence[str], arrays: PhasedArray) -> None:
-    """Refuse arrays at the same place: transducers of two are nearer than their faces allow.
+    """Refuse arrays at the same place: transducers of two arrays that are nearer than their faces allow.
 
-    Within one array, whose places come from one file or model, only distances that no transducer allows are refused.
+    Within one array, whose places come from one file or model, only distances impossible for any transducer count.
     """
     positions = [arrays.array.positions[part] for part in arrays.slices]
     for number, name in enumerate(names):
@@ -90,12 +90,12 @@ def check_apart(names: Sequence[str], arrays: PhasedArray) -> None:
 
 
 def pitch_m(positions: Float) -> float:
-    """Least distance of two transducers [m], from their places, shape (n, 3); without end of one alone."""
+    """Return the least distance of two transducers [m], from their places, shape (n, 3); infinite for a single one."""
     return float(scipy.spatial.cKDTree(positions).query(positions, k=[2])[0].min()) if len(positions) > 1 else math.inf
 
 
 def check_overlaps(skins: Sequence[SkinModel]) -> None:
-    """Refuse layers on one body that overlap: where they do, the skin would be there twice."""
+    """Refuse overlapping layers on one body: the same skin would exist twice."""
     for number, skin in enumerate(skins):
         for other in skins[:number]:
             if other.body != skin.body:
@@ -111,9 +111,9 @@ def check_overlaps(skins: Sequence[SkinModel]) -> None:
 
 
 def check_cost(skin: SkinSpec, layer: SceneLayer, timestep_s: float, stimulus: StimulusModel) -> None:
-    """Refuse elements and steps so small that the run can't end, from the sizes of the layer alone, without a mesh.
+    """Refuse elements and steps so small that the run would not end. Only the layer's sizes are needed, no mesh.
 
-    stimulus: for whose spot the sizes are chosen
+    stimulus: the stimulus whose spot determines the sizes
     """
     element = skin.element
     substeps = timestep_s / layer.sizes.step_s
@@ -139,7 +139,7 @@ def check_cost(skin: SkinSpec, layer: SceneLayer, timestep_s: float, stimulus: S
 
 
 def _missed(skin: SkinSpec, layer: SceneLayer, stimulus: StimulusModel) -> str:
-    """Message that the focus misses the skin, where the layer's sizes come from such a spot; empty elsewhere."""
+    """Return the message that the focus misses the skin, if the sizes come from such a spot; else empty."""
     centre = skin.body.transform.points(np.array(skin.patch_centre))
     off_m, spot_m = float(np.linalg.norm(stimulus.first_focus - centre)), layer.demand.spot_fwhm_m
     if off_m <= max(spot_m, sum(layer.demand.path_reach_m)):
@@ -151,7 +151,7 @@ def _missed(skin: SkinSpec, layer: SceneLayer, stimulus: StimulusModel) -> str:
 
 
 def check_body_sound(skin: SkinSpec, stimuli: Sequence[StimulusSpec], pole: Pole, response_on: bool) -> None:
-    """Refuse what boundary elements can't follow in sensible time: they solve once for a focus and a pose."""
+    """Refuse stimuli that take boundary elements too long: each focus and pose needs a new solution."""
     if skin.config.body_sound != "scattering":
         return
     name = f"{skin.element}: key 'body_sound' has value 'scattering'; allowed:"
@@ -194,7 +194,7 @@ def check_arrays(board: Board, arrays: Sequence[ArraySpec]) -> None:
 
 
 def check_envelope(stimulus: StimulusSpec, board: Board) -> None:
-    """Refuse (DeviceError) a stimulus whose envelope is not the one that the board makes by itself."""
+    """Refuse (DeviceError) a stimulus whose envelope differs from the one that the board generates."""
     config = stimulus.config
     if config.modulation != "am":
         raise DeviceError(
@@ -276,9 +276,9 @@ def check_board(stimulus: StimulusSpec, board: Board) -> None:
 
 
 def check_clear(posed: PosedScene) -> None:
-    """Raise SceneError where the surface of a body, or of an obstacle, reaches into the board of an array.
+    """Raise SceneError if the surface of a body or of an obstacle reaches into the board of an array.
 
-    Also for a body that has left the place for which echoes from a rigid array face are computed.
+    Raise it also for a body that has left the place for which echoes from a rigid array face are computed.
     """
     if posed.arrays.wall_m is not None:
         _check_echo(posed, posed.arrays.wall_m)
@@ -320,7 +320,7 @@ def _check_echo(posed: PosedScene, wall_m: float) -> None:
 
 
 def _check_clear(posed: PosedScene, what: str, points: Float, *, behind: bool) -> None:
-    """behind: whether it may be wholly behind the board."""
+    """behind: whether the surface may lie completely behind the board."""
     arrays = posed.arrays
     for board, frame in zip(arrays.boards, arrays.frames, strict=True):
         own = points if frame is arrays.frames[0] else frame.inverse_points(points)

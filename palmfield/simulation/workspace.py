@@ -17,19 +17,19 @@ from palmfield.skin.stepper import Outside, Reader, SkinStepper
 from palmfield.types import Complex, Float, Float32
 
 MOST_OFF_PATH = 8
-"""Courses one after another off a path, as while transducers ring up, until the path is given up."""
+"""Number of consecutive courses off a path (as during ring-up) after which its stored fields are no longer used."""
 
 
 class Workspace:
     """Working data of the steps of one world: emission, radiation, forces, and what is watched.
 
-    unit_forces: of one drive.
-    outside: of each skin, the part of its load outside the class of its modes.
+    unit_forces: forces of one drive.
+    outside: for each skin, the part of its load outside the class of its modes.
     observe: the operator (m, unknowns) of each skin that gives the watched values, or None.
     """
 
     def __init__(self, model: HapticModel, beside: "Workspace | None" = None):
-        """beside: of another world with the same bodies, stepped by the same thread: buffers are shared with it."""
+        """beside: the Workspace of another world with the same bodies and thread; both share buffers."""
         self.model = model
         self.reference: PosedScene = reference_scene(model) if beside is None else beside.reference
         self.emission = Emission(model)
@@ -42,12 +42,12 @@ class Workspace:
         self.amplitudes: Complex = np.zeros(len(model.arrays), np.complex128)
         self.observe: tuple[sparse.csr_matrix | None, ...] = (None,) * len(model.skins)
         self._may_look_ahead = looks_ahead(model)
-        # Shared with the other worlds as well: a reader of many vectors is as large as they are
+        # Shared with the other worlds, because a reader of many vectors is as large as the vectors
         self._readers: dict[tuple[int, SkinStepper], tuple[sparse.csr_matrix, Reader]]
         self._readers = {} if beside is None else beside._readers
 
     def begin_run(self) -> None:
-        """Forget what was of another run."""
+        """Drop the data of the previous run."""
         self.path_sound.off = 0
         self.outside = [OutsideClass() for _ in self.outside]
 
@@ -60,7 +60,7 @@ class Workspace:
         self.outside = [part.copy() for part in other.outside]
 
     def patterns(self, posed: PosedScene, skin: int, stepper: SkinStepper, course: EmittedCourse) -> Float32:
-        """Patterns of ARP [Pa] to which the `weights` of a course apply, where a stepper takes them, shape (p, n)."""
+        """Return the ARP patterns [Pa] for the `weights` of a course at the points of a stepper, shape (p, n)."""
         role: Role = "quadrature"
         if stepper.points is not None:
             self.radiation.choose(skin, stepper.points)
@@ -74,13 +74,13 @@ class Workspace:
         return self.radiation.patterns(posed, skin, role, course)
 
     def look_ahead(self, posed: PosedScene) -> None:
-        """Let the emission look ahead where that pays: not along a path whose sound is predicted."""
+        """Switch look-ahead of the emission on if it saves time, which is not so on a path with predicted sound."""
         path = self.path_sound
         known = path.serves and path.off < MOST_OFF_PATH and path.holds(posed)
         self.emission.ahead = self._may_look_ahead and not known
 
     def mean_pressure(self, posed: PosedScene, body: int, mean: MeanDrives) -> Float | Float32 | None:
-        """Mean ARP [Pa] at the samples of a body; None for one drive, whose own ARP is stored."""
+        """Return the mean ARP [Pa] at the samples of a body; None for a single drive, whose ARP is stored elsewhere."""
         skin, arp = self.unit_forces.skins[body], None
         if self.path_sound.serves:
             arp = self.path_sound.arp(posed, skin, "samples", mean.levels @ mean.units)
@@ -89,7 +89,7 @@ class Workspace:
         return None if arp is None else mean.weights @ arp
 
     def outside_share(self, skin: int, stepper: SkinStepper, seen: Outside) -> float:
-        """The part of the load of a step on a skin outside the class of its modes, see OutsideClass.add."""
+        """Return the part of a step's load on a skin outside the class of its modes, see OutsideClass.add."""
         outside = self.outside[skin]
         if outside.loudest is None:
             outside.loudest = loudest_load(self.model, skin, stepper, self.reference, self.radiation)
@@ -116,7 +116,7 @@ def gather(state: HapticState, work: Workspace) -> Complex:
 
 
 def scatter(state: HapticState, amplitudes: Complex) -> None:
-    """Write what all transducers emit, shape (N,), into the state."""
+    """Write the emission of all transducers, shape (N,), into the state."""
     start = 0
     for part in state.emitted:
         part[0] = amplitudes[start : start + part.shape[1]]
