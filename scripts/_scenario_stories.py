@@ -409,26 +409,24 @@ def _carried(sim: Simulation, count: int) -> tuple[Float, Float, Float, Float]:
 
 STORIES = {
     "approach_withdraw": Story(
-        "A flat hand comes down through a fixed focus at 200 mm, modulated at 200 Hz, and withdraws. It feels the "
-        "focus while its palm is there.", EQUAL, approach),
+        "A flat hand comes down through a fixed focus at 200 mm, modulated at 200 Hz, and withdraws.", EQUAL, approach),
     "hover_explore": Story(
-        "A hand hovers at 200 mm and looks for a focus that runs on a circle 30 mm to one side; its fingers spread on "
-        "the way. The sound does not know of the hand.", EQUAL, hover),
+        "A hand at 200 mm moves over a focus that runs on a circle 30 mm to one side, and spreads its fingers. The "
+        "sound does not depend on the hand.", EQUAL, hover),
     "tap_button": Story(
-        "A pointing finger goes down; as its pulp goes through 200 mm, five bursts of 4 ms knock on it: a button that "
-        "is not there.", EQUAL, tap),
+        "A pointing finger goes down. When its pulp passes 200 mm, five bursts of 4 ms imitate a button.", EQUAL, tap),
     "follow_fingertip": Story(
-        "A pointing finger draws half a circle in the air and bends; the focus, in the pulp's frame, goes with it.",
+        "A pointing finger draws half a circle in the air and bends; the focus follows in the pulp's frame.",
         MAP_FIRST, follow),
     "stroke_palm": Story(
-        "On a hand that keeps still, a focus strokes the skin from the thenar to the pulp of the index finger, there "
-        "and back, as in Reardon's study of waves in the hand. What 0.5 s of it took, on one core of the "
-        "shared machine, is below; on a thin reference layer it takes 43 s (bench/stroke.md).", EQUAL, stroke),
+        "A focus strokes the skin of a resting hand from the thenar to the pulp of the index finger and back, as in "
+        "Reardon's study of waves in the hand. The cost of 0.5 s on one core is below; a thin reference layer "
+        "takes 43 s (bench/stroke.md).", EQUAL, stroke),
     "trace_shape": Story(
-        "A focus writes a Z on the palm of a hand that rolls: the path is drawn on the skin and turns with it.",
+        "A focus writes a Z on the palm of a rolling hand; the path turns with the skin.",
         MAP_FIRST, trace),
     "two_hands": Story(
-        "A left hand passes between the array and a right hand, which loses the focus while it is in the shadow.",
+        "A left hand passes between the array and a right hand and shadows its focus.",
         (1.0, 1.0), two_hands),
     "grasp_object": Story(
         "Thumb, index and middle finger hold a ball of 32 mm and 20 g by friction and lift it, over a focus on the "

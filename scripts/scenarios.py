@@ -28,12 +28,11 @@ DURATIONS_S = {"stroke_palm": 0.5}
 HEAD = """\
 # Scripted scenarios
 
-For everyone who writes scenes with moving hands: eight of them, in `mjcf/scenes/`. Made by `python
-scripts/scenarios.py`; do not edit. Run one by `palmfield run mjcf/scenes/tap_button.xml --out out/tap_button`.
+For authors of scenes with moving hands: eight examples in `mjcf/scenes/`. `python scripts/scenarios.py` writes this
+page; do not edit. Run one by `palmfield run mjcf/scenes/tap_button.xml --out out/tap_button`.
 
 Figures are from single runs with `accuracy` 0.2 (the stroke 0.1) on a shared machine. Checks concern motion, sound
-and, for the stroke, the time course of the skin motion. Most of the error comes from the fixed cut edges of small
-patches (15 to 32 mm).
+and, for the stroke, skin motion over time. Fixed cut edges of small patches (15 to 32 mm) cause most of the error.
 
 ## Writing one
 
@@ -51,8 +50,8 @@ patches (15 to 32 mm).
 
 `hand` names the preset whose joints move; without it only the pose moves. One of `keyframes`, `trajectory`,
 `tracking` and `function` gives the motion ([motion.md](motion.md)); files are relative to the scene. `start_s` shifts
-it. `follow` is `servo` (springs, with a slight lag) or `exact`. A second hand has an instance with `body`
-`PREFIXhand_target` (`two_hands.xml`), and one of `palmfield.skin` if it has skin (`two_hands_both_feel.xml`). With
+it. `follow` is `servo` (springs, with a slight lag) or `exact`. A second hand needs an instance with `body`
+`PREFIXhand_target` (`two_hands.xml`); its skin needs one of `palmfield.skin` (`two_hands_both_feel.xml`). With
 `body_sound` `shadows` bodies with skin and those in key `obstacles` cast shadows; `shadow_edges` `rays` is faster and
 used here ([shadows](bench/shadows.md)).
 
@@ -71,7 +70,7 @@ turn_deg = [0.0, 20.0, 0.0]      # rotation vector; or quaternion = [w, x, y, z]
 joints_deg = { index_mcp_flexion = 30 }    # angles that differ from the pose
 ```
 
-A pose in which the skin of the hand intersects itself is refused with the number of the key.
+A pose whose skin intersects itself is refused with the key number.
 
 The stimulus moves with the hand if `frame` names one of its sites (`index_pad`, `palm_centre`). `path_on` `skin` draws
 the path on the surface, from the skin nearest to `focus_m`; `path` `sites` with `path_sites` takes the shortest path on
