@@ -26,9 +26,9 @@ class Radiation:
     """
 
     def __init__(self, model: HapticModel, beside: "Radiation | None" = None):
-        """beside: of another world, stepped by the same thread: its buffers and trees are shared, not its results."""
+        """beside: the Radiation of another world with the same thread; buffers and trees are shared, not results."""
         self.model, self.kept = model, Kept()
-        # Buffers and trees, which are moved in place; and all points ever chosen, which hold their numbers' ids
+        # Buffers and trees, moved in place; and all points ever chosen, stored so that ids of arrays stay unique
         self._shared: Kept = Kept() if beside is None else beside._shared
         self._choices: Kept = Kept() if beside is None else beside._choices
         self.chosen: dict[int, ChosenPoints] = {} if beside is None else beside.chosen

@@ -334,7 +334,7 @@ class SceneGraph(HostBackend):
         return self.load(skin, stepper.points)
 
     def load(self, skin: int, points: Int | None = None) -> Float32:
-        """ARP [Pa] of the course at the quadrature points of a skin, shape (m, q); points: the numbers of some of them.
+        """Return ARP [Pa] of the course at a skin's quadrature points, shape (m, q); points: numbers of some of them.
 
         The result is a view that the next step overwrites.
         """

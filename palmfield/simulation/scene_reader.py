@@ -44,7 +44,7 @@ DURATION = "palmfield_duration_s"
 """Custom numeric of a scene: duration of `palmfield run` [s]."""
 DEFAULT_DURATION_S = 0.1
 MOST_STEPS = 1e9
-"""Warnings of MuJoCo in a run."""
+"""Largest number of MuJoCo steps in a run."""
 DEVICE = "palmfield_device"
 """Custom text of a scene: device on which fields are computed, auto, cpu or cuda:N."""
 CUSTOM = {DURATION: "numeric", DEVICE: "text"}
@@ -289,7 +289,7 @@ def _check_still(
 
 
 def _check_presets(config: SkinConfig, element: str) -> None:
-    """Raises SceneError, with element and key, for a material or a hand that there is not."""
+    """Raise SceneError, with element and key, for an unknown material or hand."""
     with naming_keys(element, setting="materials" if config.materials else "material"):
         for name in config.materials or (config.material,):
             preset(name)
@@ -321,7 +321,7 @@ def _stimuli(
             sites = tuple(_on_body(model, frame, site, f"{element}: key 'path_sites'") for site in config.path_sites)
         aimed = bindings[on_skin].body if on_skin is not None else model.site_body(frame_site)
         boards = [model.site_body(array_sites[number]) for number in own]
-        # A common carrier moves neither against the other.
+        # Array and body on a common carrier do not move relative to each other.
         frame_moves = any(
             model.can_move(body) for board in boards for body in model.ancestors(aimed) ^ model.ancestors(board)
         )

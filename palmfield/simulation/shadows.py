@@ -65,10 +65,10 @@ class BentSound(_Behind):
     def shades(self, at: SkinPoints) -> Shades | None:
         posed, skin, role, points, normals, numbers, _ = at
         buffers = skin, role, len(points)
-        # Chosen numbers are kept, so that ids stay theirs
+        # Chosen numbers are stored, so that their ids stay unique
         free = role in ("vertices", "probe")
         places = (points.tobytes(), normals.tobytes()) if free else (id(numbers),)
-        # Nodes in their present places, where points are any, so that the result does not depend on earlier ones
+        # For arbitrary points, nodes are at their present places, so that the result does not depend on earlier calls
         key = *posed.sound_keys[skin], *places
         nodes = key if free and len(points) > 1 else ()
         return self._shared.of(("shades", *buffers), key, self._shade, at, ("edges", *buffers), nodes)

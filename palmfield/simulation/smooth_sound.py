@@ -90,7 +90,7 @@ class SmoothSound:
         self.now, self._known = other.now.copy(), other._known.copy()
 
     def begin(self, posed: Mapping[int, PosedScene], t0: float) -> list[int]:
-        """Find the worlds whose sound one level determines in the step that begins at t0 [s]; numbers of the others."""
+        """Find the worlds whose sound one level determines in the step from t0 [s]; return numbers of the others."""
         here = np.zeros(len(self.models), dtype=bool)
         here[list(posed)] = True
         joins = self._may_join & here
@@ -127,7 +127,7 @@ class SmoothSound:
         return True
 
     def _shared(self, unit: UnitDrive, key: tuple[float, ...]) -> tuple[UnitDrive, float]:
-        """The first world's drive in this pose to this point and the factor from it to a world's own, or its own drive.
+        """Return a stored drive for this pose and point with the factor to this world's drive, or the drive itself.
 
         Worlds whose drives differ only in level thus share one field.
         """
@@ -173,7 +173,7 @@ class SmoothSound:
         return np.asarray(emitted[self.joined])
 
     def mean_factors(self) -> Float:
-        """The same, as a mean over the step that has begun."""
+        """Return the mean ARP over the present step relative to that of the unit drives, shape (g,)."""
         moments = self._means
         factors = self._commanded[:, : len(moments.times)]
         if np.logical_or.reduce(self._ringing):
@@ -199,12 +199,12 @@ class SmoothSound:
         self._commanded = self._ahead[t0] * self._scales[:, None] ** 2
 
     def _over(self, moments: Moments, commanded: Float) -> tuple[Complex, Complex]:
-        """Levels at some moments, shape (worlds, m), and at the end, (worlds,), by what is commanded there."""
+        """Return levels at some moments, shape (worlds, m), and at the end, (worlds,), from the commanded levels."""
         levels: Complex = np.sqrt(commanded).astype(np.complex128)
         ringing = self._ringing.nonzero()[0]
         if len(ringing) == 0:
             return levels, self.now
-        # The arrays, and so their transducers, are those of all worlds
+        # All worlds have the same arrays and so the same transducers
         stepper = self.models[ringing[0]].stimuli[0].response.stepper
         rung, end = ring(self.now, levels.T, moments, stepper)
         silent = ~np.logical_or.reduce(levels, axis=1) & (np.abs(self.now) * self._peaks < SILENT)

@@ -34,7 +34,7 @@ class Named:
         return self.config.element(self.name)
 
     def naming(self, setting: str = "") -> naming_keys:
-        """An error that leaves the block names the element and its keys; setting: the one at fault, if it says none."""
+        """Add the element and its keys to errors raised in the block; setting: key at fault, if the error has none."""
         return naming_keys(self.element, self.config, setting)
 
 

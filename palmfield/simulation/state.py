@@ -121,7 +121,7 @@ def claim(model: HapticModel, state: HapticState, skin: int, stepper: SkinSteppe
 
 
 def _mark(model: HapticModel, kind: str, number: int, name: str) -> float:
-    """Number, exact in float64, that identifies states of this solver, on this scene, in this version."""
+    """Return a number, exact in float64, that identifies states of this solver, scene and version."""
     if kind == "array":
         array = model.spec.arrays[number]
         parts = [array.config.model_dump_json(), len(model.arrays.parts[number])]
@@ -131,7 +131,7 @@ def _mark(model: HapticModel, kind: str, number: int, name: str) -> float:
         parts = [skin.spec.config.model_dump_json(), skin.layer.state_room, stepper.state_size, stepper.step_s]
         parts += [skin.spec.patch_centre, len(skin.nodes[0])]
         if not stepper.factorises:
-            # A small model's numbers belong to its basis, which comes from all that the scene is going to do.
+            # The state of a reduced model belongs to its basis, which depends on the whole planned run of the scene.
             parts.append(repr(replace(model.spec, device="", duration_s=0.0)))
     digest = hashlib.sha256(json.dumps([VERSION, version("palmfield"), kind, name, *parts]).encode()).digest()
     mark = float(int.from_bytes(digest[:6], "big") + 1)

@@ -41,14 +41,14 @@ def backends_of(
     from palmfield.simulation.moving_worlds import MovingWorlds
     from palmfield.simulation.scene_graph import SceneGraph
 
-    # Several graphs, so that a device computes one while MuJoCo moves the bodies of another
+    # Several graphs: the device computes one while MuJoCo moves the bodies of another
     bounds = np.linspace(0, len(models), 1 + min(PARTS, 1 + len(models) // LEAST_WORLDS)).round().astype(int).tolist()
     moving = []
     for begin, end in pairwise(bounds):
         own, room_for = slice(begin, end), 0 if begin else len(models)
         moving.append(MovingWorlds(models[own], works[own], state.of(own), alone, begin, room_for))
     others = moving if any(part.some for part in moving) else ()
-    # The graphs read and write the state as well
+    # The graphs read and write the state too
     host = (SceneGraph if len(models) == 1 else HostBackend)(models, works, state, alone and not others)
     return others, host
 
@@ -175,7 +175,7 @@ class Steps:
         return len(backend.joined) == len(self._free[backend.own])
 
     def sense(self, skin: int, place: SensorPlace) -> tuple[Float, Float]:
-        """ARP [Pa], shape (worlds,), displacement [m] and velocity [m/s], (worlds, 2), at the place of a sensor at the
+        """Return ARP [Pa], shape (worlds,), displacement [m] and velocity [m/s], (worlds, 2), at a sensor, at the
         beginning of the step."""
         count = len(self.models)
         arp, motion = np.zeros(count), np.zeros((count, 2))

@@ -216,7 +216,7 @@ def check_board(stimulus: StimulusSpec, board: Board) -> None:
         return
     config, element = resolved(stimulus.config, focus_table=stimulus.focus_table), stimulus.element
     table = stimulus.focus_table
-    # The length of a path through sites isn't available yet
+    # The length of a path through sites is not available yet
     of_sites = config.path == "sites"
     rates = [config.control_rate_Hz] * (config.control_rate_Hz > 0.0) if of_sites else frame_rates(config)
     moving = config.path != "point" or stimulus.frame_moves
@@ -232,7 +232,7 @@ def check_board(stimulus: StimulusSpec, board: Board) -> None:
             "control_rate_Hz, or use board ideal"
         )
     am = config.modulation == "am" and not board.modulates
-    # Full rectangles are played by off and full, with a frame at each jump
+    # Rectangles of full depth need only off and full, with a frame at each jump
     switched = am and config.am_waveform == "rectangle" and config.am_depth == 1.0
     modulated = (am and not switched) or config.burst_window == "hann" or (table is not None and table.has_levels)
     if (modulated or config.ramp_s > 0.0) and board.levels and not config.control_rate_Hz:
@@ -252,7 +252,7 @@ def check_board(stimulus: StimulusSpec, board: Board) -> None:
     if turns and turn is not None and turn < LEAST_POINTS:
         needed, turn = LEAST_POINTS * turns, float(LEAST_POINTS)
     if switched:
-        # Jumps come in pairs as near as the shorter part of the period
+        # The shortest time between two jumps is the shorter part of the period
         duty = config.am_waveform_duty or 1.0
         needed = max(needed, (config.am_frequency_Hz or 0.0) / min(duty, 1.0 - duty))
     wants_level = config.arp_peak_Pa is not None or config.drive_amplitude not in (None, 0.0, 1.0)
@@ -282,7 +282,7 @@ def check_clear(posed: PosedScene) -> None:
     """
     if posed.arrays.wall_m is not None:
         _check_echo(posed, posed.arrays.wall_m)
-    # Boxes decide most poses, and take no vertex
+    # Boxes decide most poses without computing vertices
     hulls = []
     for body in posed.bodies:
         if body.model.surface is not None:
@@ -300,7 +300,7 @@ def check_clear(posed: PosedScene) -> None:
             continue
         points = body.vertices_in_array
         if body.model.surface is None:
-            # The closed surface of a disc has its base too, which may be the board itself.
+            # The closed surface of a disc includes its base, which may lie at the board.
             points = points[: len(points) // 2]
         _check_clear(posed, f"body '{body.model.name}'", points, behind=False)
     for skin in posed.skins:

@@ -96,7 +96,7 @@ class Workspace:
         return outside.add(seen)
 
     def reader(self, skin: int, stepper: SkinStepper) -> Reader | None:
-        """Operator from the states of this stepper to the watched values; a run may leave a small model in any step."""
+        """Return the operator from states of this stepper to watched values; the stepper may change in any step."""
         operator = self.observe[skin]
         if operator is None:
             return None

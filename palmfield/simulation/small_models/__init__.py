@@ -1,1 +1,1 @@
-"""The small model of a skin: whether there is one, its construction, and its end."""
+"""The reduced model of a skin: whether it is possible, its construction, and the end of its validity."""

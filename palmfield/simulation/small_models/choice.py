@@ -1,4 +1,4 @@
-"""The stepper of a skin: its whole layer, a small model for a predicted load, modes, or the one of key `solver`."""
+"""Choose a skin's stepper: whole layer, reduced model for a predicted load, modes, or that of key `solver`."""
 
 from collections.abc import Sequence
 
@@ -15,7 +15,7 @@ from palmfield.skin.stepper_choice import LayerWork, StepperChoice, chosen
 
 BY_KEY = "set by key solver"
 MOST_SMALL_MODELS = 8
-"""Most predicted loads for which a skin gets a small model each: each of a palm takes some 5 s and holds 14 MB."""
+"""Largest number of reduced models of a skin, one per predicted load. One of a palm takes some 5 s and 14 MB."""
 
 
 def choose_stepper(
@@ -26,9 +26,9 @@ def choose_stepper(
     pole: Pole,
     response_on: bool,
 ) -> StepperChoice:
-    """Choose by key `solver`, by what can be reduced, and by predicted time.
+    """Choose the stepper by key `solver`, by which reductions are possible, and by predicted time.
 
-    Raises SceneError where a small model or modes are requested but impossible.
+    Raises SceneError if a reduced model or modes are requested but impossible.
     """
     substeps, requested = spec.duration_s / layer.sizes.step_s, skin.config.solver
     with skin.naming("solver"):
@@ -50,9 +50,9 @@ def choose_stepper(
 def common_choice(
     spec: SceneSpec, skin: SkinSpec, layer: SceneLayer, choices: Sequence[StepperChoice], loads: int
 ) -> StepperChoice:
-    """The stepper of a skin in all worlds.
+    """Choose one kind of stepper for a skin in all worlds.
 
-    choices: what would step it in each that sounds, by itself; loads: how many of their loads are different
+    choices: the choice for each world with sound alone; loads: number of different loads of these worlds
     """
     few = choices[0].solver.any_pose or loads <= MOST_SMALL_MODELS or skin.config.solver != "auto"
     if few and len({choice.name for choice in choices}) == 1:
@@ -65,10 +65,10 @@ def common_choice(
 
 
 def first_stepper(model: HapticModel, skin: int) -> SkinStepper:
-    """The stepper with which a skin begins: the one of key `solver`, a small model for the predicted load in the
-    reference pose, or its whole layer.
+    """Return the first stepper of a skin: that of key `solver`, a reduced model for the predicted load in the
+    reference pose, or the whole layer.
 
-    Raises SceneError for a small model that is requested but fails.
+    Raises SceneError for a reduced model that is requested but fails.
     """
     part = model.skins[skin]
     if (own := part.solver.stepper(model.spec.device)) is not None:

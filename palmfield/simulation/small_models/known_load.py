@@ -1,7 +1,6 @@
-"""Loads that are predicted before the run: the scenes that have one, and the small model of the skin made for it.
+"""Loads that are predicted before the run: which scenes have one, and the reduced model of the skin for it.
 
-A periodic stimulus on skin at rest loads it with few patterns, and a skin with a predicted load needs only a small
-model.
+A periodic stimulus loads skin at rest with few patterns. A reduced model is then enough.
 """
 
 import math
@@ -43,30 +42,30 @@ from palmfield.stimulus.waveform import period_s as am_period_s
 from palmfield.types import Complex, Float, Float32
 
 SHARE = 0.1
-"""Share of the target accuracy that reducing the skin may cost."""
+"""Share of the target accuracy allowed for the error of the reduced model."""
 MOST_TURNS = 4
-"""Turns of a path in which its modulation must come round."""
+"""Largest number of turns of a path after which path and modulation together must repeat."""
 BAND = 2.5
-"""Factor on the highest frequency that mesh and step resolve: limit of the harmonics of a load of a model."""
+"""Harmonics of a model's load are limited to this factor times the highest frequency that mesh and step resolve."""
 TRIAL_S, LONGEST_TRIAL_S = 0.03, 0.1
-"""Time of the load under which models are compared [s], and at most for a load that comes round more slowly."""
+"""Time of the load under which models are compared [s], and its upper limit for a load with a longer period."""
 REST_S = 2.5e-3
-"""Longest rest of a focus at each point of its path [s]: beyond it the load is many loads, and no smooth course."""
+"""Longest rest of a focus at each point of its path [s]. With a longer rest the load is not one smooth course."""
 MOST_SAMPLES = 1024
 SMALLEST = 1e-4
-"""Share of the largest harmonic of a load below which others are left out of the model."""
+"""Harmonics of a load below this share of the largest one are omitted from the model."""
 CLOSER, BEGIN_CLOSER = 16, 4
-"""Examples of a load for each of its samples, as it comes round and while the transducers ring up."""
+"""Number of examples for each sample of a load, in the periodic state and during ring-up."""
 SPAN_CLOSER = 4
-"""Drives per sample of a load, whose sums represent all of its drives."""
+"""Drives per sample of a load; their linear combinations represent all of its drives."""
 LEFT_OUT = 3e-4
-"""Share of a predicted load that the shapes may omit, by which it is evaluated in few points."""
+"""Share of a predicted load that the load shapes may omit; with these shapes it is evaluated at few points."""
 DIGITS = 10
-"""Digits of drives, after the point."""
+"""Decimal places of drives."""
 BEGINNING = 48
-"""Moments at which the load is looked at while the transducers ring up."""
+"""Number of moments at which the load is computed during ring-up."""
 SETTLED = 12.0
-"""Transducers are rung up after this over their damping."""
+"""Ring-up ends after this number divided by the damping of the transducers."""
 
 # -- which scenes have one -----------------------------------------------------------------------------------------
 
@@ -74,7 +73,7 @@ SETTLED = 12.0
 def refusal(
     skin: SkinSpec, layer: SceneLayer, stimuli: tuple[StimulusModel, ...], pole: Pole, response_on: bool
 ) -> str | None:
-    """Why a skin can't be reduced for these stimuli, in words, or None."""
+    """Return why a skin cannot be reduced for these stimuli, in words, or None."""
     if skin.moves:
         return "a script moves something in the scene"
     sounding = [stimulus for stimulus in stimuli if not stimulus.silent]
@@ -117,13 +116,13 @@ def expected_vectors(stimulus: StimulusModel, pole: Pole, response_on: bool) -> 
 
 
 def one_shape(stimulus: StimulusModel, pole: Pole, response_on: bool) -> bool:
-    """Whether the load is one field whose level alone changes."""
+    """Whether the load is one field in which only the level changes."""
     alike = not response_on or (not stimulus.response.delayed and np.ptp(np.abs(pole.rate)) == 0.0)
     return stimulus.config.path == "point" and alike
 
 
 def period_s(config: StimulusConfig) -> float | None:
-    """Time after which focus and level are the same again [s]; None where that takes more than MOST_TURNS turns."""
+    """Return the period of focus and level together [s]; None if it is longer than MOST_TURNS turns."""
     path = turn_rate_Hz(config)
     modulated = am_period_s(config)
     wave = None if modulated is None else 1.0 / modulated
@@ -144,10 +143,10 @@ def samples(config: StimulusConfig, turn_s: float, max_frequency_Hz: float) -> i
 
 
 def known_stepper(model: HapticModel, skin: int) -> ReducedStepper:
-    """The small model for the predicted load.
+    """Return the reduced model for the predicted load.
 
-    Its parts are stored under the inputs of the load, so that a run from the cache does not compute it. Its vectors are
-    stored under the load itself, which serves any level. Raises SceneError as `reduced_stepper`.
+    Its parts are cached under the inputs of the load, so that a later run does not compute the load. Its vectors are
+    cached under the load itself, for use at any level. Raises SceneError as `reduced_stepper`.
     """
     part = model.skins[skin]
     layer, posed = part.layer, reference_scene(model)
@@ -178,14 +177,14 @@ def known_stepper(model: HapticModel, skin: int) -> ReducedStepper:
         layer.system, str(known["load"]), lambda: known_load(model, skin, posed)[0], *reads, *wanted
     )
     if cache.digest(vectors) != str(known["vectors"]):
-        # They were made again, perhaps on another machine: the shares are of other vectors
+        # The vectors were recomputed, perhaps on another machine, so the stored shares do not belong to them
         make()
         return fresh[0]
     return ReducedStepper(small, vectors, known["shares"], known["points"], step_s, error, any_course)
 
 
 def known_load(model: HapticModel, skin: int, posed: PosedScene) -> tuple[KnownLoad, Float32]:
-    """The effect of the one sounding stimulus on a skin in a constant pose, and the pressures that compose it.
+    """Return the load of the single sounding stimulus on a skin in a constant pose, and the pressures in it.
 
     The pressures are at the quadrature's points [Pa], shape (t, q).
     """
@@ -250,16 +249,16 @@ def known_load(model: HapticModel, skin: int, posed: PosedScene) -> tuple[KnownL
 
 
 def _settling_s(stimulus: StimulusModel, model: HapticModel) -> float:
-    """Time after which the transducers are rung up [s]; 0 where they do so at once."""
+    """Return the duration of ring-up [s]; 0 without ring-up."""
     if not model.response_on:
         return 0.0
     return float(SETTLED / model.pole.damping.min() + 2.0 * np.abs(stimulus.response.delays_s).max())
 
 
 def steady_drives(model: HapticModel, number: int, posed: PosedScene, step_s: float, skip: int, count: int) -> Complex:
-    """The emission at `count` times after the first `skip`, from the start of the sound on, (count, N).
+    """Return the emission at `count` times from the start of the sound on, after the first `skip`, (count, N).
 
-    The stimulus is that without ramp and end: what comes round.
+    Only the periodic part of the stimulus is used, without ramp and end.
     """
     stimulus = model.stimuli[number]
     steady = stimulus.config.model_copy(update={"ramp_s": 0.0, "stop_s": None})
@@ -277,9 +276,9 @@ def steady_drives(model: HapticModel, number: int, posed: PosedScene, step_s: fl
 
 
 def path_drives(model: HapticModel, number: int, posed: PosedScene) -> Complex:
-    """The emission along the path of a periodic stimulus, shape (m, N).
+    """Return the emission along the path of a periodic stimulus, shape (m, N).
 
-    Enough to span all others, while the transducers ring up as well.
+    These drives span all others, also those during ring-up.
     """
     stimulus = model.stimuli[number]
     config, settling = stimulus.config, _settling_s(stimulus, model)
@@ -294,15 +293,15 @@ def path_drives(model: HapticModel, number: int, posed: PosedScene) -> Complex:
 
 
 def _at_full_level(drives: Complex, level_of: float | None = None) -> tuple[Complex, float]:
-    """Drives over a level, that of the loudest transducer by default, and the level.
+    """Return drives divided by a level, that of the loudest transducer by default, and the level.
 
-    A model for a load serves the same load at any level: without it, and without the last digits that it leaves, the
-    cache finds the one for all.
+    A model is valid for its load at any level. Drives without level and without the last digits give the same cache
+    key for all levels.
     """
     level_of = level_of or float(np.abs(drives).max())
     return np.round(drives / level_of, DIGITS), level_of
 
 
 def _pressures(skin: int, posed: PosedScene, radiation: Radiation, drives: Complex) -> Float32:
-    """ARP at the quadrature points of a skin [Pa] of drives (f, N), shape (f, q)."""
+    """Return ARP at the quadrature points of a skin [Pa] for drives (f, N), shape (f, q)."""
     return radiation.many(posed, skin, drives)

@@ -1,4 +1,4 @@
-"""End of the validity of a small model of a skin, and the change to the whole layer.
+"""End of the validity of a reduced model of a skin, and the change to the whole layer.
 
 The part of the loads on a skin outside the class of its modes is measured in every step.
 """
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from palmfield.skin.fem.wedge_stepper import WedgeStepper
 
 SHORT_WAVES = 3.0
-"""Velocity error of a load outside the class, over its share of the pressure, about. Its waves are shorter than those
-of the class, and sudden pressure moves skin only to the depth of its wavelength, so faster."""
+"""Approximate ratio of the velocity error due to load outside the class to its share of the pressure. Its waves are
+shorter than those of the class. Sudden pressure moves skin only to the depth of its wavelength, and so faster."""
 
 
 def leaves_small_model(
@@ -36,9 +36,9 @@ def leaves_small_model(
     emission: Emission,
     t0: float,
 ) -> bool:
-    """Whether the small model of a skin ends here: body, arrays or focus have moved, or the run begins after the sound.
+    """Whether a skin's reduced model has become invalid: body, arrays or focus have moved, or the run starts late.
 
-    Raises SceneError instead where key `solver` names the stepper.
+    A run starts late if it begins after the sound. Raises SceneError instead if key `solver` names the stepper.
     """
     part = model.skins[skin]
     if state.skins[skin][0, 0] == WHOLE:
@@ -77,7 +77,7 @@ def continue_on_whole_layer(
     amplitudes: Complex,
     t0: float,
 ) -> "tuple[WedgeStepper, Float]":
-    """Expand the motion of a small model to the whole layer, in place; amplitudes: emitted at t0 [s], shape (N,).
+    """Expand the motion of a reduced model to the whole layer, in place; amplitudes: emission at t0 [s], shape (N,).
 
     Returns the stepper of the whole layer and its numbers, shape (1, state_size), a view of the state.
     """
@@ -111,7 +111,7 @@ class OutsideClass:
         self.loudest: float | None = None
 
     def add(self, step: Outside) -> float:
-        """Take the loads of a step; return the part outside the class, in the energy norm, over the loudest step.
+        """Add the loads of a step; return the part outside the class, in the energy norm, relative to the loudest step.
 
         `loudest` must be set.
         """
@@ -129,26 +129,26 @@ class OutsideClass:
 
     @property
     def energy_share(self) -> float:
-        """Share of the energy norm of all loads that was outside: about its contribution to the displacement error."""
+        """Return the share of all loads outside the class, in the energy norm; about the error in the displacement."""
         return math.sqrt(self.sums.energy / self.sums.energy_of_all) if self.sums.energy_of_all > 0.0 else 0.0
 
     @property
     def pressure_share(self) -> float:
-        """Share of the norm of the pressure that was outside."""
+        """Return the share of all loads outside the class, in the norm of the pressure."""
         return math.sqrt(self.sums.plain / self.sums.plain_of_all) if self.sums.plain_of_all > 0.0 else 0.0
 
     def errors(self, added: tuple[float, float | None]) -> tuple[float, float | None]:
-        """Errors that a small model adds (`SkinStepper.adds_error`), with the part of the loads outside its class."""
+        """Return the added errors of a reduced model (`SkinStepper.adds_error`), including loads outside its class."""
         displacement, velocity = added
         quick = SHORT_WAVES * self.pressure_share
         return math.hypot(displacement, self.energy_share), None if velocity is None else math.hypot(velocity, quick)
 
 
 def leaves_class(model: HapticModel, skin: int, share: Any) -> Any:
-    """Whether the modes of a skin end here: the part of a step's load outside their class exceeds the target accuracy.
+    """Whether modes have become invalid: the part of a step's load outside their class exceeds the target accuracy.
 
-    share: see OutsideClass.add, one number or several. Where key `solver` requests modes they continue, and the error
-    of the run includes it.
+    share: see OutsideClass.add, one number or several. If key `solver` requests modes, they continue, and the error of
+    the run includes this part.
     """
     config = model.skins[skin].spec.config
     return (config.solver == "auto") & (share > config.accuracy)
@@ -157,8 +157,8 @@ def leaves_class(model: HapticModel, skin: int, share: Any) -> Any:
 def loudest_load(
     model: HapticModel, skin: int, stepper: SkinStepper, reference: PosedScene, radiation: Radiation
 ) -> float:
-    """Energy over a step of a steady focus in the middle of a skin, in the reference pose: sound that misses the skin
-    is small against it."""
+    """Return the load energy of a steady focus in the middle of a skin over a step, in the reference pose. It is the
+    reference for the size of loads, so that sound that misses the skin counts as small."""
     frame = reference.skins[skin].body.frame
     centre = frame.points(np.array(model.skins[skin].spec.patch_centre))
     assert stepper.points is not None

@@ -1,8 +1,8 @@
-"""Loads that cannot be predicted before the run: the class of all sounds that the arrays can make on a skin.
+"""Class of all sounds that the arrays can make on a skin, for loads that cannot be predicted before the run.
 
 The class is made of examples: foci on the region of the skin for which its layer is made, one or two at a time, from
 each array and from all. The body is in the reference pose, or moved and tilted from there. The class does not depend
-on the stimulus, so that its modes serve all stimuli, and every moving hand.
+on the stimulus, so its modes can be used for all stimuli and for every moving hand.
 
 The examples are drawn in a frame on the skin, together with their images under quarter turns about its normal and
 under mirroring. They are equal for every array and combination of arrays. So they are independent of rotation and
@@ -43,24 +43,24 @@ MOVES = (
     ((0.0, 0.0, -0.025), (0.0, 0.0), 8, 5),
     ((0.018, 0.018, 0.0), (0.12, -0.12), 8, 5),
 )
-"""Of the body in the examples: shift along the first and second axis of the skin's frame and outwards [m], tilt about
-these axes [rad]; number of examples with one focus and with two of any relative phase; all before their images."""
+"""Motions of the body in the examples: shift along the two axes of the skin's frame and outwards [m], tilt about these
+axes [rad]; number of examples with one focus, and with two of any relative phase; all without their images."""
 NEAREST = 0.5
-"""Part of the distance from the skin to the nearest transducer that a shift takes, at most."""
+"""Upper limit of a shift, as a share of the distance from the skin to the nearest transducer."""
 ALONG = 0.9
-"""Share of the body's first axis along the normal of the skin above which the second axis gives the skin's frame."""
+"""If the body's first axis has a larger component along the skin's normal, its second axis defines the frame."""
 OFF_SKIN_m = 0.006
 """Largest distance by which a focus misses the skin in an example, along each axis [m]."""
 SPAN = 0.1
 """Share of the target accuracy that the shapes of the class may omit from its examples."""
 LEAST_LEFT_OUT = 0.0075
-"""Below it each shape more gains less than a block of modes more does."""
+"""Below this value an additional shape reduces the error less than an additional block of modes."""
 WEAK, MOST_WEAK = 0.3, 0.025
 """Share of the target accuracy, in the energy norm, that omitted weak modes may cost; and its upper limit."""
 WEAK_TOGETHER = 0.3
-"""Share of it with several laws, which couple modes: lossy ones are few, and weak ones move under slow loads."""
+"""The same share with several relaxation laws, which couple modes: few are lossy, and weak ones follow slow loads."""
 EDGES_SPAN, EDGES_POINTS = 0.5, 4
-"""SPAN where there are shadows, and points for each shape: edges are made of far more shapes than sounds are."""
+"""SPAN with shadows, and points for each shape: shadow edges need far more shapes than sound alone."""
 FINGER_m = 0.008, 0.02
 """Widths of what casts a shadow in an example."""
 _lock = threading.RLock()
@@ -69,10 +69,10 @@ _bodies: "WeakKeyDictionary[SceneLayer, tuple[str, ModalBody]]" = WeakKeyDiction
 
 
 def class_stepper(model: HapticModel, skin: int, blocks: int | None = None) -> "ModalStepper":
-    """Modes of the layer of a skin for the class of its loads.
+    """Return the modes of the layer of a skin for the class of its loads.
 
-    blocks: of the space of the modes, by default the number that the accuracy of the skin needs.
-    Raises SceneError where modes are impossible.
+    blocks: number of blocks of the space of the modes; default: the number for the accuracy of the skin.
+    Raises SceneError if modes are impossible.
     """
     from palmfield.skin.reduction.modal_stepper import ModalStepper, modal_body
 
@@ -107,7 +107,7 @@ def class_stepper(model: HapticModel, skin: int, blocks: int | None = None) -> "
 
 
 def examples(model: HapticModel, skin: int, posed: PosedScene) -> Float:
-    """ARP of examples at the quadrature points of a skin [Pa], shape (t, q); posed: the reference.
+    """Return the ARP of examples at the quadrature points of a skin [Pa], shape (t, q); posed: the reference.
 
     If the sound on the skin has shadows, those of the examples lie anywhere, for any obstacle in the reference.
     """
@@ -142,7 +142,7 @@ def examples(model: HapticModel, skin: int, posed: PosedScene) -> Float:
 
 
 def _skin_axes(layer: SceneLayer, middle: Float, region_m: float) -> Float:
-    """Axes of a frame on a skin in the body's frame, by column: two along the skin and its outward normal, (3, 3)."""
+    """Return the frame of a skin in the body's frame, by column: two tangents and the outward normal, (3, 3)."""
     quadrature = layer.quadrature
     near = np.linalg.norm(quadrature.points - middle, axis=1) < region_m
     normal = (quadrature.weights * near) @ quadrature.normals
@@ -160,7 +160,7 @@ def _images() -> list[Float]:
 
 
 def _images_of(move: Float) -> list[Float]:
-    """Distinct images of a shift [m] and the two numbers of the axis of a tilt [rad], (5,) each.
+    """Return the distinct images of a shift [m] and of the two components of a tilt [rad], (5,) each.
 
     A mirror reverses the sense of a rotation.
     """
@@ -193,7 +193,7 @@ def _foci(rng: np.random.Generator, offsets: Float, region_m: float, count: int)
 
 
 def _sources(arrays: PhasedArray, centre: Float, axes: Float) -> list[Int]:
-    """Transducers that sound together in an example: all, and each of several arrays, in an order of places alone."""
+    """Return groups of transducers of the examples: all, and each of several arrays, in an order by place only."""
     everything = np.arange(len(arrays), dtype=np.int32)
     if len(arrays.slices) == 1:
         return [everything]
@@ -207,10 +207,10 @@ def _has_edges(skin: SkinSpec) -> bool:
 
 
 def _lit(offsets: Float, region_m: float, count: int, rng: np.random.Generator) -> NDArray[np.bool_]:
-    """Which points lie outside the shadow of a straight finger, or of the half plane beyond an edge, and of its images.
+    """Return which points lie outside the shadow of a straight finger or half plane, and of its images.
 
     offsets: of the points from the region's middle in the skin's frame [m], shape (q, 3)
-    Returns shape (images * count, q), image by image, as foci come.
+    Returns shape (images * count, q), image by image, in the order of foci.
     """
     angle = 2.0 * math.pi * rng.random((count, 1))
     across = np.hstack([np.cos(angle), np.sin(angle)])
@@ -222,7 +222,7 @@ def _lit(offsets: Float, region_m: float, count: int, rng: np.random.Generator) 
 
 
 def _moved(model: HapticModel, skin: int, posed: PosedScene, centre: Float, turn: Float, shift_m: Float) -> PosedScene:
-    """The scene with the body of a skin turned about a point and moved, array frame."""
+    """Return the scene with the body of a skin turned about a point and moved, array frame."""
     part = model.skins[skin]
     before = posed.bodies[part.body]
     frame = Transform(turn @ (before.frame.position - centre) + centre + shift_m, turn @ before.frame.rotation)
@@ -238,9 +238,9 @@ def _moved(model: HapticModel, skin: int, posed: PosedScene, centre: Float, turn
 def _drives(
     model: HapticModel, arrays: PhasedArray, sources: Sequence[Int], single: Float, pairs: Float, phases: Complex
 ) -> tuple[Complex, Int]:
-    """Drives of each source for single foci, and of each two sources for pairs of foci, shape (d, N).
+    """Return drives of each source for single foci, and of each two sources for pairs of foci, shape (d, N).
 
-    And for which of the foci, and then the pairs, each is, shape (d,): none is for what lies behind an array.
+    Return also the index of the focus or pair of each drive, shape (d,). Foci behind an array get no drive.
     sources: transducers, see `_sources`; single, pairs: foci, array frame [m], shapes (i, s, 3) and (i, 2 p, 3)
     phases: of the second focus of each pair, as a factor, shape (p,)
     """

@@ -1,4 +1,4 @@
-"""What is known of the modes of a skin before they are computed: whether they serve, and about how many there are."""
+"""Estimates for the modes of a skin before they are computed: whether they can be used, and about how many."""
 
 import math
 
@@ -8,17 +8,17 @@ from palmfield.skin.scene_layer import SceneLayer
 from palmfield.stimulus.schedule import frame_rates, main_frequencies, turn_m, turn_rate_Hz
 
 BLOCKS, BLOCKS_AT, BLOCKS_POWER = 32, 0.05, 0.9
-"""Blocks of the modes' space at one accuracy, and the power of the accuracy with which they become fewer."""
+"""Number of blocks of the space of modes at one accuracy, and the exponent of its decrease with accuracy."""
 KEPT = 0.36
-"""Modes for each block and shape that are left when the weak ones are out, about."""
+"""Approximate number of modes per block and shape without the weak ones."""
 SHAPES = 15.0
 """Load shapes at accuracy 0.2 on a region as wide as a spot, about."""
 LEAST_CORNER_Hz = 75.0
-"""Corner of the spectrum of a load with only onset and end: the sound of a start or stop falls as 1/f."""
+"""Corner of the spectrum of a load with only onset and end; the spectrum of a start or stop falls as 1/f."""
 
 
 def refusal(skin: SkinSpec, layer: SceneLayer) -> str | None:
-    """Why a skin can't move by modes for every load, in words, or None; reasons that need its matrices come later."""
+    """Return why general modes of a skin are impossible, in words, or None; reasons that need matrices come later."""
     config = skin.config
     if config.body_sound == "scattering":
         return "boundary elements for every sample load would cost more than a run"
@@ -39,13 +39,13 @@ def expected_modes(skin: SkinSpec, layer: SceneLayer) -> float:
 
 
 def block_count(accuracy: float) -> int:
-    """Blocks of the space of the modes that an accuracy of the skin needs."""
+    """Return the number of blocks of the space of modes for an accuracy of the skin."""
     blocks: float = BLOCKS * (BLOCKS_AT / accuracy) ** BLOCKS_POWER
     return max(round(blocks), 3)
 
 
 def region_m(layer: SceneLayer) -> float:
-    """Radius of the region of a skin that contains the foci of the class [m].
+    """Return the radius of the region of a skin that contains the foci of the class [m].
 
     The region has fine elements: a whole patch of given radius, with a margin for foci that touch it from outside.
     """
@@ -56,10 +56,10 @@ def region_m(layer: SceneLayer) -> float:
 
 
 def corner_Hz(stimulus: StimulusModel, spot_m: float) -> float:
-    """Frequency above which the spectrum of the load of a stimulus falls, about [Hz].
+    """Return the approximate frequency above which the load spectrum of a stimulus falls [Hz].
 
-    A focus with speed v and spot width w passes a point in w / v. One that jumps at some rate is as sudden as a focus
-    that has moved on by then. AM has its own frequency. spot_m: width of the spot [m].
+    A focus with speed v and spot width w passes a point in w / v. A focus that jumps at some rate counts as one that
+    moves on within this time. AM adds its own frequency. spot_m: width of the spot [m].
     """
     config = stimulus.config
     corners = [LEAST_CORNER_Hz, *(0.5 * f for f in frame_rates(config))]
