@@ -1,4 +1,4 @@
-"""The plugin of one phased array: its keys, and in its state what its transducers emit."""
+"""Plugin of one phased array: its keys; its state is the emission of its transducers."""
 
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -12,19 +12,19 @@ if TYPE_CHECKING:
     from palmfield.mujoco_host.drawing import Drawing
 
 PHASES_GROUP = 1
-"""Group of geoms: a viewer shows the phases of the transducers while it is on."""
+"""Geom group: if it is on, a viewer shows the phases of the transducers."""
 LEAST_RADIUS, DISC_m, ABOVE_m = 0.25, 2e-4, 2e-4
 
 
 class ArrayModule(Module):
-    """Holds the keys of one array and the room for what its transducers emit; the scene steps all arrays together."""
+    """Stores the keys of one array and the emission of its transducers; the scene steps all arrays together."""
 
     name: ClassVar[str] = ArrayConfig.plugin
     config: ClassVar[type[Config]] = ArrayConfig
 
     @classmethod
     def state_size(cls, settings: Any, model: ModelView) -> int:
-        """Header and one complex number a transducer."""
+        """Return the size of the header and one complex number per transducer."""
         # Imported here: MuJoCo registers the plugins in every process, and Warp takes half a second to load.
         from palmfield.simulation.build import model_of
         from palmfield.simulation.scene_reader import read_scene
@@ -35,7 +35,7 @@ class ArrayModule(Module):
         return array_room(len(model_of(spec).arrays.parts[number]))
 
     def draw(self, drawing: "Drawing") -> None:
-        """A disc on each transducer: its colour the phase, which comes back on itself, its size the amplitude."""
+        """Draw a disc on each transducer: its colour (a cyclic scale) shows the phase, its size the amplitude."""
         from palmfield.engine.scene_view import view_of
         from palmfield.engine.view_colours import phase_colours
 

@@ -1,7 +1,7 @@
 """Python classes as MuJoCo engine plugins.
 
-A module is a subclass of `Module`; `register` turns it into an mjpPlugin whose callbacks call it. Other packages add
-modules of their own by an entry point of the group `mujoco.plugins` that calls `register`.
+A module is a subclass of `Module`; `register` makes an mjpPlugin whose callbacks call it. Other packages can add
+modules by an entry point of the group `mujoco.plugins` that calls `register`.
 """
 
 import _thread
@@ -26,9 +26,9 @@ if TYPE_CHECKING:
 class World(DataView):
     """One mjData with the modules of its plugin instances.
 
-    scene: the palmfield scene that it holds, made by its first skin. view: its picture, made at first drawing.
-    undrawn: whether drawing it once failed.
-    error: that a module could not raise through C. quiet: whether a caller will raise it, so MuJoCo need not warn.
+    scene: the palmfield scene in this mjData, made by its first skin. view: its picture, made at first drawing.
+    undrawn: whether drawing it has failed.
+    error: an error that a module could not raise through C. quiet: whether a caller raises it, so MuJoCo need not warn.
     """
 
     def __init__(self, model: int, data: int):
@@ -41,12 +41,12 @@ class World(DataView):
 
 
 class Module:
-    """One plugin instance of one mjData. Override what the module does; the rest stays empty.
+    """One plugin instance of one mjData. Override the needed methods; the others do nothing.
 
     name: plugin name in the scene, e.g. `palmfield.skin`
     config: keys of the module, a `palmfield.config.Config`
     sensor: whether `<sensor><plugin>` may refer to it
-    only_senses: whether this instance leaves forces and advance to another one
+    only_senses: whether this instance only fills sensors, and another one does forces and advance
     """
 
     name: ClassVar[str]
@@ -59,25 +59,25 @@ class Module:
 
     @classmethod
     def state_size(cls, settings: Any, model: ModelView) -> int:
-        """Numbers of plugin state that MuJoCo keeps in mjData for this instance."""
+        """Return the number of plugin state variables that MuJoCo stores in mjData for this instance."""
         return 0
 
     @classmethod
     def sensor_size(cls, settings: Any, model: ModelView, sensor: int) -> int:
-        """Dimension of one sensor of this module."""
+        """Return the dimension of one sensor of this module."""
         return 0
 
     def forces(self) -> None:
-        """Passive forces at the present time; may be called several times for one step."""
+        """Add passive forces at the present time; may be called several times in one step."""
 
     def sense(self) -> None:
         """Fill the sensors of the module (`self.world.sensors(self.instance)`)."""
 
     def advance(self) -> None:
-        """Carry the state of the module over one step; MuJoCo's time is already that of the end of the step."""
+        """Advance the state of the module by one step; MuJoCo's time is already the end of the step."""
 
     def draw(self, drawing: "Drawing") -> None:
-        """Add to the picture that a viewer is about to draw; the simulation must not change by it."""
+        """Add objects to the next picture of a viewer; this must not change the simulation."""
 
     def copy_from(self, other: Any) -> None:
         """Called after mj_copyData has copied another mjData's state into this one; `other` is its module."""
@@ -90,14 +90,14 @@ _compiling = threading.local()
 
 
 def world_of(data: mujoco.MjData) -> World | None:
-    """The world behind an MjData, or None where its model has no palmfield plugin."""
+    """Return the World of an MjData, or None if its model has no palmfield plugin."""
     return _worlds.get(data._address)
 
 
 def raise_errors(data: mujoco.MjData) -> None:
-    """Raise, once, an error that a module could not raise through MuJoCo's C frames.
+    """Raise, once, a stored error that a module could not raise through MuJoCo's C frames.
 
-    KeyboardInterrupt where Ctrl-C interrupted a module: a part of the step is missing from the state then.
+    Raises KeyboardInterrupt if Ctrl-C interrupted a module; the state then lacks a part of the step.
     """
     world = _worlds.get(data._address)
     if world is not None and world.error is not None:
@@ -107,7 +107,7 @@ def raise_errors(data: mujoco.MjData) -> None:
 
 @contextmanager
 def compiling() -> Iterator[None]:
-    """Modules neither compute nor advance inside: MuJoCo tests a model by a step, which would factorise a skin."""
+    """Switch modules off in the block: MuJoCo tests a compiled model by a step, which would factorise a skin."""
     _compiling.active = True
     try:
         yield
@@ -116,14 +116,14 @@ def compiling() -> Iterator[None]:
 
 
 def take_compile_error() -> Exception | KeyboardInterrupt | None:
-    """The error of a module's construction since the last call, in this thread; MuJoCo's own error only quotes it."""
+    """Return a module's construction error since the last call in this thread; MuJoCo's own error only quotes it."""
     error, _compiling.error = getattr(_compiling, "error", None), None
     _compiling.sizing = None
     return error
 
 
 def _fail(world: World | None, module: str, error: Exception | KeyboardInterrupt) -> None:
-    """Keep the first error for `raise_errors`, show it through MuJoCo, and put NaN in the place of results."""
+    """Store the first error for `raise_errors`, show it through MuJoCo, and set results to NaN."""
     silent = getattr(_compiling, "active", False) if world is None else world.quiet or world.error is not None
     if not silent:
         known = isinstance(error, PalmfieldError | KeyboardInterrupt)
@@ -137,17 +137,17 @@ def _fail(world: World | None, module: str, error: Exception | KeyboardInterrupt
 
 
 def _cut_off(world: World, module: str) -> None:
-    """Keep Ctrl-C, which cannot pass through MuJoCo's C frames, for `raise_errors`."""
+    """Store Ctrl-C, which cannot pass through MuJoCo's C frames, for `raise_errors`."""
     if world.error is not None:
-        # The last error has not been raised. Further ones must end a program that never calls `raise_errors`: each is
-        # raised again, and ends the program where that meets this thread in Python
+        # The last error has not been raised. A further Ctrl-C must end a program that never calls `raise_errors`:
+        # it is raised again, and ends the program as soon as this thread runs Python
         _thread.start_new_thread(_thread.interrupt_main, ())
     text = "Ctrl-C interrupted a step, so the state is incomplete: reset it, or restore a copy"
     _fail(world, module, KeyboardInterrupt(text))
 
 
 def settings_of(module: type[Module], model: ModelView, instance: int) -> Config:
-    """Typed configuration of a plugin instance; SceneError as in `palmfield.config.parse`."""
+    """Return the typed keys of a plugin instance; SceneError as in `palmfield.config.parse`."""
     name = next(n for i, _, n in model.instances() if i == instance)
     values = model.values(instance, known_keys(module.config))
     return parse(module.config, values, f"plugin '{module.name}' instance '{name}'")
@@ -160,7 +160,7 @@ def register(module: type[Module]) -> None:
         return
 
     def nstate(model: int, instance: int) -> int:
-        # MuJoCo requests one instance after the other: an earlier one, or another model, is another compilation.
+        # MuJoCo requests the instances in order: an earlier instance, or another model, means a new compilation.
         last_model, last_instance = getattr(_compiling, "sized", (0, -1))
         if model != last_model or instance <= last_instance:
             _compiling.sizing = None
@@ -206,7 +206,7 @@ def register(module: type[Module]) -> None:
         if world is not None and origin is not None and instance in world.modules and instance in origin.modules:
             world.modules[instance].copy_from(origin.modules[instance])
 
-    # At exit MuJoCo frees its data after the globals of this file are gone; the closure keeps what `destroy` needs.
+    # At exit MuJoCo frees its data after the globals of this file; the closure keeps the objects for `destroy`.
     worlds, lock = _worlds, _lock
 
     def destroy(data: int, instance: int) -> None:

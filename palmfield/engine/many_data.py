@@ -17,15 +17,15 @@ from warp_kernels import mujoco_calls as kernels
 Field = Literal[
     "xpos", "xmat", "site_xpos", "site_xmat", "mocap_pos", "mocap_quat", "ctrl", "qpos", "qvel", "sensordata", "time"
 ]
-"""Numbers of float64 in mjData, whose addresses are constant during its life."""
+"""Float64 fields of mjData, whose addresses are constant during its life."""
 WORLDS_PER_THREAD = 16
-"""Fewest data per thread."""
+"""Least number of data per thread."""
 
 
 class ManyData:
     """mjData with the same mjModel.
 
-    views: of them. calls_back: whether MuJoCo calls Python inside a step, so that threads would wait for each other.
+    views: one for each mjData. calls_back: whether MuJoCo calls Python in a step, so that threads wait for the GIL.
     """
 
     def __init__(self, views: Sequence[DataView], calls_back: bool):
@@ -41,7 +41,7 @@ class ManyData:
         self._pushing: dict[bytes, tuple[Float, Sequence[Callable[[], object]]]] = {}
 
     def call(self, name: str) -> None:
-        """Call a MuJoCo function that takes a model and its data for each of them."""
+        """Call a MuJoCo function of a model and its data, for each mjData."""
         calls = self._calls.get(name)
         if calls is None:
             parts = [self._data[own] for own in self._blocks()]
@@ -59,12 +59,12 @@ class ManyData:
         self._taking[field]()
 
     def times(self) -> Float:
-        """MuJoCo time of each of them [s], shape (w,); overwritten by the next call."""
+        """Return the MuJoCo time of each mjData [s], shape (w,); the next call overwrites it."""
         self.take("time", [0], self._times)
         return self._times[:, 0]
 
     def put(self, field: Field, offsets: Sequence[int], values: Float) -> None:
-        """Write numbers at offsets into a field: the same ones for all, shape (n,), or (w, n)."""
+        """Write numbers at offsets into a field: shape (n,), the same for all, or (w, n)."""
         whole = np.asarray(offsets, np.int32)
         key = field, whole.tobytes()
         if key not in self._putting:
@@ -76,7 +76,7 @@ class ManyData:
         call()
 
     def push(self, bodies: Sequence[int], forces: Float, torques: Float) -> None:
-        """Add forces on bodies [N] and torques about their origins [N m] to the passive ones, world axes, (w, n, 3)."""
+        """Add forces [N] and torques about body origins [N m] to the passive forces, world axes, (w, n, 3)."""
         if self.views[0].model.raw.nv == 0:
             return
         whole = np.asarray(bodies, np.int32)
@@ -96,7 +96,7 @@ class ManyData:
         self._share(shared)
 
     def _blocks(self) -> list[slice]:
-        """Numbers of the data for each thread."""
+        """Return the range of data for each thread."""
         count = len(self.views)
         size = -(-count // self._threads)
         return [slice(start, min(start + size, count)) for start in range(0, count, size)]
@@ -108,7 +108,7 @@ class ManyData:
             share([(call,) for call in calls], self._threads)
 
     def _of(self, field: str) -> Any:
-        """Addresses of a field in all data."""
+        """Return the addresses of a field in all data."""
         if field not in self._addresses:
             if field == "time":
                 pointers = [ctypes.addressof(view.raw) + mirror("mjData").time.offset for view in self.views]
@@ -119,5 +119,5 @@ class ManyData:
 
 
 def _function(name: str) -> Any:
-    """Address of a MuJoCo function."""
+    """Return the address of a MuJoCo function."""
     return wp.uint64(ctypes.cast(getattr(library(), name), ctypes.c_void_p).value or 0)

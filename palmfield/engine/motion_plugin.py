@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
 
 class MotionModule(Module):
-    """Lead a hand along its motion: after each step set the targets of the mocap body and of the servos of the joints.
+    """Move a hand along its motion: after each step set the targets of the mocap body and of the servos of the joints.
 
-    At the first step of the scene, and at every step with follow `exact`, the hand itself is put at the place of the
-    motion, with its speed. The script depends only on MuJoCo's time, so copies and saved states stay complete.
+    At the first step of the scene, and at every step with follow `exact`, the hand itself is set to the pose and speed
+    of the motion. The script depends only on MuJoCo's time, so copies and saved states stay complete.
     """
 
     name: ClassVar[str] = MotionConfig.plugin
@@ -69,17 +69,17 @@ class MotionModule(Module):
             raise SceneError(f"{element}: two instances move body '{settings.body}'; give each hand one")
 
     def place(self) -> None:
-        """Put mocap body, servos and the hand itself where the motion has them now."""
+        """Set mocap body, servos and the hand itself to their pose in the motion at the present time."""
         self.world.put(self.due(self.world.time, at_once=True))
 
     def advance(self) -> None:
-        """Set the targets due at the end of the step."""
+        """Set the targets for the end of the step."""
         self.world.put(self.due(self.world.raw.time))
 
     def due(self, time_s: float, at_once: bool = False) -> list[Write]:
         """Set the targets of mocap body and servos at a time [s], and the pose of the hand itself in some cases.
 
-        The hand is put there for `at_once`, in the first step of the scene, and always with key follow = exact.
+        These cases are `at_once`, the first step of the scene, and key follow = exact.
         """
         pose = self.motion.at(time_s)
         place, turn = self._offsets
@@ -92,7 +92,7 @@ class MotionModule(Module):
         return writes
 
     def _put(self, now: "HandPose", time_s: float) -> list[Write]:
-        """The function that puts the hand itself into its pose at a time [s], with the speed that it has there."""
+        """Return the writes that set the hand itself to its pose and speed at a time [s]."""
         if self.root is None:
             return []
         model = self.world.model
@@ -112,12 +112,12 @@ class MotionModule(Module):
         ]
 
     def _angles(self, angles_deg: dict[str, float]) -> Float:
-        """Angles of all joints [rad]; those that are not named are at rest."""
+        """Return the angles of all joints [rad]; joints without a named angle are at rest."""
         return np.deg2rad(list(map(angles_deg.get, self._names, self._rest_deg)))
 
 
 def place(data: mujoco.MjData) -> None:
-    """Put every scripted hand of some data at its place in the motion at the time of the data; update all positions.
+    """Set every scripted hand of an mjData to its pose in the motion at the time of the data; update all positions.
 
     `palmfield.load` calls it; call it after `mujoco.mj_resetData` or after setting the time. Otherwise the first step
     is computed with the hands in MuJoCo's reference configuration. Raises SceneError from the result of a motion.

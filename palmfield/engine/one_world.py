@@ -16,11 +16,11 @@ from palmfield.types import Float
 class OneWorld:
     """One world of a scene, with the calls of `palmfield.engine.worlds.SceneWorlds`.
 
-    data: the only mjData. runtimes: those that step it.
+    data: the only mjData. runtimes: the runtimes that step it.
     """
 
     def __init__(self, data: mujoco.MjData, name: str):
-        """name: of the scene. Raises SceneError for one without skins."""
+        """name: of the scene. Raises SceneError for a scene without skins."""
         world = world_of(data)
         if world is None or world.scene is None:
             raise SceneError(f"{name} has no plugin 'palmfield.skin', so it is a plain MuJoCo model; add the plugin")
@@ -30,12 +30,12 @@ class OneWorld:
 
     @property
     def steps(self) -> Steps:
-        """The runtime that steps sound and skins."""
+        """Return the Steps object that steps sound and skins."""
         return self.runtimes[0].steps
 
     @property
     def forces(self) -> Float:
-        """Mean force of the sound over the last step [N], world axes, shape (1, bodies, 3)."""
+        """Return the mean force of the sound over the last step [N], world axes, shape (1, bodies, 3)."""
         return np.array([self.runtimes[0].applied])
 
     def step(self) -> None:
@@ -44,8 +44,8 @@ class OneWorld:
         raise_errors(self.data[0])
 
     def several(self, most: int) -> int:
-        """Run this number of MuJoCo steps together, without forces and sensors before the last, where these have no
-        effect and are not read; otherwise one step. Returns the number of steps. Raises as `step`."""
+        """Run up to `most` MuJoCo steps and return their number. They skip forces and sensors before the last step; if
+        forces have an effect or sensors are read, only one step is run. Raises as `step`."""
         runtime = self.runtimes[0]
         count = most if most > 1 and runtime.may_gather else 1
         if count > 1:
@@ -60,7 +60,7 @@ class OneWorld:
         return count
 
     def restart(self, time_s: float | None = None) -> None:
-        """Reset to rest at a time [s], 0 by default, with hands at their places in their motions then."""
+        """Reset to rest at a time [s], 0 by default, with hands in the pose of their motions at that time."""
         mujoco.mj_resetData(self.mujoco_model, self.data[0])
         if time_s is not None:
             self.data[0].time = time_s
@@ -68,13 +68,13 @@ class OneWorld:
         self.look()
 
     def look(self) -> None:
-        """Forces and sensors at the present time, without a step."""
+        """Compute forces and sensors at the present time, without a step."""
         mujoco.mj_forward(self.mujoco_model, self.data[0])
         raise_errors(self.data[0])
 
     def settle(self) -> None:
-        """No work is deferred here."""
+        """Do nothing: no work is deferred here."""
 
     def copy(self) -> "OneWorld":
-        """Another in the same state."""
+        """Return another world in the same state."""
         return OneWorld(copy.copy(self.data[0]), self.name)

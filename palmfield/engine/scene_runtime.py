@@ -1,4 +1,4 @@
-"""A scene in one mjData: reads poses, keeps the state where MuJoCo keeps its own, and calls the simulation."""
+"""A scene in one mjData: reads poses, stores the state in MuJoCo's plugin state, and calls the simulation."""
 
 from collections.abc import Sequence
 from functools import cached_property
@@ -30,22 +30,22 @@ if TYPE_CHECKING:
 
 RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
 PASSIVE = int(mujoco.mjtDisableBit.mjDSBL_SPRING) | int(mujoco.mjtDisableBit.mjDSBL_DAMPER)
-"""Flags that together switch all passive forces off."""
+"""MuJoCo flags that together disable all passive forces."""
 
 
 class SceneRuntime:
     """Model, state and workspace of one mjData.
 
-    outlets: take the force on the parts of each body.
-    taken: the frames of MuJoCo's sites and bodies that are taken, by number, and the rows to which they go.
-    skins_rest: whether steps leave skins out: bodies get the force of the sound all the same.
-    gathers: whether steps are only noted, to be computed several at once, without forces and sensors: see `settle`.
+    outlets: receive the force on the parts of each body.
+    taken: numbers of the MuJoCo sites and bodies whose frames are read, and the rows in which they are stored.
+    skins_rest: whether steps omit skins; bodies still receive the force of the sound.
+    gathers: whether steps are only recorded and later computed together, without forces and sensors; see `settle`.
     """
 
     def __init__(self, view: DataView, like: "SceneRuntime | None" = None):
-        """like: of the same scene in other data, for one of several worlds, see `join`
+        """like: the runtime of the same scene in other data, for one of several worlds, see `join`
 
-        Raises SceneError or DeviceError for a scene that doesn't fit together.
+        Raises SceneError or DeviceError for an inconsistent scene.
         """
         self.view = view
         if like is None:
@@ -84,7 +84,7 @@ class SceneRuntime:
 
     @property
     def frames(self) -> int:
-        """Number of world frames on which sound and skins depend."""
+        """Return the number of world frames on which sound and skins depend."""
         return len(self._positions)
 
     def join(
@@ -95,11 +95,11 @@ class SceneRuntime:
         frames: tuple[Float, Float],
         beside: "SceneRuntime | None" = None,
     ) -> None:
-        """Become one of several worlds, whose state lies outside mjData; all stored results are dropped.
+        """Become one of several worlds, with the state outside mjData; drops all stored results.
 
         model: of the same bodies and arrays, with the world's own stimuli. state: the part of the world, as views.
-        frames: where world frames are put, positions [m] and matrices by row, shapes (frames, 3) and (frames, 9).
-        beside: of another world, whose sensors read at the same places; None for the first.
+        frames: output arrays of the world frames, positions [m] and matrices, shapes (frames, 3) and (frames, 9).
+        beside: the runtime of another world with sensors at the same places; None for the first.
         """
         self._places = {} if beside is None else beside._places
         self.model, self.work = model, work
@@ -108,11 +108,11 @@ class SceneRuntime:
         self.forget()
 
     def forget(self) -> None:
-        """Forget the last pose."""
+        """Drop the last pose."""
         self._posed, self._numbers, self._begun = self.work.reference, b"", None
 
     def prepare(self, bar: "Progress") -> None:
-        """Make what steps the skins and is not made yet, with the time that the plan expects for it on a bar."""
+        """Make the steppers of the skins that do not exist yet; a bar shows their expected time."""
         if all(lazy.made for lazy in self.model.begin):
             return
         expected_s = sum(skin.choice.seconds for skin in self.model.skins)
@@ -123,7 +123,7 @@ class SceneRuntime:
 
     @cached_property
     def state(self) -> HapticState:
-        """Views of the plugin state of MuJoCo."""
+        """Return views of the plugin state of MuJoCo."""
         view, binding = self.view, self.binding
         return HapticState(
             tuple(view.state(instance).reshape(1, -1) for instance in binding.array_instances),
@@ -132,7 +132,7 @@ class SceneRuntime:
 
     @cached_property
     def steps(self) -> Steps:
-        """The steps of this one mjData."""
+        """Return the Steps of this mjData."""
         steps = Steps([self.model], [self.work], self.state)
         if steps.in_graph:
             for skin, bound in enumerate(self.binding.skins):
@@ -142,25 +142,25 @@ class SceneRuntime:
 
     @property
     def applied_parts(self) -> list[tuple[Float, Float]]:
-        """Mean force over the present step on the parts of each body [N], and torques about their origins [N m], world
-        axes, shapes (b, 3)."""
+        """Return the mean force over the present step on the parts of each body [N], and torques about their origins
+        [N m], world axes, shapes (b, 3)."""
         return [(force[0, 0], force[0, 1]) for force in self.steps.forces]
 
     @property
     def applied(self) -> list[Float]:
-        """Mean force on each body over the present step [N], world axes, shape (3,) each."""
+        """Return the mean force on each body over the present step [N], world axes, shape (3,) each."""
         return [np.add.reduce(force[0, 0], axis=0) for force in self.steps.forces]
 
     @property
     def posed(self) -> PosedScene:
-        """The PosedScene of MuJoCo's present poses; the same object while nothing moves.
+        """Return the PosedScene of MuJoCo's present poses; the same object while nothing moves.
 
-        Raises SceneError where a body reaches into an array.
+        Raises SceneError if a body reaches into an array.
         """
         return self._posed_at(self._frames())
 
     def _posed_at(self, numbers: bytes) -> PosedScene:
-        """The PosedScene of the frames that were taken last."""
+        """Return the PosedScene of the frames that were read last."""
         last = self._posed
         if numbers == self._numbers:
             return last
@@ -172,7 +172,7 @@ class SceneRuntime:
         return posed
 
     def _posed_in(self, here: Bool) -> dict[int, PosedScene]:
-        """The same, if it is needed: shape (1,)."""
+        """Return the present PosedScene of the selected worlds; here: shape (1,)."""
         return {0: self._posed_at(self._present)} if here[0] else {}
 
     def _frames(self) -> bytes:
@@ -186,7 +186,7 @@ class SceneRuntime:
         return self._present
 
     def _begin(self, t0: float, anew: bool) -> None:
-        """Begin the step at t0 [s] in the present pose and state; not again unless `anew`."""
+        """Begin the step at t0 [s] in the present pose and state; a step that has begun is repeated only if `anew`."""
         frames, begun, steps = self._frames(), self._begun, self.steps
         if not anew and begun is not None and begun == (round(t0, 12), frames, steps.state_now()):
             return
@@ -195,20 +195,20 @@ class SceneRuntime:
 
     @property
     def amplitudes(self) -> Complex:
-        """The present emission of all transducers, shape (N,); overwritten by the next call."""
+        """Return the present emission of all transducers, shape (N,); the next call overwrites it."""
         return gather(self.state, self.work)
 
     def skin_states(self) -> list[tuple[SkinStepper, Float]]:
-        """The stepper of each skin, and its numbers, shape (1, state_size), views."""
+        """Return the stepper of each skin, and its state, shape (1, state_size), a view."""
         return [stepper_of(self.model, self.state, number) for number in range(len(self.model.skins))]
 
     def now(self) -> tuple[PosedScene, EmittedCourse]:
-        """Pose and emission at the present time of MuJoCo."""
+        """Return pose and emission at the present time of MuJoCo."""
         posed = self.posed
         return posed, self.work.emission.now(posed, gather(self.state, self.work), self.view.raw.time)
 
     def body_forces(self) -> list[tuple[Float, Float]]:
-        """`applied_parts` over the step that begins now."""
+        """Return `applied_parts` for the step that begins now."""
         self._begin(self.view.raw.time, anew=True)
         return self.applied_parts
 
@@ -236,7 +236,7 @@ class SceneRuntime:
             self._gathered = posed, now, 0
 
     def settle(self) -> None:
-        """Compute the steps that were noted."""
+        """Compute the recorded steps."""
         gathered, self._gathered, self._begun = self._gathered, None, None
         if gathered is not None and gathered[2] > 0:
             self.steps.over(*gathered, not self.skins_rest)
@@ -255,7 +255,7 @@ class SceneRuntime:
 
     @property
     def may_gather(self) -> bool:
-        """Whether steps may be gathered now: no body feels them, no sensor is read in them, no code watches them."""
+        """Whether steps may be gathered now: they move no body, and no sensor or other code reads them."""
         steps, watched = self.steps, any(one is not None for one in self.work.observe)
         called = any(
             getattr(mujoco, f"get_mjcb_{name}")()
@@ -264,7 +264,7 @@ class SceneRuntime:
         return not (self.felt or watched or called or steps.observer is not None or steps.in_graph)
 
     def advance(self) -> None:
-        """Carry transducers and skins over the last MuJoCo step, with the pose at its beginning."""
+        """Advance transducers and skins by the last MuJoCo step, with the pose at its beginning."""
         end = self.view.raw.time
         self.check_options()
         if self.gathers and self._gathered is not None:
@@ -276,10 +276,10 @@ class SceneRuntime:
         self.steps.advance(begin, end, not self.skins_rest)
 
     def check_options(self) -> None:
-        """Raise SceneError for MuJoCo options with which the forces of the sound would be wrong or left out.
+        """Raise SceneError for MuJoCo options with which the forces of the sound would be wrong or missing.
 
-        These are a time step other than the one for which the skins are made, an integrator that takes forces within a
-        step (RK4), and springs and dampers both disabled, in which case MuJoCo leaves out all passive forces.
+        These are a time step other than that of the skins, an integrator that evaluates forces within a step (RK4), and
+        springs and dampers both disabled, because MuJoCo then omits all passive forces.
         """
         option = self.view.model.raw.opt
         now_s = option.timestep
@@ -300,9 +300,9 @@ class SceneRuntime:
             )
 
     def adopt(self, other: "SceneRuntime") -> None:
-        """Take over, in a copy of another mjData, the data for its coming steps that the state of MuJoCo doesn't hold.
+        """Copy, from the runtime of a copied mjData, the data for coming steps that are not in MuJoCo's state.
 
-        These are the points of the stimuli at the last control tick, and the loads that were computed ahead.
+        These are the points of the stimuli at the last control tick, and the loads computed ahead.
         """
         if other.model is self.model:
             self.adopt_pose(other)
@@ -312,13 +312,13 @@ class SceneRuntime:
             self.steps.forces = [force.copy() for force in other.steps.forces]
 
     def adopt_pose(self, other: "SceneRuntime") -> None:
-        """Take the PosedScene of another runtime of the same model: the pose in it does not change."""
+        """Use the PosedScene of another runtime of the same model: a PosedScene never changes its pose."""
         self._posed, self._numbers = other._posed, other._numbers
 
     def exchange(self, model: HapticModel) -> None:
         """Continue with another model of the same arrays, bodies and skins; the state must be reset.
 
-        The steppers of the skins stay as well, so they must serve the loads of the other model's stimuli.
+        The steppers of the skins stay too, so they must be valid for the loads of the other model's stimuli.
         """
         self.model, self.spec, self.work = model, model.spec, Workspace(model)
         self.__dict__.pop("steps", None)
@@ -337,20 +337,20 @@ class SceneRuntime:
             sensor.data[:] = channels(skin_reading(force, motion, arp))
 
     def place(self, skin: int, sensor: PluginSensor) -> SensorPlace:
-        """The place of a sensor, stored. Raises SceneError for a site on another body or far from the skin."""
+        """Return the place of a sensor, stored. Raises SceneError for a site on another body or far from the skin."""
         known = self._places.get(sensor.name)
         if known is None:
             known = self._places[sensor.name] = sensor_place(self.model.skins[skin], *self._site(skin, sensor))
         return known
 
     def check_sensors(self) -> None:
-        """Refuse, before anything runs, sensors that no place of their skin would be read at; errors as `place`."""
+        """Refuse, before the run, sensors without a valid place on their skin; errors as `place`."""
         for skin, bound in enumerate(self.binding.skins):
             for sensor in self.view.sensors(bound.instance):
                 check_site(self.model.skins[skin], *self._site(skin, sensor))
 
     def _site(self, skin: int, sensor: PluginSensor) -> tuple[Float, str]:
-        """The site of a sensor on the resting body (body frame [m], shape (3,)), and its name in messages."""
+        """Return a sensor's site on the resting body (body frame [m], shape (3,)), and its name in messages."""
         bound, part = self.binding.skins[skin], self.model.skins[skin]
         element = f"{part.spec.element}: sensor '{sensor.name}'"
         owners = (bound.body, *bound.bones)

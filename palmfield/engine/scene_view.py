@@ -1,7 +1,7 @@
-"""The picture of the sound of a scene in a MuJoCo viewer: foci, transducers, and ARP on the skins.
+"""Picture of the sound of a scene in a MuJoCo viewer: foci, transducers, and ARP on the skins.
 
-It is computed separately from the simulation, from poses and stimuli alone, so that a run does not depend on whether
-it is viewed. Fast changes are shown as by a camera with an exposure of EXPOSURE_s.
+It is computed separately from the simulation, from poses and stimuli only, so that a viewer does not change a run.
+Fast changes are averaged as by a camera with an exposure of EXPOSURE_s.
 """
 
 from typing import NamedTuple
@@ -22,19 +22,19 @@ from palmfield.types import Complex, Float, Int
 
 EXPOSURE_s = 0.02
 MOMENTS = 23
-"""Number of moments in an exposure; without a common period with usual modulations."""
+"""Number of moments in an exposure; it has no common period with usual modulations."""
 EDGE_m = 0.002
 """Longest edge of the coloured triangles, a quarter of the wavelength of 40 kHz."""
 FEW = 2
-"""With more drives the mean is smooth: it is computed at the nodes of the skin and drawn linearly between them."""
+"""With more drives the mean is smooth; it is then computed at the skin nodes and interpolated linearly."""
 ALIKE = 1e-6
-"""Drives that differ by less, over the louder one, are one drive at two levels."""
+"""Drives with a smaller difference, relative to the louder one, count as one drive at two levels."""
 
 
 class SeenTransducers(NamedTuple):
-    """The command of an array. places [m], axes: shape (n, 3), world; levels: rms amplitude, of full drive, shape (n,)
+    """Command of an array. places [m], axes: shape (n, 3), world; levels: rms amplitude over full drive, shape (n,)
 
-    phases: [rad], at their next sound, positive: delay, shape (n,); radius_m: of a transducer
+    phases: [rad], when each sounds next, positive: delay, shape (n,); radius_m: of a transducer
     """
 
     places: Float
@@ -58,7 +58,7 @@ class SeenSkin(NamedTuple):
 
 
 class _Moment(NamedTuple):
-    """The content of an exposure. posed: the pose; times: [s], shape (k,); told: commanded drives then, shape (k, N)
+    """The content of an exposure. posed: the pose; times: [s], (k,); told: commanded drives at these, shape (k, N)
 
     units: different drives among them, shape (N,) each, and the mean squares of their levels
     """
@@ -70,7 +70,7 @@ class _Moment(NamedTuple):
 
 
 class _ColouredMesh(NamedTuple):
-    """The surface of a skin of small triangles. carry: operator from its nodes to its vertices; faces: shape (f, 3)"""
+    """Skin surface with small triangles. carry: operator from skin nodes to its vertices; faces: shape (f, 3)"""
 
     carry: sparse.csr_array
     faces: Int
@@ -91,7 +91,7 @@ class SceneView:
         self._top = 0.0
 
     def transducers(self, array: int) -> SeenTransducers:
-        """The command of one array, by its number."""
+        """Return the command of one array, by its number."""
         posed, _, told, _ = self._now()
         part = posed.arrays.slices[array]
         mine, own = told[:, part], posed.arrays.array
@@ -171,7 +171,7 @@ class SceneView:
         return mesh
 
     def _now(self) -> _Moment:
-        """The exposure that begins at the time of MuJoCo."""
+        """Compute the exposure that begins at the time of MuJoCo."""
         runtime = self.runtime
         for kind, chosen, part in runtime.taken:
             positions, matrices = runtime.view.frames[kind]
@@ -191,9 +191,9 @@ class SceneView:
 
 
 def view_of(world: World) -> SceneView | None:
-    """The view of the scene of a mjData, made at first drawing.
+    """Return the view of the scene of an mjData, made at first drawing.
 
-    None where there is nothing to draw, and for data without computed positions: a viewer draws them before its first
+    None if there is nothing to draw, and for data without computed positions, which a viewer draws before its first
     step.
     """
     scene = world.scene
@@ -206,7 +206,7 @@ def view_of(world: World) -> SceneView | None:
 
 
 def _units(told: Complex) -> list[tuple[Complex, float]]:
-    """The different drives among several, shape (k, N), with the mean squares of their levels; none in silence."""
+    """Return the different drives among several, (k, N), with the mean squares of their levels; empty in silence."""
     units: list[tuple[Complex, float]] = []
     for drive in told[told.any(axis=1)]:
         for number, (unit, weight) in enumerate(units):
@@ -220,7 +220,7 @@ def _units(told: Complex) -> list[tuple[Complex, float]]:
 
 
 def _level(drive: Complex, unit: Complex) -> float | None:
-    """Power of a drive over that of another of which it is a multiple, shapes (N,); None where it isn't."""
+    """Return the power of a drive relative to a unit drive, shapes (N,); None if it is not a multiple of it."""
     factor = np.vdot(unit, drive) / np.vdot(unit, unit).real
     apart = np.abs(drive - factor * unit).max()
     return float(abs(factor) ** 2) if apart <= ALIKE * np.abs(drive).max() else None

@@ -1,4 +1,4 @@
-"""The plugin of one skin: it carries the motion of the layer in its state; the first one steps the whole scene."""
+"""Plugin of one skin. Its state is the motion of the layer; the plugin of the first skin steps the whole scene."""
 
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -13,21 +13,21 @@ if TYPE_CHECKING:
     from palmfield.mujoco_host.drawing import Drawing
 
 ARP_GROUP = 2
-"""Group of geoms: a viewer shows the ARP on the skins while it is on."""
+"""Geom group: if it is on, a viewer shows the ARP on the skins."""
 LIFT_m, LABEL_m = 6e-4, 0.02
-"""Height of the colours above the skin, which a viewer draws with larger triangles, and of the label of the peak."""
+"""Heights above the skin of the coloured triangles (a viewer draws the skin with larger ones) and of the peak label."""
 
 
 class SkinModule(Module):
-    """Push the body with the resultant of the ARP and carry the motion of the skin layer in the plugin state.
+    """Push the body with the resultant of the ARP, and store the motion of the skin layer in the plugin state.
 
     The sensor, on a site of the body, reads `palmfield.simulation.sensors.CHANNELS`: the mean force over the present
     step, and at the skin point nearest to the site the displacement and velocity along the outward normal and the ARP.
-    Like all sensors of MuJoCo it belongs to the beginning of the step. After mj_step it is one timestep older than
-    data.time, until mj_forward.
+    As for all sensors of MuJoCo, the reading is that at the beginning of the step. After mj_step it is one timestep
+    older than data.time, until mj_forward.
 
-    number: of this skin in the scene. leads: whether it steps the scene, as the first one does.
-    scene: `palmfield.engine.scene_runtime.SceneRuntime`, shared by all.
+    number: of this skin in the scene. leads: whether it steps the scene (the first skin).
+    scene: `palmfield.engine.scene_runtime.SceneRuntime`, shared by all skins.
     """
 
     name: ClassVar[str] = SkinConfig.plugin
@@ -50,7 +50,7 @@ class SkinModule(Module):
 
     @classmethod
     def state_size(cls, settings: Any, model: ModelView) -> int:
-        """Room for the motion of the whole layer; a small model takes a part of it."""
+        """Return the state size of the whole layer; a reduced model uses a part of it."""
         from palmfield.simulation.build import model_of
         from palmfield.simulation.scene_reader import read_scene, with_files_found
         from palmfield.simulation.state import skin_room
@@ -62,14 +62,14 @@ class SkinModule(Module):
 
     @classmethod
     def sensor_size(cls, settings: Any, model: ModelView, sensor: int) -> int:
-        """See `palmfield.simulation.sensors.CHANNELS`."""
+        """Return the number of channels, see `palmfield.simulation.sensors.CHANNELS`."""
         from palmfield.simulation.sensors import CHANNELS
 
         return len(CHANNELS)
 
     @property
     def applied(self) -> Float:
-        """Mean force of the sound on the body of this skin over the present step [N], world axes, shape (3,)."""
+        """Return the mean force of the sound on this skin's body over the present step [N], world axes, shape (3,)."""
         force: Float = self.scene.applied[self.scene.model.skins[self.number].body]
         return force
 
@@ -95,7 +95,7 @@ class SkinModule(Module):
         self.scene.advance()
 
     def draw(self, drawing: "Drawing") -> None:
-        """The mean ARP on the skin by colour, and how much it is at most."""
+        """Draw the mean ARP on the skin by colour, and its maximum as a label."""
         from palmfield.engine.scene_view import EXPOSURE_s, view_of
         from palmfield.engine.view_colours import FAINT, arp_colours
 
@@ -114,10 +114,10 @@ class SkinModule(Module):
         drawing.triangles(seen.vertices + LIFT_m * seen.normals, seen.faces[order], arp_colours(shares[order]))
 
     def hand_over(self) -> None:
-        """Leave forces, sensors and state to who steps several worlds together."""
+        """Stop computing forces, sensors and state: the code that steps several worlds together does it."""
         self.only_senses, self._sensors = True, []
 
     def copy_from(self, other: "SkinModule") -> None:
-        """Go on as the other would."""
+        """Continue from the state of another module."""
         if self.leads:
             self.scene.adopt(other.scene)

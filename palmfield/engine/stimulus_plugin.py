@@ -1,4 +1,4 @@
-"""The plugins of one stimulus and of the board that plays the drive: their keys."""
+"""Plugins of one stimulus and of the board that plays the drive; they store keys."""
 
 from typing import TYPE_CHECKING, ClassVar
 
@@ -9,19 +9,19 @@ if TYPE_CHECKING:
     from palmfield.mujoco_host.drawing import Drawing
 
 FOCI_GROUP = 1
-"""Group of sites: a viewer shows the foci while it is on."""
+"""Site group: if it is on, a viewer shows the foci."""
 FOCUS_m, TRAIL_m = 2e-3, 8e-4
-"""Radius of a focus, and of the places that it comes to next."""
+"""Radius of a focus, and of its next places."""
 
 
 class StimulusModule(Module):
-    """Holds the keys of the stimulus."""
+    """Stores the keys of the stimulus."""
 
     name: ClassVar[str] = StimulusConfig.plugin
     config: ClassVar[type[Config]] = StimulusConfig
 
     def draw(self, drawing: "Drawing") -> None:
-        """A ball at each focus, and small ones where it will be in the next moments."""
+        """Draw a ball at each focus, and small ones at its places in the next moments."""
         from palmfield.engine.scene_view import view_of
         from palmfield.engine.view_colours import FOCUS
 
@@ -37,7 +37,7 @@ class StimulusModule(Module):
 
 
 class DriverModule(Module):
-    """Holds the keys of the board."""
+    """Stores the keys of the board."""
 
     name: ClassVar[str] = DriverConfig.plugin
     config: ClassVar[type[Config]] = DriverConfig

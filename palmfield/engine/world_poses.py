@@ -1,4 +1,4 @@
-"""The poses of several worlds, taken out of their mjData together."""
+"""Poses of several worlds, read from their mjData together."""
 
 from collections.abc import Sequence
 
@@ -13,12 +13,12 @@ from palmfield.types import Float
 
 
 class WorldPoses:
-    """Poses of some worlds, with the last results.
+    """Reads the poses of some worlds and stores the last ones.
 
-    In most steps bodies only tremble about the reference pose, which small models take for standing still. This is
-    found out for all worlds in one go; only those where more has happened are looked at by themselves.
+    In most steps bodies move so little about the reference pose that reduced models count them as still. This is
+    checked for all worlds together; only worlds with larger movements are checked one by one.
 
-    positions, matrices: where the runtimes put the world frames that they take, shapes (worlds, m, 3), (worlds, m, 9)
+    positions, matrices: arrays in which the runtimes store the world frames, shapes (worlds, m, 3), (worlds, m, 9)
     """
 
     def __init__(self, runtimes: Sequence[SceneRuntime], positions: Float, matrices: Float):
@@ -40,13 +40,13 @@ class WorldPoses:
         self.forget()
 
     def forget(self) -> None:
-        """Forget the last poses."""
+        """Drop the last poses."""
         count = len(self.runtimes)
         self._resting: NDArray[np.bool_] = np.zeros(count, dtype=bool)
         self._where: Float = np.zeros((count, self._fixed, 12))
 
     def take(self, many: ManyData, own: slice) -> None:
-        """Take the world frames of some worlds; many: their data."""
+        """Read the world frames of some worlds; many: their data."""
         for field, offsets, result in self._taking:
             many.take(field, offsets, result[own])
 
@@ -55,7 +55,7 @@ class WorldPoses:
 
         Raises SceneError where a body reaches into an array, with the world's number.
         """
-        # All worlds have the same one, in a copy that of the origin
+        # All worlds share this object; in a copy it is that of the original
         reference = self.runtimes[0].work.reference
         fixed = np.concatenate((self._positions[:, : self._fixed], self._matrices[:, : self._fixed]), axis=2)
         same = self._resting & some & np.logical_and.reduce(fixed == self._where, axis=(1, 2))

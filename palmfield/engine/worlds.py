@@ -1,7 +1,7 @@
-"""Several mjData of one model that are stepped together: bodies separately, sound and skins in one operation.
+"""Several mjData of one model, stepped together: bodies one by one, sound and skins in one operation.
 
 A step is mj_step in two halves. After mj_step1 all poses are known. The forces that follow from them are added to the
-passive ones before mj_step2 integrates, so that they have no delay against a plain mj_step.
+passive ones before mj_step2 integrates, so that they have no delay, as in a plain mj_step.
 """
 
 import copy
@@ -33,8 +33,8 @@ class SceneWorlds:
     """Several worlds of one scene.
 
     data: one mjData per world. models: of the same bodies, with each world's own stimuli. state: of all worlds.
-    poses: by number of a mocap body, its place in each world in each step, position [m] and quaternion (w, x, y, z),
-        shape (worlds, steps, 7); after the last step it stays there.
+    poses: by number of a mocap body, its pose in each world and step, position [m] and quaternion (w, x, y, z),
+        shape (worlds, steps, 7); after the last of these steps the body stays in its last pose.
     forces: mean force of the sound over the present step [N], world axes, shape (worlds, bodies, 3).
     """
 
@@ -46,8 +46,8 @@ class SceneWorlds:
         poses: Mapping[int, Float],
         state: HapticState | None = None,
     ):
-        """template: data of the scene with its plugins; data: of each world, with plugins; if all of these are
-        palmfield's, from `plain_model` instead, without Python in a step"""
+        """template: data of the scene with its plugins; data: one for each world, with plugins. If all plugins are
+        palmfield's, make the data from `plain_model`, without Python in a step"""
         self.template, self.data, self.models, self.poses = template, tuple(data), tuple(models), dict(poses)
         self.mujoco_model: mujoco.MjModel = data[0].model
         count = len(self.data)
@@ -77,7 +77,7 @@ class SceneWorlds:
             self._sensors.append([view.sensors(skin.instance) for skin in runtime.binding.skins])
         self.steps = Steps(models, works, self.state, alone=True)
         self._watched = False
-        # Each with the data of its worlds: a graph computes one while MuJoCo moves the bodies of another
+        # Parts of the worlds with their data: a graph computes one part while MuJoCo moves the bodies of another
         owns = [backend.own for backend in self.steps.backends[:-1]] or [slice(0, count)]
         self._parts = [(own, ManyData(views[own], bool(self._worlds))) for own in owns]
         self._poses = WorldPoses(self.runtimes, positions, matrices)
@@ -98,12 +98,12 @@ class SceneWorlds:
             self._advance(t1)
 
     def several(self, most: int) -> int:
-        """One step, as of `OneWorld.several`."""
+        """Run one step; see `OneWorld.several`."""
         self.step()
         return 1
 
     def restart(self, time_s: float | None = None) -> None:
-        """All worlds at rest at a time [s], at 0 without, with hands where their motions have them then."""
+        """Reset all worlds to rest at a time [s], default 0, with hands in the pose of their motions at that time."""
         for one in self.data:
             mujoco.mj_resetData(self.mujoco_model, one)
             if time_s is not None:
@@ -120,7 +120,7 @@ class SceneWorlds:
         self.look()
 
     def look(self) -> None:
-        """Forces and sensors at the present time, without a step."""
+        """Compute forces and sensors at the present time, without a step."""
         t0 = self._common_time()
         self._lead(t0)
         with explaining():
@@ -129,7 +129,7 @@ class SceneWorlds:
             mujoco.mj_forwardSkip(self.mujoco_model, one, int(mujoco.mjtStage.mjSTAGE_VEL), 0)
 
     def place(self) -> None:
-        """Put hands where their motions have them now."""
+        """Set hands to the pose of their motions at the present time."""
         time_s = self.data[0].time
         for module in self._scripts:
             self._put(module.due(time_s, at_once=True))
@@ -139,14 +139,14 @@ class SceneWorlds:
             self._each(part, "mj_kinematics")
 
     def adopt(self, other: "SceneWorlds") -> None:
-        """Go on as the other would, whose data and state are copied already."""
+        """Continue from another SceneWorlds, whose data and state are already copied."""
         self.forces[:] = other.forces
         for runtime, origin in zip(self.runtimes, other.runtimes, strict=True):
             runtime.adopt_pose(origin)
         self.steps.adopt(other.steps)
 
     def copy(self) -> "SceneWorlds":
-        """The same number of worlds in the same state."""
+        """Return the same number of worlds in the same state."""
         self.settle()
         data = [copy.copy(one) for one in self.data]
         twin = SceneWorlds(self.template, data, self.models, self.poses, self.state.copy())
@@ -156,7 +156,7 @@ class SceneWorlds:
     # -- the parts of a step -------------------------------------------------------------------------------------------
 
     def _each(self, part: int, call: str) -> None:
-        """Let MuJoCo do something in every world of a part."""
+        """Call a MuJoCo function in every world of a part."""
         own, many = self._parts[part]
         many.call(call)
         for number, world in enumerate(self._worlds[own], own.start):
@@ -165,14 +165,14 @@ class SceneWorlds:
                     raise_errors(self.data[number])
 
     def _put(self, writes: Sequence[Write]) -> None:
-        """Write the same numbers, or those of each world, into all of them."""
+        """Write numbers into all worlds: the same for all, or one set per world."""
         for field, offsets, values in writes:
             each = np.asarray(values)
             for own, many in self._parts:
                 many.put(field, offsets, each[own] if each.ndim > 1 else each)
 
     def _common_time(self) -> float:
-        """The time of MuJoCo [s]. Raises SceneError for worlds at different times."""
+        """Return the time of MuJoCo [s]. Raises SceneError for worlds at different times."""
         times = np.concatenate([many.times() for _, many in self._parts])
         if (times != times[0]).any():
             number = int(np.argmax(times != times[0]))
@@ -184,14 +184,14 @@ class SceneWorlds:
         return float(times[0])
 
     def _lead(self, t0: float) -> None:
-        """Put the bodies that `poses` lead where they are in the step that begins at t0 [s]."""
+        """Set the mocap bodies in `poses` to their pose for the step that begins at t0 [s]."""
         for mocap, poses in self.poses.items():
             row = min(max(round(t0 / self.mujoco_model.opt.timestep), 0), poses.shape[1] - 1)
             place, turn = mocap_offsets(mocap)
             self._put([("mocap_pos", place, poses[:, row, :3]), ("mocap_quat", turn, poses[:, row, 3:])])
 
     def settle(self) -> None:
-        """Bring the state up to date, where a device has what is newer."""
+        """Copy newer numbers from a device into the state."""
         self.steps.fetch()
 
     def _begin(self, t0: float, moves: bool) -> None:
@@ -245,13 +245,13 @@ class SceneWorlds:
                     many.put("sensordata", sensor.offsets, read[own])
 
     def _advance(self, t1: float) -> None:
-        """Carry transducers and skins of all worlds over the last MuJoCo step, with the poses at its beginning."""
+        """Advance transducers and skins of all worlds by the last MuJoCo step, with the poses at its beginning."""
         self.steps.advance(t1 - self.models[0].spec.timestep_s, t1)
 
 
 def plain_model(model: mujoco.MjModel) -> mujoco.MjModel:
-    """A copy without plugins, whose data take a step without Python; the model itself if it has plugins of others.
-    Sensors keep their places."""
+    """Return a copy without plugins, whose data are stepped without Python, or the model itself if it has plugins of
+    other packages. Sensors keep their places."""
     view = ModelView(model._address)
     if any(plugin not in {module.name for module in MODULES} for _, plugin, _ in view.instances()):
         return model

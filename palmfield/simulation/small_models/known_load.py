@@ -216,10 +216,10 @@ def known_load(model: HapticModel, skin: int, posed: PosedScene) -> tuple[KnownL
     frequencies = np.arange(waves.shape[1]) / turn
     size = np.linalg.norm(waves, axis=0)
     kept = size > SMALLEST * size.max()
-    # Sampled from `skip` on, needed from the start of the sound
+    # Samples begin at `skip`, but the load is needed from the start of the sound
     shift = np.exp(2j * np.pi * frequencies * skip * turn / count)
     frequencies, waves = frequencies[kept], (waves * shift)[:, kept]
-    # The ARP goes with the square of what the transducers emit.
+    # The ARP is proportional to the square of the emission.
     g = float(model.pole.damping.min()) if model.response_on else math.inf
     begin: Fade = ((0.0, 1.0), (g, -2.0), (2.0 * g, 1.0)) if model.response_on else ((0.0, 1.0),)
     end: Fade = ((0.0, -1.0), (2.0 * g, 1.0)) if model.response_on else ((0.0, -1.0),)
@@ -230,7 +230,7 @@ def known_load(model: HapticModel, skin: int, posed: PosedScene) -> tuple[KnownL
     trials: list[Float] = [level(fade, trial)[:, None] * harmonics(frequencies, time + trial) for time, fade in events]
     pair = np.array([1.0, -1j])
     spectrum = [(float(f), np.kron(np.eye(len(frequencies) + 1)[k], pair)[:-1]) for k, f in enumerate(frequencies)]
-    # Difference of the beginning from the course, as one impulse spread over the trial.
+    # Difference between the start and the periodic course, as one impulse spread over the trial.
     impulse = np.zeros(len(course.shapes))
     if model.response_on:
         width = _settling_s(stimulus, model) / BEGINNING

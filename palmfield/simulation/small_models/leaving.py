@@ -38,7 +38,7 @@ def leaves_small_model(
 ) -> bool:
     """Whether a skin's reduced model has become invalid: body, arrays or focus have moved, or the run starts late.
 
-    A run starts late if it begins after the sound. Raises SceneError instead if key `solver` names the stepper.
+    A late run begins after the start of the sound. Raises SceneError instead if key `solver` names the stepper.
     """
     part = model.skins[skin]
     if state.skins[skin][0, 0] == WHOLE:

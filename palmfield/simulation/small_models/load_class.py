@@ -62,9 +62,9 @@ WEAK_TOGETHER = 0.3
 EDGES_SPAN, EDGES_POINTS = 0.5, 4
 """SPAN with shadows, and points for each shape: shadow edges need far more shapes than sound alone."""
 FINGER_m = 0.008, 0.02
-"""Widths of what casts a shadow in an example."""
+"""Widths of the shadow-casting objects in the examples."""
 _lock = threading.RLock()
-# The last modes of a layer and what they depend on besides it: to find 100 MB in the cache on disk takes a second
+# The last modes of a layer and their other inputs, in memory: reading 100 MB from the disk cache takes a second
 _bodies: "WeakKeyDictionary[SceneLayer, tuple[str, ModalBody]]" = WeakKeyDictionary()
 
 
