@@ -42,10 +42,10 @@ class UnitDrive:
 class ArrayDrive:
     """Drives the transducers of one stimulus, with the arrays in one relative pose.
 
-    array: the arrays of the scene as one source; chosen: those that this stimulus drives, shape (k,), rising
+    array: the arrays of the scene as one source; chosen: transducers that this stimulus drives, shape (k,), ascending
         arp_peak_Pa: ARP at the focus at the loudest moment, if the stimulus sets it; drive_amplitude: of each
         transducer, if the stimulus sets that (1 if it sets neither); board: that plays the drive
-    about, about_focus: beginnings of its errors, and of those of its foci
+    about, about_focus: first words of its error messages, and of those about its foci
     Amplitudes are over all N transducers, 0 for those that are not chosen.
     """
 
@@ -251,7 +251,7 @@ class ArrayDrive:
         return full
 
     def _refuse(self, point: Float) -> None:
-        """Raises SceneError: no transducer faces this focus."""
+        """Raise SceneError: no transducer faces this focus."""
         with naming(*self.about_focus):
             focus(only(self.array.array, self.chosen), self.array.air, point)
 
@@ -345,7 +345,7 @@ class ArrayDrive:
         return self._transfer(distances, heights)[:, facing], facing
 
     def _check_several(self, foci: Float, facing: Bool) -> None:
-        """Raises SceneError for simultaneous foci that no transducer faces together, that are too many or coincide."""
+        """Raise SceneError for foci that no transducer faces together, for too many foci, and for equal foci."""
         from palmfield.drive.foci import solve_foci
 
         array = only(self.array.array, self.chosen)
@@ -390,7 +390,7 @@ class ArrayDrive:
 
 
 def in_mm(point: Sequence[float] | Float) -> str:
-    """A position, or several, as text, e.g. (0.0, 12.5, 200.0) mm."""
+    """Return one position or several as text, e.g. (0.0, 12.5, 200.0) mm."""
     if np.ndim(point) == 2:
         return " and ".join(in_mm(one) for one in np.asarray(point))
     return "(" + ", ".join(f"{1e3 * float(x):.1f}" for x in point) + ") mm"

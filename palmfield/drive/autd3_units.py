@@ -25,7 +25,7 @@ WAYS = (
 class Autd3Units:
     """AUTD3 units in one row of the network. Each whole frame becomes one pattern, without silencer or modulation.
 
-    A frame is sent when all units have acknowledged the one before, so that none waits here.
+    A frame is sent when all units have acknowledged the previous one, so no frame waits here.
     name: as of `open_units`
     """
 

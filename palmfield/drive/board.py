@@ -16,19 +16,19 @@ from palmfield.types import Air, Complex, Float
 
 AmplitudeKind = Literal["continuous", "on_off", "pulse_width"]
 HELD_BACK_S = 0.1
-"""Longer than any board delays whole frames before it plays them, and shorter than any watchdog."""
+"""Longer than the delay of whole frames in any board, and shorter than any watchdog."""
 GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 
 
 @dataclass(frozen=True)
 class Line:
-    """The line to a board. bytes_per_s: its rate; baud: of a serial port, None without one."""
+    """The line to a board. bytes_per_s: its rate; baud: baud rate of a serial port, None for other lines."""
 
     bytes_per_s: float
     baud: int | None = None
 
     def time_s(self, count: int) -> float:
-        """Time of a number of bytes [s]."""
+        """Return the transmission time of a number of bytes [s]."""
         return count / self.bytes_per_s
 
     def __str__(self) -> str:
@@ -55,7 +55,7 @@ def frames_in_words(emitted: Sequence[Emitted]) -> str:
 
 
 def rate_in_words(rate_Hz: float) -> str:
-    """Return frames a second as in all texts: to 0.1."""
+    """Return a rate in frames a second as text, to 0.1."""
     return f"{rate_Hz:.1f}".removesuffix(".0")
 
 
@@ -68,7 +68,7 @@ class Flag(NamedTuple):
 
 
 class Twin(ABC):
-    """A board just switched on that reads bytes and computes what it emits. Invalid bytes are flagged, not raised.
+    """A board just switched on that reads bytes and computes its emission. Invalid bytes set flags and raise no error.
 
     count: transducers; byte_s: time of a byte on the line [s]
     time_s: arrival of the last byte [s]; flags: detected errors
@@ -134,18 +134,18 @@ class Board:
     """A board: its limits, its bytes and their virtual twin. One file of `palmfield.drive.boards` each.
 
     description: in words; layouts: of the arrays that it drives, the one that `--board` gives first; empty for any
-    unit, most_units: transducers of one unit, and how many units hang on one line; units: that there are
+    unit, most_units: transducers of one unit, and largest number of units on one line; units: number of units in use
     arrays: how many arrays of a scene it drives at once, (least, most)
     line: how bytes reach it, None for a board without bytes; max_frame_rate_Hz: frames a second, inf for any
-    phase_steps: in a turn, None for any phase; amplitude, amplitude_steps: what amplitudes each transducer takes, and
-        how many above 0
+    phase_steps: in a turn, None for any phase; amplitude, amplitude_steps: kind of amplitudes of each transducer, and
+        number of levels above 0
     takes: whether a frame contains each transducer's amplitude, or place and level of one focus
     start, stop: byte sequences before the first frame and after the last; both silence it
     when_host_dies, cannot_guarantee: in a sentence each
-    modulates: whether the board makes an envelope by itself, which the scene must request
+    modulates: whether the board generates an envelope, which the scene must request
     keys: of palmfield.driver that it takes besides `board`
-    dither: whether amplitudes are made of transducers that are on and off
-    compensate: whether what is sent makes up for dead and inverted transducers and known phases
+    dither: whether amplitudes are made by switching some transducers on and others off
+    compensate: whether the sent drive compensates dead and inverted transducers and known phases
     places: of each transducer in the board's byte order, where that is not the layout's; empty where it is
     """
 
@@ -201,7 +201,7 @@ class Board:
 
     @property
     def frame_time_s(self) -> float:
-        """Time that a frame takes on the line [s]."""
+        """Return the time of a frame on the line [s]."""
         return 0.0 if self.line is None else self.line.time_s(self.frame_bytes)
 
     @property
@@ -374,8 +374,8 @@ def check(
     frame_rate_Hz: drive frames a second that the stimulus needs, 0 if it is fixed
     points_per_turn: points on each turn of a closed path at that rate, None without a path
     modulated: whether the amplitude takes values between 0 and full; modulation_Hz: its rate, 0 if unknown
-    element: name of the stimulus in the scene, for the message; instead: gives alternative boards, for it too
-    plainly: how to request a modulation that an on-off amplitude can play, for it too
+    element: name of the stimulus in the scene, for the message; instead: returns alternative boards, for the message
+    plainly: how to request a modulation that an on-off amplitude can play, for the message
     Raises DeviceError with the needs of the scene and the limits of the board.
     """
     rate = max(frame_rate_Hz, 2.0 * modulation_Hz)
@@ -406,7 +406,7 @@ def check(
 
 
 def control_rate_Hz(board: Board, timestep_s: float) -> float:
-    """Highest rate at which the board's frames begin with MuJoCo's steps, or with parts of them [1/s]."""
+    """Return the highest rate at which the board's frames align with MuJoCo's steps or with parts of them [1/s]."""
     if board.exact:
         return 0.0
     period_s = 1.0 / board.max_frame_rate_Hz

@@ -10,7 +10,7 @@ Handler = Callable[[int, FrameType | None], None]
 
 
 def leave(number: int, _frame: FrameType | None) -> None:
-    """End as by an exception."""
+    """Signal handler: end the process as an exception would, so that `finally` runs."""
     raise SystemExit(128 + number)
 
 
@@ -21,9 +21,9 @@ def in_main_thread() -> bool:
 
 @contextlib.contextmanager
 def handling(handlers: Mapping[str, Handler]) -> Iterator[None]:
-    """In the block signals, by name, have these handlers, but for those that the process ignores or the system lacks.
+    """Set signal handlers by name in the block, except for signals that the process ignores or the system lacks.
 
-    SIGHUP is ignored under nohup. Nothing is handled elsewhere than in the main thread.
+    SIGHUP is ignored under nohup. Outside the main thread no handler is set.
     """
     if not in_main_thread():
         yield

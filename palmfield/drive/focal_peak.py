@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 import numpy as np
-import scipy  # which loads its parts when they are used
+import scipy  # loads its parts at first use
 
 from palmfield.types import Complex, Float
 

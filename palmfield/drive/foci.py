@@ -11,7 +11,7 @@ from functools import partial
 from typing import Literal, get_args
 
 import numpy as np
-import scipy  # which loads its parts when they are used
+import scipy  # loads its parts at first use
 from numpy.typing import ArrayLike
 from scipy.special import logsumexp, softmax
 

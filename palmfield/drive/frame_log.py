@@ -103,7 +103,7 @@ class LogHead:
 
 
 class Piece(NamedTuple):
-    """Bytes that were sent together. time_s: when the first one was given to the port; whole: False where unknown"""
+    """Bytes sent together. time_s: time at which the port received the first byte; whole: False if unknown"""
 
     time_s: float
     data: bytes
@@ -175,7 +175,7 @@ def _pieces(lines: list[str]) -> Iterator[Piece]:
 
 
 def is_log(path: str | Path) -> bool:
-    """Whether a file begins as a log does."""
+    """Whether a file begins like a log."""
     try:
         with regular(path).open("rb") as file:
             return file.read(16).startswith(b'{"palmfield_log"')

@@ -12,8 +12,8 @@ from palmfield.errors import DeviceError
 
 @dataclass(frozen=True)
 class SoundLimits:
-    """ramp_s: in which sound rises and falls, 0 for none; on_time_s: longest that a play may sound, None for any
-    duty: largest share of any WINDOW_S that it may sound
+    """ramp_s: time in which sound rises and falls, 0 for none; on_time_s: longest duration of sound, None for any
+    duty: largest share of sound in any interval of WINDOW_S
     """
 
     ramp_s: float = 0.0
@@ -25,7 +25,7 @@ class SoundLimits:
         return cls(driver.ramp_s, driver.on_time_s, driver.duty_limit)
 
     def level_at(self, time_s: float, duration_s: float) -> float:
-        """Factor on all amplitudes at a time of a play, 0 to 1: a raised cosine at either end."""
+        """Return the factor on all amplitudes at a time of a play, 0 to 1: a raised cosine at both ends."""
         if self.ramp_s <= 0.0:
             return 1.0
         inside = min(time_s, duration_s - time_s) / min(self.ramp_s, 0.5 * duration_s)

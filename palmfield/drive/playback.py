@@ -10,17 +10,17 @@ from palmfield.errors import SceneError
 from palmfield.stimulus.schedule import frame_rates, jumps
 
 REFRESH_S = 0.1
-"""A constant frame is repeated at this interval, so that a byte lost on the line does no lasting harm [s]."""
+"""A constant frame is repeated at this interval [s], so that a byte lost on the line has no lasting effect."""
 MOST_FRAMES = 100_000_000
 ON_STEP = 1e-6
-"""Share of a step: a moment this close to the beginning of one counts as that."""
+"""A moment closer than this share of a step to the beginning of a step counts as the beginning."""
 
 
 class TimedFrame(NamedTuple):
     """One frame.
 
-    time_s: when it is to be emitted, its last byte on the line, since the start [s]; data: its bytes
-    sounds: whether anything is on in it
+    time_s: due time of its emission (last byte on the line), since the start [s]; data: its bytes
+    sounds: whether any transducer is on in it
     """
 
     time_s: float
@@ -37,8 +37,8 @@ def frame_times(
 ) -> list[float]:
     """Return due times of frames [s]: at points of paths and control ticks, at jumps, and every REFRESH_S otherwise.
 
-    step_s: of MuJoCo, if a part moves: a pose changes where a step begins, and less frequent frames wait for the next
-        one
+    step_s: MuJoCo's step [s], if a part moves: poses change at the start of a step, and less frequent frames wait for
+        it
     besides: further due times, unless another is within least_s [s]
     Raises SceneError for a duration or a step that is not finite and above 0, and for more than MOST_FRAMES.
     """

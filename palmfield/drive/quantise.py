@@ -1,4 +1,4 @@
-"""Rounding of a drive to the phases and amplitudes that a device has, and the error that it makes."""
+"""Rounding of a drive to the phases and amplitudes of a device, and the resulting error."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,11 +32,11 @@ def amplitude_codes(drive: ArrayLike, steps: int) -> Int:
 
 
 def quantise(drive: ArrayLike, *, phase_steps: int | None = None, amplitude_steps: int | None = None) -> Complex:
-    """The drive with phases and amplitudes rounded to the nearest that a device has.
+    """Round the phases and amplitudes of a drive to the nearest ones of a device.
 
     drive: complex amplitudes, |a| <= 1, any shape
-    phase_steps: phases in a turn, 32 on a SonicSurface, 256 on AUTD3; None leaves phases alone
-    amplitude_steps: levels above 0 (equal in amplitude, not in pulse width: see pulse_width); None leaves them alone
+    phase_steps: phases in a turn, 32 on a SonicSurface, 256 on AUTD3; None: phases are not rounded
+    amplitude_steps: levels above 0 (equal in amplitude, not in pulse width: see pulse_width); None: no rounding
     Returns complex amplitudes, same shape. Raises DeviceError as the functions above.
     """
     amplitudes = _checked(drive)
@@ -51,8 +51,8 @@ def quantise(drive: ArrayLike, *, phase_steps: int | None = None, amplitude_step
 def phase_loss(steps: int) -> float:
     """Expected focal pressure with rounded phases over that without: sin(pi/N)/(pi/N) for N steps.
 
-    It is the mean of cos over an error spread evenly over +-pi/N, which the phases of a focus give closely. What does
-    not arrive at the focus is scattered. Raises DeviceError for steps < 1.
+    It is the mean of cos over an error distributed uniformly over +-pi/N, a good model for the phases of a focus. The
+    rest of the sound is scattered. Raises DeviceError for steps < 1.
     """
     _at_least_one(steps, "phase_steps")
     return float(np.sinc(1.0 / steps))

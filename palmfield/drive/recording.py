@@ -1,4 +1,4 @@
-"""Frames in a file instead of on a line: the bytes that the line would have carried."""
+"""Write frames to a file instead of a line, with the same bytes."""
 
 from collections.abc import Sequence
 from contextlib import closing, nullcontext
@@ -21,10 +21,10 @@ def record(
     duration_s: float = 0.0,
     log: FrameLog | None = None,
 ) -> PlayReport:
-    """Write what a board would be sent; frames that its line has no time for are left out, as the player does it.
+    """Write the bytes for a board. Frames for which the line has no time are omitted, as in the player.
 
-    frames: (time of emission since the start [s], bytes), times rising; duration_s: how long the last one goes on
-    log: gets each piece with its time on the line; is closed
+    frames: (time of emission since the start [s], bytes), times ascending; duration_s: time at which the last one ends
+    log: receives each piece with its time on the line; is closed
     Raises OutputError if the file cannot be made or the disk is full: then only its .part exists.
     """
     assert board.line is not None

@@ -1,4 +1,4 @@
-"""Response of transducers to a drive that changes: their resonance.
+"""Response of transducers to a changing drive: their resonance.
 
 A transducer near its resonance f0 of quality Q is one complex pole. Its oscillation x = Re(a e^{-iwt}), driven at the
 carrier w with the complex envelope u,
@@ -22,7 +22,7 @@ from palmfield.types import Complex, Float
 
 @dataclass(frozen=True)
 class Pole:
-    """Resonance of the transducers, all alike or each its own.
+    """Resonance of the transducers, one for all or one for each.
 
     f0_Hz: resonance frequency, a number or shape (n,)
     Q: quality, a number or shape (n,); about 25 for 40 kHz transducers of 10 mm

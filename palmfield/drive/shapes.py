@@ -1,6 +1,6 @@
 """Drives that shape one beam: traps, vortices, plane waves. All are phases only, |a| = 1 (or 0).
 
-Like `palmfield.acoustics.focus.focus` they give the commanded drive, and ignore dead or inverted transducers.
+Like `palmfield.acoustics.focus.focus` they return the commanded drive, and ignore dead or inverted transducers.
 
 Shapes that divide the array do so round the beam's axis: the line into the focus along the mean direction of the sound
 that arrives there. Under an off-axis focus the parts then still balance, unlike parts round the normal of the board.
@@ -19,10 +19,10 @@ from palmfield.errors import SceneError
 from palmfield.types import Air, Array, Complex, Float
 
 ON_LINE = 1e-9
-"""Sine of the angle within which a transducer is on the line that divides a twin trap, and belongs to neither half."""
+"""Sine of the angle within which a transducer lies on the dividing line of a twin trap and belongs to no half."""
 
 ALONG_Y = 1.0 - 1e-12
-"""Cosine to y from which an array looks along it."""
+"""An array faces along y if the cosine of its normal to y is at least this."""
 
 
 def twin_trap(array: Array, air: Air, point: ArrayLike, azimuth_rad: float = 0.0) -> Complex:
@@ -65,8 +65,8 @@ def vortex(array: Array, air: Air, point: ArrayLike, order: int = 1) -> Complex:
 def bottle(array: Array, air: Air, point: ArrayLike) -> Complex:
     """Focus whose inner and outer transducers are in antiphase: silence with sound before, behind and round it.
 
-    The outer ones begin where the inner ones give half of what all give at the focus, so that the two cancel there to
-    within the transducers of one ring.
+    The boundary is where the inner transducers give half of the total pressure at the focus. The two parts cancel
+    there, to within the transducers of one ring.
 
     point: the focus [m], array frame, shape (3,)
     Returns complex amplitudes, shape (len(array),).

@@ -1,9 +1,9 @@
 """Response of the transducers to the drive over time: their resonance, and the spread of flight times.
 
 The carrier is never stepped. Each transducer is one complex pole, stepped exactly under a held or linear drive; a
-longer flight time starts from an earlier drive. A delay common to all is left out: it shifts results in time.
+longer flight time starts from an earlier drive. A delay common to all is omitted: it only shifts results in time.
 
-`emitted_over` takes the transducers over one MuJoCo step.
+`emitted_over` steps the transducers over one MuJoCo step.
 """
 
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ DELAY_STEP_S = 20e-6
 SILENT = 1e-9
 """Share of full drive: a smaller emission counts as zero."""
 GRAIN_S = 1e-15
-"""Lengths of steps are rounded to this, so that those which differ only by rounding of clocks share their weights."""
+"""Step lengths are rounded to this, so that steps that differ only by clock rounding share their weights."""
 KEPT = 64
 WHOLE: Float = np.ones((1, 1))
 
@@ -37,7 +37,7 @@ Weights = tuple[complex | Complex, complex | Complex, complex | Complex]
 
 
 class PoleStepper:
-    """Steps transducers exactly under a linear drive; immutable but for cached weights.
+    """Steps transducers exactly under a linear drive; immutable except for cached weights.
 
     alike: whether one pole serves all transducers: then the emission for one unit drive can be stepped as a number
     """
@@ -84,7 +84,7 @@ class TransducerResponse:
 
     @cached_property
     def stepper(self) -> PoleStepper:
-        """Steps the transducers."""
+        """Return the stepper of the transducers."""
         return PoleStepper(self.pole)
 
     @cached_property
@@ -250,8 +250,8 @@ class EmittedCourse(NamedTuple):
         (k = m > 1; the levels are the identity then)
     levels: emitted multiple of each at each moment, complex, shape (m, k)
     end: complex amplitudes at the end of the last step, shape (N,); without response those at the beginning
-    serial: equal for courses with the same patterns of ARP: that of the one unit, or at each moment
-    batch, row: drives of this and other steps, None where there is no such batch, and the first of them that is a unit
+    serial: equal for courses with the same patterns of ARP, of one unit or of each moment
+    batch, row: drives of this and other steps, None without a batch, and the row of the first drive of this course
     """
 
     units: Complex
@@ -416,7 +416,7 @@ def present_drive(course: EmittedCourse) -> tuple[Complex | None, float]:
 
 
 def instant(time_s: float) -> Moments:
-    """A single time [s] as moments without a step."""
+    """Return a single time [s] as moments without a step."""
     return Moments(np.array([time_s]), WHOLE, WHOLE, (False,), (0.0,), 0.0)
 
 

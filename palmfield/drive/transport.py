@@ -20,7 +20,7 @@ TIMEOUTS_BEFORE_LOST = 8
 VIRTUAL_BAUD = 115200
 """Baud rate of a port whose board has none: sockets and pseudo-terminals accept any."""
 TAKEN_MARK = b"\x00pfVB\xff"
-"""Mark before each number that a virtual board sends back: bytes taken so far, 8 bytes, lowest first."""
+"""Mark before each number that a virtual board sends back: count of bytes read so far, 8 bytes, lowest first."""
 TAKEN_BYTES = len(TAKEN_MARK) + 8
 TOLD_WITHIN_S = 0.06
 """A virtual board reports its number more often than this."""
@@ -177,7 +177,7 @@ class SerialTransport:
         self._stream.close()
 
     def _end_socket(self) -> None:
-        """Closed with unread numbers of a virtual board, a socket would discard bytes that the board has not read."""
+        """Read all numbers before closing a socket: otherwise it would discard bytes that the board has not read."""
         connection = self._stream._socket
         if connection is None:
             return

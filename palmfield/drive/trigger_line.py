@@ -10,7 +10,7 @@ from palmfield.errors import DeviceError
 
 
 class TriggerLine:
-    """Raises a line at a moment and lowers it again, or sends a byte then.
+    """Raises a line at a moment and lowers it again, or sends a byte at this moment.
 
     late_s: delay of the last one, by the host's clock [s]
     """
@@ -18,7 +18,7 @@ class TriggerLine:
     def __init__(
         self, port: str, line: Literal["dtr", "rts", "byte"], byte: int = 1, pulse_s: float = 0.005, opened: Any = None
     ) -> None:
-        """port: device or pyserial URL; pulse_s: duration of the pulse; opened: a pyserial port that is open
+        """port: device or pyserial URL; pulse_s: duration of the pulse; opened: an open pyserial port
 
         Raises DeviceError if the port cannot be opened.
         """

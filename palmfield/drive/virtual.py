@@ -1,4 +1,4 @@
-"""A virtual board: it reads bytes from a pseudo-terminal or a TCP socket at the line's pace, and emits them.
+"""Virtual board: reads bytes from a pseudo-terminal or a TCP socket at the rate of the line, and plays them.
 
 It has the buffers of the real one and records the emission; faults can be added to the line.
 """
@@ -20,10 +20,10 @@ from palmfield.realtime import realtime
 
 TICK_S = 0.5e-3
 TELLS_S = 4e-3
-"""Interval of reports of the bytes taken, if changed, else ten times longer [s]."""
+"""Interval of reports of the number of bytes read [s]; ten times longer while the number is unchanged."""
 assert 10 * TELLS_S < TOLD_WITHIN_S
 BURST_S = 20e-3
-"""Largest delay on the line that a late thread makes up for at once."""
+"""Largest delay on the line that a late thread recovers in one read."""
 
 
 @dataclass
@@ -114,7 +114,7 @@ class VirtualBoard:
             self._stalled.clear()
 
     def lose(self, count: int) -> None:
-        """The next bytes on the line never arrive."""
+        """Drop this number of the next bytes on the line."""
         self._losing = count
 
     def settle(self, quiet_s: float = 0.1) -> None:
@@ -125,7 +125,7 @@ class VirtualBoard:
             time.sleep(quiet_s)
 
     def decode(self) -> None:
-        """If bytes are not decoded as they come: compute now the emission over time, and the detected errors."""
+        """Compute the emission over time and the detected errors, if bytes are not decoded on arrival."""
         for data, begin in self._undecoded:
             self.emitted += [*self.twin.until(begin), *self.twin.feed(data, begin)]
         self._undecoded.clear()
@@ -140,7 +140,7 @@ class VirtualBoard:
         self._close()
 
     def plug(self) -> None:
-        """Restore the port after `unplug`; the emission of the board has continued meanwhile."""
+        """Restore the port after `unplug`; the emission of the board has continued during this time."""
         if not self._ended.is_set():
             return
         if self._by == "pty":

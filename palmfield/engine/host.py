@@ -80,7 +80,7 @@ class Module:
         """Add objects to the next picture of a viewer; this must not change the simulation."""
 
     def copy_from(self, other: Any) -> None:
-        """Called after mj_copyData has copied another mjData's state into this one; `other` is its module."""
+        """Adopt `other`, the module of another mjData whose state mj_copyData has copied into this one."""
 
 
 _worlds: dict[int, World] = {}

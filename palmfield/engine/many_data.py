@@ -51,7 +51,7 @@ class ManyData:
         self._share(calls)
 
     def take(self, field: Field, offsets: Sequence[int], result: Float) -> None:
-        """Read a field at offsets (n,) into an array of float64, shape (w, n), always the same one for a field."""
+        """Read a field at offsets (n,) into a float64 array, shape (w, n); pass the same array for a field always."""
         if field not in self._taking:
             target: Any = wp.array(ptr=result.ctypes.data, dtype=wp.float64, shape=result.shape, strides=result.strides)
             inputs = [self._of(field), whole_numbers(offsets), target]

@@ -77,7 +77,7 @@ class MotionModule(Module):
         self.world.put(self.due(self.world.raw.time))
 
     def due(self, time_s: float, at_once: bool = False) -> list[Write]:
-        """Set the targets of mocap body and servos at a time [s], and the pose of the hand itself in some cases.
+        """Return the writes for mocap body and servo targets at a time [s], and for the hand's pose in some cases.
 
         These cases are `at_once`, the first step of the scene, and key follow = exact.
         """

@@ -176,10 +176,10 @@ class SceneRuntime:
         return {0: self._posed_at(self._present)} if here[0] else {}
 
     def _frames(self) -> bytes:
-        """Take the present frames of MuJoCo; returns their numbers."""
+        """Read the present frames of MuJoCo; return their numbers as bytes."""
         for kind, chosen, part in self.taken:
             positions, matrices = self.view.frames[kind]
-            # Mode "clip", as the others go through a buffer
+            # Mode "clip", because other modes use a buffer
             positions.take(chosen, 0, self._positions[part], "clip")
             matrices.take(chosen, 0, self._matrices[part], "clip")
         self._present = self._positions.tobytes() + self._matrices.tobytes()
@@ -223,12 +223,12 @@ class SceneRuntime:
             outlet.apply()
 
     def _note(self) -> None:
-        """Note that a step begins, after those before it in another pose."""
+        """Record the start of a step; recorded steps in another pose are computed first."""
         posed, now, step_s = self._posed_at(self._frames()), self.view.raw.time, self.spec.timestep_s
         if self._gathered is not None:
             before, begin, count = self._gathered
             if abs(now - begin - count * step_s) > 0.5 * step_s:
-                # MuJoCo has reset a model that became unstable, the state with it
+                # MuJoCo has reset an unstable model together with its state
                 self._gathered = None
             elif before.serial != posed.serial or count >= self.steps.together:
                 self.settle()

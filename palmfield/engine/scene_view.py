@@ -101,14 +101,14 @@ class SceneView:
         return SeenTransducers(places, axes, levels, np.angle(sounding), posed.arrays.parts[array].piston_radius_m)
 
     def foci(self, stimulus: int) -> Float:
-        """The foci of a stimulus over the exposure, in order [m], world, shape (k, m, 3); k is 0 in silence."""
+        """Return a stimulus's foci during the exposure, in order [m], world, shape (k, m, 3); k is 0 in silence."""
         posed, times, _, _ = self._now()
         foci = self._emission.foci(posed, times)[stimulus]
         sounding = foci[factors_at(self.model.configs[stimulus], times) > 0.0]
         return posed.array_frame.points(sounding.reshape(-1, 3)).reshape(sounding.shape)
 
     def skin(self, number: int) -> SeenSkin | None:
-        """ARP on one skin; None in silence, and on a body that scatters sound before the run itself has solved it."""
+        """Return ARP on one skin; None in silence, and on a scattering body without a solution from the run."""
         posed, _, _, units = self._now()
         key = b"".join(unit.tobytes() + np.float64(weight).tobytes() for unit, weight in units)
         known = self._seen.get(number)

@@ -85,7 +85,7 @@ class SkinModule(Module):
             self.scene.sense(self.number, self._sensors)
 
     def advance(self) -> None:
-        """Carry the scene over the last MuJoCo step; a terminal shows how long the first one waits for the skins."""
+        """Advance the scene by the last MuJoCo step; a terminal shows the waiting time for skins in the first step."""
         if not (self._began or self.world.quiet):
             from palmfield.terminal import bars
 

@@ -51,9 +51,9 @@ class WorldPoses:
             many.take(field, offsets, result[own])
 
     def now(self, some: NDArray[np.bool_]) -> dict[int, PosedScene]:
-        """The pose of some worlds, shape (worlds,), by what `take` has found.
+        """Return the pose of the selected worlds, from the frames that `take` has read. some: shape (worlds,).
 
-        Raises SceneError where a body reaches into an array, with the world's number.
+        Raises SceneError, with the number of the world, if a body reaches into an array.
         """
         # All worlds share this object; in a copy it is that of the original
         reference = self.runtimes[0].work.reference

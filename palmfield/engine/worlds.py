@@ -195,7 +195,7 @@ class SceneWorlds:
         self.steps.fetch()
 
     def _begin(self, t0: float, moves: bool) -> None:
-        """Poses, forces and sensors at the beginning of a step; moves: MuJoCo then moves the bodies."""
+        """Compute poses, forces and sensors at the start of a step; moves: whether MuJoCo then moves the bodies."""
         if not self._watched and self.steps.in_graph:
             for skin, sensors in enumerate(self._sensors[0]):
                 for sensor in sensors:
@@ -217,7 +217,7 @@ class SceneWorlds:
         try:
             self.steps.begin(self._frames, t0)
         except Exception:
-            # All worlds keep one time
+            # All worlds have the same time
             for part in late if moves and len(late) < len(parts) else ():
                 self._each(part, "mj_step2")
             raise

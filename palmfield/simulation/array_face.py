@@ -8,7 +8,7 @@ from palmfield.simulation.spec import ArraySpec, SceneSpec
 from palmfield.types import Array
 
 TILT_RAD = 5e-4
-"""After two round trips the sound path is then wrong by 1/70 wavelength, 60 mm from the middle of the face."""
+"""At this tilt, the sound path after two round trips is wrong by 1/70 wavelength 60 mm from the middle of the face."""
 
 
 def wall_distance(spec: SceneSpec, array: Array) -> float | None:

@@ -25,7 +25,7 @@ from palmfield.types import Complex, Float
 TOGETHER = 16
 """Largest number of steps in one pose that are computed together. More steps do not reduce the cost of each."""
 PARTS, LEAST_WORLDS = 2, 128
-"""Largest number of graphs that share the worlds, and number of worlds for each additional graph.
+"""Largest number of graphs that share the worlds, and number of worlds needed for each additional graph.
 
 1,024 worlds on an H100 and 16 cores: hover_explore 25, 19, 17.5 and 17 us a world with 1, 2, 3 and 4 graphs,
 follow_fingertip 21, 15, 18 and 18."""
