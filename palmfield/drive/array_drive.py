@@ -118,7 +118,7 @@ class ArrayDrive:
     def _asked(self, point: Float, loudness: Float | None) -> tuple[Float, Complex, float]:
         """Return the active focus or foci, the matched amplitudes of the transducers for them, and the level."""
         if loudness is not None:
-            # A silent focus is left out, and a single remaining one is computed as one focus
+            # Silent foci are omitted; a single remaining focus is computed as one focus
             point, loudness = point[loudness > 0.0], loudness[loudness > 0.0]
             point = point if len(point) > 1 else point[0]
         if point.ndim == 1:

@@ -320,8 +320,8 @@ def commanded(board: Board, amplitudes: ArrayLike) -> Complex:
 def switched(board: Board, amplitudes: ArrayLike) -> tuple[Complex, np.ndarray]:
     """Return amplitudes of a board with off and full only, and which transducers are on, shapes (n,).
 
-    Raises DeviceError for an amplitude between, unless the board dithers: then a share of the transducers equal to the
-    amplitude is on, always the same ones.
+    Raises DeviceError for an amplitude between off and full, unless the board dithers. Then a share of the transducers
+    equal to the amplitude is on, always the same ones.
     """
     values = commanded(board, amplitudes)
     magnitude = np.abs(values)

@@ -243,7 +243,7 @@ class SceneRuntime:
 
     @cached_property
     def felt(self) -> str:
-        """Why steps are not gathered: a body feels the force of the sound, or sensors may be read; empty otherwise."""
+        """Return why steps are not gathered: the sound's force moves a body, or sensors may be read; else empty."""
         model = self.view.model
         if serves(self.model):
             return "a graph on a GPU computes each separately"

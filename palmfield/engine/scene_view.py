@@ -156,7 +156,7 @@ class SceneView:
         return np.asarray(units[0][1] * level * solution.at(own).arp, dtype=np.float64)
 
     def _evaluator(self, posed: PosedScene, skin: int, count: int) -> SurfaceArp:
-        """Free field at this number of points of a skin; stored while the relative pose of the arrays is the same."""
+        """Return the free-field evaluator for this number of points, stored for one relative pose of the arrays."""
         known = self._evaluators.get((skin, count))
         if known is None or known[0] is not posed.arrays:
             law = self.model.skins[skin].spec.arp_law

@@ -1,4 +1,4 @@
-"""What a layer of skin rests on, and what holds its sides."""
+"""Base and sides of a skin layer."""
 
 import math
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ NEEDS_AXIS = "roller sides need a patch with an axis, which this patch lacks: us
 
 @dataclass(frozen=True)
 class Springs:
-    """A base of springs and dashpots by area, along the base's normal and along the base.
+    """A base of springs and dashpots per area, along the normal and tangential.
 
     normal_Pa_m, tangential_Pa_m: stiffness [Pa/m]. normal_Pa_s_m, tangential_Pa_s_m: damping [Pa s/m]; all >= 0.
     """
@@ -55,7 +55,7 @@ class Foundation:
 
     @property
     def levels(self) -> int:
-        """Levels of nodes below the mesh."""
+        """Return the number of levels of nodes below the mesh."""
         return self.degree * len(self.sheets)
 
 

@@ -1,6 +1,6 @@
-"""Predicted seconds of the work for a skin on one core, and the choice of a stepper in scenes that follows from them.
+"""Predict the computing time for a skin on one core, and choose the stepper in scenes from these predictions.
 
-Also the memory of a process that steps the skins of a scene.
+This file also predicts the memory of a process that steps the skins of a scene.
 
 Fitted to the layers of shipped scenes on one core of the 2-core machine: factorised in 0.05 to 2.8 s for 1.5 k to 28 k
 unknowns, stepped in 0.27 to 4.9 ms a substep for 1.5 k to 13 k (docs/bench/skin_c0.md has discs). Accuracy: a factor
@@ -17,52 +17,52 @@ from palmfield import cache
 PROCESS_BYTES = 335e6
 """Memory of a process that has loaded a scene without a skin."""
 RUNS = 20
-"""That share the making of what is kept in the cache."""
+"""Number of runs over which the cost of cached data is divided."""
 
 
 def assembly_s(dofs: float) -> float:
-    """Mesh and matrices."""
+    """Return the time for mesh and matrices [s]."""
     return 3e-5 * dofs
 
 
 def factor_s(dofs: float) -> float:
-    """One real factorisation; a complex one takes twice as long."""
+    """Return the time of one real factorisation [s]; a complex one takes twice as long."""
     return 2e-5 * dofs + 3e-9 * dofs**1.82
 
 
 def vector_s(dofs: float) -> float:
-    """One vector of a reduced model: a solve by factors that fill like dofs^1.5, and products with all matrices."""
+    """Return the time of one vector of a reduced model [s]: a solve (factor size as dofs^1.5) and matrix products."""
     return 9e-9 * dofs**1.52
 
 
 def modes_s(dofs: float, modes: float, laws: int = 1) -> float:
-    """Make modes for every load: their vectors, each orthogonal to all before it, and two eigenproblems.
+    """Return the time to make general modes [s]: vectors, each orthogonal to all before it, and two eigenproblems.
 
-    laws: by which the layer relaxes; several take products of all vectors each, and the motion at some frequencies
+    laws: number of relaxation laws; each of several needs products of all vectors, and the motion at some frequencies
     """
     together = laws * 5e-10 * dofs * modes**2 + 2.5e-8 * modes**3 if laws > 1 else 0.0
     return factor_s(dofs) + modes * vector_s(dofs) + 5e-10 * dofs * modes**2 + 2e-9 * modes**3 + together
 
 
 def modal_step_s(modes: float, laws: int = 1) -> float:
-    """One substep of modes, with their share of the load products; several laws couple them, with one product each."""
+    """Return the time of one substep of modes [s] with load products; several laws add one product each."""
     together = 1e-5 + 6e-11 * (laws - 1) * modes**2 if laws > 1 else 0.0
     return 1e-5 + 7e-8 * modes + together
 
 
 def wedges_s(dofs: float, steps: float) -> float:
-    """Factorise and step the whole layer: both passes over its blocks, and products with its matrices."""
+    """Return the time to factorise and step the whole layer [s]: two passes over its blocks and matrix products."""
     return factor_s(dofs) + steps * (7.5e-9 * dofs**1.4)
 
 
 def reduced_s(dofs: float, steps: float, vectors: float) -> float:
-    """Make a reduced model of a layer, by the exponential of five times its vectors, and step it by that of three."""
+    """Return the time to make and step a reduced model [s]: exponentials of size 5 and 3 times the vectors."""
     exponential = 7.5e-10 * (5.0 * vectors) ** 3
     return factor_s(dofs) + vectors * vector_s(dofs) + exponential + steps * (2e-5 + 3e-9 * vectors**2)
 
 
 def memory_bytes(layers: Sequence[tuple[float, bool]]) -> int:
-    """Memory of a process that steps a scene on the CPU, without the history that a run stores.
+    """Return the memory of a process that steps a scene on the CPU, without the stored history of the run.
 
     layers: unknowns of each skin, and whether its whole layer is stepped.
     Fitted to the largest memory of the demo's palm at 5 k, 9 k and 31 k unknowns and of a disc at 13 k, within 5 %.
@@ -72,7 +72,7 @@ def memory_bytes(layers: Sequence[tuple[float, bool]]) -> int:
 
 @dataclass(frozen=True)
 class Choice:
-    """Prediction of a solver: seconds, or the sentence with which it refuses (then seconds is infinite).
+    """Predicted cost of a solver: seconds, or the sentence of its refusal (then seconds is infinite).
 
     Infinite seconds without a refusal: the solver can solve it, but its cost is unknown.
     """
@@ -85,7 +85,7 @@ class Choice:
 
 
 def ranked(options: Iterable[Choice]) -> list[Choice]:
-    """The cheapest first, those that refuse last."""
+    """Sort choices: the cheapest first, refusals last."""
     return sorted(options, key=lambda choice: (choice.seconds, choice.refusal is not None))
 
 
@@ -99,18 +99,18 @@ def scene_choices(
     laws: int = 1,
     kept: bool | None = None,
 ) -> list[Choice]:
-    """The solvers that can step the layer of a scene, the cheapest first.
+    """Return the solvers that can step the layer of a scene, the cheapest first.
 
     dofs: unknowns of the layer. substeps: of the whole run. vectors: of a reduced model for its load, about.
-    refusal: why there can't be one, in a sentence, or None. modes, modal_refusal: the same for modes for every load.
+    refusal: why a reduced model is impossible, or None. modes, modal_refusal: the same for general modes.
     laws: number of relaxation laws of the layer.
-    kept: whether modes serve RUNS runs. None: if there is a cache.
+    kept: whether modes are reused in RUNS runs. None: if there is a cache.
     """
     reduced, modal = Choice("reduced", math.inf, refusal), Choice("modal", math.inf, modal_refusal)
     if refusal is None:
         reduced = Choice("reduced", reduced_s(dofs, substeps, vectors))
     if modal_refusal is None:
-        # Kept on disk, they serve the runs to come as well
+        # Stored on disk, they are reused in later runs
         share = 1.0 / RUNS if (cache.folder() is not None if kept is None else kept) else 1.0
         modal = Choice("modal", share * modes_s(dofs, modes, laws) + substeps * modal_step_s(modes, laws))
     return ranked([reduced, modal, Choice("wedges", wedges_s(dofs, substeps))])

@@ -1,7 +1,7 @@
-"""A scene's layer as its solver takes it: what others ask of the solver in place of its name.
+"""Interface between a scene's layer and its solver: other code uses it instead of the solver's name.
 
-Wedges, modes and reduced models move the scene's own mesh. Explicit elements, particles and the solvers of other
-packages have another one below the same face; body, loads and operators are those of the wedges.
+Wedges, modes and reduced models use the mesh of the scene. Explicit elements, particles and the solvers of other
+packages use another mesh below the same face; body, loads and operators are those of the wedges.
 """
 
 import functools
@@ -24,15 +24,15 @@ OWN = {
         "particles": "solvers.particles.stepper:ParticleLayer",
     }.items()
 }
-"""Solvers of this package that step scenes, loaded when one does."""
+"""Solvers of this package that step scenes, loaded at first use."""
 
 
 class LayerSolver(Protocol):
-    """What steps the layer of a scene, before its stepper is made; costly parts are made at first use.
+    """Solver of a scene's layer before its stepper is made; costly parts are made at first use.
 
-    any_pose, of_class, exact_in_time, factorises: of its stepper (SkinStepper), which need not be loaded to know them.
-    own_mesh: whether it moves another mesh than the wedges, so that its stepper is made of the layer alone.
-    large_strain: whether it is valid beyond linear elasticity. preview: whether it is one.
+    any_pose, of_class, exact_in_time, factorises: as in its stepper (SkinStepper), available without loading it.
+    own_mesh: whether it has another mesh than the wedges, so that its stepper needs only the layer.
+    large_strain: whether it is valid beyond linear elasticity. preview: whether it is a preview.
     unknowns: of its mesh. state_size: numbers of its state, an upper bound. resolution: in words.
     expected_error: relative, of the displacement, before any run, or None.
     steps, sizes_follow: its time steps, and the basis of its sizes, in words.
@@ -62,18 +62,18 @@ class LayerSolver(Protocol):
         return None
 
     def refuse(self) -> None:
-        """Raise SceneError, with value and what is allowed, for what the solver can't step.
+        """Raise SceneError, with value and allowed values, for a layer that the solver cannot step.
 
         The scene adds the element and its key `solver`. Checks only keys and materials: no mesh is made.
         """
 
     def seconds(self, duration_s: float, device: str) -> float:
-        """Predicted time of a run of this length [s] on a device, with what estimates the error [s]; infinite where
-        it depends on the load (`palmfield.skin.stepper_choice`)."""
+        """Return the predicted time of a run of this length [s] on a device, including the error estimate [s]; infinite
+        if it depends on the load (`palmfield.skin.stepper_choice`)."""
         return math.inf
 
     def stepper(self, device: str) -> SkinStepper | None:
-        """The stepper on a device of `palmfield.device.resolve`, None where it is made of more than the layer.
+        """Return the stepper on a device of `palmfield.device.resolve`; None if it needs more than the layer.
 
         Raises SceneError for impossible elements.
         """
@@ -96,7 +96,7 @@ class WedgeLayer(LayerSolver):
 
     @property
     def state_size(self) -> int:
-        """See LayerSolver: a run may go on with the whole layer."""
+        """See LayerSolver: a run may change to the whole layer."""
         return self.layer.state_room
 
 
@@ -129,7 +129,7 @@ class ExplicitLayer(LayerSolver, Protocol):
 
 @functools.lru_cache
 def solver_class(name: str) -> type[LayerSolver]:
-    """What steps the layer of a scene whose solver has this name. Raises SceneError where it can't be loaded."""
+    """Return the solver class of this name. Raises SceneError if it cannot be loaded."""
     [entry] = [OWN[name]] if name in OWN else entry_points(group=SKIN_SOLVERS, name=name)
     try:
         found: type[LayerSolver] = entry.load()
@@ -143,7 +143,7 @@ def solver_class(name: str) -> type[LayerSolver]:
 
 
 def layer_solver(layer: SceneLayer, name: str) -> LayerSolver:
-    """The layer as a solver takes it, the same object for the same layer with a mesh of its own."""
+    """Return the solver of a layer; for a solver with its own mesh, the same object for the same layer."""
     made = solver_class(name)
     return _kept(made, layer) if made.own_mesh else made(layer)
 

@@ -2,7 +2,7 @@
 
 from dataclasses import astuple, replace
 
-import scipy  # which loads its parts when they are used
+import scipy  # loads its parts at first use
 
 from palmfield.config.skin import OVERRIDES, SkinConfig
 from palmfield.errors import SceneError
@@ -20,9 +20,9 @@ def sheets_of(skin: SkinConfig) -> tuple[Sheet, ...]:
 
 
 def softest_and_stiffest_sheets(skin: SkinConfig) -> tuple[tuple[Sheet, ...], tuple[Sheet, ...]] | None:
-    """Sheets of a scene with the ranges of all their presets at the low ends, and at the high ends.
+    """Return the sheets of a scene with all preset ranges at their low ends, and at their high ends.
 
-    None where no sheet has a range, and where keys of the scene set the numbers of the material, which have none.
+    None if no sheet has a range, or if keys of the scene set the material, because these have no range.
     """
     if not skin.materials and any(getattr(skin, key) is not None for key in OVERRIDES):
         return None
@@ -66,7 +66,7 @@ def layer_cutoff(sheets: tuple[Sheet, ...], depth_m: float) -> float:
 def cutoff_Hz(skin: SkinConfig, sheets: tuple[Sheet, ...], depth_m: float) -> float | None:
     """Frequency below which a layer of this depth [m] guides no wave [Hz]; None on a base that slides or is free.
 
-    Springs below, in place of a rigid base, lower it: it is then the most that it can be.
+    Springs instead of a rigid base lower this frequency; the result is then an upper bound.
     """
     return None if skin.base in ("free_slip", "free") else layer_cutoff(sheets, depth_m)
 

@@ -1,4 +1,4 @@
-"""A scene's layer on a mesh of its solver's own, below the same face, and its stepper: what such solvers share.
+"""Common code of solvers with their own mesh below the face of a scene's layer, and of their steppers.
 
 Body, loads and operators are those of the scene's wedges.
 """
@@ -25,9 +25,9 @@ from palmfield.skin.stepper import Reader, SkinStepper, SurfaceLoads, check_step
 from palmfield.types import Float, Int
 
 TONE = 8
-"""Periods of the load for which meshes are chosen: enough for a spectrum that is a line."""
+"""Number of periods of the load for which meshes are chosen: enough for a line spectrum."""
 TRIAL, LONGEST_TRIAL_s = 2, 0.02
-"""Periods of the main frequency under which a solver estimates its error, and at most that long [s]."""
+"""Periods of the main frequency for which a solver estimates its error, and the upper limit of this time [s]."""
 SAMPLES = 32
 """Times in each period."""
 MOST_STEPS = 20_000
@@ -52,7 +52,7 @@ class OwnMesh(ExplicitLayer, Protocol):
     def face(self) -> Float: ...
 
     def refusal(self, body: Body, load: Load) -> str | None:
-        """Why the solver can't take a problem, in a sentence, or None."""
+        """Return why the solver cannot solve a problem, in a sentence, or None."""
         ...
 
     def near(self, points: Float) -> tuple[Int, Float]:
@@ -60,7 +60,7 @@ class OwnMesh(ExplicitLayer, Protocol):
         ...
 
     def made(self, transfer: FaceTransfer, device: str) -> "OwnMeshStepper":
-        """`stepper`; transfer: from and to the wedges of the scene."""
+        """Make the `stepper`; transfer: from and to the wedges of the scene."""
         ...
 
     def error(self, device: str) -> float:
@@ -107,7 +107,7 @@ class OwnMesh(ExplicitLayer, Protocol):
             raise SceneError(reason)
 
     def body_of(self, refinement: float = 1.0) -> Body:
-        """The body below the face of a layer, in its frame: a disc, or the sheets below its patch.
+        """Return the body below the face of a layer, in its frame: a disc, or the sheets below its patch.
 
         refinement: factor on the edges of the patch, at most 1.
         """
@@ -120,17 +120,17 @@ class OwnMesh(ExplicitLayer, Protocol):
         return Layer(patch, self.layer.sheets, base_of(config), config.side)
 
     def planned_load(self) -> Spot:
-        """A spot as wide and a tone as high as the layer is made for, by which meshes are chosen."""
+        """Return the load for the choice of meshes: spot width and frequency are those of the layer's demand."""
         return self._spot(TONE, self.layer.demand.max_frequency_Hz)
 
     def trial_s(self) -> float:
-        """Time under the load by which a solver estimates its error [s]."""
+        """Return the duration of the load for a solver's error estimate [s]."""
         return min(TRIAL / self.layer.demand.main_frequency_Hz, LONGEST_TRIAL_s)
 
     def trial(self, body: Body, points: Float, areas_m2: Float) -> tuple[Load, Float, Float]:
-        """The load under which a solver estimates its error, the times at which it looks, and two points of the face.
+        """Return the load for a solver's error estimate, its output times, and two points of the face.
 
-        points, areas_m2: of the face [m], (f, 3) and (f,), for a face on which a spot can't be given by its x and y
+        points, areas_m2: of the face [m], (f, 3) and (f,), for a face on which x and y do not define a spot
         """
         f_Hz, middle = self.layer.demand.main_frequency_Hz, self._middle()
         spot = self._spot(self.trial_s() * f_Hz, f_Hz)

@@ -29,10 +29,10 @@ QUANTITIES: tuple[Quantity, ...] = ("displacement", "velocity", "normal")
 order of the three errors in solvers."""
 SHAPES = ("infinite", "disc", "box")
 LEAST_M, THICKEST_M, WIDEST_M = 1e-4, 1.0, 10.0
-"""A slab beyond the last two [m] is one whose lengths were given in millimetres; waves cross one below the first in
-so little time that no solver ends."""
+"""Limits of slab sizes [m]. Above the last two, lengths were probably in millimetres. Below the first, waves cross the
+slab so fast that no solver would end."""
 ONLY_WEDGES = "only the solvers wedges and reduced support a Foundation: choose one of them, or use another base"
-"""Why the others refuse one."""
+"""Message with which other solvers refuse such a body."""
 GAUSSIAN = 4.0 * math.log(2.0)
 """exp(-GAUSSIAN (r / fwhm)^2) is half at r = fwhm / 2."""
 
@@ -200,7 +200,7 @@ def is_pressed(load: Load) -> bool:
 
 
 def between(load: Load, values: Float, times_s: Float) -> Float:
-    """Values at the times of a load, (f, ...), taken by its law at other times [s], (t,); shape (t, ...)."""
+    """Interpolate values at the times of a load, (f, ...), by its law at other times [s], (t,); shape (t, ...)."""
     if load.law == "held":
         place = np.searchsorted(load.times_s, times_s, side="right") - 1
         return values[np.clip(place, 0, len(values) - 1)]
@@ -260,7 +260,7 @@ class SkinProblem:
 
     @property
     def judged(self) -> int:
-        """Place of `accuracy_of` among QUANTITIES."""
+        """Return the index of `accuracy_of` in QUANTITIES."""
         return check_quantity(self.accuracy_of)
 
     @cached_property
@@ -269,7 +269,7 @@ class SkinProblem:
         return points_on_face(self.body, self.at)
 
     def refuse(self, solver: str, refusal: Callable[[Body, Load], str | None]) -> None:
-        """Raise SceneError where a solver has a reason not to solve it, by its refusal_NAME."""
+        """Raise SceneError if refusal_NAME of a solver returns a reason."""
         reason = refusal(self.body, self.load)
         if reason is not None:
             raise SceneError(f"solver '{solver}': {reason}")
@@ -284,7 +284,7 @@ class SkinProblem:
         begun: float,
         points: Float | None = None,
     ) -> Motion:
-        """The Motion that a solver found, shape (t, n, 3).
+        """Make the Motion from a solver's result, shape (t, n, 3).
 
         errors: of the QUANTITIES, (3,); source, solver: in words; begun: time.perf_counter() as it began
         points: where, if not at `points` [m], shape (n, 3)
@@ -304,7 +304,7 @@ class SkinProblem:
 
 
 def check_quantity(accuracy_of: str) -> int:
-    """Its place among QUANTITIES. Raises SceneError for another."""
+    """Return the index of a quantity in QUANTITIES. Raises SceneError for an unknown one."""
     if accuracy_of not in QUANTITIES:
         raise SceneError(f"accuracy_of is '{accuracy_of}'; use one of {', '.join(QUANTITIES)}")
     return QUANTITIES.index(accuracy_of)
@@ -334,7 +334,7 @@ def as_floats(load: object, *names: str) -> None:
 
 
 def numbers(what: str, values: ArrayLike) -> Float:
-    """Values as an array. Raises SceneError for what are no numbers."""
+    """Return values as an array. Raises SceneError for values that are no numbers."""
     try:
         return np.asarray(values, dtype=float)
     except (TypeError, ValueError) as error:
@@ -342,7 +342,7 @@ def numbers(what: str, values: ArrayLike) -> Float:
 
 
 def rising(what: str, times_s: ArrayLike) -> Float:
-    """Times [s] as an array, shape (t,). Raises SceneError for others than at least one, finite and rising."""
+    """Return times [s] as an array, shape (t,). Raises SceneError unless there is one, all finite and ascending."""
     times = numbers(what, times_s)
     if times.ndim != 1 or len(times) == 0 or not np.isfinite(times).all() or not np.all(np.diff(times) > 0.0):
         raise SceneError(f"{what} of shape {times.shape} must be finite, rising and at least one")

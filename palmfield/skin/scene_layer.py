@@ -126,8 +126,8 @@ class SceneLayer:
     surface: the closed surface of the whole body in its frame, None for shape "disc".
     depth_m: largest depth of the layer below the vertices of the surface [m], shape (n,), or one number.
     centre_m: middle of the layer, body frame [m], shape (3,). demand: see LayerDemand.
-    resizing: factor of all element sizes. named: says in errors which skin it is.
-    sheets: other materials than those of the keys, on the mesh that is made for those.
+    resizing: factor of all element sizes. named: adds the name of the skin to errors.
+    sheets: other materials than those of the keys; the mesh is that for the materials of the keys.
     """
 
     def __init__(
@@ -228,7 +228,7 @@ class SceneLayer:
 
     @contextmanager
     def meshing(self) -> Iterator[None]:
-        """An error that leaves the block names the skin, and the settings of its mesh."""
+        """Add the name of the skin and the settings of its mesh to errors raised in the block."""
         with self.named, naming(mends=OF_MESH):
             yield
 
@@ -243,7 +243,7 @@ class SceneLayer:
 
     @locked_cached_property
     def quadrature(self) -> SurfaceQuadrature:
-        """Points of the skin at which ARP is integrated; its `operator` is what the steppers take as inputs."""
+        """Return the integration points of ARP on the skin; its `operator` is the input operator of the steppers."""
         return SurfaceQuadrature(self.mesh, self.system)
 
     @locked_cached_property
@@ -252,12 +252,12 @@ class SceneLayer:
         return surface_motion(self.mesh, self.system)
 
     def probe(self, point: Float) -> SurfaceProbe:
-        """Reads the displacement at the place of the skin nearest to `point`, body frame [m], shape (3,)."""
+        """Return the reader of the displacement at the skin point nearest to `point`, body frame [m], shape (3,)."""
         return SurfaceProbe(self.mesh, point[None], self.system)
 
     @property
     def dofs(self) -> int:
-        """Unknowns, without the matrices; roller and fixed sides take a few of them away."""
+        """Return the number of unknowns, without matrices; roller and fixed sides remove a few of them."""
         held = self.config.base == "bonded" and self.config.foundation is None
         return 3 * (len(self.mesh.nodes) - (self.mesh.surface_nodes if held else 0))
 
@@ -274,6 +274,6 @@ class SceneLayer:
 
     @property
     def state_room(self) -> int:
-        """Numbers of state that the layer can need, whatever steps it: an upper bound, without the matrices."""
+        """Return an upper bound of the state size of the layer for any stepper, without matrices."""
         branches = sum(len(material.relaxation.branches) for material in {sheet.material for sheet in self.sheets})
         return (3 + branches) * 3 * len(self.mesh.nodes)

@@ -1,7 +1,7 @@
 """Solver choice: one call for every skin solver.
 
-`solve` takes the cheapest one that reaches the target accuracy, and solves finer if it did not. Its predicted costs are
-those by which scenes choose a stepper (palmfield.skin.costs).
+`solve` uses the cheapest solver that should reach the target accuracy, and refines if it does not. The predicted costs
+are those of the stepper choice in scenes (palmfield.skin.costs).
 """
 
 import inspect
@@ -73,19 +73,19 @@ FORMER = {
     "explicit": "spectral_elements",
     "full": "wedges",
 }
-"""Names that solvers had before, and those that they have."""
+"""Former names of solvers, and their present names."""
 
 PREVIEW = ("particles",)
 """Solvers for large deformation and previews: never chosen by `auto`."""
 
 AT_REST = ("lateral_waves", "axisymmetric", "wedges")
-"""Solvers for a load at rest, the quickest first."""
+"""Solvers for a static load, the fastest first."""
 
 LATE = 20.0
-"""Periods after the last change of a load above which a body without losses is assumed to be meant at rest."""
+"""From this number of periods after the last change of a load, output times of a lossless body count as static."""
 
 HARDER: dict[Quantity, float] = {"displacement": 1.0, "velocity": 0.5, "normal": 1.0}
-"""Accuracy of the displacement over that of each quantity that takes about the same work."""
+"""Ratio of the displacement accuracy to the accuracy of each quantity at about the same work."""
 
 COMMON = ("accuracy", "accuracy_of", "device")
 """Options of every solver besides its own resolution."""
@@ -94,7 +94,7 @@ SLAB_S, LAYER_S = 0.02, 0.12
 """Seconds of the choice itself, including the search for the part of a layer that affects the load."""
 
 FINER = 3
-"""How often a solution is refined when its estimate misses the target accuracy."""
+"""Number of refinements if the error estimate misses the target accuracy."""
 
 
 def choices(
@@ -113,7 +113,7 @@ def choices(
 
 
 def ranking(problem: SkinProblem) -> list[Choice]:
-    """A solver whose cost can't be computed comes after those whose can."""
+    """Rank the solvers for a problem; solvers without a computable cost come last."""
     options = []
     for name in WHERE:
         refusal = function(name, "refusal")(problem.body, problem.load)
@@ -224,7 +224,7 @@ def solve(
 
 
 def _first_that_can(able: list[Choice], problem: SkinProblem) -> tuple[Choice, Motion, str]:
-    """The first solver of a list that doesn't refuse once it has begun, what it found, and why it, in words."""
+    """Return the first solver of a list that does not refuse at run time, its result, and the reason in words."""
     refused: list[str] = []
     for place, choice in enumerate(able):
         try:
@@ -251,7 +251,7 @@ def _by_name(name: str, problem: SkinProblem, resolution: dict[str, Any]) -> Mot
 
 
 def static(body: Body, load: Load, at: ArrayLike, *, accuracy: float = 0.05) -> Motion:
-    """Displacement under the last pressure of the load, held for ever: the first of AT_REST that doesn't refuse.
+    """Return the static displacement under the last pressure of the load, by the first of AT_REST that can solve it.
 
     Arguments as for `solve`; times_s is the last time of the load, the velocity 0.
     Raises SceneError for bad arguments and a body without support.
@@ -298,10 +298,10 @@ def at_rest(problem: SkinProblem) -> Motion:
 
 
 def check_rest(problem: SkinProblem) -> None:
-    """Raise SceneError where a late time is meant as rest, for a body that never comes to rest.
+    """Raise SceneError if late times are meant as static but the body never comes to rest.
 
-    That is a body whose sheets, base and sides have no losses, with times only from LATE of its quarter waves after the
-    last change of the load on: it rings there for ever.
+    Such a body has no losses in sheets, base and sides, so it rings for ever. Late means that all times lie more than
+    LATE of its quarter waves after the last change of the load.
     """
     body, times = problem.body, problem.times
     base, last = body.base, float(problem.load.times_s[-1])
@@ -321,7 +321,7 @@ def check_rest(problem: SkinProblem) -> None:
 
 
 def check_load(load: object) -> None:
-    """Raise SceneError for what is neither a Spot nor a Traction."""
+    """Raise SceneError unless the load is a Spot or a Traction."""
     if isinstance(load, Spot | Traction):
         return
     if isinstance(load, (list, tuple)):

@@ -16,7 +16,7 @@ from palmfield.threads import Calls
 from palmfield.types import Complex, Float, Float32, Int
 
 CLOCK = 1e-6
-"""Share of a substep by which t1 - t0 may differ from the substeps of the loads: MuJoCo sums up its time."""
+"""Tolerance of t1 - t0 against the substeps of the loads, as a share of a substep: MuJoCo's time has rounding."""
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ class SkinStepper(Protocol):
         With its own mesh it includes that of the mesh, and the estimate may take as long as a short run.
     any_pose: whether it is valid after body, arrays or focus have moved. any_course: whether it is valid for any
         course of the load in time, also from rest while sound is on.
-    of_class: whether it serves only a class of loads.
+    of_class: whether it is valid only for a class of loads.
     adds_error: relative errors of displacement and velocity that a reduced model adds to those of its layer. The second
         is None without an estimate. None for other steppers.
     exact_in_time: whether its substeps add no error.
@@ -159,7 +159,7 @@ class SkinStepper(Protocol):
         return None
 
     def outside(self, loads: SurfaceLoads) -> Outside:
-        """For a stepper of a class: the part of loads outside it."""
+        """For a stepper of a class: return the part of loads outside it."""
         raise TypeError(f"solver '{self.name}' accepts any load")
 
     def mixed(self, loads: SurfaceLoads) -> Float32:
@@ -174,8 +174,8 @@ class SkinStepper(Protocol):
         raise TypeError(f"solver '{self.name}' is not a reduced model")
 
     def harmonic(self, pressure_Pa: Float, f_Hz: float, operator: sparse.csr_matrix) -> Complex:
-        """For a small model: operator @ displacement [m], shape (m,), under a pressure at its points, (p,), times
-        e^{-i w t}."""
+        """For a reduced model: return operator @ displacement [m], shape (m,), under a pressure at its points, (p,),
+        times e^{-i w t}."""
         raise TypeError(f"solver '{self.name}' is not a reduced model")
 
 

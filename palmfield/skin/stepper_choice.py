@@ -1,4 +1,4 @@
-"""Choice of the stepper of a skin in a scene, by key `solver`, by what can be reduced, and by predicted time."""
+"""Choice of a skin's stepper in a scene, by key `solver`, by possible reductions, and by predicted time."""
 
 from typing import NamedTuple
 
@@ -21,7 +21,7 @@ class StepperChoice(NamedTuple):
 
     @property
     def solver(self) -> type[LayerSolver]:
-        """What the stepper is, known before it is made."""
+        """Return the class of the solver, available before the stepper is made."""
         return solver_class(self.name)
 
 
@@ -51,7 +51,7 @@ def chosen(requested: str, work: LayerWork, asked: str) -> StepperChoice:
     if requested != "auto":
         name, why = requested, asked
     elif work.refusal is None:
-        # If the load is predicted, a model for it alone is smaller than one for every load
+        # For a predicted load, a reduced model for it alone is smaller than general modes
         small_s, whole_s = seconds["reduced"], seconds["wedges"]
         name = "reduced" if small_s < whole_s else "wedges"
         why = f"the load is predictable; reduced about {small_s:.1f} s, wedges about {whole_s:.1f} s"

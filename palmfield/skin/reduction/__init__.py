@@ -1,4 +1,4 @@
-"""Small models of a body: a Krylov space grown until they are right, exact in time."""
+"""Reduced models of a body, exact in time: the Krylov space grows until the target accuracy is reached."""
 
 import lazy_loader
 

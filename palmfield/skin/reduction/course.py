@@ -1,14 +1,14 @@
-"""Loads with a known course in time: harmonics that come and go at once or by exponentials."""
+"""Loads with a known time course: harmonics that start and end at once or exponentially."""
 
 from dataclasses import dataclass
 
 import numpy as np
-import scipy  # which loads its parts when they are used
+import scipy  # loads its parts at first use
 
 from palmfield.types import Complex, Float
 
 Fade = tuple[tuple[float, float], ...]
-"""A load comes or goes as the sum of share e^{-rate t} over (rate [1/s], share); ((0, 1),) is at once."""
+"""A load starts or ends as the sum of share e^{-rate t} over (rate [1/s], share); ((0, 1),) is at once."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ def periodic(shapes: Complex, frequencies_Hz: Float, events: list[tuple[float, F
     """Sum over k of Re(F_k e^{-i w_k t}) that fades in or out.
 
     shapes: F_k [N], shape (n, k); frequencies_Hz: >= 0, shape (k,)
-    events: for each, the time t [s] at which it comes, and how
+    events: for each, its time t [s] and its fade
     """
     omega = 2.0 * np.pi * np.asarray(frequencies_Hz)
     turns = scipy.linalg.block_diag(*(np.array([[0.0, w], [-w, 0.0]]) for w in omega))
@@ -48,7 +48,7 @@ def periodic(shapes: Complex, frequencies_Hz: Float, events: list[tuple[float, F
 
 
 def harmonics(frequencies_Hz: Float, times: Float) -> Float:
-    """(cos w_k t, -sin w_k t) for each k in turn, shape (t, 2 k): what `periodic` multiplies its shapes by."""
+    """Return (cos w_k t, -sin w_k t) for each k, shape (t, 2 k): the factors of the shapes in `periodic`."""
     angle = 2.0 * np.pi * np.outer(times, frequencies_Hz)
     return np.stack([np.cos(angle), -np.sin(angle)], axis=2).reshape(len(angle), -1)
 

@@ -1,7 +1,6 @@
-"""Small models of a skin on a device: all substeps of a MuJoCo step as a few launches for a captured graph.
+"""Reduced models of a skin on a device: all substeps of a MuJoCo step as a few launches for a captured graph.
 
-The pressure is already on the device. The state comes in and goes out as the numbers that the stepper itself would
-compute, to rounding.
+The pressure is already on the device. Input and output states equal those of the CPU stepper to rounding.
 """
 
 from collections.abc import Callable, Sequence
@@ -68,7 +67,7 @@ class DeviceModes:
         return [*calls, squares]
 
     def _pushes(self, state: Any, forces: Any, substep: int) -> Calls:
-        """Launches that add to the forces of a substep how modes push one another."""
+        """Return launches that add the coupling forces between modes to the forces of a substep."""
         worlds, count, (rows, columns) = len(state), len(self.stepper.felt), self._coupling.shape
         chunks = -(-rows // CHUNK)
         mixed: Any = wp.zeros((worlds, rows), dtype=wp.float64, device=self._device)
@@ -85,7 +84,7 @@ class DeviceModes:
 
 
 def pays(size: int, shapes: int, substeps: int) -> bool:
-    """Whether a small model with these numbers of coordinates and shapes of force is faster on a device."""
+    """Whether a reduced model with these numbers of coordinates and force shapes is faster on a device."""
     return LEAST_NUMBERS <= size * (size + 2 * substeps * shapes) <= MOST_NUMBERS
 
 
@@ -132,7 +131,7 @@ class _Products:
         self._matrix: Any = wp.array(np.ascontiguousarray(matrix, np.float32), dtype=wp.float32, device=device)
 
     def calls(self, memory: StepMemory) -> tuple[list[Callable[[], object]], Any]:
-        """Launches, and where they leave the products of each row of the weights, float64, shape (w, rows, c)."""
+        """Return launches, and their output: products of each row of the weights, float64, shape (w, rows, c)."""
         points, columns = self._matrix.shape
         worlds, rows, patterns = memory.weights.shape
         blocks, chunks = -(-patterns // kernels.ROWS) * worlds, -(-points // CHUNK)

@@ -1,6 +1,6 @@
 """Modes of a skin in several worlds on a device: all substeps of all worlds as a few launches in one captured graph.
 
-The states belong to the caller: one copy brings them in, another takes them out, and the device keeps none of them.
+The states belong to the caller and are copied to and from the device in each step; the device keeps none of them.
 """
 
 from collections.abc import Callable

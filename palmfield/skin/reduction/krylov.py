@@ -28,10 +28,10 @@ from palmfield.threads import cores, share
 from palmfield.types import Float
 
 ROOM = 64
-"""Vectors for which memory is taken at a time."""
+"""Number of vectors per memory allocation."""
 PARALLEL = 1e-13
 SMALLEST = 1e-10
-"""Part of a found vector below which what is new in it is round-off."""
+"""If the new part of a vector is smaller than this share, it is round-off."""
 
 
 class Krylov:
@@ -139,7 +139,7 @@ class Krylov:
         self.order = after
 
     def _project(self) -> None:
-        """Bring the projected matrices up to the present order: many vectors at once cost little more than one."""
+        """Update the projected matrices to the present order: many vectors at once cost little more than one."""
         before, after = self._small.shape[1], self.order
         if before == after:
             return
@@ -155,7 +155,7 @@ class Krylov:
         self._small = grown
 
     def _trim(self) -> None:
-        """Make the block orthonormal, and square to all before it."""
+        """Make the block orthonormal, and orthogonal to all previous vectors."""
         count, order = len(self._scales), self.order
         block = (self._scales[:, None, None] * self._block).reshape(count * order, -1)
         block = np.concatenate([block, self._load])

@@ -10,21 +10,21 @@ shapes and least squares between them.
 from dataclasses import dataclass
 
 import numpy as np
-import scipy  # which loads its parts when they are used
+import scipy  # loads its parts at first use
 
 from palmfield.errors import SceneError
 from palmfield.types import Float, Float32, Int
 
 POINTS = 2
-"""Points for each shape: the fit then adds less than half of what the shapes themselves leave out."""
+"""Points per shape: the error of the fit is then less than half of the error due to omitted shapes."""
 
 MANY = 400
-"""Shapes from which pivoted QR takes seconds, and LU a tenth of that."""
+"""From this number of shapes, pivoted QR takes seconds, and LU a tenth of that."""
 BLOCK = 2048
-"""Points at which pressures are held in double precision at a time."""
+"""Number of points converted to double precision at a time."""
 CLOSENESS = 0.003
-"""Share of the tolerance that the chosen examples may omit from the others: the choice of examples then hardly
-matters."""
+"""Share of the tolerance that the selected examples may omit from the others; the selection then has little
+effect."""
 LEVEL = 0.005
 """Relative difference of neighbouring singular values up to which they count as equal: all are kept, or none."""
 TIE = 1e-3

@@ -1,4 +1,4 @@
-"""Steps a skin by modes that serve every load of a class: any course in time of any sum of its shapes.
+"""Steps a skin by modes for all loads of a class: any time course of any sum of its shapes.
 
 The modes move by the scheme that steps the whole layer (palmfield.skin.fem.generalised_alpha), so that a state can go
 over to the whole layer as it is. Under one relaxation law each moves by itself. Several laws couple them: they are then
@@ -41,9 +41,9 @@ from palmfield.types import Complex, Float, Float32, Int
 from warp_kernels import modes as kernels
 
 MOST_SHARE = 0.4
-"""Share of the unknowns of a layer up to which vectors are made: beyond it, modes save no time."""
+"""Largest number of vectors, as a share of the unknowns of a layer: with more, modes save no time."""
 COMPLIANCE_LEFT_OUT = 1e-4
-"""Share of the compliance of the points that its low rank leaves out: 1 % of a norm."""
+"""Share of the compliance of the points that its low-rank form omits: 1 % of a norm."""
 
 
 @dataclass(frozen=True)
