@@ -56,7 +56,7 @@ def wedges_s(dofs: float, steps: float) -> float:
 
 
 def reduced_s(dofs: float, steps: float, vectors: float) -> float:
-    """Return the time to make and step a reduced model [s]: exponentials of size 5 and 3 times the vectors."""
+    """Return the time to make and step a reduced model [s]; the matrix exponential has size 5 times the vectors."""
     exponential = 7.5e-10 * (5.0 * vectors) ** 3
     return factor_s(dofs) + vectors * vector_s(dofs) + exponential + steps * (2e-5 + 3e-9 * vectors**2)
 

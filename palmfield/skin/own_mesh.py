@@ -56,7 +56,7 @@ class OwnMesh(ExplicitLayer, Protocol):
         ...
 
     def near(self, points: Float) -> tuple[Int, Float]:
-        """Nodes of the face whose motion is that at some points of it [m], (p, 3), and their shares, shapes (p, k)."""
+        """Return face nodes and weights, shapes (p, k), that interpolate motion at points of the face [m], (p, 3)."""
         ...
 
     def made(self, transfer: FaceTransfer, device: str) -> "OwnMeshStepper":
@@ -64,7 +64,7 @@ class OwnMesh(ExplicitLayer, Protocol):
         ...
 
     def error(self, device: str) -> float:
-        """Error that `palmfield.skin.solve` states for this mesh under the trial load, with all omissions."""
+        """Return the error that `palmfield.skin.solve` states for this mesh under the trial load, with omissions."""
         ...
 
     def stepper(self, device: str) -> "OwnMeshStepper":

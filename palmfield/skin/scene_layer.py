@@ -176,9 +176,9 @@ class SceneLayer:
 
     @locked_cached_property
     def patch(self) -> Patch:
-        """The part of the surface that gets a layer. Raises SceneError where there is none to be made."""
+        """Return the part of the surface with a layer. Raises SceneError if it cannot be made."""
         config, sizes = self.config, self.sizes
-        # Where all edges are alike there is no fine place, and the regular mesh about the middle is the better one
+        # With equal edges there is no fine region, and a regular mesh about the middle is better
         beside = self.demand.beside_m if sizes.edge_fine_m < sizes.edge_coarse_m else (0.0, 0.0, 0.0)
         if config.shape == "disc":
             assert config.radius_m and config.thickness_m
@@ -188,7 +188,7 @@ class SceneLayer:
             edges = sizes.edge_fine_m, sizes.edge_coarse_m, sizes.fine_radius_m
             return disc_patch(config.radius_m, config.thickness_m, *edges, (x, y))
         assert self.surface is not None
-        # The skin of a left hand gets the mirror image of the mesh of the right one, as its surface is
+        # The mesh of a left hand is the mirror image of that of the right hand, like its surface
         left = config.shape in OF_SHAPES["hand"] and load_preset(config.hand).side == "left"
         surface, mirror = (mirrored_surface(self.surface), MIRROR) if left else (self.surface, np.ones(3))
         # In a hand the bones are known, so the layer may reach past the middle; any other body has no inner parts.

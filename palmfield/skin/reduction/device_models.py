@@ -16,11 +16,11 @@ from palmfield.types import Float
 from warp_kernels import skin_steps as kernels
 
 LEAST_NUMBERS = 2**18
-"""Size of the step matrix of a small model below which a CPU takes no longer than a launch."""
+"""Size of a reduced model's step matrix below which a CPU takes no longer than a launch."""
 MOST_NUMBERS = 2**23
 """Above which its substeps one by one take less memory and no more time."""
 CHUNK = 32
-"""Numbers of a sum that one thread adds up."""
+"""Number of terms of a sum that one thread adds up."""
 SECTIONS = 4
 """Number of sums of squares for the part of a load outside the class of modes."""
 

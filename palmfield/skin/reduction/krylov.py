@@ -110,7 +110,7 @@ class Krylov:
         return self.order - before
 
     def _take(self, result: Float) -> Float:
-        """Coordinates (r, k) of columns (n, k), for which the basis grows by what is new in them."""
+        """Return coordinates (r, k) of columns (n, k); the basis grows by their new parts."""
         mass = self.dynamics.matrices[0]
         heavy = _times(mass, result)
         size = np.sqrt(np.einsum("nk,nk->k", result, heavy)).max(initial=0.0)
@@ -122,7 +122,7 @@ class Krylov:
             rest = rest - _times(self.vectors, known)
             heavy = _times(mass, rest)
         squares, turn = np.linalg.eigh(rest.T @ heavy)
-        # Of columns that are all but parallel the difference is round-off of their squares.
+        # For nearly parallel columns the difference is round-off of their squares.
         kept = squares > max((SMALLEST * size) ** 2, PARALLEL * squares.max(initial=0.0))
         scale = turn[:, kept] / np.sqrt(squares[kept])
         new = rest @ scale

@@ -47,7 +47,7 @@ class LoadShapes:
 
 
 def load_shapes(examples: Float | Float32, weights: Float, tolerance: float, points: int = POINTS) -> LoadShapes:
-    """Find shapes whose sums are within a tolerance of examples, rms over all of them.
+    """Find shapes whose sums approximate examples within a tolerance, rms over all examples.
 
     examples: pressures [Pa], shape (t, q), in single or double precision.
     weights: areas of the points [m^2], shape (q,). points: number of points per shape, at most all points.
@@ -97,7 +97,7 @@ def _telling_points(shapes: Float, times: int) -> Int:
 
 
 def _pivots(shapes: Float) -> Int:
-    """Columns of shapes (m, q), the best first: by QR, which finds better ones, or by LU for MANY shapes."""
+    """Return columns of shapes (m, q), the best first, by QR, or by LU (faster, less good) for MANY shapes."""
     if len(shapes) < MANY:
         return np.asarray(scipy.linalg.qr(shapes, mode="r", pivoting=True, check_finite=False)[1])
     _, exchanged = scipy.linalg.lu_factor(shapes.T, check_finite=False)
@@ -118,14 +118,14 @@ def _products(examples: Float | Float32, root: Float) -> Float:
 
 
 def _taken(products: Float, left_out: float) -> tuple[Int, Float]:
-    """Rows that represent a set of similar rows, (r,), and all rows in terms of these, made orthonormal, (t, r).
+    """Return rows that represent a set of similar rows, (r,), and all rows in their orthonormal basis, (t, r).
 
     products: each row with each, (t, t), overwritten. left_out: share of their squares. The rows are found by a pivoted
     Cholesky factorisation.
     """
     squares = np.diagonal(products)
     enough = max(left_out * squares.mean(), len(squares) * np.finfo(float).eps * squares.max())
-    # Symmetric: transposed it has the layout that LAPACK needs, without a copy
+    # The matrix is symmetric: its transpose has the layout for LAPACK without a copy
     lower, pivots, rank, _ = scipy.linalg.lapack.dpstrf(products.T, tol=enough, lower=1, overwrite_a=1)
     taken = pivots - 1
     shares = np.empty((len(squares), rank))
@@ -134,7 +134,7 @@ def _taken(products: Float, left_out: float) -> tuple[Int, Float]:
 
 
 def _orthonormal(rows: Float) -> Float:
-    """Rows that are orthonormal except for round-off, without the round-off."""
+    """Remove the round-off from rows that are nearly orthonormal."""
     return np.asarray(
         scipy.linalg.solve_triangular(np.linalg.cholesky(rows @ rows.T), rows, lower=True), dtype=np.float64
     )

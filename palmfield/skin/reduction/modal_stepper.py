@@ -79,12 +79,12 @@ def modal_body(
     tolerance: relative share of the examples that the shapes may omit. points: number of points per shape.
     blocks: of the space of the modes, at least 2. left_out: share of the motion that modes may omit, see `ritz_modes`.
     step_s: length of a substep [s], on which coupled modes depend.
-    Kept in the cache (`palmfield.cache`).
+    The result is stored in the cache (`palmfield.cache`).
     Raises SceneError if the layer can have no modes, or has too few unknowns.
     """
 
     def make() -> cache.Arrays:
-        # Imported here: modes that are in the cache need no factor
+        # Imported here: cached modes need no factorisation
         from palmfield.skin.fem.factor import factorise
 
         reason = refusal(system)
@@ -138,7 +138,7 @@ class ModalStepper(SkinStepper):
 
     body: see ModalBody. system: the layer. step_s: length of a substep [s].
     corner_Hz: frequency above which the spectrum of the load falls as 1/f, for which the errors are stated.
-    points: numbers of the quadrature points at which it takes pressure, shape (p,).
+    points: numbers of the quadrature points at which it reads pressure, shape (p,).
     error, velocity_error: estimated relative errors of using fewer modes than the layer has, for loads of the class.
     advance, inputs: matrix of a substep for the numbers of each mode, shape (at least r, rows, rows), and the increment
         by a force, (at least r, rows).
@@ -183,7 +183,7 @@ class ModalStepper(SkinStepper):
     def step(
         self, state: Float, loads: SurfaceLoads, t0: float, t1: float, observe: Reader | None = None
     ) -> Float32 | None:
-        """See SkinStepper; what is observed comes in single precision."""
+        """See SkinStepper; observed motion is returned in single precision."""
         check_step(self, state, loads, len(self.points), t0, t1)
         worlds, substeps, _ = loads.first.shape
         seen = None if observe is None else np.empty((worlds, substeps, 2, observe.count), np.float32)
@@ -219,7 +219,7 @@ class ModalStepper(SkinStepper):
         room.launch()
         rows[...] = room.rows
         if seen is not None and observe is not None:
-            # As one product: for stacks NumPy makes one product each, at a seventh of the speed
+            # As one product: NumPy multiplies stacks one by one, at a seventh of the speed
             motion = room.seen.reshape(-1, self.padded).astype(np.float32)
             np.matmul(motion, observe.single, out=seen[part].reshape(-1, observe.count))
         rooms.append(room)
@@ -255,7 +255,7 @@ class ModalStepper(SkinStepper):
     def work(self, patterns: int, substeps: int) -> StepWork:
         points, shapes, modes, rows = len(self.points), len(self.body.shapes.sizes), self.order, self.state_rows
         dense = 2 * points * shapes + shapes * modes + points * self.body.compliance.shape[1]
-        # Of coupled modes; it is too large for the memory of a multiprocessor, so each substep reads it again
+        # For coupled modes; too large for the memory of a multiprocessor, so each substep reads it again
         coupling = substeps * self.coupling.size
         own = modes * (rows * rows + rows)
         single, double = patterns * (dense + substeps * modes), substeps * own + coupling
@@ -281,7 +281,7 @@ class ModalStepper(SkinStepper):
     def reader(self, operator: sparse.csr_matrix) -> Reader:
         matrix = checked_operator(operator, self.unknowns)
         seen = np.zeros((self.padded, matrix.shape[0]))
-        # Only the unknowns that it reads, because the product makes a copy in double precision
+        # Only the unknowns that the reader uses, because the product makes a copy in double precision
         read = np.unique(matrix.indices)
         seen[: self.order] = (matrix[:, read] @ self.body.modes.vectors[read]).T
         return Reader(matrix.shape[0], seen, seen.astype(np.float32))
@@ -308,7 +308,7 @@ class ModalStepper(SkinStepper):
         return len(self.felt) > 0
 
     def lifted(self, state: Float, pressure_Pa: Callable[[], Float]) -> Float:
-        """See SkinStepper; the pressure is not looked at."""
+        """See SkinStepper; the pressure is not used."""
         rows = state.reshape(len(state), self.state_rows, self.padded)[..., : self.order]
         with one_blas_thread:
             whole = rows @ self.body.modes.vectors.T
@@ -329,7 +329,7 @@ class ModalStepper(SkinStepper):
         if not self.coupled:
             forces, seen = np.zeros((worlds, substeps, self.padded)), np.zeros((worlds, substeps, 2, self.padded))
             return _Room(forces, rows, seen, launch(forces, seen))
-        # Substeps outermost, as each is a launch
+        # Substeps are the outermost axis, because each is a launch
         forces, seen = np.zeros((substeps, worlds, 1, self.padded)), np.zeros((substeps, worlds, 1, 2, self.padded))
         ends = [(force[:, 0], launch(force, after)) for force, after in zip(forces, seen, strict=True)]
 
@@ -355,11 +355,11 @@ def _propagators(scheme: Scheme, padded: int) -> tuple[Float, Float]:
 
 
 def _coupling(modes: RitzModes, scheme: Scheme, laws: int, padded: int) -> tuple[Float32, Float]:
-    """Coupling matrices one below the other, (c * padded, padded), and the rows of the state that they take, (c, rows).
+    """Return stacked coupling matrices, (c * padded, padded), and the state rows to which they apply, (c, rows).
 
     Modes are coupled only where their sum in `scheme.effective` is diagonal: what is solved for is then not coupled.
-    In single precision, for the time of reading it; a device takes the product in double. On discs of two and three
-    laws that changed the displacement by up to 4e-7 and the velocity by up to 2e-6 of the largest.
+    They are in single precision, to halve the reading time; a device computes the product in double. On discs of two
+    and three laws this changed the displacement by up to 4e-7 and the velocity by up to 2e-6 of the largest.
     """
     count, order = len(modes.coupling), len(modes.elastic)
     coupling = np.zeros((count, padded, padded), np.float32)
@@ -370,12 +370,12 @@ def _coupling(modes: RitzModes, scheme: Scheme, laws: int, padded: int) -> tuple
 
 
 def _in_groups(values: Float) -> Any:
-    """Numbers of modes (r, ...) as lanes, (r / WIDTH, ...)."""
+    """Return values of modes (r, ...) as lanes, (r / WIDTH, ...)."""
     grouped = values.reshape(-1, kernels.WIDTH, *values.shape[1:])
     return wp.array(np.ascontiguousarray(np.moveaxis(grouped, 1, -1)), dtype=kernels.lanes, device="cpu")
 
 
 def _lanes(values: Float) -> Any:
-    """The same memory, (..., r), seen as lanes, (..., r / WIDTH)."""
+    """Return a view of memory (..., r) as lanes, (..., r / WIDTH)."""
     wide = values.reshape(*values.shape[:-1], -1, kernels.WIDTH)
     return wp.array(wide, dtype=kernels.lanes, device="cpu", copy=False)

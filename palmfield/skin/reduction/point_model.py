@@ -1,7 +1,7 @@
-"""Motion of one point of a skin under one pressure with any level over time: a small model of whole time courses.
+"""Motion of one point of a skin under one pressure with any level over time: a reduced model of time courses.
 
-The start of a load makes a lightly damped skin ring at its own frequencies, which the responses at rest and at the
-main frequency do not show. Only the time course shows the ringing; a small model gives it for one factorisation.
+The start of a load makes a lightly damped skin ring at its own frequencies. The responses at rest and at the main
+frequency do not show this. The time course shows it; a reduced model computes it with one factorisation.
 """
 
 import math
@@ -22,7 +22,7 @@ from palmfield.skin.reduction.reducer import SAFETY, SHIFT, TooManyVectorsError,
 from palmfield.types import Float
 
 WINDOW_S = 0.05
-"""After a sudden start, over which models of two sizes are compared [s]."""
+"""Time after a sudden start in which models of two sizes are compared [s]."""
 MOMENTS = 256
 TOLERANCE = 5e-3
 """Relative error of the motion of the point in that window at which the model is large enough."""
@@ -40,7 +40,7 @@ class PointModel:
         self.projection, self.error, self.supported = projection, error, supported
 
     def static(self) -> float:
-        """Displacement at rest under the force [m]. Raises SceneError for a body without support."""
+        """Return the static displacement under the force [m]. Raises SceneError for a body without support."""
         if not self.supported:
             raise SceneError(
                 "a static solution needs a support: neither base nor sides hold this body; bond the base, or fix a side"
@@ -58,7 +58,7 @@ class PointModel:
             return np.asarray(Reduced(self.projection, 0.0).run(level[:, None], times)[0][:, 0], dtype=float)
 
     def stepped(self, level: Float, step_s: float) -> Float:
-        """The same by the substeps of WedgeStepper, at the ends of steps of `step_s`, (t,)."""
+        """Return `moved` computed by the substeps of WedgeStepper, at the ends of steps of `step_s`, (t,)."""
         mass, damping, elastic, *stiffness = (sparse.csr_matrix(matrix) for matrix in self.projection.matrices)
         parts = [Part(each, law) for each, law in zip(stiffness, self.projection.materials, strict=True)]
         scheme = Scheme(Matrices(mass, damping, elastic, parts), step_s, RHO_INF)
@@ -80,7 +80,7 @@ class PointModel:
 
 
 def point_model(system: SkinSystem, force: Float, read: Float, highest_Hz: float) -> PointModel:
-    """The motion of a point of a layer under a force, by one real factorisation.
+    """Make the model of the motion of a point of a layer under a force, by one real factorisation.
 
     force: of the load at full level, (n,) [N]. read: of the point, (n,). highest_Hz: highest relevant frequency.
     The error is SAFETY times the change of the motion by the last ROUND vectors or more, over WINDOW_S after a sudden

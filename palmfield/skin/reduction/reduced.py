@@ -1,8 +1,8 @@
-"""A small model of a viscoelastic body, exact in time for loads that change linearly from one time to the next.
+"""Reduced model of a viscoelastic body, exact in time for loads that are linear between times.
 
 Full body: M u'' + C u' + E u + sum_p K_p (u + sum_i g_i (u - q_i) + t u') = B f, q_i' = (u - q_i) / tau_i, y = Y u.
 Its matrices are projected on both sides with a real V (palmfield.skin.reduction.reducer) and stay symmetric and
-positive semidefinite, so the small body dissipates energy as the full one does: it is stable whatever V is.
+positive semidefinite, so the reduced body dissipates energy like the full body: it is stable for any V.
 
 Time: coordinates x = (w_k a_k, a', sqrt(g) L_p (a - q)), with w_k^2 the eigenvalues of the relaxed stiffness and
 L^T L = K_p, make |x|^2 / 2 the energy, so exp(A h) never lengthens x. Steps use that matrix exponential, with the force
@@ -14,7 +14,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import scipy  # which loads its parts when they are used
+import scipy  # loads its parts at first use
 
 from palmfield.blas import one_blas_thread
 from palmfield.errors import SceneError
@@ -25,16 +25,16 @@ if TYPE_CHECKING:
     from palmfield.skin.problem import Law
 
 MOST_CONDITION = 1e8
-"""Condition of the eigenvectors above which `run` steps by matrix exponentials (free bodies have a double root 0)."""
+"""Above this condition of the eigenvectors `run` uses matrix exponentials (free bodies have a double root 0)."""
 
 MOST_STEPS = 64
-"""Step lengths whose exponentials are kept."""
+"""Number of step lengths whose exponentials are stored."""
 
 
 class Reduced:
-    """Small model: y and y' of forces f.
+    """Reduced model: computes y and y' from forces f.
 
-    order: number r of basis vectors; error: estimated relative error of y, by whoever made it; no bound
+    order: number r of basis vectors; error: relative error of y, estimated when the model is made; no bound
     A state is one flat array of `state_size` floats; all zeros is rest.
     """
 
@@ -61,7 +61,7 @@ class Reduced:
         """States (s, state_size) after each of s steps of step_s [s], exactly, from a state that stays as it is.
 
         first, last: forces at the start and end of each step, linear in between, (s, j)
-        By the modes of A where they are well conditioned: a length that comes once needs no matrix exponential then.
+        Uses the modes of A if they are well conditioned; a step length used once then needs no matrix exponential.
         """
         modes = self._modes
         if modes is None:
@@ -81,7 +81,7 @@ class Reduced:
 
     @cached_property
     def _modes(self) -> "_Modes | None":
-        """The modes of A; None where they are ill conditioned."""
+        """Return the modes of A; None if they are ill conditioned."""
         roots, vectors = np.linalg.eig(self.rates)
         if not np.linalg.cond(vectors, 1) < MOST_CONDITION:
             return None
@@ -89,7 +89,7 @@ class Reduced:
         return _Modes(roots, vectors, inverse, np.linalg.solve(vectors, self.inputs))
 
     def decoupled(self, step_s: float) -> "Decoupled | None":
-        """The same steps in independent coordinates; None where the modes are ill conditioned."""
+        """Return the same steps in independent coordinates; None if the modes are ill conditioned."""
         modes = self._modes
         if modes is None:
             return None
@@ -128,7 +128,7 @@ class Reduced:
         steps = np.diff(times)
         if forces.shape != (len(times), self.inputs.shape[1]) or not np.all(steps > 0.0):
             raise SceneError(f"forces {forces.shape} at {len(times)} times: give (t, {self.inputs.shape[1]}), rising t")
-        # Step lengths that differ by round-off only share their exponentials.
+        # Step lengths that differ only by round-off share their exponentials.
         digits = 12 - int(np.floor(np.log10(times[-1] - times[0]))) if len(times) > 1 else 0
         lengths, which = np.unique(np.round(steps, digits), return_inverse=True)
         modes = self._modes
@@ -166,14 +166,14 @@ class Reduced:
             with one_blas_thread:
                 whole = scipy.linalg.expm(block)
             ramp = whole[:size, size + inputs :]
-            # Several threads may share a model, so that what was found isn't looked up again
+            # Several threads may share a model, so the result is returned without a second look-up
             found = self._steps[step_s] = whole[:size, :size], whole[:size, size : size + inputs] - ramp, ramp
         return found
 
 
 @dataclass(frozen=True)
 class Decoupled:
-    """Steps of a small model in coordinates z of its modes: of a state x, z = x @ there, and x = z @ back, both (n, n).
+    """Steps of a reduced model in modal coordinates z: z = x @ there of a state x, and x = z @ back, both (n, n).
 
     The first numbers of z are real and imaginary part of each oscillating mode, the others the purely decaying modes.
     grow: factor of a step for each of the first. fall: for each of the others.
@@ -188,7 +188,7 @@ class Decoupled:
     end: Float
 
     def march(self, before: Float, states: Float) -> None:
-        """Steps one after another: each overwrites what drove it by what is after it; z, (w, n) and (w, s, n)."""
+        """Step in sequence: each step overwrites its input increment by the new state; z, (w, n) and (w, s, n)."""
         count = 2 * len(self.grow)
         for i in range(states.shape[1]):
             after = states[:, i]

@@ -1,4 +1,4 @@
-"""Steps a skin by a small model, made for a predicted load.
+"""Steps a skin by a reduced model for a predicted load.
 
 It is exact in time, and a substep is one dense product.
 """
@@ -35,16 +35,16 @@ if TYPE_CHECKING:
 
 MOST_VECTORS = 400
 BLOCK = 256
-"""Worlds whose step is one product."""
+"""Number of worlds that are stepped in one product."""
 MIXED = 64
-"""Largest number of loads for the displacement of the residual: their mean square is right to a tenth."""
+"""Largest number of loads for the displacement of the residual: the error of their mean square is then 10 %."""
 
 
 @dataclass(frozen=True)
 class KnownLoad:
     """A predicted load, F(t) = shapes @ shares(t).
 
-    basis: what the model is made for: the shapes themselves, for any course of each, or one Course.
+    basis: load for which the model is made: the shapes, for any time course of each, or one Course.
     shapes: [N], shape (n, m); trials: shares at the times of the steps, one array of shape (t, m) for each course from
         rest under which models are compared.
     spectrum: some of its frequencies [Hz] and, for each, its complex shares there, (m,), under e^{-i w t}.
@@ -93,13 +93,13 @@ class ReducedStepper(SkinStepper):
         self.state_size, self.order = self.model.state_size, vectors.shape[1]
         self.unknowns = len(vectors)
         self.shares = np.ascontiguousarray(shares)
-        # Pressures come in single precision, and half the memory to read is half the time
+        # Pressures are in single precision, and half the memory takes half the reading time
         self._single_shares = self.shares.astype(np.float32)
         advance, start, end = self.model.propagators(step_s)
         self.advance = np.ascontiguousarray(advance)
         self.start, self.end = np.ascontiguousarray(start.T), np.ascontiguousarray(end.T)
         self._decoupled = self.model.decoupled(step_s)
-        # Results of the last pressures that don't change
+        # Results for the last constant pressures
         self._fixed: tuple[Float | Float32, Float] | None = None
         self._leaps: tuple[Float | Float32, int, Float, Float] | None = None
         # Displacement and velocity in V are products of the first two blocks of a state: only these are not 0.
@@ -139,7 +139,7 @@ class ReducedStepper(SkinStepper):
             return self._read(states.reshape(-1, self.state_size), observe).reshape(worlds, substeps, 2, -1)
 
     def _leap(self, state: Float, loads: SurfaceLoads) -> None:
-        """All substeps at once, under constant pressures: the states in between are not needed."""
+        """Compute all substeps at once, under constant pressures; the states in between are not needed."""
         worlds, substeps, _ = loads.first.shape
         known = self._leaps
         with one_blas_thread:
@@ -150,7 +150,7 @@ class ReducedStepper(SkinStepper):
                 for _ in range(substeps - 1):
                     steps.append(steps[-1] @ self.advance.T)
                     power = power @ self.advance.T
-                # What is pushed first goes the longest way, (w, start and end, s, k, n)
+                # The first force passes through the most substeps, (w, start and end, s, k, n)
                 ways = np.stack(steps[::-1], axis=2).reshape(len(forces), -1, self.state_size)
                 self._leaps = known = loads.pressure_Pa, substeps, ways, power
             weights = np.stack([loads.first, loads.last], axis=1).reshape(worlds, 1, -1)
@@ -174,7 +174,7 @@ class ReducedStepper(SkinStepper):
             before = after
 
     def _forces(self, loads: SurfaceLoads) -> Float:
-        """Shapes of force under patterns of pressure (w, k, q), (w, k, j), of one world where all have the same."""
+        """Return force shapes (w, k, j) for patterns of pressure (w, k, q); one world if all have the same patterns."""
         pressure, known = loads.pressure_Pa, self._fixed
         if loads.fixed and known is not None and known[0] is pressure:
             return known[1]
@@ -203,7 +203,7 @@ class ReducedStepper(SkinStepper):
         if len(states) <= self.order:
             seen = self.motion(states).reshape(-1, self.order) @ reader.matrix
             return seen.reshape(-1, 2, reader.count)
-        # Of many worlds a few places are read: less work in this order
+        # For many worlds and few output points this order needs less work
         displaced = states[:, : self.order] @ (self._moved.T @ reader.matrix)
         return np.stack([displaced, states[:, self.order : 2 * self.order] @ (self._moves.T @ reader.matrix)], axis=1)
 
@@ -222,7 +222,7 @@ class ReducedStepper(SkinStepper):
         return f"{self.name}, {self.order} vectors"
 
     def device_model(self, substeps: int, points: int, device: str) -> DeviceModel | None:
-        """See SkinStepper; a CPU takes no longer for small ones."""
+        """See SkinStepper; None for small models, for which a CPU is as fast."""
         from palmfield.skin.reduction.device_models import DeviceReduced, pays
 
         worth = pays(self.state_size, self.shares.shape[1], substeps)
@@ -231,7 +231,7 @@ class ReducedStepper(SkinStepper):
     def work(self, patterns: int, substeps: int) -> StepWork:
         size, (points, forces) = self.state_size, self.shares.shape
         products, double = points * forces, substeps * size * (size + 2 * forces)
-        # A GPU reads the matrix in each substep, as the coupling of modes
+        # A GPU reads the matrix in each substep, as it does for coupled modes
         return StepWork(patterns * products, double, products, substeps * size * size, substeps)
 
     def lifted(self, state: Float, pressure_Pa: Callable[[], Float]) -> Float:
