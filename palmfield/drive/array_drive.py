@@ -157,7 +157,7 @@ class ArrayDrive:
 
     @cached_property
     def correction(self) -> Complex | None:
-        """Return the correction for the chosen transducers' gains, shape (n,): 0 for dead ones. None for nothing."""
+        """Return the gain correction of the chosen transducers, shape (n,): 0 for dead ones. None if not needed."""
         gain = self.array.array.gain
         if not self.compensate or gain is None:
             return None

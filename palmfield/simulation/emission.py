@@ -302,7 +302,7 @@ class Emission:
         return result
 
     def mean_drives(self, posed: PosedScene, emitted: Complex, t0: float) -> MeanDrives:
-        """Return the drives whose mean ARP is that over the MuJoCo step that begins at t0 [s].
+        """Return the drives and weights of the mean ARP over the MuJoCo step that begins at t0 [s].
 
         The mean is over the emission at the moments of the step. For a single stimulus without ring-up, the focus is
         that at the beginning of the step. None in silence.

@@ -23,7 +23,7 @@ from palmfield.types import Complex, Float
 AHEAD = 16
 """Number of steps for which the commanded drive is computed together."""
 SHARED_FROM = 32
-"""From this number on, worlds with different levels share one field. Its float32 rounding changes the ARP by about
+"""From this number of worlds with different levels on, they share one field. Its float32 rounding changes ARP by about
 1e-6; the error of the field is 2e-5. Fewer worlds have exactly the results of a single world."""
 ALIKE, LEAST = 1e-14, 1e-300
 """Rounding error of a drive relative to its largest amplitude, and the least power that counts as sound."""

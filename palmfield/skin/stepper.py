@@ -101,7 +101,7 @@ class SkinStepper(Protocol):
     error: relative error of the displacement that the stepper itself adds, by its own estimate; 0 where it adds none.
         With its own mesh it includes that of the mesh, and the estimate may take as long as a short run.
     any_pose: whether it is valid after body, arrays or focus have moved. any_course: whether it is valid for any
-        course of the load in time, also from rest while sound is on.
+        time course of the load, also if it starts from rest while sound is on.
     of_class: whether it is valid only for a class of loads.
     adds_error: relative errors of displacement and velocity that a reduced model adds to those of its layer. The second
         is None without an estimate. None for other steppers.

@@ -177,7 +177,7 @@ class ModalStepper(SkinStepper):
         count = len(shapes.points)
         self._hidden = count / max(count - len(shapes.sizes), 1)
         self._rooms: dict[tuple[int, int], list[_Room]] = {}
-        # Results of the last pressures that don't change
+        # Results for the last constant pressures
         self._pushed: tuple[Float | Float32, Float32] | None = None
 
     def step(

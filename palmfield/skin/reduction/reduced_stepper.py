@@ -166,7 +166,7 @@ class ReducedStepper(SkinStepper):
             share([(partial(leap, own),) for own in blocks], cores())
 
     def _march(self, state: Float, states: Float) -> None:
-        """All substeps of some worlds: each overwrites what drove it by the state after it; (w, n) and (w, s, n)."""
+        """Compute all substeps of some worlds; each overwrites its input by the new state; (w, n) and (w, s, n)."""
         onwards, before = self.advance.T, state
         for i in range(states.shape[1]):
             after = states[:, i]
