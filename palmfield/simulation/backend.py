@@ -1,5 +1,6 @@
 """Interface of the backends, which compute the steps of worlds on the host or on a device."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import repeat
@@ -57,7 +58,7 @@ class StepTrace:
 Observer = Callable[[StepTrace], None]
 
 
-class Backend:
+class Backend(ABC):
     """Computes steps of the worlds of a state. `Steps` calls its backends for each step, one after the other.
 
     A step begins with `place`, `emit`, `press` and `push`, in this order; `sense` follows for each sensor, and
@@ -85,51 +86,56 @@ class Backend:
         """Whether every substep is observed. Graphs do not return single substeps."""
         return self.observer is not None or any(map(is_not, self.works[0].observe, repeat(None)))
 
+    @abstractmethod
     def forget(self) -> None:
         """Drop data of the last step. Call it after a reset and in a copy, because other code has written the state."""
 
+    @abstractmethod
     def fetch(self) -> None:
         """Update the state from a device that has newer numbers."""
 
+    @abstractmethod
     def leave_out(self, world: int) -> None:
         """Mark a world whose emission does not come from its stimuli from now on."""
 
+    @abstractmethod
     def watch(self, skin: int, place: SensorPlace) -> None:
         """Compute the readings of a sensor at this place too, from the next step on."""
 
+    @abstractmethod
     def place(self, frames: Frames, free: Bool, t0: float) -> Rows:
         """Read the poses at the start of a step, t0 [s]; return the numbers of worlds that it can step, ascending.
 
         free: the worlds that no other backend steps, shape (worlds,)
         """
-        raise NotImplementedError
 
+    @abstractmethod
     def emit(self, t0: float) -> None:
         """Compute what transducers emit over the step, as far as forces and sensors need it.
 
         A device starts to compute the step; the host does other work until `press`.
         """
-        raise NotImplementedError
 
+    @abstractmethod
     def press(self) -> Rows:
         """Compute the ARP for forces and sensors; return the numbers of the worlds in which it is valid."""
-        raise NotImplementedError
 
+    @abstractmethod
     def push(self, forces: Sequence[Float]) -> None:
         """Write the forces on each body into the rows of the joined worlds.
 
         forces: by body, mean force over the step [N] and torque about the origins of its parts [N m], world axes,
             shape (worlds, 2, b, 3)
         """
-        raise NotImplementedError
 
+    @abstractmethod
     def sense(self, skin: int, place: SensorPlace, arp: Float, motion: Float) -> None:
         """Fill the rows of the joined worlds with the readings of a sensor at the beginning of the step.
 
         arp: [Pa], shape (worlds,); motion: displacement [m] and velocity [m/s], (worlds, 2)
         """
-        raise NotImplementedError
 
+    @abstractmethod
     def step_skins(self, t0: float, t1: float, skins: bool) -> None:
         """Advance transducers and skins of the joined worlds from t0 to t1 [s], in place.
 
@@ -137,7 +143,6 @@ class Backend:
         Raises SceneError for a state of another solver, and if a reduced model selected by key `solver` has become
         invalid.
         """
-        raise NotImplementedError
 
 
 def serves(model: HapticModel) -> bool:

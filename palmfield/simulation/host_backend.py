@@ -127,6 +127,9 @@ class HostBackend(Backend):
     def leave_out(self, world: int) -> None:
         self.smooth.leave_out(world)
 
+    def watch(self, skin: int, place: SensorPlace) -> None:
+        """Do nothing: the host computes a reading when it is read."""
+
     def adopt(self, other: "HostBackend") -> None:
         """Continue from another HostBackend, whose state has been copied, in the same PosedScenes."""
         self.smooth.adopt(other.smooth)
