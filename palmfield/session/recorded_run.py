@@ -27,7 +27,7 @@ from palmfield.outputs.summary import summary
 from palmfield.session.duration import check_duration, step_count
 from palmfield.session.mujoco_scene import body_poses
 from palmfield.session.open_scene import Source
-from palmfield.session.recorder import Block, Recorder, Sink, static_arrays, world_with
+from palmfield.session.recorder import TOGETHER, Block, Recorder, Sink, static_arrays, world_with
 from palmfield.session.simulation import Simulation
 from palmfield.terminal import bars
 
@@ -244,12 +244,15 @@ def _prepare(sim: Simulation, out: Path | None, overwrite: bool, bar: Progress) 
     static, attributes = known_before(sim), result_attributes(sim)
     store = MemoryStore(static, attributes) if out is None else Store(out, static, attributes, overwrite)
     LOG.debug("prepared the skin layers in %.2f s", time.perf_counter() - started)
-    return store, recorder_of(sim, store)
+    return store, recorder_of(sim, store, TOGETHER)
 
 
-def recorder_of(sim: Simulation, sink: Sink) -> Recorder:
-    """Return the recorder that writes a simulation's steps to a sink, from `start` to `stop`."""
-    return Recorder(sim.runtime, world_with(sim.data), sink, lambda: body_poses(sim.data))
+def recorder_of(sim: Simulation, sink: Sink, together: int = 1) -> Recorder:
+    """Return the recorder that writes a simulation's steps to a sink, from `start` to `stop`.
+
+    together: as of Recorder
+    """
+    return Recorder(sim.runtime, world_with(sim.data), sink, lambda: body_poses(sim.data), together)
 
 
 def known_before(sim: Simulation) -> Block:
@@ -263,17 +266,18 @@ def _simulate(sim: Simulation, recorder: Recorder, duration_s: float, bar: Progr
     steps = step_count(duration_s, sim.model.opt.timestep)
     task = bar.add_task(f"simulating {1e3 * duration_s:g} ms", total=steps)
     try:
-        recorder.start()
         with interrupts_held() as check:
-            for _ in range(steps):
-                sim.step()
-                recorder.step()
-                bar.advance(task)
-                check()
+            try:
+                recorder.start()
+                for _ in range(steps):
+                    sim.step()
+                    recorder.step()
+                    bar.advance(task)
+                    check()
+            finally:
+                recorder.stop()
     except (KeyboardInterrupt, Exception) as error:
         return error
-    finally:
-        recorder.stop()
     LOG.debug("%d steps took %.2f s", steps, time.perf_counter() - started)
     return None
 

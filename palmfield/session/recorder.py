@@ -1,6 +1,6 @@
-"""Data written by a running simulation: blocks of arrays, one for each MuJoCo step, for a store."""
+"""Data written by a running simulation: blocks of arrays, each of one or more MuJoCo steps, for a store."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import mujoco
@@ -12,21 +12,29 @@ from palmfield.drive.transducer_response import EmittedCourse, rows
 from palmfield.engine.host import World, world_of
 from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.hand.triangles import vertex_normals
+from palmfield.outputs.netcdf import joined
 from palmfield.outputs.schema import MUJOCO_SCENE, Arrays, group, sensor_channels
 from palmfield.session.loudest_moment import LoudestMoment
 from palmfield.session.mujoco_scene import mujoco_arrays
 from palmfield.session.phase_turns import PhaseTurns
 from palmfield.simulation.backend import StepTrace
 from palmfield.simulation.emission import Emission
-from palmfield.simulation.model import HapticModel, SkinModel
+from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.sensors import CHANNELS, UNITS
 from palmfield.simulation.skin_sound import Role
 from palmfield.stimulus.schedule import frames_at
 from palmfield.transforms import quaternion
-from palmfield.types import Array, Complex, Float
+from palmfield.types import Array, Complex, Float, Float32, Int
 
 Block = dict[str, dict[str, NDArray[Any]]]
+
+TOGETHER = 64
+"""Largest number of MuJoCo steps whose data are computed together."""
+WAITING_BYTES = 8_000_000
+"""Largest size of the motion of the skins in them."""
+FEW = 112
+"""Largest number of drives whose fields are computed together; more would change the formula and so the rounding."""
 
 
 class Sink(Protocol):
@@ -44,6 +52,27 @@ class Emitted(NamedTuple):
     drives: Complex
     factors: Float
     serial: int
+
+
+class Recorded(NamedTuple):
+    """One step whose data have not been written yet.
+
+    times: ends of its substeps [s], shape (s,). posed: its pose. emitted: emission at `times`.
+    motions: of each skin after each substep, displacement [m] and velocity [m/s], float32, shape (s, 2, S, 3).
+    pressed: of each skin, numbers of force samples and the mean ARP there [Pa], None in silence.
+    step: arrays along `step_time`.
+    """
+
+    times: Float
+    posed: PosedScene
+    emitted: Emitted
+    motions: list[Float32]
+    pressed: "list[tuple[Int, Float] | None]"
+    step: Block
+
+    def goes_on(self, last: "Recorded") -> bool:
+        """Whether pose and kind of emission are those of the last step."""
+        return self.posed is last.posed and self.emitted.serial == last.emitted.serial
 
 
 def emitted_at(course: EmittedCourse, moments: NDArray[np.int_]) -> Emitted:
@@ -74,10 +103,14 @@ class Recorder:
     turns: for each stimulus, the times at which the phases between its foci jumped
     """
 
-    def __init__(self, runtime: SceneRuntime, world: World, sink: Sink, body_poses: Callable[[], Float]):
-        """body_poses: of all of MuJoCo's bodies in the world, shape (bodies, 7)"""
+    def __init__(
+        self, runtime: SceneRuntime, world: World, sink: Sink, body_poses: Callable[[], Float], together: int = 1
+    ):
+        """body_poses: of all of MuJoCo's bodies in the world, shape (bodies, 7)
+        together: largest number of steps in a block; the last of them wait for `stop`
+        """
         self._body_poses = body_poses
-        self._carried = {runtime.model.carried(number)[0] for number in range(len(runtime.model.bodies))}
+        self._carried = [runtime.model.carried(number)[0] for number in range(len(runtime.model.bodies))]
         self.runtime, self.model, self.world, self.sink = runtime, runtime.model, world, sink
         self.loudest: list[LoudestMoment | None] = [None] * len(self.model.skins)
         self._loudest_Pa = [0.0] * len(self.model.skins)
@@ -85,6 +118,10 @@ class Recorder:
         self.turns = [PhaseTurns() for _ in self.model.stimuli]
         self._drive: Complex | None = None
         self._trace: StepTrace | None = None
+        # The next tick changes held points, with which waiting steps are computed
+        self._together = 1 if runtime.work.emission.holds else together
+        self._waiting: list[Recorded] = []
+        self._waiting_bytes = 0
         self.begun_s = 0.0
         self._sensors = [
             (sensor.name, sensor.data) for skin in runtime.binding.skins for sensor in world.sensors(skin.instance)
@@ -99,58 +136,91 @@ class Recorder:
         for number, (stepper, numbers) in enumerate(self.runtime.skin_states()):
             reader = work.reader(number, stepper)
             assert reader is not None
-            motions.append(stepper.read(numbers, reader))
+            motions.append(stepper.read(numbers, reader).reshape(1, 2, -1, 3).astype(np.float32))
         course = work.emission.now(posed, self.runtime.amplitudes, now_s)
         block = self._block(np.array([now_s]), posed, emitted_at(course, np.array([0])), motions)
         self.sink.append(block)
         self.runtime.steps.observer = self._observe
 
     def stop(self) -> None:
-        """Watch no longer."""
+        """Write the last steps, and watch no longer."""
         self.runtime.steps.observer = None
         self.runtime.work.observe = (None,) * len(self.model.skins)
+        self._write()
 
     def _observe(self, trace: StepTrace) -> None:
         self._trace = trace
 
     def step(self) -> None:
-        """Write the data of one completed MuJoCo step."""
+        """Take the data of one completed MuJoCo step, and write them if enough steps wait."""
         trace, self._trace = self._trace, None
         if trace is None:
             return
-        motions = [seen for watched in trace.motion for _, [seen] in watched]
         [posed] = trace.posed
+        motions = []
+        for skin, watched in zip(self.model.skins, trace.motion, strict=True):
+            for _, [seen] in watched:
+                motions.append(seen.reshape(len(trace.times), 2, len(skin.nodes[0]), 3).astype(np.float32))
         emitted = emitted_at_ends(self.runtime.work.emission, trace, self.model.step_s)
-        block = self._block(trace.times, posed, emitted, motions)
-        block["/"]["step_time"] = np.array([self.world.time - self.model.spec.timestep_s - self.begun_s])
+        step: Block = {"/": {"step_time": np.array([self.world.time - self.model.spec.timestep_s - self.begun_s])}}
         frame = posed.array_frame
         for array, placement in zip(self.model.spec.arrays, posed.arrays.placements, strict=True):
             own = placement.transform
-            pose = pose7(frame.points(own.position), frame.rotation @ own.rotation)
-            block.setdefault(group("array", array.name), {})["pose"] = pose[None]
-        for number, skin in enumerate(self.model.skins):
-            self._add_body(block, skin.spec.name, skin.body, posed)
-            if number in self._carried:
-                self._add_pressed(block, skin, posed)
-        block[group("mujoco", MUJOCO_SCENE)] = {"pose": self._body_poses()[None]}
+            step[group("array", array.name)] = {
+                "pose": pose7(frame.points(own.position), frame.rotation @ own.rotation)[None]
+            }
+        for skin in self.model.skins:
+            self._add_body(step, skin.spec.name, skin.body, posed)
+        step[group("mujoco", MUJOCO_SCENE)] = {"pose": self._body_poses()[None]}
         for name, data in self._sensors:
-            block[group("sensors", name)] = {"value": data[None].copy()}
-        self.sink.append(block)
+            step[group("sensors", name)] = {"value": data[None].copy()}
+        self._waiting.append(Recorded(trace.times, posed, emitted, motions, self._pressed(posed), step))
+        self._waiting_bytes += sum(motion.nbytes for motion in motions)
+        if len(self._waiting) >= self._together or self._waiting_bytes >= WAITING_BYTES:
+            self._write()
 
-    def _add_pressed(self, block: Block, skin: SkinModel, posed: PosedScene) -> None:
-        """Add ARP on the faces of the body of a skin; a GPU adds up forces without it."""
+    def _pressed(self, posed: PosedScene) -> "list[tuple[Int, Float] | None]":
+        """Return `Recorded.pressed`; empty on a GPU, which adds up forces without it."""
         if self.runtime.steps.in_graph:
+            return []
+        result: list[tuple[Int, Float] | None] = []
+        for number in self._carried:
+            body = self.model.skins[number].body
+            pressure = self.runtime.steps.host.pressed(0, body)
+            samples = self.runtime.work.radiation.samples(posed, self.runtime.work.unit_forces.skins[body])
+            result.append(None if pressure is None else (samples[3], pressure))
+        return result
+
+    def _write(self) -> None:
+        """Write the waiting steps in one block."""
+        steps, self._waiting, self._waiting_bytes = self._waiting, [], 0
+        if not steps:
             return
-        faces = len(skin.closed_surface[1])
-        pressure = self.runtime.steps.host.pressed(0, skin.body)
-        arp: Float = np.zeros(faces)
-        if pressure is not None:
-            *_, numbers = self.runtime.work.radiation.samples(posed, self.runtime.work.unit_forces.skins[skin.body])
-            owners, samples, shares = skin.sample_faces
-            at_samples: Float = np.zeros(int(samples.max()) + 1)
-            at_samples[numbers] = pressure
-            arp = np.bincount(owners, at_samples[samples] * shares, minlength=faces).astype(np.float64)
-        block[group("surface", skin.spec.name)] = {"face_arp": arp.astype(np.float32)[None]}
+        blocks, begin = [one.step for one in steps], 0
+        for end in range(1, len(steps) + 1):
+            if end == len(steps) or not steps[end].goes_on(steps[end - 1]):
+                blocks.append(self._in_one_pose(steps[begin:end]))
+                begin = end
+        if steps[0].pressed:
+            for i, number in enumerate(self._carried):
+                skin = self.model.skins[number]
+                pressure = np.zeros((skin.sample_faces.shape[1], len(steps)))
+                for column, one in enumerate(steps):
+                    if (pressed := one.pressed[i]) is not None:
+                        pressure[pressed[0], column] = pressed[1]
+                face_arp = np.ascontiguousarray((skin.sample_faces @ pressure).T, np.float32)
+                blocks.append({group("surface", skin.spec.name): {"face_arp": face_arp}})
+        self.sink.append(joined(blocks))
+
+    def _in_one_pose(self, steps: Sequence[Recorded]) -> Block:
+        """Return the data along `time` of steps in one pose with the same kind of emission."""
+        times = np.concatenate([one.times for one in steps])
+        motions = [np.concatenate(parts) for parts in zip(*[one.motions for one in steps], strict=True)]
+        drives, factors, serial = steps[0].emitted
+        if serial == 0:
+            drives = np.concatenate([one.emitted.drives for one in steps])
+        factors = np.concatenate([one.emitted.factors for one in steps])
+        return self._block(times, steps[0].posed, Emitted(drives, factors, serial), motions)
 
     def _add_body(self, block: Block, name: str, number: int, posed: PosedScene) -> None:
         runtime, frame = self.runtime, posed.array_frame
@@ -171,11 +241,10 @@ class Recorder:
 
     # -- one instant after the other -----------------------------------------------------------------------------
 
-    def _block(self, times: Float, posed: PosedScene, emitted: Emitted, motions: list[Float]) -> Block:
+    def _block(self, times: Float, posed: PosedScene, emitted: Emitted, motions: list[Float32]) -> Block:
         block: Block = {"/": {"time": times - self.begun_s}}
         for number, skin in enumerate(self.model.skins):
-            count = len(skin.nodes[0])
-            motion = motions[number].reshape(len(times), 2, count, 3).astype(np.float32)
+            motion = motions[number]
             sound = self._sound(posed, number, emitted, times)
             normal = np.einsum("tsk,sk->ts", motion[:, 0], skin.nodes[1].astype(np.float32))
             block[group("skin", skin.spec.name)] = {
@@ -198,7 +267,9 @@ class Recorder:
                 (factors * unit.arp).astype(np.float32), (np.sqrt(factors) * unit.amplitude).astype(np.float32)
             )
         else:
-            sound = radiation.sounds(posed, number, emitted.drives, "nodes")
+            parts = range(0, len(times), FEW)
+            few = [radiation.sounds(posed, number, emitted.drives[i : i + FEW], "nodes") for i in parts]
+            sound = SurfaceSound(*map(np.concatenate, zip(*(one[:2] for one in few), strict=True)))
         arp = sound.arp
         peaks = arp.max(axis=1)
         first = int(peaks.argmax())
@@ -222,12 +293,11 @@ class Recorder:
     def _add_drive(self, block: Block, times: Float, posed: PosedScene) -> None:
         """Add drive frames where the commanded drive differs from the last one."""
         commanded = self.runtime.work.emission.commanded(posed, times)
-        frames = []
-        for i, drive in enumerate(commanded):
-            if self._drive is None or not np.array_equal(self._drive, drive):
-                self._drive = drive.copy()
-                frames.append(i)
-        if not frames:
+        last = np.full_like(commanded[:1], np.nan) if self._drive is None else self._drive
+        before = np.concatenate([last, commanded[:-1]])
+        frames = np.logical_or.reduce(commanded != before, axis=1).nonzero()[0]
+        self._drive = commanded[-1:].copy()
+        if len(frames) == 0:
             return
         block["/"]["frame_time"] = times[frames] - self.begun_s
         chosen = commanded[frames]

@@ -280,18 +280,22 @@ class SkinModel:
         return closed_boundary(self.layer.mesh) if surface is None else (surface.vertices, surface.faces)
 
     @locked_cached_property
-    def sample_faces(self) -> tuple[Int, Int, Float]:
-        """Return faces of `closed_surface`, force samples, and their weights in the faces' mean ARP, shapes (k,)."""
+    def sample_faces(self) -> sparse.csr_matrix:
+        """Return the matrix from ARP at force samples to means on faces of `closed_surface`, shape (faces, samples)."""
         vertices, faces = self.closed_surface
         centroids, _, face_areas = face_samples(vertices, faces)
         if self.carrier.surface is not None:
             mesh = self.carrier.sample_mesh
-            return mesh.faces, mesh.samples, mesh.areas / np.maximum(face_areas[mesh.faces], 1e-30)
-        # The face of the skin itself comes first
-        quadrature = self.layer.quadrature
-        lit = centroids[: len(output_triangles(self.layer.mesh))]
-        owners = scipy.spatial.cKDTree(lit).query(quadrature.points)[1].astype(np.int32)
-        return owners, np.arange(len(owners), dtype=np.int32), quadrature.weights / face_areas[owners]
+            owners, samples, count = mesh.faces, mesh.samples, len(mesh.corners)
+            shares = mesh.areas / np.maximum(face_areas[owners], 1e-30)
+        else:
+            # The face of the skin itself comes first
+            quadrature = self.layer.quadrature
+            lit = centroids[: len(output_triangles(self.layer.mesh))]
+            owners = scipy.spatial.cKDTree(lit).query(quadrature.points)[1].astype(np.int32)
+            count, shares = len(owners), quadrature.weights / face_areas[owners]
+            samples = np.arange(count, dtype=np.int32)
+        return sparse.csr_matrix((shares, (owners, samples)), (len(faces), count))
 
 
 @dataclass(frozen=True)

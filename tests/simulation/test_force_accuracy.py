@@ -99,10 +99,9 @@ def test_a_recording_has_the_pressure_on_all_faces():
     """Values at the faces are interpolated between samples; together they push as the samples do."""
     sim = posed("palm_am200")
     model, scene = sim.runtime.model, sim.runtime.posed
-    owners, samples, shares = model.skins[0].sample_faces
     body = scene.bodies[0]
     pressure = 1.0 + body.samples[0][:, 2] / 0.2
-    arp = np.bincount(owners, pressure[samples] * shares, minlength=len(body.faces))
+    arp = model.skins[0].sample_faces @ pressure
     faces = face_samples(body.vertices_in_array, body.faces)
     pushes = -(arp * faces.areas) @ faces.normals, -(pressure * body.samples[2]) @ body.samples[1]
     assert pushes[0] == pytest.approx(pushes[1], rel=1e-9, abs=1e-9)
