@@ -1,4 +1,4 @@
-"""What the keys of all modules share: their model, their types, and how a bad value is told."""
+"""Base of all modules' keys: the model, the types of values, and the error messages for invalid values."""
 
 import json
 import re
@@ -11,7 +11,7 @@ from palmfield.errors import PalmfieldError, SceneError, did_you_mean, naming
 
 
 def split(value: Any) -> Any:
-    """A text's words; any other value as it is."""
+    """Split a text into words; return any other value unchanged."""
     return value.split() if isinstance(value, str) else value
 
 
@@ -31,10 +31,10 @@ JOINED, NUMBER = re.compile(r"\d_\d"), re.compile(r"number|decimals")
 class Config(BaseModel):
     """Keys of one plugin instance. Values arrive as MJCF text; a value that does not fit is a SceneError.
 
-    plugin: name of the plugin; about: what its keys say, in a sentence; files: keys that name files
-    renamed: what has another name since the last version -> what to use: a key (`device`: "board"), or a value of a
-        key (`solver=full`: "wedges"). They stay known for one version so that a scene that has them is told what to do
-    refused: values that make sense elsewhere but not in a scene (`solver=axisymmetric`) -> why, and what to do
+    plugin: name of the plugin; about: one sentence on its keys; files: keys that name files
+    renamed: old name -> new name, of a key (`device`: "board") or of a value of a key (`solver=full`: "wedges").
+        Old names are kept for one version, so that the error message can name the new one
+    refused: values allowed elsewhere but not in a scene (`solver=axisymmetric`) -> reason and advice
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -46,15 +46,15 @@ class Config(BaseModel):
 
     @classmethod
     def element(cls, name: str) -> str:
-        """Name of an instance in messages."""
+        """Return the name of an instance in messages."""
         return f"plugin '{cls.plugin}' instance '{name}'"
 
 
 class naming_keys(naming):
-    """An error of palmfield's that leaves the block names the element of a scene, and the keys of its settings.
+    """Add the scene element and the key of the refused setting to a palmfield error that leaves the block.
 
-    element: name of the element in messages. config: its keys, whose value of the refused setting is named.
-    setting: the refused setting of errors that name none.
+    element: name of the element in messages. config: keys of the element; the message quotes the refused value.
+    setting: refused setting, used if the error names none.
     """
 
     def __init__(self, element: str, config: Config | None = None, setting: str = ""):
@@ -78,17 +78,17 @@ T = TypeVar("T", bound=Config)
 
 
 def known_keys(model: type[Config]) -> list[str]:
-    """All keys that a scene may hold without MuJoCo refusing it: those that there are, and renamed ones."""
+    """Return all keys that MuJoCo must accept in a scene: the present keys and the renamed ones."""
     gone = [name for name in model.renamed if "=" not in name and name not in model.model_fields]
     return [*model.model_fields, *gone]
 
 
 def parse(model: type[Config], values: dict[str, str], element: str) -> Config:
-    """Typed configuration from a plugin instance's texts.
+    """Return the typed configuration of a plugin instance.
 
     values: key -> text, only the keys that the scene sets
-    element: how the message names the instance, e.g. `plugin 'palmfield.skin' instance 'skin'`
-    Raises SceneError with element, key, value and what is allowed, or what to do instead.
+    element: name of the instance in messages, e.g. `plugin 'palmfield.skin' instance 'skin'`
+    Raises SceneError with element, key, value and the allowed values or advice.
     """
     advice = [text for key, value in values.items() for text in _advice(model, key, value)]
     advice += [text for key, value in values.items() for text in _joined(model, key, value)]
@@ -97,23 +97,23 @@ def parse(model: type[Config], values: dict[str, str], element: str) -> Config:
     try:
         return _validated(model, tuple(values.items()))
     except ValidationError as error:
-        told = dict.fromkeys(_explain(model, values, e) for e in error.errors())
-        raise SceneError(f"{element}: " + "; ".join(told)) from None
+        messages = dict.fromkeys(_explain(model, values, e) for e in error.errors())
+        raise SceneError(f"{element}: " + "; ".join(messages)) from None
 
 
 def recorded(model: type[T], text: str) -> T:
-    """The configuration that `model_dump_json` has written, for example into a result.
+    """Read a configuration that `model_dump_json` has written, for example into a result.
 
-    Values that are those of a key that isn't given are left out, as some keys may not be given beside others.
-    Raises SceneError for what isn't such a text.
+    Default values are omitted before validation, because some keys exclude each other. Raises SceneError for
+    any other text.
     """
     try:
-        held = json.loads(text)
-        # As JSON has them: tuples are lists there
-        usual = json.loads(model.model_construct().model_dump_json())
-        given = {key: value for key, value in held.items() if value != usual.get(key)}
-        # As JSON again, in which bytes of tables are text
-        return model.model_validate_json(json.dumps(given))
+        stored = json.loads(text)
+        # Through JSON, so that tuples become lists as in `stored`
+        defaults = json.loads(model.model_construct().model_dump_json())
+        changed = {key: value for key, value in stored.items() if value != defaults.get(key)}
+        # Validated as JSON, in which bytes of tables are text
+        return model.model_validate_json(json.dumps(changed))
     except (ValueError, AttributeError) as error:
         raise SceneError(
             f"the stored keys of plugin '{model.plugin}' cannot be read: {error}; run the scene again"
@@ -122,12 +122,12 @@ def recorded(model: type[T], text: str) -> T:
 
 @lru_cache(maxsize=256)
 def _validated(model: type[Config], values: tuple[tuple[str, str], ...]) -> Config:
-    """The configuration of these texts: the same object for the same texts, as what is kept for it asks it often."""
+    """Return the configuration of these texts; equal texts give the same object, which other caches use as a key."""
     return model.model_validate(dict(values))
 
 
 def _advice(model: type[Config], key: str, value: str) -> list[str]:
-    """What to use in place of a key or a value that is renamed or refused; nothing for others."""
+    """Return the advice on a key or value that is renamed or refused; empty for others."""
     if key in model.renamed:
         use = model.renamed[key]
         now = model.renamed.get(f"{use}={value}")
@@ -139,11 +139,11 @@ def _advice(model: type[Config], key: str, value: str) -> list[str]:
 
 
 def _joined(model: type[Config], key: str, value: str) -> list[str]:
-    """Digits joined by an underscore are a number to Python, and a slip in a scene."""
+    """Return an error message for digits joined by an underscore, which Python would read as a number."""
     if key not in model.model_fields or not JOINED.search(value):
         return []
-    takes = allowed(model, key)
-    return [f"key '{key}' has value '{value}'; allowed: {takes}"] if NUMBER.search(takes) else []
+    limits = allowed(model, key)
+    return [f"key '{key}' has value '{value}'; allowed: {limits}"] if NUMBER.search(limits) else []
 
 
 def _explain(model: type[Config], values: dict[str, str], error: Any) -> str:
@@ -152,24 +152,23 @@ def _explain(model: type[Config], values: dict[str, str], error: Any) -> str:
     key = str(error["loc"][0])
     if key not in model.model_fields:
         return unknown_key(model, key)
-    takes = allowed(model, key)
-    near = did_you_mean(values[key], takes.split(" | ")) if " | " in takes else ""
+    limits = allowed(model, key)
+    near = did_you_mean(values[key], limits.split(" | ")) if " | " in limits else ""
     commas = "," in values[key] and isinstance(model.model_fields[key].default, tuple)
-    mend = f"; write '{' '.join(values[key].replace(',', ' ').split())}', with spaces in place of commas"
-    return f"key '{key}' has value '{values[key]}'{near}; allowed: {takes}" + (mend if commas else "")
+    advice = f"; write '{' '.join(values[key].replace(',', ' ').split())}', with spaces in place of commas"
+    return f"key '{key}' has value '{values[key]}'{near}; allowed: {limits}" + (advice if commas else "")
 
 
 def unknown_key(model: type[Config], key: str) -> str:
-    """What to say of a key that a module doesn't have."""
+    """Return the error message for a key that a module does not have."""
     near = did_you_mean(key, model.model_fields)
-    # A list of thirty keys hides the one that was meant
-    known = ", ".join(model.model_fields)
-    listed = f"the keys that `palmfield keys {model.plugin.removeprefix('palmfield.')}` lists" if near else known
+    keys = ", ".join(model.model_fields)
+    listed = f"the keys that `palmfield keys {model.plugin.removeprefix('palmfield.')}` lists" if near else keys
     return f"unknown key '{key}'{near}; allowed: {listed}"
 
 
 def allowed(model: type[BaseModel], key: str) -> str:
-    """What a key takes, in words, e.g. `number > 0` or `bonded | free_slip`."""
+    """Return the allowed values of a key, in words, e.g. `number > 0` or `bonded | free_slip`."""
     schema = _properties(model)[key]
     options = [o for o in schema.get("anyOf", [schema]) if o.get("type") != "null"]
     option = options[0]
@@ -193,13 +192,13 @@ def allowed(model: type[BaseModel], key: str) -> str:
 
 @lru_cache(maxsize=32)
 def _properties(model: type[BaseModel]) -> dict[str, Any]:
-    """The JSON schema of each key; of a whole model, so that it is made once for all its keys."""
+    """Return the JSON schema of each key; computed once for a whole model."""
     properties: dict[str, Any] = model.model_json_schema()["properties"]
     return properties
 
 
 def unit(key: str) -> str:
-    """Unit that a key's name carries, e.g. `Pa/m` for `foundation_normal_Pa_m`; empty for a pure number or text."""
+    """Return the unit in a key's name, e.g. `Pa/m` for `foundation_normal_Pa_m`; empty for a pure number or text."""
     units = {
         "_kg_m3": "kg/m^3", "normal_Pa_m": "Pa/m", "tangential_Pa_m": "Pa/m", "_Pa_s_m": "Pa s/m", "_Pa_m": "Pa m",
         "_Pa": "Pa", "_m_s": "m/s", "_m": "m",
@@ -209,7 +208,7 @@ def unit(key: str) -> str:
 
 
 def table(model: type[Config]) -> list[tuple[str, str, str, str, str]]:
-    """Rows (key, unit, allowed, default, meaning) of a module's keys."""
+    """Return rows (key, unit, allowed, default, meaning) of a module's keys."""
     rows = []
     for key, info in model.model_fields.items():
         default = info.default
@@ -221,5 +220,5 @@ def table(model: type[Config]) -> list[tuple[str, str, str, str, str]]:
 
 
 def renamed_table(model: type[Config]) -> list[tuple[str, str]]:
-    """Rows (key, or key and value, of the last version; what to use) of what is renamed."""
+    """Return rows (old key or old key and value, new name) of a module's renamed keys."""
     return [(name.replace("=", " "), use) for name, use in model.renamed.items()]

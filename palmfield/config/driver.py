@@ -13,11 +13,11 @@ BOARDS_FOLDER = Path(__file__).parents[1] / "drive" / "boards"
 if TYPE_CHECKING:
     BoardName = str
 else:
-    # Each file there is a board; its code lies in a layer above
+    # Each file in this folder is one board. The folder is listed because config may not import drive
     BoardName = Literal[tuple(sorted(module.name for module in iter_modules([str(BOARDS_FOLDER)])))]
 Switch = Literal["on", "off"]
 SAFETY_KEYS = ("ramp_s", "on_time_s", "duty_limit", "head_m", "head_radius_m", "head_limit_dB")
-"""Keys about how loud and how long a board may sound, whichever it is; `palmfield safety` and `drive` heed them."""
+"""Keys that limit the level and duration of the sound of any board; used by `palmfield safety` and `drive`."""
 Bits = Annotated[str, Field(pattern="^[01]{1,64}$")]
 
 
@@ -94,12 +94,12 @@ class DriverConfig(Config):
     )
 
     def of_board(self, keys: Container[str]) -> dict[str, Any]:
-        """Values of some keys as they are written, those that are set."""
+        """Return the values of those of `keys` that are set."""
         return {key: value for key, value in self.model_dump(exclude_none=True).items() if key in keys}
 
     @property
     def board_keys(self) -> dict[str, Any]:
-        """Keys that are the board's own, those that are set."""
+        """Keys of the board only, those that are set."""
         own = self.model_dump(exclude={"board", "compensate", "duty_exponent", *SAFETY_KEYS}, exclude_none=True)
         if "dither" in own:
             own["dither"] = own["dither"] == "on"

@@ -40,10 +40,10 @@ class MotionConfig(Config):
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:
-        given = [key for key in SOURCES if getattr(self, key) is not None]
-        if len(given) != 1:
+        sources = [key for key in SOURCES if getattr(self, key) is not None]
+        if len(sources) != 1:
             raise ValueError(
-                f"sources of the motion: {' and '.join(given) or 'none'}; give exactly one of: {', '.join(SOURCES)}"
+                f"sources of the motion: {' and '.join(sources) or 'none'}; give exactly one of: {', '.join(SOURCES)}"
             )
         if self.tracking is not None and self.hand is None:
             raise ValueError("tracking needs an articulated hand: name its preset by key hand")

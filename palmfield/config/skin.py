@@ -13,15 +13,15 @@ Base = Literal["bonded", "free_slip", "free", "springs"]
 Side = Literal["fixed", "free", "roller", "absorbing"]
 SPRINGS = ("base_normal_Pa_m", "base_tangential_Pa_m", "base_normal_Pa_s_m", "base_tangential_Pa_s_m")
 WHOLE_HISTORY = ("axisymmetric", "lateral_waves")
-"""Solvers that no scene can step."""
+"""Solvers that need the whole load history in advance, so that a scene cannot use them."""
 Solver = Literal["auto", "wedges", "reduced", "modal", "spectral_elements", "particles"]
 SKIN_SOLVERS = "palmfield.skin_solvers"
-"""Entry points of other packages: a solver's name, and what makes a `palmfield.skin.explicit_layer.ExplicitLayer`."""
+"""Entry points of other packages: name of a solver -> maker of a `palmfield.skin.explicit_layer.ExplicitLayer`."""
 OVERRIDES = ("density_kg_m3", "shear_relaxed_Pa", "shear_branch_Pa", "relaxation_time_s", "bulk_Pa")
 
 
 def _installed(solver: str) -> str:
-    """The name of a solver of another package. Raises ValueError where none is installed."""
+    """Return the name of a solver of another package. Raises ValueError if it is not installed."""
     if not entry_points(group=SKIN_SOLVERS, name=solver):
         raise ValueError(solver)
     return solver
@@ -29,7 +29,7 @@ def _installed(solver: str) -> str:
 
 Shape = Literal["hand", "articulated", "disc", "mesh", "rigged", "cylinder"]
 BODIES = tuple(shape for shape in get_args(Shape) if shape != "disc")
-"""Shapes on which a layer is laid; a disc is the layer itself."""
+"""Shapes that carry a skin layer; a disc is itself the layer."""
 OF_SHAPES = {
     "hand": ("hand", "articulated"),
     "mesh": ("mesh", "rigged"),
@@ -43,11 +43,11 @@ OF_SHAPES = {
     "depth_m": BODIES,
     "force_accuracy": BODIES,
 }
-"""Keys that only some shapes look at: with another shape they would say nothing, silently."""
+"""Keys that only some shapes use; with another shape they are an error."""
 THICKEST = 0.85
-"""Layer on a cylinder's bone over the cylinder's radius, at most: elements get thin towards its axis."""
+"""Largest layer thickness of a cylinder over its radius; beyond it, elements near the axis get too thin."""
 WITH_A_UNIT = (".glb", ".gltf", ".pkl")
-"""Mesh files whose format says what a unit is."""
+"""Mesh file formats that define the unit of length."""
 
 
 class SkinConfig(Config):
@@ -188,12 +188,12 @@ class SkinConfig(Config):
             )
         if self.base == "free" and self.side != "fixed":
             raise ValueError(f"base 'free' with side '{self.side}' leaves the layer without support: fix one of them")
-        given = [key for key in SPRINGS if getattr(self, key) is not None]
-        if self.base == "springs" and not set(SPRINGS[:2]) <= set(given):
+        springs = [key for key in SPRINGS if getattr(self, key) is not None]
+        if self.base == "springs" and not set(SPRINGS[:2]) <= set(springs):
             raise ValueError("base 'springs' needs base_normal_Pa_m and base_tangential_Pa_m")
-        if self.base != "springs" and given:
+        if self.base != "springs" and springs:
             raise ValueError(
-                f"{given[0]} applies to base 'springs', but base is '{self.base}': remove the key, or set base"
+                f"{springs[0]} applies to base 'springs', but base is '{self.base}': remove the key, or set base"
             )
         self._check_sheets()
         if self.obstacles and self.body_sound != "shadows":
@@ -258,12 +258,12 @@ class SkinConfig(Config):
 
     @property
     def unit(self) -> str:
-        """What one unit in the file of key `mesh` is, "auto" where no key says."""
+        """Length unit of the file of key `mesh`; "auto" if no key sets it."""
         return self.mesh_unit or "auto"
 
     @property
     def springs(self) -> tuple[float, float, float, float] | None:
-        """Stiffness [Pa/m] and damping [Pa s/m] per area, normal and tangential of each, of a base of springs."""
+        """Normal and tangential stiffness [Pa/m] and damping [Pa s/m] per area of base `springs`, else None."""
         if self.base != "springs":
             return None
         normal, tangential, normal_loss, tangential_loss = (getattr(self, key) or 0.0 for key in SPRINGS)
@@ -271,7 +271,7 @@ class SkinConfig(Config):
 
     @property
     def foundation(self) -> tuple[float, float] | None:
-        """Normal and tangential stiffness per area of what lies below the layer [Pa/m], or None."""
+        """Normal and tangential stiffness per area of the tissue below the layer [Pa/m], or None."""
         if self.foundation_normal_Pa_m is None or self.foundation_tangential_Pa_m is None:
             return None
         return self.foundation_normal_Pa_m, self.foundation_tangential_Pa_m

@@ -20,9 +20,9 @@ NEEDED: dict[str, tuple[str, ...]] = {
     "sites": ("path_sites",),
     "file": ("path_file",),
 }
-"""Keys without which a path has no shape."""
+"""Keys that each path needs for its shape."""
 ZIGZAG = ("path_zigzag_width_m", "path_zigzag_speed_m_s")
-"""Keys of a zigzag about a path that is not closed."""
+"""Keys of a zigzag along an open path."""
 OPTIONAL: dict[str, tuple[str, ...]] = {
     "line": ZIGZAG,
     "polyline": ZIGZAG,
@@ -38,23 +38,23 @@ AM_WAVEFORMS: dict[str, tuple[str, ...]] = {
     "burst": ("am_burst_length_s", "am_burst_period_s"),
     "file": ("am_file",),
 }
-"""Keys without which a waveform has no shape."""
+"""Keys that each waveform needs for its shape."""
 AM_OPTIONAL: dict[str, tuple[str, ...]] = {"hann": ("am_waveform_duty",), "burst": ("am_burst_phase_deg",)}
 OF_WAVEFORMS = ("am_waveform_duty", "am_burst_length_s", "am_burst_period_s", "am_burst_phase_deg", "am_file")
 AM_KEYS = ("am_quantity", "am_frequency_Hz", "am_depth", "am_waveform", "am_normalisation", *OF_WAVEFORMS)
 FARTHEST_FOCUS_M = 10.0
-"""No array focuses there: at 40 kHz air takes 13 dB on the way."""
+"""Largest distance of a focus from the origin [m]; over 10 m, air absorbs 13 dB at 40 kHz."""
 Extent = Annotated[float, Field(gt=0.0, le=2.0 * FARTHEST_FOCUS_M)]
-"""Of a path [m]; none reaches farther than a focus may be."""
+"""Extent of a path [m], at most the diameter of the range of foci."""
 USUAL_FOCUS_M = 0.2
 MOVING = ("path_rate_Hz", "path_speed_m_s", "path_end", "path_points")
 STEPS = 1e-6
-"""Of a step: so far from a whole number of steps a width may be."""
+"""Largest deviation of a path's width from a whole number of steps, as a share of a step."""
 PATH_KEYS = (*MOVING, *{key for keys in (*NEEDED.values(), *OPTIONAL.values()) for key in keys})
 
 
 def too_far(focus_m: tuple[float, float, float]) -> str | None:
-    """What is wrong with a focus [m] that is no place, or farther off than any, with the likely unit; else None."""
+    """Return the error text, with the likely unit, for a focus [m] that is not finite or too far away; else None."""
     if not all(map(math.isfinite, focus_m)):
         return "which is not a position; allowed: three finite numbers, in metres"
     distance = math.dist(focus_m, (0.0, 0.0, 0.0))
@@ -223,10 +223,10 @@ class StimulusConfig(Config):
         return self
 
     def _check_path(self) -> None:
-        given = {key for key in PATH_KEYS if key in self.model_fields_set}
+        used = {key for key in PATH_KEYS if key in self.model_fields_set}
         if self.path == "point":
-            if given or self.path_on == "skin":
-                key = min(given) if given else "path_on"
+            if used or self.path_on == "skin":
+                key = min(used) if used else "path_on"
                 raise ValueError(f"{key} applies to a moving path, but path is 'point': remove the key, or set path")
             return
         needed = NEEDED[self.path]
@@ -235,7 +235,7 @@ class StimulusConfig(Config):
             missing.append("path_rate_Hz (or path_speed_m_s, not both)")
         if missing:
             raise ValueError(f"path '{self.path}' needs {' and '.join(missing)}")
-        stray = sorted(given - set(needed) - set(MOVING) - set(OPTIONAL.get(self.path, ())))
+        stray = sorted(used - set(needed) - set(MOVING) - set(OPTIONAL.get(self.path, ())))
         if stray:
             raise ValueError(f"{stray[0]} does not apply to path '{self.path}', which takes {', '.join(needed)}")
         if self.path == "file":
@@ -290,18 +290,18 @@ class StimulusConfig(Config):
     def _check_modulation(self) -> None:
         needed = ["am_quantity", "am_frequency_Hz", "am_depth", *AM_WAVEFORMS[self.am_waveform]]
         if self.am_waveform == "file":
-            # A course in seconds has no frequency; which it is the file says
+            # The file defines whether it holds one period, which needs a frequency, or a course in seconds
             needed.remove("am_frequency_Hz")
         missing = [key for key in needed if getattr(self, key) is None]
         if missing:
             of = "" if self.am_waveform == "sine" else f" of am_waveform '{self.am_waveform}'"
             raise ValueError(f"modulation 'am'{of} needs {', '.join(missing)}")
-        takes = (*AM_WAVEFORMS[self.am_waveform], *AM_OPTIONAL.get(self.am_waveform, ()))
-        stray = [key for key in OF_WAVEFORMS if getattr(self, key) is not None and key not in takes]
+        applicable = (*AM_WAVEFORMS[self.am_waveform], *AM_OPTIONAL.get(self.am_waveform, ()))
+        stray = [key for key in OF_WAVEFORMS if getattr(self, key) is not None and key not in applicable]
         if stray:
             raise ValueError(
                 f"{stray[0]} does not apply to am_waveform '{self.am_waveform}', which takes "
-                f"{', '.join(takes) or 'no such key'}"
+                f"{', '.join(applicable) or 'no such key'}"
             )
         if self.am_waveform == "rectangle" and self.am_waveform_duty == 1.0:
             raise ValueError("am_waveform_duty is 1, so the rectangle is always high; allowed: above 0, below 1")

@@ -1,4 +1,4 @@
-"""Numbers from signals, maps and snapshots: one function each, SI units, every choice an argument.
+"""Metrics of signals, maps and snapshots in SI units; each function has an argument for each choice it makes.
 
 from palmfield.metrics import overshoot, settling_time, steady_value
 steady = steady_value(times, trace, (0.18, 0.2))

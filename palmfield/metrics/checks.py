@@ -10,7 +10,7 @@ Mask = NDArray[np.bool_]
 
 
 def trace(times_s: ArrayLike, values: ArrayLike, least: int = 2, *, single: bool = False) -> tuple[Float, Float]:
-    """Return times [s], shape (t,), rising, and values, shape (t, ...), as float64 arrays; (t,) for a single one.
+    """Return rising times [s], shape (t,), and values, shape (t, ...), or (t,) if `single`, as float64 arrays.
 
     Raises MeasurementError for fewer than `least` samples, other shapes, times that do not rise, NaN and infinity.
     """
@@ -20,14 +20,14 @@ def trace(times_s: ArrayLike, values: ArrayLike, least: int = 2, *, single: bool
     if not np.isfinite(times).all() or not np.all(np.diff(times) > 0.0):
         raise MeasurementError("times must be finite and rise from sample to sample")
     if signal.ndim == 0 or signal.shape[0] != len(times) or (single and signal.ndim != 1):
-        wanted = f"; give one signal, ({len(times)},)" if single else ""
-        raise MeasurementError(f"values have shape {signal.shape}, but there are {len(times)} times{wanted}")
+        allowed = f"; give one signal, ({len(times)},)" if single else ""
+        raise MeasurementError(f"values have shape {signal.shape}, but there are {len(times)} times{allowed}")
     finite("values", signal)
     return times, signal
 
 
 def even_step(times_s: Float) -> float:
-    """Step of evenly spaced times [s]. Raises MeasurementError if they are uneven."""
+    """Return the step of evenly spaced times [s]. Raises MeasurementError if they are not evenly spaced."""
     steps = np.diff(times_s)
     step = float((times_s[-1] - times_s[0]) / len(steps))
     if step <= 0.0 or np.abs(steps - step).max() > 1e-3 * step:
@@ -39,9 +39,9 @@ def even_step(times_s: Float) -> float:
 
 
 def grid(values: ArrayLike, x_m: ArrayLike, y_m: ArrayLike) -> tuple[Float, Float, Float]:
-    """A map on a grid, shape (m, n), with its places x (m,) and y (n,), both rising, as float64 arrays.
+    """Return a map, shape (m, n), and the rising coordinates x (m,) and y (n,) of its grid, as float64 arrays.
 
-    Raises MeasurementError for other shapes, places that do not rise, NaN and infinity.
+    Raises MeasurementError for other shapes, coordinates that do not rise, NaN and infinity.
     """
     field, x, y = (np.asarray(part, dtype=float) for part in (values, x_m, y_m))
     if x.ndim != 1 or y.ndim != 1 or field.shape != (len(x), len(y)):
@@ -54,7 +54,7 @@ def grid(values: ArrayLike, x_m: ArrayLike, y_m: ArrayLike) -> tuple[Float, Floa
 
 
 def mask(inside: ArrayLike, values: Float) -> Mask:
-    """Which places of a map count, shape (m, n), bool. Raises MeasurementError for another shape than the map's."""
+    """Return `inside` as bool, shape (m, n). Raises MeasurementError if its shape is not that of `values`."""
     chosen = np.asarray(inside, dtype=bool)
     if chosen.shape != values.shape:
         raise MeasurementError(f"inside has shape {chosen.shape}; the map has {values.shape}")
@@ -62,7 +62,7 @@ def mask(inside: ArrayLike, values: Float) -> Mask:
 
 
 def cell_areas(x_m: Float, y_m: Float) -> Float:
-    """Area of each place of a grid [m^2], shape (m, n): half way to its neighbours, cut at the rim."""
+    """Return the area of the cell of each grid point [m^2], shape (m, n); cells end half way to the next points."""
     across = [np.diff(np.concatenate([p[:1], 0.5 * (p[1:] + p[:-1]), p[-1:]])) for p in (x_m, y_m)]
     return np.asarray(np.outer(*across))
 
@@ -74,13 +74,13 @@ def finite(what: str, values: Float) -> None:
 
 
 def share(what: str, value: float) -> None:
-    """Raise MeasurementError if a share is not between 0 and 1, both excluded."""
+    """Raise MeasurementError unless 0 < value < 1."""
     if not 0.0 < value < 1.0:
         raise MeasurementError(f"{what} is {value:g}; allowed: above 0 and below 1")
 
 
 def whole(what: str, value: float, least: int, most: int) -> int:
-    """The value as an int. Raises MeasurementError if it is no whole number from `least` to `most`."""
+    """Return the value as an int. Raises MeasurementError unless it is a whole number from `least` to `most`."""
     if not least <= value <= most or value != int(value):
         raise MeasurementError(f"{what} is {value}; allowed: a whole number from {least} to {most}")
     return int(value)

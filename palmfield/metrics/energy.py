@@ -1,7 +1,7 @@
 """Energy of a stimulus: energy density, focal energy ratio, residual energy, and similarity of two maps.
 
-Maps are on a grid, shape (m, n), at x (m,) and y (n,) [m], both rising. A strip consists of the places within half the
-strip's width of a path. All raise MeasurementError for other shapes, NaN and infinity.
+Maps are on a grid, shape (m, n), at rising x (m,) and y (n,) [m]. A strip is the set of grid points within half the
+strip's width of a path. All functions raise MeasurementError for other shapes, NaN and infinity.
 """
 
 import itertools
@@ -20,17 +20,17 @@ Over = Literal["outside", "total"]
 
 
 def energy_density(times_s: ArrayLike, normal_velocity: ArrayLike, window_s: Window = None) -> Float:
-    """Mean over time of the square of the normal velocity [m^2/s^2]; values of shape (t, ...) give the shape behind t.
+    """Return the mean over time of the squared normal velocity [m^2/s^2]; input of shape (t, ...) gives shape (...).
 
-    Multiplied by an area density of mass it would be twice a kinetic energy; ratios and similarity do not need it.
+    The mass per area and the factor 1/2 of a kinetic energy are omitted: they cancel in ratios and similarities.
     """
     return np.asarray(rms_map(times_s, normal_velocity, window_s) ** 2)
 
 
 def strip(x_m: ArrayLike, y_m: ArrayLike, path_m: ArrayLike, width_m: float) -> Mask:
-    """Return which places of a grid are within half of width_m of a path, shape (m, n), bool.
+    """Return a mask of the grid points within half of width_m of a path, shape (m, n), bool.
 
-    x_m, y_m: places of the grid, rising [m], shapes (m,) and (n,)
+    x_m, y_m: rising coordinates of the grid [m], shapes (m,) and (n,)
     path_m: corners of the path [m], shape (k, 2), k >= 1
     Raises MeasurementError for other shapes and a width that is not above 0.
     """
@@ -59,9 +59,9 @@ def focal_energy_ratio(
     *,
     over: Literal["outside", "total"] = "outside",
 ) -> float:
-    """Energy inside a strip over all outside it, or over the total; each place is weighted by its area.
+    """Return the energy inside a strip over the energy outside it, or over the total; points are weighted by area.
 
-    density, x_m, y_m, inside: as of `average_residual_energy`; over: "outside" or "total"
+    density, x_m, y_m, inside: as for `average_residual_energy`; over: "outside" or "total"
     Raises MeasurementError if the divisor is zero.
     """
     values, x, y = grid(density, x_m, y_m)
@@ -76,9 +76,9 @@ def focal_energy_ratio(
 
 
 def average_residual_energy(density: ArrayLike, x_m: ArrayLike, y_m: ArrayLike, inside: ArrayLike) -> float:
-    """Mean over the area outside a strip of an energy density, in its unit (ARE).
+    """Return the average residual energy (ARE): the mean energy density over the area outside a strip.
 
-    density: shape (m, n), at x_m (m,) and y_m (n,) [m], both rising; inside: of `strip`, shape (m, n), bool
+    density: shape (m, n), at rising x_m (m,) and y_m (n,) [m]; inside: mask of `strip`, shape (m, n), bool
     Raises MeasurementError for other shapes, and for a strip that covers the whole map.
     """
     values, x, y = grid(density, x_m, y_m)
@@ -89,9 +89,9 @@ def average_residual_energy(density: ArrayLike, x_m: ArrayLike, y_m: ArrayLike, 
 
 
 def mse(map_a: ArrayLike, map_b: ArrayLike, *, normalised: bool = True) -> float:
-    """Mean of the squared difference of two maps on one even grid, shapes (m, n).
+    """Return the mean squared difference of two maps on one even grid, shapes (m, n).
 
-    normalised: each divided by its own largest magnitude first, so that the result has no unit; else in units squared
+    normalised: whether each map is first divided by its largest magnitude; if not, the unit is that of the maps squared
     """
     a, b = _pair(map_a, map_b, normalised)
     return float(np.mean((a - b) ** 2))
@@ -108,13 +108,13 @@ def ssim(
     k1: float = 0.01,
     k2: float = 0.03,
 ) -> float:
-    """Mean structural similarity of two maps on one even grid, shapes (m, n); 1 for equal ones.
+    """Return the mean structural similarity of two maps on one even grid, shapes (m, n); 1 for equal maps.
 
-    Wang, Bovik, Sheikh & Simoncelli 2004, IEEE Trans. Image Process. 13, 600, eq. 13: local means, variances and
-    covariance with Gaussian weights of `sigma` places in windows of 2 radius + 1; the mean is over windows inside the
-    map.
-    normalised: each map divided by its own largest magnitude first; data_range: L of the paper
-    Raises MeasurementError for maps smaller than a window, a sigma that is not above 0 and a radius below 0.
+    Wang, Bovik, Sheikh & Simoncelli 2004, IEEE Trans. Image Process. 13, 600, eq. 13. Local means, variances and
+    covariance have Gaussian weights of `sigma` grid points in windows of 2 radius + 1 points. The mean is over windows
+    inside the map.
+    normalised: whether each map is first divided by its largest magnitude; data_range: L of the paper
+    Raises MeasurementError for maps smaller than a window, sigma <= 0 and radius < 0.
     """
     above_zero("data_range", data_range)
     above_zero("sigma", sigma)

@@ -1,4 +1,4 @@
-"""Numbers of a map over a surface: diameters, areas above a level, radial profiles; depth of halved pressure."""
+"""Metrics of a map over a surface: diameters, areas above a level, radial profiles, depth of halved pressure."""
 
 import itertools
 from typing import Literal
@@ -16,10 +16,10 @@ Lobe = Literal["outermost", "central"]
 
 
 def area_above(values: ArrayLike, x_m: ArrayLike, y_m: ArrayLike, level: float) -> float:
-    """Area in which a map reaches `level`, in the map's unit [m^2]; between the grid's places the map is linear.
+    """Return the area in which a map reaches a level [m^2]; the map is linear between grid points.
 
-    values: shape (m, n) at x (m,) and y (n,) [m], both rising
-    Raises MeasurementError for other shapes, and values or a level that are not finite.
+    values: shape (m, n) at rising x (m,) and y (n,) [m]; level: in the unit of the map
+    Raises MeasurementError for other shapes, and for values or a level that are not finite.
     """
     field, x, y = grid(values, x_m, y_m)
     if not np.isfinite(level):
@@ -34,12 +34,12 @@ def area_above(values: ArrayLike, x_m: ArrayLike, y_m: ArrayLike, level: float) 
 def spot_diameter(
     values: ArrayLike, x_m: ArrayLike, y_m: ArrayLike, level_of_peak: float = 0.2, *, of: Diameter = "equal_area"
 ) -> float:
-    """Diameter of the region where the magnitude of a map exceeds a share of its largest [m].
+    """Return the diameter of the region where the magnitude of a map exceeds a share of its maximum [m].
 
-    values: shape (m, n) at x (m,) and y (n,) [m], both rising
-    level_of_peak: share, above 0 and below 1
-    of: "equal_area", diameter of the circle of the region's area; "widest", largest distance of two of its points
-    Raises MeasurementError for a map of zeros and for a region that reaches the map's rim, whose size is unknown.
+    values: shape (m, n) at rising x (m,) and y (n,) [m]
+    level_of_peak: share of the maximum, above 0 and below 1
+    of: "equal_area", diameter of the circle of equal area; "widest", largest distance of two points of the region
+    Raises MeasurementError for a map of zeros, and for a region of unknown size because it reaches the map's rim.
     """
     share("level_of_peak", level_of_peak)
     field, x, y = grid(np.abs(np.asarray(values, dtype=float)), x_m, y_m)
@@ -64,10 +64,10 @@ def spot_diameter(
 def radial_profile(
     values: ArrayLike, points_m: ArrayLike, radii_m: ArrayLike, weights: ArrayLike | None = None
 ) -> Float:
-    """Mean of a map over the angle, for rings about the origin, shape (k,); NaN for a ring without points.
+    """Return the mean of a map over each ring about the origin, shape (k,); NaN for a ring without points.
 
-    values: shape (n,) at points (n, 2) or (n, 3), of which x and y count [m]
-    radii_m: ends of the rings, rising, shape (k + 1,); weights: area of each point, shape (n,), else equal
+    values: shape (n,); points: positions, shape (n, 2) or (n, 3) [m], of which only x and y are used
+    radii_m: rising limits of the rings, shape (k + 1,); weights: area of each point, shape (n,), default equal
     """
     field, points, edges = (np.asarray(part, dtype=float) for part in (values, points_m, radii_m))
     share_of = np.ones(np.shape(field)) if weights is None else np.asarray(weights, dtype=float)
@@ -85,12 +85,12 @@ def radial_profile(
 
 
 def level_depth(depth_m: ArrayLike, values: ArrayLike, reference_m: float, level: float = 0.5) -> float:
-    """Distance beyond `reference_m` at which a curve first falls to `level` times its value at the reference [m].
+    """Return the distance beyond `reference_m` at which a curve first falls to `level` times its value there [m].
 
-    depth_m: distances from the array, rising [m], shape (n,); values: for example the pressure at the focus when it is
-        put at each, shape (n,), linear between
-    The halved-pressure depth has level 0.5 and the paper's normalisation as reference (an argument, since it is not
-    always printed). Raises MeasurementError if the reference is off the curve, or the curve never falls so low.
+    depth_m: rising distances from the array [m], shape (n,); values: shape (n,), linear between the distances, for
+        example the pressure at a focus placed at each distance
+    The halved-pressure depth has level 0.5. Its reference is an argument, because papers do not always print theirs.
+    Raises MeasurementError if the reference is outside the curve, or the curve stays above the level.
     """
     depth, curve = np.asarray(depth_m, dtype=float), np.asarray(values, dtype=float)
     share("level", level)
@@ -118,13 +118,13 @@ def level_depth(depth_m: ArrayLike, values: ArrayLike, reference_m: float, level
 
 
 def half_width(at_m: ArrayLike, values: ArrayLike, level: float = 0.5, *, of: Lobe = "outermost") -> float:
-    """Distance from the largest value of a curve to its fall below a share of it, mean of both sides [m].
+    """Return the distance from the maximum of a curve to its fall below `level` times the maximum, mean of both sides
+    [m]. For a curve with one maximum and level 0.5 it is half the full width at half maximum.
 
-    at_m: places along a line, rising [m], shape (n,); values: 0 or above, shape (n,), linear between places
-    of: "outermost", the last place on each side that still reaches the level: with fringes the width of their envelope;
-        "central", the first place that no longer does: that of the fringe in the middle
-    Half the full width at half maximum of a curve with one maximum. Raises MeasurementError for other shapes, a curve
-    of zeros, and one that still reaches the level at an end, whose width is unknown.
+    at_m: rising positions along a line [m], shape (n,); values: 0 or above, shape (n,), linear between positions
+    of: "outermost", up to the last position on each side that reaches the level: the envelope of interference fringes;
+        "central", up to the first position below the level: the central fringe
+    Raises MeasurementError for other shapes, a curve of zeros, and a curve that exceeds the level at an end.
     """
     share("level", level)
     places, curve = np.asarray(at_m, dtype=float), np.asarray(values, dtype=float)
@@ -159,7 +159,7 @@ def half_width(at_m: ArrayLike, values: ArrayLike, level: float = 0.5, *, of: Lo
 
 
 def _filled(field: Float, x: Float, y: Float, level: float) -> list[Float]:
-    """Return rings round regions where a map reaches a level; holes have the opposite orientation."""
+    """Return the outlines of the regions where a map reaches a level; holes have the opposite orientation."""
     top = max(float(field.max()), level) + 1.0 + abs(level)
     rings: list[Float] = []
     for points, offsets in zip(

@@ -16,14 +16,14 @@ def co_rotating_average(
     *,
     square: bool = False,
 ) -> Float:
-    """Mean over time in the frame that rotates with a focus on a circle, shape (r, n).
+    """Return the mean over time in the frame that rotates with a focus on a circle, shape (r, n_out).
 
-    values: at polar places, shape (t, r, n): r radii, n even angles 2 pi j/n in the resting frame; times_s: even
-    turn_Hz: turns of the focus a second, counter-clockwise where above 0; it is at angle 0 at time 0
-    angles_rad: angles from the focus at which the mean is wanted, shape (n_out,); the last axis of the answer
-    square: of the squares, and the root of that
-    Between the angles it is the trigonometric interpolation of the snapshots, exact where they hold less than n/2 waves
-    round the circle. Raises MeasurementError for times that are not even and less than a turn.
+    times_s: evenly spaced, shape (t,); values: shape (t, r, n), at r radii and n angles 2 pi j/n in the resting frame
+    turn_Hz: turns of the focus per second, positive counter-clockwise; the focus is at angle 0 at time 0
+    angles_rad: angles from the focus at which the mean is computed, shape (n_out,)
+    square: whether to return the root of the mean square instead of the mean
+    Snapshots are interpolated trigonometrically, which is exact for fewer than n/2 waves round the circle.
+    Raises MeasurementError for times that are not evenly spaced or cover less than one turn.
     """
     times, maps = trace(times_s, values, 2)
     if maps.ndim != 3:
@@ -39,7 +39,7 @@ def co_rotating_average(
     count = maps.shape[2]
     orders = np.fft.rfftfreq(count, 1.0 / count)
     weight = np.where((orders == 0.0) | (2.0 * orders == count), 1.0, 2.0) / count
-    # In the focus's frame each order of a snapshot rotates by itself
+    # In the frame of the focus each angular order of a snapshot is multiplied by its own phase factor
     turn = np.exp(2j * np.pi * turn_Hz * np.outer(times, orders))
     back = np.exp(1j * np.outer(orders, angles))
     if not square:

@@ -19,13 +19,13 @@ Taper = Literal["hann", "none"]
 
 
 def amplitude_spectrum(time_s: ArrayLike, signal: ArrayLike, *, taper: Taper = "hann") -> tuple[Float, Float]:
-    """Single-sided amplitude spectrum, DC excluded.
+    """Return the single-sided amplitude spectrum without DC.
 
     time_s: evenly spaced [s], shape (n,), n >= 8; signal: shape (n,)
-    taper: "hann", or "none", where a record that holds no whole periods leaks
-    Returns frequencies [Hz] without 0 and amplitudes in the signal's unit, both shape (n // 2,): a sine of amplitude A
-    whose frequency falls on a bin gives A there. The weighted mean is subtracted first, so that the window spreads no
-    DC into the lowest bins.
+    taper: "hann" or "none"; with "none", a record without whole periods has spectral leakage
+    Returns frequencies [Hz] without 0 and amplitudes in the signal's unit, both of shape (n // 2,). A sine of amplitude
+    A at the frequency of a bin gives A in this bin. The weighted mean is subtracted first, so that the window does not
+    spread DC into the lowest bins.
     Raises MeasurementError for fewer than 8 samples, times that are not evenly spaced, and another taper.
     """
     if len(np.atleast_1d(time_s)) < 8:
@@ -45,9 +45,9 @@ def amplitude_spectrum(time_s: ArrayLike, signal: ArrayLike, *, taper: Taper = "
 
 
 def harmonics(time_s: ArrayLike, signal: ArrayLike, fundamental_Hz: float, count: int = 4) -> Float:
-    """Amplitudes of the lines at 1, 2, ... count times a frequency, in the signal's unit, shape (count,).
+    """Return the amplitudes of the lines at 1, 2, ... count times a frequency, in the signal's unit, shape (count,).
 
-    Least squares with an additional constant, so that neither whole periods nor even times are needed.
+    The lines and a constant are fitted by least squares, so the record may have any length and uneven times.
     Raises MeasurementError for a record shorter than a period, and for lines above half the sampling rate.
     """
     above_zero("fundamental_Hz", fundamental_Hz)
@@ -73,9 +73,9 @@ def harmonics(time_s: ArrayLike, signal: ArrayLike, fundamental_Hz: float, count
 def strongest_line(
     time_s: ArrayLike, signal: ArrayLike, band_Hz: tuple[float, float], *, taper: Taper = "none"
 ) -> tuple[float, float]:
-    """Frequency [Hz] and amplitude of the largest bin of `amplitude_spectrum` in a band, ends within it.
+    """Return frequency [Hz] and amplitude of the largest bin of `amplitude_spectrum` in a band.
 
-    time_s, signal, taper: as of `amplitude_spectrum`; band_Hz: (lowest, highest) [Hz]
+    time_s, signal, taper: as for `amplitude_spectrum`; band_Hz: (lowest, highest) [Hz], both included
     Raises MeasurementError as `amplitude_spectrum`, and if no bin is in the band.
     """
     frequency, amplitude = amplitude_spectrum(time_s, signal, taper=taper)
@@ -87,7 +87,7 @@ def strongest_line(
 def spectral_centroid(
     time_s: ArrayLike, signal: ArrayLike, band_Hz: tuple[float, float], *, taper: Taper = "none"
 ) -> float:
-    """Mean frequency in a band, weighted by power, the square of `amplitude_spectrum` [Hz]. NaN for silence.
+    """Return the mean frequency in a band, weighted by the square of `amplitude_spectrum` [Hz]; NaN for silence.
 
     Arguments and errors are those of `strongest_line`.
     """
@@ -108,11 +108,11 @@ def _in_band(frequency: Float, band_Hz: tuple[float, float]) -> np.ndarray:
 
 
 def spectral_peaks(frequency_Hz: Float, amplitude: Float, most: int = 4) -> list[tuple[float, float]]:
-    """Peaks at least 10 dB above their surroundings and within 50 dB of the largest, largest first; a drift that rises
-    towards the first bin does not count.
+    """Return the `most` largest peaks as (frequency [Hz], amplitude), largest first.
 
-    Each is (frequency [Hz], amplitude) between the bins, from the ratio of the two highest bins of a Hann window
-    (Grandke 1983, IEEE Trans. Instrum. Meas. 32, 350): within 0.01 bins and 0.1 % for a lone sine of five periods.
+    Peaks are at least 10 dB above their surroundings and within 50 dB of the largest. A drift, which rises towards the
+    first bin, is no peak. Peaks are interpolated from the ratio of the two highest bins of a Hann window (Grandke 1983,
+    IEEE Trans. Instrum. Meas. 32, 350); error for a single sine of five periods: 0.01 bins and 0.1 %.
     """
     frequency_Hz, amplitude = trace(frequency_Hz, amplitude, 3, single=True)
     most, top = whole("most", most, 1, len(amplitude)), float(amplitude.max())

@@ -1,7 +1,7 @@
-"""Numbers of one signal over time: steady value, peak, overshoot, settling, peak to peak, RMS.
+"""Metrics of one signal over time: steady value, peak, overshoot, settling, peak to peak, RMS.
 
-All take times [s], shape (t,), and a signal in any unit, shape (t,), and raise MeasurementError for other shapes, NaN,
-and windows that hold less than two samples. A window is (start, end) [s] with both ends; None is the whole record.
+All take times [s], shape (t,), and a signal in any unit, shape (t,). They raise MeasurementError for other shapes, NaN,
+and windows with fewer than two samples. A window is (start, end) [s], both included; None is the whole record.
 """
 
 from typing import Literal
@@ -18,12 +18,11 @@ Of = Literal["magnitude", "negative", "positive"]
 
 
 def within(times_s: ArrayLike, values: ArrayLike, window_s: Window, *, single: bool = False) -> tuple[Float, Float]:
-    """The samples of a window. values: shape (t, ...).
+    """Return the samples of a window: times, shape (k,), and values, shape (k, ...).
 
-    times_s: rising [s], shape (t,); values: in any unit, shape (t, ...); window_s: (start, end) [s] with both
-        ends, None is the whole record; single: whether there is one signal only, shape (t,)
-    Returns times, shape (k,), and values, shape (k, ...).
-    Raises MeasurementError for other shapes, NaN, and a window that holds less than two samples.
+    times_s: rising [s], shape (t,); values: in any unit, shape (t, ...); window_s: (start, end) [s], both included,
+        None is the whole record; single: whether to require one signal, shape (t,)
+    Raises MeasurementError for other shapes, NaN, and a window with fewer than two samples.
     """
     times, signal = trace(times_s, values, single=single)
     if window_s is None:
@@ -40,7 +39,7 @@ def within(times_s: ArrayLike, values: ArrayLike, window_s: Window, *, single: b
 
 
 def last_periods(times_s: ArrayLike, frequency_Hz: float, periods: int) -> tuple[float, float]:
-    """The window of the last whole periods of a record, without the sample that begins the next one [s].
+    """Return the window of the last whole periods of a record [s], without the sample that begins the next period.
 
     Raises MeasurementError if the record is shorter.
     """
@@ -57,18 +56,18 @@ def last_periods(times_s: ArrayLike, frequency_Hz: float, periods: int) -> tuple
 
 
 def mean_value(times_s: ArrayLike, values: ArrayLike, window_s: Window = None) -> float:
-    """Mean over a window, of the samples, in the signal's unit.
+    """Return the mean of the samples in a window, in the signal's unit.
 
-    times_s: rising [s], shape (t,); values: in any unit, shape (t,); window_s: as of `within`
+    times_s: rising [s], shape (t,); values: in any unit, shape (t,); window_s: as for `within`
     Raises MeasurementError as `within`.
     """
     return float(within(times_s, values, window_s)[1].mean())
 
 
 def steady_value(times_s: ArrayLike, values: ArrayLike, window_s: tuple[float, float]) -> float:
-    """Final value of a step: the mean over a window near the stimulus' end, in the signal's unit.
+    """Return the final value of a step response: the mean over a window near the end of the stimulus.
 
-    times_s: rising [s], shape (t,); values: in any unit, shape (t,); window_s: as of `within`
+    times_s: rising [s], shape (t,); values: in any unit, shape (t,); window_s: as for `within`
     Raises MeasurementError as `within`.
     """
     return mean_value(times_s, values, window_s)
@@ -77,9 +76,9 @@ def steady_value(times_s: ArrayLike, values: ArrayLike, window_s: tuple[float, f
 def peak(
     times_s: ArrayLike, values: ArrayLike, window_s: Window = None, *, of: Of = "magnitude"
 ) -> tuple[float, float]:
-    """Time [s] and value, with its sign, of the largest magnitude, or of the lowest or highest value.
+    """Return time [s] and signed value of the sample of largest magnitude, or of the lowest or highest sample.
 
-    times_s: rising [s], shape (t,); values: in any unit, shape (t,); window_s: as of `within`
+    times_s: rising [s], shape (t,); values: in any unit, shape (t,); window_s: as for `within`
     of: "magnitude", "negative" or "positive"
     Raises MeasurementError as `within`, and for another `of`.
     """
@@ -92,10 +91,10 @@ def peak(
 
 
 def overshoot(times_s: ArrayLike, values: ArrayLike, steady: float, window_s: Window = None) -> float:
-    """Overshoot of a step relative to its steady value: (peak - steady)/steady; 0 without overshoot.
+    """Return the overshoot of a step response relative to its steady value, (peak - steady)/steady, at least 0.
 
-    times_s, values, window_s: as of `mean_value`
-    steady: in the signal's unit, not 0, for example by `steady_value`; the peak is on its side of 0
+    times_s, values, window_s: as for `mean_value`
+    steady: steady value, not 0, for example by `steady_value`; the peak has the sign of the steady value
     Raises MeasurementError as `within`, and for a steady value of 0.
     """
     if not (np.isfinite(steady) and steady != 0.0):
@@ -113,9 +112,9 @@ def settling_time(
     start_s: float = 0.0,
     end_s: float | None = None,
 ) -> float:
-    """Time from `start_s` until the signal stays within band * |steady| of the steady value [s].
+    """Return the time from `start_s` until the signal stays within band * |steady| of the steady value [s].
 
-    times_s, values: as of `mean_value`; steady: as of `overshoot`
+    times_s, values: as for `mean_value`; steady: as for `overshoot`
     band: share of the steady value, above 0 and below 1; the last crossing is interpolated linearly between two samples
     end_s: end of the evaluated signal, for example of the stimulus
     Raises MeasurementError if the signal is still outside the band at the end.
@@ -139,11 +138,11 @@ def settling_time(
 
 
 def peak_to_peak(times_s: ArrayLike, values: ArrayLike, window_s: Window = None) -> float:
-    """Largest minus smallest value, in the signal's unit.
+    """Return the largest minus the smallest value, in the signal's unit.
 
-    times_s, values: as of `mean_value`
-    window_s: None is the whole record from rest, including the onset; `last_periods` gives the steady part. The two
-    differ: a modulated load from rest moves the skin's mean too.
+    times_s, values: as for `mean_value`
+    window_s: None is the whole record, including the onset; `last_periods` gives the steady part. The results differ,
+        because a modulated load applied at rest also moves the mean position of the skin.
     Raises MeasurementError as `within`.
     """
     return float(np.ptp(within(times_s, values, window_s)[1]))
@@ -152,10 +151,10 @@ def peak_to_peak(times_s: ArrayLike, values: ArrayLike, window_s: Window = None)
 def rms(
     times_s: ArrayLike, values: ArrayLike, window_s: Window = None, *, mean: Literal["kept", "removed"] = "kept"
 ) -> float:
-    """Root of the mean square over a window, with its mean or without, in the signal's unit.
+    """Return the root mean square over a window, in the signal's unit.
 
-    times_s: rising [s], shape (t,); values: in any unit, shape (t,); window_s: as of `within`
-    mean: "kept" or "removed"
+    times_s: rising [s], shape (t,); values: in any unit, shape (t,); window_s: as for `within`
+    mean: "kept" or "removed", whether the mean is subtracted first
     Raises MeasurementError as `within`, and for another `mean`.
     """
     signal = within(times_s, values, window_s)[1]
@@ -165,7 +164,7 @@ def rms(
 def rms_map(
     times_s: ArrayLike, values: ArrayLike, window_s: Window = None, *, mean: Literal["kept", "removed"] = "kept"
 ) -> Float:
-    """`rms` of many signals at once: values of shape (t, ...) give the shape behind t.
+    """Return `rms` of many signals: values of shape (t, ...) give a result of shape (...).
 
     The other arguments and errors are those of `rms`.
     """

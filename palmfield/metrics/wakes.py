@@ -1,7 +1,7 @@
 """Wake of a moving focus: its length, its area, and the angle of its fronts.
 
-A snapshot is the normal velocity at one moment on a grid, shape (m, n), at x (m,) and y (n,) [m], both rising, with the
-focus at focus_x_m on y = 0 and running along +x. Thresholds are shares of the snapshot's largest magnitude. All raise
+A snapshot is the normal velocity at one moment on a grid, shape (m, n), at rising x (m,) and y (n,) [m]. The focus is
+at focus_x_m on y = 0 and moves along +x. Thresholds are shares of the snapshot's largest magnitude. All functions raise
 MeasurementError for other shapes and for snapshots of zeros.
 """
 
@@ -30,18 +30,18 @@ def wake_length(
     lateral_m: float | None = None,
     until: Until = "last_above",
 ) -> float:
-    """Distance behind the focus over which the largest magnitude across the path reaches a threshold [m].
+    """Return the length of the wake behind a focus on a straight path [m].
 
-    normal_velocity: a snapshot [m/s], shape (m, n), at x_m (m,) and y_m (n,) [m], both rising; the focus is at
-        focus_x_m [m] on y = 0 and runs along +x
+    The envelope is the largest magnitude across the path, linear between the positions along x. If it exceeds the
+    threshold up to the end of the snapshot, the result is a lower bound. For curved paths use `wake_along_path`, whose
+    threshold is a share of the part behind the focus and which does not interpolate.
+
+    normal_velocity: a snapshot [m/s], shape (m, n), at rising x_m (m,) and y_m (n,) [m]; the focus is at
+        focus_x_m [m] on y = 0 and moves along +x
     threshold: share of the snapshot's largest magnitude, above 0 and below 1
     lateral_m: full width of the strip about the path; None is the whole snapshot
-    until: "last_above", to the farthest place that reaches it; "first_below", to its first fall below. The envelope is
-    linear between the places along x. If it reaches the threshold up to the snapshot's end, the length ends there: a
-    lower bound.
-    For a straight path on a grid. `wake_along_path` is for curved paths, on the nodes of a skin: there the threshold is
-    a share of the part behind the focus alone, and the length ends at a place, without interpolation.
-    Raises MeasurementError for other shapes and shares, a snapshot of zeros, and one without places behind the focus.
+    until: "last_above", up to the farthest point above the threshold; "first_below", up to the first point below
+    Raises MeasurementError for other shapes and shares, a snapshot of zeros, and one without points behind the focus.
     """
     share("threshold", threshold)
     values, x, y = grid(normal_velocity, x_m, y_m)
@@ -65,32 +65,31 @@ def wake_length(
 def wake_along_path(
     arc_m: float, velocity: ArrayLike, places_m: ArrayLike, near: ArrayLike, threshold: float = 0.1
 ) -> tuple[float, Float, Float]:
-    """The wake along a curved path: its length [m], distances behind the focus [m] and the envelope there.
+    """Return the wake along a curved path: its length [m], distances behind the focus [m] and the envelope there.
 
-    arc_m: how far the focus has gone; velocity: along the normals of nodes [m/s], shape (s,); places_m: arc lengths of
-    places on the way, rising, shape (k,); near: which nodes are looked at for each place, shape (k, s), bool
-    The envelope at a place is the largest magnitude of the nodes near it, over its largest value behind the focus. The
-    wake reaches back to the first place at which it is below the threshold, without interpolation.
-    It differs from `wake_length` along another line: places on a curved path share nodes, so an envelope between two of
-    them is undefined, and nodes ahead of the focus belong to other parts of it. The scenarios' figures are of this.
+    arc_m: arc length that the focus has covered; velocity: normal velocity of the nodes [m/s], shape (s,); places_m:
+        rising arc lengths of points of the path, shape (k,); near: nodes near each point, shape (k, s), bool
+    The envelope at a point is the largest magnitude of the nodes near it, over the maximum of the envelope behind the
+    focus. The wake reaches back to the first point at which the envelope is below the threshold. There is no
+    interpolation as in `wake_length`, because neighbouring points of a curved path share nodes.
     """
     share("threshold", threshold)
     size, places = np.abs(np.asarray(velocity, dtype=float)), np.asarray(places_m, dtype=float)
     finite("the velocity", size)
     gone = places <= arc_m
-    beside = np.asarray(near, dtype=bool)
-    if beside.shape != (len(places), len(size)) or not gone.any():
+    nearby = np.asarray(near, dtype=bool)
+    if nearby.shape != (len(places), len(size)) or not gone.any():
         raise MeasurementError(
-            f"near has shape {beside.shape}; give ({len(places)}, {len(size)}), and places that lie behind {arc_m:g} m"
+            f"near has shape {nearby.shape}; give ({len(places)}, {len(size)}), and places that lie behind {arc_m:g} m"
         )
-    envelope = np.where(beside[gone], size, 0.0).max(axis=1)
+    envelope = np.where(nearby[gone], size, 0.0).max(axis=1)
     envelope = envelope / _largest(envelope)
     still = np.flatnonzero(envelope < threshold)
     return float(arc_m - (places[still[-1]] if len(still) else 0.0)), arc_m - places[gone], envelope
 
 
 def wake_area(normal_velocity: ArrayLike, x_m: ArrayLike, y_m: ArrayLike, *, threshold: float = 0.1) -> float:
-    """Area where the magnitude of a snapshot reaches a threshold, ahead of the focus too [m^2].
+    """Return the area, behind and ahead of the focus, where the magnitude of a snapshot reaches a threshold [m^2].
 
     Arguments and errors are those of `wake_length`.
     """
@@ -110,14 +109,14 @@ def mach_angle(
     distances_m: tuple[float, float] = (0.02, 0.06),
     skip_m: float = 0.009,
 ) -> float:
-    """Half-angle between the fronts behind a focus and its path [deg].
+    """Return the angle between the wave fronts behind a focus and its path [deg].
 
-    estimator: "ridge", at each place between the distances behind the focus the lateral place of the largest magnitude
-        on each side; a line through the focus is fitted to each side by least absolute deviations, and the two angles
-        are averaged. "slant_stack", `palmfield.skin.analytic.mach_half_angle` on the whole snapshot
-    distances_m: nearest and farthest place behind the focus that the ridge takes
-    skip_m: strip about the path that the slant stack leaves out
-    Raises MeasurementError if less than three places are between the distances.
+    estimator: "ridge" fits, on each side of the path, a line through the focus to the points of largest magnitude by
+        least absolute deviations, and averages both angles. "slant_stack" is
+        `palmfield.skin.analytic.mach_half_angle` on the whole snapshot
+    distances_m: smallest and largest distance behind the focus that "ridge" uses
+    skip_m: strip about the path that "slant_stack" omits
+    Raises MeasurementError if fewer than three grid points are between the distances.
     """
     values, x, y = grid(normal_velocity, x_m, y_m)
     _largest(values)
@@ -142,7 +141,7 @@ def mach_angle(
 
 
 def _slope(distance: Float, place: Float) -> float:
-    """The m that minimises sum |place - m distance|: the median of place/distance with weights distance."""
+    """Return the m that minimises sum |place - m distance|: the median of place/distance with weights distance."""
     ratio = place / distance
     order = np.argsort(ratio)
     weight = np.cumsum(distance[order])
@@ -150,7 +149,7 @@ def _slope(distance: Float, place: Float) -> float:
 
 
 def _reach(distance: Float, envelope: Float, level: float, until: str) -> float:
-    """Return the end of an envelope over rising distances, linear between them."""
+    """Return the distance at which an envelope falls below a level; distances rise, the envelope is linear between."""
     above = envelope >= level
     if until == "last_above":
         last = int(np.flatnonzero(above)[-1]) if above.any() else -1

@@ -1,6 +1,6 @@
 """Probability of detection from a level above threshold, and the effect of a time course on the level.
 
-p = g + (1 - g - l) (1 - exp(-ln 2 E^b)), E the level as a ratio: at threshold, E = 1, it is felt in half of the cases.
+p = g + (1 - g - l) (1 - exp(-ln 2 E^b)), with E the level as a ratio. At threshold, E = 1, and p is 1/2 for g = l = 0.
 """
 
 import numpy as np
@@ -12,16 +12,17 @@ from palmfield.perception.psychometric import PsychometricFunction
 from palmfield.types import Float
 
 SLOPE = 2.0
-"""Default b of detection: with it E^b is the energy that the levels sum."""
+"""Default exponent b: E^b is then the energy that `levels_dB_SL` sums."""
 
 
 def detection_probability(
     level_dB_SL: ArrayLike, *, slope: float = SLOPE, guess: float = 0.0, lapse: float = 0.0
 ) -> Float:
-    """Return the probability of detection, or of a right answer, of the shape of level_dB_SL [dB]; -inf is silence.
+    """Return the probability of detection, or of a right answer, in the shape of level_dB_SL [dB]; -inf is silence.
 
-    slope: b; guess: rate of right answers by chance: 0 for the method of limits, 0.5 of two alternatives; lapse: rate
-    of lapses. Raises OutputError for a slope that is not above 0, and for invalid rates.
+    slope: exponent b, above 0; lapse: rate of lapses l
+    guess: rate g of right answers by chance: 0 for the method of limits, 0.5 for two alternatives
+    Raises OutputError for a slope that is not above 0, and for invalid rates.
     """
     if not slope > 0.0:
         raise OutputError(f"slope {slope:g}; allowed: above 0")
@@ -30,13 +31,13 @@ def detection_probability(
 
 
 def summed_gain(envelope: ArrayLike, step_s: float, tau_s: float) -> float:
-    """Return the gain of a vibration with an envelope for a channel that sums its energy with a leak.
+    """Return the gain of an enveloped vibration for a leaky energy integrator, relative to steady amplitude 1.
 
-    Relative to a steady one of amplitude 1: the root of the largest of y, tau y' = envelope^2 - y, from y = 0.
+    The gain is sqrt(max y) of tau y' = envelope^2 - y from y = 0; levels change by 20 log10 of it. For a burst of
+    length T it is sqrt(1 - exp(-T/tau)).
 
-    envelope: of the amplitude, each value held for step_s [s], shape (n,); tau_s: `TemporalSummation.tau_s` [s]
-    Levels change by 20 log10 of it. For a burst of length T it is
-    sqrt(1 - exp(-T/tau)). Source: J. J. Zwislocki, J. Acoust. Soc. Am. 32 (1960) 1046.
+    envelope: amplitude, constant over each step_s [s], shape (n,); tau_s: `TemporalSummation.tau_s` [s]
+    Source: J. J. Zwislocki, J. Acoust. Soc. Am. 32 (1960) 1046.
     Raises OutputError for a step or time constant that is not above 0, and for an envelope that is empty or not finite.
     """
     power = np.asarray(envelope, dtype=np.float64) ** 2

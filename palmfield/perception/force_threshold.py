@@ -1,6 +1,6 @@
-"""Level above the only threshold measured in mid-air: of the force of a focus on the palm under AM, at rest.
+"""Level above the only threshold measured in mid-air: the force of a stationary focus with AM on the palm.
 
-It is based on the acoustic radiation pressure (ARP) and independent of the motion of the skin.
+The force is computed from the acoustic radiation pressure (ARP); the motion of the skin is not used.
 """
 
 import math
@@ -15,22 +15,23 @@ from palmfield.stimulus.waveform import period_s
 from palmfield.types import Float, Float32, Int
 
 SAMPLES = 64
-"""Number of moments in a period of the modulation for its purity."""
+"""Number of samples in a period of the modulation, from which the power of its sine is computed."""
 PUREST = 0.9
-"""Least share of the line in a modulation's power that counts as a sine: pressure AM of depth 1 has 0.94, a square wave
-0.81."""
+"""A modulation counts as a sine if its line has at least this share of the power: pressure AM of depth 1 has 0.94, a
+square wave 0.81."""
 NEAR_Hz = 1.0
 SPLIT = 8
-"""Parts of a triangle's edge, over which ARP is summed to a force: a disc's rim cuts through triangles."""
+"""Number of parts of each triangle edge in the sum of the ARP: triangles at the rim are only partly in the disc."""
 
 
 @dataclass(frozen=True)
 class ForceObserver:
-    """A detection threshold of the radiation force's line at one frequency.
+    """Detection threshold of the radiation force at one frequency.
 
-    frequency_Hz: [Hz]; threshold_N: peak amplitude of the line [N]; area_m2: of the disc round the highest ARP over
-        which the force is summed [m^2]; mean_N: of the force in the measurement [N]
-    source, why, spread_dB, spread_of: as of `palmfield.perception.observers.Observer`
+    frequency_Hz: frequency of the modulation [Hz]; threshold_N: peak amplitude of the force at threshold [N]
+    area_m2: area of the disc about the highest ARP over which the force is summed [m^2]
+    mean_N: mean force in the measurement [N]
+    source, why, spread_dB, spread_of: as in `palmfield.perception.observers.Observer`
     """
 
     name: str
@@ -63,9 +64,9 @@ FORCE_OBSERVER = ForceObserver(
 
 
 def force_level_dB_SL(observer: ForceObserver, amplitude_N: float) -> float:
-    """Level of a force's line above the observer's threshold [dB], -inf for no line.
+    """Return the level of an oscillating force above the observer's threshold [dB]; -inf for amplitude 0.
 
-    amplitude_N: peak amplitude of the line on the observer's area [N]. Raises OutputError for one below 0.
+    amplitude_N: peak amplitude of the force on the observer's area [N]. Raises OutputError if it is below 0.
     """
     if not amplitude_N >= 0.0:
         raise OutputError(f"amplitude_N is {amplitude_N}; allowed: 0 or more")
@@ -73,10 +74,10 @@ def force_level_dB_SL(observer: ForceObserver, amplitude_N: float) -> float:
 
 
 def force_near_peak_N(vertices: Float, faces: Int, arp: Float | Float32, area_m2: float) -> float:
-    """Surface integral of the ARP over a disc about the vertex at which it is highest [N].
+    """Return the surface integral of the ARP over a disc about the vertex with the highest ARP [N].
 
     vertices: [m], shape (n, 3); faces: shape (m, 3); arp: at the vertices [Pa], shape (n,), linear between them
-    area_m2: of the disc [m^2]; of a curved surface, the part in the sphere of the disc's radius
+    area_m2: area of the disc [m^2]; on a curved surface, the part of it inside the sphere of the disc's radius
     """
     radius = math.sqrt(area_m2 / math.pi)
     corners = vertices[faces] - vertices[int(np.argmax(arp))]
@@ -93,7 +94,7 @@ def force_near_peak_N(vertices: Float, faces: Int, arp: Float | Float32, area_m2
 
 
 def why_refused(config: StimulusConfig) -> str | None:
-    """Return why a stimulus is outside the observer's experiment, in words; None if it is not."""
+    """Return in words why the threshold does not apply to a stimulus; None if it applies."""
     if config.path != "point":
         return f"it was measured with a stationary focus, but path is '{config.path}'"
     if config.foci_m:
@@ -119,10 +120,10 @@ def why_refused(config: StimulusConfig) -> str | None:
 
 
 def _share_of_line(config: StimulusConfig, frequency: float) -> float:
-    """Share of the line at a frequency [Hz] in the power of the ARP's modulation, after the ramp."""
+    """Return the share of the line at a frequency [Hz] in the power of the modulation of the ARP after the ramp."""
     begin = config.start_s + config.ramp_s
     if config.am_waveform == "burst" and config.am_burst_length_s is not None:
-        # At its maximum a burst is a sine, as in the measurement
+        # One period at the maximum of the burst, where it is a sine as in the measurement
         begin = config.start_s + 0.5 * (config.am_burst_length_s - 1.0 / frequency)
     times = begin + np.arange(SAMPLES) / (SAMPLES * frequency)
     power = np.abs(np.fft.rfft(factors_at(config, times))[1:]) ** 2
@@ -130,7 +131,7 @@ def _share_of_line(config: StimulusConfig, frequency: float) -> float:
 
 
 def _parts_of_a_triangle(count: int) -> Float:
-    """Barycentric places of the middles of count^2 equal parts, shape (count^2, 3)."""
+    """Return the barycentric coordinates of the centres of count^2 equal parts, shape (count^2, 3)."""
     up = [(i + 1 / 3, j + 1 / 3) for i in range(count) for j in range(count - i)]
     down = [(i + 2 / 3, j + 2 / 3) for i in range(count - 1) for j in range(count - 1 - i)]
     first = np.array(up + down) / count

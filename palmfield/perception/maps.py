@@ -11,7 +11,7 @@ from palmfield.stimulus.schedule import main_frequencies, repeat_rate_Hz, turn_r
 from palmfield.types import Float
 
 HIGHEST_FELT_HZ = 500.0
-"""Harmonics of a path up to here are used: no observer's table reaches further."""
+"""Highest harmonic of a path that is used [Hz]; the tables of all observers end below it."""
 
 
 def level_map(
@@ -22,14 +22,14 @@ def level_map(
     *,
     periods: int | None = None,
 ) -> Float:
-    """Level above an observer's threshold at each place of the skin [dB SL], shape (m,); -inf without motion.
+    """Return the level above an observer's threshold at each point of the skin [dB SL], shape (m,).
 
-    NaN if all moving lines are outside the observer's table.
+    The level is -inf without motion, and NaN if all lines with motion are outside the observer's table. There is no
+    summation over area.
 
-    times_s: rising [s], shape (n,); displacement_m: normal displacement of m places [m], shape (n, m)
-    frequencies_Hz: lines of the motion that count, as of `felt_lines`
-    periods: of each line, as of `line_amplitudes`, with its errors
-    Each place is treated separately: no summation over area.
+    times_s: rising [s], shape (n,); displacement_m: normal displacement of m points [m], shape (n, m)
+    frequencies_Hz: frequencies of the motion that are used, for example by `felt_lines`
+    periods: number of periods of each line, as for `line_amplitudes`, with the same errors
     """
     if periods is None:
         lines = lines_of(np.asarray(times_s, dtype=np.float64), displacement_m, frequencies_Hz)
@@ -39,14 +39,14 @@ def level_map(
 
 
 def felt_lines(times: Float, config: StimulusConfig) -> list[float]:
-    """Return the lines [Hz] of a level of the motion of the skin: all levels in outputs use them.
+    """Return the frequencies [Hz] from which all levels in outputs are computed.
 
-    The stimulus's main frequencies that the record can resolve (`lines_in`), the lowest first. Then, if the record has
-    two turns of a path, all harmonics of the turn up to HIGHEST_FELT_HZ. If the path's level changes as well, those of
-    the common repetition (`repeat_rate_Hz`), which include the lines of both and their combinations. Empty as of
-    `lines_in`, and if a record has less than two such repeats.
+    First the main frequencies of the stimulus that the record resolves (`lines_in`), rising. Then, if the record has
+    two turns of a path, all harmonics of the turn up to HIGHEST_FELT_HZ. With a modulated path, the harmonics are those
+    of the common repetition (`repeat_rate_Hz`), which contain the combinations of both. The list is empty if `lines_in`
+    is, or if the record has fewer than two such repetitions.
 
-    times: evenly spaced [s], shape (t,); config: of the stimulus
+    times: evenly spaced [s], shape (t,); config: keys of the stimulus
     """
     lines = lines_in(times, main_frequencies(config))
     rate = repeat_rate_Hz(config)
@@ -59,7 +59,7 @@ def felt_lines(times: Float, config: StimulusConfig) -> list[float]:
 
 
 def wanted_s(config: StimulusConfig) -> tuple[float, str]:
-    """Required length of a record for `felt_lines` [s], and its reason in words. For a load that repeats."""
+    """Return the record length that `felt_lines` needs [s], and its reason in words; the load must be periodic."""
     rate, lowest = repeat_rate_Hz(config), main_frequencies(config)[0]
     if rate is None or rate == turn_rate_Hz(config):
         return 2.0 / lowest, f"two periods of {lowest:g} Hz"
@@ -67,26 +67,26 @@ def wanted_s(config: StimulusConfig) -> tuple[float, str]:
 
 
 def lines_of(times: Float, displacement_m: ArrayLike, frequencies: Sequence[float]) -> Float:
-    """Peak amplitudes of lines [m], shape (n, m), over whole periods at the record's end.
+    """Return the peak amplitudes of lines [m], shape (n, m), fitted over whole periods at the end of the record.
 
-    Harmonics of the lowest line are fitted over whole periods of that one, which avoids leakage.
+    Harmonics of the lowest line are fitted over whole periods of the lowest line, which avoids leakage.
 
     times: [s], shape (t,); displacement_m: shape (t, m); frequencies: [Hz], shape (n,)
     """
     lowest = min(frequencies, default=1.0)
     lasts = float(times[-1] - times[0]) * len(times) / max(1, len(times) - 1)
-    held = int(lasts * lowest + 1e-6)
+    whole = int(lasts * lowest + 1e-6)
 
     def periods(f: float) -> int | None:
         order = round(f / lowest)
-        return min(held * order, int(lasts * f + 1e-6)) if abs(f / lowest - order) < 1e-6 * order else None
+        return min(whole * order, int(lasts * f + 1e-6)) if abs(f / lowest - order) < 1e-6 * order else None
 
     return np.array([line_amplitudes(times, displacement_m, f, periods(f)) for f in frequencies])
 
 
 def lines_in(times: Float, frequencies: list[float]) -> list[float]:
-    """Return the frequencies [Hz] for which a record has at least three samples a period, none if it is shorter than
-    two periods of the first.
+    """Return the frequencies [Hz] for which a record has at least three samples per period. The list is empty if the
+    record is shorter than two periods of the first frequency.
 
     times: evenly spaced [s], shape (t,)
     """

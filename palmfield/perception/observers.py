@@ -1,7 +1,7 @@
-"""Level of skin motion above threshold, by named contact observers; and the amplitude of lines in a motion.
+"""Level of skin motion above the thresholds of named contact observers, and the amplitude of lines in a motion.
 
-The observers differ by up to 19 dB: report results for each, with its own spread. None of them was measured in mid-air;
-the only one that was is based on force (`palmfield.perception.force_threshold`).
+The observers differ by up to 19 dB: report results for each, with its own spread. None of them was measured in mid-air.
+The only mid-air threshold is one of force (`palmfield.perception.force_threshold`).
 """
 
 from dataclasses import dataclass
@@ -13,12 +13,12 @@ from palmfield.errors import OutputError
 from palmfield.types import Float
 
 BLOCK = 512
-"""Number of courses fitted together: all of a long run, in double precision, would take gigabytes."""
+"""Number of courses fitted together; all courses of a long run in double precision would take gigabytes."""
 
 
 @dataclass(frozen=True)
 class AreaSummation:
-    """Thresholds decrease by 3 dB for each doubling of the moving area, between two areas and two frequencies.
+    """Spatial summation: thresholds fall by 3 dB per doubling of the moving area, between two areas and frequencies.
 
     low_Hz, high_Hz: [Hz]; low_m2, high_m2: limits to which the area is clipped [m^2]
     contact_m2: contact area of the table of thresholds [m^2]
@@ -31,7 +31,7 @@ class AreaSummation:
     contact_m2: float
 
     def factor(self, f_Hz: ArrayLike, area_m2: float) -> Float:
-        """Threshold at an area over that of the table, of the shape of f_Hz [Hz]."""
+        """Return the threshold at an area over that of the table, in the shape of f_Hz [Hz]."""
         frequency = np.asarray(f_Hz, dtype=np.float64)
         summed = (frequency >= self.low_Hz) & (frequency <= self.high_Hz)
         return np.where(summed, np.sqrt(self.contact_m2 / min(max(area_m2, self.low_m2), self.high_m2)), 1.0)
@@ -39,16 +39,17 @@ class AreaSummation:
 
 @dataclass(frozen=True)
 class TemporalSummation:
-    """The squared motion is summed with a leak, so that short stimuli need a higher level, from one frequency on.
+    """Temporal summation: a leaky sum of the squared motion, so that short stimuli need a higher level.
 
-    from_Hz: [Hz]; tau_s: time constant of the leak [s]; the table of thresholds applies to stimuli of many tau_s
+    from_Hz: lowest frequency with summation [Hz]; tau_s: time constant of the leak [s]
+    The table of thresholds applies to stimuli of many tau_s.
     """
 
     from_Hz: float
     tau_s: float
 
     def factor(self, f_Hz: ArrayLike, duration_s: float) -> Float:
-        """Threshold of a steady vibration of this duration over that of the table, of the shape of f_Hz [Hz]."""
+        """Return the threshold of a steady vibration of this duration over that of the table, in the shape of f_Hz."""
         summed = np.asarray(f_Hz, dtype=np.float64) >= self.from_Hz
         return np.where(summed, 1.0 / np.sqrt(-np.expm1(-duration_s / self.tau_s)), 1.0)
 
@@ -58,15 +59,15 @@ class Observer:
     """Detection thresholds of one study, for a body that vibrates in contact with the skin.
 
     frequency_Hz: rising [Hz], shape (n,); peak_m: peak displacement at threshold [m], shape (n,)
-    stated: quantity of the source's table (and peak or rms)
-    percent_correct: share of correct answers at threshold [%], None where it is not established
-    source: of the values, and their validity
-    why: in one line, meaning of a level of this observer in mid-air
-    spread_dB: half-width of its own spread [dB], None if not established; spread_of: its origin, in words
-    channels_from_Hz: frequencies from which on another channel of the skin is the most sensitive one [Hz]; levels
-        of channels are not added up, the highest counts
+    stated: quantity in the table of the source, with peak or rms
+    percent_correct: share of correct answers at threshold [%], None if not established
+    source: reference and validity of the values
+    why: one line on the meaning of a level of this observer in mid-air
+    spread_dB: half-width of the spread [dB], None if not established; spread_of: origin of the spread, in words
+    channels_from_Hz: frequencies at which the most sensitive channel of the skin changes [Hz]; levels of channels are
+        not summed, the highest is used
     summation: dependence of thresholds on area, None if the source has no such law
-    temporal: their dependence on duration, None if the source has no such law
+    temporal: dependence of thresholds on duration, None if the source has no such law
     """
 
     name: str
@@ -149,12 +150,12 @@ OBSERVERS = {observer.name: observer for observer in (_bolanowski(), _morioka_gr
 def threshold_m(
     observer: Observer, f_Hz: ArrayLike, area_m2: float | None = None, duration_s: float | None = None
 ) -> Float:
-    """Peak displacement at threshold [m], interpolated on log-log axes.
+    """Return the peak displacement at threshold [m], interpolated on log-log axes.
 
     f_Hz: [Hz], any shape; the result has the same shape and is NaN outside the observer's table.
-    area_m2: moving area [m^2] for spatial summation; None for the contact area of the observer's own table
-    duration_s: of the steady vibration [s]; None for a long one
-    Raises OutputError for an area or duration that is not above 0, or of an observer without a law for it.
+    area_m2: moving area [m^2] for spatial summation; None for the contact area of the observer's table
+    duration_s: duration of the steady vibration [s]; None for a long one
+    Raises OutputError for an area or duration that is not above 0, or if the observer has no law for it.
     """
     frequency = np.asarray(f_Hz, dtype=np.float64)
     low, high = observer.frequency_Hz[0], observer.frequency_Hz[-1]
@@ -189,7 +190,7 @@ def level_dB_SL(
     area_m2: float | None = None,
     duration_s: float | None = None,
 ) -> float:
-    """`levels_dB_SL` of one place, peak_amplitudes_m of shape (n,)."""
+    """Return `levels_dB_SL` of one point, peak_amplitudes_m of shape (n,)."""
     amplitudes = np.asarray(peak_amplitudes_m, dtype=np.float64)
     return float(levels_dB_SL(observer, frequencies, amplitudes[..., None], area_m2, duration_s)[0])
 
@@ -201,15 +202,15 @@ def levels_dB_SL(
     area_m2: float | None = None,
     duration_s: float | None = None,
 ) -> Float:
-    """Sensation levels 20 log10 sqrt(sum (A_i / T(f_i))^2) [dB], shape (m,); 0 dB is just felt, -inf without motion,
-    NaN (no value) for motion only at frequencies without a threshold of the observer.
+    """Return sensation levels 20 log10 sqrt(sum (A_i / T(f_i))^2) [dB], shape (m,); 0 dB is the threshold.
 
-    frequencies: lines of the motion [Hz], shape (n,); peak_amplitudes_m: their peak amplitudes at m places [m], (n, m);
-    a place whose amplitude is NaN has the level NaN
-    area_m2, duration_s: as of `threshold_m`, with its errors
-    The sum goes over the lines of one channel; the channel with the highest level counts.
-    DC and lines outside the observer's table are left out. Pass lines (`line_amplitude`), not the bins of
-    a windowed spectrum: Hann's count every line 1.5 times.
+    The level is -inf without motion, and NaN for motion only outside the observer's table or a NaN amplitude. The sum
+    is over the lines of one channel, and the channel with the highest level is used. DC and lines outside the table are
+    ignored. Pass lines (`line_amplitude`), not the bins of a windowed spectrum: a Hann window counts a line 1.5 times.
+
+    frequencies: lines of the motion [Hz], shape (n,)
+    peak_amplitudes_m: their peak amplitudes at m points [m], shape (n, m)
+    area_m2, duration_s: as for `threshold_m`, with the same errors
     """
     frequency, amplitude = (np.asarray(one, dtype=np.float64) for one in (frequencies, peak_amplitudes_m))
     if frequency.ndim != 1 or amplitude.ndim != 2 or len(amplitude) != len(frequency):
@@ -220,26 +221,28 @@ def levels_dB_SL(
     excess = np.where(np.isfinite(threshold)[:, None], amplitude / threshold[:, None], 0.0) ** 2
     channel = np.digitize(frequency, observer.channels_from_Hz)
     energies = [excess[channel == number].sum(axis=0) for number in range(len(observer.channels_from_Hz) + 1)]
-    known = np.isfinite(threshold)
-    unknown = (np.abs(amplitude[(frequency > 0.0) & ~known]) > 0.0).any(axis=0)
-    silent = ~(np.abs(amplitude[known]) > 0.0).any(axis=0)
+    in_table = np.isfinite(threshold)
+    outside = (np.abs(amplitude[(frequency > 0.0) & ~in_table]) > 0.0).any(axis=0)
+    silent = ~(np.abs(amplitude[in_table]) > 0.0).any(axis=0)
     with np.errstate(divide="ignore"):
         levels = 10.0 * np.log10(np.max(energies, axis=0))
-    return np.where(unknown & silent | np.isnan(amplitude).any(axis=0), np.nan, levels)
+    return np.where(outside & silent | np.isnan(amplitude).any(axis=0), np.nan, levels)
 
 
 def line_amplitude(time: ArrayLike, x: ArrayLike, f: float, periods: int | None = None) -> float:
-    """`line_amplitudes` of one course, x of shape (n,)."""
+    """Return `line_amplitudes` of one course, x of shape (n,)."""
     return float(line_amplitudes(time, np.asarray(x, dtype=np.float64)[..., None], f, periods)[0])
 
 
 def line_amplitudes(time: ArrayLike, x: ArrayLike, f: float, periods: int | None = None) -> Float:
-    """Peak amplitudes of the line at `f`: least-squares fit of DC and one sine over whole periods at the record's end.
+    """Return the peak amplitudes of the line at frequency f [Hz], shape (m,), in the unit of x.
 
-    time: rising [s], shape (n,); x: courses, shape (n, m), in any unit, which the result (m,) shares; f: [Hz]
-    periods: how many periods before the end are used; None for all that fit
-    Raises OutputError for f that is not above 0, for a record shorter than that or with fewer than 3 samples a period,
-    for times that are not finite, and for courses of another length.
+    DC and one sine are fitted by least squares over whole periods at the end of the record.
+
+    time: rising [s], shape (n,); x: courses, shape (n, m), in any unit
+    periods: number of periods used, counted from the end; None for all
+    Raises OutputError for f <= 0, a record shorter than the periods, fewer than 3 samples per period, times that are
+    not finite, and courses of another length.
     """
     times = np.asarray(time, dtype=np.float64)
     if not 0 < f < np.inf:
@@ -248,12 +251,12 @@ def line_amplitudes(time: ArrayLike, x: ArrayLike, f: float, periods: int | None
         raise OutputError(f"times of shape {times.shape} and courses of {np.shape(x)}: give finite (n,) and (n, m)")
     # A record of n samples covers n steps, so its length is one step more than from first to last sample.
     step = (times[-1] - times[0]) / (len(times) - 1) if len(times) > 1 else 0.0
-    held = int(np.floor((times[-1] - times[0] + step) * f + 1e-6))
-    used = held if periods is None else periods
-    if not 1 <= used <= held or step * f > 1 / 3:
+    whole = int(np.floor((times[-1] - times[0] + step) * f + 1e-6))
+    used = whole if periods is None else periods
+    if not 1 <= used <= whole or step * f > 1 / 3:
         raise OutputError(
             f"a fit at {f:g} Hz over {used} periods needs that many whole periods with 3 or more samples each; the "
-            f"record holds {held} with {step:.3g} s per sample: run for longer, or store more often"
+            f"record holds {whole} with {step:.3g} s per sample: run for longer, or store more often"
         )
     first = int(np.searchsorted(times, times[-1] - used / f + 1e-6 * step, side="right"))
     phase = 2 * np.pi * f * (times[first:] - times[-1])

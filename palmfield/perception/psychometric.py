@@ -1,15 +1,15 @@
 """Psychometric functions: probability of detection at each level, fitted to answers by maximum likelihood.
 
-p(x) = g + (1 - g - l) F(x): g the rate of guesses that are right, l the rate of lapses, and F from 0 to 1, with F = 1/2
-at the threshold. The definition of spread depends on F:
+p(x) = g + (1 - g - l) F(x), with g the rate of right guesses, l the rate of lapses, and F from 0 to 1, F = 1/2 at the
+threshold. The definition of spread depends on F:
 
-normal    F = Phi((x - threshold) / spread), spread: its standard deviation
+normal    F = Phi((x - threshold) / spread), where spread is the standard deviation
 logistic  F = 1 / (1 + exp(-(x - threshold) / spread))
-weibull   F = 1 - exp(-ln 2 (x / threshold)^(1 / spread)), x > 0: of levels that count as ratios
+weibull   F = 1 - exp(-ln 2 (x / threshold)^(1 / spread)), x > 0, for levels that are ratios
 
 from palmfield.perception.psychometric import fit
-found = fit(levels, trials, right, guess=0.5)
-print(found.threshold, found.threshold_interval)
+result = fit(levels, trials, right, guess=0.5)
+print(result.threshold, result.threshold_interval)
 """
 
 import math
@@ -28,9 +28,9 @@ from palmfield.types import Float
 
 Shape = Literal["normal", "logistic", "weibull"]
 MOST_LAPSES = 0.1
-"""Largest fitted rate of lapses: beyond it, answers contain little information on the level."""
+"""Largest fitted rate of lapses; with more lapses, answers contain little information on the level."""
 SURE = 1e-9
-"""Least distance of probabilities from 0 and 1, so that a single unlikely answer has a likelihood."""
+"""Smallest distance of probabilities from 0 and 1, so that the likelihood of each answer is above 0."""
 ROUNDS = 60
 """Largest number of scoring rounds."""
 SETTLED = 1e-7
@@ -39,15 +39,16 @@ LEAST_SPREAD, MOST_SPREAD = 1e-3, 10.0
 BEYOND = 1.0
 """Largest distance of a fitted threshold outside the levels, as a share of their range."""
 ADAPTIVE_SHARE = 1.73
-"""Factor of the deviance allowed by chi squared. In simulated staircases of 25 to 120 trials, 1 up 2 down, of steps of
-4 and 2 dB and spreads of 1 to 6 dB, 95 % of true thresholds' deviances were below 4.5 to 7.5, not 3.84: we use 6.6."""
+"""Factor of the limit of the deviance by chi squared, for adaptive levels. In simulated staircases (25 to 120 trials,
+1 up 2 down, steps of 4 and 2 dB, spreads of 1 to 6 dB) 95 % of the deviances of the true threshold were below 4.5 to
+7.5, not 3.84; we use 6.6."""
 PROFILED, PROFILED_SPREADS = 601, 61
 """Thresholds and spreads at which a profile is evaluated."""
 
 
 @dataclass(frozen=True)
 class PsychometricFunction:
-    """threshold, spread: see the module; guess, lapse: rates, guess + lapse < 1"""
+    """A psychometric function. threshold, spread: see the module; guess, lapse: rates, guess + lapse < 1"""
 
     shape: Shape
     threshold: float
@@ -59,19 +60,19 @@ class PsychometricFunction:
         refuse_unknown(OutputError, "shape {} is unknown", self.shape, get_args(Shape))
         _check_rates(self.guess, self.lapse)
         if not (math.isfinite(self.threshold) and self.spread > 0.0):
-            raise OutputError(f"threshold {self.threshold}, spread {self.spread}; allowed: a number, and one above 0")
+            raise OutputError(f"threshold {self.threshold}, spread {self.spread}; allowed: finite, spread above 0")
         if self.shape == "weibull" and not self.threshold > 0.0:
             raise OutputError(f"threshold {self.threshold:g}; allowed with shape 'weibull': above 0")
 
     def __call__(self, x: ArrayLike) -> Float:
-        """Probability of a right answer (or of yes) at levels, of their shape."""
+        """Return the probability of a right answer (or of yes) at levels x, in the shape of x."""
         levels = np.asarray(x, np.float64)
         share = FORMS[self.shape].share(_scaled(self.shape, levels), _scaled(self.shape, self.threshold), self.spread)
         return np.asarray(self.guess + (1.0 - self.guess - self.lapse) * share)
 
 
 class _Form(NamedTuple):
-    """F and its derivative by z = (x - threshold) / spread; of levels as `_scaled` returns them."""
+    """F and its derivative by z = (x - threshold) / spread, for levels as returned by `_scaled`."""
 
     share: Callable[[Float, float | Float, float | Float], Float]
     slope: Callable[[Float], Float]
@@ -104,13 +105,14 @@ FORMS: dict[str, _Form] = {
 
 @dataclass(frozen=True)
 class Fit:
-    """A fitted function, and its uncertainty.
+    """A fitted function and its uncertainty.
 
-    function; threshold_interval, spread_interval: bootstrap percentiles of `confidence`, (low, high); for levels that
-    followed from answers the threshold's is that of the profile likelihood
-    trials, right: of all levels together; deviance: 2 (log likelihood of the observed shares - of the function)
-    deviance_share: share of the bootstrap's samples with a larger deviance: below 0.05 the function does not fit
-    settled: whether the threshold is between the levels, and the spread inside its bounds
+    threshold_interval, spread_interval: bootstrap percentiles of `confidence`, (low, high); with adaptive levels, the
+        interval of the threshold is from the profile likelihood
+    trials, right: totals over all levels
+    deviance: twice the log likelihood of the observed shares minus that of the function
+    deviance_share: share of the bootstrap samples with a larger deviance; below 0.05 the function does not fit
+    settled: whether the threshold is between the levels and the spread inside its bounds
     """
 
     function: PsychometricFunction
@@ -150,16 +152,14 @@ def fit(
 ) -> Fit:
     """Fit a psychometric function to counts of answers, by maximum likelihood, with a parametric bootstrap.
 
-    levels: different ones, shape (k,), 2 or more; trials, right: at each of them, whole numbers, shape (k,)
-    guess: given by the task, 1/n for n alternatives; lapse: given, or None to fit it, at most MOST_LAPSES
-    spread: given, or None to fit it; from few trials, or those of a staircase, it is too small
-    adaptive: whether the levels followed from the answers, as a staircase's do. Then, with a fitted spread, the
-        threshold's interval is that of the profile likelihood: all thresholds at which some spread makes the answers
-        nearly as likely. Deviances of `confidence` were too small a limit in simulations, see ADAPTIVE_SHARE.
-    samples: of the bootstrap, each with new answers of the fitted function at the same levels. It treats the levels
-        as chosen beforehand, unlike those of a staircase.
-    Raises OutputError for other shapes and counts, levels of one value, and answers that are all equal, which determine
-    no threshold.
+    levels: k >= 2 different levels, shape (k,); trials, right: whole numbers at each level, shape (k,)
+    guess: rate of right guesses, 1/n for n alternatives; lapse: fixed rate, or None to fit it, at most MOST_LAPSES
+    spread: fixed spread, or None to fit it; fits to few trials or to a staircase underestimate it
+    adaptive: whether the levels depended on the answers, as in a staircase. Then, with a fitted spread, the interval of
+        the threshold is from the profile likelihood, with a limit raised by ADAPTIVE_SHARE.
+    samples: number of bootstrap samples, each with new answers of the fitted function at the same levels. The bootstrap
+        assumes levels chosen beforehand.
+    Raises OutputError for other shapes and counts, repeated levels, and answers that are all right or all wrong.
     Source: F. A. Wichmann, N. J. Hill, Percept. Psychophys. 63, 1293 and 1314 (2001).
     """
     x, n, k = _counts(levels, trials, right, shape)
@@ -179,16 +179,16 @@ def fit(
     best = _fit_one(FORMS[shape], place, n, k, guess, bounds)
     function = _function(shape, best, guess)
     drawn = np.random.default_rng(seed).binomial(n.astype(int), function(x), (samples, len(x))).astype(np.float64)
-    found = _fit_many(FORMS[shape], place, n, drawn, guess, bounds, best)
+    fits = _fit_many(FORMS[shape], place, n, drawn, guess, bounds, best)
     tails = 50.0 * (1.0 - confidence)
-    thresholds = np.exp(found[:, 0]) if shape == "weibull" else found[:, 0]
+    thresholds = np.exp(fits[:, 0]) if shape == "weibull" else fits[:, 0]
     low, high = np.percentile(thresholds, [tails, 100.0 - tails]).tolist()
     if adaptive and spread is None:
         low, high = _profiled(FORMS[shape], place, n, k, guess, bounds, best, confidence)
         low, high = (math.exp(low), math.exp(high)) if shape == "weibull" else (low, high)
-    narrow, wide = np.percentile(np.exp(found[:, 1]), [tails, 100.0 - tails]).tolist()
+    narrow, wide = np.percentile(np.exp(fits[:, 1]), [tails, 100.0 - tails]).tolist()
     deviance = float(_deviance(FORMS[shape], place, n, k[None], best[None], guess)[0])
-    others = _deviance(FORMS[shape], place, n, drawn, found, guess)
+    others = _deviance(FORMS[shape], place, n, drawn, fits, guess)
     bounded = spread is not None or bounds[1][0] + 1e-4 < best[1] < bounds[1][1] - 1e-4
     inside = bounded and bool(place.min() <= best[0] <= place.max())
     return Fit(
@@ -201,7 +201,7 @@ def _profiled(
     form: _Form, place: Float, n: Float, k: Float, guess: float,
     bounds: list[tuple[float, float]], best: Float, confidence: float,
 ) -> tuple[float, float]:  # fmt: skip
-    """The interval of the threshold from the profile likelihood, for levels that followed from answers."""
+    """Return the interval of the threshold from the profile likelihood, for adaptive levels."""
     limit = ADAPTIVE_SHARE * float(chi2.ppf(confidence, 1))
     thresholds = np.append(np.linspace(*bounds[0], PROFILED), best[0])
     spreads = np.append(np.linspace(*bounds[1], PROFILED_SPREADS), best[1])
@@ -209,10 +209,10 @@ def _profiled(
     likely = np.full(len(thresholds), -math.inf)
     for lapse in lapses:
         values = np.stack(np.meshgrid(thresholds, spreads, [lapse], indexing="ij"), axis=-1).reshape(-1, 3)
-        known = _log_likelihood(form, place, n, k[None], values, guess).reshape(len(thresholds), -1)
-        likely = np.maximum(likely, known.max(axis=1))
-    held = thresholds[2.0 * (likely.max() - likely) <= limit]
-    return float(held.min()), float(held.max())
+        logarithms = _log_likelihood(form, place, n, k[None], values, guess).reshape(len(thresholds), -1)
+        likely = np.maximum(likely, logarithms.max(axis=1))
+    inside = thresholds[2.0 * (likely.max() - likely) <= limit]
+    return float(inside.min()), float(inside.max())
 
 
 def _counts(levels: ArrayLike, trials: ArrayLike, right: ArrayLike, shape: str) -> tuple[Float, Float, Float]:
@@ -222,16 +222,16 @@ def _counts(levels: ArrayLike, trials: ArrayLike, right: ArrayLike, shape: str) 
             f"levels, trials and right have shapes {x.shape}, {n.shape}, {k.shape}; allowed: (k,), k >= 2"
         )
     if not np.all(np.isfinite(x)) or len(np.unique(x)) < len(x) or (shape == "weibull" and x.min() <= 0.0):
-        raise OutputError(f"levels {x.tolist()}; allowed: different finite ones, of shape 'weibull' above 0")
+        raise OutputError(f"levels {x.tolist()}; allowed: different finite levels, with shape 'weibull' above 0")
     bad = (n < 0) | (n != np.rint(n)) | (k < 0) | (k > n) | (k != np.rint(k))
     if bad.any():
         row = int(np.argmax(bad))
-        raise OutputError(f"{k[row]:g} right of {n[row]:g} at level {x[row]:g}; allowed: whole numbers, 0 to all")
+        raise OutputError(f"{k[row]:g} right of {n[row]:g} at level {x[row]:g}; allowed: whole, 0 to {n[row]:g}")
     return x, n, k
 
 
 def counts(levels: ArrayLike, right: ArrayLike) -> tuple[Float, Float, Float]:
-    """Count single trials: different levels, number of trials at each, and of right answers, shapes (t,)."""
+    """Count single trials, shapes (t,); return the levels and the numbers of trials and right answers at each."""
     x, answers = np.asarray(levels, np.float64), np.asarray(right, np.float64)
     values, which = np.unique(np.round(x, 12), return_inverse=True)
     return values, np.bincount(which).astype(np.float64), np.bincount(which, answers).astype(np.float64)
@@ -243,7 +243,7 @@ def _check_rates(guess: float, lapse: float) -> None:
 
 
 def _scaled(shape: str, x: float | Float) -> Float:
-    """Return levels as F uses them: logarithms for a Weibull function."""
+    """Return the levels, or for a Weibull function their logarithms."""
     levels = np.asarray(x, np.float64)
     if shape != "weibull":
         return levels
@@ -251,7 +251,7 @@ def _scaled(shape: str, x: float | Float) -> Float:
 
 
 def _bounds(place: Float, lapse: float | None, spread: float | None) -> list[tuple[float, float]]:
-    """Bounds of threshold, log spread and lapse; equal ones for given values."""
+    """Return the bounds of threshold, log spread and lapse; lower and upper bounds of a fixed value are equal."""
     low, high = float(place.min()), float(place.max())
     wide = high - low
     rates = (0.0, MOST_LAPSES) if lapse is None else (lapse, lapse)
@@ -267,7 +267,7 @@ def _function(shape: Shape, values: Float, guess: float) -> PsychometricFunction
 
 
 def _probability(form: _Form, place: Float, values: Float, guess: float) -> Float:
-    """Probability of right answers, shape (m, k), for m sets of threshold, log spread and lapse, shape (m, 3)."""
+    """Return probabilities of right answers, shape (m, k); values: m sets of threshold, log spread, lapse, (m, 3)."""
     share = form.share(place, values[:, :1], np.exp(values[:, 1:2]))
     return np.clip(guess + (1.0 - guess - values[:, 2:]) * share, SURE, 1.0 - SURE)
 
@@ -284,7 +284,7 @@ def _deviance(form: _Form, place: Float, n: Float, right: Float, values: Float, 
 
 
 def _fit_one(form: _Form, place: Float, n: Float, k: Float, guess: float, bounds: list[tuple[float, float]]) -> Float:
-    """Return the likeliest threshold, log spread and lapse, shape (3,), from the two best of several start points."""
+    """Return the most likely threshold, log spread and lapse, shape (3,), from the two best of several start points."""
     wide = float(np.ptp(place))
     low, high = np.array(bounds).T
     middles, spreads = np.meshgrid(
@@ -292,15 +292,15 @@ def _fit_one(form: _Form, place: Float, n: Float, k: Float, guess: float, bounds
     )
     firsts = np.stack([middles.ravel(), np.log(spreads.ravel()), np.full(middles.size, 0.02)], axis=1)
     firsts = np.clip(firsts, low, high)
-    known = _log_likelihood(form, place, n, k[None], firsts, guess)
+    likely = _log_likelihood(form, place, n, k[None], firsts, guess)
     best, least = firsts[0], math.inf
-    for first in firsts[np.argsort(-known)[:2]]:
-        found = minimize(
+    for first in firsts[np.argsort(-likely)[:2]]:
+        minimum = minimize(
             lambda v: -float(_log_likelihood(form, place, n, k[None], v[None], guess)[0]),
             first, method="L-BFGS-B", bounds=bounds,
         )  # fmt: skip
-        if found.fun < least - 1e-9:
-            best, least = np.asarray(found.x, np.float64), float(found.fun)
+        if minimum.fun < least - 1e-9:
+            best, least = np.asarray(minimum.x, np.float64), float(minimum.fun)
     return best
 
 
@@ -308,12 +308,12 @@ def _fit_many(
     form: _Form, place: Float, n: Float, right: Float, guess: float,
     bounds: list[tuple[float, float]], first: Float,
 ) -> Float:  # fmt: skip
-    """As `_fit_one` for many samples, right: shape (m, k); by Fisher scoring with damping, shape (m, 3)."""
+    """Fit many samples, right: shape (m, k), as `_fit_one`, by damped Fisher scoring; returns shape (m, 3)."""
     low, high = np.array(bounds).T
     free = np.flatnonzero(low < high)
     values = np.tile(first, (len(right), 1))
     damping = np.full(len(right), 1e-3)
-    known = _log_likelihood(form, place, n, right, values, guess)
+    best = _log_likelihood(form, place, n, right, values, guess)
     for _ in range(ROUNDS):
         p = _probability(form, place, values, guess)
         z = (place - values[:, :1]) / np.exp(values[:, 1:2])
@@ -321,9 +321,9 @@ def _fit_many(
         by = np.stack([-range_ * slope / np.exp(values[:, 1:2]), -range_ * slope * z, -(p - guess) / range_], axis=2)
         weights = n / (p * (1.0 - p))
         gradient = np.einsum("mk,mkj->mj", (right - n * p) / (p * (1.0 - p)), by)
-        held = ((values <= low) & (gradient < 0.0)) | ((values >= high) & (gradient > 0.0))
-        by = np.where(held[:, None, :], 0.0, by)[:, :, free]
-        gradient = np.where(held, 0.0, gradient)[:, free]
+        at_bound = ((values <= low) & (gradient < 0.0)) | ((values >= high) & (gradient > 0.0))
+        by = np.where(at_bound[:, None, :], 0.0, by)[:, :, free]
+        gradient = np.where(at_bound, 0.0, gradient)[:, free]
         information = np.einsum("mk,mki,mkj->mij", weights, by, by)
         diagonal = np.einsum("mii->mi", information)
         scale = diagonal * damping[:, None] + 1e-9
@@ -331,9 +331,9 @@ def _fit_many(
         trial = values.copy()
         trial[:, free] = np.clip(values[:, free] + step, low[free], high[free])
         likely = _log_likelihood(form, place, n, right, trial, guess)
-        better = likely >= known
+        better = likely >= best
         moved = np.abs(trial - values).max(axis=1)
-        values[better], known[better] = trial[better], likely[better]
+        values[better], best[better] = trial[better], likely[better]
         damping = np.where(better, np.maximum(0.2 * damping, 1e-9), np.minimum(10.0 * damping + 1e-6, 1e12))
         if np.all(moved < SETTLED):
             break

@@ -1,4 +1,4 @@
-"""All observers in the order in which a user of mid-air haptics should read them: first the one of mid-air."""
+"""All observers in the order in which to read them; the only one measured in mid-air is first."""
 
 from palmfield.perception.force_threshold import FORCE_OBSERVER, ForceObserver
 from palmfield.perception.observers import OBSERVERS, Observer

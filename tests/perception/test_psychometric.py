@@ -87,7 +87,7 @@ def test_single_trials_are_counted():
     [
         (([1, 2], [5, 5], [5, 5]), "all 10 answers are right"),
         (([1, 2], [5, 5], [0, 0]), "all 10 answers are wrong"),
-        (([1, 1], [5, 5], [2, 3]), "different finite ones"),
+        (([1, 1], [5, 5], [2, 3]), "different finite levels"),
         (([1, 2], [5, 5], [2, 6]), r"6 right of 5 at level 2"),
         (([1, 2], [5, 5], [2, 2.5]), r"2.5 right of 5"),
         (([1], [5], [2]), r"shapes \(1,\)"),
@@ -103,7 +103,7 @@ def test_rates_and_shapes_that_cannot_be():
         PsychometricFunction("normal", 1.0, 1.0, 0.5, 0.5)
     with pytest.raises(OutputError, match="shape 'probit' is unknown"):
         fit([1, 2], [5, 5], [2, 3], guess=0.0, shape="probit")
-    with pytest.raises(OutputError, match=r"of shape 'weibull' above 0"):
+    with pytest.raises(OutputError, match=r"with shape 'weibull' above 0"):
         fit([0, 2], [5, 5], [2, 3], guess=0.0, shape="weibull")
 
 
