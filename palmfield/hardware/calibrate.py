@@ -15,10 +15,10 @@ NEEDS_FOCUS = ("plate", "focus", "sweep")
 
 
 def add_readings(kind: str, readings: Path, board: Path, layout: str | None, circumstances: Circumstances) -> list[str]:
-    """Add readings to the calibration file `board`, which is made if missing; returns their results.
+    """Add readings to the calibration file `board`, which is created if missing; return their results.
 
     kind: a key of `MEASUREMENTS`; layout: of the array, needed for a new file
-    Raises SceneError for files, layouts and sources that do not fit, PalmfieldError for unusable readings, OutputError
+    Raises SceneError for invalid files, layouts and sources, PalmfieldError for unusable readings, OutputError
     if the file cannot be written; it is then unchanged.
     """
     if not circumstances.source.strip():
@@ -39,7 +39,7 @@ def add_readings(kind: str, readings: Path, board: Path, layout: str | None, cir
 
 
 def imported(file: Path, board: Path) -> list[str]:
-    """Convert a vendor's file of an OpenMPD board to a calibration; returns a description.
+    """Convert a vendor's file of an OpenMPD board to a calibration; return a description.
 
     Raises SceneError for an invalid file and for an existing calibration, OutputError as `add_readings`.
     """
@@ -50,7 +50,7 @@ def imported(file: Path, board: Path) -> list[str]:
 
 
 def described(board: Path, png: Path | None) -> list[str]:
-    """Describe a calibration file line by line, with missing parts; draws it if `png` is given."""
+    """Describe a calibration file line by line, with missing parts; draw it if `png` is not None."""
     calibration = read_calibration(board)
     array = known_layout(calibration.layout)
     lines = [f"calibration of {calibration.layout}, {len(array)} transducers"]
@@ -85,7 +85,7 @@ def described(board: Path, png: Path | None) -> list[str]:
 
 
 def rehearsed(layout: str, folder: Path, seed: int) -> list[str]:
-    """Write a rehearsal's files; returns a list of them and the next commands."""
+    """Write the files of a rehearsal; return their list and the next commands."""
     lines = [f"wrote {path}" for path in rehearse(known_layout(layout), folder, seed)]
     lines.append(f"{TRUTH} lists the true values behind the readings. Next:")
     for kind in MEASUREMENTS:
@@ -97,7 +97,7 @@ def rehearsed(layout: str, folder: Path, seed: int) -> list[str]:
     return lines
 
 
-def _estimate(name: str, unit: str, known: Estimate | None) -> str:
-    if known is None:
+def _estimate(name: str, unit: str, one: Estimate | None) -> str:
+    if one is None:
         return f"{name}: not measured"
-    return f"{name}: {known.value:.4g} ({known.low:.4g} to {known.high:.4g}) {unit}".rstrip() + f", {known.source}"
+    return f"{name}: {one.value:.4g} ({one.low:.4g} to {one.high:.4g}) {unit}".rstrip() + f", {one.source}"

@@ -1,4 +1,4 @@
-"""Decode the foci of a file's bytes: run the board's virtual twin and fit foci to its emission."""
+"""Decode foci from the bytes of a file: run the virtual twin of the board and fit foci to its emission."""
 
 import csv
 import math
@@ -24,15 +24,15 @@ from palmfield.whole_files import whole, writing
 
 FREQUENCY_HZ = 40e3
 GOOD_RAD = 1.0
-"""Phases with a larger mean error than this form no focus."""
+"""Largest mean phase error of a sound that has a focus [rad]."""
 
 
 @dataclass(frozen=True)
 class DecodedFocus:
-    """Emission from a moment on. time_s: of its emission; focus: in the array frame [m], NaN if there is none
+    """One emission. time_s: its start; focus: in the array frame [m], NaN if there is none
 
-    misfit_rad: rms difference of phases from that focus; sounding: transducers that are on; level: their mean amplitude
-    relative to full drive
+    misfit_rad: rms phase difference from that focus; sounding: number of transducers that are on; level: their mean
+    amplitude relative to full drive
     """
 
     time_s: float
@@ -44,7 +44,7 @@ class DecodedFocus:
 
 @dataclass(frozen=True)
 class Decoded:
-    """head: of the board; foci: by time; flags: errors found by the virtual board; frames: their number, in words"""
+    """Decoded bytes. head: of the log; foci: by time; flags: errors of the virtual board; frames: number, in words"""
 
     head: LogHead
     foci: list[DecodedFocus]
@@ -55,9 +55,9 @@ class Decoded:
 def pieces_of(
     path: str | Path, board: str | None, array: str | None = None, calibration: Path | None = None
 ) -> tuple[LogHead, list[Piece]]:
-    """Read a log of `--log`, or a file of raw bytes, which needs the name of a board; raw bytes are consecutive.
+    """Read a log of `--log`, or a file of raw bytes, which needs the name of a board.
 
-    array: name of the layout or CSV file of transducers, None for the board's first one; calibration: file of its
+    array: name of the layout or CSV file of transducers, None: first layout of the board; calibration: file of its
         transducers
     Raises SceneError for a file that cannot be read, and for raw bytes without a board, DeviceError for an unknown one.
     """
@@ -92,7 +92,7 @@ def decode(
 ) -> Decoded:
     """Decode the foci of a file's bytes; arguments and errors as `pieces_of`.
 
-    The phases that transducers add, by the log or by a calibration, are included in the foci.
+    Phase errors of transducers from the log or from a calibration are included.
     """
     head, pieces = pieces_of(path, board, array, calibration)
     twin = head.playable.wired_twin()
@@ -104,14 +104,14 @@ def decode(
     wavenumber = 2.0 * math.pi * FREQUENCY_HZ / sound_speed(head.air)
     foci: list[DecodedFocus] = []
     near: Float | None = None
-    known: dict[bytes, tuple[Float, float]] = {}
+    cached: dict[bytes, tuple[Float, float]] = {}
     for one in emitted:
-        # For several arrays the first one's focus is reported: places of the others are defined by the scene
+        # With several arrays report the focus of the first: only the scene gives the poses of the others
         own = one.amplitudes[: len(positions)] * turns
         key = own.tobytes()
-        if key not in known:
-            known[key] = fitted_focus(positions, own, wavenumber, near)
-        place, misfit = known[key]
+        if key not in cached:
+            cached[key] = fitted_focus(positions, own, wavenumber, near)
+        place, misfit = cached[key]
         if misfit < GOOD_RAD:
             near = place
         else:
@@ -143,7 +143,7 @@ def as_table(decoded: Decoded, most: int | None = None) -> str:
 
 
 def write_csv(decoded: Decoded, path: Path) -> None:
-    """Write all rows, with units in the names of columns. Raises OutputError if that fails."""
+    """Write all rows; names of columns contain units. Raises OutputError if that fails."""
     with writing(path), whole(path) as part, part.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(["time_s", "x_m", "y_m", "z_m", "misfit_rad", "sounding", "level"])
@@ -169,7 +169,7 @@ def draw_foci(times_s: Sequence[float], foci: Float, path: Path) -> None:
         axes.set(xlabel="x [mm]", ylabel=f"{'xyz'[up]} [mm]")
         same_scale(axes, places[:, 0], places[:, up])
     for number, name in enumerate("xyz"):
-        # A single moment is no line
+        # A single time cannot be drawn as a line
         course.step(moments, places[:, number], "." if len(moments) == 1 else "", where="post", label=name)
     course.set(xlabel="time [ms]", ylabel="focus [mm]")
     course.legend()

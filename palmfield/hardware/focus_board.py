@@ -1,4 +1,4 @@
-"""A board with one array and without a scene, which emits a focus."""
+"""A board with one array that emits a focus, without a scene."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -27,9 +27,9 @@ class FocusSound:
     """Parameters of a focus that is played without a scene.
 
     level: amplitude of all transducers, 0..1; am_frequency_Hz: of a sine between silence and that level, 0 for none
-    p0_Pa_m: as of layouts, None for the layout's own; air: of the sound field
-    layout: of the array, or a CSV file of its transducers, None for the board's first one
-    calibration: of its transducers, a file as in key `calibration` of palmfield.array
+    p0_Pa_m: as in layouts, None: value of the layout; air: of the sound field
+    layout: of the array, or a CSV file of its transducers, None: first layout of the board
+    calibration: file of its transducers, as in key `calibration` of palmfield.array
     """
 
     level: float = 1.0
@@ -42,9 +42,9 @@ class FocusSound:
 
 @dataclass(frozen=True)
 class FocusBoard:
-    """A board, its array and its sound. p0: of the array's layout or calibration; said: messages for the user
+    """A board, its array and its sound. p0: of the layout or calibration; said: messages for the user
 
-    sound: without the modulation made by the board itself; layout: of the array
+    sound: without modulation made by the board; layout: of the array
     """
 
     board: Board
@@ -56,7 +56,7 @@ class FocusBoard:
     said: tuple[str, ...]
 
     def unit(self, place: Float) -> Complex:
-        """Amplitudes of all transducers for a focus [m] at full level. Raises SceneError if it is impossible."""
+        """Return amplitudes of all transducers for a focus [m] at full level. Raises SceneError if it is impossible."""
         unit = focus(self.array, self.sound.air, place)
         return compensate(self.array, unit) if self.board.compensate else unit
 
@@ -67,14 +67,14 @@ class FocusBoard:
 
     @property
     def band(self) -> tuple[float, float]:
-        """Factors on the square of the pressure at the ends of p0's range; a given p0 has no range."""
+        """Return factors of the squared pressure at the ends of the range of p0; a p0 set by the user has no range."""
         if self.sound.p0_Pa_m is not None:
             return 1.0, 1.0
         return (self.p0.low / self.p0.value) ** 2, (self.p0.high / self.p0.value) ** 2
 
     @property
     def head(self) -> LogHead:
-        """Head of a log of its frames."""
+        """Return the head of a log of its frames."""
         driver, loudness = self.driver, self.array.p0_Pa_m
         limits = driver.model_dump(include=set(SAFETY_KEYS), exclude_none=True, exclude_defaults=True)
         own, high = driver.of_board(self.board.keys), loudness * self.band[1] ** 0.5
@@ -86,17 +86,17 @@ class FocusBoard:
 
 
 def array_named(name: str, p0_Pa_m: float | None = None) -> tuple[Array, Estimate]:
-    """The array of a layout, or of a CSV file of transducers, and its p0. Raises SceneError for other names."""
+    """Return the array of a layout, or of a CSV file of transducers, and its p0. Raises SceneError for other names."""
     if not name.lower().endswith(".csv"):
         return layout(name, p0_Pa_m), LAYOUTS[name].p0
     return read_transducers(name).array(ANY_P0.value if p0_Pa_m is None else p0_Pa_m), ANY_P0
 
 
 def focus_board(board: str, sound: FocusSound, keys: Mapping[str, object]) -> FocusBoard:
-    """Return a board of that name with its array.
+    """Return a board with its array.
 
-    keys: of the board, as in palmfield.driver
-    Raises SceneError for a board of several arrays and an invalid level, DeviceError for an unknown board, a layout
+    keys: keys of the board, as in palmfield.driver
+    Raises SceneError for a board with several arrays and an invalid level, DeviceError for an unknown board, a layout
     that it does not drive, and a level or a modulation that it cannot play.
     """
     chosen = playable_board(board)
@@ -112,10 +112,10 @@ def focus_board(board: str, sound: FocusSound, keys: Mapping[str, object]) -> Fo
     array, p0 = array_named(name, sound.p0_Pa_m)
     name = array.name
     if sound.calibration is not None:
-        known = read_calibration(sound.calibration)
-        if known.p0 is not None and sound.p0_Pa_m is None:
-            array, p0 = replace(array, p0_Pa_m=known.p0.value), known.p0
-        array = calibrated(array, known)
+        calibration = read_calibration(sound.calibration)
+        if calibration.p0 is not None and sound.p0_Pa_m is None:
+            array, p0 = replace(array, p0_Pa_m=calibration.p0.value), calibration.p0
+        array = calibrated(array, calibration)
     texts = {key: str(value) for key, value in keys.items()}
     element = "--focus with driver keys"
     driver = cast(DriverConfig, parse(DriverConfig, {**texts, "board": board}, element))
@@ -123,7 +123,7 @@ def focus_board(board: str, sound: FocusSound, keys: Mapping[str, object]) -> Fo
         chosen = board_of(driver, len(array), calibrated=sound.calibration is not None, address=array.address)
     said = []
     if chosen.modulates:
-        # The board does that by itself, for any focus
+        # The board itself modulates, for any focus
         if sound.am_frequency_Hz > 0.0:
             chosen, sound = chosen.modulating(sound.am_frequency_Hz), replace(sound, am_frequency_Hz=0.0)
         else:
@@ -141,5 +141,5 @@ def focus_board(board: str, sound: FocusSound, keys: Mapping[str, object]) -> Fo
 
 
 def am_share(time_s: float, frequency_Hz: float) -> float:
-    """Share of the level at a time [s]: a sine between silence and all of it, 1 without modulation."""
+    """Return the fraction of the level at a time [s]: a sine between 0 and 1; 1 without modulation."""
     return 0.5 * (1.0 + float(np.sin(2.0 * np.pi * frequency_Hz * time_s))) if frequency_Hz > 0.0 else 1.0

@@ -27,16 +27,16 @@ from palmfield.types import Complex, Float
 LOG = logging.getLogger(__name__)
 LOOK_S = 0.05
 AHEAD_S = 3e-3
-"""A frame of a modulated focus is made this long before its time."""
+"""Time by which a frame of a modulated focus is made before it is due [s]."""
 MOST_STEPS = 8
 """Largest number of steps of a ramp."""
 
 
 @dataclass(frozen=True)
 class LiveInput:
-    """Source of foci. port: 0 for any free one; on_listening: called with the address
+    """Source of foci. port: 0 for any free port; on_listening: called with the address
 
-    offset_m: of the focus in the frame given by `position_m`, if a line has no focus_m
+    offset_m: position of the focus in the frame at `position_m`, for lines without focus_m
     """
 
     host: str = "127.0.0.1"
@@ -55,11 +55,11 @@ def play_live(
     sound: FocusSound | None = None,
     keys: Mapping[str, object] | None = None,
 ) -> Performance:
-    """Play the newest received focus, until Ctrl-C or for some time; returns a report, in words.
+    """Play the newest received focus, until Ctrl-C or for some time; return a report, in words.
 
-    board, sound, keys: as of `palmfield.hardware.play.play_focus`; levels of lines multiply the sound's A focus sounds
-    until a newer one comes, and fades out STALE_S after its arrival, within the driver's ramp. A focus that cannot be
-    played is counted, reported and skipped, and the one before continues.
+    board, sound, keys: as in `palmfield.hardware.play.play_focus`; levels of lines multiply that of `sound`
+    A focus sounds until a newer one arrives. It fades out STALE_S after its arrival, with the ramp of the driver. A
+    focus that cannot be played is counted, reported and skipped; the focus before continues.
     Raises SceneError and DeviceError as `play_focus`. Raises DeviceError also for an address at which it cannot listen,
     and if some focus may be louder at a head than key head_limit_dB allows.
     """
@@ -104,7 +104,7 @@ def play_live(
 
 
 class _Live:
-    """Makes frames of the newest focus. came_s: arrival of the focus of each frame that is its first [s]"""
+    """Makes frames of the newest focus. came_s: for the first frame of each focus, arrival of the focus [s]"""
 
     def __init__(self, made: FocusBoard, limits: SoundLimits, listener: FocusListener, player: Player) -> None:
         self.made, self.listener, self.player = made, listener, player
@@ -114,15 +114,15 @@ class _Live:
         self._steps = max(1, min(MOST_STEPS, math.floor(steps)))
 
     def follow(self, ends_s: float) -> None:
-        """Play until a moment of time.monotonic() [s]."""
+        """Play until a time of time.monotonic() [s]."""
         board, am_Hz = self.made.board, self.made.sound.am_frequency_Hz
         period_s = 1.0 / board.max_frame_rate_Hz
         began_s = due_s = time.monotonic() + AHEAD_S + board.frame_time_s
-        known: tuple[LiveFocus, Complex, float] | None = None
+        playing: tuple[LiveFocus, Complex, float] | None = None
         after, muted = 0, True
         while (now := time.monotonic()) < ends_s:
             self.player.check()
-            waits = am_Hz <= 0.0 or known is None
+            waits = am_Hz <= 0.0 or playing is None
             came = self.listener.next(after, min(LOOK_S, ends_s - now) if waits else 0.0)
             now = time.monotonic()
             if came is not None:
@@ -132,20 +132,20 @@ class _Live:
                     came = None
             if came is not None:
                 unit = self._unit(came.focus)
-                known = known if unit is None else (came.focus, unit, came.time_s)
+                playing = playing if unit is None else (came.focus, unit, came.time_s)
                 if unit is not None and am_Hz <= 0.0:
                     self._send(came.focus, unit, 1.0, came.time_s, 0.0, first=True)
                     muted = False
-            if known is not None and now - known[2] > STALE_S:
-                known = None
+            if playing is not None and now - playing[2] > STALE_S:
+                playing = None
                 if not muted:
                     self.player.mute()
                 muted = True
-            if am_Hz > 0.0 and known is not None:
+            if am_Hz > 0.0 and playing is not None:
                 due_s = max(due_s + period_s, now + board.frame_time_s)
                 time.sleep(max(0.0, due_s - board.frame_time_s - AHEAD_S - now))
                 share = am_share(due_s - began_s, am_Hz)
-                self._send(known[0], known[1], share, known[2], due_s, first=came is not None)
+                self._send(playing[0], playing[1], share, playing[2], due_s, first=came is not None)
                 muted = False
 
     def _unit(self, focus: LiveFocus) -> Complex | None:
@@ -157,7 +157,7 @@ class _Live:
             return None
         try:
             unit = self.made.unit(focus.place)
-            # The board refuses levels between off and full, and places outside the range of its packets
+            # Levels between off and full, and positions outside the range of packets, may be impossible on the board
             self.made.frame(focus.place, unit, focus.level * self.made.sound.level)
         except PalmfieldError as error:
             self.listener.skip("place" if isinstance(error, SceneError) else "board", str(error))
@@ -175,13 +175,13 @@ class _Live:
 
 
 def _most_at_head(made: FocusBoard) -> Heard:
-    """Return the sound at a head's loudest place with the focus there: live foci are not available in advance."""
+    """Return the sound at the loudest point of a head with the focus there: live foci are not known in advance."""
     array, air = made.array, made.sound.air
     wavenumber = 2.0 * np.pi * array.frequency_Hz / sound_speed(air)
     loud = replace(array, gain=None if array.gain is None else np.abs(array.gain).astype(complex))
 
     def in_phase(points: Float) -> Complex:
-        """Upper limit of the pressure of all transducers at each of some points: with the focus there."""
+        """Return upper limits of the pressure at some points: all transducers in phase."""
         result = np.zeros(len(points), np.complex128)
         for number, point in enumerate(points):
             distances = np.linalg.norm(point - array.positions, axis=1)

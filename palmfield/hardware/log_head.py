@@ -1,4 +1,4 @@
-"""Description in a log of the scene of its bytes."""
+"""Make the head of a log, which describes the scene of its bytes."""
 
 from palmfield.config.driver import SAFETY_KEYS
 from palmfield.drive.frame_log import LogHead

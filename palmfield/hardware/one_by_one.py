@@ -30,9 +30,9 @@ def sound_one_by_one(
 ) -> Performance:
     """Sound single transducers of a board at full drive with phase 0, as wired; write their times.
 
-    times: CSV file of `element`, `from_s` and `to_s`, since the first frame, and `layout_version`
-    elements: by number in the layout's order, each once; None for all of one unit
-    dwell_s, pause_s: duration of each, and the silence before it [s]
+    times: CSV file of `element`, `from_s` and `to_s`, times since the first frame, and `layout_version`
+    elements: numbers in the order of the layout, each once; None: all of one unit
+    dwell_s, pause_s: duration of each sound, and of the silence before it [s]
     Raises DeviceError for a board that takes no amplitudes or is lost, SceneError for an unknown transducer and for
     times that are not above 0, OutputError if the table cannot be written.
     """
@@ -78,6 +78,6 @@ def _frames(board: Board, numbers: Sequence[int], dwell_s: float, pause_s: float
 
 
 def _held(data: bytes, begin_s: float, length_s: float, *, sounds: bool) -> Iterator[TimedFrame]:
-    """Repeat one frame, so that a byte lost on the line does no lasting harm."""
+    """Repeat one frame, so that a lost byte has no lasting effect."""
     for time_s in np.arange(begin_s, begin_s + length_s - 1e-9, REFRESH_S).tolist():
         yield TimedFrame(time_s, data, sounds)

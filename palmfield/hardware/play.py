@@ -38,14 +38,14 @@ LOG = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Target:
-    """Target of bytes. port: of a board, or None; record: file for the bytes instead; log: file of sent bytes"""
+    """Target of bytes. port: of a board, or None; record: file for bytes without a port; log: file of sent bytes"""
 
     port: str | None = None
     record: Path | None = None
     log: Path | None = None
 
     def check(self) -> None:
-        """Check ports and files before frames are made, which may take long.
+        """Check ports and files before frames are made, because making frames may take long.
 
         Raises DeviceError for a missing device, OutputError for a missing folder.
         """
@@ -58,7 +58,7 @@ class Target:
 
 @dataclass(frozen=True)
 class Performance:
-    """Report of a play. text: in words; warning: for users, empty for none"""
+    """Report of a play. text: in words; warning: for users, empty if none"""
 
     text: str
     warning: str = ""
@@ -67,7 +67,7 @@ class Performance:
         return self.text
 
     def saying(self, *more: str) -> "Performance":
-        """Add further lines."""
+        """Return the report with additional lines."""
         return replace(self, text="\n".join((self.text, *more)))
 
 
@@ -81,11 +81,11 @@ def play_focus(
     keys: Mapping[str, object] | None = None,
     progress: bool = False,
 ) -> Performance:
-    """Hold one focus (array frame [m]) for `duration_s`; returns a report, in words.
+    """Emit one focus (array frame [m]) for `duration_s`; return a report, in words.
 
-    keys: of the board, as in palmfield.driver; progress: whether a bar is drawn on a terminal's standard error
-    Raises SceneError for a focus behind the array or too far for metres, DeviceError for an unknown or lost board, and
-    for a level or a modulation that it cannot play.
+    keys: of the board, as in palmfield.driver; progress: whether to show a progress bar on a terminal's standard error
+    Raises SceneError for a focus behind the array or more than metres away, DeviceError for an unknown or lost board,
+    and for a level or a modulation that it cannot play.
     """
     target.check()
     if (far := too_far(point)) is not None:
@@ -141,10 +141,10 @@ def play_scene(
     keys: Mapping[str, object] | None = None,
     progress: bool = False,
 ) -> Performance:
-    """Play a scene's stimuli, with hands and arrays placed by their motions at each frame's emission.
+    """Play the stimuli of a scene, with poses of hands and arrays at the emission of each frame.
 
-    board: instead of the scene's, as `palmfield.load` takes it; keys: as there
-    Raises SceneError for a bad scene, DeviceError if the board cannot play it or is lost.
+    board: replaces that of the scene, as in `palmfield.load`; keys: as there
+    Raises SceneError for an invalid scene, DeviceError if the board cannot play it or is lost.
     """
     target.check()
     if board is not None:
@@ -169,7 +169,7 @@ def play_scene(
 
 
 def scene_frames(scene: Preview, duration_s: float) -> Iterator[TimedFrame]:
-    """Return the bytes of each frame of a scene, with poses at its emission, and the driver's ramp."""
+    """Yield the bytes of each frame of a scene, with poses at its emission and the ramp of the driver."""
     model = scene.runtime.model
     limits = SoundLimits.of(model.spec.driver)
     ramp, step_s = limits.ramp_times(model.board, duration_s), model.spec.timestep_s if scene.moves else None
@@ -190,11 +190,11 @@ def send(
     limits: SoundLimits,
     progress: bool,
 ) -> Performance:
-    """Send frames, and wait until their time is over; returns a report, in a sentence."""
+    """Send frames, and wait until `duration_s` is over; return a report, in a sentence."""
     assert board.line is not None
     if target.record is None and target.port is None:
         raise DeviceError("a port or a file is needed; give the port of a board, or a file for the bytes")
-    # Errors of the scene come before any file, and slow preparations before the first frame is due
+    # Make all frames first: errors are raised before files exist, and slow preparations do not delay frames
     ready: list[TimedFrame] = []
     with bars(progress) as bar:
         making = bar.add_task(f"computing the frames for {duration_s:g} s", total=duration_s)
@@ -224,9 +224,9 @@ def play_on_port(
     head: LogHead | None = None,
     progress: bool = False,
 ) -> Performance:
-    """Play frames by a process of its own, `palmfield.drive.player`; returns a report, in a sentence.
+    """Play frames by a separate process, `palmfield.drive.player`; return a report, in a sentence.
 
-    head: of the log. Raises DeviceError if the port cannot be opened, or is lost.
+    head: of the log. Raises DeviceError if the port cannot be opened or is lost.
     """
     if log is not None:
         assert head is not None
@@ -255,7 +255,7 @@ def play_on_port(
 
 
 def played_in_words(report: PlayReport, board: Board, port: str) -> str:
-    """Report a player's frames, with the board silent afterwards."""
+    """Report the frames of a player after the board is off."""
     return (
         f"played {report.frames} frames on {port} (skipped {report.skipped}, largest delay "
         f"{1e3 * report.late_s:.0f} ms, limit {board.frame_rate} frames/s; player at {report.priority}); the board "
@@ -264,7 +264,7 @@ def played_in_words(report: PlayReport, board: Board, port: str) -> str:
 
 
 def check_log(player: Player, log: Path | None, done: str = "") -> None:
-    """Raises OutputError if a closed player's log ends early, for instance on a full disk. done: further results"""
+    """Raise OutputError if the log of a closed player ends early, e.g. on a full disk. done: other results"""
     if player.log_error:
         raise OutputError(
             f"{done}the log {log} ends early: {player.log_error}; its content can be decoded, and the play was not "

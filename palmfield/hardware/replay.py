@@ -1,4 +1,4 @@
-"""Send the bytes of a log or a record to a port again, within their original limits."""
+"""Send the bytes of a log or record to a port again, within their original limits."""
 
 import logging
 from collections.abc import Mapping
@@ -33,11 +33,11 @@ def replay(
     keys: Mapping[str, str] | None = None,
     progress: bool = False,
 ) -> Performance:
-    """Send a file's bytes to a port, at their times, and silence the board; returns a report, in a sentence.
+    """Send the bytes of a file to a port at their times, and silence the board; return a report, in a sentence.
 
-    keys: limits of palmfield.driver on level and duration, in addition to or instead of those of the log Raises
-    DeviceError before anything is sent if they allow less time, a smaller share of time or a lower level at the head.
-    Raises it also if the port cannot be opened or is lost. Other errors as `pieces_of`.
+    keys: limits of palmfield.driver on level and duration, which replace those of the log
+    Raises DeviceError before anything is sent if the limits on duration, duty or level at the head are exceeded, and if
+    the port cannot be opened or is lost. Other errors as in `pieces_of`.
     """
     head, pieces = pieces_of(path, board)
     made = head.playable
@@ -50,16 +50,16 @@ def replay(
 
 
 def _driver(head: LogHead, keys: Mapping[str, str]) -> DriverConfig:
-    """Return the log's limits, with replacements. Raises SceneError for a key that is no limit and for a bad value."""
-    given = {name.removeprefix("driver."): value for name, value in keys.items()}
-    for name in given:
+    """Return the limits of the log, with replacements. Raises SceneError for other keys and for invalid values."""
+    replaced = {name.removeprefix("driver."): value for name, value in keys.items()}
+    for name in replaced:
         if name not in SAFETY_KEYS:
             allowed = ", ".join(f"driver.{key}" for key in SAFETY_KEYS)
             raise SceneError(
                 f"--set driver.{name} has no effect on a replay, which sends the logged bytes; allowed: {allowed}"
             )
-    known = {key: _text(value) for key, value in head.limits.items() if key in SAFETY_KEYS}
-    return cast(DriverConfig, parse(DriverConfig, {**known, **given}, "the limits of a replay"))
+    logged = {key: _text(value) for key, value in head.limits.items() if key in SAFETY_KEYS}
+    return cast(DriverConfig, parse(DriverConfig, {**logged, **replaced}, "the limits of a replay"))
 
 
 def _text(value: object) -> str:
@@ -69,9 +69,9 @@ def _text(value: object) -> str:
 def check_limits(head: LogHead, board: Board, frames: list[tuple[float, bytes]], driver: DriverConfig) -> list[str]:
     """Return warnings for users, in words, before frames are sent.
 
-    Levels at the head are those of transducers in the log, with its phases and equal amplitudes, at the upper end of
-    p0's range if the log has it. Raises DeviceError for limits of the driver's keys that are exceeded, and for a limit
-    at the head if the log has no places of arrays.
+    Levels at the head are computed from transducers and phases in the log with equal amplitudes, at the upper end of
+    the range of p0 if the log has it. Raises DeviceError if limits are exceeded, and for a limit at the head if the log
+    has no positions of arrays.
     """
     emitted = _emitted(board, frames)
     if not emitted:
@@ -104,7 +104,7 @@ def check_limits(head: LogHead, board: Board, frames: list[tuple[float, bytes]],
 
 
 def _emitted(board: Board, frames: list[tuple[float, bytes]]) -> list[Emitted]:
-    """Return the emission of a board for frames, by its twin."""
+    """Return the emission of a board for frames, computed by its virtual twin."""
     assert board.line is not None
     twin = board.wired_twin()
     emitted: list[Emitted] = []
@@ -115,10 +115,10 @@ def _emitted(board: Board, frames: list[tuple[float, bytes]]) -> list[Emitted]:
 
 
 def _frames(board: Board, pieces: list[Piece]) -> tuple[list[tuple[float, bytes]], int]:
-    """Convert pieces to frames with the times of their emission, and the number of incomplete ones.
+    """Convert pieces to frames with the times of their emission, and count incomplete ones.
 
-    A piece that may be incomplete may end in half a frame: the next one begins with its start. The start and the stop
-    sequence are sent by the player itself.
+    A piece may end in half a frame; the next piece then begins with its start. The player itself sends the start and
+    stop sequences.
     """
     assert board.line is not None
     whole = [piece for piece in pieces if piece.whole]

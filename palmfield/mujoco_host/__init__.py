@@ -1,4 +1,4 @@
-"""MuJoCo's model and data as plugins see them: structs, names, poses, states and forces."""
+"""Access MuJoCo's model and data from plugins: structs, names, poses, states and forces."""
 
 import lazy_loader
 import mujoco as mujoco

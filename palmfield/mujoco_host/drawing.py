@@ -1,4 +1,4 @@
-"""What a plugin adds to a picture: MuJoCo's list of shapes (mjvScene), filled as arrays and never beyond its end."""
+"""Add shapes to a picture: fill MuJoCo's list of shapes (mjvScene) as arrays, never beyond its end."""
 
 import ctypes
 from functools import cached_property
@@ -13,17 +13,17 @@ from palmfield.mujoco_host.structs import mirror
 from palmfield.types import Float, Int
 
 GLOW = 0.6
-"""Of a shape's colour that needs no light: what is seen means a number, in the shade as well."""
+"""Fraction of the colour of a shape that needs no light, since colours represent numbers, also in shadow."""
 LABEL = 100
 SPARE = 200
-"""Shapes left to MuJoCo beside the model's own: joints, contacts, lights, what is under the mouse."""
+"""Number of shapes reserved for MuJoCo in addition to the geoms: joints, contacts, lights, selection."""
 
 
 class Drawing:
-    """A scene that MuJoCo is about to draw; shapes for which there is no room are left out, the first given come first.
+    """A scene that MuJoCo is about to draw. If there is no room for a shape, it and all later ones are omitted.
 
-    MuJoCo asks plugins before it adds the model's own shapes, for which room is kept. Positions are in the world [m],
-    colours red, green, blue and opacity from 0 to 1.
+    MuJoCo calls plugins before it adds the shapes of the model, for which room is reserved. Positions are in the world
+    [m], colours red, green, blue and opacity from 0 to 1.
     """
 
     def __init__(self, model: ModelView, scene: int, options: int):
@@ -33,12 +33,12 @@ class Drawing:
         self._options = mirror("mjvOption").from_address(options)
 
     def shows(self, kind: Literal["geom", "site"], group: int) -> bool:
-        """Whether the viewer's user has a group of geoms or sites switched on."""
+        """Return whether a group of geoms or sites is switched on in the viewer."""
         return bool(getattr(self._options, f"{kind}group")[group])
 
     @property
     def room(self) -> int:
-        """How many shapes can still be added."""
+        """Number of shapes that can still be added."""
         return max(0, int(self._scene.maxgeom - self._scene.ngeom - self._kept))
 
     def spheres(self, centres: Float, radius: Float | float, colours: Float) -> None:
@@ -64,7 +64,7 @@ class Drawing:
         """Add triangles. vertices: shape (v, 3); faces: shape (n, 3); colours: shape (n, 4)"""
         shapes = self._new(mujoco.mjtGeom.mjGEOM_TRIANGLE, len(faces), colours)
         corners = vertices[faces[: len(shapes)]]
-        # MuJoCo's triangle has the corners 0, x and y of a frame whose axes need not be square to one another
+        # The corners of a MuJoCo triangle are 0, x and y of its frame, whose axes may be oblique
         sides = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=1)
         normals = np.cross(sides[:, 0], sides[:, 1])
         frame = np.concatenate([sides, normals[:, None]], axis=1)
@@ -78,7 +78,7 @@ class Drawing:
         shapes["pos"], shapes["mat"], shapes["label"] = place, np.eye(3).ravel(), text.encode()[: LABEL - 1]
 
     def _new(self, kind: mujoco.mjtGeom, count: int, colours: Float) -> NDArray[Any]:
-        """Claim as many shapes as there is room for, with all that is common to them filled in."""
+        """Reserve as many shapes as there is room for, and set their common values."""
         count = min(count, self.room)
         first = self._scene.ngeom
         shapes = self._shapes[first : first + count]
@@ -93,7 +93,7 @@ class Drawing:
 
     @cached_property
     def _shapes(self) -> NDArray[Any]:
-        """All of the scene's shapes, used or not."""
+        """All shapes of the scene, used or not."""
         kind: Any = mirror("mjvGeom")
         whole = (kind * int(self._scene.maxgeom)).from_address(self._scene.geoms)
         size = ctypes.sizeof(kind)
@@ -101,7 +101,7 @@ class Drawing:
 
 
 def _dtype(kind: Any, size: int) -> np.dtype[Any]:
-    """NumPy's own words for mjvGeom, in which the label is bytes."""
+    """Return the NumPy type of a field of mjvGeom; a label is bytes."""
     names, formats, offsets = [], [], []
     for name, field in kind._fields_:
         text = name == "label"

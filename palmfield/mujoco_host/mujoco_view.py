@@ -1,4 +1,4 @@
-"""What plugins see of MuJoCo's model and data inside a callback: names, poses, time, state, forces."""
+"""Access MuJoCo's model and data in a callback of a plugin: names, poses, time, state, forces."""
 
 import ctypes
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ Geom = tuple[str, tuple[Any, ...], tuple[float, ...], tuple[float, ...]]
 Kind = Literal["body", "site", "geom", "joint", "actuator"]
 Field = Literal["ctrl", "qpos", "qvel", "mocap_pos", "mocap_quat"]
 Write = tuple[Field, list[int], Float]
-"""Numbers for an array of mjData: its name, where they go in it, and what they are, shape (n,)."""
+"""Values to write to an array of mjData: its name, their indices, and the values, shape (n,)."""
 _OBJECT = {
     "body": mujoco.mjtObj.mjOBJ_BODY,
     "site": mujoco.mjtObj.mjOBJ_SITE,
@@ -30,9 +30,9 @@ _COUNT = {"joint": "njnt", "actuator": "nu"}
 
 
 class ModelView:
-    """Read-only view of an mjModel by its address.
+    """Read-only view of the mjModel at an address.
 
-    complete: False while MuJoCo compiles it and asks for the sizes of states: custom numbers and texts are missing then
+    complete: False while MuJoCo compiles it and calls for state sizes; custom numbers and texts are then missing
     """
 
     def __init__(self, address: int, complete: bool = True):
@@ -45,7 +45,7 @@ class ModelView:
         return float(self.raw.opt.timestep)
 
     def find(self, kind: Kind, name: str, element: str) -> int:
-        """Number of a named object; SceneError, naming the asking `element`, where the scene has none of that name."""
+        """Return the number of a named object. Raises SceneError with `element` if the scene has none of that name."""
         number = library().mj_name2id(self.address, int(_OBJECT[kind]), name.encode())
         if number < 0:
             names = self.names(kind)
@@ -54,13 +54,13 @@ class ModelView:
         return number
 
     def names(self, kind: Kind) -> list[str]:
-        """Names of all objects of a kind."""
+        """Return the names of all objects of a kind."""
         count = getattr(self.raw, _COUNT.get(kind, f"n{kind}"))
         texts = (library().mj_id2name(self.address, int(_OBJECT[kind]), i) for i in range(count))
         return [name.decode() for name in texts if name]
 
     def custom(self) -> list[tuple[str, str, int]]:
-        """Kind ("numeric", "text" or "tuple"), name and length of what the scene holds as <custom>."""
+        """Return kind ("numeric", "text" or "tuple"), name and length of each element of <custom>."""
         kinds = {"numeric": mujoco.mjtObj.mjOBJ_NUMERIC, "text": mujoco.mjtObj.mjOBJ_TEXT}
         kinds["tuple"] = mujoco.mjtObj.mjOBJ_TUPLE
         result = []
@@ -72,12 +72,12 @@ class ModelView:
         return result
 
     def numeric(self, name: str, default: float) -> float:
-        """First number of a custom numeric, or the default where the scene has none of that name."""
+        """Return the first number of a custom numeric, or the default if there is none of that name."""
         number = library().mj_name2id(self.address, int(mujoco.mjtObj.mjOBJ_NUMERIC), name.encode())
         return default if number < 0 else float(self.raw.numeric_data[self.raw.numeric_adr[number]])
 
     def text(self, name: str, default: str) -> str:
-        """A custom text, or the default where the scene has none of that name."""
+        """Return a custom text, or the default if there is none of that name."""
         number = library().mj_name2id(self.address, int(mujoco.mjtObj.mjOBJ_TEXT), name.encode())
         if number < 0:
             return default
@@ -86,7 +86,7 @@ class ModelView:
         return b"".join(self.raw.text_data[start + i] for i in range(size)).decode()
 
     def ancestors(self, body: int) -> set[int]:
-        """A body and all those that carry it, the world left out."""
+        """Return the numbers of a body and all its ancestors except the world."""
         result = set()
         while body > 0:
             result.add(body)
@@ -94,13 +94,13 @@ class ModelView:
         return result
 
     def can_move(self, body: int) -> bool:
-        """Whether a body has joints of its own or is a mocap body."""
+        """Return whether a body has joints or is a mocap body."""
         return bool(self.raw.body_dofnum[body] > 0 or self.raw.body_mocapid[body] >= 0)
 
     def geoms(self, body: int, element: str) -> tuple[Geom, ...]:
-        """Solid shapes of a body as `palmfield.hand.collision_shapes.Obstacle` takes them.
+        """Return the solid shapes of a body for `palmfield.hand.collision_shapes.Obstacle`.
 
-        Raises SceneError, naming the asking `element`, for kinds of geom that are no solids.
+        Raises SceneError with `element` for kinds of geom that are not solids.
         """
         raw, geoms = self.raw, []
         for geom in range(raw.body_geomadr[body], raw.body_geomadr[body] + raw.body_geomnum[body]):
@@ -123,15 +123,15 @@ class ModelView:
         return tuple(geoms)
 
     def site_body(self, site: int) -> int:
-        """Body that carries a site."""
+        """Return the number of the body of a site."""
         return int(self.raw.site_bodyid[site])
 
     def site_position(self, site: int) -> Float:
-        """Position of a site in its body's frame [m], shape (3,)."""
+        """Return the position of a site in its body's frame [m], shape (3,)."""
         return np.array(self.raw.site_pos[3 * site : 3 * site + 3])
 
     def reference_pose(self, kind: Literal["body", "site"], number: int) -> Transform:
-        """Frame of a body or site in the world, in the reference configuration qpos0."""
+        """Return the frame of a body or site in the world, in the reference configuration qpos0."""
         position, turn = np.zeros(3), np.eye(3)
         if kind == "site":
             position = self.site_position(number)
@@ -145,7 +145,7 @@ class ModelView:
         return Transform(position, turn)
 
     def instances(self) -> list[tuple[int, str, str]]:
-        """All plugin instances as (number, plugin name, instance name)."""
+        """Return all plugin instances as (number, plugin name, instance name)."""
         lib = library()
         lib.mjp_getPluginAtSlot.restype = ctypes.c_void_p
         result = []
@@ -156,20 +156,20 @@ class ModelView:
         return result
 
     def values(self, instance: int, keys: list[str]) -> dict[str, str]:
-        """Texts of the keys that the scene sets for a plugin instance."""
+        """Return the texts of the keys that the scene sets for a plugin instance."""
         texts = {key: library().mj_getPluginConfig(self.address, instance, key.encode()) for key in keys}
         return {key: text.decode() for key, text in texts.items() if text}
 
 
 def mocap_offsets(mocap: int) -> tuple[list[int], list[int]]:
-    """Where a mocap body's position and its quaternion (w, x, y, z) are in arrays mocap_pos and mocap_quat."""
+    """Return the indices of position and quaternion (w, x, y, z) of a mocap body in mocap_pos and mocap_quat."""
     return [*range(3 * mocap, 3 * mocap + 3)], [*range(4 * mocap, 4 * mocap + 4)]
 
 
 class DataView:
-    """One mjData with its model. Arrays are views: they show MuJoCo's present values.
+    """One mjData with its model. Arrays are views of MuJoCo's present values.
 
-    Only arrays of mjData's own buffer are kept as views; its arena moves from step to step.
+    Views are only of arrays in the buffer of mjData; its arena moves from step to step.
     """
 
     def __init__(self, model: int, data: int):
@@ -202,7 +202,7 @@ class DataView:
             self._fields[field][offsets] = values
 
     def state(self, instance: int) -> Float:
-        """Plugin state of an instance, shape (n,): part of mjData, so that MuJoCo copies, resets and saves it."""
+        """Return the plugin state of an instance, shape (n,). It is in mjData: MuJoCo copies, resets and saves it."""
         count = int(self.model.raw.plugin_statenum[instance])
         if count == 0:
             return np.zeros(0)
@@ -211,7 +211,7 @@ class DataView:
         return whole[start : start + count]
 
     def sensors(self, instance: int) -> list["PluginSensor"]:
-        """Sensors of an instance, with views of their data."""
+        """Return the sensors of an instance, with views of their data."""
         raw = self.model.raw
         kinds = {int(mujoco.mjtObj.mjOBJ_SITE): "site", int(mujoco.mjtObj.mjOBJ_BODY): "body"}
         result = []
@@ -227,8 +227,8 @@ class DataView:
 
 
 class PluginSensor(NamedTuple):
-    """A sensor of a plugin instance. kind: "site", "body" or "" of what it is attached to; target: its number;
-    data: view of what it reads, shape (channels,), at `offsets` among all sensors' data"""
+    """A sensor of a plugin instance. kind: of the object it is attached to, "site", "body" or ""; target: its number;
+    data: view of its values, shape (channels,), at `offsets` in the sensor data"""
 
     name: str
     kind: str
@@ -240,7 +240,7 @@ class PluginSensor(NamedTuple):
 class ForceOutlet:
     """Adds forces at the origins of some bodies to MuJoCo's passive forces; buffers are made once.
 
-    forces: [N], torques: about the bodies' origins [N m], world axes, shapes (b, 3): to be filled before `apply`
+    forces: [N], torques: about the bodies' origins [N m], world axes, shapes (b, 3): to be set before `apply`
     """
 
     def __init__(self, view: DataView, bodies: Sequence[int]):

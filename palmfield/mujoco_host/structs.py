@@ -57,7 +57,7 @@ def mirror(name: str) -> Any:
 
 
 class Plugin(ctypes.Structure):
-    """mjpPlugin of mjplugin.h; every callback is a void pointer so that one struct fits all prototypes."""
+    """mjpPlugin of mjplugin.h; every callback is a void pointer, which fits all prototypes."""
 
     _fields_ = (
         ("name", ctypes.c_char_p),
@@ -74,9 +74,9 @@ class Plugin(ctypes.Structure):
 
 @cache
 def library() -> ctypes.CDLL:
-    """MuJoCo's own shared library, the one that `import mujoco` has already loaded.
+    """Return the shared library that `import mujoco` has loaded.
 
-    Raises PalmfieldError where it cannot be found or computes in single precision.
+    Raises PalmfieldError if it is not found or computes in single precision.
     """
     if mujoco.MJTNUM_DTYPE.__name__ != "float64":
         raise PalmfieldError("this MuJoCo computes in float32; palmfield needs the usual float64 build of mujoco")

@@ -1,1 +1,1 @@
-"""Sound exposure of people in a scene, and limits for playing."""
+"""Compute sound exposure of people in a scene, and check it against limits."""

@@ -11,16 +11,16 @@ from palmfield.acoustics.exposure import a_weighting_dB, beam_share, demodulated
 from palmfield.types import Air, Complex, Float
 
 RATE_HZ, COUNT = 16384, 4096
-"""Sampling rate and number of samples of the intensity: a quarter of a second, sound up to 8 kHz."""
+"""Sampling rate and number of samples of the intensity: 0.25 s, for sound up to 8 kHz."""
 LOWEST_HZ = 20.0
 ROUND_OFF = 1e-9
-"""Share of the mean power below which changes are ignored."""
+"""Fraction of the mean power below which changes are ignored."""
 
 
 class Byproduct(NamedTuple):
-    """A-weighted levels: of sound made in the air along the beam, of the force on the hand, and of both; -inf for none
+    """A-weighted levels of sound generated in the air along the beam, by the force on the hand, and by both; -inf: none
 
-    strongest_Hz: of the loudest line, 0 in silence
+    strongest_Hz: frequency of the loudest line, 0 in silence
     """
 
     air_dBA: float
@@ -29,13 +29,13 @@ class Byproduct(NamedTuple):
 
     @property
     def level_dBA(self) -> float:
-        """Both, whose energies add up."""
+        """Level of both; their energies are added."""
         power = 10.0 ** (self.air_dBA / 10.0) + 10.0 ** (self.force_dBA / 10.0)
         return 10.0 * math.log10(power) if power > 0.0 else -math.inf
 
 
 def lines(values: Float) -> tuple[Float, Float]:
-    """Return frequencies [Hz] and peak amplitudes of the lines of samples at RATE_HZ, (k,); their energy is kept."""
+    """Return frequencies [Hz] and peak amplitudes of spectral lines with the energy of samples at RATE_HZ, (k,)."""
     window = np.hanning(len(values) + 1)[:-1]
     spectrum = np.fft.rfft((values - values.mean()) * window)
     frequencies = np.fft.rfftfreq(len(values), 1.0 / RATE_HZ)
@@ -45,9 +45,9 @@ def lines(values: Float) -> tuple[Float, Float]:
 
 
 def rung(pressures: Complex, carrier_Hz: float, quality: float) -> Complex:
-    """Response of transducers of one resonance to a pressure at RATE_HZ that changes in steps, shape (k,).
+    """Return the response of transducers with one resonance to a pressure that changes in steps at RATE_HZ, shape (k,).
 
-    One pole, as `palmfield.drive.transducer_response`: exact for values held from sample to sample.
+    One pole, as `palmfield.drive.transducer_response`: exact for values that are constant between samples.
     """
     kept = math.exp(-math.pi * carrier_Hz / (quality * RATE_HZ))
     return np.asarray(lfilter([1.0 - kept], [1.0, -kept], pressures, zi=[kept * pressures[0]])[0])
@@ -56,11 +56,11 @@ def rung(pressures: Complex, carrier_Hz: float, quality: float) -> Complex:
 def byproduct(
     powers_W: Float, distance_m: float, air: Air, carrier_Hz: float, along_m: float | None = None
 ) -> Byproduct:
-    """Byproduct of ultrasound with this power at RATE_HZ, shape (k,), as if all of it were modulated.
+    """Return the by-product of ultrasound with a power at RATE_HZ, shape (k,), as if all of it were modulated.
 
-    The beam is as long as absorption allows, and a hand that stops all of it takes the force 2 P/c: both are upper
-    estimates. distance_m: of the listener from the beam; along_m: along it from its beginning, None for a beam that is
-    a point
+    The beam is as long as absorption allows, and the force on a hand that stops all of it is 2 P/c: both are upper
+    estimates. distance_m: of the listener from the beam; along_m: position along the beam from its beginning, None for
+    a beam that is a point
     """
     if np.ptp(powers_W) <= ROUND_OFF * powers_W.mean():
         return Byproduct(-math.inf, -math.inf, 0.0)

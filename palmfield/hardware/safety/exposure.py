@@ -1,4 +1,4 @@
-"""Compute sound levels at a person's head and at the hand over a play, and check them against limits."""
+"""Compute sound levels at a head and at a hand over a play, and check them against limits."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -16,14 +16,14 @@ from palmfield.types import Float
 Sound = NDArray[np.complexfloating[Any, Any]]
 
 SPACING_M = 10e-3
-"""Spacing of sample places in a head's sphere [m]; refined round the loudest ones."""
+"""Spacing of sampled points in the sphere of a head [m]; refined near the loudest points."""
 CANDIDATES = 8
-"""Number of refined places: an interference pattern has many places that are nearly as loud."""
+"""Number of refined points, because an interference pattern has many points of nearly the same level."""
 CLOSER_M, CLOSER_SPACING_M, FINEST_SPACING_M = 12e-3, 2e-3, 0.5e-3
 
 
 class SoundMoment(NamedTuple):
-    """Sound at one moment. pressure: complex peak [Pa] at points [m], (n, 3) -> (n,); share: of the play's time"""
+    """Sound at one moment. pressure: complex peak [Pa] at points [m], (n, 3) -> (n,); share: fraction of the play"""
 
     pressure: Callable[[Float], Sound]
     share: float
@@ -31,10 +31,10 @@ class SoundMoment(NamedTuple):
 
 @dataclass(frozen=True)
 class Heard:
-    """Sound at the loudest place of a region, in a free field.
+    """Sound at the loudest point of a region, in a free field.
 
-    place: [m], shape (3,); peak_Pa: largest peak pressure; mean_square_Pa2: of its rms, over the play
-    band_dB: to the low and the high end of p0's range, relative to the levels here
+    place: [m], shape (3,); peak_Pa: largest peak pressure; mean_square_Pa2: mean over the play of the square of the rms
+    band_dB: level differences at the low and high end of the range of p0
     """
 
     place: Float
@@ -44,26 +44,26 @@ class Heard:
 
     @property
     def level_dB(self) -> float:
-        """Sound pressure level at the loudest moment."""
+        """Sound pressure level at the loudest moment [dB]."""
         return level_dB(self.peak_Pa / math.sqrt(2.0))
 
     @property
     def mean_level_dB(self) -> float:
-        """Level of the same energy over the play."""
+        """Energy-equivalent level over the play [dB]."""
         return level_dB(math.sqrt(self.mean_square_Pa2))
 
     def dose_dB(self, duration_s: float) -> float:
-        """Level of the same energy over 8 h, of one play of this duration."""
+        """Return the energy-equivalent level over 8 h of one play of this duration [dB]."""
         return dose_dB(self.mean_square_Pa2, duration_s)
 
     @property
     def most_dB(self) -> float:
-        """`level_dB` with p0 at the high end of its range."""
+        """Value of `level_dB` for p0 at the high end of its range."""
         return self.level_dB + self.band_dB[1]
 
 
 def peaks_at(moments: Sequence[SoundMoment], points: Float) -> tuple[Float, NDArray[np.intp]]:
-    """The largest peak pressure at each of some points [Pa], and the number of its moment, shapes (n,)."""
+    """Return the largest peak pressure at each point [Pa], and the number of its moment, shapes (n,)."""
     peaks, which = np.zeros(len(points)), np.zeros(len(points), np.intp)
     for number, moment in enumerate(moments):
         magnitudes = np.abs(moment.pressure(points))
@@ -100,9 +100,9 @@ def _at(moments: Sequence[SoundMoment], place: Float, peak_Pa: float, which: int
 
 
 def at_head(moments: Sequence[SoundMoment], driver: DriverConfig, transducers: Float) -> Heard:
-    """Return the sound at the loudest place of the sphere given by keys head_m and head_radius_m.
+    """Return the sound at the loudest point of the sphere defined by keys head_m and head_radius_m.
 
-    transducers: their places [m], shape (n, 3)
+    transducers: their positions [m], shape (n, 3)
     Raises SceneError if no head is given, and if transducers are in the sphere.
     """
     if driver.head_m is None:
@@ -133,7 +133,7 @@ def at_head(moments: Sequence[SoundMoment], driver: DriverConfig, transducers: F
 
 
 def with_band(heard: Heard, factors: tuple[float, float] | None) -> Heard:
-    """factors: on the square of the pressure at that place, at the ends of p0's range; None for no range"""
+    """Add a band. factors: of the squared pressure there, at the ends of the range of p0; None for no range"""
     if factors is None or min(factors) <= 0.0:
         return heard
     low, high = (10.0 * math.log10(factor) for factor in factors)

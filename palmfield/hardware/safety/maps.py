@@ -1,4 +1,4 @@
-"""Maps of levels over the sphere of a head and over skins, for the picture of a safety sheet."""
+"""Compute maps of levels in the sphere of a head and on skins, for the picture of a safety sheet."""
 
 from collections.abc import Sequence
 
@@ -11,19 +11,19 @@ from palmfield.outputs.safety_picture import LevelCourse, LevelMap
 from palmfield.types import Float
 
 GRID = 61
-"""Number of places across the sphere of a head."""
+"""Number of points across the sphere of a head."""
 COURSE_SPACING_M = 20e-3
-"""Spacing of places in the sphere whose loudest is recorded at each moment, next to the loudest of all [m]."""
+"""Spacing of points in the sphere at which the level is computed over time [m]."""
 
 
 def levels_dB(peaks_Pa: Float) -> Float:
-    """Sound pressure levels of peak pressures, of the same shape; -inf for silence."""
+    """Return the sound pressure levels of peak pressures, of the same shape; -inf for silence."""
     with np.errstate(divide="ignore"):
         return np.asarray(20.0 * np.log10(np.asarray(peaks_Pa) / (np.sqrt(2.0) * REFERENCE_PA)))
 
 
 def head_map(moments: Sequence[SoundMoment], driver: DriverConfig, heard: Heard, transducers: Float) -> LevelMap:
-    """The ball in the plane of its middle, the array's middle and its loudest place. transducers: [m], shape (n, 3)"""
+    """Map the sphere in the plane of its centre, the array centre and its loudest point. transducers: [m], (n, 3)"""
     assert driver.head_m is not None
     middle, radius = np.array(driver.head_m), driver.head_radius_m
     along = middle - transducers.mean(axis=0)
@@ -45,7 +45,7 @@ def head_map(moments: Sequence[SoundMoment], driver: DriverConfig, heard: Heard,
 
 
 def skin_map(name: str, points: Float, peaks_Pa: Float, heard: Heard) -> LevelMap:
-    """Map of a skin in the plane of its largest extent. points: at its loudest moment [m], shape (n, 3)"""
+    """Map a skin in the plane of its largest extent. points: at its loudest moment [m], shape (n, 3)"""
     middle = points.mean(axis=0)
     wide = np.linalg.svd(points - middle, full_matrices=False)[2][:2]
     places = (points - middle) @ wide.T
@@ -57,7 +57,7 @@ def skin_map(name: str, points: Float, peaks_Pa: Float, heard: Heard) -> LevelMa
 def course(
     times_s: Float, moments: Sequence[SoundMoment | None], driver: DriverConfig, heard: Heard, skins: dict[str, Float]
 ) -> LevelCourse:
-    """Levels over a play. moments: at each time, None for silence; skins: peaks at each of these times [Pa]"""
+    """Compute levels over a play. moments: at each time, None for silence; skins: peaks at each of these times [Pa]"""
     assert driver.head_m is not None
     ball = ball_points(np.array(driver.head_m), driver.head_radius_m, COURSE_SPACING_M)
     points = np.concatenate([heard.place[None], ball])

@@ -1,4 +1,4 @@
-"""The sound of a scene at moments of its play, for safety estimates."""
+"""Sample the sound of a scene over its play, for safety estimates."""
 
 import logging
 from collections.abc import Iterator
@@ -16,18 +16,18 @@ from palmfield.types import Complex, Float
 
 LOG = logging.getLogger(__name__)
 MOMENTS = 96
-"""Number of sampled moments of a play: even, with a shift that avoids synchrony with periods."""
+"""Number of sampled moments of a play. They are shifted irregularly to avoid synchrony with periods."""
 GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
 
 def moments_of(count: int, duration_s: float) -> Float:
-    """Rising times, one in each of `count` equal stretches of a duration [s]."""
+    """Return rising times, one in each of `count` equal intervals of a duration [s]."""
     number = np.arange(count)
     return (number + np.modf((number + 1) * GOLDEN)[0]) * duration_s / count
 
 
 def drives_over(view: Preview, duration_s: float) -> Iterator[tuple[float, SceneRuntime, PosedScene, Complex]]:
-    """Yield times of `moments_of` a play [s], the runtime, the pose, and the drive of all transducers, shape (N,)."""
+    """Yield time [s] (of `moments_of`), runtime, pose, and drive of all transducers, shape (N,)."""
     for time_s, runtime, posed in view.posed_at(moments_of(MOMENTS, duration_s).tolist()):
         runtime.work.emission.begin(posed, time_s)
         yield time_s, runtime, posed, runtime.work.emission.commanded(posed, np.array([time_s]))[0]
@@ -43,9 +43,9 @@ def sound_of(drives: list[tuple[PhasedArray, Complex]]) -> list[SoundMoment]:
 
 
 def scene_at_head(view: Preview, duration_s: float) -> Heard:
-    """Return the sound at the head of the driver's keys, with the bands due to the ranges of p0.
+    """Return the sound at the head defined by the driver's keys, with bands for the range of p0.
 
-    Errors as `palmfield.hardware.safety.exposure.at_head`.
+    Errors as in `palmfield.hardware.safety.exposure.at_head`.
     """
     model = view.runtime.model
     drives = [(posed.arrays, drive) for *_, posed, drive in drives_over(view, duration_s)]
@@ -54,9 +54,9 @@ def scene_at_head(view: Preview, duration_s: float) -> Heard:
 
 
 def warn_at_head(view: Preview, duration_s: float) -> None:
-    """Log what users should know of the sound at the head, if the driver's keys say where one is.
+    """Log warnings on the sound at the head, if the driver's keys define a head.
 
-    Raises DeviceError above key head_limit_dB, and errors as `scene_at_head`.
+    Raises DeviceError above key head_limit_dB, and the errors of `scene_at_head`.
     """
     driver = view.runtime.spec.driver
     for line in check_head(scene_at_head(view, duration_s), driver) if driver.head_m is not None else ():
@@ -64,7 +64,7 @@ def warn_at_head(view: Preview, duration_s: float) -> None:
 
 
 def banded(view: Preview, drives: list[tuple[PhasedArray, Complex]], heard: Heard) -> Heard:
-    """Add the bands due to the ranges of p0 at the loudest moment."""
+    """Add bands for the range of p0 at the loudest moment."""
     if heard.peak_Pa <= 0.0:
         return heard
     loudness = [abs(arrays.pressure64(heard.place[None], drive)[0]) for arrays, drive in drives]
@@ -73,7 +73,7 @@ def banded(view: Preview, drives: list[tuple[PhasedArray, Complex]], heard: Hear
 
 
 def power_W(arrays: PhasedArray, drive: Complex) -> float:
-    """Power of the sound of all arrays."""
+    """Return the sound power of all arrays [W]."""
     return sum(
         radiated_power_W(part, drive[own], arrays.air) for part, own in zip(arrays.parts, arrays.slices, strict=True)
     )

@@ -22,12 +22,12 @@ from palmfield.simulation.radiation import Radiation
 from palmfield.types import Complex, Estimate, Float
 
 DEFAULT_HEAD_M = (0.0, -0.35, 0.45)
-"""Default place of a head: of a person sitting before an array that faces up, its frame [m]."""
+"""Default position of a head, of a person who sits in front of an array that faces up; array frame [m]."""
 
 
 @dataclass(frozen=True)
 class AtHand:
-    """Sound at a skin: its name, the incident sound at its loudest place, and the largest ARP there [Pa]."""
+    """Sound at a skin: its name, the incident sound at its loudest point, and the largest ARP there [Pa]."""
 
     skin: str
     heard: Heard
@@ -38,10 +38,10 @@ class AtHand:
 class SafetySheet:
     """Numbers of `palmfield safety` for a scene; levels are of the commanded sound, without ring-up.
 
-    head_declared: whether the scene gives a head; head_said: warnings for users there, in words
-    distance_m: of the head's sphere from the beam, 0 if it is in it, and byproduct is None there
-    sounding_share: of the moments; p0: of each array; moves: whether the scene's hands or arrays do
-    maps, course: levels over the head and the skins, and over the play, for a picture
+    head_declared: whether the scene defines a head; head_said: warnings for users about it, in words
+    distance_m: of the sphere of the head from the beam, 0 if the beam enters it; then byproduct is None
+    sounding_share: fraction of moments with sound; p0: of each array; moves: whether hands or arrays move
+    maps, course: levels at the head, at the skins, and over the play, for a picture
     """
 
     scene: str
@@ -63,7 +63,7 @@ class SafetySheet:
 
 
 class _Loudest(NamedTuple):
-    """The loudest moment at a skin so far. place: the loudest of its points [m], shape (3,)"""
+    """The loudest moment at a skin so far. place: its loudest point [m], shape (3,)"""
 
     peak_Pa: float
     place: Float
@@ -118,9 +118,9 @@ def safety_sheet(view: Preview, duration_s: float) -> SafetySheet:
     distance, sound = _audible(view, placed, first)
     on = sum(bool(drive.any()) for _, drive in drives) / len(drives)
     skins = {skin.spec.name: own for skin, own in zip(model.skins, over_play, strict=True)}
-    known = {array.name: one.p0 for array, one in zip(model.spec.arrays, array_instances(model.spec), strict=True)}
+    p0 = {array.name: one.p0 for array, one in zip(model.spec.arrays, array_instances(model.spec), strict=True)}
     return SafetySheet(
-        view.name, duration_s, placed, model.board, known, driver.head_m is not None, head, _said(head, placed),
+        view.name, duration_s, placed, model.board, p0, driver.head_m is not None, head, _said(head, placed),
         tuple(hands), distance, sound, on, model.arrays.array.frequency_Hz, view.moves, tuple(maps),
         course(times, [sound_of([one])[0] if one[1].any() else None for one in drives], placed, head, skins),
     )  # fmt: skip
@@ -134,7 +134,7 @@ def _said(head: Heard, driver: DriverConfig) -> tuple[str, ...]:
 
 
 def _audible(view: Preview, driver: DriverConfig, loudest: _Loudest | None) -> tuple[float, Byproduct | None]:
-    """Return the distance of the head from the beam [m], and the by-product there at the loudest moment."""
+    """Return the distance of the head from the beam [m], and the by-product at the head at the loudest moment."""
     if loudest is None:
         return math.inf, Byproduct(-math.inf, -math.inf, 0.0)
     posed, emission = loudest.posed, view.runtime.work.emission
@@ -146,15 +146,15 @@ def _audible(view: Preview, driver: DriverConfig, loudest: _Loudest | None) -> t
     if distance <= 0.0:
         return 0.0, None
     drives = emission.commanded(posed, loudest.time_s + np.arange(COUNT) / RATE_HZ)
-    # Pressure at that place is a sum over transducers, one at a time
+    # The pressure there, transducer by transducer
     row = np.array(
         [posed.arrays.pressure64(loudest.place[None], one)[0] for one in np.eye(drives.shape[1], dtype=complex)]
     )
     carrier = posed.arrays.array.frequency_Hz
     quality = min(one.quality.value for one in array_instances(view.runtime.model.spec))
-    told = drives @ row
-    power = power_W(posed.arrays, drives[int(np.abs(told).argmax())])
-    intensity = np.abs(rung(told, carrier, quality)) ** 2
+    pressures = drives @ row
+    power = power_W(posed.arrays, drives[int(np.abs(pressures).argmax())])
+    intensity = np.abs(rung(pressures, carrier, quality)) ** 2
     most = float(intensity.max())
     shape = intensity / most if most > 0.0 else intensity
     along_m = share * float(np.linalg.norm(along))

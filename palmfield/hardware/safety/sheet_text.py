@@ -12,7 +12,7 @@ from palmfield.hardware.safety.sheet import SafetySheet
 
 
 def as_markdown(sheet: SafetySheet, picture: str | None = None) -> str:
-    """The page. picture: path of that of its levels, from the page; None for none"""
+    """Return the page. picture: path of the picture relative to the page; None for none"""
     driver, board, head = sheet.driver, sheet.board, sheet.head
     assert driver.head_m is not None
     where = ", ".join(f"{1e3 * x:.0f}" for x in driver.head_m)
@@ -106,7 +106,7 @@ def _level(level_dB: float, heard: Heard) -> str:
 
 
 def _stepped(sound: Byproduct) -> bool:
-    """Whether the estimate is largest at its end: lines of steps decrease with 1/f, and the ear weights them by f^2."""
+    """Return whether the estimate is largest at its upper end, since A-weighted lines of steps grow with frequency."""
     return sound.strongest_Hz > 0.25 * RATE_HZ
 
 
@@ -165,7 +165,7 @@ def _board(sheet: SafetySheet) -> list[str]:
 
 
 def as_dict(sheet: SafetySheet) -> dict[str, Any]:
-    """Numbers with units in the names; levels of silence are null."""
+    """Return numbers with units in the names; levels of silence are null."""
     driver, board = sheet.driver, sheet.board
     sound = None if sheet.byproduct is None or _stepped(sheet.byproduct) else sheet.byproduct
     return {

@@ -11,7 +11,7 @@ from palmfield.studies.bench.table import FieldRow
 
 MARKERS = "os^"
 PANEL_POINTS = 300.0
-"""Height of a panel's axes in points of print, about; labels keep LABEL_POINTS between them."""
+"""Height of a panel's axes in typographic points, approximately; labels are at least LABEL_POINTS apart."""
 LABEL_POINTS = 10.0
 
 
@@ -21,7 +21,7 @@ def draw(rows: list[FieldRow], models: dict[str, str], path: Path) -> None:
 
 
 def speed_figure(rows: list[FieldRow], models: dict[str, str]) -> Figure:
-    """One panel a range, both axes logarithmic, up to three models; every point carries its method's name."""
+    """Draw a panel with logarithmic axes for each range, for up to three models; labels name the methods."""
     measured = [row for row in rows if not row.missing]
     looks = dict(zip(models, zip(COLOURS, MARKERS, strict=True), strict=False))
     ranges = list(dict.fromkeys(row.range for row in rows))
@@ -47,7 +47,7 @@ def speed_figure(rows: list[FieldRow], models: dict[str, str]) -> Figure:
 
 
 def speed(row: FieldRow) -> float:
-    """Pairs per core-second, which other load of the machine does not change; on a GPU per second of wall time."""
+    """Return pairs per core-second, which does not depend on other load; on a GPU per second of wall time."""
     return row.pairs_per_s if row.pairs_per_core_s is None else row.pairs_per_core_s
 
 

@@ -13,10 +13,11 @@ from palmfield.simulation.posed_scene import reference_scene
 
 @dataclass(frozen=True)
 class Card:
-    """Peak figures of a GPU, as its maker prints them.
+    """Peak figures of a GPU from its data sheet.
 
-    instructions_per_s: of single precision in all lanes; double: share of them in double precision
-    bytes_per_s: of its memory
+    instructions_per_s: single-precision instructions per second of all lanes
+    double: double-precision throughput relative to single precision
+    bytes_per_s: memory bandwidth [B/s]
     """
 
     name: str
@@ -29,9 +30,9 @@ CARD = Card("GeForce RTX 3060, 12 GB", 3584 * 1.777e9, 1.0 / 64.0, 360e9)
 PAIR = 44.75
 """Instructions for pressure and gradient of one transducer at one point, see docs/bench/gpu.md."""
 SHARE = 0.75
-"""Fraction of peak instructions and bytes that is reached: the value of the kernel of the field on an H200."""
+"""Fraction of the peak instruction rate and bandwidth that is reached, as measured for the field kernel on an H200."""
 KERNELS, KERNEL_s = 20, 2e-6
-"""Kernels of a step other than the skins', and the time to begin and end one in a captured graph [s]."""
+"""Number of kernels of a step other than those of the skins; time to begin and end one in a captured graph [s]."""
 SKIN_KERNELS = 6
 BEGIN_s = 25e-6
 """Time to pass a pose, launch a captured graph, wait for it and fetch forces and sensors [s]."""
@@ -65,7 +66,7 @@ class Work:
 def predicted_s(model: HapticModel, card: Card = CARD) -> float | None:
     """Predict the wall time of one MuJoCo step [s]; None for steppers that solve sparse systems one after another.
 
-    model: with steppers that are made
+    model: a model whose steppers are built
     """
     resting = all(config.path == "point" for config in model.configs) and not model.response_on
     patterns = 1 if resting else model.substeps + 1

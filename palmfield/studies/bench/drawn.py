@@ -1,4 +1,4 @@
-"""Random stimuli and poses, drawn after the model of a scene is built, that are new to its steppers."""
+"""Draw random stimuli and poses after the model of a scene is built, for which its steppers are not prepared."""
 
 from dataclasses import replace
 from typing import Any
@@ -17,22 +17,22 @@ TILT_rad = 0.02
 LEVELS = (0.5, 1.0)
 """ARP relative to that of the scene."""
 SIZES, SPEEDS = (0.8, 1.0), (0.8, 1.2)
-"""Path size relative to that of the scene; larger paths would leave the region of fine elements."""
+"""Path size and speed relative to those of the scene; larger paths would leave the region of fine elements."""
 
 
 def draw_again(sim: Simulation, seed: int) -> None:
     """Draw other paths, levels and array places for a simulation that keeps its steppers; reset it.
 
-    seed: of the random numbers; equal seeds draw the same for scenes that differ only in their skins
-    Moving the arrays replaces the start pose: they move relative to bodies, obstacles and MuJoCo's own script.
+    seed: of the random numbers; equal seeds give equal draws for scenes that differ only in their skins
+    Moving the arrays changes their pose relative to bodies, obstacles and scripted motion.
     """
     rng = np.random.default_rng(seed)
     runtime = sim.runtime
-    known = runtime.model
-    stimuli = tuple(replace(one, config=drawn_stimulus(one.config, rng)) for one in known.spec.stimuli)
-    spec = replace(known.spec, stimuli=stimuli)
-    other = build(spec, known)
-    runtime.exchange(replace(known, spec=spec, stimuli=other.stimuli, response_on=other.response_on, marks={}))
+    model = runtime.model
+    stimuli = tuple(replace(one, config=drawn_stimulus(one.config, rng)) for one in model.spec.stimuli)
+    spec = replace(model.spec, stimuli=stimuli)
+    other = build(spec, model)
+    runtime.exchange(replace(model, spec=spec, stimuli=other.stimuli, response_on=other.response_on, marks={}))
     move_arrays(sim.model, runtime.binding.array_sites, rng)
     sim.reset()
 

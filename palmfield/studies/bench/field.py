@@ -37,7 +37,7 @@ MODELS = {
     "piston, lossless": "piston, without absorption",
     "sphere": "point source, without absorption",
 }
-"""Radiation model of one transducer, by the name that methods use. Errors are against float64 of the same model."""
+"""Radiation model of one transducer, by `Method.model`. Errors are against float64 of the same model."""
 LAYOUT = "autd3_2x2"
 RANGES_M = ((0.05, 0.4), (0.4, 1.2))
 """Distances from the plane of the array."""
@@ -66,10 +66,10 @@ def main(
 
     out: markdown file to write [default: none]; picture: PNG [default: none]
     device: where palmfield's own methods run: cpu or cuda:N
-    points: roughly how many points a range has
-    runs: how often each method runs, in turns with the others; medians are reported
+    points: approximate number of points in a range
+    runs: number of runs of each method, in turns with the others; medians are reported
     only: run only methods whose names contain this text
-    commit: for the head of the report where git is missing [default: that of git]
+    commit: commit to print in the report if git is not available [default: that of git]
     peers: other programs to measure too [default: none]
     Raises PalmfieldError for invalid options and for a method that fails. Raises OutputError for a file that cannot be
     written: before any measurement if possible, else after the report is printed.
@@ -132,9 +132,9 @@ def main(
 
 
 def written(report: str, out: Path | None, draw: Callable[[], None] | None = None) -> str:
-    """Write a report and draw its picture, where asked for; returns the report.
+    """Write a report and draw its picture, if requested; return the report.
 
-    Raises OutputError if that fails, once the report is printed: minutes of measurements must not be lost.
+    Raises OutputError if that fails, after printing the report: minutes of measurements must not be lost.
     """
     try:
         if out is not None:
@@ -142,13 +142,13 @@ def written(report: str, out: Path | None, draw: Callable[[], None] | None = Non
         if draw is not None:
             draw()
     except (OSError, OutputError) as error:
-        print(report, end="")  # minutes of measurements must not be lost
+        print(report, end="")
         raise OutputError(f"the files of the report above could not be written: {error}") from error
     return report
 
 
 def check_writable(files: Mapping[str, Path | None]) -> None:
-    """Make the folders of files, by option. Raises OutputError for a file that cannot be written."""
+    """Create the folders of files, by option. Raises OutputError for a file that cannot be written."""
     for option, path in files.items():
         if path is None:
             continue
@@ -175,7 +175,7 @@ def run_range(
     folder: Path,
     tick: Callable[[str], None],
 ) -> list[tuple[float, float]]:
-    """Fill `measured` at points between two distances; returns what `measure` does."""
+    """Fill `measured` at points between two distances; return the result of `measure`."""
     files = {model: folder / f"{i}.npz" for i, model in enumerate(MODELS)}
     for model, path in files.items():
         problem_of(model, low_m, high_m, points, device).save(path)
@@ -199,7 +199,7 @@ def problem_of(model: str, low_m: float, high_m: float, points: int, device: str
         array = replace(array, piston_radius_m=0.0)
     lossy = model == "piston"
     absorption = absorption_Np_m(AIR, array.frequency_Hz) if lossy else 0.0
-    # AUTD3 plays phases of 8 bits: every program gets the same drive
+    # Phases are quantised to 8 bits as on AUTD3, so that every program gets the same drive
     phase = np.round(256.0 * np.angle(focus(array, AIR, FOCUS_M)) / (2.0 * np.pi)) / 256.0
     low, steps, resolution = grid(low_m, high_m, points)
     k = 2.0 * np.pi * array.frequency_Hz / sound_speed(AIR)
@@ -225,7 +225,7 @@ def problem_of(model: str, low_m: float, high_m: float, points: int, device: str
 
 
 def grid(low_m: float, high_m: float, points: int) -> tuple[Any, Any, float]:
-    """First point, numbers of points and their distance [m], a multiple of 1/64 mm, for about so many points."""
+    """Return first point, counts and spacing [m] (a multiple of 1/64 mm) of a grid of about `points` points."""
     wanted_mm = 1e3 * (WIDTH_M**2 * (high_m - low_m) / points) ** (1.0 / 3.0)
     resolution_m = max(round(64.0 * wanted_mm), 1) / 64e3
     steps = np.floor(np.array([WIDTH_M, WIDTH_M, high_m - low_m]) / resolution_m).astype(int) + 1
@@ -234,7 +234,7 @@ def grid(low_m: float, high_m: float, points: int) -> tuple[Any, Any, float]:
 
 
 def row(one: Measured, text: str, problem: Problem) -> FieldRow:
-    """Return speed and error of a method, or the note that it is missing."""
+    """Return speed and error of a method, or a row that names the missing program."""
     result = FieldRow(one.method.name, one.method.model, text, missing=one.missing)
     if one.missing:
         return result
@@ -289,7 +289,7 @@ def device_name(device: str) -> str:
 def git_commit(*folders: str) -> str:
     """Return the short name of the running commit and whether files are changed; "unknown" without git.
 
-    folders: of the clone that count as well as those of the packages
+    folders: folders of the clone to check for changes, in addition to those of the packages
     """
     try:
         name, changed = (

@@ -11,21 +11,21 @@ from numpy.typing import NDArray
 from palmfield.types import Array, Complex, Float, Float32
 
 MOST_RUNS = 63
-"""Largest number of runs: programs that record a signal in advance need its length."""
+"""Largest number of runs: programs that prepare a signal in advance need its length."""
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Transducers, drive and a regular grid of points, with all numbers that a program needs for the sum.
+    """Transducers, drive and a regular grid of points, with all numbers that a program needs to sum the field.
 
     low_m, steps, resolution_m: first point of the grid, number of points along x, y, z, and their distance [m]
-    positions, normals: of the transducers [m], shape (t, 3), float64; units of 249 in a row, for programs that
-        know whole AUTD3 units only
+    positions, normals: of the transducers [m], shape (t, 3), float64; in groups of 249, for programs that accept
+        only whole AUTD3 units
     drive: complex amplitudes, 1 is full drive, shape (t,), complex128
     p0_Pa_m, frequency_Hz, sound_speed_m_s: as in Array and Air
     piston_radius_m: 0 is a point source; absorption_Np_m: 0 is lossless air
     directivity, sine, cosine, attenuation: polynomials of palmfield.acoustics.polynomials, lowest power first
-    temperature_C: of the air, for programs that take the air and not its sound speed
+    temperature_C: of the air, for programs that compute the sound speed themselves
     device: Warp device of palmfield's own methods
     """
 
@@ -78,9 +78,9 @@ class Method:
     """One way to compute a field.
 
     name: as in the table
-    model: a key of palmfield.studies.bench.field.MODELS: what one transducer radiates
-    prepare: makes the input of `run` from a Problem; this part is kept between drives
-    run: returns the complex pressure [Pa], shape (n,), or pressure and gradient in columns, shape (n, 4);
+    model: a key of palmfield.studies.bench.field.MODELS, the radiation model of one transducer
+    prepare: makes the input of `run` from a Problem; this work is not repeated for another drive
+    run: returns the complex pressure [Pa], shape (n,), or pressure and gradient as columns, shape (n, 4);
         real numbers are magnitudes
     needs: distributions to import before the measurement; the version of the first one is reported
     """

@@ -22,7 +22,7 @@ from palmfield.studies.bench.problem import Method
 
 ROOT = Path(__file__).resolve().parents[3]
 SIZE = 1000
-"""Rows of the matrices of the yardstick."""
+"""Number of rows and columns of the matrices of `yardstick`."""
 ONE_THREAD = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS", "RAYON_NUM_THREADS", "POLARS_MAX_THREADS"), "1"
 )
@@ -30,7 +30,7 @@ ONE_THREAD = dict.fromkeys(
 
 @dataclass
 class Measured:
-    """Result of a method; `missing` names what is not installed, and then no other field is set."""
+    """Result of a method; `missing` names the distribution that is not installed; then no other field is set."""
 
     method: Method
     module: str
@@ -55,8 +55,8 @@ class Measured:
 class PeerMethods:
     """Methods of other programs, measured together with palmfield's own.
 
-    methods: as the METHODS of `module`, a Python module in `folder` that needs palmfield for problem and types only
-    python: interpreter that has the programs; command: what makes this comparison, for the report's head
+    methods: METHODS of `module`, a Python module in `folder` that imports only problem and types of palmfield
+    python: interpreter with the programs installed; command: command of this comparison, printed in the report
     """
 
     methods: Sequence[Method]
@@ -67,10 +67,10 @@ class PeerMethods:
 
 
 class Process:
-    """A worker, which gets lines and answers by lines of JSON. A context manager, which stops it at the end.
+    """A worker process that answers each line of input by a line of JSON. A context manager, which stops it at the end.
 
     python, folders: interpreter, and folders on its path: palmfield's and that of the method's module
-    words: file for its standard error
+    words: file that receives its standard error
     """
 
     def __init__(self, python: Path, folders: Sequence[Path], one: Measured, problem: Path, words: Path) -> None:
@@ -97,7 +97,7 @@ class Process:
         self.child.communicate()
 
     def ask(self, order: str) -> dict[str, Any]:
-        """Return the answer to one line. Raises PalmfieldError with the last lines of a worker that has died."""
+        """Return the answer to one line. Raises PalmfieldError with the last lines of a worker that has ended."""
         assert self.child.stdin is not None and self.child.stdout is not None
         try:
             self.child.stdin.write(order + "\n")
@@ -124,7 +124,7 @@ def yardstick() -> float:
 
 
 def cores() -> float:
-    """Throughput of one thread per core relative to one thread, on hashing, which needs no lock."""
+    """Throughput of one thread per core relative to one thread, on hashing, which releases Python's global lock."""
     data = bytes(20_000_000)
     count = os.cpu_count() or 1
 
@@ -146,11 +146,11 @@ def measure(
     folder: Path,
     tick: Callable[[str], None],
 ) -> list[tuple[float, float]]:
-    """Prepare and run every method `runs` times in turns, and fill `methods`; returns `yardstick` and `cores` by turn.
+    """Prepare and run every method `runs` times in turns, and fill `methods`; return `yardstick` and `cores` by turn.
 
     problems: file of the Problem by model
     places: interpreter and folders on its path by module of the method
-    folder: where the results pass through
+    folder: for files with results
     tick: called after each step with the method's name; runs + 1 steps a method
     """
     processes: list[tuple[Measured, Process]] = []

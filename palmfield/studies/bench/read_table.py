@@ -14,7 +14,7 @@ FIELD = ["method", "distance", "time [ms]", "set-up [ms]", "M pairs/s", "M pairs
 
 
 def speed_picture(path: Path) -> Figure:
-    """Draw speed against error from a Markdown report, to the digits of its table.
+    """Draw speed against error from the table of a Markdown report.
 
     Raises OutputError for a report that cannot be read or has no measured row of either benchmark.
     """

@@ -53,10 +53,10 @@ def main(
 
     scenes: files, or names of shipped scenes [default: those with a goal]; out: markdown file [default: none]
     device: where the scene is computed; steps: least number of steps with sound for each scene
-    known: measure scenes as they are, with a reduced model where the load is predicted; else path, level and pose are
-        drawn after the model is built, and skins move by modes for every load
+    known: measure unchanged scenes, with a reduced model where the load is predicted; else path, level and pose are
+        drawn after the model is built, and the skins are computed by modes for every load
     error: also compare the measured run with the whole layer; seed: of the random draws
-    commit: for the head of the report where git is missing [default: that of git]
+    commit: commit to print in the report if git is not available [default: that of git]
     Raises PalmfieldError for invalid options. Raises OutputError for a file that cannot be written: before any
     measurement if possible, else after the report is printed.
     """
@@ -64,7 +64,7 @@ def main(
         raise PalmfieldError(f"--steps has value {steps}; allowed: 1 to {MOST_STEPS}")
     if seed < 0:
         raise PalmfieldError(f"--seed has value {seed}; allowed: whole numbers >= 0")
-    files = [found(name) for name in scenes or GOALS]
+    files = [scene_file(name) for name in scenes or GOALS]
     device = resolve(device)
     check_writable({"--out": out})
     load = os.getloadavg()[0]
@@ -79,7 +79,7 @@ def main(
                 answers: dict[str, dict[str, Any]] = {}
                 for name in tasks:
                     progress.update(task, description=f"{file.stem}: {name}")
-                    answers[name] = asked(replace(job, task=name), Path(place) / "cache")
+                    answers[name] = run_job(replace(job, task=name), Path(place) / "cache")
                     progress.advance(task)
                 results.append((file.stem, answers))
     options = {
@@ -94,18 +94,18 @@ def main(
     return written(as_markdown(results, " ".join(command), first, load, commit or git_commit()), out)
 
 
-def found(name: str) -> Path:
+def scene_file(name: str) -> Path:
     """Return the file of a scene, from a path or the name of a shipped one. Raises PalmfieldError for a missing one."""
     shipped = folder("mjcf") / "scenes"
     for path in (Path(name), shipped / f"{name}.xml"):
         if path.is_file():
             return path.resolve()
-    known = sorted(path.stem for path in shipped.glob("*.xml") if not path.name.startswith("plain_"))
-    raise PalmfieldError(f"scene {name} does not exist; allowed: a file, or one of {', '.join(known)}")
+    names = sorted(path.stem for path in shipped.glob("*.xml") if not path.name.startswith("plain_"))
+    raise PalmfieldError(f"scene {name} does not exist; allowed: a file, or one of {', '.join(names)}")
 
 
-def asked(job: Job, cache: Path) -> dict[str, Any]:
-    """Return the answer of a process of its own, with a cache folder. Raises PalmfieldError with its last lines."""
+def run_job(job: Job, cache: Path) -> dict[str, Any]:
+    """Run a job in a separate process and return its answer. Raises PalmfieldError with its last lines."""
     done = subprocess.run(
         [sys.executable, "-m", "palmfield.studies.bench.scene_run", json.dumps(asdict(job))],
         capture_output=True,
@@ -123,7 +123,7 @@ def asked(job: Job, cache: Path) -> dict[str, Any]:
 
 
 def as_markdown(results: list[tuple[str, dict[str, Any]]], command: str, job: Job, load: float, commit: str) -> str:
-    """Return the tables with results, machine and method. load: average of the machine before the first run"""
+    """Return the tables with results, machine and method. load: load average of the machine before the first run"""
     lines = [
         "# Scenes in real time",
         "",

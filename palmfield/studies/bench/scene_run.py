@@ -1,7 +1,7 @@
 """One scene measured in a process of its own: `python -m palmfield.studies.bench.scene_run JOB`, JOB as JSON.
 
-Its last line is the answer, as JSON. The time to prepare depends on the cache, so the caller sets its folder in the
-environment.
+The last line of its output is the answer, as JSON. The time to prepare depends on the cache, so the caller sets the
+cache folder in the environment.
 """
 
 import json
@@ -34,16 +34,16 @@ Task = Literal["prepare", "measure", "reference"]
 Solver = Literal["auto", "modal"]
 SKIN = SkinConfig.plugin
 FINER = (5.0, 2.0)
-"""Factors by which the reference's accuracy is stricter than the scene's: the first affordable one is used."""
+"""Ratios of the scene's accuracy to that of the reference; the first one within MOST_UNKNOWNS is used."""
 MOST_UNKNOWNS = 40_000
-"""Largest number of unknowns of a reference: a larger whole layer takes hours."""
+"""Largest number of unknowns of a reference; a larger model takes hours."""
 
 
 @dataclass(frozen=True)
 class Job:
     """Task of a process.
 
-    task: "prepare" makes the first step only; "measure" steps whole runs; "reference" runs the whole layer once
+    task: "prepare" makes the first step only; "measure" steps whole runs; "reference" runs the full wedge model once
     solver: requested for all skins; drawn: whether path, level and pose are drawn after the model is built
     seed: of the random draws; steps: least number of steps with sound to measure
     motion: file of the run's motion, written by "measure" and read by "reference"; "" for none
@@ -60,7 +60,7 @@ class Job:
 
 
 class Yardstick:
-    """A product of two 600 x 600 matrices and a pass over 64 MB: the processor and memory limits of a step."""
+    """Time of a product of two 600 x 600 matrices and a pass over 64 MB, which use processor and memory like a step."""
 
     def __init__(self) -> None:
         generator = np.random.default_rng(0)
@@ -80,7 +80,7 @@ class Yardstick:
 
 
 def answer(job: Job) -> dict[str, Any]:
-    """Do a job. Raises what the scene raises."""
+    """Do a job and return its answer. Errors of the scene are raised unchanged."""
     if job.task == "reference":
         return compared(job)
     start = time.perf_counter()
@@ -91,22 +91,22 @@ def answer(job: Job) -> dict[str, Any]:
 
 
 def opened(job: Job) -> tuple[Simulation, str]:
-    """Return the scene with steppers made for the load to be drawn, and why they differ from those requested, or ""."""
+    """Return the scene with steppers for the drawn load, and why they differ from the requested ones, else ""."""
     try:
         sim = Simulation(Path(job.scene), device=job.device, keys={f"{SKIN}.solver": job.solver})
-        known = job.drawn and not all(lazy.value.any_pose for lazy in sim.runtime.model.begin)
-        remark = "a reduced model is built for one stimulus" if known else ""
+        replaced = job.drawn and not all(lazy.value.any_pose for lazy in sim.runtime.model.begin)
+        remark = "a reduced model is built for one stimulus" if replaced else ""
     except SceneError as error:
         if job.solver == "auto":
             raise
-        known, remark = True, str(error).removeprefix(f"{job.scene}: ")
-    if known:
+        replaced, remark = True, str(error).removeprefix(f"{job.scene}: ")
+    if replaced:
         sim = Simulation(Path(job.scene), device=job.device, keys={f"{SKIN}.solver": "wedges"})
     return sim, remark
 
 
 def sounding(model: HapticModel, count: int) -> list[bool]:
-    """Return for each of the first steps whether a stimulus sounds in it or in the step before, which rings on."""
+    """Return for each of the first steps whether a stimulus sounds in it or in the step before."""
     step_s = model.spec.timestep_s
     ends = np.arange(count * model.substeps + 1, dtype=np.float64) * (step_s / model.substeps)
     loud = np.zeros(len(ends), dtype=bool)
@@ -169,9 +169,9 @@ def measured(job: Job, sim: Simulation) -> dict[str, Any]:
 
 
 def stated(sim: Simulation) -> tuple[float, float | None] | None:
-    """Return the errors of displacement and velocity that modes and reduced models report, of the worst skin.
+    """Return the errors of displacement and velocity that modal and reduced models report, for the worst skin.
 
-    A reduced model reports none of the velocity, a whole layer none at all.
+    A reduced model reports no error of the velocity; the full wedge model reports none.
     """
     errors: list[tuple[float, float | None]] = []
     for lazy, outside in zip(sim.runtime.model.begin, sim.runtime.work.outside, strict=True):
@@ -212,12 +212,12 @@ def motion(sim: Simulation, points: list[Float], count: int) -> dict[str, Float]
 
 
 def compared(job: Job) -> dict[str, Any]:
-    """Return relative errors of displacement and velocity against the whole layer, L2 over surfaces and times."""
+    """Return relative errors of displacement and velocity against the full wedge model, L2 over surfaces and times."""
     sim, text = reference(job)
     if job.drawn:
         draw_again(sim, job.seed)
-    with np.load(job.motion) as known:
-        run = {name: known[name] for name in known.files}
+    with np.load(job.motion) as saved:
+        run = {name: saved[name] for name in saved.files}
     skins = range(len(sim.skins))
     count = len(run["motion0"])
     expected = motion(sim, [run[f"points{n}"] for n in skins], count)
@@ -238,7 +238,7 @@ def relative_errors(motions: list[Float], expected: list[Float], areas: list[Flo
 
 
 def reference(job: Job) -> tuple[Simulation, str]:
-    """Return the whole layer at the strictest affordable accuracy, and its description."""
+    """Return the full wedge model at the strictest accuracy within MOST_UNKNOWNS, and its description."""
     path = Path(job.scene)
     scene = Simulation(path, device="cpu")
     skins = scene.runtime.model.skins
@@ -247,7 +247,7 @@ def reference(job: Job) -> tuple[Simulation, str]:
         finer = {f"{skin.spec.name}.accuracy": skin.spec.config.accuracy / factor for skin in skins}
         sim = Simulation(path, device=job.device, keys=whole | finer)
         layers = [skin.layer for skin in sim.runtime.model.skins]
-        # Estimate the size first: making a mesh that is too large takes long itself
+        # Estimate the size first, because making a mesh that is too large takes long
         if sum(layer.expected_dofs for layer in layers) > 2 * MOST_UNKNOWNS:
             continue
         unknowns = sum(layer.system.ndof for layer in layers)

@@ -1,4 +1,4 @@
-"""Compare skin solvers on one slab and load at several accuracies; a caller may add other programs."""
+"""Compare skin solvers on one slab and load at several accuracies; a caller may add solutions of other programs."""
 
 import os
 import statistics
@@ -42,10 +42,11 @@ RADIUS_M = 0.06
 
 @dataclass(frozen=True)
 class SkinRow:
-    """One solution. missing: why there is none
+    """One solution. missing: reason if there is none
 
-    static, moving: relative errors of the centre's displacement, at rest and of its complex amplitude at F_Hz
-    stated: error that the solver reports; size: its resolution in words
+    static, moving: relative errors of the centre's displacement, under a static load, and of its complex amplitude at
+        F_Hz
+    stated: error estimate of the solver; size: its resolution in words
     """
 
     name: str
@@ -63,10 +64,10 @@ class SkinRow:
 
 @dataclass(frozen=True)
 class PeerSolutions:
-    """Other programs on the same case, to compare with palmfield's solvers.
+    """Solutions of other programs for the same case, to compare with palmfield's solvers.
 
     jobs: solver by name in the table; about: description for the head of the report
-    command: that makes this comparison, for the head of the report
+    command: of this comparison, printed in the report
     """
 
     jobs: Sequence[tuple[str, Callable[[], SkinRow]]]
@@ -75,7 +76,7 @@ class PeerSolutions:
 
 
 def own(case: Case, name: str, accuracy: float, device: str, runs: int) -> SkinRow:
-    """Solve AM from rest with a palmfield solver: mean and amplitude over the last LAST_s are half of both answers."""
+    """Solve amplitude modulation from rest: mean and amplitude over the last LAST_s are half of the exact values."""
     sheets, grid = (Sheet(case.material, case.depth_m),), np.arange(0.0, END_s + 1e-9, 5e-5)
     load = Spot(case.fwhm_m, grid, 0.5 * (1.0 + np.sin(2.0 * np.pi * F_Hz * grid)))
     endless, disc = Slab(sheets), Slab(sheets, "disc", side="free", radius_m=RADIUS_M)

@@ -1,4 +1,4 @@
-"""The case for comparisons of skin solvers and other programs, and its exact solution."""
+"""The test case for skin solvers of palmfield and other programs, and its exact solution."""
 
 from dataclasses import dataclass
 

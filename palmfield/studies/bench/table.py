@@ -1,4 +1,4 @@
-"""Results of the field benchmark as markdown; rows of any page as a file."""
+"""Results of the field benchmark as markdown; write the rows of a page as a file."""
 
 import csv
 import os
@@ -14,8 +14,8 @@ class FieldRow:
     model: a key of MODELS; range: in words
     setup_s: time that is not repeated for another drive; clock_s: of one run
     pairs_per_core_s: per second of core time, or None on a GPU
-    error, gradient_error: relative L2 difference to float64 of the same model; of magnitudes where `magnitude` is set
-    memory_MiB: peak beyond that for a few points
+    error, gradient_error: relative L2 difference to float64 of the same model; of magnitudes if `magnitude` is set
+    memory_MiB: peak memory minus that for a few points
     """
 
     name: str
@@ -55,14 +55,14 @@ def processor() -> str:
 
 
 def cells(line: str) -> list[str]:
-    """Cells of a row of a markdown table."""
+    """Return the cells of a row of a markdown table."""
     return [cell.strip() for cell in line.strip()[1:-1].split("|")]
 
 
 def keep_rows(page: Path, table: list[str], name: str = "") -> str:
     """Write a markdown table as CSV to the folder data next to a page and return the link to it.
 
-    table: lines with head and rule; name: of the file, by default that of the page. Raises OSError.
+    table: lines including the heading and the rule; name: of the file, default that of the page. Raises OSError.
     """
     file = page.parent / "data" / f"{name or page.stem}.csv"
     file.parent.mkdir(parents=True, exist_ok=True)

@@ -22,7 +22,7 @@ from palmfield.studies.bench.problem import Method, load
 
 
 def memory_MiB(name: str) -> float:
-    """VmRSS (now) or VmHWM (peak). getrusage would give the peak of the parent too, which survives vfork and exec."""
+    """Return VmRSS (now) or VmHWM (peak). getrusage would include the parent's peak, which survives vfork and exec."""
     for line in Path("/proc/self/status").read_text().splitlines():
         if line.startswith(name + ":"):
             return int(line.split()[1]) / 1024.0
@@ -34,7 +34,7 @@ def version(method: Method) -> str:
 
 
 class Worker:
-    """One method with its state between lines.
+    """One method, with its state between commands.
 
     Before the measurement the method computes a few points, so that imports and compilation do not count.
     """
@@ -70,7 +70,7 @@ class Worker:
 
 
 def main() -> None:
-    # Programs may print: only answers go to the real standard output
+    # Programs may print, so only answers are written to the real standard output
     answers = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)
     module, name, problem = sys.argv[1:]

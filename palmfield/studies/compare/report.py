@@ -18,18 +18,18 @@ from palmfield.types import Float
 from palmfield.whole_files import write_text
 
 QUIET = 0.1
-"""Points whose measured rms is below this share of the loudest are left out of medians."""
+"""Points whose measured rms is below this share of the loudest are excluded from medians."""
 
 
 @dataclass(frozen=True)
 class Comparison:
     """Comparison of a measured scan with the skin of a run.
 
-    measured, skin: their names; quantity: what was read; place: where the scan lies on the skin
+    measured, skin: their names; quantity: measured quantity; place: position of the scan on the skin
     near: which points are close enough to compare, shape (points,), bool; computed: by palmfield, at these
     numbers: of these points; bare: no instrument was given; cut_s: part of the scan after the run's end [s]
     most_delay_s: range of the delay search; doubts: likely faults, in sentences
-    modes: the guided mode at mode_Hz, measured and computed, if requested
+    modes: fits of the guided mode at mode_Hz, measured and computed, if requested
     """
 
     measured: str
@@ -48,11 +48,11 @@ class Comparison:
 
     @property
     def loud(self) -> np.ndarray:
-        """Which of the compared points move enough to count in medians."""
+        """Return which compared points move enough to count in medians, shape (compared points,)."""
         return np.asarray(self.numbers.level >= QUIET)
 
     def median(self, name: str) -> tuple[float, float, float]:
-        """Median and quartiles of one of the numbers over the points that move enough."""
+        """Return median and quartiles of one of the numbers over the points that move enough."""
         low, middle, high = np.quantile(getattr(self.numbers, name)[self.loud], [0.25, 0.5, 0.75])
         return float(middle), float(low), float(high)
 
@@ -91,11 +91,11 @@ class Comparison:
 
     def __str__(self) -> str:
         place, numbers = self.place, self.as_dict()
-        left_out = len(self.near) - int(self.near.sum())
+        excluded = len(self.near) - int(self.near.sum())
         rms, most = 1e3 * place.rms_m, 1e3 * place.residual_m.max()
         lines = [
             f"scan            {self.measured}: {self.quantity} at {len(self.near)} points"
-            + (f", {left_out} of them excluded" if left_out else ""),
+            + (f", {excluded} of them excluded" if excluded else ""),
             f"registration    {rms:.2f} mm rms from skin '{self.skin}', {most:.2f} "
             f"at most; moved by {1e3 * np.linalg.norm(place.transform.position):.2f} mm and "
             f"{np.linalg.norm(numbers['rotation_vector_deg']):.2f} deg",

@@ -1,4 +1,4 @@
-"""Compare a measured scan with a run: register it to the skin, pass ours through the instrument, report each point."""
+"""Compare a measured scan with a run: register it to the skin, apply the instrument to the run, report each point."""
 
 from pathlib import Path
 
@@ -25,9 +25,9 @@ from palmfield.types import Float
 from palmfield.whole_files import made_folder
 
 OFF_M = 5e-3
-"""A measured point farther from the skin than this is left out [m]."""
+"""A measured point farther from the skin than this is excluded [m]."""
 HUGE = 20.0
-"""A scan larger than the skin by this factor is in another unit."""
+"""A scan larger than the skin by this factor is probably in another unit."""
 PAIR_COLUMNS = ("x_m", "y_m", "z_m", "skin_x_m", "skin_y_m", "skin_z_m")
 FILES = ("compare.json", "points.csv", "computed.csv", "agreement.png", "wavenumbers.png")
 
@@ -50,16 +50,16 @@ def compare(
     """Compare a measured scan with the skin of a run.
 
     run: folder of a run, or its result.nc; measured: file of a scan (`palmfield.outputs.scan_files.READERS`), or a Scan
-    instrument: TOML file with a table [vibrometer], or settings; sampling rate, length and quantity are the scan's own,
-        and its lines of sight where it has some. None: seen along the normal of the first array's side, without filters
-    skin: which one, where the run has several; fiducials: CSV file of columns PAIR_COLUMNS, points in the scan's frame
-        and where they are on the skin at rest
-    onto_surface: move the scan onto the skin as far as the shape of the skin determines its place
-    mode_Hz: a frequency at which the guided mode of both is fitted; source_m: its source on the skin [m], None: where
-        ours moves most; source_radius_m: what is left out about it, 1.5 times the width of the spot
+    instrument: TOML file with a table [vibrometer], or settings; sampling rate, length, quantity and, if it has them,
+        lines of sight are taken from the scan. None: motion along the normal of the first array's side, no filters
+    skin: name, needed if the run has several; fiducials: CSV file with columns PAIR_COLUMNS, points in the frame of the
+        scan and their positions on the skin at rest
+    onto_surface: move the scan onto the skin as far as the shape of the skin determines its position
+    mode_Hz: frequency at which the guided mode of both is fitted; source_m: its source on the skin [m], None: where
+        the computed motion is largest; source_radius_m: excluded radius about it, 1.5 times the width of the spot
     out: folder for FILES; None writes no files
-    Raises MeasurementError for invalid scans, settings and fiducials, OutputError for the run and for a folder that has
-    such files already.
+    Raises MeasurementError for invalid scans, settings and fiducials, OutputError for the run and for a folder that
+    contains such files.
     """
     folder = None if out is None else Path(out)
     if folder is not None and not overwrite and any((folder / name).exists() for name in FILES):
@@ -185,7 +185,7 @@ def _through_instrument(motion: SurfaceMotion, scan: Scan, place: Registration, 
 
 
 def _straight(normal: Float) -> Vibrometer:
-    """Return the motion along a direction, without filters."""
+    """Return a vibrometer that reads the motion along a direction, without filters."""
     x, y, z = (float(part) for part in normal / np.linalg.norm(normal))
     along = int(np.abs(normal).argmin())
     return Vibrometer(normal=(x, y, z), x_axis=(float(along == 0), float(along == 1), float(along == 2)))

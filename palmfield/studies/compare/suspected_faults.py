@@ -1,4 +1,4 @@
-"""Likely faults of a scan or of its place that a comparison shows, in sentences."""
+"""Report likely faults of a scan or of its position, in sentences."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,12 +17,12 @@ UNIT = 30.0
 FOLDED = 0.02
 """Share of the computed power above half of the scan's rate from which aliasing is reported."""
 SHARPEN = 4
-"""Power of the rms that weights places for the middle of a motion, so that the loudest place counts most."""
+"""Exponent of the rms that weights points in `middle`, so that the point with the largest motion counts most."""
 LEAST_APART_M = 1e-3
 OFFSET = 0.02
 """Share of the peak beyond which an offset or drift is reported."""
 WILD = 4.0
-"""A point so many times louder than all its neighbours and any computed one at the scan's level is a broken channel.
+"""A point with this many times the motion of its neighbours and of the computed motion is a broken channel.
 """
 NEIGHBOURS = 4
 
@@ -30,7 +30,7 @@ NEIGHBOURS = 4
 def wild(measured: Scan, computed: Scan) -> NDArray[np.bool_]:
     """Return which points of a scan have a broken channel, for instance a lost beam, shape (n,).
 
-    Such a point would be taken as the loudest place, which decides which points move enough to count.
+    Such a point would be taken as the largest motion, to which the other points are compared.
     """
     theirs, ours = (np.sqrt(np.mean(scan.values**2, axis=0)) for scan in (measured, computed))
     count = min(NEIGHBOURS, len(theirs) - 1)
@@ -41,7 +41,7 @@ def wild(measured: Scan, computed: Scan) -> NDArray[np.bool_]:
 
 
 def middle(scan: Scan) -> Float:
-    """Where a scan moves most [m], shape (3,), between its points: their mean, weighted by std to the power SHARPEN."""
+    """Return the centre of a motion [m], shape (3,): mean of the points, weighted by std to the power SHARPEN."""
     weights = np.std(scan.values, axis=0)
     weights = (weights / weights.max()) ** SHARPEN
     return np.asarray(weights @ scan.points / weights.sum())

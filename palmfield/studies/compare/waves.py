@@ -43,7 +43,7 @@ def guided_modes(
 
 
 def in_words(mode: GuidedMode, frequency_Hz: float) -> str:
-    """Report speed and 1/e length, or why there are none, also of other waves that carry much of the motion."""
+    """Report speed and 1/e length, or why there are none, with other waves that have a large share of the motion."""
     words = [_wave_in_words(mode, frequency_Hz)]
     for other in mode.others:
         share = other.motion / mode.motion

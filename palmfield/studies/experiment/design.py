@@ -22,7 +22,7 @@ KINDS: dict[str, type[Any]] = {
     "adjustment": Adjustment,
 }
 ONE_LEVEL = ("limits", "adjustment")
-"""Procedures of one interval, whose question is whether it was felt."""
+"""Procedures with one interval, which ask whether the stimulus was felt."""
 Scalar = bool | float | int | str | list[float]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Number = Annotated[float, Field(allow_inf_nan=False)]
@@ -36,7 +36,7 @@ class Varied(_Part):
     """The key that the procedure varies.
 
     key: dotted, as of --set; reference: its value in the other intervals of a task with several
-    scale: log for levels that count as ratios, reported as 20 lg in dB; unit: of the level, for tables
+    scale: log for levels that are ratios, reported as 20 lg in dB; unit: of the level, for tables
     """
 
     key: str
@@ -45,7 +45,7 @@ class Varied(_Part):
     unit: str = ""
 
     def in_scale(self, level: float) -> float:
-        """Return a level as fits and pictures use it: in dB re 1 for a scale of ratios, -inf for 0."""
+        """Return a level in the scale of fits and pictures: in dB re 1 for a scale of ratios, -inf for 0."""
         if self.scale == "linear":
             return level
         return 20.0 * math.log10(level) if level > 0.0 else -math.inf
@@ -59,7 +59,7 @@ class Task(_Part):
     """The question after each trial.
 
     kind: yes_no (was it felt?), or nafc (in which of several intervals was the target?); question: in words
-    gap_s: between intervals; guess: for yes_no, rate of yes without sound, as fits use it
+    gap_s: between intervals; guess: for yes_no, rate of yes without sound, used by fits
     """
 
     kind: Literal["yes_no", "nafc"] = "nafc"
@@ -82,8 +82,8 @@ class Condition(_Part):
 
 
 class Simulated(_Part):
-    """A simulated observer with a given psychometric function. threshold, spread: in the units of the varied key, or in
-    dB for a scale of ratios; lapse: rate of wrong answers at any level; thresholds: of conditions with other ones
+    """A simulated observer with a given psychometric function. threshold, spread: in the unit of the varied key, or in
+    dB for a scale of ratios; lapse: rate of wrong answers at any level; thresholds: other thresholds, by condition
     """
 
     threshold: Number
@@ -100,8 +100,8 @@ class Simulated(_Part):
 class SkinObserver(_Part):
     """An observer that responds to the motion of the simulated skin.
 
-    observer: of `palmfield.perception`; a level of 0 dB above its threshold is felt in half of the cases
-    slope: b of 1 - exp(-ln 2 E^b), E the level as a ratio; lapse: as of Simulated; skin: instance, None for the first
+    observer: of `palmfield.perception`; a level of 0 dB above its threshold is detected with probability 1/2
+    slope: b of 1 - exp(-ln 2 E^b), E the level as a ratio; lapse: as for Simulated; skin: instance, None for the first
     """
 
     observer: str = "bolanowski_1988"
@@ -111,7 +111,7 @@ class SkinObserver(_Part):
 
 
 class Trigger(_Part):
-    """A line that is raised when the sound begins. port: serial; line: DTR, RTS, or a byte that is sent; pulse_s:
+    """A serial line that is raised when sound begins. port: serial; line: DTR, RTS, or a byte that is sent; pulse_s:
     duration of the pulse
     """
 
@@ -191,13 +191,13 @@ class Design(_Part):
         return made
 
     def digest(self, observer: str) -> str:
-        """Digest of the settings that are fixed within a log: all but other observers, markers and the board."""
+        """Return a digest of the settings that are fixed within a log: all but other observers, markers, board."""
         others = {"simulated", "skin"} - {observer}
         own = self.model_dump(mode="json", exclude=others | {"lsl", "trigger", "board"})
         return hashlib.sha256(json.dumps(own, sort_keys=True).encode()).hexdigest()[:16]
 
     def playable(self) -> tuple[float, float]:
-        """Least and largest level that the varied key allows and the procedure plays; infinite if unlimited."""
+        """Return least and largest level that the varied key allows and the procedure uses; infinite if unlimited."""
         part, _, key = self.varied.key.rpartition(".")
         models = [one for one in CONFIGS if key in one.model_fields]
         models = [one for one in models if one.plugin == f"palmfield.{part}"] or models
@@ -213,7 +213,7 @@ class Design(_Part):
         return {**self.keys, **self.conditions[condition].keys, self.varied.key: level}
 
     def highest(self) -> float | None:
-        """Return the highest level that may be played; None where the procedure has no upper end."""
+        """Return the highest level that may be played; None if the procedure has no upper end."""
         levels: list[float] = self.procedure.get("levels") or [self.procedure.get("high", math.inf)]
         return None if math.isinf(max(levels)) else max(levels)
 
@@ -225,7 +225,7 @@ class Design(_Part):
         return unfinished[int(np.random.default_rng((self.seed, 2, block, number)).integers(len(unfinished)))]
 
     def target(self, trial: int) -> int:
-        """Return the interval, from 1, that has the target in a trial, numbered from 0."""
+        """Return the interval, from 1, that contains the target of a trial (from 0)."""
         if self.task.kind == "yes_no":
             return 1
         return 1 + int(np.random.default_rng((self.seed, 3, trial)).integers(self.task.intervals))

@@ -1,8 +1,8 @@
-"""The log of an experiment: one line of JSON for each trial, on the disk before the next trial begins.
+"""The log of an experiment: one line of JSON for each trial, written to disk before the next trial begins.
 
-The first line is the head: `palmfield_experiment` (1), design and its digest, scene's digest, participant, observer,
-versions. When the experiment continues, a line with `session` holds the date and the wall clock's reading at time 0 of
-all times. Each further line is a trial.
+The first line is the head: `palmfield_experiment` (1), design and its digest, digest of the scene, participant,
+observer, versions. Each session that continues the experiment adds a line with `session`: the date, and the wall clock
+at time 0 of all times. Each other line is a trial.
 """
 
 import datetime
@@ -46,9 +46,9 @@ class Log(NamedTuple):
 
 
 def read_experiment_log(path: Path) -> Log:
-    """Read the log's content; an incomplete last line, for instance after a power failure, is left out.
+    """Read the log's content; an incomplete last line, for instance after a power failure, is ignored.
 
-    Raises OutputError for a file that cannot be read or is no log of this version.
+    Raises OutputError for a file that cannot be read or is not a log of this version.
     """
     with reading(path, OutputError, "the log of `palmfield experiment run`"):
         data = read_bytes(path)
@@ -95,7 +95,7 @@ def next_trial(design: Design, trials: list[Trial]) -> tuple[int, int, int, floa
 class LogWriter:
     """Writes an experiment's log, new or continued; it is locked for other processes. A context manager.
 
-    trials: so far, in order; session: number of this one, from 1
+    trials: trials so far, in order; session: number of this session, from 1
     """
 
     def __init__(self, path: Path, design: Design, scene: Path, participant: str, observer: str, board: str) -> None:
@@ -118,10 +118,10 @@ class LogWriter:
             self.session = 1
             fresh = not path.exists() or path.stat().st_size == 0
             if not fresh:
-                known = read_experiment_log(path)
-                self._check(known.head, head)
-                self.trials, self.session = known.trials, known.sessions + 1
-                os.truncate(path, known.whole_bytes)
+                earlier = read_experiment_log(path)
+                self._check(earlier.head, head)
+                self.trials, self.session = earlier.trials, earlier.sessions + 1
+                os.truncate(path, earlier.whole_bytes)
             self._file = path.open("a", encoding="utf-8")
             if fresh:
                 self._line(head)
@@ -134,13 +134,13 @@ class LogWriter:
             self._lock.release()
             raise
 
-    def _check(self, known: Mapping[str, Any], head: Mapping[str, Any]) -> None:
+    def _check(self, logged: Mapping[str, Any], head: Mapping[str, Any]) -> None:
         for key, what in (("digest", "design"), ("scene_digest", "scene"), ("participant", "participant"),
                           ("observer", "observer"), ("board", "board")):  # fmt: skip
-            if known.get(key) != head[key]:
-                difference = f"'{known.get(key)}', not '{head[key]}'"
+            if logged.get(key) != head[key]:
+                difference = f"'{logged.get(key)}', not '{head[key]}'"
                 if key == "digest":
-                    difference = _difference(known["design"], head["design"])
+                    difference = _difference(logged["design"], head["design"])
                 raise OutputError(f"{self.path} holds trials of another {what} ({difference}); give another --log")
 
     def add(self, trial: Mapping[str, Any], condition: int, answered: Answered) -> None:
@@ -175,14 +175,14 @@ def _scene_digest(scene: Path) -> str:
     return result.hexdigest()[:16]
 
 
-def _difference(known: Any, own: Any, place: str = "") -> str:
+def _difference(logged: Any, own: Any, place: str = "") -> str:
     """Return the first difference between two designs, with its key."""
-    if isinstance(known, dict) and isinstance(own, dict):
-        for key in {**known, **own}:
-            if known.get(key) != own.get(key):
-                return _difference(known.get(key), own.get(key), f"{place}.{key}" if place else key)
+    if isinstance(logged, dict) and isinstance(own, dict):
+        for key in {**logged, **own}:
+            if logged.get(key) != own.get(key):
+                return _difference(logged.get(key), own.get(key), f"{place}.{key}" if place else key)
         return "written by another version"
-    return f"{place}: {json.dumps(known)[:60]}, not {json.dumps(own)[:60]}"
+    return f"{place}: {json.dumps(logged)[:60]}, not {json.dumps(own)[:60]}"
 
 
 def _iso(seconds: float) -> str:

@@ -1,4 +1,4 @@
-"""Marks of the moment at which sound begins: for Lab Streaming Layer, and as a line of a serial port."""
+"""Mark the moment at which sound begins, for Lab Streaming Layer and on a line of a serial port."""
 
 import time
 from typing import Any, Protocol, Self
@@ -9,10 +9,10 @@ from palmfield.studies.experiment.design import Design
 
 
 class Marker(Protocol):
-    """Contents of the marker of each presentation."""
+    """Marks the moment of each presentation."""
 
     def mark(self, text: str, when: float) -> None:
-        """Mark the event `text` at a moment of time.monotonic, soon or just past; returns at once."""
+        """Mark the event `text` at a time of time.monotonic in the near future or past; return at once."""
 
     def close(self) -> None: ...
 

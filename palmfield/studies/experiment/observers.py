@@ -24,7 +24,7 @@ PRESS = {"yes_no": {"y": "yes", "n": "no"}, "adjustment": {"+": "stronger", "-":
 
 
 class Shown(NamedTuple):
-    """A trial as an observer gets it. levels, keys: by interval, keys of the scene; target: from 1; number: from 0"""
+    """A trial presented to an observer. levels, keys of the scene: by interval; target: from 1; number: from 0"""
 
     number: int
     condition: str
@@ -35,7 +35,7 @@ class Shown(NamedTuple):
 
 
 class Respondent(Protocol):
-    """Answers trials: `yes` or `no`, the number of an interval, or `stronger`, `weaker`, `done`; and how late [s]."""
+    """Answers trials: `yes`, `no`, the number of an interval, `stronger`, `weaker` or `done`; and response time [s]."""
 
     def answer(self, shown: Shown) -> tuple[str, float]: ...
 
@@ -45,7 +45,7 @@ class Stopped(Exception):
 
 
 class Keyboard:
-    """A person at a terminal, who presses one key; from a file, lines are read. `q` ends the session."""
+    """A person at a terminal, who presses one key an answer; from a file, lines are read. `q` ends the session."""
 
     def __init__(self, design: Design, keys: TextIO | None = None, screen: TextIO | None = None) -> None:
         self.design = design
@@ -55,13 +55,13 @@ class Keyboard:
         task = self.design.task
         if shown.adjusting:
             allowed = PRESS["adjustment"]
-            asked = "Stronger (+), weaker (-), or just felt (d)?"
+            question = "Stronger (+), weaker (-), or just felt (d)?"
         elif task.kind == "yes_no":
-            allowed, asked = PRESS["yes_no"], "Did you feel it (y, n)?"
+            allowed, question = PRESS["yes_no"], "Did you feel it (y, n)?"
         else:
             allowed = {str(n): str(n) for n in range(1, task.intervals + 1)}
-            asked = f"In which interval was it ({', '.join(allowed)})?"
-        self._say(f"{task.question or asked} ")
+            question = f"In which interval was it ({', '.join(allowed)})?"
+        self._say(f"{task.question or question} ")
         begun = time.monotonic()
         while True:
             key = self._key()
@@ -74,7 +74,7 @@ class Keyboard:
                 self._say(f"[{key}: press one of {', '.join(allowed)}; q ends] ")
 
     def announce(self, interval: int, of: int) -> None:
-        """Report that an interval begins."""
+        """Print that an interval begins."""
         if of > 1:
             self._say(f"{interval} ")
 
@@ -88,7 +88,7 @@ class Keyboard:
             if not line:
                 raise Stopped
             return line.strip()
-        # Windows has no termios
+        # termios does not exist on Windows
         try:
             import termios
             import tty
@@ -116,7 +116,7 @@ class SimulatedObserver:
         self.design, self.lapse = design, design.simulated.lapse
 
     def detected(self, shown: Shown, interval: int) -> float:
-        """Probability that an interval's sound is felt."""
+        """Return the probability that the sound of an interval is felt."""
         scaled = self.design.varied.in_scale(shown.levels[interval])
         assert self.design.simulated is not None
         return 0.0 if scaled == -math.inf else float(self.design.simulated.function(shown.condition)(scaled))
@@ -124,25 +124,25 @@ class SimulatedObserver:
     def answer(self, shown: Shown) -> tuple[str, float]:
         rng = np.random.default_rng((self.design.seed, 4, shown.number))
         chances = [self.detected(shown, interval) for interval in range(len(shown.levels))]
-        felt = [bool(rng.random() < chance) for chance in chances]
-        # A lapse is a guess, which may be right: its rate is raised so that the rate of wrong answers is `lapse`
+        detected = [bool(rng.random() < chance) for chance in chances]
+        # A lapse is a guess and may be right, so its rate is higher than `lapse`, the rate of wrong answers
         lapsed = bool(rng.random() < self.lapse / (1.0 - self.design.task.chance))
         guessed = int(rng.integers(len(chances)))
         delay_s = float(rng.lognormal(math.log(0.5), 0.3))
         if shown.adjusting:
-            # Just felt: this level is felt, the last one, weaker by a step, was not
+            # "Just felt": this level is felt, and the level before, weaker by a step, was not
             return ("done" if 0.3 < chances[0] < 0.7 else "weaker" if chances[0] >= 0.7 else "stronger"), delay_s
         if self.design.task.kind == "yes_no":
-            yes = (felt[0] and not lapsed) or bool(rng.random() < self.design.task.guess)
+            yes = (detected[0] and not lapsed) or bool(rng.random() < self.design.task.guess)
             return ("yes" if yes else "no"), delay_s
-        if lapsed or not any(felt):
+        if lapsed or not any(detected):
             return str(1 + guessed), delay_s
-        strongest = max((i for i in range(len(felt)) if felt[i]), key=lambda i: chances[i])
+        strongest = max((i for i in range(len(detected)) if detected[i]), key=lambda i: chances[i])
         return str(1 + strongest), delay_s
 
 
 class FeelingObserver(SimulatedObserver):
-    """As SimulatedObserver, with the level of the simulated skin above the threshold of an observer of perception.
+    """A SimulatedObserver whose level is that of the simulated skin above the threshold of a model of perception.
 
     levels: [dB SL] by keys, cached
     """
@@ -160,7 +160,7 @@ class FeelingObserver(SimulatedObserver):
     def level_dB(self, keys: Mapping[str, object]) -> float:
         """Return the level above threshold for some keys [dB SL]; -inf in silence.
 
-        Raises OutputError with the reason if the observer refuses.
+        Raises OutputError with the reason if the observer has no threshold for them.
         """
         key = repr(sorted(keys.items()))
         if key not in self.levels:
@@ -187,7 +187,7 @@ class FeelingObserver(SimulatedObserver):
 
 
 def observer_of(name: str, design: Design, scene: Path, board: str | None) -> Respondent:
-    """Return the observer of a name (NAMES). Raises OutputError for other names and for a design without its parts."""
+    """Return the observer with a name of NAMES. Raises OutputError for other names and for a missing table."""
     match name:
         case "keyboard":
             return Keyboard(design)

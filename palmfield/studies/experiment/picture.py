@@ -39,7 +39,7 @@ def _level_name(design: Design) -> str:
 
 
 def _runs(axes: Axes, condition: ConditionReport, design: Design) -> None:
-    """Draw levels over trials, filled for right answers; with the staircase's reversals and estimate."""
+    """Draw levels over trials, filled markers for right answers; mark reversals and estimate of the staircase."""
     begin = 0
     for block, run in enumerate(condition.runs):
         if not run:
@@ -66,7 +66,7 @@ def _runs(axes: Axes, condition: ConditionReport, design: Design) -> None:
 
 
 def _function(axes: Axes, condition: ConditionReport, report: Report) -> None:
-    """Draw shares of right answers, areas by trials, with the fitted function and its threshold's interval."""
+    """Draw shares of right answers, with areas by numbers of trials, the fitted function and its threshold interval."""
     design = report.design
     if condition.levels:
         sizes = 12.0 + 120.0 * np.array(condition.trials) / max(condition.trials)

@@ -1,4 +1,4 @@
-"""Presentations: a scene's frames, made in advance, sent to a board, and the times at which they sounded."""
+"""Make the frames of a scene in advance, send them to a board, and return the times at which they sounded."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -25,7 +25,7 @@ MOST_KEPT = 256
 
 @dataclass(frozen=True)
 class Presentation:
-    """The frames of a scene for its board. head: of a log"""
+    """The frames of a scene for its board. head: head of a frame log"""
 
     frames: tuple[TimedFrame, ...]
     board: Board
@@ -34,10 +34,10 @@ class Presentation:
 
 
 class Emission(NamedTuple):
-    """When frames of a presentation sounded: their last bytes were on the line [s, time.monotonic].
+    """Times at which frames of a presentation sounded, when their last bytes were on the line [s, time.monotonic].
 
-    first_s, last_s: of the first and the last frame; frames: their number; skipped: frames dropped by the line
-    log: file of the sent frames and their times; None without a board, where times are those of the requests
+    first_s, last_s: of the first and the last frame; frames: their number; skipped: number of dropped frames
+    log: file of sent frames and their times; None without a board, when times are those of the calls
     log_s: time of the first frame on the log's clock [s]
     """
 
@@ -49,17 +49,17 @@ class Emission(NamedTuple):
     log_s: float
 
     def as_dict(self) -> dict[str, Any]:
-        """Rounded to microseconds."""
+        """Return times rounded to microseconds."""
         return {key: round(value, 6) if isinstance(value, float) else value for key, value in self._asdict().items()}
 
 
 def presentation(
     scene: Path, board: str | None, keys: Mapping[str, object], duration_s: float
 ) -> Presentation:  # fmt: skip
-    """Return the frames of a scene with other keys, as `drive` sends them and within the limits of its driver.
+    """Return the frames of a scene with changed keys, as `drive` sends them, within the limits of its driver.
 
     Raises SceneError for a bad scene or key. Raises DeviceError for a scene that the board cannot play, for a board
-    without bytes, and for sound that is longer or louder than the driver's keys allow.
+    that takes no bytes, and for sound that is longer or louder than the driver's keys allow.
     """
     view = preview(scene, board=board, keys=keys)
     model = view.runtime.model
@@ -72,20 +72,20 @@ def presentation(
 
 
 class Sender:
-    """Sends presentations to a port by one player process that is kept for all of them; does not send without a port.
+    """Sends presentations to a port by one player process for all of them; without a port nothing is sent.
 
     This is the only place where an experiment sends. A context manager: the board is silent at its end.
     """
 
     def __init__(self, scene: Path, board: str | None, port: str | None, duration_s: float, log: Path) -> None:
-        """log: of frames, in a folder that is made when needed; the file of a second player is numbered"""
+        """log: of frames, its folder is created when needed; files of further players are numbered"""
         self.scene, self.board, self.port, self.duration_s, self.log = scene, board, port, duration_s, log
         self._known: dict[str, Presentation] = {}
         self._open: tuple[Board, Path, Player] | None = None
         self._players = 0
 
     def prepare(self, keys: Mapping[str, object]) -> Presentation | None:
-        """Return the presentation for some keys, made at the first call, None without a port."""
+        """Return the presentation for some keys, made at the first call; None without a port."""
         if self.port is None:
             return None
         key = repr(sorted(keys.items()))
@@ -110,7 +110,7 @@ class Sender:
         return Emission(report.first_s, report.last_s, report.frames, report.skipped, file, begun_s)
 
     def _player(self, what: Presentation, port: str) -> tuple[Path, Player]:
-        """Return the player of a presentation's board; each board has its own start and stop bytes, and a player."""
+        """Return the player for a presentation's board: one for each pair of start and stop bytes."""
         if self._open is not None and self._open[0] == what.board:
             return self._open[1:]
         self.close()

@@ -1,6 +1,6 @@
-"""Choose the next level: staircases, limits, constant stimuli, adjustment. All depend only on the answers so far.
+"""Choose the next level: staircases, limits, constant stimuli, adjustment. Only the answers so far determine it.
 
-A procedure keeps no state: each call passes the trials of the run so far. An interrupted experiment can thus continue.
+A procedure has no state: each call passes the trials of the run so far, so an interrupted experiment can continue.
 """
 
 import math
@@ -20,7 +20,7 @@ STRICT = ConfigDict(extra="forbid", strict=False)
 
 
 class Answered(NamedTuple):
-    """A trial of one run. level; right: whether the answer was correct, or yes; word: the answer of an adjustment"""
+    """A trial of one run. right: whether the answer was correct, or yes; word: the answer in an adjustment"""
 
     level: float
     right: bool
@@ -28,14 +28,14 @@ class Answered(NamedTuple):
 
 
 def _mean(levels: Sequence[float], scale: Scale) -> float:
-    """Mean by a scale, geometric for ratios; NaN of none."""
+    """Return the mean in a scale, geometric for ratios; NaN without levels."""
     if not levels:
         return math.nan
     return float(np.exp(np.mean(np.log(levels)))) if scale == "log" else float(np.mean(levels))
 
 
 def _moved(level: float, step: float, scale: Scale, low: float, high: float) -> float:
-    """A level moved by a step, in dB for a scale of ratios, within limits."""
+    """Return a level moved by a step (dB for a scale of ratios) and clipped to limits."""
     moved = level + step if scale == "linear" else level * 10.0 ** (step / 20.0)
     return round(min(max(moved, low), high), 12)
 
@@ -46,10 +46,11 @@ class Staircase:
     """A transformed up-down staircase (Levitt 1971): harder after `down` right answers in a row, easier after `up`
     wrong ones; one of the two is 1.
 
-    start: first level; steps: sizes, each used until the next reversal, the last one to the end; up_ratio: ratio of
-    steps to easier and to harder; scale: steps are added (linear), or are dB of a ratio (log: 20 lg)
-    low, high: limits of played levels; reversals, trials: it ends after this number of either
-    skipped: first reversals that the estimate leaves out; harder: whether harder levels are lower or higher
+    start: first level; steps: sizes, each used until the next reversal, the last one to the end; up_ratio: size of
+    steps to easier levels, relative to that of steps to harder ones; scale: steps are added (linear) or are dB (log: 20
+    lg)
+    low, high: limits of presented levels; reversals, trials: it ends after either number
+    skipped: first reversals, which the estimate excludes; harder: whether harder levels are lower or higher
     """
 
     start: float
@@ -78,10 +79,10 @@ class Staircase:
 
     @property
     def convergence(self) -> float:
-        """The share of right answers at which steps to harder and to easier balance.
+        """Share of right answers at which steps to harder and to easier levels balance.
 
-        With `down` right answers in a row a share p^down of the moves is to harder; an up_ratio q gives p^down = q/(1 +
-        q). For 1 up 2 down it is 0.707, for 1 up 3 down 0.794, for 2 up 1 down 0.293 (Levitt 1971, table I).
+        A share p^down of the moves is to harder levels after `down` right answers in a row. An up_ratio q gives p^down
+        = q/(1 + q): 0.707 for 1 up 2 down, 0.794 for 1 up 3 down, 0.293 for 2 up 1 down (Levitt 1971, table I).
         """
         to_harder = self.up_ratio / (1.0 + self.up_ratio)
         if self.up == 1:
@@ -89,7 +90,7 @@ class Staircase:
         return 1.0 - float((1.0 - to_harder) ** (1.0 / self.up))
 
     def next_level(self, run: Sequence[Answered]) -> float | None:
-        """The level of the next trial, None at the end."""
+        """Return the level of the next trial, None at the end."""
         course = self._course(run)
         return None if len(run) >= self.trials or len(course.turns) >= self.reversals else course.level
 
@@ -98,7 +99,7 @@ class Staircase:
         return self._course(run).turns
 
     def estimate(self, run: Sequence[Answered]) -> float:
-        """Mean of the levels of an even number of reversals, by the scale; NaN with fewer than two.
+        """Return the mean level of an even number of reversals, in the scale; NaN with fewer than two.
 
         It estimates the level of `convergence`.
         """
@@ -144,12 +145,12 @@ class ConstantStimuli:
                               "more, each once, and one repeat or more")  # fmt: skip
 
     def order(self) -> Float:
-        """Levels of all trials, shape (repeats * levels,)."""
+        """Return the levels of all trials, shape (repeats * levels,)."""
         rng = np.random.default_rng(self.seed)
         return np.concatenate([rng.permutation(np.array(self.levels)) for _ in range(self.repeats)])
 
     def next_level(self, run: Sequence[Answered]) -> float | None:
-        """The level of the next trial, None at the end."""
+        """Return the level of the next trial, None at the end."""
         order = self.order()
         return float(order[len(run)]) if len(run) < len(order) else None
 
@@ -159,8 +160,8 @@ class ConstantStimuli:
 class Adjustment:
     """A participant makes a level stronger and weaker until it is just felt, several times from random start levels.
 
-    low, high: limits of the levels; step, scale: as of a staircase; settings: number of settings
-    presses: largest number in one setting, then the next begins. Answers are `stronger`, `weaker`, and `done`.
+    low, high: limits of the levels; step, scale: as for a staircase; settings: number of settings
+    presses: largest number of answers in one setting. Answers are `stronger`, `weaker`, and `done`.
     """
 
     low: float
@@ -179,7 +180,7 @@ class Adjustment:
             raise OutputError(f"settings {self.settings}, presses {self.presses}; allowed: 1 or more")
 
     def next_level(self, run: Sequence[Answered]) -> float | None:
-        """The level of the next presentation, None at the end."""
+        """Return the level of the next presentation, None at the end."""
         ends = self._ends(run)
         begun, setting = ends[-1] + 1 if ends else 0, len(ends)
         if setting >= self.settings:
@@ -194,11 +195,11 @@ class Adjustment:
         return _moved(run[-1].level, sign * self.step, self.scale, self.low, self.high)
 
     def settings_of(self, run: Sequence[Answered]) -> list[float]:
-        """Levels at which `done` was said."""
+        """Return the levels at which the answer was `done`."""
         return [run[end].level for end in self._ends(run) if run[end].word == "done"]
 
     def estimate(self, run: Sequence[Answered]) -> float:
-        """Mean of the settings by the scale, NaN without one."""
+        """Return the mean of the settings in the scale, NaN without one."""
         return _mean(self.settings_of(run), self.scale)
 
     def _ends(self, run: Sequence[Answered]) -> list[int]:
@@ -216,9 +217,9 @@ class Adjustment:
 class Limits:
     """The method of limits: series of rising and of falling levels, in turn, each until the answer changes.
 
-    levels: rising; series: their number, half of them rising if even, a rising one first
-    scale: of the mean. A rising series ends at the first yes, a falling one at the first no, each at the last level at
-    the latest. Hasegawa & Shinoda 2018 (section 6.1) used six.
+    levels: rising; series: number of series; rising and falling alternate, the first is rising
+    scale: of the mean. A rising series ends at the first yes and a falling one at the first no, at the latest after the
+    last level. Hasegawa & Shinoda 2018 (section 6.1) used six series.
     """
 
     levels: tuple[float, ...]
@@ -234,17 +235,17 @@ class Limits:
             raise OutputError(f"series {self.series}; allowed: 1 or more")
 
     def next_level(self, run: Sequence[Answered]) -> float | None:
-        """The level of the next trial, None at the end."""
+        """Return the level of the next trial, None at the end."""
         number, place = 0, 0
         for trial in run:
             number, place = self._after(number, place, trial)
         return None if number >= self.series else self._order(number)[place]
 
     def estimate(self, run: Sequence[Answered]) -> float:
-        """Mean by the scale of the ends of the series, each midway between the level that changed the answer and the
-        one before; NaN without one.
+        """Return the mean, in the scale, of the ends of the series; NaN without one. An end is midway between the level
+        that changed the answer and the one before.
 
-        A series whose answer never changed, or differed at its first level, has no such end and is left out.
+        A series whose answer never changed, or changed at its first level, has no end and is excluded.
         """
         ends = []
         number, place = 0, 0
@@ -261,7 +262,7 @@ class Limits:
         return self.levels if number % 2 == 0 else self.levels[::-1]
 
     def _after(self, number: int, place: int, trial: Answered) -> tuple[int, int]:
-        """Return the number of the series and the place in it, after a trial."""
+        """Return the number of the series and the position in it, after a trial."""
         turned = trial.right == (number % 2 == 0)
         return (number + 1, 0) if turned or place + 1 == len(self.levels) else (number, place + 1)
 

@@ -15,15 +15,15 @@ from palmfield.studies.experiment.log import Log, Trial, next_trial, read_experi
 from palmfield.studies.experiment.procedures import Adjustment, Answered, Limits, Staircase
 
 STEEP = 0.5
-"""Share of the smallest distance between levels: a function with a smaller spread rises between two of them."""
+"""Fraction of the smallest distance between levels; a function with a smaller spread rises between two levels."""
 
 
 @dataclass(frozen=True)
 class ConditionReport:
-    """One condition. runs: trials by block; estimates: of the procedure by block, in the unit of the varied key
+    """One condition. runs: trials by block; estimates: by the procedure, one a block, in the unit of the varied key
 
-    levels: as fits use them (dB re 1 for a scale of ratios); shares, trials: of right answers (or yes) there
-    fit: None if there is none, with the reason
+    levels: in the scale of fits (dB re 1 for ratios); shares: of right answers (or yes); trials: their numbers
+    fit: None if there is none; why: the reason
     """
 
     name: str
@@ -43,7 +43,7 @@ class ConditionReport:
 
 @dataclass(frozen=True)
 class Report:
-    """A log. convergence: share of right answers that staircases converge to, None for other procedures
+    """Report of a log. convergence: share of right answers that staircases converge to, None for other procedures
 
     spread_known: whether the spread was given to the fits
     """
@@ -70,9 +70,10 @@ def report_of(
 ) -> Report:
     """Return the report of an experiment's log, finished or not.
 
-    shape, lapse, spread, confidence: of the fit (`palmfield.perception.psychometric.fit`); lapse and spread (dB where
-        the scale is of ratios) are fitted where None
-    Raises OutputError for a file that is no log, and as the fit for shape, lapse and confidence.
+    shape, lapse, spread, confidence: of the fit (`palmfield.perception.psychometric.fit`); lapse and spread (dB if
+        the scale is of ratios) are fitted if None
+    Raises OutputError for a file that is not a log, and for values of shape, lapse and confidence that the fit does not
+    allow.
     """
     log = read_experiment_log(path)
     design = log.design
@@ -98,7 +99,7 @@ def _condition(design: Design, number: int, trials: Sequence[Trial], settings: d
         if isinstance(procedure, Staircase | Limits | Adjustment):
             estimates.append(procedure.estimate(run))
     adjusted = design.procedure["kind"] == "adjustment"
-    # Steps of ratios return to a level only within rounding
+    # Steps in dB return to a level only within rounding errors
     answers = [(round(design.varied.in_scale(one.level), 6), one.right) for run in runs for one in run]
     silent = sum(not math.isfinite(level) for level, _ in answers)
     finite = [(level, right) for level, right in answers if math.isfinite(level)]
@@ -129,11 +130,11 @@ def _condition(design: Design, number: int, trials: Sequence[Trial], settings: d
 
 
 def interval_of(design: Design, one: ConditionReport) -> tuple[float | None, float | None]:
-    """Return the threshold's interval in the varied key's unit; None for an end outside the playable levels."""
+    """Return the threshold's interval in the varied key's unit; None for an end outside the allowed levels."""
     assert one.fit is not None
     low, high = (design.varied.level(end) for end in one.fit.threshold_interval)
     least, most = design.playable()
-    # An end at the limit of the search is not bounded either
+    # An end at the limit of the search is not bounded
     ratios = one.fit.function.shape == "weibull"
     places, ends = (np.log(x) if ratios else np.array(x) for x in (one.levels, one.fit.threshold_interval))
     searched = BEYOND * np.ptp(places) - 1e-6
@@ -144,7 +145,7 @@ def interval_of(design: Design, one: ConditionReport) -> tuple[float | None, flo
 
 
 def threshold_of(design: Design, one: ConditionReport) -> tuple[float | None, str]:
-    """Return the threshold in the varied key's unit, and in words; None if it is outside the playable levels."""
+    """Return the threshold in the varied key's unit, and in words; None if it is outside the allowed levels."""
     assert one.fit is not None
     (least, most), level = design.playable(), design.varied.level(one.fit.threshold)
     if least <= level <= most:
@@ -160,7 +161,7 @@ def written(low: float | None, high: float | None) -> str:
 
 
 def as_dict(report: Report) -> dict[str, Any]:
-    """Return the report with units in the names, for other programs; None for values outside the playable levels."""
+    """Return the report with units in the names; None for values outside the levels that can be presented."""
     varied, head = report.design.varied, report.log.head
     rows = []
     for one in report.conditions:
@@ -186,7 +187,7 @@ def as_dict(report: Report) -> dict[str, Any]:
 
 
 def as_text(report: Report) -> str:
-    """The report as a table in words."""
+    """Return the report as a table in words."""
     head, varied = report.log.head, report.design.varied
     state = "finished" if report.finished else "not finished"
     lines = [

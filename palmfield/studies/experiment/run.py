@@ -23,12 +23,12 @@ from palmfield.studies.experiment.presentation import Sender, presentation
 from palmfield.studies.experiment.procedures import Answered
 
 OnTrial = Callable[[Trial, float], None]
-"""Called after each logged trial, with the mean duration of the last ones [s]."""
+"""Called after each logged trial, with the mean duration of recent trials [s]."""
 
 
 @dataclass(frozen=True)
 class Done:
-    """Result of a session. trials: of the log; new: of this session; finished: whether the experiment has ended"""
+    """Result of a session. trials: number in the log; new: number in this session; finished: whether all are done"""
 
     log: Path
     trials: int
@@ -50,10 +50,10 @@ def run_experiment(
 ) -> Done:
     """Run or continue an experiment: every trial is in the log before the next begins.
 
-    observer: keyboard, simulated or skin; answers: a custom observer in its place, under this name
-    port: of the board; virtual: a virtual board instead; neither: no sound, for observers that need none
-    board: instead of the design's or the scene's, as `palmfield.load` takes it
-    Raises OutputError for a bad design and a log of another, SceneError and DeviceError as `drive` does.
+    observer: keyboard, simulated or skin; answers: a custom observer that replaces it, logged under the name `observer`
+    port: of the board; virtual: use a virtual board; neither: no sound, for simulated observers
+    board: replaces that of the design or scene, as in `palmfield.load`
+    Raises OutputError for an invalid design and a log of another design, SceneError and DeviceError as `drive` does.
     """
     design = read_design(experiment)
     scene = experiment.parent / design.scene
@@ -68,7 +68,7 @@ def run_experiment(
         raise DeviceError("a person needs a board to feel anything; give --port, or --virtual to rehearse")
     wanted = board or design.board
     with ExitStack() as opened:
-        # Invalid values of a key and sound that the board cannot play are refused before the first trial
+        # Invalid keys and sound that the board cannot play raise errors before the first trial
         first = _checked(design, experiment, scene, wanted, 0)
         opened.enter_context(_said_once())
         for number in range(1, len(design.conditions)):
@@ -110,7 +110,7 @@ def _said_once() -> Iterator[None]:
 
 
 def _checked(design: Design, experiment: Path, scene: Path, board: str | None, condition: int) -> Preview:
-    """Return the scene at a condition's first level, after a check of its reference too."""
+    """Return the scene at a condition's first level, and check its reference level too."""
     first = design.procedure_of(0, condition).next_level([])
     assert first is not None
     levels = [first, design.varied.reference] if design.task.kind == "nafc" else [first]
@@ -120,7 +120,7 @@ def _checked(design: Design, experiment: Path, scene: Path, board: str | None, c
 
 
 def _allowed(design: Design, experiment: Path, scene: Path, board: str | None) -> None:
-    """Make the highest level of each condition: sound longer or louder than the driver allows is refused now."""
+    """Make the highest level of each condition, so that errors for too long or loud sound are raised before trials."""
     level = design.highest()
     for number, condition in enumerate(design.conditions if level is not None else ()):
         assert level is not None
@@ -129,13 +129,13 @@ def _allowed(design: Design, experiment: Path, scene: Path, board: str | None) -
 
 
 class _Session:
-    """Trials one after another."""
+    """A session of trials."""
 
     def __init__(self, design: Design, writer: LogWriter, sender: Sender, who: Respondent, markers: Markers) -> None:
         self.design, self.writer, self.sender, self.who, self.markers = design, writer, sender, who, markers
 
     def trial(self) -> bool:
-        """Make and log the next trial; False if there is none."""
+        """Present and log the next trial; return False if there is none."""
         coming = next_trial(self.design, self.writer.trials)
         if coming is None:
             return False

@@ -1,4 +1,4 @@
-"""One scene over many values of its keys: designs, workers, one labelled dataset, pictures."""
+"""Compute a scene for many values of its keys: designs, workers, one labelled dataset, pictures."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""Points that one process computes together, and how a design is split into such batches."""
+"""Split the points of a sweep into batches, and compute a batch in one process."""
 
 import math
 from collections import defaultdict
@@ -22,18 +22,18 @@ from palmfield.studies.sweeps.point import Numbers, measured
 from palmfield.types import Float
 
 MOST_IN_BATCH = 16
-"""Largest number of points in a batch, as worlds of one simulation: a killed worker loses as many."""
+"""Largest number of points in a batch, as worlds of one simulation; if a worker is killed, the whole batch is lost."""
 MOST_ON_GPU = 64
-"""The same with fields on a GPU, whose load needs more worlds."""
+"""The same for fields on a GPU, which needs more worlds to be fully used."""
 BATCHES_PER_WORKER = 4
-"""Least number of batches for each worker, if there are enough points, so that workers end at about the same time."""
+"""Target number of batches for each worker, so that workers end at about the same time."""
 
 
 @dataclass(frozen=True)
 class Task:
     """Settings that all points of a sweep share.
 
-    scene: file, as the workers see it; device, accuracy: see `palmfield.session.open_scene.compiled`
+    scene: path on the workers; device, accuracy: see `palmfield.session.open_scene.compiled`
     duration_s: of each run [s]; times: of courses [s], shape (t,); errors: whether errors are estimated
     threads: limit for a worker, None for no change
     """
@@ -68,7 +68,7 @@ class Batch(NamedTuple):
 class Point(NamedTuple):
     """A point for the process that computes it.
 
-    keys: all that differ from the scene's, as `palmfield.Simulation` takes them
+    keys: all keys that differ from those of the scene, as for `palmfield.Simulation`
     differing: keys among them that may differ between worlds of one model
     """
 
@@ -79,13 +79,13 @@ class Point(NamedTuple):
 def run_batch(task: Task, base: Keys, shared: Shared | None, points: Sequence[Point]) -> Sequence[Numbers | Failed]:
     """Return the numbers of points that share a model, as worlds of one simulation.
 
-    If one of them fails, they are computed one by one; a point that fails then leaves its error.
+    If one of them fails, they are computed one by one; a point that fails then returns its error.
     base, shared: see `palmfield.studies.sweeps.groups.Group`
     """
     if task.threads is not None:
         threads.limit(task.threads)
     if shared is not None and len(points) > 1:
-        # One by one, to find which point failed and why
+        # After an error, points run one by one to find which one failed
         with suppress(Exception):
             return _measured(task, _worlds(task, base, shared, points))
     return [_run(task, base, shared, point) for point in points]
@@ -136,7 +136,8 @@ def batches(
 ) -> list[Batch]:
     """Split points into batches that share a model, so that few workers make the same model.
 
-    points: numbers of the points to compute; model_keys: of each, what its batch must share
+    points: numbers of the points to compute; model_keys: for each point, a value that all points of its batch must
+        share
     workers: number of workers, >= 1; most: points in a batch. Batches are in the order in which they should begin.
     """
     groups: dict[Any, list[int]] = defaultdict(list)
@@ -149,7 +150,7 @@ def batches(
     size = max(1, min(most, math.ceil(total / (workers * BATCHES_PER_WORKER))))
     fair = math.ceil(total / workers)
     for group in largest_first:
-        # A group larger than a worker's share is split; the model of any other group is made once
+        # Only a group larger than the share of one worker is split; for other groups the model is made once
         pieces = max(1, math.ceil(len(group) / fair))
         length = math.ceil(len(group) / pieces)
         for start in range(0, len(group), length):

@@ -1,4 +1,4 @@
-"""Dask workers: an embedded local cluster, one GPU a worker where GPUs compute, or an external cluster."""
+"""Dask workers: an embedded local cluster, with one GPU for each worker if GPUs are used, or an external cluster."""
 
 import logging
 import os
@@ -22,7 +22,7 @@ EXAMPLE = "such as tcp://192.168.1.10:8786"
 
 
 class Slot(NamedTuple):
-    """One thread of a worker. address: of the worker; threads: cores that a point may use there"""
+    """One thread of a worker. address: of the worker; threads: number of cores that a point may use"""
 
     address: str
     threads: int
@@ -30,29 +30,29 @@ class Slot(NamedTuple):
 
 @contextmanager
 def local_cluster(workers: int, gpus: list[str]) -> Iterator[Any]:
-    """Yield a Dask client with workers of its own on this machine, processes with one thread each, stopped at the end.
+    """Yield a Dask client with new workers on this machine (processes with one thread), which are stopped at the end.
 
-    gpus: names of GPUs as in CUDA_VISIBLE_DEVICES, one visible to each worker; empty for none
+    gpus: names of GPUs as in CUDA_VISIBLE_DEVICES, each worker gets one; empty for none
     Raises PalmfieldError if they do not start.
     """
     from distributed import Client, Nanny, Scheduler  # noqa: F401
     from distributed.deploy.spec import SpecCluster
     from distributed.deploy.subprocess import SubprocessWorker
 
-    # A worker that uses much memory must continue: it is ended only before the system would end another process
+    # A worker that uses much memory continues; it is ended just before the system would end another process
     memory: dict[str, Any] = {f"distributed.worker.memory.{name}": False for name in ("target", "spill", "pause")}
     specs = {}
     for number in range(workers):
         options = {"nthreads": 1, "host": "127.0.0.1", "silence_logs": logging.ERROR, "config": memory}
         if gpus:
             options["env"] = {"CUDA_VISIBLE_DEVICES": gpus[number % len(gpus)]}
-        # A process started separately does not run the user's script again, unlike one spawned by Python
+        # A separately started process does not run the user's script again; one spawned by Python would
         specs[number] = {"cls": SubprocessWorker, "options": {"name": str(number), "worker_kwargs": options}}
     scheduler: dict[str, Any] = {
         "cls": Scheduler,
         "options": {"host": "127.0.0.1", "port": 0, "dashboard": False, "dashboard_address": "127.0.0.1:0"},
     }
-    # A batch whose worker died is not retried whole: `palmfield.studies.sweeps.dispatch` retries its points one by one
+    # Dask must not retry a batch of a lost worker: `palmfield.studies.sweeps.dispatch` retries its points one by one
     scheduler["options"]["allowed_failures"] = 0
     try:
         cluster = SpecCluster(workers=specs, scheduler=scheduler, silence_logs=logging.CRITICAL)
@@ -103,38 +103,38 @@ def remote_cluster(address: str) -> Iterator[Any]:
 
 
 def slots(client: Any, scene: Path) -> list[Slot]:
-    """Return the threads of all workers, after a check that each has this palmfield and sees the scene.
+    """Return the threads of all workers, and check that each worker has this palmfield and can read the scene.
 
     Raises PalmfieldError with the worker's name if the check fails.
     """
     own = cache.code_mark()
     try:
-        known: dict[str, dict[str, Any]] = client.run(worker_facts, str(scene))
+        facts_of: dict[str, dict[str, Any]] = client.run(worker_facts, str(scene))
     except Exception as error:
         raise PalmfieldError(
             f"the workers cannot run palmfield: {reason_of(error, 300)}; install the same palmfield there, with extra "
             "[sweep]"
         ) from None
-    for address, facts in known.items():
+    for address, facts in facts_of.items():
         if facts["mark"] != own:
             raise PalmfieldError(
                 f"worker {address} has another version of palmfield, numpy, scipy or warp; install the same"
             )
         if not facts["sees"]:
-            raise PalmfieldError(f"worker {address} does not see {scene}; put the scene where all workers can read it")
+            raise PalmfieldError(f"worker {address} cannot read {scene}; put the scene where all workers can read it")
     threads = client.nthreads()
     on_host: Counter[str] = Counter()
-    for address in known:
-        on_host[known[address]["host"]] += threads[address]
+    for address in facts_of:
+        on_host[facts_of[address]["host"]] += threads[address]
     return [
         Slot(address, max(1, facts["cores"] // on_host[facts["host"]]))
-        for address, facts in known.items()
+        for address, facts in facts_of.items()
         for _ in range(threads[address])
     ]
 
 
 def worker_facts(scene: str) -> dict[str, Any]:
-    """Return the worker's digest of the code, whether it sees the scene, its host and cores."""
+    """Return a worker's digest of the code, whether it can read the scene, its host and number of cores."""
     import platform
 
     return {"mark": cache.code_mark(), "sees": Path(scene).is_file(), "host": platform.node(), "cores": cores()}
@@ -144,7 +144,7 @@ def visible_gpus() -> list[str]:
     """Return the GPUs of this machine that this process may use, as in CUDA_VISIBLE_DEVICES."""
     import warp
 
-    from palmfield import device  # noqa: F401  initialises Warp without its notice that there is none
+    from palmfield import device  # noqa: F401  initialises Warp without its message that no GPU exists
 
     count = warp.get_cuda_device_count()
     named = [name.strip() for name in os.environ.get("CUDA_VISIBLE_DEVICES", "").split(",") if name.strip()]
@@ -152,7 +152,7 @@ def visible_gpus() -> list[str]:
 
 
 def gpu_memory_bytes() -> int:
-    """Return the free memory of the GPUs that this process may use, the least of them; 0 without any."""
+    """Return the free memory of the usable GPU with the least free memory; 0 without a GPU."""
     import warp
 
     return min((device.free_memory for device in warp.get_cuda_devices()), default=0)

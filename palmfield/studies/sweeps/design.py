@@ -31,8 +31,8 @@ class Range(NamedTuple):
 class Design:
     """Points of a sweep.
 
-    kind: how they were made; keys: those swept
-    values: by key; of a grid those along its dimension, else one for each point
+    kind: how they were made; keys: names of the swept keys
+    values: by key; for a grid those along the dimension of the key, else one for each point
     """
 
     kind: Kind
@@ -77,11 +77,11 @@ def grid(values: Mapping[str, Sequence[Any] | np.ndarray]) -> Design:
     """Return every combination of the keys' values, the last key fastest.
 
     values: by key; of a vector's key a sequence of tuples or an array of shape (n, m)
-    Raises SceneError for no keys, a key without values or with one twice, and for more points than MOST_POINTS.
+    Raises SceneError without keys, for a key without values or with equal values, and for more points than MOST_POINTS.
     """
     if not values:
         raise SceneError("a grid has no keys; give at least one key with its values")
-    taken = {key: _plain(key, given) for key, given in values.items()}
+    taken = {key: _plain(key, of_key) for key, of_key in values.items()}
     for key, plain in taken.items():
         if len(set(plain)) < len(plain):
             twice = next(value for number, value in enumerate(plain) if value in plain[:number])
@@ -95,7 +95,7 @@ def listed(values: Mapping[str, Sequence[Any] | np.ndarray]) -> Design:
 
     Raises SceneError for keys without values or with different numbers of them.
     """
-    taken = {key: _plain(key, given) for key, given in values.items()}
+    taken = {key: _plain(key, of_key) for key, of_key in values.items()}
     lengths = {key: len(plain) for key, plain in taken.items()}
     if not lengths or len(set(lengths.values())) > 1:
         said = ", ".join(f"{key}: {count}" for key, count in lengths.items()) or "no keys"
@@ -107,7 +107,7 @@ def listed(values: Mapping[str, Sequence[Any] | np.ndarray]) -> Design:
 def random(values: Mapping[str, Range | Sequence[Any]], count: int, seed: int = 0) -> Design:
     """Draw points at random; equal seeds give equal points.
 
-    values: by key, a Range to draw numbers from, or a sequence to draw one element from
+    values: by key, a Range of numbers, or a sequence of which one element is drawn
     Raises SceneError for an empty range and for a count that is not above 0.
     """
     _check_drawn(values, count, "random")
@@ -159,7 +159,7 @@ def _spread(values: Mapping[str, Range | Sequence[Any]], unit: np.ndarray) -> di
 
 
 def check_range(key: str, wanted: Range) -> None:
-    """Raises SceneError for a range that is empty or cannot be logarithmic."""
+    """Check a range. Raises SceneError for a range that is empty or cannot be logarithmic."""
     low, high, logarithmic = wanted
     if not (math.isfinite(low) and math.isfinite(high) and low != high):
         raise SceneError(f"key '{key}' has the range {low:g}:{high:g}; allowed: two different finite numbers")
@@ -167,11 +167,11 @@ def check_range(key: str, wanted: Range) -> None:
         raise SceneError(f"key '{key}' has the logarithmic range {low:g}:{high:g}; allowed: both ends above 0")
 
 
-def _plain(key: str, given: Iterable[Any]) -> tuple[Value, ...]:
-    """Return values as plain Python, vectors as tuples. Raises SceneError for none or for other types."""
-    if isinstance(given, str) or not isinstance(given, Iterable):
-        raise SceneError(f"key '{key}' has values {given!r}; allowed: a sequence of values")
-    plain = tuple(_one(key, value) for value in given)
+def _plain(key: str, values: Iterable[Any]) -> tuple[Value, ...]:
+    """Return values as plain Python, vectors as tuples. Raises SceneError if there are none, or for other types."""
+    if isinstance(values, str) or not isinstance(values, Iterable):
+        raise SceneError(f"key '{key}' has values {values!r}; allowed: a sequence of values")
+    plain = tuple(_one(key, value) for value in values)
     if not plain:
         raise SceneError(f"key '{key}' has no values; give at least one")
     return plain

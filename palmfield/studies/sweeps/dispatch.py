@@ -22,9 +22,9 @@ def computed(
     """Yield results of all batches as Dask workers return them; each worker has one batch at a time.
 
     there: threads of the workers; todo: see `palmfield.studies.sweeps.batch.batches`
-    group, point: by the point's number; points of a batch are of one group
-    If a worker dies, the points of its batch are tried again at the end, one by one and alone on a worker. So only a
-    point that kills its worker by itself fails.
+    group, point: of the point with a number; points of a batch are of one group
+    If a worker dies, the points of its batch are tried again at the end, one by one, each alone on a worker. So a point
+    fails only if it kills its worker by itself.
     Raises PalmfieldError if the scheduler is lost.
     """
     from distributed import KilledWorker, as_completed
@@ -46,7 +46,7 @@ def computed(
         coming.add(future)
 
     def begin(slot: int) -> None:
-        """Give a thread its next batch; if its queue is empty, the last one of the longest queue."""
+        """Submit the next batch of a thread; if its queue is empty, the last batch of the longest queue."""
         longest = max(queues, key=len)
         if queues[slot]:
             submit(queues[slot].popleft().points, slot)
@@ -75,7 +75,7 @@ def computed(
                 "the command to continue"
             )
         future.release()
-        # Before the results are written, so that the worker does not wait for that
+        # The worker gets its next batch before the results are written, so that it does not wait
         alone = not under_way and not any(queues)
         begin(slot)
         if results:
@@ -83,7 +83,7 @@ def computed(
 
 
 def _present(client: Any, slots: Sequence[Slot], slot: int) -> Slot:
-    """Return a thread, or one of a worker that replaces a lost one."""
+    """Return a thread, or, if its worker is lost, a thread of the worker that replaces it."""
     own = slots[slot]
     present = client.nthreads()
     taken = {other.address for other in slots}

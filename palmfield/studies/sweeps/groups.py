@@ -1,4 +1,4 @@
-"""Group the points of a sweep into worlds of one model, and choose what their skins' layers are made for.
+"""Group the points of a sweep into worlds of one model, and choose the loads for which their layers are built.
 
 Both depend only on the design, not on the remaining points or on the workers. So an interrupted sweep continues with
 the same numbers.
@@ -28,10 +28,10 @@ from palmfield.studies.sweeps.design import Design, Value
 from palmfield.studies.sweeps.keys import SceneKeys
 
 MANY_LOADS = 20
-"""Number of different loads on a skin from which modes for every load are considered: on a palm the modes take some 80
-s of one core to make, and a reduced model 5 s."""
+"""Number of different loads on a skin from which modes for every load are considered: on a palm they take about 80
+s of one core to build, a reduced model 5 s."""
 LOOKED_AT = 2000
-"""Largest number of points of a group whose demands on a layer are examined."""
+"""Largest number of points of a group that are examined for their requirements on a layer."""
 LEVEL = ("drive_amplitude", "arp_peak_Pa")
 """Keys of a stimulus that change only the level of its load."""
 
@@ -42,8 +42,8 @@ Keys = Mapping[str, Value | None]
 class Group:
     """Points that may be worlds of one model.
 
-    points: their numbers in the design; base: keys with which MuJoCo's model is made
-    shared: their layers and solvers, common to the group; None for a point that is a simulation by itself
+    points: their numbers in the design; base: keys with which the MuJoCo model is built
+    shared: their layers and solvers, common to the group; None for a point that is simulated separately
     modes_bytes: approximate memory to make the modes
     """
 
@@ -56,8 +56,8 @@ class Group:
 def groups_of(scene: Path, design: Design, keys: SceneKeys, device: str | None, accuracy: float | None) -> list[Group]:
     """Split a design into groups, in the order of their first points.
 
-    Points that differ only in their stimuli form one group if they have MANY_LOADS different loads that modes can
-    serve, with one layer for the strictest of them. Else a group holds loads that differ only in level.
+    Points that differ only in their stimuli form one group if they have MANY_LOADS different loads that modes
+    can compute, with one layer for the strictest of them. Else the loads of a group differ only in level.
     """
     by_model: dict[object, dict[int, dict[str, Value]]] = defaultdict(dict)
     for number in range(design.count):
@@ -71,7 +71,7 @@ def groups_of(scene: Path, design: Design, keys: SceneKeys, device: str | None, 
         for number, point in points.items():
             differing = keys.differing(point)
             levels = {full: differing.pop(full) for full in list(differing) if full.rpartition(".")[2] in LEVEL}
-            # The keys that set the level; their values matter only for rounded levels
+            # Keys that set the level; their values change the load shape only on boards that round levels
             kind = tuple(levels if exact else levels.items())
             by_load[tuple(differing.items()), kind].append(number)
         several = _many_loads(scene, points, own, keys, device, accuracy) if len(by_load) >= MANY_LOADS else None
@@ -85,13 +85,13 @@ def groups_of(scene: Path, design: Design, keys: SceneKeys, device: str | None, 
 
 
 def _level(keys: Keys) -> float:
-    """Return the sum of the levels that a point sets, to find one that sounds."""
+    """Return the sum of the levels that a point sets, to find a point with sound."""
     values = [value for full, value in keys.items() if full.rpartition(".")[2] in LEVEL]
     return sum(value for value in values if isinstance(value, int | float))
 
 
 def _plays_any_level(keys: SceneKeys, own: Mapping[int, Keys]) -> bool:
-    """Whether the board plays any level unchanged, so that points differ only in level."""
+    """Return whether the board does not round levels, so that such points differ only in level."""
     (first, *_) = own.values()
     boards = [
         str(first.get(f"{instance.name}.board", instance.keys.get("board")))
@@ -109,7 +109,7 @@ def _many_loads(
     device: str | None,
     accuracy: float | None,
 ) -> Group | None:
-    """Return some points as one group whose skins move by modes for every load; None if that is not possible."""
+    """Return points as one group whose skins use modes for every load; None if that is not possible."""
     numbers = list(own)
     for number in (numbers[0], numbers[-1]):
         try:
@@ -123,20 +123,20 @@ def _many_loads(
         if skin.spec.config.solver != "auto" or mode_estimate.refusal(skin.spec, skin.layer) is not None:
             return None
     demands = [_demands(view, keys.differing(points[number])) for number in _looked_at(points)]
-    known = [demand for demand in demands if demand is not None]
-    if not known:
+    present = [demand for demand in demands if demand is not None]
+    if not present:
         return None
-    asked = tuple(strictest(of_skin) for of_skin in zip(*known, strict=True))
+    strictest_demands = tuple(strictest(of_skin) for of_skin in zip(*present, strict=True))
     if not all(_pays(skin, len(points), view.duration_s) for skin in view.runtime.model.skins):
         return None
     skins = view.runtime.model.skins
-    # Twice in double precision: vectors and their products
+    # Vectors and their products, both in double precision
     size = sum(16 * skin.layer.dofs * mode_estimate.expected_modes(skin.spec, skin.layer) for skin in skins)
-    return Group(tuple(own), base, Shared(asked, modal=True), round(size))
+    return Group(tuple(own), base, Shared(strictest_demands, modal=True), round(size))
 
 
 def _pays(skin: SkinModel, points: int, duration_s: float) -> bool:
-    """Whether modes for every load are predicted to take less time than a stepper for each point."""
+    """Return whether modes for every load are predicted to take less time than a stepper for each point."""
     modes, dofs = mode_estimate.expected_modes(skin.spec, skin.layer), skin.layer.dofs
     steps = duration_s / skin.layer.sizes.step_s
     if modes > MOST_SHARE * dofs:
@@ -146,7 +146,7 @@ def _pays(skin: SkinModel, points: int, duration_s: float) -> bool:
 
 
 def _looked_at(points: Mapping[int, Mapping[str, Value]]) -> list[int]:
-    """Return points that represent the demands of all: all, or those with extreme values and some between."""
+    """Return points that represent the requirements of all: all, or those with extreme values and some between."""
     numbers = list(points)
     if len(numbers) <= LOOKED_AT:
         return numbers
@@ -158,7 +158,7 @@ def _looked_at(points: Mapping[int, Mapping[str, Value]]) -> list[int]:
 
 
 def _demands(view: Preview, differing: Keys) -> list[LayerDemand] | None:
-    """Return a point's demands on each skin's layer; None for silence, and for invalid keys (its run reports them)."""
+    """Return the requirements of a point on each skin's layer; None for silence and invalid keys."""
     model = view.runtime.model
     by_instance: dict[str, dict[str, tuple[object, ...]]] = defaultdict(dict)
     for full, value in differing.items():
@@ -176,7 +176,7 @@ def _demands(view: Preview, differing: Keys) -> list[LayerDemand] | None:
 
 
 def in_words(groups: Sequence[Group]) -> str:
-    """Describe which stepper serves which points, in a sentence; "" where each point is by itself."""
+    """Describe in a sentence which points share modes; "" if no points share them."""
     many = [group for group in groups if group.shared is not None and group.shared.modal]
     if not many:
         return ""

@@ -1,4 +1,4 @@
-"""Meaning of the keys of a sweep in one scene: their instances and allowed values."""
+"""Assign the keys of a sweep to instances of one scene, and check their values."""
 
 import re
 from collections.abc import Mapping
@@ -21,7 +21,7 @@ _CONFIGS = {config.plugin: config for config in CONFIGS}
 
 
 class _Place(NamedTuple):
-    """One number or value that a key of a sweep sets. component: of a vector, None for the whole value"""
+    """One number or value that a key of a sweep sets. component: index in a vector, None for the whole value"""
 
     instance: Instance
     key: str
@@ -29,7 +29,7 @@ class _Place(NamedTuple):
 
 
 def _may_differ(place: _Place) -> bool:
-    """Whether the value may differ between worlds of one model."""
+    """Return whether the value may differ between worlds of one model."""
     return place.instance.plugin == STIMULUS and place.key not in BOUND
 
 
@@ -46,9 +46,9 @@ class SceneKeys:
     fixed: dict[str, Value | None]
 
     def of_point(self, point: Mapping[str, Value | None]) -> dict[str, Value | None]:
-        """Return keys as `palmfield.Simulation` takes them, from a point's values by key of the sweep.
+        """Return keys for `palmfield.Simulation` from the values of a point.
 
-        Raises SceneError for a component of a key that is no vector, or a shorter one.
+        Raises SceneError for a component of a key that is not a vector or is shorter.
         """
         result: dict[str, Value | None] = dict(self.fixed)
         for key, value in point.items():
@@ -63,7 +63,7 @@ class SceneKeys:
         return tuple(sorted(own.items()))
 
     def differing(self, point: Mapping[str, Value]) -> dict[str, Value | None]:
-        """Return the keys of a point, as `of_point` gives them, that may differ between worlds of one model."""
+        """Return those keys of `of_point` that may differ between worlds of one model."""
         own = self.of_point(point)
         names = [f"{p.instance.name}.{p.key}" for key in point for p in self.places[key] if _may_differ(p)]
         return {name: own[name] for name in dict.fromkeys(names)}
@@ -76,21 +76,21 @@ class SceneKeys:
         return sorted({text for key, text in named if key in FILE_KEYS})
 
     def _replaced(
-        self, known: dict[str, Value | None], instance: Instance, name: str, component: int, value: Value | None
+        self, keys: dict[str, Value | None], instance: Instance, name: str, component: int, value: Value | None
     ) -> tuple[float, ...]:
         """Return the vector of a key with one component replaced."""
-        given = known.get(f"{instance.name}.{name}", instance.keys.get(name))
-        if given is None:
+        current = keys.get(f"{instance.name}.{name}", instance.keys.get(name))
+        if current is None:
             field = _CONFIGS[instance.plugin].model_fields[name] if instance.plugin in _CONFIGS else None
-            given = () if field is None else field.default
+            current = () if field is None else field.default
         element = f"key '{instance.name}.{name}[{component}]'"
         try:
-            vector = [float(part) for part in as_text(given).split()]
+            vector = [float(part) for part in as_text(current).split()]
             if component < len(vector):
                 vector[component] = float(value)  # type: ignore[arg-type]
                 return tuple(vector)
         except (TypeError, ValueError):
-            raise SceneError(f"{element} has value {value!r} in {given!r}; allowed: numbers in a vector") from None
+            raise SceneError(f"{element} has value {value!r} in {current!r}; allowed: numbers in a vector") from None
         raise SceneError(f"{element}: the key has {len(vector)} numbers; allowed: 0 to {len(vector) - 1}")
 
 
@@ -98,7 +98,7 @@ def scene_keys(scene: str | Path, design: Design, fixed: Mapping[str, Value | No
     """Check a design and the keys that all points share against a scene.
 
     Raises SceneError for a scene that cannot be read, unknown instances and keys, two keys that set the same value, and
-    values that are invalid for any values of the others.
+    values that are invalid whatever the other values are.
     """
     places: dict[str, tuple[_Place, ...]] = {}
     taken: dict[tuple[str, str], list[tuple[str, int | None]]] = {}
@@ -111,7 +111,7 @@ def scene_keys(scene: str | Path, design: Design, fixed: Mapping[str, Value | No
         places[key] = tuple(_Place(by_name[owner], name, component) for owner in changes)
         for owner in changes:
             for other, part in taken.setdefault((owner, name), []):
-                # One component of a vector that all points share may be swept
+                # One component may be swept of a vector that all points share
                 whole_first = part is None and component is not None and other in fixed
                 if not whole_first and (component is None or part is None or part == component):
                     raise SceneError(f"keys '{other}' and '{key}' both set {owner}.{name}; give one of them")
@@ -120,14 +120,14 @@ def scene_keys(scene: str | Path, design: Design, fixed: Mapping[str, Value | No
         for place in places[key]:
             for value in dict.fromkeys(values):
                 _check_value(place, value)
-    known = SceneKeys(tuple(instances_of(scene, {})[0]), places, {})
-    known = replace(known, fixed=known.of_point(fixed))
-    known.of_point(design.point(0))
-    return known
+    keys = SceneKeys(tuple(instances_of(scene, {})[0]), places, {})
+    keys = replace(keys, fixed=keys.of_point(fixed))
+    keys.of_point(design.point(0))
+    return keys
 
 
 def _check_value(place: _Place, value: Value | None) -> None:
-    """Raises SceneError for a value of a key that is invalid for any values of the others."""
+    """Raise SceneError for a value of a key that is invalid whatever the other values are."""
     config = _CONFIGS.get(place.instance.plugin)
     if config is None or value is None or place.component is not None:
         return

@@ -1,4 +1,4 @@
-"""Properties of a sweep before its first point: labels of its dimensions, times, size and memory."""
+"""Determine labels of the dimensions, times, size and memory of a sweep before it runs."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +24,7 @@ from palmfield.types import Float
 class Overview:
     """name: of the scene; labels: see `palmfield.studies.sweeps.store.Labels`; times: of courses [s], shape (t,)
 
-    duration_s: of each point [s]; device: of the fields, "cpu" or "cuda:N"; memory_bytes: estimate for a worker
+    duration_s: of each point [s]; device: of the fields, "cpu" or "cuda:N"; memory_bytes: estimate for a worker [bytes]
     point_bytes: part of it for each further point as a world of the same simulation
     scene_digest: identifies the scene
     """
@@ -50,7 +50,7 @@ def overview(
 ) -> Overview:
     """Examine the first and the last point of a sweep, without simulation.
 
-    Raises the error of the first point if neither can be made, and SceneError for a duration that is not > 0.
+    Raises the error of the first point if neither is valid, and SceneError for a duration that is not > 0.
     """
     if duration_s is not None:
         check_duration(duration_s)
@@ -92,7 +92,7 @@ def _memory_bytes(view: Preview, records: int) -> int:
 
 
 def _point_bytes(view: Preview, records: int) -> int:
-    """Size of the skins' state, and of displacement and velocity of all vertices over the run, in single precision."""
+    """Return the size of the state of the skins, and of motion of all vertices over the run in single precision."""
     layers = [skin.layer for skin in view.runtime.model.skins]
     return sum(8 * records * layer.mesh.surface_nodes + 8 * layer.state_room for layer in layers)
 
@@ -104,5 +104,5 @@ def _digest(scene: Path, view: Preview, design: Design, keys: SceneKeys) -> str:
     mujoco.mj_saveModel(model, None, image)
     files = [scene.parent / name for name in keys.files(design)]
     # The folder is not included, so that scene and results may be moved together
-    known = image.tobytes().replace(str(scene.parent).encode(), b"")
-    return cache.digest(known, [path.read_bytes() for path in files if path.is_file()])
+    scene_bytes = image.tobytes().replace(str(scene.parent).encode(), b"")
+    return cache.digest(scene_bytes, [path.read_bytes() for path in files if path.is_file()])

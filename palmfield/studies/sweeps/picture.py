@@ -1,4 +1,4 @@
-"""The picture of a sweep: lines over one key, heat maps over two, points over each key otherwise."""
+"""Draw a sweep: lines over one key, heat maps over two, points over each key otherwise."""
 
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,13 +18,13 @@ MARKS = "osD^v"
 MOST_PANELS = 4
 """Largest number of keys over which points are drawn."""
 MOST_TICKS = 7
-"""Largest number of values with a label each on an axis."""
+"""Largest number of values that each get a label on an axis."""
 SPACED = 3.0
-"""Factor: axes of positive values are logarithmic where ratios of neighbours vary less than differences by it."""
+"""Axes of positive values are logarithmic if ratios of neighbours vary less than differences by this factor."""
 
 
 class _Quantity(NamedTuple):
-    """A drawn quantity. name: of the variable; unit: on the axis; factor: from SI to it"""
+    """A drawn quantity. name: of the variable; unit: on the axis; factor: from SI to this unit"""
 
     name: str
     title: str
@@ -43,16 +43,16 @@ def plot_sweep(dataset: xr.Dataset, path: Path) -> None:
     dataset: of `open_dataset`. Raises OutputError if no point is done or `path` cannot be written.
     """
     keys = swept_keys(dataset)
-    known = [quantity for quantity in QUANTITIES if _finite(dataset[quantity.name])]
-    if not known:
+    available = [quantity for quantity in QUANTITIES if _finite(dataset[quantity.name])]
+    if not available:
         raise OutputError("no point of the sweep has results yet; the dataset holds the cause of each failure")
     with style():
         if "point" not in dataset.dims and len(keys) == 1:
-            figure = _lines(dataset, keys[0], [*known, *MORE])
+            figure = _lines(dataset, keys[0], [*available, *MORE])
         elif "point" not in dataset.dims and len(keys) == 2:
-            figure = _maps(dataset, keys, known)
+            figure = _maps(dataset, keys, available)
         else:
-            figure = _points(dataset, keys, known)
+            figure = _points(dataset, keys, available)
         failed = int((dataset["status"] == FAILED).sum())
         missing = int(dataset["status"].size - (dataset["status"] > 0).sum())
         notes = [f"{failed} points failed"] * bool(failed) + [f"{missing} points not computed yet"] * bool(missing)
@@ -85,7 +85,7 @@ def _lines(dataset: xr.Dataset, key: str, quantities: list[_Quantity]) -> Figure
 
 
 def _maps(dataset: xr.Dataset, keys: list[str], quantities: list[_Quantity]) -> Figure:
-    """Draw one map for each quantity and skin: of levels that of the first observer with any."""
+    """Draw one map for each quantity and skin; levels are for the first observer that has any."""
     skins = [str(name) for name in dataset["skin"].values]
     figure = Figure(figsize=(4.6 * len(quantities), 3.9 * len(skins) + 0.3), dpi=DPI, layout="constrained")
     panels = figure.subplots(len(skins), len(quantities), squeeze=False)
@@ -101,7 +101,7 @@ def _maps(dataset: xr.Dataset, keys: list[str], quantities: list[_Quantity]) -> 
                 axes.plot(x[failed[:, 1]], y[failed[:, 0]], "x", color="#b91c1c", ms=7, label="failed")
                 axes.legend(loc="upper right", fontsize=8)
             axes.grid(visible=False)
-            axes.set_facecolor("#e5e5e5")  # no number
+            axes.set_facecolor("#e5e5e5")  # colour of missing values
             for side in ("left", "bottom"):
                 axes.spines[side].set_visible(False)
             figure.colorbar(drawn, ax=axes, pad=0.02, label=quantity.unit)
@@ -113,7 +113,7 @@ def _maps(dataset: xr.Dataset, keys: list[str], quantities: list[_Quantity]) -> 
 
 
 def _points(dataset: xr.Dataset, keys: list[str], quantities: list[_Quantity]) -> Figure:
-    """Draw each quantity over each key; for a grid over many keys the other keys scatter the points."""
+    """Draw each quantity over each key; in a grid, points with equal value differ in the other keys."""
     shown = keys[:MOST_PANELS]
     flat = dataset[[quantity.name for quantity in quantities]]
     if "point" not in dataset.dims:
@@ -149,7 +149,7 @@ def _curves(dataset: xr.Dataset, quantity: _Quantity) -> list[tuple[str, Float]]
         for observer in observers:
             one = of_skin if observer is None else of_skin.sel(observer=observer)
             if observer is not None and not _finite(one) and _finite(of_skin):
-                continue  # refused everywhere
+                continue  # no level at any point
             label = ", ".join([*whose, *([] if observer is None else [observer])])
             curves.append((label, quantity.factor * np.asarray(one.values, dtype=float)))
     return curves
@@ -182,7 +182,7 @@ def _places(dataset: xr.Dataset, key: str) -> tuple[Float, list[str]]:
 
 
 def _edges(places: Float) -> Float:
-    """Borders of cells around positions; outer cells are as wide as their neighbours."""
+    """Return borders of cells around positions; outer cells are as wide as their neighbours."""
     if len(places) == 1:
         width = abs(places[0]) or 1.0
         return np.array([places[0] - 0.5 * width, places[0] + 0.5 * width])
@@ -202,7 +202,7 @@ def _name_axis(axis: Any, key: str, dataset: xr.Dataset, places: Float, words: l
 
 
 def _geometric(places: Float) -> bool:
-    """Whether values increase by factors rather than by steps."""
+    """Return whether values increase by factors rather than by steps."""
     ordered = np.sort(places)
     ratios, steps = ordered[1:] / ordered[:-1], np.diff(ordered)
     return bool(np.ptp(np.log(ratios)) * SPACED < np.ptp(np.log(steps)))

@@ -1,4 +1,4 @@
-"""Results that a sweep stores for one point: numbers of a simulation's run, and a few courses over time."""
+"""Results that a sweep stores for one point: numbers of a run, and a few quantities over time."""
 
 import math
 import time
@@ -29,11 +29,11 @@ def sensor_names(scene: Simulation | Preview) -> list[str]:
 
 
 def measured(simulation: Simulation, duration_s: float, times: Float, errors: bool) -> list[Numbers]:
-    """Run a simulation and return the numbers of its worlds, each a point, or of a single world.
+    """Run a simulation and return the numbers of its worlds; each world is a point.
 
     duration_s: simulated time [s]; times: of courses, from the start of the run [s], shape (t,)
     errors: whether the error of the displacement is estimated, which takes longer than most runs
-    Raises the errors of the run (SceneError, DeviceError).
+    Raises SceneError and DeviceError of the run.
     """
     started = time.perf_counter()
     model = simulation.runtimes[0].model
@@ -76,7 +76,7 @@ def _skin(watched: Watched, world: int, number: int, times: Float) -> dict[str, 
     )
     frequency = levels.get("main_frequency_Hz")
     last = np.zeros(len(watched.times), bool)
-    if frequency is not None:  # else the sound does not repeat
+    if frequency is not None:  # None if the sound is not periodic
         last = watched.times > watched.times[-1] - 1.0 / frequency + 1e-9
     force = watched.forces[:, world, number]
     return {
@@ -115,9 +115,9 @@ def _estimate(watched: Watched, world: int, number: int) -> tuple[float, str]:
 
 
 def resampled(own: Float, values: Float, times: Float) -> Float:
-    """Resample a course at other times [s] by a cubic spline; at its own times the values are unchanged.
+    """Resample a time series by a cubic spline; at its own times the values are unchanged.
 
-    own, times: rising, shapes (n,) and (t,); values: shape (n,). NaN after the course's end.
+    own, times: rising, shapes (n,) and (t,); values: shape (n,). NaN after the last of `own`.
     """
     if len(own) == len(times) and np.allclose(own, times, rtol=0.0, atol=1e-9):
         return values

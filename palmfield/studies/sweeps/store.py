@@ -1,4 +1,4 @@
-"""The dataset of a sweep on disk: one Zarr group that xarray opens, written point by point.
+"""The dataset of a sweep on disk: one Zarr group readable by xarray, written point by point.
 
 The description of the sweep is written first. Each array's chunks are replaced whole (Zarr writes a new file and
 renames it), and `status` comes last. So a point counts as done only when it is complete, even if a process was killed.
@@ -26,22 +26,22 @@ from palmfield.studies.sweeps.variables import COURSES, DONE, FAILED, variables
 
 DATASET = "sweep.zarr"
 BLOCK_BYTES, TEXT_BYTES = 4096, 64
-"""Name in the file system, and in a text."""
+"""Block size of the file system, and assumed size of a text [bytes]."""
 CHUNK_POINTS = 4096
 """Points in one chunk of a variable with one or a few numbers for each point."""
 
 Labels = Mapping[str, NDArray[Any]]
-"""Coordinates of the dimensions after the design's: `skin`, `sensor`, `stimulus`, `observer`, `time`, `step_time`."""
+"""Coordinates of dimensions other than the keys: `skin`, `sensor`, `stimulus`, `observer`, `time`, `step_time`."""
 
 
 def size_bytes(design: Design, labels: Labels, errors: bool) -> int:
-    """Largest size of the dataset on disk, before compression."""
+    """Return the largest size of the dataset on disk, before compression [bytes]."""
     total = 0
     for variable in variables(errors).values():
         one = math.prod(_shape(variable, labels)) * (
             TEXT_BYTES if variable.dtype == "str" else _type(variable).itemsize
         )
-        # The course of each point is a file
+        # The time series of each point is a file
         total += design.count * (math.ceil(one / BLOCK_BYTES) * BLOCK_BYTES if _is_course(variable) else one)
     return total
 
@@ -53,10 +53,10 @@ class SweepStore:
     """
 
     def __init__(self, out: Path, design: Design, labels: Labels, attributes: Mapping[str, Any], errors: bool) -> None:
-        """Make the dataset in a folder, or open the one that an earlier run of the same sweep has left there.
+        """Make the dataset in a folder, or open the one of an interrupted run of the same sweep.
 
-        attributes: of the dataset; those in `identity`, a mapping, identify the sweep
-        Raises OutputError if the folder cannot be written, or holds another sweep.
+        attributes: of the dataset; the mapping `identity` among them identifies the sweep
+        Raises OutputError if the folder cannot be written, or contains another sweep.
         """
         self.path, self.design = Path(out) / DATASET, design
         # A scene without sensors has an empty dimension `sensor`
@@ -89,14 +89,14 @@ class SweepStore:
 
     @property
     def done(self) -> int:
-        """Number of points on the disk."""
+        """Return the number of points on the disk."""
         return int((np.asarray(self._groups["status"][...]) == DONE).sum())
 
     def failure(self, number: int) -> str:
         return str(self._small["failure"][self.design.index(number)])
 
     def _take(self, index: tuple[int, ...], result: Numbers | Failed) -> None:
-        """Copy one point into memory, except its courses."""
+        """Copy one point into memory, except its time series."""
         if isinstance(result, Failed):
             self._small["failure"][index] = result.reason
             self.status[index] = FAILED
@@ -108,7 +108,7 @@ class SweepStore:
         self.status[index] = DONE
 
     def _write_courses(self, results: Mapping[int, Numbers | Failed]) -> None:
-        """Write courses to the disk: those of neighbours in the design together, so that files are in parallel."""
+        """Write time series to the disk, neighbours in the design together, so that Zarr works in parallel."""
         done = {number: result for number, result in sorted(results.items()) if not isinstance(result, Failed)}
         runs: list[list[int]] = []
         for number in done:
@@ -138,7 +138,7 @@ class SweepStore:
     # -- making and opening ----------------------------------------------------------------------------------------
 
     def _make(self, labels: Labels, attributes: Mapping[str, Any]) -> None:
-        """Make the dataset without points; it is complete before it gets its name."""
+        """Make the dataset without points; it gets its final name when it is complete."""
         import dask.array
 
         arrays: dict[str, xr.Variable] = {}
@@ -147,7 +147,7 @@ class SweepStore:
             dims, shape = (*self.design.dims, *variable.dims), (*self.design.shape, *_shape(variable, labels))
             chunks = self._chunks(variable, shape)
             empty: Any = "" if variable.dtype == "str" else 0 if variable.dtype == "int8" else np.nan
-            # Never computed: only shapes and attributes are written, for any number of points
+            # Lazy arrays: only shapes and attributes are written
             made = dask.array.full(shape, empty, dtype=_type(variable), chunks=-1)
             arrays[name] = xr.Variable(dims, made, variable.attributes)
             encoding[name] = {"chunks": chunks}
@@ -177,15 +177,15 @@ class SweepStore:
             made[key] = (dim, _column(values), {"long_name": f"key {key}"} | _unit(key))
         if self.design.kind != "grid":
             made["point"] = ("point", np.arange(self.design.count), {"long_name": "number of the point; first 0"})
-        for name, known in labels.items():
+        for name, values in labels.items():
             about = {"units": "s", "long_name": "from the run's start"} if name in COURSES else {}
-            made[name] = (name, known.astype(object) if known.dtype.kind == "U" else known, about)
+            made[name] = (name, values.astype(object) if values.dtype.kind == "U" else values, about)
         names, what = LABELS["xyz"]
         made["xyz"] = ("xyz", np.array(names, dtype=object), {"long_name": what})
         return made
 
     def _check_same(self, identity: Mapping[str, Any]) -> None:
-        """Raises OutputError if the folder holds another sweep, with the difference."""
+        """Raise OutputError, with the difference, if the folder contains another sweep."""
         import zarr
 
         there = json.loads(str(zarr.open_group(self.path, mode="r").attrs["identity"]))
@@ -194,7 +194,7 @@ class SweepStore:
         if differing:
             name = differing[0]
             raise OutputError(
-                f"{self.path} holds another sweep: its {name} is {_short(there.get(name))}, not "
+                f"{self.path} contains another sweep: its {name} is {_short(there.get(name))}, not "
                 f"{_short(wanted[name])}; choose another folder, or delete this one"
             )
 
@@ -212,7 +212,7 @@ class SweepStore:
 
 
 def open_dataset(path: Path) -> xr.Dataset:
-    """Open a sweep's dataset, which is read lazily. Raises OutputError if there is none."""
+    """Open the dataset of a sweep for lazy reading. Raises OutputError if there is none."""
     try:
         dataset = xr.open_zarr(path, consolidated=False, chunks=None)
         # Zarr does not keep their order
@@ -222,7 +222,7 @@ def open_dataset(path: Path) -> xr.Dataset:
 
 
 def swept_keys(dataset: xr.Dataset) -> list[str]:
-    """Return the swept keys of a dataset, in the design's order."""
+    """Return the swept keys of a dataset, in the order of the design."""
     return list(json.loads(json.loads(dataset.attrs["identity"])["design"])["values"])
 
 
@@ -232,7 +232,7 @@ def _rows_a_chunk(design: Design) -> int:
 
 
 def _is_course(variable: Variable) -> bool:
-    """Whether a variable has many numbers over time for each point."""
+    """Return whether a variable has many numbers over time for each point."""
     return bool(set(variable.dims) & set(COURSES))
 
 
@@ -245,7 +245,7 @@ def _type(variable: Variable) -> np.dtype[Any]:
 
 
 def _column(values: Sequence[Any]) -> NDArray[Any]:
-    """Return the values of one key as a coordinate: numbers, or texts where one is a text or a vector."""
+    """Return the values of one key as a coordinate: numbers, or texts if any value is a text or a vector."""
     if all(isinstance(value, int | float) for value in values):
         return np.array(values, dtype=float)
     words = [" ".join(f"{part:.12g}" for part in value) if isinstance(value, tuple) else str(value) for value in values]

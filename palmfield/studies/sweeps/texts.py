@@ -1,4 +1,4 @@
-"""Designs as they are written on the command line and in tables."""
+"""Read designs from the command line and from tables."""
 
 import csv
 from collections import Counter
@@ -31,8 +31,8 @@ def read_design(
     A shared key with value None is removed from the scene.
 
     settings: KEY=VALUES, see FORMS, or DRAWN_FORMS with random_points or sobol_points
-    table: CSV file whose head names keys, a row a point; settings then hold the shared keys
-    Raises SceneError for an invalid text, an empty range, a repeated key, several kinds of design at once.
+    table: CSV file with keys in its first line and a row for each point; settings then give the shared keys
+    Raises SceneError for an invalid text, an empty range, a repeated key, or several kinds of design at once.
     """
     kinds = [random_points is not None, sobol_points is not None, table is not None]
     if sum(kinds) > 1:
@@ -41,9 +41,9 @@ def read_design(
     swept: dict[str, Range | list[Value]] = {}
     fixed: dict[str, Value | None] = {}
     for text in settings:
-        key, given, values = text.partition("=")
+        key, equals, values = text.partition("=")
         key, values = key.strip(), values.strip()
-        if not given or not key:
+        if not equals or not key:
             raise SceneError(f"--set {text} has no values; write {DRAWN_FORMS if drawn else FORMS}")
         if key in swept or key in fixed:
             raise SceneError(f"--set {text}: key '{key}' is given twice; give each key once")
@@ -55,7 +55,7 @@ def read_design(
     if table is not None:
         if swept:
             raise SceneError(
-                f"--set {next(iter(swept))} has several values, but --list already holds the points; "
+                f"--set {next(iter(swept))} has several values, but --list already gives the points; "
                 "give one of the two"
             )
         return _read_table(table, fixed), fixed
@@ -69,7 +69,7 @@ def read_design(
 
 
 def _values(key: str, text: str, drawn: bool) -> list[Value] | Range | Value:
-    """Parse a text: several values, a range to draw from, or one value."""
+    """Parse a text: several values, a range of random values, or one value."""
     parts = text.split(":")
     logarithmic = len(parts) > 2 and parts[-1] == "log"
     numbers = parts[:-1] if logarithmic else parts
@@ -101,7 +101,7 @@ def _range(key: str, text: str, parts: list[str], logarithmic: bool, drawn: bool
     if drawn:
         return wanted
     values = np.geomspace(low, high, count) if logarithmic else np.linspace(low, high, count)
-    # 0.1 + 0.2 would be named 0.30000000000000004
+    # Rounded, because 0.1 + 0.2 would be labelled 0.30000000000000004
     return [float(f"{value:.12g}") for value in values]
 
 
@@ -115,7 +115,7 @@ def _number(word: str) -> Value:
 
 
 def _read_table(path: Path, fixed: dict[str, Value | None]) -> Design:
-    """Read the points of a CSV file. Raises SceneError if it cannot be read or is no table."""
+    """Read the points of a CSV file. Raises SceneError if it cannot be read or is not a table."""
     try:
         with regular(path).open(newline="", encoding="utf-8-sig") as file:
             rows = [row for row in csv.reader(file, skipinitialspace=True) if any(cell.strip() for cell in row)]

@@ -77,7 +77,7 @@ VARIABLES: dict[str, Variable] = {
     ),
     "level_why": Variable(("skin", "observer"), "str", "", "reason why the observer applies or is refused"),
 }  # fmt: skip
-"""Of every sweep. NaN where a point has failed, is not there yet, or has no such number."""
+"""Variables of every sweep. NaN if a point has failed, is not computed yet, or has no such number."""
 ERRORS: dict[str, Variable] = {
     "displacement_error": Variable(
         ("skin",), "float64", "1", "estimated relative error of the displacement: mesh, step, reduction, cut edges"
@@ -91,7 +91,7 @@ RECORDS: dict[str, Variable] = {
     "failure": Variable((), "str", "", "cause of a failed point"),
     "status": Variable((), "int8", "1", "0 not computed yet, 1 done, 2 failed"),
 }
-"""About the computing."""
+"""Variables on the computation."""
 COURSES = ("time", "step_time")
 """Dimensions along which each point has many numbers."""
 

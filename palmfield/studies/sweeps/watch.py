@@ -1,4 +1,4 @@
-"""Results that a sweep observes in running worlds: motion of all vertices, highest ARP, forces and sensors of each."""
+"""Record motion of all vertices, highest ARP, forces and sensors of running worlds for a sweep."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,13 +16,13 @@ NORMAL = list(CHANNELS).index("normal_displacement_m")
 
 
 class Watched:
-    """Observes the worlds of a simulation, or its single world, from the start.
+    """Records the worlds of a simulation from its start.
 
-    simulation: at rest, or in its present state; steps: number of MuJoCo steps that follow
+    simulation: any state; steps: number of MuJoCo steps that follow
     times: ends of the substeps, from the start of the run [s], shape (t,)
     motion: by skin, normal displacement [m] and velocity [m/s] in each world, shape (w, t, 2, S)
-    arp: highest ARP at these times [Pa], shape (w, skins, t); peak_arp: of all times, shape (w, skins)
-    loudest: the loudest moments by world and skin, None in silence
+    arp: highest ARP at these times [Pa], shape (w, skins, t); peak_arp: maximum over time, shape (w, skins)
+    loudest: the moments of highest ARP by world and skin, None in silence
     forces: mean force of the sound on each skin's body in each step [N], world axes, shape (steps, w, skins, 3)
     sensors: normal displacement at all skins' sensors at the beginning of each step [m], shape (steps, w, sensors)
     """
@@ -44,7 +44,7 @@ class Watched:
         self.loudest: list[list[LoudestMoment | None]] = [[None] * len(model.skins) for _ in self.runtimes]
         self.forces: Float = np.zeros((steps, count, len(model.skins), 3))
         self.sensors: Float = np.zeros((steps, count, len(names)))
-        # Highest ARP of the unit drive of a world on a skin, with the numbers of the pose and drive that it belongs to
+        # Highest ARP of the unit drive of a world on a skin, with the numbers of its pose and drive
         self._units: dict[tuple[int, int], tuple[tuple[int, int], float]] = {}
         self._steps, self.begun_s = 0, simulation.time
         operators = tuple(skin.layer.surface_operator for skin in model.skins)
@@ -80,7 +80,7 @@ class Watched:
         self.times[rows] = trace.times - self.begun_s
         for motion, watched in zip(self.motion, trace.motion, strict=True):
             for worlds, seen in watched:
-                # World by world, as whole rows: NumPy processes an index array number by number
+                # Whole rows, world by world, because NumPy is slow with index arrays
                 for world, own in zip(worlds.tolist(), seen, strict=True):
                     motion[world, rows] = own
         if len(trace.worlds) == 1 or trace.levels.shape[2] != 1:
@@ -103,16 +103,16 @@ class Watched:
                 self._note(trace, i, skin, trace.times[last[i]], highest[i])
 
     def _unit(self, trace: StepTrace, i: int, skin: int) -> float:
-        """Return the highest ARP on a skin of the unit drive of the i-th world that was stepped [Pa]; 0 in silence."""
+        """Return the highest ARP on a skin of the unit drive of the i-th stepped world [Pa]; 0 in silence."""
         world, posed, course = int(trace.worlds[i]), trace.posed[i], trace.course(i)
         if len(course.units) == 0:
             return 0.0
-        known, key = self._units.get((world, skin)), (posed.serial, course.serial)
-        if known is None or known[0] != key:
+        cached, key = self._units.get((world, skin)), (posed.serial, course.serial)
+        if cached is None or cached[0] != key:
             radiation = self.runtimes[world].work.radiation
             arp = radiation.on(posed, skin, "nodes", course.units[0], course.serial).arp
-            known = self._units[world, skin] = key, float(arp.max())
-        return known[1]
+            cached = self._units[world, skin] = key, float(arp.max())
+        return cached[1]
 
     def _note(self, trace: StepTrace, i: int, skin: int, time_s: float, factor: float) -> None:
         moment = LoudestMoment(float(time_s), trace.posed[i], trace.course(i).units[0], float(factor))

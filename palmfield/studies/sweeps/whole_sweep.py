@@ -47,11 +47,11 @@ LARGE_BYTES = 2e9
 LONG_S = 3600.0
 """A sweep longer than this needs confirmation."""
 SURE_BATCHES = 2
-"""Batches of each worker after which the rest is predicted: the first one makes the model."""
+"""Number of batches of each worker after which the remaining time is predicted; the first one builds the model."""
 SURE_S = 120.0
-"""Time after which the rest is predicted otherwise, with at least one point done [s]."""
+"""Time after which it is predicted in any case, if at least one point is done [s]."""
 MOST_PER_GPU = 8
-"""Workers that share a GPU: while it computes for one, Python prepares the next task of the others."""
+"""Largest number of workers that share a GPU: while it computes for one, the others prepare tasks in Python."""
 PICTURE = "sweep.png"
 EXTRA = ("dask", "distributed", "zarr")
 
@@ -62,8 +62,8 @@ Ask = Callable[[str], bool]
 class Sweep:
     """Result of a sweep.
 
-    out: its folder; files: paths by name; points, done: number of all points, and of those done
-    failed: why points have failed, by their numbers in the design
+    out: its folder; files: paths by name; points, done: numbers of all and of completed points
+    failed: reasons of failed points, by number in the design
     """
 
     out: Path
@@ -75,7 +75,7 @@ class Sweep:
 
     @property
     def dataset(self) -> xr.Dataset:
-        """The numbers of all points, opened at first use and read lazily."""
+        """Numbers of all points, opened at first use and read lazily."""
         if not self._opened:
             self._opened.append(open_dataset(self.files["sweep.zarr"]))
         return self._opened[0]
@@ -105,29 +105,29 @@ def sweep(
     scene: a file; design: values by key for every combination of them, or one of `palmfield.studies.sweeps`: `grid`,
         `listed`, `random`, `sobol`. Keys are INSTANCE.KEY or PLUGIN.KEY, or one number of a vector, such as
         "stimulus.focus_m[0]"; keys: values that all points share, None removes a key from the scene
-    out: folder, made if missing; an interrupted sweep there continues, and failed points are tried again
-    workers: processes on this machine, by default as many as cores and memory allow, at most 8 a GPU; 0 computes in
-        this process, without Dask
-    scheduler: address of a running Dask cluster, in place of workers; it must see the file of the scene
+    out: folder, created if missing; an interrupted sweep in it continues, and failed points are tried again
+    workers: processes on this machine, by default as many as cores and memory allow, at most 8 for each GPU; 0 computes
+        in this process, without Dask
+    scheduler: address of a running Dask cluster, instead of workers; its workers must be able to read the scene
     device, accuracy: see `palmfield.load`; duration_s: of each point [s], that of the scene by default
-    errors: whether each point's error is estimated, which takes longer than most runs; picture: whether one is drawn
-    progress: whether a bar is drawn on a terminal's standard error
-    yes: whether a sweep of more than 2 GB or an hour goes on; without it `ask` is called with a question
-    Ctrl-C, a full disk and lost workers keep the results so far: the same call continues. A point that fails is
-    recorded.
+    errors: whether the error of each point is estimated, which takes longer than most runs
+    picture: whether a picture is drawn; progress: whether a progress bar is shown on a terminal's standard error
+    yes: whether a sweep of more than 2 GB or an hour needs no confirmation; else `ask` is called with a question
+    After Ctrl-C, a full disk or loss of workers the results so far are kept, and the same call continues. A failed
+    point is recorded.
     Raises SceneError for invalid keys and values before anything runs; PalmfieldError for a cluster that cannot be
-    reached; OutputError for a folder that cannot be written or holds another sweep, and if `ask` refuses.
+    reached; OutputError for a folder that cannot be written or contains another sweep, and if `ask` returns false.
     """
     design = design if isinstance(design, Design) else grid(design)
     _check_arguments(scene, workers, scheduler)
     if scheduler is not None:
         with remote_cluster(scheduler):
-            pass  # before anything is made
+            pass  # check before files are created
     path, out = Path(scene).resolve(), Path(out)
-    known = scene_keys(scene, design, keys or {})
-    view = overview(path, design, known, device=device, accuracy=accuracy, duration_s=duration_s)
+    checked = scene_keys(scene, design, keys or {})
+    view = overview(path, design, checked, device=device, accuracy=accuracy, duration_s=duration_s)
     gpus = visible_gpus() if view.device.startswith("cuda") and workers != 0 and scheduler is None else []
-    groups = groups_of(path, design, known, device, accuracy)
+    groups = groups_of(path, design, checked, device, accuracy)
     most = MOST_ON_GPU if view.device.startswith("cuda") else MOST_IN_BATCH
     memory = _memory_bytes(view, groups, most)
     count = _worker_count(workers, gpus, design.count, memory, gpu_memory_bytes() if gpus else 0)
@@ -139,14 +139,14 @@ def sweep(
         LOG.info("%s", stepped)
     if size > LARGE_BYTES:
         _confirm(f"{size / 1e9:.1f} GB may be written to {out}", yes, ask)
-    store = SweepStore(out, design, view.labels, _attributes(view, design, known, accuracy, errors, stepped), errors)
+    store = SweepStore(out, design, view.labels, _attributes(view, design, checked, accuracy, errors, stepped), errors)
     missing = [int(number) for number in np.flatnonzero(store.status.ravel() != DONE)]
     if len(missing) < design.count:
         LOG.info("continuing: %d points are done", design.count - len(missing))
-    # A worker sees one GPU, always as number 0
+    # In a worker its only GPU has number 0
     where = "cuda:0" if gpus else device
     task = Task(path, where, accuracy, view.duration_s, view.times, errors)
-    points = _Points(missing, groups, design, known, most)
+    points = _Points(missing, groups, design, checked, most)
     if missing:
         # An old picture of fewer points would be wrong
         (out / PICTURE).unlink(missing_ok=True)
@@ -182,9 +182,9 @@ def _check_arguments(scene: str | Path, workers: int | None, scheduler: str | No
 
 
 def _worker_count(workers: int | None, gpus: list[str], points: int, memory: int, on_gpu: int) -> int:
-    """Return the number of processes: as requested, or by cores and memory, with a few for each GPU.
+    """Return the number of processes: as requested, else limited by cores, memory and GPUs.
 
-    memory: estimate for a worker, in host and GPU memory; on_gpu: free on each of the GPUs [bytes]
+    memory: estimate for a worker, in host and GPU memory; on_gpu: free memory of each GPU [bytes]
     """
     if workers is not None:
         return workers
@@ -221,7 +221,7 @@ def _bytes(size: int) -> str:
 
 
 def _confirm(what: str, yes: bool, ask: Ask | None) -> None:
-    """Raises OutputError if a very large sweep is not confirmed."""
+    """Raise OutputError if a very large sweep is not confirmed."""
     if yes or (ask is not None and ask(f"{what}. Go on?")):
         return
     raise OutputError(f"{what}: not confirmed; give --yes (yes=True), or fewer points")
@@ -238,7 +238,7 @@ def _attributes(
         "solver": stepped or "each point uses the layer and the solver of a separate run",
         "conventions": json.dumps(CONVENTIONS),
         "versions": json.dumps({name: version(name) for name in packages} | {"python": platform.python_version()}),
-        # Settings that must be the same for a sweep to continue
+        # A sweep continues only if these settings are equal
         "identity": {
             "design": design.as_json(),
             "scene (its file or one that it names)": view.scene_digest,
@@ -257,7 +257,7 @@ def _attributes(
 
 @dataclass(frozen=True)
 class _Points:
-    """The points of a sweep: numbers of the missing ones, and group and keys of each by its number.
+    """Numbers of the missing points of a sweep, and the group and keys of each.
 
     most: points in a batch
     """
@@ -293,7 +293,7 @@ def _here(task: Task, points: _Points) -> Generator[Results]:
 
 
 def _on_cluster(connect: Callable[[], Any], task: Task, points: _Points) -> Generator[Results]:
-    """Compute all points on Dask workers, and yield batches as they are done."""
+    """Compute all points on Dask workers, and yield results of each completed batch."""
     with connect() as client:
         there = slots(client, task.scene)
         yield from computed(client, task, there, points.batches(len(there)), points.group, points.point)
@@ -308,8 +308,8 @@ def _collect(
     yes: bool,
     ask: Ask | None,
 ) -> None:
-    """Write results as they come, with progress; asks once if the rest takes very long."""
-    done, failed, written, asked, started = 0, 0, 0, yes, time.monotonic()
+    """Write results as they come and show progress; ask once for confirmation if the remaining time is long."""
+    done, failed, written, confirmed, started = 0, 0, 0, yes, time.monotonic()
     with bars(progress, MofNCompleteColumn()) as bar:
         row = bar.add_task("starting workers", total=points)
         for some in results:
@@ -319,8 +319,8 @@ def _collect(
             bar.update(row, completed=done, description=f"{failed} failed" if failed else "computing")
             spent = time.monotonic() - started
             left = spent / done * (points - done)
-            if not asked and left > LONG_S and (written >= SURE_BATCHES * workers or spent > SURE_S):
+            if not confirmed and left > LONG_S and (written >= SURE_BATCHES * workers or spent > SURE_S):
                 bar.stop()
                 _confirm(f"{points - done} of {points} points are left, about {left / 3600:.1f} h", yes, ask)
-                asked = True
+                confirmed = True
                 bar.start()

@@ -1,4 +1,4 @@
-"""Hardware in the loop: estimated place of a hand, output of a board for it, and the sound at the true hand."""
+"""Hardware in the loop: estimated position of a hand, output of a board for it, and sound at the true position."""
 
 import lazy_loader
 

@@ -19,7 +19,7 @@ NO_OBSTACLES = np.zeros((0, 3)), np.zeros((0, 3, 3))
 
 
 class Frames(NamedTuple):
-    """Frames that move, seen from the first array: those of the stimuli, then those of the bodies.
+    """Moving coordinate frames relative to the first array: those of the stimuli, then those of the bodies.
 
     positions: [m], shape (m, 3); rotations: axes as columns, shape (m, 3, 3); quaternions: the same, w first, (m, 4)
     """
@@ -30,7 +30,7 @@ class Frames(NamedTuple):
 
 
 class SceneCourse:
-    """Poses at MuJoCo's steps, linear between them; before and after, the first and the last.
+    """Poses at MuJoCo's steps, interpolated linearly; constant before the first and after the last.
 
     model: of the scene; step_s: between poses [s]; end_s: time of the last one [s]; refused: reason of an early end
     """
@@ -38,7 +38,7 @@ class SceneCourse:
     def __init__(self, view: Preview, duration_s: float, *, as_far_as_it_goes: bool = False) -> None:
         """Step a copy of the scene without its skins. Raises the errors of modules in a step.
 
-        as_far_as_it_goes: a hand that reaches into the array, as a tracked one may, ends the course without an error
+        as_far_as_it_goes: end without an error if the hand reaches into the array, as a tracked hand may
         """
         self.refused = ""
         self.step_s = view.runtime.spec.timestep_s
@@ -60,11 +60,11 @@ class SceneCourse:
 
     @property
     def moves(self) -> bool:
-        """Whether anything may move."""
+        """Return whether any part may move."""
         return len(self._rows) > 1
 
     def frames(self, time_s: float) -> Frames:
-        """Return the stimuli's frames and the bodies at a time [s]."""
+        """Return the frames of stimuli and bodies at a time [s]."""
         row, share = self._place(time_s)
         before = self._rows[row]
         if share == 0.0:
@@ -77,7 +77,7 @@ class SceneCourse:
         return Frames(positions, matrices(quaternions), quaternions)
 
     def posed(self, time_s: float, frames: Frames | None = None) -> PosedScene:
-        """Return the scene at a time [s], or with some frames elsewhere: without obstacles, which foci do not need."""
+        """Return the scene at a time [s], or with other frames. Obstacles are omitted: foci do not need them."""
         row, _ = self._place(time_s)
         positions, rotations, _ = self.frames(time_s) if frames is None else frames
         of_stimuli = len(self.model.stimuli)
@@ -91,7 +91,7 @@ class SceneCourse:
         return PosedScene(outer, arrays, parts[:of_stimuli], bodies, skins)
 
     def _place(self, time_s: float) -> tuple[int, float]:
-        """Return the pose before a time [s], and the fraction of the way to the next one."""
+        """Return the index of the pose before a time [s], and the fraction of the interval to the next pose."""
         at = min(max(time_s / self.step_s, 0.0), float(len(self._rows) - 1))
         nearest = round(at)
         if abs(at - nearest) < ON_STEP:

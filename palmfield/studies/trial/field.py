@@ -1,4 +1,4 @@
-"""Sound at the hand's true place: with and without latency, rounding and calibration error."""
+"""Compute the sound at the true position of the hand, with and without latency, rounding and calibration error."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -22,16 +22,16 @@ from palmfield.studies.trial.sending import Heard
 from palmfield.types import Complex, Float
 
 GOOD_RAD = 1.0
-"""Phases with a larger mean error than this form no focus."""
+"""Largest mean phase error of a sound that has a focus [rad]."""
 HEARD = 0.3
-"""Pressures are compared where the level is at least this share of the loudest frame."""
+"""Pressures are compared if the level is at least this fraction of that of the loudest frame."""
 
 
 class Pressures(NamedTuple):
-    """|p| where the focus should be on the hand [Pa], at full level.
+    """Pressure amplitude at the target position on the hand [Pa], at full level.
 
-    wanted: drive for the true place; late: drive for the estimated place; rounded: the same after the board's rounding;
-    heard: the same with the true transducers
+    wanted: drive for the true position; late: drive for the estimated position; rounded: the same after rounding by
+    the board; heard: the same with the true transducers
     """
 
     wanted: float
@@ -42,12 +42,12 @@ class Pressures(NamedTuple):
 
 @dataclass(frozen=True)
 class TrialMoment:
-    """Results at a time of a trial [s].
+    """Results at one time of a trial.
 
-    true: place of the focus on the hand [m], believed: its place as the system estimates it, sounding: place of the
-        focus of the sound, NaN if there is none; array frame, shapes (3,)
-    age_s: since the sample of this sound; frame: its number; level: of the drive, 0..1
-    pressures: at `true`, NaN where the level is too low to compare
+    true: position of the focus on the hand [m]; believed: its position estimated from the tracker; sounding: position
+        of the focus of the sound, NaN if there is none; array frame, shapes (3,)
+    age_s: time since the sample of this sound [s]; frame: its number; level: mean amplitude of the drive, 0..1
+    pressures: at `true`, NaN if the level is too low to compare
     """
 
     time_s: float
@@ -61,10 +61,10 @@ class TrialMoment:
 
 
 class TrueSound:
-    """The sound of a trial along its course.
+    """The sound of a trial over time.
 
     number: of the followed stimulus; its first focus if it has several
-    flight: whether flight time to the hand is included
+    flight: whether the flight time of sound to the hand is included
     """
 
     def __init__(
@@ -76,10 +76,10 @@ class TrueSound:
         flight: bool = True,
         share: Callable[[float], float] = lambda due_s: 1.0,
     ) -> None:
-        """truth: true properties of the transducers of the scene's only array; None: those in the scene
+        """truth: true properties of the transducers of the only array; None: those of the scene
 
-        share: factor of all amplitudes of a frame due at a time [s], by the driver's ramp
-        Raises SceneError for a truth with several arrays, and for one of another layout.
+        share: amplitude factor of a frame due at a time [s], from the ramp of the driver
+        Raises SceneError for a truth with several arrays or another layout.
         """
         self.course, self.number, self.flight, self.share = course, number, flight, share
         model = self.model = course.model
@@ -98,7 +98,7 @@ class TrueSound:
         self.true_arrays(model.arrays)
 
     def true_arrays(self, arrays: PhasedArray) -> PhasedArray:
-        """Return the arrays with their true properties, at their present places."""
+        """Return the arrays with their true properties, at their present poses."""
         if self._truth is None:
             return arrays
         if self._arrays is None or self._arrays[0] is not arrays:
@@ -110,19 +110,19 @@ class TrueSound:
         return self._arrays[1]
 
     def flight_s(self, focus: Float) -> float:
-        """Return the flight time from the middle of the transducers to a focus [s]."""
+        """Return the flight time from the centre of the transducers to a focus [s]."""
         if not self.flight:
             return 0.0
         return math.dist(focus.tolist(), self._middle) / self.speed_m_s
 
     def focus(self, posed_s: float, due_s: float) -> Float:
-        """Return where the focus of a due time is on the hand at another time [s], array frame [m], shape (3,)."""
+        """Return the position at `posed_s` of the focus that is due at `due_s` [s], array frame [m], shape (3,)."""
         return focus_in(self.model, self.number, self.course.posed(posed_s), due_s)
 
     def ideal(self, time_s: float, due_s: float) -> Complex:
-        """Return the drive of a due time [s] for the true hand at another, without a board's limits, shape (N,).
+        """Return the drive due at `due_s` for the true hand at `time_s`, without limits of a board, shape (N,).
 
-        Silence if it cannot be made, for instance for a live hand behind the array.
+        Return silence if no focus is possible, for instance for a live hand behind the array.
         """
         try:
             return self.share(due_s) * self._exact.wanted(self.course.posed(time_s), due_s)
@@ -132,7 +132,7 @@ class TrueSound:
     def moment(self, time_s: float, due_times: Sequence[float], heard: Heard, loudest: float) -> TrialMoment | None:
         """Return the sound at the hand at a time [s]; None before the first frame.
 
-        due_times: of all frames; loudest: level of the loudest of them, 0..1
+        due_times: of all frames; loudest: highest level of all frames, 0..1
         """
         emitted_s = time_s - self.flight_s(self.focus(time_s, time_s))
         found = heard.at(emitted_s)
@@ -147,17 +147,17 @@ class TrueSound:
         believed = sent.frame.focus
         pressures = [np.nan] * 4
         if min(level, level_ideal) >= HEARD * loudest > 0.0:
-            known, real = posed.arrays, self.true_arrays(posed.arrays)
+            model, real = posed.arrays, self.true_arrays(posed.arrays)
             point = true[None]
             played = emitted.amplitudes / level
-            drives = (known, ideal / level_ideal), (known, sent.frame.wanted / level), (known, played), (real, played)
+            drives = (model, ideal / level_ideal), (model, sent.frame.wanted / level), (model, played), (real, played)
             pressures = [float(np.abs(arrays.pressure64(point, drive)[0])) for arrays, drive in drives]
         sounding = self._sounding(posed.arrays, emitted.amplitudes, believed)
         age_s = time_s - sent.frame.seen_s
         return TrialMoment(time_s, true, believed, sounding, age_s, sent.number, level, Pressures(*pressures))
 
     def _sounding(self, arrays: PhasedArray, amplitudes: Complex, near: Float) -> Float:
-        """Fit a focus to the sound, near the intended one; with several arrays that of the first."""
+        """Fit a focus to the sound, near the target; with several arrays, use the first."""
         last = self._fitted
         if last is not None and last[0] is amplitudes:
             return last[1]
@@ -172,7 +172,7 @@ class TrueSound:
 
 
 def focus_in(model: HapticModel, number: int, posed: PosedScene, due_s: float) -> Float:
-    """Return the (first) focus of a stimulus for a due time [s] in a pose, array frame [m], shape (3,)."""
+    """Return the (first) focus of a stimulus due at a time [s] in a pose, array frame [m], shape (3,)."""
     part = model.stimuli[number]
     points, _ = frames_at(part.config, np.array([due_s]))
     focus: Float = np.atleast_2d(posed.focal_points(part, number).at(points[0]))[0]
@@ -180,13 +180,13 @@ def focus_in(model: HapticModel, number: int, posed: PosedScene, due_s: float) -
 
 
 def last_due(due_times: Sequence[float], time_s: float) -> float:
-    """Return the last of some rising times [s] that is not after another; before the first one, the first."""
+    """Return the last of some rising times [s] that is not after `time_s`, or the first time if there is none."""
     return due_times[max(int(np.searchsorted(due_times, time_s + 1e-9, "right")) - 1, 0)]
 
 
-def same_level(truth: Calibration, known: Calibration | None) -> Calibration:
-    """Return a true calibration with the scene's p0, so that losses come from the focus, not from an error of p0."""
-    return truth.model_copy(update={"p0": None if known is None else known.p0})
+def same_level(truth: Calibration, modelled: Calibration | None) -> Calibration:
+    """Return a true calibration with the p0 of the scene, so that an error of p0 is not counted as a loss."""
+    return truth.model_copy(update={"p0": None if modelled is None else modelled.p0})
 
 
 def level_of(drive: Complex) -> float:

@@ -1,4 +1,4 @@
-"""Measure the time from a tracker's sample to the sound that follows from it, by a loop on this machine."""
+"""Measure the time from a tracker sample to the resulting sound, by a loop on this machine."""
 
 import subprocess
 import sys
@@ -22,20 +22,21 @@ from palmfield.studies.trial.sending import Heard
 from palmfield.types import Float
 
 LINE_SHARE = 0.95
-"""Used share of the line's frame rate: on a full line a delay, once present, never ends."""
+"""Used fraction of the frame rate of the line: on a full line a delay would persist."""
 LEAD_S = 1.0
 """Samples are sent for this time before and after the loop."""
 ALLOWED_S = 0.040
-"""Time from movement to touch above which a lag is noticed (quoted by Hasegawa & Shinoda 2018)."""
+"""Delay of touch after movement that users notice (quoted by Hasegawa & Shinoda 2018)."""
 TRACKERS_OWN_S = 0.008, 0.011
 
 
 @dataclass(frozen=True)
 class Latency:
-    """Time from the sending of a sample until the board emits its frame, over the frames of a loop.
+    """Time from the sending of a sample until the board emits its frame, statistics over a loop.
 
-    frames, dropped: sent, and due but not sent; samples: received; p50_ms, p95_ms, largest_ms: of the latency
-    fit_ms: time to fit the hand to a sample, median; line_ms: of a frame on the line
+    frames, dropped: numbers of sent frames, and of frames due but not sent; samples: number received
+    p50_ms, p95_ms, largest_ms: of the latency [ms]; fit_ms: median time to fit the hand to a sample [ms]
+    line_ms: time of a frame on the line [ms]
     """
 
     board: str
@@ -77,10 +78,10 @@ def measure_latency(
     rate_Hz: float = 90.0,
     by: By = "udp",
 ) -> Latency:
-    """Send the hand that a scene moves from another process to a virtual board that follows it.
+    """Send the motion of a scene's hand from another process, and let a virtual board follow it.
 
-    Samples have the time at which they are sent, on the clock that both processes share. Raises SceneError for a scene
-    without a moved hand, DeviceError for a board without bytes.
+    Samples carry their sending time on the clock that both processes share. Raises SceneError for a scene
+    without a moving hand, DeviceError for a board without a line.
     """
     if not 0.2 <= seconds <= 600.0:
         raise SceneError(f"--seconds has value {seconds:g}; allowed: 0.2 to 600")
@@ -134,7 +135,7 @@ def measure_latency(
 
 
 def latencies(played: LivePlayed, board: Board) -> Float:
-    """Return the time from its sample to its sound for each emitted frame [s]."""
+    """Return for each emitted frame the time from its sample to its sound [s]."""
     heard = Heard(played.sent, board)
     result: dict[int, float] = {}
     for time_s in heard.times:
@@ -145,10 +146,10 @@ def latencies(played: LivePlayed, board: Board) -> Float:
 
 
 def scene_stream(view: Preview, rate_Hz: float, seconds: float) -> Stream:
-    """Return the samples of a tracker without error, z up, for the hand that a scene moves, to and fro."""
+    """Return samples without errors, z up, of the hand of a scene, whose motion runs forwards and backwards."""
     scene = LiveScene(view)
     times = np.arange(0.0, seconds, 1.0 / rate_Hz)
-    # There and back, so that it repeats without a jump
+    # Forwards and backwards, so that it repeats without a jump
     phase = times % (2.0 * view.duration_s)
     own = np.where(phase > view.duration_s, 2.0 * view.duration_s - phase, phase)
     stream = stream_of(scene.hand, scene.script, own)

@@ -1,4 +1,4 @@
-"""A board that follows a tracked hand in real time, and the hand's motion recorded for later."""
+"""Let a board follow a tracked hand in real time, and record the motion of the hand."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -32,11 +32,11 @@ FIT_S = 5e-3
 
 @dataclass(frozen=True)
 class Live:
-    """Source of a tracker's samples, and the place of the tracker.
+    """Source of tracker samples, and pose of the tracker.
 
-    host, port, by: of the socket, port 0 for any free one; align: file of `palmfield track align`; None: the tracker's
-        origin is that of the scene, and `up` its axis that points up
-    wait_s: for the first sample [s]; on_listening: called with the address once the socket listens
+    host, port, by: of the socket, port 0 for any free one; align: file of `palmfield track align`; None: the origin of
+        the tracker is that of the scene; up: axis of the tracker that points up
+    wait_s: longest wait for the first sample [s]; on_listening: called with the address once the socket listens
     """
 
     host: str = "127.0.0.1"
@@ -48,11 +48,11 @@ class Live:
     on_listening: Callable[[str, int], None] = lambda host, port: None
 
     def frame(self, array: Transform) -> Transform:
-        """The tracker's space in the world. array: frame of the first array. Raises SceneError for a bad file."""
+        """Return the tracker frame in the world. array: frame of the first array. Raises SceneError for a bad file."""
         return tracker_frame(array, self.align, self.up)
 
     def keys(self, name: str, stream: Path, start_s: float) -> dict[str, object]:
-        """Return keys that make an instance, by its name, follow the tracker's samples."""
+        """Return keys that make the instance `name` follow the tracker's samples."""
         own: dict[str, object] = dict.fromkeys(("keyframes", "trajectory", "function"))
         own |= {"tracking": str(stream.resolve()), "start_s": start_s, "follow": "exact", "tracking_origin_m": None}
         own["tracking_up"] = None if self.align is not None else self.up
@@ -62,11 +62,11 @@ class Live:
 
 @dataclass(frozen=True)
 class LivePlayed:
-    """Frames sent to a board that followed a hand.
+    """Result of a session in which a board followed a hand.
 
-    motion: name of the scene's palmfield.motion; stream: the tracker's good samples, in its own space
+    motion: name of the scene's palmfield.motion; stream: valid samples in the tracker frame
     start_s: the tracker's time 0 in the time of the trial [s]
-    notes: on the samples, with the first bad ones, on the fit of the hand, and on silent frames
+    notes: on the samples (with the first invalid ones), on the fit of the hand, and on silent frames
     times: when frames were due [s]
     """
 
@@ -89,12 +89,12 @@ def play_live(
     log: FrameLog | None = None,
     on_progress: Callable[[float], None] | None = None,
 ) -> LivePlayed:
-    """Let a board follow a tracked hand for some time, in real time.
+    """Let a board follow a tracked hand for `duration_s` [s], in real time.
 
-    tracker: its own latency and the extrapolation of a sample, None: to the middle of a frame made of it at once
+    tracker: its latency and extrapolation; ahead_s None: to the middle of the frame
     number: of the followed stimulus; port: of a board, by default a virtual one
-    While the hand is lost frames are silent. Ctrl-C ends it early. Raises SceneError if no hand is seen in time, or one
-    of the other side, DeviceError for an address or a port that cannot be opened.
+    While the hand is lost frames are silent. Ctrl-C ends it early. Raises SceneError if no hand is seen in time, or a
+    hand of the other side; DeviceError for an address or a port that cannot be opened.
     """
     scene = LiveScene(view)
     runtime = scene.runtime
@@ -131,7 +131,7 @@ def play_live(
                 posed_of[:] = [(newest, scene.posed(newest.pose))]
             posed = posed_of[0][1]
             focus = focus_in(model, number, posed, due_s)
-            # On the tracker's clock, until its offset to this machine's clock is measured
+            # Use the tracker's clock until its offset to this machine's clock is measured
             seen_s = newest.sample_s
             if follower.stale:
                 silenced += 1
@@ -140,7 +140,7 @@ def play_live(
             try:
                 data = frames.at(posed, due_s, share)
             except SceneError as error:
-                # A live hand may also move behind the array
+                # A live hand may move behind the array
                 unreachable.append(str(error))
                 return silent(focus, seen_s)
             return MadeFrame(data, focus, seen_s, lambda: share * afterwards.wanted(posed, due_s), frames.sounds)

@@ -1,4 +1,4 @@
-"""Estimated place of a hand: the tracker's samples that have arrived, their latency, and their extrapolation."""
+"""Estimate the position of a hand from tracker samples, with their latency and extrapolation."""
 
 import math
 from collections import deque
@@ -15,9 +15,9 @@ from palmfield.simulation.posed_scene import PosedScene
 from palmfield.studies.trial.course import Frames, SceneCourse
 
 LONGEST_AHEAD_S = 0.2
-"""Longest extrapolation of a hand."""
+"""Longest extrapolation of a hand [s]."""
 BEFORE_S = 0.5
-"""Time for which a tracker runs before the trial begins."""
+"""Time for which a tracker runs before the trial begins [s]."""
 MOST_AHEAD = 10_000
 """Largest number of its samples that are computed before the trial begins."""
 
@@ -26,9 +26,9 @@ MOST_AHEAD = 10_000
 class Tracker:
     """A tracker and the treatment of its samples.
 
-    rate_Hz: samples a second, 0 for one at each call; latency_s: from a sample's moment to its arrival [s]
+    rate_Hz: samples per second, 0 for one at each call; latency_s: from a sample's moment to its arrival [s]
     noise_m: of each coordinate, standard deviation [m]; seed: of the noise
-    ahead_s: extrapolation beyond the last sample [s], 0 for none; None: to the middle of the time in which the frame
+    ahead_s: extrapolation beyond the last sample [s], 0 for none; None: to the middle of the time for which the frame
         will sound
     """
 
@@ -50,7 +50,7 @@ class Tracker:
 
 
 class EstimatedPose(NamedTuple):
-    """posed: the scene as the system estimates it; seen_s: time of the last sample that has arrived [s]"""
+    """posed: estimated scene; seen_s: time of the last sample that has arrived [s]"""
 
     posed: PosedScene
     seen_s: float
@@ -68,14 +68,14 @@ class PoseEstimator:
         self._tracked = np.array(stimuli + [True] * len(course.model.bodies))[:, None]
         self._next = -round(BEFORE_S * tracker.rate_Hz)
         self._last: tuple[float, Frames] | None = None
-        # Samples are computed in advance, so that they take no time from the making of frames
+        # Samples are computed in advance, so that they do not delay frames
         count = min(MOST_AHEAD, math.floor(course.end_s * tracker.rate_Hz) - self._next + 1) if tracker.rate_Hz else 0
         self._coming = deque(self._seen((self._next + number) / tracker.rate_Hz) for number in range(count))
 
     def at(self, now_s: float, heard_s: float) -> EstimatedPose:
-        """Return the system's estimate at a time of the trial [s], which must not decrease.
+        """Return the estimate at a time of the trial [s], which must not decrease between calls.
 
-        heard_s: the middle of the time in which the frame made now will sound [s]
+        heard_s: the middle of the time for which the frame made now will sound [s]
         """
         rate, known_s = self.tracker.rate_Hz, now_s - self.tracker.latency_s
         if rate == 0.0:
@@ -95,11 +95,11 @@ class PoseEstimator:
         return EstimatedPose(self.course.posed(sample_s, frames), sample_s)
 
     def _seen(self, time_s: float) -> Frames:
-        """Return a sample of the tracker at a time [s]. Fixed parts need no tracker."""
+        """Return a sample of the tracker at a time [s]. Fixed parts have no error."""
         frames = self.course.frames(time_s)
         if self.tracker.noise_m == 0.0:
             return frames
-        # The error of the tracker is the same for all parts that move with the hand
+        # All parts that move with the hand have the same tracker error
         noise = self._tracked * self._draws.normal(0.0, self.tracker.noise_m, 3)
         return frames._replace(positions=frames.positions + noise)
 

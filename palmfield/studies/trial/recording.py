@@ -1,8 +1,9 @@
-"""A recording of a microphone or vibrometer, compared with the result of a trial at its place.
+"""Compare a recording of a microphone or vibrometer with the result of a trial at its position.
 
-A CSV file: head lines `# quantity: pressure`, `# unit: Pa`, `# place_m: 0 0 0.15`, then `t,value` and its rows, t in
-seconds. pressure is the peak amplitude of the carrier at the place; displacement and velocity are those of the skin
-along its outward normal, at its point nearest to the place as the trial begins. The place is in the frame of the array.
+The CSV file has head lines `# quantity: pressure`, `# unit: Pa`, `# place_m: 0 0 0.15`, then `t,value` and rows with t
+in seconds. pressure is the peak amplitude of the carrier at the position; displacement and velocity are those of the
+skin along its outward normal, at its point nearest to place_m as the trial begins. place_m is in the frame of the
+array.
 """
 
 from collections.abc import Sequence
@@ -28,10 +29,10 @@ UNITS: dict[Quantity, dict[str, float]] = {
     "pressure": {"Pa": 1.0, "kPa": 1e3, "mPa": 1e-3}, "displacement": scan.UNITS["displacement"],
     "velocity": scan.UNITS["velocity"],
 }  # fmt: skip
-"""Factors to Pa, m and m/s."""
+"""Factors from a unit to Pa, m and m/s."""
 HEAD = ("quantity", "unit", "place_m")
 SHIFT = 0.25
-"""Largest difference between the clocks of recording and trial, as a share of the recording's length."""
+"""Largest difference between the clocks of recording and trial, as a fraction of the length of the recording."""
 FEWEST = 16
 
 
@@ -48,12 +49,12 @@ class Recording:
 
 @dataclass(frozen=True)
 class Compared:
-    """A recording compared with the computed course at its place, aligned in time.
+    """A recording compared with the computed signal at its position, aligned in time.
 
-    shift_s: delay of the recording against the computed course; overlap_s: time for which both exist
-    rms: of the difference, relative to that of the computed course; correlation: of both, without their means
-    ratio: recorded over computed amplitude, by least squares; band: range of the ratio for every p0 of its range if all
-        else is right (ARP and motion are quadratic in p0)
+    shift_s: delay of the recording relative to the computed signal; overlap_s: time for which both exist
+    rms: of the difference, relative to the rms of the computed signal; correlation: without means
+    ratio: recorded over computed amplitude, by least squares; band: range of the ratio for all p0 within its range if
+        all other parameters are right (ARP and motion are quadratic in p0)
     """
 
     name: str
@@ -81,7 +82,7 @@ class Compared:
 def read_recording(path: str | Path) -> Recording:
     """Read a recording from a file, in the format of this module's description.
 
-    Raises SceneError, with the line, for a file that cannot be read, a head that is incomplete or has another unit,
+    Raises SceneError, with the line, for a file that cannot be read, an incomplete head, another unit,
     text, numbers that are not finite, and times that do not rise.
     """
     file = Path(path)
@@ -98,10 +99,10 @@ def _recording(lines: list[str], name: str) -> Recording:
         key, _, value = line[1:].partition(":")
         if key.strip() in HEAD:
             head[key.strip()] = value.strip()
-    for known in HEAD:
-        if known not in head:
+    for name in HEAD:
+        if name not in head:
             raise SceneError(
-                f"the head has no '# {known}: ...'; begin with lines '# quantity: pressure', '# unit: Pa', "
+                f"the head has no '# {name}: ...'; begin with lines '# quantity: pressure', '# unit: Pa', "
                 "'# place_m: 0 0 0.15'"
             )
     refuse_unknown(SceneError, "quantity is {}", head["quantity"], UNITS)
@@ -134,7 +135,7 @@ def _recording(lines: list[str], name: str) -> Recording:
 def compare(
     recording: Recording, moments: Sequence[TrialMoment], sound: TrueSound, heard: Heard, skin: SkinResponse | None
 ) -> Compared:
-    """Compare a recording with the same quantity of a trial. Raises SceneError for motion of an unstepped skin."""
+    """Compare a recording with the same quantity of a trial. Raises SceneError for motion of a skin without steps."""
     if recording.quantity == "pressure":
         times = np.array([one.time_s for one in moments])
         values = _pressures(times, np.array(recording.place_m), sound, heard)
@@ -152,28 +153,28 @@ def compare(
 
 
 def _pressures(times: Float, place: Float, sound: TrueSound, heard: Heard) -> Float:
-    """|p| [Pa] at a fixed place, shape (k,)."""
+    """Return the pressure amplitude at a fixed position [Pa], shape (k,)."""
     values: Float = np.zeros(len(times))
-    known: tuple[object, float] = (None, 0.0)
+    cached: tuple[object, float] = (None, 0.0)
     flight_s = sound.flight_s(place)
     for n, time_s in enumerate(times):
         found = heard.at(float(time_s) - flight_s)
         if found is None:
             continue
         amplitudes = found[0].amplitudes
-        if known[0] is not amplitudes:
+        if cached[0] is not amplitudes:
             arrays = sound.true_arrays(sound.course.posed(float(time_s)).arrays)
-            known = amplitudes, float(np.abs(arrays.pressure64(place[None], amplitudes)[0]))
-        values[n] = known[1]
+            cached = amplitudes, float(np.abs(arrays.pressure64(place[None], amplitudes)[0]))
+        values[n] = cached[1]
     return values
 
 
 def aligned(
     times: Float, values: Float, computed_times: Float, computed: Float
 ) -> tuple[float, float, float, float, float]:
-    """Shift [s], overlap [s], relative rms difference, correlation and ratio of a recorded course to a computed one.
+    """Return shift [s], overlap [s], relative rms difference, correlation and ratio of a recorded to a computed signal.
 
-    The shift has the largest correlation of both, without their means, within SHIFT of the recording's length.
+    The shift maximises the correlation without means; its limit is SHIFT times the length of the recording.
     Raises SceneError if they overlap too little, or if one of them is constant.
     """
     step = max(float(np.median(np.diff(computed_times))), float(np.median(np.diff(times)))) / 4.0

@@ -31,7 +31,7 @@ class Spread(NamedTuple):
 
 
 class Share(NamedTuple):
-    """Remaining share of the pressure at the hand, 1 without loss; mean over the trial, and the least."""
+    """Remaining fraction of the pressure at the hand (1: no loss): mean over the trial, and minimum."""
 
     mean: float
     least: float
@@ -41,15 +41,15 @@ class Share(NamedTuple):
 class Numbers:
     """A trial in numbers.
 
-    lateral_mm, depth_mm, distance_mm: from the target of the focus on the hand to its place: across the array's axis,
-        along it, and in total; without_focus: share of moments at which the sound has no focus
-    age_ms: of the tracker's sample that the sound at the hand was made of
-    kept_late, kept_rounded, kept_calibration, kept: remaining share of the pressure at the hand after latency, then
-        after the board's rounding, then with the true transducers, and after all; ARP is quadratic in them;
-        kept_calibration is None without data on the true transducers
-    wanted_Pa: mean |p| at the hand without losses, at full level
-    push_um, push_ideal_um: rms displacement of the skin at the focus of the trial's beginning, and without losses; None
-        if it was not stepped
+    lateral_mm, depth_mm, distance_mm: distance of the focus from its target on the hand: across the axis of the array,
+        along it, and in total; without_focus: fraction of times at which the sound has no focus
+    age_ms: time since the tracker sample from which the sound at the hand was computed
+    kept_late, kept_rounded, kept_calibration, kept: remaining fraction of the pressure at the hand due to latency, to
+        rounding by the board, to the true transducers, and to all three; ARP is quadratic in them; kept_calibration
+        is None without data on the true transducers
+    wanted_Pa: mean pressure amplitude at the hand without losses, at full level
+    push_um, push_ideal_um: rms displacement of the skin at the focus of the beginning of the trial, with and without
+        losses; None if the skin was not stepped
     """
 
     scene: str
@@ -83,7 +83,7 @@ class Numbers:
     notes: tuple[str, ...]
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON, with units in the names."""
+        """Return the numbers for JSON, with units in the names."""
         plain = asdict(self)
         for name, value in plain.items():
             if isinstance(value, Spread | Share):
@@ -111,7 +111,7 @@ def numbers_of(
     truth: Calibration | None,
     notes: Sequence[str] = (),
 ) -> Numbers:
-    """Compute the numbers of a trial; arguments as of `palmfield.studies.trial.run.Trial` and `trial`."""
+    """Compute the numbers of a trial; for arguments see `palmfield.studies.trial.run.Trial` and `trial`."""
     names, rows = table_of(moments, None)
     column = dict(zip(names, rows.T, strict=True))
     lateral, depth = 1e3 * column["lateral_error_m"], 1e3 * np.abs(column["depth_error_m"])
@@ -156,22 +156,22 @@ def _rms_um(skin: SkinResponse | None) -> float | None:
 
 
 def _spread(values: Float) -> Spread:
-    known = values[np.isfinite(values)]
-    if not len(known):
+    finite = values[np.isfinite(values)]
+    if not len(finite):
         return Spread(np.nan, np.nan, np.nan)
-    return Spread(float(known.mean()), float(np.percentile(known, 95)), float(known.max()))
+    return Spread(float(finite.mean()), float(np.percentile(finite, 95)), float(finite.max()))
 
 
 def _share(after: Float, before: Float) -> Share:
-    known = np.isfinite(after) & np.isfinite(before) & (before > 0.0)
-    if not known.any():
+    valid = np.isfinite(after) & np.isfinite(before) & (before > 0.0)
+    if not valid.any():
         return Share(np.nan, np.nan)
-    ratio = after[known] / before[known]
+    ratio = after[valid] / before[valid]
     return Share(float(ratio.mean()), float(ratio.min()))
 
 
 def table_of(moments: Sequence[TrialMoment], skin: SkinResponse | None) -> tuple[tuple[str, ...], Float]:
-    """Return names of columns and the course in rows, shape (k, columns); NaN for a skin that was not stepped."""
+    """Return names of columns and a row for each time, shape (k, columns); NaN for a skin that was not stepped."""
     rows = []
     for one in moments:
         miss = one.sounding - one.true
@@ -215,7 +215,7 @@ def as_text(numbers: Numbers, compared: Compared | None) -> str:
             f"skin            displacement {n.push_um:.3g} um (rms) at the intended focus, "
             f"{n.push_um / n.push_ideal_um:.3f} of that without these losses"
         )
-    lines += [f"board noticed   {flag}" for flag in n.flags[:5]]
+    lines += [f"board error     {flag}" for flag in n.flags[:5]]
     if len(n.flags) > 5:
         lines.append(f"                and {len(n.flags) - 5} more of this kind")
     lines += n.notes

@@ -1,4 +1,4 @@
-"""A trial of a scene: hand, tracker, focus, bytes, board, sound at the hand's true place, and skin."""
+"""Run a trial of a scene: hand, tracker, focus, bytes, board, sound at the true hand, and skin."""
 
 import json
 from collections.abc import Callable, Iterator, Mapping
@@ -39,7 +39,7 @@ from palmfield.terminal import bars
 from palmfield.whole_files import made_folder, write_text
 
 FINEST_S = 1e-3
-"""Largest step between two moments at which the sound at the hand is computed."""
+"""Largest interval between times at which the sound at the hand is computed [s]."""
 FILES = "sent.jsonl", "course.csv", "trial.json", "trial.png"
 
 
@@ -47,9 +47,9 @@ FILES = "sent.jsonl", "course.csv", "trial.json", "trial.png"
 class Trial:
     """Result of a trial.
 
-    numbers: of the whole; moments: of its course; sent: frames sent to the board; skin, skin_ideal: motion of the skin,
-    and without latency, rounding and calibration error, None if not requested
-    compared: with a recording; files: written, by name; interrupted: whether Ctrl-C ended it early
+    numbers: of the whole trial; moments: results over time; sent: frames sent to the board
+    skin, skin_ideal: motion of the skin with and without latency, rounding and calibration error, None if not requested
+    compared: comparison with a recording; files: written, by name; interrupted: whether Ctrl-C ended it early
     """
 
     numbers: Numbers
@@ -85,23 +85,23 @@ def trial(
     overwrite: bool = False,
     progress: bool = False,
 ) -> Trial:
-    """Close the loop over a scene, and report the distance of the sound from the hand and its cost.
+    """Simulate tracker, board and hand of a scene in closed loop, and report error of the focus and loss of pressure.
 
-    board, keys: as `palmfield.load` takes them; port: as `palmfield.studies.trial.sending.send`
+    board, keys: as in `palmfield.load`; port: as in `palmfield.studies.trial.sending.send`
     tracker: by default 90 Hz, 10 ms late, predicted to the middle of each frame
-    live: source of a tracker's samples, instead of the scene's own motion; always in real time
+    live: source of tracker samples that replace the motion of the scene; always in real time
     truth: calibration file of the true transducers, if they differ from the scene
-    skin: whether the skin is stepped; flight: whether flight time to the hand is included
-    out: folder for FILES, made if missing; None for none
-    Ctrl-C ends it early with the results so far (`interrupted`). Raises SceneError for a bad scene, DeviceError where
-    its board can't play it or is lost, and on a port
-    where it would be too loud at a head (key head_limit_dB), OutputError where the folder holds another trial.
+    skin: whether the skin is stepped; flight: whether the flight time of sound to the hand is included
+    out: folder for FILES, created if missing; None: no files
+    Ctrl-C ends it early with the results so far (`interrupted`). Raises SceneError for an invalid scene. Raises
+    DeviceError if the board cannot play it or is lost, and, with a port, if the sound at a head would exceed the key
+    head_limit_dB. Raises OutputError if the folder contains another trial.
     """
     if port is not None and port != VIRTUAL:
         check_port(port)
     folder = None if out is None else _folder(Path(out), overwrite)
-    given = dict(keys or {})
-    view = preview(scene, device="cpu", board=board, keys=given)
+    changed = dict(keys or {})
+    view = preview(scene, device="cpu", board=board, keys=changed)
     real = None if truth is None else read_calibration(truth)
     played = view.runtime.model.board
     if played.exact and (port is not None or live is not None):
@@ -118,14 +118,14 @@ def trial(
         if live is None:
             done = _scripted(view, way)
         else:
-            done = _followed(view, scene, board, given, live, way, Path(spare) if folder is None else folder)
-            given |= done.keys
+            done = _followed(view, scene, board, changed, live, way, Path(spare) if folder is None else folder)
+            changed |= done.keys
         sent, heard = done.sent, Heard(done.sent, played)
         moments = _course(sent, _moments(done.sound.course, duration), done.times, heard, done.sound, show_stage)
         motion = ideal_motion = None
         if skin and moments and not sent.interrupted:
             show_stage("computing the skin under the emitted sound", None)
-            motion, ideal_motion = _skins(scene, board, given, done, moments, real, recording)
+            motion, ideal_motion = _skins(scene, board, changed, done, moments, real, recording)
     numbers = numbers_of(
         view.name, played, done.sound, sent, moments, watched, duration, motion, ideal_motion, port, real,
         [*sent.notes, *done.notes],
@@ -138,9 +138,9 @@ def trial(
 
 
 class _Done(NamedTuple):
-    """Frames sent, and the course they were sent for. times: when frames were due [s]; notes: of the tracker, in words
+    """Frames sent, and the course for which they were sent. times: when frames were due [s]; notes: on the tracker
 
-    keys: with which the scene repeats its motion
+    keys: keys with which the scene repeats its motion
     """
 
     sound: TrueSound
@@ -151,7 +151,7 @@ class _Done(NamedTuple):
 
 
 class _Way(NamedTuple):
-    """How a trial is played; see `trial`. log: of frames; show_stage: reports the task and its progress"""
+    """Settings of a trial; see `trial`. log: of frames; show_stage: shows the task and its progress"""
 
     tracker: Tracker
     duration_s: float
@@ -163,7 +163,7 @@ class _Way(NamedTuple):
 
 
 def _scripted(view: Preview, way: _Way) -> _Done:
-    """Send a scene with given motion to a system that estimates it by a simulated tracker."""
+    """Send a scene with scripted motion, which is estimated by a simulated tracker."""
     tracker, duration_s, truth, flight, port, log, show_stage = way
     show_stage("stepping the scene", None)
     course = SceneCourse(view, duration_s)
@@ -181,7 +181,7 @@ def _scripted(view: Preview, way: _Way) -> _Done:
 def _followed(
     view: Preview, scene: str | Path, board: str | None, keys: Mapping[str, object], live: Live, way: _Way, folder: Path
 ) -> _Done:
-    """Send a scene with the hand of a live tracker; the scene then moves by its samples."""
+    """Send a scene that follows the hand of a live tracker, then repeat the scene with the recorded samples."""
     tracker, duration_s, truth, flight, port, log, show_stage = way
     show_stage("following the hand", duration_s)
     number = view.runtime.model.sounding
@@ -220,13 +220,13 @@ def _maker(
         nonlocal flight_s
         until_s = float(ends[np.searchsorted(times, due_s)])
         middle_s = due_s if exact else 0.5 * (due_s + until_s)
-        known = estimator.at(now_s, middle_s + flight_s)
+        estimate = estimator.at(now_s, middle_s + flight_s)
         share = sound.share(due_s)
-        data = b"" if exact else frames.at(known.posed, due_s, share)
-        focus = focus_in(course.model, sound.number, known.posed, due_s)
+        data = b"" if exact else frames.at(estimate.posed, due_s, share)
+        focus = focus_in(course.model, sound.number, estimate.posed, due_s)
         flight_s = sound.flight_s(focus)
         sounds = exact or frames.sounds
-        return MadeFrame(data, focus, known.seen_s, lambda: share * afterwards.wanted(known.posed, due_s), sounds)
+        return MadeFrame(data, focus, estimate.seen_s, lambda: share * afterwards.wanted(estimate.posed, due_s), sounds)
 
     return make
 
@@ -239,7 +239,7 @@ def _moments(course: SceneCourse, duration_s: float) -> list[float]:
 
 
 def _due(course: SceneCourse, board: Board, duration_s: float) -> list[float]:
-    """Return when frames are due [s]; for a board without limits, the times at which the sound is computed."""
+    """Return the times at which frames are due [s]; for a board without limits, those of `_moments`."""
     if board.exact and course.moves:
         return _moments(course, duration_s)
     ramp = SoundLimits.of(course.model.spec.driver).ramp_times(board, duration_s)
@@ -278,9 +278,9 @@ def _skins(
     truth: Calibration | None,
     recording: Recording | None,
 ) -> tuple[SkinResponse, SkinResponse]:
-    """Step the skin under the emitted sound of the true array, and under the sound for the true place of the hand."""
+    """Step the skin under the emitted sound of the true array, and under the ideal sound for the true hand."""
     end_s = moments[-1].time_s
-    # Target of the focus, and places of recordings
+    # Target of the focus, and positions of recordings
     places = np.array([moments[0].true, *([] if recording is None else [recording.place_m])])
     sound, times = done.sound, done.times
     grid = sorted({*times, *(one.time_s for one in moments)})
@@ -299,7 +299,7 @@ def _skins(
 
 
 def _folder(out: Path, overwrite: bool) -> Path:
-    """The folder, made. Raises OutputError if it holds another trial, or cannot be made."""
+    """Create the folder. Raises OutputError if it contains another trial or cannot be created."""
     there = [name for name in FILES if (out / name).exists()]
     if there and not overwrite:
         raise OutputError(f"{out} holds another trial ({there[0]}); give another folder, or --overwrite")
@@ -307,7 +307,7 @@ def _folder(out: Path, overwrite: bool) -> Path:
 
 
 def _written(result: Trial, folder: Path, logged: bool) -> dict[str, Path]:
-    """Write the course, the numbers and the picture."""
+    """Write the table, the numbers and the picture."""
     files = {name: folder / name for name in FILES if name != "sent.jsonl" or logged}
     names, rows = table_of(result.moments, result.skin)
     write_table(files["course.csv"], names, rows)
@@ -324,7 +324,7 @@ ShowStage = Callable[[str | None, float | None], None]
 
 @contextmanager
 def _bar(show: bool) -> Iterator[ShowStage]:
-    """Report the present task and its progress on a terminal's standard error."""
+    """Show the present task and its progress on a terminal's standard error."""
     with bars(show) as bar:
         task = bar.add_task("opening the scene", total=None)
 

@@ -1,7 +1,7 @@
 """Make frames from the present estimate, send them to a board, and reconstruct what it emits and when.
 
-This is the only place of a trial that sends. A frame is made just before its first byte goes out. A process of its own
-(`palmfield.drive.player`) sends them to ports.
+No other module of a trial sends. A frame is made just before its first byte is sent. A separate process
+(`palmfield.drive.player`) sends frames to ports.
 """
 
 import contextlib
@@ -23,21 +23,21 @@ from palmfield.realtime import undisturbed
 from palmfield.types import Complex, Float
 
 VIRTUAL = "virtual"
-"""In place of a port: a virtual board that is paced in real time."""
+"""Value of `port` for a virtual board that runs in real time."""
 BEFORE_S = 0.1
-"""Practice frames are made for this time before the first frame is sent."""
+"""Time for practice frames before the first frame is sent [s]."""
 PRACTICE = 4
 """Number of practice frames."""
 HANDING_S = 1.5e-3
-"""Time from the making of a frame until its first byte can be on an idle line."""
+"""Time from the end of making a frame until its first byte can be on an idle line [s]."""
 REST = 0.2
-"""Pause before the next frame is begun, as a share of the time to make one. Linux stops threads with real-time
-priority, such as the player's, for 50 ms if they leave others less than 5 % of a second."""
+"""Pause before the next frame is begun, as a fraction of the time to make one. Linux stops threads with real-time
+priority (the player) for 50 ms if other threads get less than 5 % of a second."""
 MAKING_SHARE = 0.9
 LAST_MADE = 50
-"""Frames are begun early by this quantile of the times to make this many last frames."""
+"""MAKING_SHARE quantile of the times of the LAST_MADE last frames: lead at which a frame is begun."""
 STALE_S = 1.0
-"""The board becomes silent if no frame comes for this time."""
+"""The board becomes silent if it gets no frame for this time [s]."""
 LAST_FRAMES = 4
 """Largest number of frames on the line, in buffers or waiting for a sync before they sound."""
 
@@ -46,9 +46,10 @@ class MadeFrame:
     """A frame for a board.
 
     data: its bytes, none for a board without a line; focus: its target, array frame [m], shape (3,)
-    seen_s: time of the last sample that it was made of [s]
+    seen_s: time of the last sample from which it was made [s]
     sounds: whether any transducer is on
-    wanted: target drive of the transducers before bytes, shape (N,); computed at first use, since no board waits for it
+    wanted: target drive of the transducers before rounding, shape (N,); computed at first use, to save time while
+        sending
     """
 
     def __init__(
@@ -60,19 +61,19 @@ class MadeFrame:
     @cached_property
     def wanted(self) -> Complex:
         assert self._want is not None
-        # The data that it was made of are large
+        # Free the data from which it was made, which are large
         want, self._want = self._want, None
         return want()
 
 
 Make = Callable[[float, float], MadeFrame]
-"""Makes the frame that sounds from one time on from the estimate at another, both in the time of the trial [s]."""
+"""Makes the frame to sound from the second time on, from the estimate at the first; times of the trial [s]."""
 
 
 @dataclass(frozen=True)
 class SentFrame:
-    """number: among the due frames; due_s: when it should sound; made_s: when it was made; begun_s: when its first byte
-    was sent, all in the time of the trial [s]"""
+    """A sent frame. number: among the due frames; due_s: when it should sound; made_s: when it was made; begun_s: when
+    its first byte was sent, all in the time of the trial [s]"""
 
     number: int
     due_s: float
@@ -85,10 +86,10 @@ class SentFrame:
 class Sent:
     """Result of the sending of a trial.
 
-    frames: those sent; due: number of due frames; emitted: drives from their times on, in the time of the trial [s]
-    late_s: worst delay of a frame's last byte on the line [s]; flags: errors that a virtual board reports, in words
+    frames: those sent; due: number of due frames; emitted: drives with their start times, in the time of the trial [s]
+    late_s: largest delay of a frame's last byte on the line [s]; flags: errors reported by a virtual board, in words
     interrupted: whether Ctrl-C ended it early; end_s: time of the end [s]
-    zero_s: the trial's time 0 on the sender's clock [s]; notes: on the sending, in words
+    zero_s: time 0 of the trial on the clock of the sender [s]; notes: on the sending, in words
     """
 
     frames: list[SentFrame] = field(default_factory=list)
@@ -103,11 +104,11 @@ class Sent:
 
     @property
     def dropped(self) -> int:
-        """Frames that were due and not sent."""
+        """Number of frames that were due and not sent."""
         return self.due - len(self.frames)
 
     def add(self, frame: SentFrame, takes_s: float) -> None:
-        """Add a sent frame. takes_s: its time on the line [s]"""
+        """Add a sent frame. takes_s: its duration on the line [s]"""
         self.frames.append(frame)
         ends = frame.begun_s + takes_s
         self.late_s, self.end_s = max(self.late_s, ends - frame.due_s), ends
@@ -115,7 +116,7 @@ class Sent:
 
 @dataclass(frozen=True)
 class _Order:
-    """What is to be sent: arguments of `send`."""
+    """Arguments of `send`."""
 
     board: Board
     times_s: Sequence[float]
@@ -137,10 +138,10 @@ def send(
 ) -> Sent:
     """Make and send frames for rising due times [s]; of several due frames the newest is sent.
 
-    port: of a board; VIRTUAL for a virtual one, paced in real time; None for a virtual twin that takes no time, so that
-        a trial is fast and exactly repeatable
-    duration_s: duration of the last frame [s]; log: is closed; on_progress: called with the time of the trial [s]
-    limits: of the sound energy, beyond which a player becomes silent
+    port: of a board; VIRTUAL: a virtual board in real time; None: a virtual twin that does not wait, so that a trial
+        is fast and exactly repeatable
+    duration_s: duration of the last frame [s]; log: is closed at the end; on_progress: called with the time of the
+        trial [s]; limits: of the sound energy; beyond them the player becomes silent
     The emission of a real board is computed by its twin from the bytes and their times on the line. Ctrl-C ends it
     early; the board is off at the end. Raises DeviceError if the port cannot be opened or is lost, and for a port on a
     system without POSIX.
@@ -163,22 +164,22 @@ def send(
         sent = _play_on_port(order, port, log, limits)
         _emit_by_twin(board, sent, duration_s)
     for one in sent.frames:
-        one.frame.wanted  # noqa: B018 - in the order in which they were made
+        one.frame.wanted  # noqa: B018 - computed in the order in which frames were made
     return sent
 
 
 def _not_early(board: Board, frames: list[SentFrame], emitted: list[Emitted]) -> list[Emitted]:
-    """Return the emission of a virtual board, no frame earlier than its last byte can have arrived.
+    """Return the emission of a virtual board, in which no frame sounds before its last byte can have arrived.
 
-    A virtual board records when it read bytes, not when they came: on a busy machine it may date them too early.
+    A virtual board estimates arrival times from the time of reading; on a busy machine they may be too early.
     """
     begin, takes_s = len(board.decode(board.start)), board.frame_time_s
     if len(emitted) < begin + len(frames):
         return emitted
     result = list(emitted)
     for number, sent in enumerate(frames, begin):
-        known = emitted[number]
-        result[number] = known._replace(time_s=max(known.time_s, sent.begun_s + takes_s))
+        emission = emitted[number]
+        result[number] = emission._replace(time_s=max(emission.time_s, sent.begun_s + takes_s))
     return sorted(result, key=lambda one: one.time_s)
 
 
@@ -193,7 +194,7 @@ def _play_exactly(order: _Order) -> Sent:
 
 
 class _Twin:
-    """A twin of a board that is fed with the bytes on the line, at times since it was switched on."""
+    """A virtual twin of a board that gets the bytes on the line; times are since it was switched on."""
 
     def __init__(self, board: Board, log: FrameLog | None = None) -> None:
         self.board, self.twin, self.log = board, board.wired_twin(), log
@@ -205,7 +206,7 @@ class _Twin:
             self.log.add(begins_s, data)
 
     def stop(self, begins_s: float, zero_s: float, sent: Sent) -> None:
-        """Silence it, and return the emission in a trial whose time begins at `zero_s` of this twin's."""
+        """Silence it and fill `sent` with the emission; time 0 of the trial is `zero_s` of the twin."""
         self.feed(self.board.stop, begins_s)
         self.emitted += self.twin.until(self.twin.time_s + HELD_BACK_S)
         sent.emitted = [Emitted(one.time_s - zero_s, one.amplitudes) for one in self.emitted]
@@ -213,7 +214,7 @@ class _Twin:
 
 
 def _play_on_twin(order: _Order, log: FrameLog | None) -> Sent:
-    """Return the emission of a virtual board whose line takes its real time, but without waiting."""
+    """Return the emission of a virtual board whose line takes its real time, without waiting."""
     board, times_s = order.board, order.times_s
     line, takes_s = _line(board), board.frame_time_s
     sent, twin = Sent(due=len(times_s)), _Twin(board, log)
@@ -247,28 +248,28 @@ def _line(board: Board) -> Line:
 
 
 def _play_on_port(order: _Order, port: str, log: FrameLog | None, limits: SoundLimits | None) -> Sent:
-    """Make frames here and send them by a player, which reports when each was on the line."""
+    """Make frames in this process and send them by a player, which reports the time of each on the line."""
     within = limits or SoundLimits()
     if log is not None:
         log.close()
     path = None if log is None else log.path
-    given: list[tuple[int, float, MadeFrame]] = []
+    passed: list[tuple[int, float, MadeFrame]] = []
     player = Player(
         order.board, port, log=path, stale_s=STALE_S, refresh_s=10.0 * STALE_S, tells_frames=True,
         on_time_s=within.on_time_s or 0.0, duty=within.duty,
     )  # fmt: skip
     try:
-        sent = _make_and_give(order, player, given)
+        sent = _make_and_give(order, player, passed)
     finally:
         player.close()
     report = player.played
     ended_s, takes_s = sent.end_s, order.board.frame_time_s
     for which, on_line_s in report.on_line:
-        number, made_s, frame = given[which]
+        number, made_s, frame = passed[which]
         begun_s = on_line_s - sent.zero_s - takes_s
         sent.add(SentFrame(number, order.times_s[number], made_s, begun_s, frame), takes_s)
     sent.end_s = sent.end_s if sent.interrupted else max(sent.end_s, ended_s)
-    late = len(given) - len(sent.frames)
+    late = len(passed) - len(sent.frames)
     sent.notes.append(f"sent by a player at {player.priority}; {late} computed frames were too late for the line")
     if player.log_error:
         sent.notes.append(f"the log ends early: {player.log_error}")
@@ -277,10 +278,10 @@ def _play_on_port(order: _Order, port: str, log: FrameLog | None, limits: SoundL
     return sent
 
 
-def _make_and_give(order: _Order, player: Player, given: list[tuple[int, float, MadeFrame]]) -> Sent:
+def _make_and_give(order: _Order, player: Player, passed: list[tuple[int, float, MadeFrame]]) -> Sent:
     """Make frames just before they are due, and pass them to a player.
 
-    given: filled with each frame, its number among the due ones, and when it was made [s]
+    passed: list to fill with the number of each frame among the due ones, when it was made [s], and the frame
     """
     times_s = order.times_s
     takes_s, making = order.board.frame_time_s, _practised(order.make, times_s)
@@ -298,7 +299,7 @@ def _make_and_give(order: _Order, player: Player, given: list[tuple[int, float, 
             now = time.monotonic()
             frame = order.make(now - sent.zero_s, due_s)
             player.send([frame.data], float(frame.sounds), made_s=now, due_s=sent.zero_s + due_s)
-            given.append((number, now - sent.zero_s, frame))
+            passed.append((number, now - sent.zero_s, frame))
             order.show_progress(now - sent.zero_s)
             done_s = time.monotonic()
             making.add(done_s - now)
@@ -310,7 +311,7 @@ def _make_and_give(order: _Order, player: Player, given: list[tuple[int, float, 
 
 
 class _Making:
-    """Time to make frames. took_s: median of the last ones; ahead_s: lead of its beginning before its first byte"""
+    """Time to make frames. took_s: median of the last ones [s]; ahead_s: lead of the begin before the first byte [s]"""
 
     took_s, ahead_s = 0.0, HANDING_S
 
@@ -329,7 +330,7 @@ class _Making:
 
 
 def _practised(make: Make, times_s: Sequence[float]) -> _Making:
-    """Make practice frames: the first ones take long, and a board that is on would wait for them."""
+    """Make practice frames, because the first frames take long."""
     making = _Making()
     for number in range(PRACTICE if len(times_s) else 0):
         began = time.monotonic()
@@ -351,7 +352,7 @@ def _emit_by_twin(board: Board, sent: Sent, duration_s: float) -> None:
 
 
 class Heard:
-    """Drive at any time of a trial, with its frame. times: from which each drive sounds [s]"""
+    """The drive at any time of a trial, with its frame. times: start of each drive [s]"""
 
     def __init__(self, sent: Sent, board: Board) -> None:
         self.times: Float = np.array([one.time_s for one in sent.emitted])
@@ -372,9 +373,9 @@ class Heard:
         return None if frame < 0 else (self.emitted[number], self.frames[frame])
 
     def _frame_of(self, emitted: Emitted) -> int:
-        """Return the number of the frame that causes this emission, -1 for none: the last match that was begun by then.
+        """Return the number of the last frame begun by then that matches this emission, -1 for none.
 
-        If bytes were lost no frame matches, and the result is the last one that could have arrived.
+        If bytes were lost and no frame matches, return the last frame that could have arrived.
         """
         begun = int(np.searchsorted(self._begun, emitted.time_s + 1e-9, "right")) - 1
         for number in range(begun, max(begun - LAST_FRAMES, -1), -1):

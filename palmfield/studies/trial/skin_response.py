@@ -19,10 +19,10 @@ from palmfield.types import Complex, Float
 
 
 class PlayedEmission(Emission):
-    """Output of a board, in place of the drive of a scene's stimuli."""
+    """Output of a board, which replaces the drive of the stimuli of a scene."""
 
     def __init__(self, model: HapticModel, emitted: Sequence[Emitted]) -> None:
-        """emitted: drives from rising times on; silence before."""
+        """emitted: drives with rising start times; silence before the first."""
         super().__init__(model)
         self.holds = False
         self._times: Float = np.array([one.time_s for one in emitted])
@@ -84,13 +84,13 @@ def skin_response(
 ) -> SkinResponse:
     """Step a scene with the output of a board, and observe its first skin.
 
-    places: of the motion, array frame at the beginning [m], shape (p, 3): the nearest nodes of the skin
-    Ctrl-C ends it early with the results so far. Errors as `palmfield.Simulation`.
+    places: positions in the array frame at the beginning [m], shape (p, 3); the nearest nodes are recorded
+    Ctrl-C ends it early with the results so far. Raises the errors of `palmfield.Simulation`.
     """
     sim = Simulation(scene, device="cpu", board=board, keys=keys)
     name = sim.skins[0]
     if not sim.runtime.model.skins[0].choice.solver.any_pose:
-        # A reduced model serves only the scene's own sound; modes serve any
+        # A reduced model is valid only for the scene's own sound; modal models are valid for any
         sim = Simulation(scene, device="cpu", board=board, keys={**keys, f"{name}.solver": "modal"})
     sim.steps.play({0: PlayedEmission(sim.runtime.model, emitted)})
     part = sim.skin(name)

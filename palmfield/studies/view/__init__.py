@@ -1,4 +1,4 @@
-"""A scene that runs while its user looks at it in the browser and changes its keys."""
+"""Run a scene while the user sees it in the browser and changes its keys."""
 
 import lazy_loader
 

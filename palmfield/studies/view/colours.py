@@ -11,7 +11,7 @@ from palmfield.types import Complex, Float32
 SILENT = (150, 150, 150)
 NICE = (1.0, 2.0, 5.0, 10.0)
 NOTHING = 1e-6
-"""In um, or Pa: residue after a sound has ended or a skin has come to rest, which does not get full colours."""
+"""Smaller values (um or Pa) are residues after a sound or motion has ended; they do not get full colours."""
 
 
 def _table(name: str, low: float = 0.0, high: float = 1.0) -> NDArray[np.uint8]:
@@ -25,7 +25,7 @@ AT_REST = (int(MOTION[128, 0]), int(MOTION[128, 1]), int(MOTION[128, 2]))
 
 @dataclass(frozen=True)
 class Scale:
-    """A colour scale. table: 256 colours, (256, 4); low, high: its ends, in `unit`, `factor` to the SI unit"""
+    """A colour scale. table: 256 colours, (256, 4); low, high: its ends, in `unit`; factor: from SI to `unit`"""
 
     title: str
     table: NDArray[np.uint8]
@@ -58,7 +58,7 @@ def size_scale(title: str, largest: float, unit: str, factor: float) -> Scale:
 
 
 def rounded_up(value: float) -> float:
-    """The next of 1, 2, 5, 10, 20, ... above; 1 for values too small to show (NOTHING)."""
+    """Return the next larger of 1, 2, 5, 10, 20, ...; 1 for values up to NOTHING."""
     if not np.isfinite(value) or value < NOTHING:
         return 1.0
     ten = 10.0 ** np.floor(np.log10(value))
@@ -77,7 +77,7 @@ def phase_colours(drive: Complex) -> NDArray[np.uint8]:
 
 
 def phase_legend() -> str:
-    """As HTML."""
+    """Return the legend of phases as HTML."""
     return _bar("phase of each transducer's drive", PHASE, "0", "360 deg")
 
 

@@ -1,8 +1,8 @@
-"""Gate in front of the page's own server: it checks clients, address and token.
+"""Gate in front of the server of the page: it checks clients, address and token.
 
 This gate listens at the page's address, reads the head of each connection, and forwards the allowed ones. viser itself
-serves every client, at a port of this machine that a script of any page can find by trial. So `only_for_gate` makes it
-serve only this gate, which has a secret.
+serves every client at a local port, which a script of any page can find by trial. `only_for_gate` makes it
+serve only this gate, which sends a secret.
 """
 
 import asyncio
@@ -19,32 +19,32 @@ from urllib.parse import parse_qs, quote, urlsplit
 from palmfield.errors import OutputError
 
 HEAD_BYTES = 32768
-"""Longest head of a request."""
+"""Largest head of a request [bytes]."""
 HEAD_S = 10.0
-"""Longest time until it has arrived."""
+"""Longest wait for the head of a request [s]."""
 CHUNK = 1 << 16
 LOCAL = ("localhost", "127.0.0.1", "::1")
 PORTS = 20
 """Number of ports that are tried if none is requested."""
 ALIVE = "/alive"
-"""Path at which the server reports only that it runs."""
+"""Path whose only answer is that the server runs."""
 SECRET_HEADER = "X-Palmfield-Gate"
 """Header of a request by which the server identifies the gate."""
 
 
 @contextlib.contextmanager
 def only_for_gate(secret: str, head: str) -> Iterator[None]:
-    """In this block a viser server starts that answers requests with a secret in SECRET_HEADER, and refuses all others.
+    """Make a viser server that is started in this block refuse requests without a secret in SECRET_HEADER.
 
     head: HTML that is added to the head of its page
-    Raises OutputError if the server was not made by the library that viser 1.1 uses.
+    Raises OutputError if viser did not start its server as version 1.1 does.
     """
     import websockets.asyncio.server as library
 
     plain = library.serve
     guarded = []
 
-    def serve(*given: Any, process_request: Callable[..., Any], **more: Any) -> Any:
+    def serve(*arguments: Any, process_request: Callable[..., Any], **more: Any) -> Any:
         def checked(connection: Any, request: Any) -> Any:
             if request.headers.get_all(SECRET_HEADER) != [secret]:
                 return connection.respond(http.HTTPStatus.FORBIDDEN, "open the address that `palmfield view` printed\n")
@@ -60,7 +60,7 @@ def only_for_gate(secret: str, head: str) -> Iterator[None]:
             return answer
 
         guarded.append(True)
-        return plain(*given, process_request=checked, **more)
+        return plain(*arguments, process_request=checked, **more)
 
     library.serve = serve  # type: ignore[assignment, misc]
     try:
@@ -72,7 +72,7 @@ def only_for_gate(secret: str, head: str) -> Iterator[None]:
 
 
 def is_loopback(host: str) -> bool:
-    """Whether an address is reached from this machine only."""
+    """Return whether an address is reached from this machine only."""
     if host == "localhost":
         return True
     try:
@@ -85,7 +85,7 @@ class Head:
     """The head of a request: method, path with query, and headers by lower-case name."""
 
     def __init__(self, raw: bytes) -> None:
-        """Raises ValueError for one that is not HTTP/1.1."""
+        """Parse a head. Raises ValueError if it is not HTTP/1.1."""
         lines = raw.decode("latin-1").split("\r\n")
         self.method, self.target, version = lines[0].split(" ")
         if version != "HTTP/1.1":
@@ -94,7 +94,7 @@ class Head:
         for line in lines[1:]:
             name, colon, value = line.partition(":")
             if not colon or name.lower() in self.headers:
-                # The server behind could read a repeated header differently
+                # The forwarded server could read a repeated header differently
                 raise ValueError(line)
             self.headers[name.lower()] = value.strip()
 
@@ -105,7 +105,7 @@ class Head:
 
 
 class Refused(Exception):
-    """A connection that is not allowed. status, words: of the answer; headers: further ones"""
+    """A connection that is not allowed. status, words: of the answer; headers: additional headers"""
 
     def __init__(self, status: http.HTTPStatus, words: str, headers: str = "") -> None:
         super().__init__(words)
@@ -121,10 +121,10 @@ class Refused(Exception):
 
 
 def check(head: Head, token: str, cookie: str) -> None:
-    """Raises Refused for a request that is not allowed, and to redirect one with the token in its address to the page.
+    """Raise Refused for a request that is not allowed, and to redirect a request with the token in its address.
 
-    token: empty for a page that only this machine reaches, which requests must call by this machine's name
-    cookie: name of the one that carries the token
+    token: empty for a page at a loopback address; then the Host header must be a name of this machine
+    cookie: name of the cookie with the token
     """
     host = head.headers.get("host", "")
     origin = head.headers.get("origin")
@@ -137,10 +137,10 @@ def check(head: Head, token: str, cookie: str) -> None:
             raise Refused(http.HTTPStatus.FORBIDDEN, f"this page is served at {' or '.join(LOCAL)}, not at '{host}'")
         return
     target = urlsplit(head.target)
-    given = parse_qs(target.query).get("token", [])
-    if given and hmac.compare_digest(given[0].encode(), token.encode()):
+    tokens = parse_qs(target.query).get("token", [])
+    if tokens and hmac.compare_digest(tokens[0].encode(), token.encode()):
         raise Refused(
-            http.HTTPStatus.SEE_OTHER, "this way",
+            http.HTTPStatus.SEE_OTHER, "see the new address",
             f"Location: {target.path}\r\nSet-Cookie: {cookie}={quote(token)}; Path=/; HttpOnly; SameSite=Strict\r\n",
         )  # fmt: skip
     if not hmac.compare_digest(head.cookies.get(cookie, "").encode(), quote(token).encode()):
@@ -150,11 +150,11 @@ def check(head: Head, token: str, cookie: str) -> None:
 
 
 class Gate:
-    """Listens in a thread of its own. port: at which"""
+    """Listens in a separate thread. port: number of its port"""
 
     def __init__(self, host: str, port: int | None, first: int, behind: int, token: str, secret: str) -> None:
         """port: None for the first free one from `first` on; behind: port of this machine to forward to
-        secret: that the server there expects
+        secret: secret that this server expects
 
         Raises OutputError for an address at which it cannot listen.
         """
@@ -191,7 +191,7 @@ class Gate:
                 writer.write(refused.answer)
                 await writer.drain()
             else:
-                # The server answers one request for each connection, or makes it a websocket: one check is enough
+                # One check is enough: a connection carries one request or becomes a websocket
                 await self._pass_on(raw, reader, writer)
         writer.close()
 

@@ -1,4 +1,4 @@
-"""A mesh with a colour at each vertex as the bytes of a GLB file, for a mesh that is sent many times a second."""
+"""Write a mesh with vertex colours as a GLB file, fast enough for many times a second."""
 
 import json
 import struct
@@ -13,14 +13,14 @@ JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
 FLOAT, UINT8, UINT32 = 5126, 5121, 5125
 VERTEX_BUFFER, INDEX_BUFFER = 34962, 34963
 FAR_M = 10.0
-"""Bounds of the vertices given to a reader: the file's head is made once, before the vertices are computed."""
+"""Bounds of the vertices in the head of the file, which is made once, before the vertices are computed [m]."""
 
 
 class GlbMesh:
-    """Triangles whose vertices move and change their colours. Its files differ only in these numbers."""
+    """Triangles whose vertices move and change their colours. Only these numbers differ between its files."""
 
     def __init__(self, faces: Int, vertices: int) -> None:
-        """faces: shape (m, 3); vertices: how many"""
+        """faces: shape (m, 3); vertices: their number"""
         self._count = vertices
         self._indices = np.ascontiguousarray(faces, np.uint32).tobytes()
         places, colours = 12 * vertices, 4 * vertices
@@ -58,7 +58,7 @@ class GlbMesh:
         )  # fmt: skip
 
     def file(self, positions: Float32, colours: NDArray[np.uint8]) -> bytes:
-        """The file. positions: [m], (n, 3); colours: red, green, blue, opacity, (n, 4), as the eye sees them (sRGB)"""
+        """Return the file. positions: [m], (n, 3); colours: red, green, blue (sRGB), opacity, (n, 4)"""
         assert positions.shape == (self._count, 3) and colours.shape == (self._count, 4)
         places = np.ascontiguousarray(positions, np.float32).tobytes()
         return b"".join((self._head, places, linear(colours).tobytes(), self._indices))
@@ -68,7 +68,7 @@ _LINEAR = np.round(255.0 * linear_rgb(np.arange(256) / 255.0)).astype(np.uint8)
 
 
 def linear(colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return colours as glTF stores them at vertices, linear in light; opacity is unchanged."""
+    """Return sRGB colours in the linear scale of glTF vertices; opacity is unchanged."""
     result = _LINEAR[colours]
     result[:, 3] = colours[:, 3]
     return np.ascontiguousarray(result)

@@ -1,4 +1,4 @@
-"""Hands moved by a scene's script, with an additional shift and rotation."""
+"""Add a shift and rotation to hands that the script of a scene moves."""
 
 from dataclasses import dataclass, replace
 
@@ -19,7 +19,7 @@ NO_HAND = "this scene has no palmfield.motion that moves a hand"
 
 @dataclass(frozen=True)
 class Offset:
-    """Shift [m] of a hand and rotation about its own axes (rotation vector [deg])."""
+    """Shift [m] of a hand and rotation about the axes of the hand (rotation vector [deg])."""
 
     shift: Float
     turn_deg: Float
@@ -36,9 +36,9 @@ class Offset:
 
 
 class Hands:
-    """The scripted hands of a scene, whose offsets are kept when it is rebuilt.
+    """The scripted hands of a scene. Their offsets are kept when the scene is rebuilt.
 
-    sliders: of all; offsets: by instance of palmfield.motion
+    sliders: of all hands; offsets: by instance of palmfield.motion
     """
 
     def __init__(self, sim: Simulation) -> None:
@@ -55,7 +55,7 @@ class Hands:
         self.attach(sim)
 
     def attach(self, sim: Simulation) -> None:
-        """Move the hands of another simulation of the scene from now on."""
+        """Move the hands of another simulation of the scene in future."""
         self._modules = scripts(sim.data)
         self._scripts = {name: module.motion for name, module in self._modules.items()}
         for name in self.offsets:
@@ -74,7 +74,7 @@ class Hands:
 
     @property
     def values(self) -> dict[Place, float]:
-        """Values of the sliders."""
+        """Return the values of the sliders, in their units."""
         found = {}
         for slider in self.sliders:
             _, named, axis = slider.place

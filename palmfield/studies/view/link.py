@@ -1,4 +1,4 @@
-"""The simulation's end of the link to the page's process: it starts that process, and never waits for it."""
+"""Simulation side of the link to the process of the page. It starts this process, and never waits for it."""
 
 import contextlib
 import queue
@@ -16,21 +16,21 @@ ENDS_WITHIN_S = 5.0
 
 
 class Link:
-    """A page in a process of its own. Use as a context manager: that process ends with it.
+    """A page in a separate process. A context manager, which ends that process.
 
-    Separate threads send and receive, so that a page which hangs or is stopped does not block the simulation.
+    Separate threads send and receive, so that a page that does not respond cannot block the simulation.
 
     address: for the browser
     """
 
     def __init__(self, place: Address) -> None:
-        """place: where the page is to be found. Raises OutputError if it cannot be shown there."""
-        # Spawned, not forked: the page must not get the state of Warp or MuJoCo
+        """place: address of the page. Raises OutputError if the page cannot be shown there."""
+        # Spawned, not forked, because the page must not get the state of Warp or MuJoCo
         context = get_context("spawn")
         self._talk, talk = context.Pipe()
         self._process = context.Process(target=run_page, args=(talk, place), name="palmfield view", daemon=True)
         self._process.start()
-        # Otherwise the pipe would not end with the page's process
+        # Otherwise the pipe would stay open after the end of the process
         talk.close()
         self._inbox: queue.SimpleQueue[FromPage | None] = queue.SimpleQueue()
         self._outbox: queue.SimpleQueue[FromSimulation] = queue.SimpleQueue()
@@ -60,12 +60,12 @@ class Link:
 
     @property
     def pid(self) -> int | None:
-        """Id of the page's process."""
+        """Id of the process of the page."""
         return self._process.pid
 
     @property
     def alive(self) -> bool:
-        """Whether the page's process is there."""
+        """Return whether the process of the page runs."""
         return self._process.is_alive()
 
     def send(self, message: FromSimulation) -> None:
@@ -73,7 +73,7 @@ class Link:
         self._outbox.put(message)
 
     def received(self, wait_s: float = 0.0) -> list[FromPage]:
-        """Messages since the last call; waits for the first so long [s]. `gone` is set once the page has ended."""
+        """Return messages since the last call; wait up to `wait_s` [s] for one. Sets `gone` if the page has ended."""
         messages: list[FromPage] = []
         if not wait_s and self._inbox.empty():
             return messages
@@ -87,7 +87,7 @@ class Link:
         return messages
 
     def close(self) -> None:
-        """End the page's process; returns when it has ended."""
+        """End the process of the page, and wait for its end."""
         self.send(End())
         self._process.join(ENDS_WITHIN_S)
         if self._process.is_alive():

@@ -1,4 +1,4 @@
-"""Messages between the process that simulates and the one that shows.
+"""Messages between the process of the simulation and that of the page.
 
 The simulation sends SceneShown at its start and after each rebuild, Notice and Values when needed. It sends Moment and
 Replay only on request, so that it never waits for the page. All positions are in the world [m]. All messages are
@@ -15,13 +15,13 @@ from palmfield.types import Complex, Float32, Int
 
 Group = Literal["key", "pose"]
 Place = tuple[Group, str, int | None]
-"""A number that can be changed: of a key (INSTANCE.key) or of a hand's pose (INSTANCE.axis), with its index."""
+"""Identifies a slider: its group, INSTANCE.key or INSTANCE.axis of a hand, and the index in a vector."""
 
 
 class Address(NamedTuple):
     """Address of the page.
 
-    host: address to listen at; port: None for the first free one from 8080 on; token: needed by clients, empty for
+    host: address to listen at; port: None for the first free one from 8080 on; token: required from clients, empty for
     none; rate_Hz: pictures a second
     """
 
@@ -31,13 +31,13 @@ class Address(NamedTuple):
     rate_Hz: float
 
 
-# -- what the simulation sends -----------------------------------------------------------------------------------------
+# -- messages of the simulation ----------------------------------------------------------------------------------------
 
 
 class Slider(NamedTuple):
-    """One number that can be changed.
+    """A slider for one number.
 
-    folder: its heading; low, high, step, value: in `unit`, of which there are `scale` in the SI unit
+    folder: its heading; low, high, step, value: in `unit`; scale: from the SI unit to `unit`
     """
 
     place: Place
@@ -52,7 +52,7 @@ class Slider(NamedTuple):
 
 
 class Pose(NamedTuple):
-    """Present places. bodies: vertices, (v, 3) each; skins: surface nodes and outward normals, (S, 3) each
+    """Present positions [m]. bodies: vertices, (v, 3) each; skins: surface nodes and outward normals, (S, 3) each
     transducers: (N, 3)"""
 
     bodies: tuple[Float32, ...]
@@ -63,7 +63,7 @@ class Pose(NamedTuple):
 class SceneShown(NamedTuple):
     """Parts that are constant until the scene is rebuilt.
 
-    body_faces: of the closed bodies, (m, 3) each; skins: names; skin_faces: (f, 3) each; pose: the first
+    body_faces: of the closed bodies, (m, 3) each; skins: names; skin_faces: (f, 3) each; pose: the first pose
     transducer_directions: unit vectors, (N, 3); transducer_radius: [m]
     no_pose: why the hand has no sliders, empty if it has some; timestep_s: of MuJoCo [s]
     """
@@ -82,10 +82,10 @@ class SceneShown(NamedTuple):
 
 
 class Moment(NamedTuple):
-    """The scene now.
+    """Present state of the scene.
 
     time_s: simulated time; speed: simulated seconds per second, recently measured, 0 while paused
-    pose: None if no part has moved since the last one sent
+    pose: None if no part has moved since the last message
     drive: commanded drive of the transducers, (N,); foci: (m, 3), none in silence
     solvers: stepper of each skin; recording: folder, or empty
     displacement, arp: of each skin along the outward normal [m] and [Pa], (S,), if requested
@@ -104,8 +104,8 @@ class Moment(NamedTuple):
 
 
 class Level(NamedTuple):
-    """Level of a skin's last periods for an observer: level_dB above threshold, None if refused; why: in words;
-    lines: lines of the motion or force that the level is of, in words."""
+    """Level of a skin's last periods for an observer: level_dB above threshold, None if there is none; why: reason;
+    lines: frequency lines of the motion or force to which the level belongs."""
 
     observer: str
     level_dB: float | None
@@ -124,7 +124,7 @@ class SkinReplay(NamedTuple):
 
 
 class Replay(NamedTuple):
-    """The last periods of all skins: times [s], (k,), from `begin_s` on over `length_s`;
+    """The last periods of all skins: times [s], (k,), from `begin_s` on, of length `length_s` [s];
     what: description of this stretch"""
 
     times: NDArray[np.float64]
@@ -134,7 +134,7 @@ class Replay(NamedTuple):
 
 
 class Notice(NamedTuple):
-    """A sentence for the page. kind: `busy` stays until the next one, `error` is red, `info` is not"""
+    """A sentence for the page. kind: `busy` stays until the next notice, `error` is red, `info` is plain"""
 
     kind: Literal["info", "busy", "error"]
     text: str
@@ -154,7 +154,7 @@ class End:
 FromSimulation = SceneShown | Moment | Replay | Notice | Values | End
 
 
-# -- what the page sends -----------------------------------------------------------------------------------------------
+# -- messages of the page ----------------------------------------------------------------------------------------------
 
 
 class Ready(NamedTuple):
@@ -178,7 +178,7 @@ class Turn(NamedTuple):
 
 
 class SetKey(NamedTuple):
-    """A key as text, INSTANCE.key=VALUE."""
+    """A key to change as text, INSTANCE.key=VALUE."""
 
     text: str
 

@@ -1,4 +1,4 @@
-"""The page: viser's display in the browser, and the messages that it returns."""
+"""The page in the browser, made with viser, and its messages to the simulation."""
 
 import html
 import math
@@ -35,17 +35,17 @@ PORT = 8080
 LIFT_m = 3e-4
 """Distance at which a skin is drawn above its body, so that the two do not flicker."""
 SEEN_m = 3e-3
-"""Size to which the largest motion is magnified by default."""
+"""Displayed size of the largest motion at the default magnification [m]."""
 REPLAYS = ("motion, slowed down", "ARP, slowed down")
 STILL = ("RMS of the motion",)
 NOWS = ("motion now", "ARP now")
 SHOWN = (*REPLAYS, *STILL, *NOWS)
 PACES = {
-    "real time": 1.0, "1/10 of real time": 0.1, "1/100 of real time": 0.01, "as fast as it goes": math.inf,
+    "real time": 1.0, "1/10 of real time": 0.1, "1/100 of real time": 0.01, "as fast as possible": math.inf,
 }  # fmt: skip
 NOW_WORDS = "the state at each picture (motion faster than the picture rate is visible only at a slower pace)"
 TURNS_IN_s = 2.0
-"""Approximate duration of a slowed-down stretch."""
+"""Approximate duration of a slowed-down replay [s]."""
 DISC_SIDES = 12
 HEAD = """
 <script>
@@ -56,7 +56,7 @@ addEventListener("load", () => {
   const gone = document.createElement("div");
   gone.id = "palmfield-gone";
   gone.setAttribute("role", "alert");
-  gone.textContent = "The view has ended or does not answer. What is seen here is the last picture. " +
+  gone.textContent = "The view has ended or does not answer. This is the last picture. " +
     "Start the command again, and open the address that it prints.";
   gone.style.cssText = "display:none;position:fixed;inset:auto 0 0 0;z-index:99999;padding:0.8em 1em;" +
     "background:#b00020;color:#fff;font:1rem sans-serif;text-align:center";
@@ -80,13 +80,13 @@ addEventListener("load", () => {
 }
 </style>
 """.replace("ALIVE", ALIVE)
-"""Additions to viser's page: a message when the server has ended, which viser shows only by a small sign."""
+"""Additions to viser's page: a clear message when the server has ended."""
 AGAIN_s = 5.0
-"""Data that do not come within this time are requested again, since the simulation may not have been ready."""
+"""Data are requested again after this time [s], because the simulation may not have been ready."""
 
 
 class SkinNode:
-    """A skin in the page: three meshes, one visible while the browser reads the others."""
+    """A skin in the page. It has three meshes: one is visible while the browser reads the others."""
 
     def __init__(self, server: viser.ViserServer, name: str, faces: np.ndarray, pose: tuple[Float32, Float32]) -> None:
         self.faces, self.pose = faces, pose
@@ -98,7 +98,7 @@ class SkinNode:
         self._seen = 0
 
     def show(self, displacement: Float32, magnify: float, colours: np.ndarray) -> None:
-        """Show another state; it is visible two pictures later. displacement: along the outward normal [m], (S,)"""
+        """Show another state, which is visible two pictures later. displacement: along the outward normal [m], (S,)"""
         last, self._seen = self._seen, (self._seen + 1) % len(self._nodes)
         self._nodes[self._seen].visible = True
         self._nodes[last].visible = False
@@ -114,28 +114,28 @@ class SkinNode:
 
 
 class Page:
-    """The page, in the process that shows it. address: for the browser"""
+    """The page, in its own process. address: for the browser"""
 
     def __init__(self, talk: Connection, place: messages.Address) -> None:
         """Raises OutputError if it cannot listen."""
         self._talk, self._lock, self._place = talk, Lock(), place
-        # Never at another address, and for the gate alone: viser does not check its clients
+        # viser does not check its clients, so it serves only the gate at the loopback address
         secret = secrets.token_urlsafe(24)
         with only_for_gate(secret, HEAD):
             self._server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
         gate = Gate(place.host, place.port, PORT, self._server.get_port(), place.token, secret)
         host = "localhost" if place.host in LOCAL else place.host
         if host in ("0.0.0.0", "::"):
-            # All addresses of this machine: clients may use its name
+            # Listen at all addresses of this machine, because clients may use its name
             host = socket.gethostname()
         host = f"[{host}]" if ":" in host else host
         self.address = f"http://{host}:{gate.port}/" + (f"?token={place.token}" if place.token else "")
         # viser's button would make a public address that bypasses the gate
         self._server.gui.configure_theme(show_share_button=False, control_width="medium", dark_mode=False)
-        # Next to the scene, not over it
+        # Controls next to the scene, not over it
         self._server.gui.main_panel.dock_right()
         self._server.scene.set_up_direction("+z")
-        # A palm faces down, where viser's own lights leave it dark
+        # A palm faces down, where the default lights of viser do not reach
         self._server.scene.configure_default_lights(enabled=False)
         self._server.scene.add_light_ambient("/light/all", intensity=1.3)
         for number, lit_from in enumerate(((0.3, 0.5, 1.0), (1.0, 1.2, -0.6))):
@@ -202,7 +202,7 @@ class Page:
         if handle.value != value:
             handle.value = value
 
-    # -- what there is -------------------------------------------------------------------------------------------------
+    # -- contents of the page ------------------------------------------------------------------------------------------
 
     def _begin(self, scene: messages.SceneShown) -> None:
         """Show a scene, the first one or a rebuilt one."""
@@ -240,7 +240,7 @@ class Page:
             self._add_sliders(scene)
 
     def _look(self, pose: messages.Pose, directions: Float32) -> None:
-        """Put the camera to the side of the sound's path, so that skin and array are visible."""
+        """Place the camera beside the sound path, so that skin and array are visible."""
         array = pose.transducers.mean(axis=0)
         skin = np.concatenate([points for points, _ in pose.skins]).mean(axis=0)
         axis = directions.mean(axis=0)
@@ -265,12 +265,12 @@ class Page:
         )
         self._record = gui.add_button("Record", icon=viser.Icon.PLAYER_RECORD)
         self._on_press(self._record, self._record_pressed)
-        with gui.add_folder("What is seen"):
+        with gui.add_folder("Display"):
             self._shown = gui.add_dropdown("on the skin", SHOWN, initial_value=SHOWN[0])
             self._magnify = gui.add_slider(
                 "magnify", -2.0, 2.0, 0.1, 0.0, hint="powers of ten relative to the current factor"
             )
-            self._pace = gui.add_dropdown("at most", tuple(PACES), initial_value="real time")
+            self._pace = gui.add_dropdown("pace limit", tuple(PACES), initial_value="real time")
             self._legend = gui.add_html("")
             gui.add_html(phase_legend())
         with gui.add_folder("Level above threshold"):
@@ -278,7 +278,7 @@ class Page:
         self._pace.on_update(lambda event: self._say(messages.Pace(PACES[self._pace.value])) if event.client else None)
         with gui.add_folder("Any key", expand_by_default=False):
             text = gui.add_text("INSTANCE.key=VALUE", "", hint="separate several by ;")
-            self._on_press(gui.add_button("Set it"), lambda: self._say(messages.SetKey(text.value)))
+            self._on_press(gui.add_button("Set"), lambda: self._say(messages.SetKey(text.value)))
         self._add_sliders(scene)
 
     def _add_sliders(self, scene: messages.SceneShown) -> None:
@@ -303,7 +303,7 @@ class Page:
         label = f"{slider.label} [{slider.unit}]" if slider.unit else slider.label
         low, high = min(slider.low, slider.value), max(slider.high, slider.value)
         handle = self._server.gui.add_slider(label, low, high, slider.step, slider.value)
-        # Changes by the simulation come without a client, and are not sent back
+        # Changes by the simulation have no client, and are not sent back
         handle.on_update(
             lambda event: self._say(messages.Turn(slider.place, float(handle.value))) if event.client else None
         )
@@ -320,7 +320,7 @@ class Page:
         going = self._moment is not None and self._moment.recording
         self._say(messages.Press("stop recording" if going else "record"))
 
-    # -- what comes ----------------------------------------------------------------------------------------------------
+    # -- messages from the simulation ----------------------------------------------------------------------------------
 
     def _show_notice(self, notice: messages.Notice) -> None:
         colour, mark = {
@@ -367,7 +367,7 @@ class Page:
     # -- pictures ------------------------------------------------------------------------------------------------------
 
     def _draw(self) -> None:
-        """Draw one picture, and request the data for the next ones."""
+        """Draw one picture, and request the data for the next."""
         shown = self._shown.value
         now = time.monotonic()
         if now - self._asked_moment > AGAIN_s:
@@ -393,7 +393,7 @@ class Page:
         self._say_how(words, magnify)
 
     def _repeats(self) -> int:
-        """Number of pictures for each state of a replay, so that a stretch of few states is slow enough."""
+        """Number of pictures for each state of a replay, so that a replay of few states is slow enough."""
         assert self._replay is not None
         return max(1, round(TURNS_IN_s * self._place.rate_Hz / max(len(self._replay.times), 1)))
 
@@ -402,7 +402,7 @@ class Page:
         return max(float(np.abs(skin.displacement).max(initial=0.0)) for skin in self._replay.skins)
 
     def _state(self, shown: str) -> tuple[list[tuple[Float32, Float32]], Scale, str]:
-        """Return each skin's displacement and coloured quantity, with their scale and its description."""
+        """Return displacement and coloured quantity of each skin, with their scale and a description."""
         nothing = Scale("", PRESSURE, 0.0, 1.0, "", 1.0)
         moment, replay = self._moment, self._replay
         if shown in NOWS:
@@ -476,7 +476,7 @@ def _meter_row(name: str, level_dB: float | None, why: str, lines: str) -> str:
 
 
 def disc(radius_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """A flat disc about the z axis: vertices and faces."""
+    """Return vertices and faces of a flat disc about the z axis."""
     angles = 2.0 * np.pi * np.arange(DISC_SIDES) / DISC_SIDES
     rim = radius_m * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(DISC_SIDES)])
     ring = np.arange(1, DISC_SIDES + 1)

@@ -15,18 +15,18 @@ KINDER = 5
 
 
 def need_viser() -> None:
-    """Raises OutputError if the library of the page is missing."""
+    """Raise OutputError if the library of the page is missing."""
     if importlib.util.find_spec("viser") is None:
         raise OutputError("a live view needs the package viser: pip install 'palmfield[view]'")
 
 
 def run_page(talk: Connection, place: Address) -> None:
-    """Show what arrives, until the other end is closed or requests the end."""
-    # The terminal's Ctrl-C is for the simulation, which ends this process when its recording is safe
+    """Show the messages that arrive, until the other end is closed or requests the end."""
+    # Ctrl-C ends the simulation, which ends this process when its recording is complete
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with contextlib.suppress(OSError):
         os.nice(KINDER)
-    # viser prints greetings there, with an address that is not the page's
+    # viser prints an address that is not that of the page
     sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - for the rest of the process
     try:
         from palmfield.studies.view.page import Page
@@ -37,6 +37,6 @@ def run_page(talk: Connection, place: Address) -> None:
         return
     talk.send(Ready(page.address))
     page.run()
-    # Waiting threads of viser would hold the process for seconds
+    # Waiting threads of viser would delay the end of the process by seconds
     sys.stderr.flush()
     os._exit(0)

@@ -1,4 +1,4 @@
-"""The last periods of a running simulation: the skins' motion and the ARP at all substeps, and the perceived levels."""
+"""Record the last periods of a running simulation: motion and ARP of the skins at all substeps, perceived levels."""
 
 from collections import deque
 from dataclasses import replace
@@ -23,14 +23,14 @@ PERIODS = 2
 """Number of periods of the lowest main frequency: fewer do not determine a level."""
 SHORTEST_s, LONGEST_s = 4e-3, 0.25
 MOST_PICTURES = 24
-"""Limits of a replay."""
+"""Largest number of states in a replay."""
 
 
 class Blocks:
     """A sink for a recorder that keeps the last blocks, one for each MuJoCo step, and forwards all."""
 
     def __init__(self, steps: int, on: Any = None) -> None:
-        """steps: number of blocks kept; on: another sink"""
+        """steps: number of kept blocks; on: another sink"""
         self.kept: deque[Arrays] = deque(maxlen=steps)
         self._on = on
 
@@ -41,19 +41,19 @@ class Blocks:
 
 
 class Periods:
-    """Observes a simulation for as many steps as a level needs, and no longer, since observation takes time."""
+    """Records a simulation for as many steps as a level needs. Recording costs time, so it then stops."""
 
     def __init__(self, sim: Simulation) -> None:
-        """Begins to watch."""
+        """Begin to record."""
         self._sim = sim
         self._blocks = Blocks(steps_watched(sim))
         self._recorder = recorder_of(sim, self._blocks)
         self._recorder.start()
-        # The state before the first step is not a step
+        # The state before the first step is not part of the replay
         self._blocks.kept.clear()
 
     def step(self) -> Replay | None:
-        """Record a step; once there are enough, return the replay and stop the observation."""
+        """Record a step; after enough steps, return the replay and stop recording."""
         self._recorder.step()
         if len(self._blocks.kept) < (self._blocks.kept.maxlen or 0):
             return None
@@ -61,21 +61,21 @@ class Periods:
         return replay(self._sim, list(self._blocks.kept), self._recorder)
 
     def stop(self) -> None:
-        """Watch no longer."""
+        """Stop recording."""
         self._recorder.stop()
 
 
 def period_s(sim: Simulation) -> float | None:
-    """Period of the sound's slowest main frequency [s]; None if it does not repeat."""
+    """Return the period of the lowest main frequency of the sound [s]; None if the sound is not periodic."""
     model = sim.runtime.model
     frequencies = main_frequencies(model.configs[model.sounding])
     return 1.0 / frequencies[0] if frequencies else None
 
 
 def steps_watched(sim: Simulation) -> int:
-    """Number of MuJoCo steps in a replay."""
+    """Return the number of MuJoCo steps in a replay."""
     period, step_s = period_s(sim), sim.runtime.spec.timestep_s
-    # One sample more than the periods: a record of two periods includes its first and last sample
+    # One more sample, because a record of two periods includes its first and last sample
     wanted = SHORTEST_s if period is None else PERIODS * period + sim.runtime.model.step_s
     return max(1, ceil(min(max(wanted, SHORTEST_s), LONGEST_s) / step_s - 1e-6))
 
@@ -91,7 +91,7 @@ def replay(sim: Simulation, blocks: list[Arrays], recorder: Recorder) -> Replay:
     skins = []
     for number, part in enumerate(model.skins):
         own = [block[group("skin", part.spec.name)] for block in blocks]
-        # Single precision throughout: thousands of points, hundreds of times
+        # Single precision, because there are thousands of points at hundreds of times
         normals = part.nodes[1].astype(np.float32)
         normal = np.einsum("tsi,si->ts", np.concatenate([one["displacement"] for one in own]), normals)
         arp = np.concatenate([one["arp"] for one in own])
@@ -105,11 +105,11 @@ def replay(sim: Simulation, blocks: list[Arrays], recorder: Recorder) -> Replay:
 def _levels(
     sim: Simulation, skin: int, recorder: Recorder, times: Float, normal: np.ndarray, arp_peaks: np.ndarray
 ) -> tuple[Level, ...]:
-    """Return each observer's level of a skin's motion, or why there is none."""
+    """Return the level of the motion of a skin for each observer, or why there is none."""
     runtime = sim.runtime
     model, loudest = runtime.model, recorder.loudest[skin]
     if loudest is not None and arp_peaks.max() > 0.0:
-        # A recording may contain an earlier, louder moment
+        # A recording may contain an earlier moment with a higher ARP
         unit = runtime.work.radiation.on(loudest.posed, skin, "nodes", loudest.drive).arp
         loudest = replace(loudest, factor=float(arp_peaks.max() / unit.max())) if unit.max() > 0.0 else loudest
     numbers = felt_levels(

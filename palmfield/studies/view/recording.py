@@ -1,4 +1,4 @@
-"""Recordings: the run of a scene with constant keys, as a result folder like that of `palmfield run`."""
+"""Record the run of a scene with constant keys in a result folder like that of `palmfield run`."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -16,19 +16,19 @@ KEYS_FILE = "keys.json"
 
 
 class Recording:
-    """Writes each step to a folder until `finish`, or until the process is killed: `palmfield recover` then assembles
-    the data on the disk.
+    """Writes each step to a folder until `finish`. If the process is killed, `palmfield recover` assembles the written
+    data.
 
     out: the folder
     """
 
     def __init__(self, sim: Simulation, out: Path, scene: str, keys: Mapping[str, object]) -> None:
-        """scene: file that is shown; keys: that differ from its own. Raises OutputError as `Store` does."""
+        """scene: file of the scene; keys: those that differ from the file. Raises OutputError as `Store` does."""
         self.out, self._sim = out, sim
         self._store = Store(out, known_before(sim), result_attributes(sim))
         self._blocks = Blocks(steps_watched(sim), self._store)
         self._recorder = recorder_of(sim, self._blocks)
-        # Each recording has one set of keys, so that this command repeats it
+        # Each recording has one set of keys, so that this command reproduces it
         start: dict[str, Any] = {"scene": scene, "keys": dict(keys), "begun_s": sim.time}
         write_json(out / KEYS_FILE, start)
         self._recorder.start()
@@ -39,14 +39,14 @@ class Recording:
         self._recorder.step()
 
     def last_periods(self) -> Replay | None:
-        """Return the periods before now; None in the first steps."""
+        """Return the last periods; None in the first steps."""
         blocks = list(self._blocks.kept)
         return None if len(blocks) < (self._blocks.kept.maxlen or 0) else replay(self._sim, blocks, self._recorder)
 
     def finish(self, reason: str) -> Path:
         """Write result.nc and summary.json; returns the folder. Raises OutputError if the disk is full.
 
-        reason: of the end
+        reason: reason of the end
         """
         self._recorder.stop()
         self._store.append(self._recorder.surfaces())
@@ -60,7 +60,7 @@ class Recording:
 
 
 def next_folder(out: Path) -> Path:
-    """The first of recording-001, recording-002, ... that does not exist. Raises OutputError after 999."""
+    """Return the first of recording-001, recording-002, ... that does not exist. Raises OutputError after 999."""
     for number in range(1, 1000):
         folder = out / f"recording-{number:03d}"
         if not folder.exists():

@@ -23,14 +23,14 @@ from palmfield.studies.view.link import Link
 from palmfield.studies.view.page_process import need_viser
 from palmfield.studies.view.periods import Periods, steps_watched
 from palmfield.studies.view.recording import Recording, next_folder
-from palmfield.studies.view.sight import MomentReader, scene_shown
+from palmfield.studies.view.scene_reading import MomentReader, scene_shown
 from palmfield.studies.view.sliders import stimulus_sliders, turned, value_of
 
 LOG = logging.getLogger("palmfield.studies")
 RATE_Hz, GPU_RATE_Hz = 15.0, 30.0
-"""Pictures a second by default."""
+"""Default pictures per second."""
 QUIET_s = 0.3
-"""A scene is rebuilt this long after the last change of a slider."""
+"""Time from the last change of a slider until the scene is rebuilt [s]."""
 IDLE_s = 0.02
 SPEED_OVER_s = 0.5
 UNWATCHED = 9
@@ -40,12 +40,12 @@ NEXT_KEY = re.compile(r";\s*(?=[\w.]+\s*=)")
 NOT_FROM_A_PAGE = {"function", "hand", *FILE_KEYS}
 """Keys with which a user of the page could read files and run code."""
 BEHIND_s = 0.2
-"""Largest delay that the clock makes up for."""
+"""Largest delay against real time that is recovered [s]."""
 
 
 @dataclass(frozen=True)
-class Wanted:
-    """How a scene is opened each time. keys: those given in addition to the scene's own"""
+class SceneSource:
+    """Arguments with which a scene is opened and rebuilt."""
 
     scene: Path
     device: str | None
@@ -53,7 +53,7 @@ class Wanted:
     board: str | None
 
     def open(self, keys: Mapping[str, object]) -> Simulation:
-        """Errors as `palmfield.Simulation`. The steppers of the skins are made here, not in the first step."""
+        """Open the scene and build its steppers. Raises the errors of `palmfield.Simulation`."""
         sim = Simulation(self.scene, device=self.device, accuracy=self.accuracy, board=self.board, keys=keys)
         for lazy in sim.runtime.model.begin:
             _ = lazy.value
@@ -61,16 +61,20 @@ class Wanted:
 
 
 class ShownScene:
-    """A scene that is stepped and changed. The caller passes the page's messages to `take`, and calls `go_on`.
+    """A scene that is stepped and changed. The caller passes messages of the page to `take` and calls `go_on`.
 
-    send: gets the messages for the page; sim: the present simulation; keys: other than the scene's own
+    send: function that gets the messages for the page; sim: the present simulation; keys: those changed in the scene
     """
 
     def __init__(
-        self, wanted: Wanted, keys: Mapping[str, object], out: Path, send: Callable[[messages.FromSimulation], None]
+        self,
+        source: SceneSource,
+        keys: Mapping[str, object],
+        out: Path,
+        send: Callable[[messages.FromSimulation], None],
     ) -> None:
-        """out: folder of recordings, each in a folder of its own. Errors as `palmfield.Simulation`."""
-        self.wanted, self.keys, self.out, self.send = wanted, dict(keys), out, send
+        """out: folder with a folder for each recording. Raises the errors of `palmfield.Simulation`."""
+        self.source, self.keys, self.out, self.send = source, dict(keys), out, send
         self.playing, self.most_pace = True, 1.0
         self._turns: dict[messages.Place, float] = {}
         self._turned_at = 0.0
@@ -78,7 +82,7 @@ class ShownScene:
         self._asked: set[str] = set()
         self._periods: Periods | None = None
         self._recording: Recording | None = None
-        self.sim = wanted.open(keys)
+        self.sim = source.open(keys)
         self._hands = Hands(self.sim)
         self.sliders: dict[messages.Place, messages.Slider] = {}
         self._attach()
@@ -86,7 +90,7 @@ class ShownScene:
     def _attach(self) -> None:
         self._sight = MomentReader(self.sim)
         listed = (*stimulus_sliders(self.sim.runtime.spec.stimuli), *self._hands.sliders)
-        # An existing slider keeps its ends, which follow from its first value
+        # An existing slider keeps its range, which was computed from its first value
         self.sliders = {one.place: self.sliders.get(one.place, one) for one in listed}
         self._texts = stimulus_texts(self.sim.runtime)
         self._begin_clock()
@@ -106,7 +110,7 @@ class ShownScene:
         """Send the scene to the page, once it is available and after each rebuild."""
         no_pose = "" if self._hands.sliders else NO_HAND
         self.send(
-            scene_shown(self.sim, str(self.wanted.scene), self._sight.pose(), tuple(self.sliders.values()), no_pose)
+            scene_shown(self.sim, str(self.source.scene), self._sight.pose(), tuple(self.sliders.values()), no_pose)
         )
         self.send(self._values())
 
@@ -115,10 +119,10 @@ class ShownScene:
         values = {place: value_of(one, stimuli) for place, one in self.sliders.items() if place[0] == "key"}
         return messages.Values(values | self._hands.values)
 
-    # -- what the page sends -------------------------------------------------------------------------------------------
+    # -- messages of the page ------------------------------------------------------------------------------------------
 
     def take(self, message: messages.FromPage) -> None:
-        """Do what the page requests; errors are reported there."""
+        """Process a request of the page; errors are shown in the page."""
         if isinstance(message, messages.Ask):
             self._asked.add(message.what)
         elif isinstance(message, messages.Turn):
@@ -141,7 +145,7 @@ class ShownScene:
         self._turned_at = time.monotonic()
 
     def _take_text(self, text: str) -> None:
-        given: dict[str, object] = {}
+        keys: dict[str, object] = {}
         # Keys that depend on each other must be set together
         for part in NEXT_KEY.split(text):
             name, equals, value = part.partition("=")
@@ -154,8 +158,8 @@ class ShownScene:
                     f"key '{name.strip()}' names code or files of this machine, which the page cannot set; end the "
                     "view, and give it to `palmfield view` with --set"
                 )
-            given[name.strip()] = value.strip()
-        self._set |= given
+            keys[name.strip()] = value.strip()
+        self._set |= keys
         self._turned_at = time.monotonic()
 
     def _press(self, what: str) -> None:
@@ -167,13 +171,13 @@ class ShownScene:
         elif what == "record" and self._recording is None:
             self._stop_watching()
             folder = next_folder(self.out)
-            self._recording = Recording(self.sim, folder, str(self.wanted.scene), self.keys)
+            self._recording = Recording(self.sim, folder, str(self.source.scene), self.keys)
             self.send(messages.Notice("info", f"recording to {folder}"))
         elif what == "stop recording":
             self.stop_recording("stopped in the live view")
 
     def _guarded(self, do: Callable[[], object]) -> bool:
-        """Do something, and report errors to the page; returns whether it succeeded."""
+        """Call a function, and report its errors to the page; return whether it succeeded."""
         try:
             do()
         except PalmfieldError as error:
@@ -181,7 +185,7 @@ class ShownScene:
             self.send(messages.Notice("error", str(error)))
             return False
         except Exception as error:
-            # A fault of palmfield must not end the view: the scene is unchanged, and keys can be set back
+            # A programming error must not end the view: the scene is unchanged, and keys can be set back
             LOG.exception("internal error of the live view")
             self.send(messages.Notice("error", f"internal error of palmfield: {type(error).__name__}: {error}"))
             return False
@@ -190,7 +194,7 @@ class ShownScene:
     # -- stepping ------------------------------------------------------------------------------------------------------
 
     def go_on(self) -> float:
-        """Make the next step if it is due, and answer requests; returns the idle time until the next one [s]."""
+        """Make the next step if it is due, and answer requests; return the idle time until the next step [s]."""
         if (self._turns or self._set) and self._due():
             self._change()
         wait_s = IDLE_s
@@ -204,7 +208,7 @@ class ShownScene:
         return min(max(wait_s, 0.0), IDLE_s)
 
     def _ahead_s(self) -> float:
-        """Return how long the simulation must wait for the clock [s]; the clock is reset if it is too far ahead."""
+        """Return how long the simulation must wait for real time [s]; if it is too late, restart the clock."""
         if math.isinf(self.most_pace):
             return 0.0
         began_s, from_s = self._clock
@@ -244,11 +248,11 @@ class ShownScene:
 
     @property
     def watching(self) -> bool:
-        """Whether steps are being observed for a replay; the simulation must not be stepped otherwise then."""
+        """Whether steps are recorded for a replay; then the simulation must be stepped only here."""
         return self._periods is not None
 
     def _may_watch(self) -> bool:
-        """Whether steps may be observed: there is time, enough steps were unobserved, or there is no replay yet."""
+        """Whether steps may be recorded: time is left, enough steps were not recorded, or there is no replay yet."""
         return self._held_up or self._unwatched >= UNWATCHED * steps_watched(self.sim)
 
     def _answer(self) -> None:
@@ -280,19 +284,19 @@ class ShownScene:
     # -- changes -------------------------------------------------------------------------------------------------------
 
     def _due(self) -> bool:
-        """Whether changes are applied now: at once if that is fast, else after the last change."""
+        """Return whether changes are applied now: at once if that is fast, else QUIET_s after the last change."""
         return time.monotonic() - self._turned_at > QUIET_s or (self._quick() and not self._set)
 
     def _quick(self) -> bool:
         return all(skin.choice.solver.of_class for skin in self.sim.runtime.model.skins)
 
     def _change(self) -> None:
-        turns, given = self._turns, self._set
+        turns, keys = self._turns, self._set
         self._turns, self._set = {}, {}
         texts: dict[str, object] = dict(turned(self.sliders, turns, self.sim.runtime.spec.stimuli))
-        texts |= given
+        texts |= keys
         recorded = self._recording is not None
-        self._guarded(lambda: self._change_to(texts, only_stimuli=not given))
+        self._guarded(lambda: self._change_to(texts, only_stimuli=not keys))
         if recorded and self._recording is None:
             self._guarded(lambda: self._press("record"))
         self.send(self._values())
@@ -316,8 +320,8 @@ class ShownScene:
         self.send(messages.Notice("busy", f"rebuilding with {changes}; the page still shows the previous scene"))
         started = time.monotonic()
         keys = self.keys | {name: value or None for name, value in texts.items()}
-        new = self.wanted.open(keys)
-        # Only now: until here the scene is unchanged, so that an invalid value has no effect
+        new = self.source.open(keys)
+        # Only after the rebuild, so that an invalid value has no effect
         self.stop_recording(f"then {changes}")
         self._stop_watching()
         self.sim, self.keys = new, keys
@@ -360,18 +364,19 @@ def view(
     pace: float = 1.0,
     on_ready: Callable[[str], None] | None = None,
 ) -> None:
-    """Run a scene and show it in the browser; returns after Ctrl-C, SIGTERM or SIGHUP, with recordings finished.
+    """Run a scene and show it in the browser; after Ctrl-C, SIGTERM or SIGHUP, finish recordings and return.
 
     out: folder of recordings, out/view_SCENE by default
-    device, accuracy, board, keys: as `palmfield.Simulation` takes them
-    modes: whether all skins move by modes for any sound, so that a slider acts at once; they take a minute or two to
-        make, once for a skin
-    host: address to listen at, this machine's own by default; any other one needs the token in the page's address,
-        which is sent over the network as plain text; port: by default the first free one from 8080 on
-    rate_Hz: pictures a second, 15 by default, and 30 on a GPU
-    pace: limit of simulated seconds per second; inf for no limit
-    on_ready: called with the page's address
-    Raises SceneError or DeviceError as `palmfield.Simulation`, and OutputError if the page is not available or its
+    device, accuracy, board, keys: as in `palmfield.Simulation`
+    modes: whether all skins use modal models, which are valid for any sound, so that a slider acts at once; building
+        them takes one to two minutes for each skin, once
+    host: address at which the page is served, default that of this machine only; any other one requires the token in
+        the address of the page, which is sent over the network as plain text; port: default the first free one from
+        8080
+    rate_Hz: pictures per second, default 15, on a GPU 30
+    pace: largest simulated time per real time; inf for no limit
+    on_ready: called with the address of the page
+    Raises SceneError or DeviceError as `palmfield.Simulation` does, and OutputError if the page is not available or its
     process ends before the view.
     """
     need_viser()
@@ -380,12 +385,12 @@ def view(
         raise SceneError(f"--rate has value {rate_Hz:g}; allowed: 1 to 60 pictures per second")
     if not pace > 0.0:
         raise SceneError(f"--pace has value {pace:g}; allowed: above 0, inf for the highest speed")
-    given = dict(keys or {})
+    changed = dict(keys or {})
     if modes:
-        given.setdefault("palmfield.skin.solver", "modal")
+        changed.setdefault("palmfield.skin.solver", "modal")
     unsent: list[messages.FromSimulation] = []
     folder = Path("out") / f"view_{path.stem}" if out is None else Path(out)
-    live = ShownScene(Wanted(path, device, accuracy, board), given, folder, unsent.append)
+    live = ShownScene(SceneSource(path, device, accuracy, board), changed, folder, unsent.append)
     live.take(messages.Pace(pace))
     on_gpu = live.sim.runtime.spec.device != "cpu"
     rate = rate_Hz or (GPU_RATE_Hz if on_gpu else RATE_Hz)
@@ -403,29 +408,29 @@ def view(
             run_for(live, link, end)
         finally:
             live.stop_recording("the live view has ended")
-        if link.gone and not end.asked:
+        if link.gone and not end.requested:
             raise OutputError("the page process has ended, and so has the view; the recordings are complete")
 
 
 class Ending:
-    """Signals that end a view between two steps, since an exception could not pass through MuJoCo within one.
+    """Ends a view between two steps after a signal, because no exception can pass through a step of MuJoCo.
 
-    asked: whether one has come
+    requested: whether a signal has arrived
     """
 
-    asked = False
+    requested = False
 
     def note(self, number: int, frame: FrameType | None) -> None:
-        """Note the first signal; the second one raises KeyboardInterrupt at once."""
-        if self.asked:
+        """Set `requested` at the first signal; raise KeyboardInterrupt at the second."""
+        if self.requested:
             raise KeyboardInterrupt
-        self.asked = True
+        self.requested = True
 
 
 def run_for(live: ShownScene, link: Link, end: Ending) -> None:
     """Step a scene and answer its page, until the page has ended or a signal requests the end."""
     wait_s = 0.0
-    while not (link.gone or end.asked):
+    while not (link.gone or end.requested):
         for message in link.received(wait_s):
             live.take(message)
         wait_s = live.go_on()

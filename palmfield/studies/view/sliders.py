@@ -1,4 +1,4 @@
-"""Numbers of a scene that can be changed, their ranges, and the key and text of a change."""
+"""Make sliders for numbers of a scene, with ranges, and the texts of changed keys."""
 
 from collections.abc import Iterable, Mapping
 
@@ -10,12 +10,12 @@ from palmfield.studies.view.messages import Place, Slider
 MM = ("mm", 1e3)
 AXES = "xyz"
 ASIDE_mm, NEARER_mm = 60.0, 120.0
-"""Range of a focus sideways, and along the axis of the array."""
+"""Range of a focus across and along the axis of the array."""
 PLAIN = ("", 1.0)
 
 
 def stimulus_sliders(stimuli: Iterable[StimulusSpec]) -> tuple[Slider, ...]:
-    """Return sliders for focus, modulation, path and level of each stimulus, as far as it has them."""
+    """Return sliders for focus, modulation, path and level of each stimulus, if it has them."""
     sliders: list[Slider] = []
     for stimulus in stimuli:
         sliders += _of(stimulus.name, stimulus.config)
@@ -67,7 +67,7 @@ def value_of(slider: Slider, stimuli: Iterable[StimulusSpec]) -> float:
     instance, _, key = name.rpartition(".")
     value = next(getattr(one.config, key) for one in stimuli if one.name == instance)
     if value is None:
-        # Among keys with a slider only the level may be missing
+        # Of the keys with a slider only the level may be missing
         value = 1.0
     return float(slider.scale * (value if axis is None else value[axis]))
 
@@ -75,7 +75,7 @@ def value_of(slider: Slider, stimuli: Iterable[StimulusSpec]) -> float:
 def turned(
     sliders: Mapping[Place, Slider], turns: Mapping[Place, float], stimuli: Iterable[StimulusSpec]
 ) -> dict[str, str]:
-    """Return texts of keys, by INSTANCE.key, for changed sliders. turns: values in the sliders' units"""
+    """Return the texts of keys, by INSTANCE.key, for changed sliders. turns: values in the units of the sliders"""
     listed = list(stimuli)
     texts = {}
     for group, name, _ in turns:

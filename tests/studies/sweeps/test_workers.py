@@ -66,7 +66,7 @@ def test_each_worker_sees_its_own_gpu_and_knows_the_scene(small_scene):
         assert sorted(seen.values()) == ["3", "5"]
         there = slots(client, scene)
         assert [slot.threads for slot in there] == [max(1, cores() // 2)] * 2
-        with pytest.raises(PalmfieldError, match=r"does not see .*nowhere\.xml; put the scene where all workers"):
+        with pytest.raises(PalmfieldError, match=r"cannot read .*nowhere\.xml; put the scene where all workers"):
             slots(client, scene.with_name("nowhere.xml"))
 
 

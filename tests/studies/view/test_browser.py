@@ -16,7 +16,7 @@ from PIL import Image
 
 from palmfield.studies.view.link import Link
 from palmfield.studies.view.messages import Address
-from palmfield.studies.view.run import Ending, ShownScene, Wanted, run_for
+from palmfield.studies.view.run import Ending, SceneSource, ShownScene, run_for
 
 pytestmark = [
     pytest.mark.slow,
@@ -35,7 +35,7 @@ def skin_pixels(browser, folder):
 
 def test_a_browser_shows_the_scene_and_its_controls_reach_it(small_scene, tmp_path):
     sent = []
-    live = ShownScene(Wanted(small_scene(), "cpu", None, None), {}, tmp_path / "out", sent.append)
+    live = ShownScene(SceneSource(small_scene(), "cpu", None, None), {}, tmp_path / "out", sent.append)
     end = Ending()
     # Slow, as a browser without a GPU takes its time to read a mesh
     with Link(Address("127.0.0.1", None, "", 4.0)) as link:
@@ -82,5 +82,5 @@ def test_a_browser_shows_the_scene_and_its_controls_reach_it(small_scene, tmp_pa
                 browser.wait_for(f"{gone} === 'block'", 10.0)
                 assert "The view has ended" in browser.value(text)
         finally:
-            end.asked = True
+            end.requested = True
             runner.join()

@@ -23,7 +23,7 @@ from websockets.exceptions import ConnectionClosed
 from palmfield.outputs.store import open_result
 from palmfield.studies.view.link import Link
 from palmfield.studies.view.messages import Address, Pace
-from palmfield.studies.view.run import Ending, ShownScene, Wanted, run_for
+from palmfield.studies.view.run import Ending, SceneSource, ShownScene, run_for
 
 
 def port_of(address):
@@ -34,7 +34,7 @@ def port_of(address):
 def page(module_scene, tmp_path_factory):
     """A running view of a small scene: the scene and the page's address; the scene is stepped in a thread."""
     sent = []
-    live = ShownScene(Wanted(module_scene(), "cpu", None, None), {}, tmp_path_factory.mktemp("out"), sent.append)
+    live = ShownScene(SceneSource(module_scene(), "cpu", None, None), {}, tmp_path_factory.mktemp("out"), sent.append)
     live.take(Pace(math.inf))
     end = Ending()
     with Link(Address("127.0.0.1", None, "", 20.0)) as link:
@@ -43,7 +43,7 @@ def page(module_scene, tmp_path_factory):
         runner = threading.Thread(target=run_for, args=(live, link, end))
         runner.start()
         yield live, link.address
-        end.asked = True
+        end.requested = True
         runner.join()
     assert not link.alive
 
@@ -256,7 +256,7 @@ def test_a_page_is_found_where_it_listens(module_scene, tmp_path):
 
 
 def test_a_view_whose_page_is_killed_ends_too(module_scene, tmp_path):
-    live = ShownScene(Wanted(module_scene(), "cpu", None, None), {}, tmp_path, [].append)
+    live = ShownScene(SceneSource(module_scene(), "cpu", None, None), {}, tmp_path, [].append)
     with Link(Address("127.0.0.1", None, "", 10.0)) as link:
         os.kill(link.pid, signal.SIGKILL)
         run_for(live, link, Ending())

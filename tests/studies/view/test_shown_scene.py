@@ -17,7 +17,7 @@ from palmfield.session.recorded_run import known_before, recorder_of, recover, r
 from palmfield.session.worlds import stimulus_texts
 from palmfield.studies.view.hands import Offset
 from palmfield.studies.view.messages import Ask, Moment, Notice, Pace, Press, Replay, SceneShown, SetKey, Turn, Values
-from palmfield.studies.view.run import QUIET_s, ShownScene, Wanted
+from palmfield.studies.view.run import QUIET_s, SceneSource, ShownScene
 
 pytestmark = pytest.mark.usefixtures("kept_operators")
 
@@ -31,7 +31,7 @@ class Shown:
 
     def __init__(self, path, out, **keys):
         self.sent = []
-        self.scene = ShownScene(Wanted(path, "cpu", None, None), keys, out, self.sent.append)
+        self.scene = ShownScene(SceneSource(path, "cpu", None, None), keys, out, self.sent.append)
         self.scene.take(Pace(math.inf))
         self.scene.show()
 
@@ -249,7 +249,7 @@ def test_modes_go_on_with_another_sound_as_they_stood(modal):
     scene = modal.scene
     scene._reset()
     modal.go_on(30)
-    sim, path, keys = scene.sim, scene.wanted.scene, dict(scene.keys)
+    sim, path, keys = scene.sim, scene.source.scene, dict(scene.keys)
     time_s = sim.time
     modal.change(Turn(DEPTH, 0.5))
     assert scene.sim is sim and len(modal.all(SceneShown)) == 1

@@ -1,4 +1,4 @@
-"""Data of a simulation that the page shows."""
+"""Read the data of a simulation that the page shows."""
 
 import numpy as np
 
@@ -13,7 +13,7 @@ SILENT = np.zeros((0, 3), np.float32)
 
 
 def _under(model: HapticModel, body: int) -> Under:
-    """Return which vertices of a body, by its number, its skins cover; skins are numbered as in the model."""
+    """Return the vertices of a body (by its number) that its skins cover; skins are numbered as in the model."""
     skins = np.array(model.carried(body))
     vertices, _ = model.skins[skins[0]].closed_surface
     found = under(vertices, [(model.skins[n].nodes[0], model.skins[n].faces, model.skins[n].nodes[1]) for n in skins])
@@ -21,7 +21,7 @@ def _under(model: HapticModel, body: int) -> Under:
 
 
 def scene_shown(sim: Simulation, name: str, pose: Pose, sliders: tuple[Slider, ...], no_pose: str) -> SceneShown:
-    """Return the parts that are constant during steps. pose: its first; sliders, no_pose: as SceneShown has them"""
+    """Return the data that are constant during steps. pose: the first pose; sliders, no_pose: as in SceneShown"""
     model, posed = sim.runtime.model, sim.runtime.posed
     surfaces = [model.skins[model.carried(number)[0]].closed_surface for number in range(len(model.bodies))]
     return SceneShown(
@@ -44,7 +44,7 @@ def _in_world(array: np.ndarray) -> Float32:
 
 
 class MomentReader:
-    """Makes moments and poses of a simulation, and keeps the number of the last pose shown."""
+    """Reads moments and poses of a simulation, and stores the number of the last shown pose."""
 
     def __init__(self, sim: Simulation) -> None:
         self._sim = sim
@@ -53,7 +53,7 @@ class MomentReader:
         self._shown: PosedScene | None = None
 
     def pose(self) -> Pose:
-        """Where bodies, skins and transducers are now. Bodies are lowered under their skins."""
+        """Return the present positions of bodies, skins and transducers. Bodies are lowered under their skins."""
         posed = self._shown = self._sim.runtime.posed
         frame = posed.array_frame
         skins = []
@@ -70,7 +70,7 @@ class MomentReader:
         return Pose(tuple(bodies), tuple(skins), _in_world(frame.points(posed.arrays.array.positions)))
 
     def moment(self, *, full: bool, speed: float, playing: bool, recording: str) -> Moment:
-        """The scene now. full: with the skins' motion and ARP; the others as Moment has them"""
+        """Return the present state. full: whether to include motion and ARP of the skins; others as in Moment"""
         sim, runtime = self._sim, self._sim.runtime
         posed = runtime.posed
         moved = posed is not self._shown
