@@ -22,7 +22,7 @@ REACH_M = 0.3
 
 
 def field_slice(result: xr.DataTree, asked: Asked) -> Figure:
-    """Amplitude of the incident pressure in the x z plane of the first array that sounds, through the focus.
+    """Amplitude of the incident pressure in a plane through the focus: the x-z plane of the first array that sounds.
 
     In free air, without obstacles; amplitudes and phases are those of the drive, so that ring-up is not included.
     Transducers are those of the result: calibrated, tilted or one by one.

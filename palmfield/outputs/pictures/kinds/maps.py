@@ -40,12 +40,14 @@ MARKERS = "os^Dv"
 
 
 def pressure(result: xr.DataTree, asked: Asked) -> Figure:
-    """Peak pressure amplitude and ARP on each skin when loudest, or at a time, seen from the array that it faces."""
+    """Peak pressure amplitude and ARP on each skin, at the loudest moment or at a given time. The view is from the
+    array that the skin faces.
+    """
     return pressure_picture(result, chosen_names(result, asked), asked.time_s)
 
 
 def motion_map(result: xr.DataTree, asked: Asked) -> Figure:
-    """Normal displacement or velocity of the skin at a time, by default when it moves most."""
+    """Normal displacement or velocity of the skin at a given time. The default is the moment of the largest motion."""
     name, skin = chosen_skin(result, asked, asked.quantity)
     found = extremes(skin, asked.quantity)
     index = chosen_time(skin, asked, int(found.when[found.peak.argmax()]))
@@ -64,7 +66,7 @@ def motion_map(result: xr.DataTree, asked: Asked) -> Figure:
 
 
 def rms_map(result: xr.DataTree, asked: Asked) -> Figure:
-    """Root mean square over the run of the normal displacement or velocity, the mean kept."""
+    """Root mean square of the normal displacement or velocity over the run. The mean is included."""
     name, skin = chosen_skin(result, asked, asked.quantity)
     values = IN_MICRO * np.sqrt(extremes(skin, asked.quantity).mean_square)
     unit = UNITS[asked.quantity]
@@ -75,7 +77,9 @@ def rms_map(result: xr.DataTree, asked: Asked) -> Figure:
 
 
 def level_map_of(result: xr.DataTree, asked: Asked) -> Figure:
-    """Level above the threshold of one observer, or of each in a panel of its own, by vertex, without summation."""
+    """Level above threshold at each vertex, without summation over area. There is one panel for each observer, unless
+    the options name one observer.
+    """
     name, skin = chosen_skin(result, asked, "displacement")
     if asked.observer is not None:
         refuse_unknown(OutputError, "--observer has value {}", asked.observer, OBSERVERS)

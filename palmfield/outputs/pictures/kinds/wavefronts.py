@@ -17,7 +17,7 @@ FEWEST = 8
 
 
 def wavefronts(result: xr.DataTree, asked: Asked) -> Figure:
-    """Normal motion along a line over the skin and over time; straight fronts are waves of one speed.
+    """Normal motion along a line on the skin, over time. A straight front is a wave with constant speed.
 
     The line goes through the first two requested places, or along the greatest extent of the skin through the vertex of
     largest motion. Vertices within the mesh spacing of the line are shown, by their place along it.
