@@ -201,21 +201,22 @@ class SceneWorlds:
                 for sensor in sensors:
                     self.steps.watch(skin, self.runtimes[0].place(skin, sensor))
         self._watched, parts, late = True, range(len(self._parts)), list[int]()
+        graphs = len(self.steps.backends) - 1
         for part in parts:
             own, many = self._parts[part]
             self._each(part, "mj_step1")
             self._poses.take(many, own)
-            if part < len(self.steps.backends) - 1:
+            if part < graphs:
                 self.steps.start(part, self._frames, t0)
         for part in parts:
-            if len(parts) > 1 and self.steps.ready(part):
+            if part < graphs and self.steps.ready(part) and len(parts) > 1:
                 self._push(part)
                 if moves:
                     self._each(part, "mj_step2")
             else:
                 late.append(part)
         try:
-            self.steps.begin(self._frames, t0)
+            self.steps.rest(self._frames, t0)
         except Exception:
             # All worlds have the same time
             for part in late if moves and len(late) < len(parts) else ():

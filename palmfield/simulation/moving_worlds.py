@@ -146,6 +146,7 @@ class MovingWorlds(Backend):
             joins[:] = False
             self._release(joins)
             return self._rows()
+        work.wait()  # an error in another graph may have cut off the last step while this one computed it
         if self._alone:
             self._bring(work, joins)
         else:

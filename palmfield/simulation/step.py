@@ -70,8 +70,6 @@ class Steps:
         self.backends: tuple[Backend, ...] = (*others, self.host)
         self.forces: list[Float] = [np.zeros((len(models), 2, body.parts, 3)) for body in models[0].bodies]
         self._free: Bool = np.ones(len(models), dtype=bool)  # worlds that no backend has taken so far
-        self._started = 0  # how many backends have begun the step
-        self._waits = [False] * len(self.backends)  # whether each computes the step and `ready` has not been called
 
     @property
     def observer(self) -> Observer | None:
@@ -129,28 +127,15 @@ class Steps:
 
     def begin(self, frames: Frames, t0: float) -> None:
         """Take the poses of all worlds at the beginning of a step, t0 [s], and compute the forces over it."""
-        try:
-            for number in range(self._started, len(self.backends) - 1):
-                self.start(number, frames, t0)
-            for number in range(self._started):
-                self.ready(number)
-            if not self._started:
-                self._free[:] = True
-        finally:
-            self._started = 0
-        host = self.host
-        if not np.logical_or.reduce(self._free):
-            host.joined, host.stepped = host.joined[:0], []
-            return
-        with one_blas_thread:
-            host.joined = host.place(frames, self._free, t0)
-            if len(host.joined):
-                host.emit(t0)
-                host.joined = host.press()
-                host.push(self.forces)
+        graphs = range(len(self.backends) - 1)
+        for number in graphs:
+            self.start(number, frames, t0)
+        for number in graphs:
+            self.ready(number)
+        self.rest(frames, t0)
 
     def start(self, number: int, frames: Frames, t0: float) -> None:
-        """Begin a step in one backend, by its number (not the host), before `begin` begins it in the others.
+        """Begin a step in one backend, by its number (not the host): the first part of `begin`, in ascending order.
 
         A device may still compute after this call returns.
         """
@@ -161,18 +146,29 @@ class Steps:
         if len(backend.joined):
             backend.emit(t0)
             self._free[backend.joined] = False
-        self._started, self._waits[number] = number + 1, True
 
     def ready(self, number: int) -> bool:
         """Wait for the forces of a backend that has started; return whether it steps all its worlds."""
         backend = self.backends[number]
-        if self._waits[number] and len(backend.joined):
+        if len(backend.joined):
             self._free[backend.joined] = True
             backend.joined = backend.press()
             backend.push(self.forces)
             self._free[backend.joined] = False
-        self._waits[number] = False
         return len(backend.joined) == len(self._free[backend.own])
+
+    def rest(self, frames: Frames, t0: float) -> None:
+        """Compute on the host the forces in the worlds that no other backend steps: the last part of `begin`."""
+        host = self.host
+        if not np.logical_or.reduce(self._free):
+            host.joined, host.stepped = host.joined[:0], []
+            return
+        with one_blas_thread:
+            host.joined = host.place(frames, self._free, t0)
+            if len(host.joined):
+                host.emit(t0)
+                host.joined = host.press()
+                host.push(self.forces)
 
     def sense(self, skin: int, place: SensorPlace) -> tuple[Float, Float]:
         """Return ARP [Pa], shape (worlds,), displacement [m] and velocity [m/s], (worlds, 2), at a sensor, at the
