@@ -21,7 +21,7 @@ from palmfield.simulation.sensors import SensorPlace, channels, check_site, sens
 from palmfield.simulation.state import HapticState, stepper_of
 from palmfield.simulation.step import Steps
 from palmfield.simulation.validate import check_clear
-from palmfield.simulation.workspace import Workspace, gather
+from palmfield.simulation.workspace import Workspace
 from palmfield.skin.stepper import SkinStepper
 from palmfield.types import Complex, Float
 
@@ -55,8 +55,8 @@ class SceneRuntime:
         else:
             self.spec, self.binding, self.model, self.work = like.spec, like.binding, like.model, like.work
         self.layout = PoseLayout.of(self.model)
-        bound, carried = self.binding.skins, self.model.carried
-        firsts = [bound[carried(number)[0]] for number in range(len(self.model.bodies))]
+        bound = self.binding.skins
+        firsts = [bound[number] for number in self.model.first_skins]
         self.bodies = [first.body for first in firsts]
         self.parts = [first.bones or (first.body,) for first in firsts]
         self.outlets = [ForceOutlet(view, parts) for parts in self.parts]
@@ -195,8 +195,8 @@ class SceneRuntime:
 
     @property
     def amplitudes(self) -> Complex:
-        """Return the present emission of all transducers, shape (N,); the next call overwrites it."""
-        return gather(self.state, self.work)
+        """Return the present emission of all transducers, shape (N,)."""
+        return self.state.emission()[0]
 
     def skin_states(self) -> list[tuple[SkinStepper, Float]]:
         """Return the stepper of each skin, and its state, shape (1, state_size), a view."""
@@ -205,7 +205,7 @@ class SceneRuntime:
     def now(self) -> tuple[PosedScene, EmittedCourse]:
         """Return pose and emission at the present time of MuJoCo."""
         posed = self.posed
-        return posed, self.work.emission.now(posed, gather(self.state, self.work), self.view.raw.time)
+        return posed, self.work.emission.now(posed, self.amplitudes, self.view.raw.time)
 
     def body_forces(self) -> list[tuple[Float, Float]]:
         """Return `applied_parts` for the step that begins now."""

@@ -110,7 +110,6 @@ class Recorder:
         together: largest number of steps in a block; the last of them wait for `stop`
         """
         self._body_poses = body_poses
-        self._carried = [runtime.model.carried(number)[0] for number in range(len(runtime.model.bodies))]
         self.runtime, self.model, self.world, self.sink = runtime, runtime.model, world, sink
         self.loudest: list[LoudestMoment | None] = [None] * len(self.model.skins)
         self._loudest_Pa = [0.0] * len(self.model.skins)
@@ -184,10 +183,10 @@ class Recorder:
         if self.runtime.steps.in_graph:
             return []
         result: list[tuple[Int, Float] | None] = []
-        for number in self._carried:
+        for number in self.model.first_skins:
             body = self.model.skins[number].body
             pressure = self.runtime.steps.host.pressed(0, body)
-            samples = self.runtime.work.radiation.samples(posed, self.runtime.work.unit_forces.skins[body])
+            samples = self.runtime.work.radiation.samples(posed, number)
             result.append(None if pressure is None else (samples[3], pressure))
         return result
 
@@ -202,7 +201,7 @@ class Recorder:
                 blocks.append(self._in_one_pose(steps[begin:end]))
                 begin = end
         if steps[0].pressed:
-            for i, number in enumerate(self._carried):
+            for i, number in enumerate(self.model.first_skins):
                 skin = self.model.skins[number]
                 pressure = np.zeros((skin.sample_faces.shape[1], len(steps)))
                 for column, one in enumerate(steps):

@@ -2,7 +2,6 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import repeat
 from operator import is_not
 from typing import NamedTuple
@@ -11,7 +10,7 @@ import numpy as np
 
 from palmfield.device import resolve
 from palmfield.drive.transducer_response import EmittedCourse
-from palmfield.simulation.kept import Bool, Rows
+from palmfield.simulation.kept import Bool, Rows, Serials
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.sensors import SensorPlace
@@ -33,14 +32,15 @@ class Frames(NamedTuple):
     posed: Callable[[Bool], Mapping[int, PosedScene]]
 
 
-@dataclass(frozen=True)
-class StepTrace:
-    """The results of a step, in one world or in several with equal courses. Valid until the next step.
+class StepTrace(NamedTuple):
+    """A step in one world, or in several whose loads have the same form. Valid until the next step.
 
-    times: ends of the substeps [s], shape (s,). worlds: their numbers, shape (g,). posed: the pose of each world.
+    times: ends of the substeps [s], shape (s,). worlds: their numbers, ascending, shape (g,). posed: pose of each.
+    keys: serial numbers of pose and course, shape (g, 2), 0 for silence.
     moments: times at which the load is computed. levels: levels of the drives at these moments, complex, shape
         (g, m, k), as in EmittedCourse. course: returns the whole emission of the i-th world.
     begun: returns the emission of the i-th world at the beginning, shape (N,).
+    first, last: shares of the patterns of ARP at the ends of the substeps, shape (g, s, p).
     motion: for each skin and each of its steppers, numbers of the worlds (w,) and the observed displacement [m] and
         velocity [m/s] after each substep, (w, s, 2, m). The same points are observed in all worlds.
     """
@@ -48,11 +48,14 @@ class StepTrace:
     times: Float
     worlds: Rows
     posed: tuple[PosedScene, ...]
+    keys: Serials
     moments: Moments
     levels: Complex
     course: Callable[[int], EmittedCourse]
     begun: Callable[[int], Complex]
-    motion: tuple[tuple[tuple[Rows, Float | Float32], ...], ...]
+    first: Float
+    last: Float
+    motion: tuple[tuple[tuple[Rows, Float | Float32], ...], ...] = ()
 
 
 Observer = Callable[[StepTrace], None]

@@ -259,7 +259,7 @@ class GraphWork:
             alone = partial(shadow_nodes, place.probe.closest, place.probe.normals, BODY_SPACING_m)
             add(NOW, number, slice(i, i + 1), alone)
         for body, own in points.samples:
-            add(FORCE, model.carried(body)[0], own, partial(sample_nodes, reference.bodies[body]))
+            add(FORCE, model.first_skins[body], own, partial(sample_nodes, reference.bodies[body]))
         sound: dict[str, Launches] = {}
         for name, arp in zip(PURPOSES, arps, strict=True):
             table = DriveTable(*(arrays[f"{name}_{part}"] for part in ("counts", "drives", "levels")))

@@ -16,6 +16,7 @@ from palmfield.drive.transducer_response import EmittedCourse, present_drive
 from palmfield.errors import naming_world
 from palmfield.simulation.backend import Backend, Frames, StepTrace
 from palmfield.simulation.emission import MeanDrives
+from palmfield.simulation.forces import body_force
 from palmfield.simulation.kept import Bool, Kept, Rows, Serials
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene
@@ -36,7 +37,7 @@ from palmfield.simulation.state import (
     stepper_of,
     untouched,
 )
-from palmfield.simulation.workspace import Workspace, gather, scatter
+from palmfield.simulation.workspace import Workspace
 from palmfield.skin.stepper import DeviceStep, Outside, SkinStepper, SurfaceLoads
 from palmfield.stimulus.schedule import Moments, substep_moments
 from palmfield.types import Complex, Float, Float32
@@ -60,23 +61,6 @@ class Sounding(NamedTuple):
     unit: Callable[[int], Complex]
 
 
-class Group(NamedTuple):
-    """Worlds whose loads have the same form over a step.
-
-    worlds: their numbers, shape (g,); keys: serial numbers of pose and course, shape (g, 2), 0 for silence
-    levels, course, begun: as of StepTrace; first, last: shares of the patterns at the ends of the substeps, (g, s, p)
-    """
-
-    worlds: Rows
-    keys: Serials
-    moments: Moments
-    levels: Complex
-    course: Callable[[int], EmittedCourse]
-    begun: Callable[[int], Complex]
-    first: Float
-    last: Float
-
-
 class HostBackend(Backend):
     """Computes the stages for all worlds, or for those that no other backend steps.
 
@@ -94,9 +78,8 @@ class HostBackend(Backend):
         self.smooth = SmoothSound(models, [work.emission for work in works], state, able, alone)
         self._several, self._device = worlds > 1, resolve(first.spec.device)
         self._states = [state.world(world) for world in range(worlds)] if worlds > 1 else [state]
-        self._in: Callable[..., Any] = self._named if worlds > 1 else call
-        self._force = partial(self._named, self._unit_force) if worlds > 1 else self._unit_force
-        self._reading = partial(self._named, self._probe) if worlds > 1 else self._probe
+        self._in: Any = self._named if worlds > 1 else call
+        self._force, self._reading = partial(self._in, self._unit_force), partial(self._in, self._probe)
         self._posed: list[PosedScene] = [work.reference for work in works]
         self._poses: Serials = np.zeros(worlds, np.int64)
         self._apart: list[int] = []
@@ -194,7 +177,7 @@ class HostBackend(Backend):
         """Compute the mean drives of a world that is stepped separately."""
         work, posed = self.works[world], self._posed[world]
         work.look_ahead(posed)
-        mean = work.emission.mean_drives(posed, gather(self._states[world], work), t0)
+        mean = work.emission.mean_drives(posed, self._states[world].emission()[0], t0)
         if len(mean.weights):
             self._means[world] = mean
 
@@ -225,25 +208,24 @@ class HostBackend(Backend):
                 made = self._kept.rows(body, own.shape[1:], one.worlds, one.keys, self._force, body, one)
                 own[one.worlds] = one.factors[:, None, None, None] * made
             for world, arp in self._pressed[body].items():
-                posed = self._posed[world]
-                force = self.works[world].unit_forces.pressed(posed, body, arp)
-                own[world] = force @ posed.array_frame.rotation.T
+                own[world] = body_force(self.works[world].radiation, self._posed[world], body, arp)
 
     def _unit_force(self, world: int, body: int, one: Sounding) -> Float:
         """Return the force of the drive of a world on a body, world axes, shape (2, b, 3)."""
-        posed, serial = self._posed[world], int(one.keys[one.worlds.searchsorted(world), 1])
-        force = self.works[world].unit_forces.under(posed, body, one.unit(world), serial)
-        return np.asarray(force @ posed.array_frame.rotation.T)
+        arp = self._unit_arp(world, body, one)
+        return body_force(self.works[world].radiation, self._posed[world], body, arp)
+
+    def _unit_arp(self, world: int, body: int, one: Sounding) -> Float32:
+        """Return the ARP of the drive of a world at the samples of a body [Pa], shape (n,)."""
+        radiation, serial = self.works[world].radiation, int(one.keys[one.worlds.searchsorted(world), 1])
+        skin = self.models[0].first_skins[body]
+        return radiation.on(self._posed[world], skin, "samples", one.unit(world), serial).arp
 
     def pressed(self, world: int, body: int) -> Float | None:
         """Return the mean ARP [Pa] at the samples of a body in the present step, shape (n,); None in silence."""
-        work, posed = self.works[world], self._posed[world]
         for one in self._singles[body]:
-            for i in (one.worlds == world).nonzero()[0].tolist():
-                sound = work.radiation.on(
-                    posed, work.unit_forces.skins[body], "samples", one.unit(world), int(one.keys[i, 1])
-                )
-                return np.asarray(one.factors[i] * sound.arp.astype(np.float64))
+            for factor in one.factors[one.worlds == world].tolist():
+                return np.asarray(factor * self._unit_arp(world, body, one).astype(np.float64))
         return self._pressed[body].get(world)
 
     def sense(self, skin: int, place: SensorPlace, arp: Float, motion: Float) -> None:
@@ -269,8 +251,7 @@ class HostBackend(Backend):
     def _sounds_now(self, world: int) -> list[Sounding]:
         """Return the drives at the start of the step in a world that is stepped separately; empty in silence."""
         work, posed = self.works[world], self._posed[world]
-        # work.amplitudes: gathered by `emit`
-        course = work.emission.now(posed, work.amplitudes, self._begun_s)
+        course = work.emission.now(posed, self._states[world].emission()[0], self._begun_s)
         drive, factor = present_drive(course)
         return [] if drive is None else [self._single(world, np.array([factor]), drive, course.serial)]
 
@@ -310,8 +291,10 @@ class HostBackend(Backend):
             keys = self._smooth_keys.copy()
             keys[:, 1] *= np.logical_or.reduce(factors, axis=1)
             begun = smooth.now[worlds]
-            group = Group(
+            trace = StepTrace(
+                self._ends(t0, model.substeps),
                 worlds,
+                tuple(map(self._posed.__getitem__, worlds.tolist())),
                 keys,
                 moments,
                 levels[..., None],
@@ -320,32 +303,34 @@ class HostBackend(Backend):
                 (factors @ moments.first.T)[..., None],
                 (factors @ moments.last.T)[..., None],
             )
-            self._step_group(group, t0, t1)
+            self._step_all(trace, t0, t1)
         smooth.advance(end)
 
     def _step_one(self, world: int, t0: float, t1: float, skins: bool) -> None:
         """Do `step_skins` in a world that is stepped separately."""
-        model, work, posed, state = self.models[world], self.works[world], self._posed[world], self._states[world]
-        begun = gather(state, work)
+        model, posed, state = self.models[world], self._posed[world], self._states[world]
+        begun = state.emission()[0]
         count = round((t1 - t0) / model.step_s)
         moments, course = self._course(world, begun, t0, count)
         if skins:
             first, last = course.weights(moments)
-            keys = np.array([[posed.serial, course.serial]])
-            levels = course.levels[None]
-            group = Group(
-                np.array([world]), keys, moments, levels, lambda _: course, lambda _: begun, first[None], last[None]
-            )
-            self._step_group(group, t0, t1)
+            keys, times = np.array([[posed.serial, course.serial]]), self._ends(t0, count)
+            emission = moments, course.levels[None], lambda _: course, lambda _: begun
+            trace = StepTrace(times, np.array([world]), (posed,), keys, *emission, first[None], last[None])
+            self._step_all(trace, t0, t1)
         if model.response_on:
-            scatter(state, course.end)
+            state.set_emission(slice(None), course.end[None])
+
+    def _ends(self, t0: float, count: int) -> Float:
+        """Return the ends of substeps from t0 [s] on."""
+        return t0 + self.models[0].step_s * np.arange(1, count + 1, dtype=np.float64)
 
     def _course(self, world: int, begun: Complex, t0: float, count: int) -> tuple[Moments, EmittedCourse]:
         """Return the emission of a world that is stepped separately; begun: emission at t0 [s], shape (N,)."""
         return self.works[world].emission.over(self._posed[world], begun, t0, count)
 
-    def _step_group(self, group: Group, t0: float, t1: float) -> None:
-        """Step the skins of a group of worlds, in place, and pass the observed motion to the observer."""
+    def _step_all(self, group: StepTrace, t0: float, t1: float) -> None:
+        """Step all skins of some worlds, in place, and pass the observed motion to the observer."""
         motion = []
         for skin in range(len(self.models[0].skins)):
             if not self._anywhere[skin]:
@@ -360,14 +345,9 @@ class HostBackend(Backend):
                     watched.append((own, seen))
             motion.append(tuple(watched))
         if self.observer is not None:
-            model, worlds = self.models[0], group.worlds
-            times = t0 + model.step_s * np.arange(1, group.first.shape[1] + 1, dtype=np.float64)
-            posed = tuple([self._posed[world] for world in worlds.tolist()])
-            self.observer(
-                StepTrace(times, worlds, posed, group.moments, group.levels, group.course, group.begun, tuple(motion))
-            )
+            self.observer(group._replace(motion=tuple(motion)))
 
-    def _leave_small_models(self, group: Group, skin: int, t0: float) -> None:
+    def _leave_small_models(self, group: StepTrace, skin: int, t0: float) -> None:
         """Replace reduced models by the full layer in worlds where something has moved."""
         worlds, served = group.worlds, self._served[skin]
         moved = (served[worlds] != self._poses[worlds]) & (self.state.skins[skin][worlds, 0] != WHOLE)
@@ -391,7 +371,7 @@ class HostBackend(Backend):
             self.models[world], state, skin, self._posed[world], work.reference, work.emission, t0
         )
 
-    def _continue_whole(self, group: Group, i: int, skin: int, t0: float) -> None:
+    def _continue_whole(self, group: StepTrace, i: int, skin: int, t0: float) -> None:
         """Continue with the full layer from the motion of a skin in the i-th world."""
         world = int(group.worlds[i])
         work, state = self.works[world], self._states[world]
@@ -401,7 +381,7 @@ class HostBackend(Backend):
 
     def _leave_class(
         self,
-        group: Group,
+        group: StepTrace,
         skin: int,
         steppers: Sequence[tuple[SkinStepper, Rows]],
         t0: float,
@@ -423,7 +403,7 @@ class HostBackend(Backend):
                     left = True
         return left
 
-    def _outside(self, group: Group, skin: int, stepper: SkinStepper, at: Rows) -> list[Outside]:
+    def _outside(self, group: StepTrace, skin: int, stepper: SkinStepper, at: Rows) -> list[Outside]:
         """Return the part of the loads on a skin outside the class of its modes; at: indices of worlds in the group."""
         worlds = group.worlds[at]
         first, last = group.first[at], group.last[at]
@@ -440,7 +420,7 @@ class HostBackend(Backend):
         units = self._kept.rows(("outside", skin), (len(Outside._fields),), worlds, group.keys[at], of_unit)
         return [Outside(*row) for row in (squares[:, None] * units).tolist()]
 
-    def _patterns(self, group: Group, skin: int, stepper: SkinStepper, i: int) -> Float32:
+    def _patterns(self, group: StepTrace, skin: int, stepper: SkinStepper, i: int) -> Float32:
         """Return the patterns of ARP in the i-th world of a group [Pa], shape (p, n)."""
         world = int(group.worlds[i])
         posed, course = self._posed[world], group.course(i)
@@ -448,7 +428,7 @@ class HostBackend(Backend):
 
     def _step(
         self,
-        group: Group,
+        group: StepTrace,
         skin: int,
         stepper: SkinStepper,
         worlds: Rows,
@@ -478,14 +458,14 @@ class HostBackend(Backend):
             stepper_of(self.models[world], self._states[world], skin)
             claim(self.models[world], self._states[world], skin, stepper)
 
-    def _stack(self, group: Group, skin: int, stepper: SkinStepper, at: Rows) -> tuple[Float32, bool]:
+    def _stack(self, group: StepTrace, skin: int, stepper: SkinStepper, at: Rows) -> tuple[Float32, bool]:
         """Return the ARP patterns in some worlds of a group, shape (w, p, n), the same array while pose and drive stay,
         and whether steppers may store results computed from it."""
         key = group.worlds[at].tobytes() + group.keys[at].tobytes()
         stacked = self._kept.of((skin, stepper), key, self._stacked, group, skin, stepper, at)
         return stacked, group.first.shape[2] == 1
 
-    def _stacked(self, group: Group, skin: int, stepper: SkinStepper, at: Rows) -> Float32:
+    def _stacked(self, group: StepTrace, skin: int, stepper: SkinStepper, at: Rows) -> Float32:
         """Compute the patterns of `_stack`, once for worlds with the same pose and drive."""
         made: dict[bytes, Float32] = {}
         patterns = []

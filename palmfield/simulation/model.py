@@ -359,8 +359,13 @@ class HapticModel:
             for body in range(len(self.bodies))
         )
 
+    @cached_property
+    def first_skins(self) -> tuple[int, ...]:
+        """Return for each body the number of its first skin, whose keys apply to the force on the body."""
+        return tuple(self.carried(body)[0] for body in range(len(self.bodies)))
+
     def carried(self, body: int) -> list[int]:
-        """Return the numbers of the skins on a body; the keys of the first one apply to the force on the body."""
+        """Return the numbers of the skins on a body."""
         return [number for number, skin in enumerate(self.skins) if skin.body == body]
 
 

@@ -24,7 +24,7 @@ from palmfield.simulation.posed_scene import PoseLayout
 from palmfield.simulation.sensors import SensorPlace
 from palmfield.simulation.small_models.leaving import leaves_class, loudest_load
 from palmfield.simulation.state import HEADER, WHOLE, HapticState, check_arrays, claim, stepper_of
-from palmfield.simulation.workspace import Workspace, scatter
+from palmfield.simulation.workspace import Workspace
 from palmfield.skin.reduction.device_models import SECTIONS
 from palmfield.skin.stepper import DeviceModel, Outside
 from palmfield.stimulus.focal_points import FocalPoints
@@ -117,11 +117,7 @@ class MovingWorlds(Backend):
         if self._fetched or work is None:
             return
         rows = self._here.nonzero()[0]
-        begun = work.arrays["path_begun"].numpy().view(np.complex128)[..., 0]
-        start = 0
-        for part in self.state.emitted:
-            part[rows] = begun[rows, start : start + part.shape[1]]
-            start += part.shape[1]
+        self.state.set_emission(rows, work.arrays["path_begun"].numpy().view(np.complex128)[rows, :, 0])
         for number, model in work.of.skins.items():
             size = model.stepper.state_size
             own = slice(HEADER, HEADER + size)
@@ -206,7 +202,7 @@ class MovingWorlds(Backend):
     def _take(self, work: GraphWork) -> None:
         """Copy the state of this step to the device. Raises SceneError for the state of another model."""
         hosts = work.inputs.hosts
-        emitted = np.concatenate(self.state.emitted, axis=1)
+        emitted = self.state.emission()
         hosts["path_begun"][:] = emitted.view(np.float64).reshape(hosts["path_begun"].shape)
         self._most = np.maximum.reduce(np.abs(emitted), axis=1)
         for number in work.of.skins:
@@ -241,7 +237,7 @@ class MovingWorlds(Backend):
                 stepper, _ = stepper_of(self.models[world], own, number)
                 claim(self.models[world], own, number, stepper)
         self._begin_class(work.of.skins)
-        emitted = np.concatenate(self.state.emitted, axis=1)
+        emitted = self.state.emission()
         self._most = np.maximum.reduce(np.abs(emitted), axis=1)
         work.arrays["path_begun"].assign(emitted.view(np.float64).reshape(*emitted.shape, 2))
         for number, model in work.of.skins.items():
@@ -370,7 +366,7 @@ class MovingWorlds(Backend):
             keeper.begin_run()
             self._begin_class(work.of.skins)
         if self._rings:
-            scatter(self.state, hosts["path_end"].view(np.complex128)[0, :, 0])
+            self.state.set_emission(slice(None), hosts["path_end"].view(np.complex128)[..., 0])
         for number, of in work.of.skins.items() if skins else ():
             keeper.outside[number].add(Outside(*np.concatenate(self._seen[number]).tolist()))
             self.state.skins[number][:, HEADER : HEADER + of.stepper.state_size] = hosts[f"after_{number}"]

@@ -250,7 +250,7 @@ def reference_scene(model: HapticModel) -> PosedScene:
     """Return the scene in the reference configuration of MuJoCo."""
     bodies, skins = [], []
     for number, body in enumerate(model.bodies):
-        first = model.skins[model.carried(number)[0]]
+        first = model.skins[model.first_skins[number]]
         upright = np.tile(np.eye(3), (len(body.rest_origins), 1, 1))
         bodies.append(PosedSurface(body, first, first.spec.body.transform, (body.rest_origins, upright)))
     for skin in model.skins:

@@ -19,17 +19,17 @@ from palmfield.device import resolve
 from palmfield.drive.path_drives import PathDrives, foci_made, push_rows
 from palmfield.drive.transducer_response import EmittedCourse, of_drives, present_drive
 from palmfield.errors import PalmfieldError
-from palmfield.simulation.backend import Frames
+from palmfield.simulation.backend import Frames, StepTrace
 from palmfield.simulation.emission import MeanDrives, PathStep
 from palmfield.simulation.graph_work import PURPOSES, GraphOf, GraphSizes, GraphWork
-from palmfield.simulation.host_backend import Group, HostBackend
+from palmfield.simulation.host_backend import HostBackend
 from palmfield.simulation.kept import Bool, Kept, Rows
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene, PoseLayout
 from palmfield.simulation.scene_points import MotionRows, motions_of
 from palmfield.simulation.sensors import SensorPlace
 from palmfield.simulation.state import HEADER, HapticState, at_rest, stepper_of
-from palmfield.simulation.workspace import Workspace, gather
+from palmfield.simulation.workspace import Workspace
 from palmfield.skin.stepper import DeviceModel, Outside, SkinStepper
 from palmfield.stimulus.schedule import Moments
 from palmfield.types import Complex, Float, Float32, Int
@@ -109,7 +109,7 @@ class SceneGraph(HostBackend):
     def _compute(self, posed: PosedScene, t0: float) -> bool:
         """Compute the step that begins at t0 [s] in the graph; False leaves it to the host."""
         emission = self._work.emission
-        emitted = gather(self.state, self._work)
+        emitted = self.state.emission()[0]
         self._made.of("transducers", posed.arrays.serial, self._transducers.move, posed.arrays)
         path = None if self.watched else emission.path_step(posed, t0, self.model.substeps)
         if path is not None:
@@ -313,13 +313,13 @@ class SceneGraph(HostBackend):
         here = self.course is not None and self._stepped.get(skin) is stepper
         return self._now if here else None
 
-    def _outside(self, group: Group, skin: int, stepper: SkinStepper, at: Rows) -> list[Outside]:
+    def _outside(self, group: StepTrace, skin: int, stepper: SkinStepper, at: Rows) -> list[Outside]:
         now = self._steps_here(skin, stepper)
         seen = None if now is None else now.of.skins[skin].outside(now.results.hosts[f"sums_{skin}"][0].tolist())
         return super()._outside(group, skin, stepper, at) if seen is None else [seen]
 
     def _step(
-        self, group: Group, skin: int, stepper: SkinStepper, worlds: Rows, times: tuple[float, float]
+        self, group: StepTrace, skin: int, stepper: SkinStepper, worlds: Rows, times: tuple[float, float]
     ) -> Float | Float32 | None:
         now = self._steps_here(skin, stepper)
         if now is None:
@@ -328,7 +328,7 @@ class SceneGraph(HostBackend):
         self.state.skins[skin][:, HEADER : HEADER + stepper.state_size] = now.results.hosts[f"after_{skin}"]
         return None
 
-    def _patterns(self, group: Group, skin: int, stepper: SkinStepper, i: int) -> Float32:
+    def _patterns(self, group: StepTrace, skin: int, stepper: SkinStepper, i: int) -> Float32:
         if self.course is None or len(self.course[1].units) == 0:
             return super()._patterns(group, skin, stepper, i)
         return self.load(skin, stepper.points)

@@ -144,10 +144,7 @@ class SmoothSound:
         unknown = (joins & self._ringing & ~self._known).nonzero()[0]
         if len(unknown) == 0:
             return alike
-        emitted, start = np.empty((len(unknown), self._units.shape[1]), np.complex128), 0
-        for part in self.state.emitted:
-            emitted[:, start : start + part.shape[1]] = part[unknown]
-            start += part.shape[1]
+        emitted = self.state.emission(unknown)
         units, levels = self._units[unknown], self._held[unknown]
         new = ~_are(emitted, levels, units)
         if np.logical_or.reduce(new):
@@ -232,10 +229,7 @@ class SmoothSound:
         """Write the pending emissions into the state. They may wait if no other code uses the state."""
         worlds = self._late.nonzero()[0]
         self._late[:] = False
-        start = 0
-        for part in self.state.emitted:
-            part[worlds] = self._held[worlds, None] * self._units[worlds, start : start + part.shape[1]]
-            start += part.shape[1]
+        self.state.set_emission(worlds, self._held[worlds, None] * self._units[worlds])
 
 
 def _are(emitted: Complex, levels: Complex, units: Complex) -> Bool:

@@ -14,6 +14,7 @@ from importlib.metadata import version
 import numpy as np
 
 from palmfield.errors import SceneError
+from palmfield.simulation.kept import Rows
 from palmfield.simulation.model import HapticModel
 from palmfield.skin.stepper import SkinStepper
 from palmfield.types import Complex, Float
@@ -38,6 +39,18 @@ class HapticState:
     def __init__(self, arrays: tuple[Float, ...], skins: tuple[Float, ...]):
         self.arrays, self.skins = arrays, skins
         self.emitted: tuple[Complex, ...] = tuple(part[:, HEADER:].view(np.complex128) for part in arrays)
+
+    def emission(self, worlds: Rows | slice = slice(None)) -> Complex:
+        """Return a copy of the emission of all transducers in some worlds, shape (g, N)."""
+        first, *others = self.emitted
+        return np.concatenate([part[worlds] for part in self.emitted], axis=1) if others else np.array(first[worlds])
+
+    def set_emission(self, worlds: Rows | slice, emission: Complex) -> None:
+        """Set the emission of all transducers in some worlds, shape (g, N)."""
+        start = 0
+        for part in self.emitted:
+            part[worlds] = emission[:, start : start + part.shape[1]]
+            start += part.shape[1]
 
     def copy(self) -> "HapticState":
         """Return a copy with its own memory."""

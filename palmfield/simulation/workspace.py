@@ -1,29 +1,25 @@
-"""Working data of the steps of one world: emission, fields, forces, and what is watched."""
+"""Working data of the steps of one world: emission, fields, and what is watched."""
 
-import numpy as np
 from scipy import sparse
 
 from palmfield.drive.transducer_response import EmittedCourse, rows
 from palmfield.simulation.emission import Emission, MeanDrives, looks_ahead
-from palmfield.simulation.forces import BodyForces
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.path_sound import PathSound
 from palmfield.simulation.posed_scene import PosedScene, reference_scene
 from palmfield.simulation.radiation import Radiation
 from palmfield.simulation.skin_sound import Role
 from palmfield.simulation.small_models.leaving import OutsideClass, loudest_load
-from palmfield.simulation.state import HapticState
 from palmfield.skin.stepper import Outside, Reader, SkinStepper
-from palmfield.types import Complex, Float, Float32
+from palmfield.types import Float, Float32
 
 MOST_OFF_PATH = 8
 """Number of consecutive courses off a path (as during ring-up) after which its stored fields are no longer used."""
 
 
 class Workspace:
-    """Working data of the steps of one world: emission, radiation, forces, and what is watched.
+    """Working data of the steps of one world: emission, radiation, and what is watched.
 
-    unit_forces: forces of one drive.
     outside: for each skin, the part of its load outside the class of its modes.
     observe: the operator (m, unknowns) of each skin that gives the watched values, or None.
     """
@@ -37,9 +33,7 @@ class Workspace:
         self.path_sound: PathSound = PathSound(
             model, self.radiation, self.reference, None if beside is None else beside.path_sound
         )
-        self.unit_forces = BodyForces(model, self.radiation)
         self.outside = [OutsideClass() for _ in model.skins]
-        self.amplitudes: Complex = np.zeros(len(model.arrays), np.complex128)
         self.observe: tuple[sparse.csr_matrix | None, ...] = (None,) * len(model.skins)
         self._may_look_ahead = looks_ahead(model)
         # Shared with the other worlds, because a reader of many vectors is as large as the vectors
@@ -81,7 +75,7 @@ class Workspace:
 
     def mean_pressure(self, posed: PosedScene, body: int, mean: MeanDrives) -> Float | Float32 | None:
         """Return the mean ARP [Pa] at the samples of a body; None for a single drive, whose ARP is stored elsewhere."""
-        skin, arp = self.unit_forces.skins[body], None
+        skin, arp = self.model.first_skins[body], None
         if self.path_sound.serves:
             arp = self.path_sound.arp(posed, skin, "samples", mean.levels @ mean.units)
         if arp is None and len(mean.weights) > 1:
@@ -104,20 +98,3 @@ class Workspace:
         if known is None or known[0] is not operator:
             known = self._readers[skin, stepper] = operator, stepper.reader(operator)
         return known[1]
-
-
-def gather(state: HapticState, work: Workspace) -> Complex:
-    """The emission of all transducers, shape (N,), in the array of the workspace."""
-    start = 0
-    for part in state.emitted:
-        work.amplitudes[start : start + part.shape[1]] = part[0]
-        start += part.shape[1]
-    return work.amplitudes
-
-
-def scatter(state: HapticState, amplitudes: Complex) -> None:
-    """Write the emission of all transducers, shape (N,), into the state."""
-    start = 0
-    for part in state.emitted:
-        part[0] = amplitudes[start : start + part.shape[1]]
-        start += part.shape[1]

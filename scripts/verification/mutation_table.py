@@ -736,8 +736,8 @@ MUTATIONS = (
         "forces of the pose before",
         "push",
         "palmfield/simulation/forces.py",
-        "(posed.arrays.serial, posed.bodies[body].serial)",
-        "(posed.arrays.serial, body)",
+        "key = posed.arrays.serial, surface.serial",
+        "key = posed.arrays.serial, body",
         "tests/simulation/test_posed_scene.py::test_forces_follow_a_body_that_turns",
     ),
     Mutation(

@@ -14,7 +14,7 @@ from palmfield.estimate.array_inputs import p0_band, p0_known
 from palmfield.estimate.cost import RATIO
 from palmfield.estimate.numerical_error import SteppedRun, error_estimate
 from palmfield.simulation.emission import array_drives
-from palmfield.simulation.forces import BodyForces
+from palmfield.simulation.forces import body_force
 from palmfield.simulation.radiation import Radiation
 from palmfield.skin.fem.solver import harmonic, static
 from palmfield.skin.fem.wedge_stepper import WedgeStepper
@@ -156,7 +156,8 @@ def test_force_on_a_mesh_of_large_faces(small_scene):
     model, posed = scene.runtime.model, scene.runtime.work.reference
     drive = array_drives(model, model.arrays)[0].unit_drive(model.stimuli[0].reference_foci).amplitudes
     on_patch = float(unit(scene) @ model.skins[0].layer.quadrature.weights)
-    force, _ = BodyForces(model, Radiation(model)).under(posed, 0, drive)
+    radiation = Radiation(model)
+    force, _ = body_force(radiation, posed, 0, radiation.on(posed, 0, "samples", drive).arp)
     # The array looks up and the box down; side lobes beyond the patch add a little.
     assert 1.0 < force.sum(axis=0)[2] / on_patch < 1.08
 

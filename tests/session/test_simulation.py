@@ -10,7 +10,6 @@ import palmfield
 from palmfield.errors import SceneError
 from palmfield.session.duration import step_count
 from palmfield.session.loudest_moment import nearest_focus
-from palmfield.simulation.workspace import gather
 
 BAD_AND_NOT_COMPILED = '<keyframe><key qpos="0 0 0 0 0"/></keyframe>'
 """MuJoCo refuses it after the plugins were asked for their sizes, and before they are made."""
@@ -32,7 +31,7 @@ def test_a_copy_shows_what_the_simulation_shows_and_goes_on_as_it(small_scene):
 def test_emitted_has_the_phase_that_the_state_has(small_scene):
     sim = palmfield.Simulation(small_scene(array={"response": "on", "resonance_Hz": 40500}))
     sim.step(4)
-    amplitudes = gather(sim.runtime.state, sim.runtime.work)
+    amplitudes = sim.runtime.amplitudes
     assert np.abs(amplitudes).max() > 0.01
     assert sim.emitted == pytest.approx(amplitudes, rel=1e-6, abs=1e-9)
     silent = palmfield.Simulation(small_scene(stimulus={"drive_amplitude": 0, "arp_peak_Pa": None}))

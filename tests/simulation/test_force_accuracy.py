@@ -11,6 +11,7 @@ from palmfield.hand.force_samples import sample_mesh
 from palmfield.hand.triangles import face_samples
 from palmfield.planning.modelled import modelled
 from palmfield.simulation.emission import array_drives
+from palmfield.simulation.forces import body_force
 
 SCENES = folder("mjcf") / "scenes"
 ACCURACIES = 0.0015, 0.004, 0.006, 0.012
@@ -42,7 +43,9 @@ def errors(request):
         force, torque = push.sum(axis=0), np.cross(faces.centroids - body.frame.position, push).sum(axis=0)
         for accuracy, sim in sims.items():
             here = sim.runtime.posed
-            parts, about = sim.runtime.work.unit_forces.under(here, 0, drive)
+            radiation = sim.runtime.work.radiation
+            pushed = body_force(radiation, here, 0, radiation.on(here, 0, "samples", drive).arp)
+            parts, about = pushed @ here.array_frame.rotation
             own = (about + np.cross(here.bodies[0].origins - body.frame.position, parts)).sum(axis=0)
             off, turned = np.linalg.norm(parts.sum(axis=0) - force), np.linalg.norm(own - torque)
             size = np.linalg.norm(force)

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from palmfield.session.simulation import load
 from palmfield.simulation.emission import array_drives
-from palmfield.simulation.forces import BodyForces
+from palmfield.simulation.forces import body_force
 from palmfield.simulation.posed_scene import PoseLayout, posed_scene, reference_scene, settled_worlds
 from palmfield.simulation.radiation import Radiation
 from palmfield.transforms import IDENTITY, Transform, relative
@@ -87,13 +87,13 @@ def test_another_body_counts_where_it_may_cast_a_shadow(small_scene, add_skin, b
 def test_forces_follow_a_body_that_turns(small_scene):
     """By the samples where they are now, about where the body's origin is now."""
     model = load(small_scene(stimulus=STEADY)).runtime.model
-    forces, frames = BodyForces(model, Radiation(model)), at_rest(model)
+    radiation, frames = Radiation(model), at_rest(model)
     drive = array_drives(model, model.arrays)[0].unit_drive(model.stimuli[0].first_focus).amplitudes
     for degrees in (0.0, 25.0, 25.0):
         turn = Rotation.from_euler("y", degrees, degrees=True).as_matrix()
         frames[-1] = Transform(frames[-1].position + 0.002, turn @ frames[-1].rotation)
         scene = posed(model, frames)
-        found = forces.under(scene, 0, drive)
+        found = body_force(radiation, scene, 0, radiation.on(scene, 0, "samples", drive).arp)
         points, normals, areas = scene.bodies[0].samples
         pushes = -(Radiation(model).at(scene, 0, "samples", points, normals, drive).arp * areas)[:, None] * normals
         np.testing.assert_allclose(found[0, 0], pushes.sum(axis=0), rtol=0.0, atol=1e-5 * np.abs(found[0]).max())

@@ -7,7 +7,6 @@ import palmfield
 from palmfield.data import folder
 from palmfield.drive.transducer_response import rows
 from palmfield.simulation.radiation import Radiation
-from palmfield.simulation.workspace import gather
 
 pytestmark = pytest.mark.usefixtures("kept_operators")
 
@@ -20,7 +19,7 @@ def hands():
     sim = palmfield.Simulation(SCENES / "two_hands_both_feel.xml", device="cpu", accuracy=0.5)
     sim.run(0.003)
     runtime = sim.runtime
-    posed, emitted = runtime.posed, gather(runtime.state, runtime.work)
+    posed, emitted = runtime.posed, runtime.amplitudes
     _, course = runtime.work.emission.over(posed, emitted, sim.data.time, runtime.model.substeps)
     yield runtime, posed, course
     del sim  # MuJoCo's data hold the state
@@ -39,7 +38,7 @@ def test_sums_are_what_each_moments_drive_gives(hands, skin, role):
 
 def test_the_mean_force_is_that_of_each_moments_drive(hands):
     runtime, posed, _ = hands
-    emission, emitted = runtime.work.emission, gather(runtime.state, runtime.work)
+    emission, emitted = runtime.work.emission, runtime.amplitudes
     mean = emission.mean_drives(posed, emitted, runtime.view.raw.time)
     assert len(mean.units) == 2  # as many as there are stimuli
     moments, course = emission.over(posed, emitted, runtime.view.raw.time, runtime.model.substeps)
@@ -62,7 +61,7 @@ def test_the_mean_force_is_that_over_all_moments():
     sim = palmfield.Simulation(SCENES / "two_hands_both_feel.xml", device="cpu", accuracy=0.5, keys=keys)
     sim.run(0.004)
     runtime, work = sim.runtime, sim.runtime.work
-    posed, emitted, now = runtime.posed, gather(runtime.state, work), sim.data.time
+    posed, emitted, now = runtime.posed, runtime.amplitudes, sim.data.time
     moments, course = work.emission.over(posed, emitted, now, runtime.model.substeps)
     weights = 0.5 * (moments.first + moments.last).sum(axis=0) / runtime.model.substeps
     [(force, _), _] = runtime.body_forces()

@@ -22,7 +22,7 @@ from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.radiation import Radiation
 from palmfield.simulation.scene_graph import SceneGraph
 from palmfield.simulation.step import Steps
-from palmfield.simulation.workspace import Workspace, gather
+from palmfield.simulation.workspace import Workspace
 from palmfield.skin.reduction import device_models
 from palmfield.skin.reduction.modal_stepper import ModalStepper
 
@@ -62,7 +62,7 @@ def begin(graph: SceneGraph, posed: PosedScene, t0: float) -> None:
 def stages(sim: palmfield.Simulation) -> dict[str, Any]:
     """What the CPU's own stages give for the step that begins now, with the emission of the simulation itself."""
     runtime, work = sim.runtime, sim.runtime.work
-    posed, emitted, now = runtime.posed, gather(runtime.state, work), sim.data.time
+    posed, emitted, now = runtime.posed, runtime.amplitudes, sim.data.time
     radiation = Radiation(runtime.model)
     _, course = work.emission.over(posed, emitted, now, runtime.model.substeps)
     loads = []
@@ -143,7 +143,7 @@ def test_a_moving_focus_is_driven_on_the_device(small_scene: Any, by_graph: Any,
     sim = by_graph(scene)
     sim.step(3)
     runtime, work = sim.runtime, sim.runtime.work
-    posed, begun, now = runtime.posed, gather(runtime.state, work).copy(), sim.data.time
+    posed, begun, now = runtime.posed, runtime.amplitudes, sim.data.time
     runtime.body_forces()
     known = runtime.steps.host.course
     assert known is not None
@@ -308,7 +308,7 @@ def test_more_drives_than_before_take_more_room(
     posed = runtime.posed
     rng = np.random.default_rng(0)
     drives = np.exp(2j * np.pi * rng.uniform(size=(11, 256)))
-    moments, course = runtime.work.emission.over(posed, gather(runtime.state, runtime.work), sim.data.time, 2)
+    moments, course = runtime.work.emission.over(posed, runtime.amplitudes, sim.data.time, 2)
     many = of_drives(drives, course.end)
     for wanted in (many, of_drives(drives[:1], course.end), many):
         monkeypatch.setattr(Emission, "over", lambda *_, wanted=wanted: (moments, wanted))

@@ -84,7 +84,7 @@ class SceneCourse:
         parts = [Transform(*pair) for pair in zip(positions, rotations, strict=True)]
         bodies = []
         for number, frame in enumerate(parts[of_stimuli:]):
-            first = self.model.skins[self.model.carried(number)[0]]
+            first = self.model.skins[self.model.first_skins[number]]
             bodies.append(PosedSurface(self.model.bodies[number], first, frame, self._bones[row][number]))
         skins = [PosedSkin(skin, bodies[skin.body], NO_OBSTACLES) for skin in self.model.skins]
         outer, arrays = self._outer[row]

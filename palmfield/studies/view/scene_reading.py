@@ -23,7 +23,7 @@ def _under(model: HapticModel, body: int) -> Under:
 def scene_shown(sim: Simulation, name: str, pose: Pose, sliders: tuple[Slider, ...], no_pose: str) -> SceneShown:
     """Return the data that are constant during steps. pose: the first pose; sliders, no_pose: as in SceneShown"""
     model, posed = sim.runtime.model, sim.runtime.posed
-    surfaces = [model.skins[model.carried(number)[0]].closed_surface for number in range(len(model.bodies))]
+    surfaces = [model.skins[number].closed_surface for number in model.first_skins]
     return SceneShown(
         name=name,
         device=model.spec.device,
