@@ -78,7 +78,8 @@ class HostBackend(Backend):
         self.smooth = SmoothSound(models, [work.emission for work in works], state, able, alone)
         self._several, self._device = worlds > 1, resolve(first.spec.device)
         self._states = [state.world(world) for world in range(worlds)] if worlds > 1 else [state]
-        self._in: Any = self._named if worlds > 1 else call
+        ways: tuple[Callable[..., Any], ...] = call, self._named
+        self._in = ways[self._several]
         self._force, self._reading = partial(self._in, self._unit_force), partial(self._in, self._probe)
         self._posed: list[PosedScene] = [work.reference for work in works]
         self._poses: Serials = np.zeros(worlds, np.int64)
