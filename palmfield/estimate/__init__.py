@@ -1,6 +1,6 @@
-"""Accuracy of the numbers of a run: numerical errors, omitted effects, uncertain inputs, and the felt level.
+"""Estimate the accuracy of a run: numerical errors, omitted effects, uncertain inputs; and the sensation level.
 
-`palmfield.run` is public there, a run with all that.
+Public: `palmfield.run`, a run with these estimates.
 """
 
 import lazy_loader

@@ -1,4 +1,4 @@
-"""Effects of arrays that a run omits: they warm up, and don't follow their level. With the size where measured."""
+"""Biases from arrays: warm-up, and level not proportional to the drive; with size if measured."""
 
 import math
 from typing import TYPE_CHECKING
@@ -14,24 +14,24 @@ if TYPE_CHECKING:
     from palmfield.acoustics.calibration_file import Calibration
 
 SETTLED = 0.01
-"""An amplitude within 1 % of that in the end has settled."""
+"""Relative difference from the final amplitude below which warm-up has ended."""
 
 
 def array_biases(model: HapticModel, stimulus: int, drive: Complex) -> list[Bias]:
-    """Lines for the arrays of a stimulus. drive: of all transducers at the loudest moment, shape (N,)"""
+    """Return the biases from the arrays of a stimulus. drive: of all transducers at the loudest moment, shape (N,)"""
     instances = array_instances(model.spec)
-    known = [instances[number].calibration for number in model.stimuli[stimulus].spec.arrays]
+    calibrations = [instances[number].calibration for number in model.stimuli[stimulus].spec.arrays]
     level = float(np.abs(drive[model.stimuli[stimulus].transducers]).max(initial=0.0))
     return [
-        _warm_up(known),
-        *_level(known, level),
+        _warm_up(calibrations),
+        *_level(calibrations, level),
         Bias("coupling of transducers", None, None, "sign unknown: mutual coupling of the transducers is not modelled"),
     ]
 
 
-def _warm_up(known: "list[Calibration | None]") -> Bias:
-    measured = [one.warm_up for one in known if one is not None and one.warm_up is not None]
-    if not measured or len(measured) < len(known):
+def _warm_up(calibrations: "list[Calibration | None]") -> Bias:
+    measured = [one.warm_up for one in calibrations if one is not None and one.warm_up is not None]
+    if not measured or len(measured) < len(calibrations):
         why = "resonance and level drift over minutes; usually the sound becomes weaker"
         return Bias("warm-up", None, None, f"{why}; not in the calibration")
     starts = [(1.0 + one.drop) ** 2 - 1.0 for one in measured]
@@ -41,9 +41,9 @@ def _warm_up(known: "list[Calibration | None]") -> Bias:
     return Bias("warm-up", min(0.0, *starts), max(0.0, *starts), why)
 
 
-def _level(known: "list[Calibration | None]", level: float) -> list[Bias]:
-    """p = p0 a^exponent, where a run has p0 a."""
-    measured = [one.level for one in known if one is not None and one.level is not None]
+def _level(calibrations: "list[Calibration | None]", level: float) -> list[Bias]:
+    """Return the bias if the pressure is p0 a^exponent; a run assumes p0 a."""
+    measured = [one.level for one in calibrations if one is not None and one.level is not None]
     if not measured or level == 0.0:
         return []
     beyond = [one.linear_to for one in measured if level > FULL * one.linear_to]

@@ -14,9 +14,9 @@ QUANTITY = (
 class Bias:
     """The effect of one omission on the displacement of the skin where the sound is loudest.
 
-    low, high: least and largest difference of the true displacement from the computed one, over the computed one; None
-        where it is not estimated.
-    why: how the value was found, or its sign.
+    low, high: least and largest bias, (true - computed) / computed displacement; None
+            if it is not estimated.
+        why: how the value was found, or the sign of the bias.
     """
 
     what: str
@@ -26,5 +26,5 @@ class Bias:
 
     @property
     def size(self) -> str:
-        """The range in words, with its sign."""
+        """The range of the bias in words, with sign."""
         return "not estimated" if self.low is None or self.high is None else bias_text(self.low, self.high)

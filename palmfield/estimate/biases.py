@@ -1,4 +1,4 @@
-"""Effects that a scene omits, as estimated bias of the motion of its skins: sign, and size where known."""
+"""Estimate the bias of the motion of skins from effects that a scene omits: sign, and size if known."""
 
 import math
 from collections.abc import Sequence
@@ -22,17 +22,17 @@ from palmfield.stimulus.schedule import main_frequencies
 from palmfield.types import Complex, Float
 
 HANDS = (*OF_SHAPES["hand"], "rigged")
-"""Shapes that are hands: measurements on these are reported for no other body."""
+"""Shapes of hands: results measured on hands are reported only for these."""
 FEW_WAVELENGTHS = 2.0
-"""Radius of curvature in wavelengths below which a wall is not locally flat for the sound."""
+"""Radius of curvature in wavelengths below which a surface is not locally flat for the sound."""
 TURNED, CURVED, OPEN_HAND = 0.60, 0.16, 0.04
-"""Error of the local law by face, relative to ARP (docs/bench/scattering.md): on skin that is turned away, on less than
-that radius or in a cup, and on an open hand."""
+"""Error of the local ARP law relative to the ARP (docs/bench/scattering.md): on skin that faces away, on skin with a
+smaller radius or in a cup, and on an open hand."""
 AROUND = 0.7
-"""Share of the largest ARP on a body of that radius between boards, round which sound of the board behind it bends
-(0.62 on a finger of 12 mm with the focus at its side)."""
+"""Error relative to the highest ARP on a body with a smaller radius between boards, since sound of the board behind it
+diffracts around it (measured 0.62 on a finger of 12 mm with the focus at its side)."""
 TURNED_FROM_DEG = 45.0
-"""Angle above which the first measured value applies; it was measured at 60 degrees, the others near 0."""
+"""Angle of incidence above which TURNED applies; TURNED was measured at 60 degrees, the others near 0."""
 BENDING = ("articulated", "rigged")
 """Shapes of hands that may bend into a cup."""
 FACE_BY_FACE = (
@@ -40,16 +40,16 @@ FACE_BY_FACE = (
     "half on skin that faces away (docs/bench/scattering.md)"
 )
 ROUND_BODY = 0.2
-"""Worst error of |p|^2 behind a rod, over that of the free focus, against boundary elements (docs/bench/shadows.md)."""
+"""Largest error of |p|^2 behind a rod, relative to the free focus, against boundary elements (bench/shadows.md)."""
 TILTED_DEG = 5.0
-"""Tilt of a disc above which its echo returns outside the place: no band is reported then."""
+"""Tilt of a disc above which its echo misses the focus; then no band is reported."""
 SHARPENS = 0.9
-"""sigma above which the ARP of a focus gains more than its fundamental line loses, by the KZK equation."""
+"""sigma above which harmonics add more ARP than the fundamental loses, from the KZK equation."""
 ECHO = "echo between body and array"
 ROUND_TRIPS = 8
-"""Round trips of sound between a plate and the array in a band: later ones are a tenth of it or less."""
+"""Number of round trips between plate and array in the band; later ones add a tenth or less."""
 NEAR_M = 6e-3
-"""Half width of a focus: the curvature of the skin is measured up to this distance around it [m]."""
+"""Radius about the focus in which the curvature of the skin is measured: half width of a focus [m]."""
 
 
 def biases(
@@ -61,10 +61,10 @@ def biases(
     focus: Float,
     highest: tuple[Float, Float],
 ) -> list[Bias]:
-    """The effects that the model of the motion of a skin omits.
+    """Return the biases of the motion of a skin from effects that the model omits.
 
-    stimulus: number of the one that the skin is made for. drive: of all transducers, shape (N,).
-    focus: point of that stimulus, of several the nearest to the skin; array frame [m], shape (3,).
+    stimulus: number of the stimulus for which the layer is built. drive: of all transducers, shape (N,).
+    focus: point of that stimulus, the nearest to the skin if it has several; array frame [m], shape (3,).
     highest: where the ARP on the skin is highest, and the outward normal there; array frame, shapes (3,).
     """
     part = model.stimuli[stimulus]
@@ -80,7 +80,7 @@ def biases(
 
 
 def _linear(skin: SkinModel) -> list[Bias]:
-    """Large strain, where the solver of a skin isn't made for it."""
+    """Return the bias of large strain, if the solver of a skin is linear."""
     if skin.solver.large_strain:
         return []
     why = "linear elasticity; the true displacement is smaller where skin stiffens, at strains above about 10 %"
@@ -88,12 +88,12 @@ def _linear(skin: SkinModel) -> list[Bias]:
 
 
 def response_biases(stimulus: StimulusModel, skin: SkinModel) -> list[Bias]:
-    """Effect of ignoring ring-up and flight times on the displacement of a skin.
+    """Return the effect of ignoring ring-up and flight times on the displacement of a skin.
 
-    For a stationary focus: the error of a damped oscillator at the main frequency, or at the highest frequency that the
-    layer is made for, whichever is larger, because the skin answers at several at once. For a moving focus: twice the
-    error of the pressure (ARP is proportional to its square), and at most 1, because sound that comes late or spread is
-    never more than sound at once.
+    Stationary focus: error of a damped oscillator at the main frequency or at the highest frequency of the layer,
+    whichever error is larger, because the skin responds at several frequencies. Moving focus: twice the error of the
+    pressure (ARP is proportional to its square), and at most 1, because late or spread sound is never louder than
+    simultaneous sound.
     """
     response, result, own = stimulus.response, [], qualities(stimulus)
     demand = skin.layer.demand
@@ -118,7 +118,7 @@ def response_biases(stimulus: StimulusModel, skin: SkinModel) -> list[Bias]:
 def _along_beams(
     posed: PosedScene, stimulus: StimulusModel, drive: Complex, focus: Float, highest: tuple[Float, Float]
 ) -> list[Bias]:
-    """Biases of beams in front of the skin, up to the skin, with any place of the focus: nonlinear sound and wind."""
+    """Return biases of the beams up to the skin, for any position of the focus: nonlinear sound and streaming."""
     arrays, frequency = posed.arrays, posed.arrays.array.frequency_Hz
     own, point = np.zeros_like(drive), highest[0]
     own[stimulus.transducers] = drive[stimulus.transducers]
@@ -133,14 +133,15 @@ def _along_beams(
 
 
 def _nonlinear(sigma: float, winds: Sequence[Wind]) -> Bias:
-    """Bias of nonlinear sound. A Gaussian section loses half of the plane-wave loss: only its axis is as loud as sigma.
+    """Return the bias of nonlinear sound.
 
-    The lost part of the fundamental line returns in harmonics, with the same force except for what they and a shock
-    lose in the air, on a narrower spot. The ARP in its middle grows by the same amount. The KZK equation agrees up to
-    sigma 1.3 (tests/acoustics/test_focused_beam.py).
+    A Gaussian beam loses half as much as a plane wave, because sigma is reached only on its axis. The lost part of the
+    fundamental becomes harmonics on a narrower spot. They exert the same force, less their absorption in air and in a
+    shock, and the ARP at the centre grows by the same amount. The KZK equation agrees up to sigma 1.3
+    (tests/acoustics/test_focused_beam.py).
     """
     moved = (1.0 - fundamental_left(sigma) ** 2) / 2.0
-    # Of a Gaussian spot in whose middle harmonics have twice that share, and fall off with its square
+    # For a Gaussian spot: harmonics have twice this share at the centre, and fall off with the square of the profile
     narrower = 100.0 * moved / (2.0 * math.log(2.0))
     why = (
         f"sigma {sigma:.2f} along the beam to the skin: the 40 kHz component is about {50.0 * moved:.2g} % weaker, "
@@ -152,11 +153,11 @@ def _nonlinear(sigma: float, winds: Sequence[Wind]) -> Bias:
 
 
 def _streaming(winds: Sequence[Wind], ends: Sequence[float], whole: float) -> Bias:
-    """The wind at most: it presses less than the sound does in its spot, and on more of the skin.
+    """Return an upper bound of the bias of streaming, whose pressure is lower than the ARP, on a larger area.
 
-    The effect on deep skin of a spot of pressure p and force F goes with sqrt(p F), as its radius does with sqrt(F/p).
+    The effect on deep skin of a spot with pressure p and force F is proportional to sqrt(p F), its radius to sqrt(F/p).
 
-    ends: ARP of each beam alone where it ends; whole: of all of them on the skin [Pa]
+    ends: ARP of each beam alone at its end; whole: ARP of all beams on the skin [Pa]
     """
     if not winds or whole == 0.0:
         return Bias("streaming", None, None, "no beam reaches the skin, so streaming is not estimated")
@@ -174,7 +175,7 @@ def _streaming(winds: Sequence[Wind], ends: Sequence[float], whole: float) -> Bi
 def _scattered(
     model: HapticModel, skin: int, posed: PosedScene, drive: Complex, focus: Float, highest: tuple[Float, Float]
 ) -> list[Bias]:
-    """The law takes the wall as flat and rigid."""
+    """Return the bias of the local ARP law, which assumes a flat rigid wall."""
     part = model.skins[skin]
     if part.spec.config.body_sound == "scattering":
         return []
@@ -192,7 +193,7 @@ def _scattered(
     size = TURNED if turned > TURNED_FROM_DEG else CURVED if curved else OPEN_HAND
     around = behind > 0.0 and radius < FEW_WAVELENGTHS * length
     size = AROUND if around else size
-    # Measured on hands; for other bodies only the curvature is available
+    # The errors were measured on hands; for other bodies only the curvature is evaluated
     measured = "the figure is that of hands as curved and as turned (docs/bench/scattering.md)"
     measured = FACE_BY_FACE if part.spec.config.shape in HANDS else measured
     why = (
@@ -205,8 +206,8 @@ def _scattered(
 
 
 def _turned_deg(posed: PosedScene, drive: Complex, point: Float, outward: Float) -> tuple[float, float]:
-    """Angle between the outward normal of a skin and the middle of the active transducers, in front of it where any are
-    [degrees]; and the share of the drive that is behind the skin then."""
+    """Return the angle between the outward normal of a skin and the direction to the active transducers [degrees], of
+    those in front of it if there are any; and the fraction of the drive that is then behind the skin."""
     loud, ways = np.abs(drive), posed.arrays.array.positions - point
     front = np.where(ways @ outward > 0.0, loud, 0.0)
     used = front if front.any() else loud
@@ -217,7 +218,7 @@ def _turned_deg(posed: PosedScene, drive: Complex, point: Float, outward: Float)
 
 
 def _shadows(model: HapticModel, skin: int) -> list[Bias]:
-    """The obstacles in the path of the sound, and their edges."""
+    """Return the biases of shadows, their edges, and echoes from obstacles."""
     part, bodies = model.skins[skin], len(model.bodies)
     config = part.spec.config
     if config.body_sound == "none":
@@ -251,7 +252,7 @@ def _shadows(model: HapticModel, skin: int) -> list[Bias]:
 def _echo(
     model: HapticModel, skin: int, stimulus: int, posed: PosedScene, drive: Complex, highest: tuple[Float, Float]
 ) -> list[Bias]:
-    """Sound that a flat body returns to a rigid face comes again as from three times the distance, from five ..."""
+    """Return the bias of echoes between a flat body and a rigid array: images at 3, 5, ... times the distance."""
     if model.skins[skin].carrier.surface is not None:
         return [Bias(ECHO, None, None, "sign unknown; smaller than for a flat plate")]
     arrays, (point, outward) = posed.arrays, highest
@@ -282,7 +283,7 @@ def _echo(
 def _echo_computed(
     stimulus: StimulusModel, arrays: PhasedArray, drive: Complex, point: Float, shares: Float
 ) -> list[Bias]:
-    """The part of the echo not computed. shares: of its pressure after 1, 2 ... round trips, over the direct sound."""
+    """Return biases of computed echoes. shares: pressure after 1, 2, ... round trips relative to the direct sound."""
     assert arrays.wall_m is not None
     alone, whole = (abs(of(point[None], drive)[0]) ** 2 for of in (arrays.pressure64, arrays.with_echoes64))
     change = float(alone / whole) - 1.0 if whole > 0.0 else 0.0

@@ -1,4 +1,4 @@
-"""What the error estimate of a run costs: the meshes that it compares, and seconds."""
+"""Cost of the error estimate of a run: compared meshes and time."""
 
 from palmfield.simulation.model import SkinModel
 from palmfield.skin.costs import factor_s
@@ -6,26 +6,26 @@ from palmfield.skin.from_config import softest_and_stiffest_sheets
 from palmfield.skin.scene_layer import SceneLayer
 
 RATIO = 1.25
-"""Element sizes of the two meshes that are compared."""
+"""Ratio of the element sizes of the two compared meshes."""
 FINER_BELOW = 15_000
-"""Unknowns above which a finer mesh costs minutes and gigabytes."""
+"""Number of unknowns above which a finer mesh would cost minutes and gigabytes."""
 LAYERS = 3
-"""A coarser mesh must keep two rows of elements: one alone is off by 20 %."""
+"""Least number of element rows for a coarser mesh, which must have two rows: one row has an error of 20 %."""
 
 
 def compares_with_finer(layer: SceneLayer, dofs: int) -> bool:
-    """Whether the error estimate of a layer with `dofs` unknowns takes a finer mesh, rather than a coarser one."""
+    """Return whether the error estimate of a layer with `dofs` unknowns uses a finer instead of a coarser mesh."""
     return dofs < FINER_BELOW or len(layer.sizes.depth_fractions) - 1 < LAYERS
 
 
 def estimate_s(skin: SkinModel) -> float:
-    """Seconds that the error estimate of the run takes."""
+    """Return the expected time of the error estimate of a run [s]."""
     dofs, more = skin.layer.dofs, RATIO**3
     # A complex factorisation counts twice
     materials = 0 if softest_and_stiffest_sheets(skin.spec.config) is None else 6
     edge = 0 if skin.spec.config.shape == "disc" else 2
     if skin.solver.own_mesh:
-        # The estimate of the solver is included in its seconds.
+        # The time of the solver includes its own estimate.
         return (3 + edge + materials) * factor_s(dofs) if edge or materials else 0.0
     low, high = (dofs, more * dofs) if compares_with_finer(skin.layer, dofs) else (dofs / more, dofs)
     step = 0 if skin.choice.solver.exact_in_time else 2

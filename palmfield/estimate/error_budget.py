@@ -1,8 +1,8 @@
-"""Accuracy of the motion of a skin in a run: numerical errors, omitted effects, and uncertainty of the inputs.
+"""Report the accuracy of the motion of a skin: numerical errors, omitted effects, and uncertainty of inputs.
 
-All parts refer to one quantity: the response of the skin under the focus to the sound of the loudest moment, at rest
-and at the main frequency. It represents the displacement of a run, whose peak is at another moment and perhaps at
-another point. The parts are of different kinds and are never added up into one number.
+All parts refer to one quantity: the response of the skin under the focus to the sound of the loudest moment, static and
+at the main frequency. It represents the displacement of a run, although the peak of the run is at another moment and
+possibly at another point. The parts are of different kinds and are never added to one number.
 """
 
 import math
@@ -23,10 +23,10 @@ from palmfield.stimulus.schedule import frame_at
 from palmfield.types import Float
 
 LOUDEST_POINTS = 64
-"""Points of the skin at which the field is computed once more in double precision."""
+"""Number of skin points at which the field is also computed in double precision."""
 DEPTH = "depth to the bone"
 SOURCES = ("mesh", "step", "reduction", "edge", "field", "law")
-"""Sources of the numerical error: each has its number under `SOURCE_error_relative`, law only with a series."""
+"""Sources of the numerical error: each has the key `SOURCE_error_relative`; law only for a series."""
 
 
 def error_budget(
@@ -34,12 +34,12 @@ def error_budget(
 ) -> dict[str, Any]:
     """Return the budget of the motion of a skin as plain JSON.
 
-    Arguments and errors raised (SceneError): as `palmfield.estimate.numerical_error.error_estimate`.
-    quantity: the quantity to which all parts are relative.
-    numerical: SOURCE_error_relative for each of SOURCES, displacement_error_relative of all of them together, and the
+    Arguments and errors raised (SceneError): as in `palmfield.estimate.numerical_error.error_estimate`.
+    quantity: quantity to which all parts are relative.
+    numerical: SOURCE_error_relative for each of SOURCES, displacement_error_relative of all sources together, and the
         other entries of the numerical estimate.
-    left_out: a list of what, low, high (true less computed, over computed; None where not estimated) and why.
-    inputs: a list of what, low, high (factors on the displacement; None where not estimated), kind and why.
+    left_out: list of what, low, high (bias; None if not estimated) and why.
+    inputs: list of what, low, high (factors of the displacement; None if not estimated), kind and why.
     """
     estimate = error_estimate(model, skin, loudest, radiation, course)
     band = estimate.pop("material_band_low", None), estimate.pop("material_band_high", None)
@@ -69,9 +69,10 @@ def error_budget(
 
 
 def field_error(model: HapticModel, skin: int, loudest: LoudestMoment, radiation: Radiation) -> float:
-    """Relative error of the highest ARP on a skin that comes from the precision of the field.
+    """Return the relative error of the highest ARP on a skin from the precision of the field.
 
-    Compared with a sum in double precision at LOUDEST_POINTS points; the ARP is proportional to the squared pressure.
+    It compares with a sum in double precision at LOUDEST_POINTS points; the ARP is proportional to the squared
+    pressure.
     """
     posed = loudest.posed
     loads = radiation.on(posed, skin, "quadrature", loudest.drive).arp
@@ -83,21 +84,23 @@ def field_error(model: HapticModel, skin: int, loudest: LoudestMoment, radiation
 
 
 def _level(model: HapticModel, nearest: int, loudest: LoudestMoment, point: Float) -> list[dict[str, Any]]:
-    """p0 of the arrays that sound at the loudest moment. nearest: the stimulus that the skin is made for"""
+    """Return the p0 band of the arrays active at the loudest moment. nearest: stimulus for which the layer is built"""
     band = p0_band_at(model, loudest.posed.arrays, loudest.drive, point)
     sounding = [
         number for number, stimulus in enumerate(model.stimuli) if np.any(loudest.drive[stimulus.transducers])
     ] or [nearest]
-    known = list(dict.fromkeys(p0 for number in sounding for p0 in p0_known(model, number)))
-    kinds = " and ".join(dict.fromkeys(p0.kind for p0 in known))
+    p0_values = list(dict.fromkeys(p0 for number in sounding for p0 in p0_known(model, number)))
+    kinds = " and ".join(dict.fromkeys(p0.kind for p0 in p0_values))
     if band is None:
         why = "arp_peak_Pa sets the level"
         return [{"what": "p0", "low": 1.0, "high": 1.0, "kind": kinds, "why": why}]
-    given = [model.stimuli[number].config.arp_peak_Pa is not None for number in sounding]
+    scaled = [model.stimuli[number].config.arp_peak_Pa is not None for number in sounding]
     law = (
-        "at the highest ARP, for all active stimuli; stimuli with arp_peak_Pa do not depend on p0" if any(given) else ""
+        "at the highest ARP, for all active stimuli; stimuli with arp_peak_Pa do not depend on p0"
+        if any(scaled)
+        else ""
     )
-    why = "; ".join(f"{p0.value:g} Pa m ({p0.low:g} to {p0.high:g}): {p0.source}" for p0 in known)
+    why = "; ".join(f"{p0.value:g} Pa m ({p0.low:g} to {p0.high:g}): {p0.source}" for p0 in p0_values)
     why = f"{law or 'exactly its square'}; {why}"
     return [{"what": "p0", "low": band[0], "high": band[1], "kind": kinds, "why": why}]
 
@@ -130,7 +133,7 @@ def _depth(model: HapticModel, skin: int, point: Float) -> list[dict[str, Any]]:
 
 
 def _unknown_inputs(model: HapticModel, skin: int, stimulus: int) -> list[dict[str, Any]]:
-    """Other inputs, which are not carried through."""
+    """Return other uncertain inputs, whose effect is not computed."""
     inputs = []
     part = model.skins[skin]
     if part.spec.config.arp_law == "alpha":
@@ -139,8 +142,8 @@ def _unknown_inputs(model: HapticModel, skin: int, stimulus: int) -> list[dict[s
         why = f"{alpha:g} by key {key}; allowed: 1 to 2; the ARP on the skin is proportional to it"
         inputs.append(("alpha of the ARP", "assumed", why))
     instances, arrays = array_instances(model.spec), model.stimuli[stimulus].spec.arrays
-    known = list(dict.fromkeys(instances[number].quality for number in arrays))
-    kinds = " and ".join(dict.fromkeys(one.kind for one in known))
-    ranges = "; ".join(f"{one.value:g} ({one.low:g} to {one.high:g}): {one.source}" for one in known)
+    qualities = list(dict.fromkeys(instances[number].quality for number in arrays))
+    kinds = " and ".join(dict.fromkeys(one.kind for one in qualities))
+    ranges = "; ".join(f"{one.value:g} ({one.low:g} to {one.high:g}): {one.source}" for one in qualities)
     inputs.append(("quality factor of the transducers", kinds, f"{ranges}; affects onsets and fast modulation"))
     return [{"what": what, "low": None, "high": None, "kind": kind, "why": why} for what, kind, why in inputs]

@@ -1,4 +1,4 @@
-"""Run a scene, with the errors of its results estimated."""
+"""Run a scene and estimate the errors of its results."""
 
 import logging
 import time
@@ -35,15 +35,15 @@ def run(
 ) -> Result:
     """Simulate a scene from its present state and write result.nc, summary.json, pictures and scene.usdc.
 
-    scene: a file, an MjSpec, or a Simulation. out: folder, made where missing; None keeps the result in memory.
-    duration_s: simulated time [s], by default that of the scene. progress: whether bars are drawn on standard error
-        of a terminal. overwrite: whether the folder may hold the results of another run.
-    plots: kinds of pictures (`palmfield.outputs.pictures.kinds.KINDS`) that are drawn to OUT/plots instead of the usual
-        ones, none for an empty list.
-    Ctrl-C, a full disk or an error in a module end the run early: what was computed by then is assembled and marked
-    incomplete, and the error is raised afterwards (KeyboardInterrupt as such). It carries that Result as its attribute
-    `result`, so that a run kept in memory is not lost either (in an interactive session: `sys.last_value.result`).
-    Raises OutputError where `out` cannot be written, or holds an unfinished run or, without `overwrite`, another one.
+    scene: a file, an MjSpec, or a Simulation. out: folder, created if missing; None keeps the result in memory.
+    duration_s: simulated time [s], default that of the scene. progress: whether to show bars on a terminal's standard
+        error. overwrite: whether the folder may contain the results of another run.
+    plots: kinds of pictures (`palmfield.outputs.pictures.kinds.KINDS`) to draw in OUT/plots instead of the usual ones;
+        an empty list draws none.
+    Ctrl-C, a full disk or an error in a module end the run early. The results so far are then written and marked
+    incomplete, and the error (or KeyboardInterrupt) is raised. It has the Result as attribute `result`, so that a
+    result in memory is not lost (in an interactive session: `sys.last_value.result`).
+    Raises OutputError if `out` cannot be written, contains an unfinished run or, without `overwrite`, another run.
     """
     estimates = Estimates(_budgets, _whole_summary)
     return run_recorded(
@@ -52,7 +52,7 @@ def run(
 
 
 def _budgets(sim: Simulation, recorder: Recorder, bar: Progress) -> dict[str, Any]:
-    """The error budget of the motion of each skin, or why there is none."""
+    """Return the error budget of the motion of each skin, or why there is none."""
     expected_s = sum(estimate_s(skin) for skin in sim.runtime.model.skins)
     task = bar.add_task("estimating the error", total=None, expected_s=expected_s)
     before = time.perf_counter()
@@ -66,7 +66,7 @@ def _budgets(sim: Simulation, recorder: Recorder, bar: Progress) -> dict[str, An
 def _whole_summary(
     sim: Simulation, recorder: Recorder, budgets: dict[str, Any], tree: xr.DataTree, extra: dict[str, Any]
 ) -> dict[str, Any]:
-    """The numbers of a run that went to its end. budgets: of its skins"""
+    """Return the numbers of a complete run. budgets: of its skins"""
     skins = {}
     times: Float = np.asarray(tree["time"])
     for name, ds in instances(tree, "skin").items():

@@ -1,7 +1,7 @@
 """Numerical accuracy of a finished run: relative error of the displacement of a skin by source.
 
-It is estimated at one moment, the loudest on the skin. Errors of the model itself (ARP law, material, linearity) are
-not included; the plan names them.
+The error is estimated at the moment of the highest ARP on the skin. Model errors (ARP law, material, linearity) are
+not included; the plan lists them.
 """
 
 import math
@@ -35,17 +35,17 @@ from palmfield.stimulus.schedule import frames_at
 from palmfield.types import Float
 
 LONGEST_COURSE_S = 0.1
-"""After the sound begins, over which meshes and steps are compared [s]: what rings has faded, and repeats follow."""
+"""Longest time over which meshes and steps are compared [s], from the begin of the sound; transients then are over."""
 MOMENTS_A_STEP = 2
-"""Moments of such a course for each substep."""
+"""Number of times per substep in such a comparison."""
 
 
 @dataclass(frozen=True)
 class SteppedRun:
-    """The steppers of a skin in a run.
+    """Use of steppers for a skin in a run.
 
-    left_small_model: whether the run changed from a small model or modes to the whole layer.
-    outside_class: the part of the loads outside the class that the modes serve, in the energy norm.
+    left_small_model: whether the run changed from a reduced model or modes to the full wedge model.
+    outside_class: share of the loads outside the load class of the modes, in the energy norm.
     end_s: MuJoCo time at the end of the run [s].
     """
 
@@ -65,27 +65,28 @@ def error_estimate(
 ) -> dict[str, float]:
     """Estimate the relative error of the displacement of a skin at its point nearest to the focus, by source.
 
-    radiation: of the model; its boundary-element solution for that moment is used again.
-    materials: whether other materials are solved for as well.
+    radiation: of the model; its boundary-element solution for that moment is reused.
+    materials: whether the ranges of materials are evaluated too.
 
-    mesh: for a solver with an ExplicitLayer its own estimate, of its mesh and steps. For all others, Richardson's rule
-        on the scene's mesh and one finer by RATIO or more (coarser for more than FINER_BELOW unknowns and at least
-        LAYERS rows of elements). The largest of three errors counts: of the static response, of the harmonic one, and
-        of the motion from the beginning of the sound on, under the level of the stimulus with the focus held. The last
-        is an L2 norm over time, to the end of the run, LONGEST_COURSE_S at most. The frequency is the main one of the
-        stimulus; where there is none, half of the highest that mesh and step are made for.
-    step: the exact steady state of the discrete scheme against the continuous one, on the coarser mesh, where it costs
-        less. If it is larger: the effect of the substeps on the motion from the beginning of the sound on.
-        For small models (exact in time) and explicit solvers (shorter steps): linear interpolation of the load, sinc^2.
-    reduction: of a small model its own estimate. If it is made for any course of the load: the difference from the
-        static and harmonic response of the whole layer on the mesh of the scene, if that is larger. Of modes the same,
-        and the part of the loads outside their class; 0 without either.
-    material_band_low, _high: factors on the displacement with all ranges of the materials at their stiff, and at their
-        soft ends; missing where no range is known.
-    edge: half the change of the static or harmonic response between fixed and free cut faces, the larger: a layer on a
-        hand ends where the body continues. 1 where only the cut faces hold it at rest, 0 for a disc.
+    mesh: solvers with an ExplicitLayer report their own estimate of mesh and steps. For all others, Richardson's rule
+        on the mesh of the scene and one finer by RATIO or more (coarser for more than FINER_BELOW unknowns and at least
+        LAYERS rows of elements). The result is the largest of three errors: of the static response, of the harmonic
+        response, and of the motion after the sound begins, with the level of the stimulus and a fixed focus. The last
+        is an L2 norm over time, to the end of the run, at most LONGEST_COURSE_S. The frequency is the main one of the
+        stimulus, or else half of the highest frequency of mesh and step.
+    step: the exact steady state of the discrete scheme against the continuous one, on the cheaper coarser mesh. If it
+        is larger: the effect of the substeps on the motion after the sound begins.
+        For reduced models (exact in time) and explicit solvers (shorter steps): linear interpolation of the load,
+        sinc^2.
+    reduction: for a reduced model its own estimate or, if it is valid for any time course of the load and the value is
+        larger, the difference from the static and harmonic response of the full wedge model on the mesh of the scene.
+        For modes the same, and the share of the loads outside their class; else 0.
+    material_band_low, _high: factors of the displacement with all material ranges at their stiff and at their soft
+        ends; missing if no range is known.
+    edge: half the change of the static or harmonic response between fixed and free cut faces, the larger, because a
+        layer on a hand ends inside the body. 1 if only the cut faces support the layer, 0 for a disc.
 
-    Kept in the cache (`palmfield.cache`). Raises SceneError if no finer or coarser mesh of the layer can be made.
+    The result is cached (`palmfield.cache`). Raises SceneError if no finer or coarser mesh of the layer can be made.
     """
     layer, stepper = model.skins[skin].layer, model.begin[skin].value
     small = None if stepper.adds_error is None else stepper
@@ -96,7 +97,7 @@ def error_estimate(
     lasted_s = float(np.clip(course.end_s - config.start_s, model.spec.timestep_s, LONGEST_COURSE_S))
 
     def level(step_s: float) -> tuple[Float, Float]:
-        """Times from the beginning of the sound on, with spacing `step_s` [s], and its level then."""
+        """Return times from the begin of the sound, with spacing `step_s` [s], and the level at these times."""
         times: Float = step_s * np.arange(1 + max(1, round(lasted_s / step_s)), dtype=np.float64)
         return times, frames_at(config, config.start_s + times)[1]
 
@@ -156,7 +157,7 @@ def _estimate(
     between = [Response(middle, sound.on(middle), point) for middle in middles]
     cut = other_sides(low, sound, point)
     ends = other_materials(coarse, materials)
-    # The most expensive first, so that the cheaper ones run at the same time
+    # The most expensive first, so that cheaper ones run in parallel
     side_by_side(
         fine.swing,
         coarse.swing,
@@ -180,26 +181,26 @@ def _estimate(
 
 
 def _reduction_error(small: SkinStepper, own: Response) -> float:
-    """Of a small model: its own estimate, or its difference from the response of the whole layer, if that is larger.
+    """Return the estimate of a reduced model or its difference from the full wedge model, whichever is larger.
 
-    own: the response of the scene's layer, on its own mesh.
+    own: response of the full wedge model on the mesh of the scene.
     """
     if not small.any_course:
         return small.error
     layer, frequency = own.layer, own.layer.demand.main_frequency_Hz
     pressure, read = own.pressure, layer.probe(own.point).operator
     pressure = pressure if small.points is None else pressure[small.points]
-    known: dict[float, complex] = {0.0: own.static} if layer.system.supported else {}
-    known[frequency] = own.harmonic
-    reduced = [small.harmonic(pressure, f, read)[0] for f in known]
-    references = known.values()
+    expected: dict[float, complex] = {0.0: own.static} if layer.system.supported else {}
+    expected[frequency] = own.harmonic
+    reduced = [small.harmonic(pressure, f, read)[0] for f in expected]
+    references = expected.values()
     return max(small.error, *(abs(a - b) / abs(b) for a, b in zip(reduced, references, strict=True)))
 
 
 def _explicit_estimate(
     layer: SceneLayer, stepper: SkinStepper, sound: LoudestSound, point: Float, materials: Ends | None
 ) -> dict[str, float]:
-    """Of a solver with its own mesh: the cut edge is that of the scene's layer, computed by its wedges."""
+    """Estimate a solver with its own mesh; the error of the cut edge is that of the wedge model."""
     frequency = layer.demand.main_frequency_Hz
     step = 1.0 - float(np.sinc(frequency * layer.sizes.step_s)) ** 2
     own = Response(layer, sound.on(layer), point)

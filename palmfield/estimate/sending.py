@@ -1,4 +1,4 @@
-"""Demands of playing a scene on its board, before any frame is sent: bytes, rates, latency, rounding error."""
+"""Compute the bytes, rates, latency and rounding error of a scene on its board before it is played."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -20,11 +20,11 @@ LEAST_SAID_M = 0.05e-3
 
 @dataclass(frozen=True)
 class Sending:
-    """The frames sent to a board.
+    """Properties of the frames sent to a board.
 
-    frame_bytes. frames_s: frames due per second, 0 where only steady frames are sent again. most_frames_s: limit of the
-    line. latency_s: from the first byte of a frame to its sound, at best and at worst [s]. pressure_kept: expected
-    share of the focal pressure after rounding of phases. amplitude_steps: above 0, None where continuous.
+    frame_bytes. frames_s: frames due per second, 0 if only constant frames are repeated. most_frames_s: limit of the
+    line. latency_s: from the first byte of a frame to its sound, shortest and longest [s]. pressure_kept: expected
+    fraction of the focal pressure after rounding of phases. amplitude_steps: above 0, None if continuous.
     """
 
     board: str
@@ -49,7 +49,7 @@ class Sending:
 
 
 def sending(board: Board, stimuli: Sequence[StimulusConfig]) -> Sending:
-    """The frames that a board with bytes is sent for some stimuli."""
+    """Return properties of the frames for some stimuli on a board that takes bytes."""
     fastest = max((rate for stimulus in stimuli for rate in frame_rates(stimulus)), default=0.0)
     takes_s, most_s = board.frame_time_s, board.max_frame_rate_Hz
     steps = 1 if not board.levels else board.transducers if board.dither else board.amplitude_steps
@@ -60,7 +60,8 @@ def sending(board: Board, stimuli: Sequence[StimulusConfig]) -> Sending:
 def peak_offset(model: HapticModel, number: int) -> tuple[Float, float] | None:
     """Return the vector from the first focus of a stimulus to the maximum of |p|, array frame [m], shape (3,).
 
-    Also the distance by which the rounding of the board moves that place [m]. None in silence, and for several foci.
+    Return also the distance by which rounding of the board moves the maximum [m]. None in silence, and for several
+    foci.
     """
     stimulus = model.stimuli[number]
     focus = stimulus.first_focus
@@ -80,7 +81,7 @@ def peak_offset(model: HapticModel, number: int) -> tuple[Float, float] | None:
 
 
 def offset_words(offset: Float, rounding_m: float = 0.0) -> str:
-    """`peak_offset` in words."""
+    """Describe a `peak_offset` in words."""
     aside = float(np.hypot(*offset[:2]))
     where = "nearer to" if offset[2] < 0.0 else "farther from"
     words = (

@@ -1,6 +1,6 @@
-"""Level above threshold of a run, by observer: of the force on the palm, and of the motion of the skin.
+"""Compute levels above threshold of a run, by observer, from the force on the palm and from the motion of the skin.
 
-Each observer has its level, a line that says why it applies or is refused, and its own spread.
+Each observer has a level, a reason why it applies or is refused, and a spread.
 """
 
 import math
@@ -27,11 +27,11 @@ from palmfield.stimulus.schedule import main_frequencies, steady_stretch_s
 from palmfield.types import Float, Int
 
 MOVED_SHARE = 0.5
-"""Share of the largest weighted amplitude on the skin, above which skin counts as moved, for area summation."""
+"""Fraction of the largest weighted amplitude above which skin counts as moved, for area summation."""
 CLOCK_S = 1e-9
-"""Largest distance in time of a record from a moment of the schedule that it represents."""
+"""Tolerance of times of records relative to the schedule [s]."""
 STILL_m = 1e-3
-"""A skin is not at rest if a point is further than this from its reference pose."""
+"""Largest distance of a point from its reference pose at which a skin counts as at rest [m]."""
 
 
 def felt_levels(
@@ -46,18 +46,18 @@ def felt_levels(
     *,
     begun_s: float = 0.0,
 ) -> dict[str, Any]:
-    """Return the levels of one skin by all observers, units in the names: contact as `contact_levels`, and the force.
+    """Return the levels of one skin by all observers, units in the names: contact (`contact_levels`) and force.
 
-    loudest: of the run on the skin, None in silence; radiation: of the model; reference: everything in its reference
+    loudest: loudest moment on the skin, None in silence; radiation: of the model; reference: scene in its reference
     pose; times: from the start of the run, evenly spaced [s], shape (t,).
     normal: displacement along the outward normal [m], shape (t, S); arp_peaks: highest ARP on the skin [Pa], shape
         (t,).
-    begun_s: MuJoCo time at the start of the run [s], by which stimuli start and stop.
-    Lines are those of the stretch between ramp and silence (`steady_stretch_s`): silent parts have no level.
-    Of the force observer `level_NAME_why` alone where it is refused; otherwise also force_line_N (peak amplitude at the
-    main frequency) and force_mean_N, both on force_area_m2 round the highest ARP. All observers are refused where no
-    sound pushes the skin, where the stretch is shorter than two periods of the main frequency, and where the load does
-    not repeat, which has no main frequency.
+    begun_s: MuJoCo time at the start of the run [s], which is added to `times` for start and stop of stimuli.
+    Lines are those of the interval between ramp and silence (`steady_stretch_s`), since silent parts have no level.
+    The force observer has only `level_NAME_why` if it is refused; otherwise also force_line_N (peak amplitude at the
+    main frequency) and force_mean_N, both on force_area_m2 around the highest ARP. All observers are refused if no
+    sound acts on the skin, if the interval is shorter than two periods of the main frequency, and if the load is not
+    periodic and so has no main frequency.
     """
     config = model.stimuli[stimulus_of(model, skin)].config
     main = main_frequencies(config)
@@ -103,14 +103,14 @@ def felt_levels(
 
 
 def contact_levels(times: Float, normal: Float, frequencies: list[float], areas: Float) -> dict[str, Any]:
-    """Level above threshold by contact observer: of all lines together, of the strongest, and at the main frequency.
+    """Return the level above threshold by contact observer, of all lines, of the strongest, and at the main frequency.
 
     times: [s], shape (t,), evenly spaced. normal: displacement [m], shape (t, S).
-    frequencies: lines that count, main one first [Hz]. areas: of the vertices [m^2], shape (S,).
-    Levels are those of the vertex that moves most. Of an observer whose thresholds depend on area, also
-    `level_area_NAME_dB_SL`, of all lines, with the area `level_area_NAME_m2` on which the weighted amplitude
+    frequencies: evaluated lines, main one first [Hz]. areas: of the vertices [m^2], shape (S,).
+    Levels are those of the vertex that moves most. If the thresholds of an observer depend on area, also
+    `level_area_NAME_dB_SL`, for all lines, with the area `level_area_NAME_m2` on which the weighted amplitude
     exceeds MOVED_SHARE of its largest.
-    None where the table of an observer does not reach; empty for less than two periods of the main frequency.
+    None outside the table of an observer; empty for less than two periods of the main frequency.
     """
     frequencies = lines_in(times, frequencies)
     if not frequencies:
@@ -146,7 +146,7 @@ def _refusal(name: str, reason: str) -> dict[str, Any]:
 
 
 def _all_refused(frequency: float | None, reason: str) -> dict[str, Any]:
-    """No level by any observer of a sound with a main frequency [Hz], None for a load that doesn't repeat."""
+    """Return the entries if all observers are refused. frequency: main one [Hz], None for an aperiodic load."""
     refusals: dict[str, Any] = {"main_frequency_Hz": frequency}
     for name in (FORCE_OBSERVER.name, *OBSERVERS):
         refusals |= _refusal(name, reason)
@@ -154,10 +154,11 @@ def _all_refused(frequency: float | None, reason: str) -> dict[str, Any]:
 
 
 def moved_area_m2(observer: Observer, frequencies: list[float], lines: Float, areas: Float) -> float:
-    """Area [m^2] on which the skin moves by more than MOVED_SHARE of the largest motion, weighted by thresholds.
+    """Return the area on which motion weighted by thresholds exceeds MOVED_SHARE of its maximum [m^2].
 
-    Only lines whose thresholds depend on area count; 0 where there is none.
-    frequencies: of the lines [Hz], (n,). lines: peak amplitudes at the vertices [m], (n, S). areas: theirs [m^2], (S,).
+    Only lines whose thresholds depend on area are used; 0 if there are none.
+    frequencies: of the lines [Hz], (n,). lines: peak amplitudes at the vertices [m], (n, S). areas: of the vertices
+        [m^2], (S,).
     """
     assert observer.summation is not None
     low, high = observer.summation.low_Hz, observer.summation.high_Hz
@@ -185,7 +186,7 @@ def _finite(level: float) -> float | None:
 def _refused(
     model: HapticModel, skin: int, loudest: LoudestMoment, radiation: Radiation, reference: PosedScene
 ) -> str | None:
-    """Why the force observer was not measured with such a sound on such a skin; None where it was."""
+    """Return why the measurement of the force observer does not cover this sound and skin; None if it does."""
     sounding = [stimulus for stimulus in model.stimuli if not stimulus.silent]
     if len(sounding) > 1:
         return f"it was measured with one focus, but {len(sounding)} stimuli are active"
@@ -204,9 +205,9 @@ def _refused(
 
 
 def region_at(hand: str, point: Float) -> str:
-    """The region (`palmfield.hand.labels.REGIONS`) of a hand in which a point of its skin lies.
+    """Return the region (`palmfield.hand.labels.REGIONS`) of a hand in which a point of its skin lies.
 
-    hand: a preset's name or file; point: in the hand frame, at rest [m], shape (3,)
+    hand: name of a preset, or file; point: in the hand frame, at rest [m], shape (3,)
     """
     names, labels, tree = _labelled(hand)
     return names[int(labels[tree.query(point)[1]])]

@@ -1,6 +1,6 @@
-"""Numbers of a finished run that its result does not contain: drive level, error estimate, felt level.
+"""Compute numbers of a finished run that its result lacks: drive level, error estimate, sensation level.
 
-They go into summary.json with those of `palmfield.outputs.summary`, by skin and by stimulus.
+They are written to summary.json with those of `palmfield.outputs.summary`, by skin and by stimulus.
 """
 
 from collections.abc import Callable, Iterable
@@ -38,16 +38,16 @@ def skin_numbers(
     *,
     begun_s: float = 0.0,
 ) -> dict[str, Any]:
-    """Return for one skin: solver, error estimate, p0 band and felt level, units in the names.
+    """Return for one skin: solver, error estimate, p0 band and sensation level, units in the names.
 
-    loudest: the moment of the highest ARP on the skin, None for a run that was silent there.
+    loudest: the moment of the highest ARP on the skin, None if no sound reached it.
     budget: of `estimated_budget`.
     times: of the records [s], shape (t,). normal: displacement along the outward normal [m], shape (t, S).
     arp_peaks: highest ARP on the skin at these times [Pa], shape (t,); begun_s: MuJoCo time at the start of the run
-    [s]. `reduction_velocity_error_relative` is the velocity error of modes; no other solver has it.
-    input_band_low, _high: factors on the motion over all inputs with a known range (`combined`), input_band_parts the
-    single ones; peak_displacement_low_m, _high_m: with that band; verdict: of `palmfield.outputs.felt.verdict`.
-    accuracy_reached: whether the error is within the target accuracy, None where there is no estimate.
+    [s]. `reduction_velocity_error_relative` is the velocity error of modes; other solvers have none.
+    input_band_low, _high: factors of the motion over all inputs with a known range (`combined`); input_band_parts: of
+    each input; peak_displacement_low_m, _high_m: with that band; verdict: of `palmfield.outputs.felt.verdict`.
+    accuracy_reached: whether the error is within the target accuracy, None if there is no estimate.
     If the error estimate fails, `displacement_error_missing` gives the reason; the results remain valid without it.
     """
     runtime = simulation.runtime
@@ -88,9 +88,9 @@ def skin_numbers(
 
 
 def estimated_budget(simulation: Simulation, skin: int, loudest: LoudestMoment | None) -> dict[str, Any] | str | None:
-    """The error budget of the motion of a skin (`palmfield.estimate.error_budget.error_budget`), or why there is none.
+    """Return the budget of the motion of a skin (`palmfield.estimate.error_budget.error_budget`), or why there is none.
 
-    None where the run was silent. loudest: see `skin_numbers`.
+    None if the run was silent. loudest: see `skin_numbers`.
     """
     if loudest is None:
         return None
@@ -99,7 +99,7 @@ def estimated_budget(simulation: Simulation, skin: int, loudest: LoudestMoment |
 
 
 def estimated_errors(runtime: SceneRuntime, skin: int, loudest: LoudestMoment) -> dict[str, float] | str:
-    """The numerical errors of the displacement of a skin by source, relative, or why there is no estimate."""
+    """Return the relative numerical errors of the displacement of a skin by source, or why there is no estimate."""
     return _or_reason(
         lambda: error_estimate(
             runtime.model, skin, loudest, _radiation(runtime), _course(runtime, skin), materials=False
@@ -113,7 +113,7 @@ def _course(runtime: SceneRuntime, skin: int) -> SteppedRun:
 
 
 def _or_reason(estimate: Callable[[], T]) -> T | str:
-    """The result of an estimate, or why there is none: the numbers of the run remain valid without it."""
+    """Return the result of an estimate, or the reason of its failure; the results of the run remain valid."""
     try:
         return estimate()
     except (PalmfieldError, MemoryError) as error:
@@ -126,14 +126,14 @@ def stimulus_numbers(
     peak_drive: Float | None = None,
     turns: Iterable[PhaseTurns] = (),
 ) -> dict[str, dict[str, Any]]:
-    """Return for each stimulus, by name: `drive_level`, its largest transducer amplitude at the skins' loudest moments.
+    """Return for each stimulus, by name: `drive_level`, the largest transducer amplitude at the skins' loudest moments.
 
-    Relative to full drive. It is the level at full modulation, without ramp and bursts, where all transducers follow
-    one course. Where they don't (several stimuli, a moving focus with ring-up), it is the emitted amplitude. Where no
-    sound pushed any skin it is the commanded drive: the sound may have missed the skins.
+    It is relative to full drive. If all transducers follow one time course, it is the level at full modulation,
+    without ramp and bursts; else (several stimuli, a moving focus with ring-up) it is the emitted amplitude. If no
+    sound reached any skin, it is the commanded drive, since the sound may have missed the skins.
 
-    peak_drive: largest amplitude commanded of each transducer in the run, shape (N,); 0 by default.
-    turns: of each stimulus; one of several foci has `phase_turns`, their number, and `phase_turn_times_s` [s].
+    peak_drive: largest commanded amplitude of each transducer in the run, shape (N,); 0 by default.
+    turns: of each stimulus; a stimulus with several foci has `phase_turns` (number) and `phase_turn_times_s` [s].
     """
     model = simulation.runtime.model
     moments = list(loudest)
@@ -150,7 +150,7 @@ def stimulus_numbers(
 
 
 def array_numbers(model: HapticModel) -> dict[str, dict[str, Any]]:
-    """For each array, by name: p0 [Pa m] and quality with range, kind and source, and whether they are calibrated."""
+    """Return for each array, by name: p0 [Pa m] and quality with range, kind, source, and whether it is calibrated."""
     result = {}
     for spec, array in zip(model.spec.arrays, array_instances(model.spec), strict=True):
         p0, quality = array.p0, array.quality
@@ -170,7 +170,7 @@ def array_numbers(model: HapticModel) -> dict[str, dict[str, Any]]:
 
 
 def drive_levels(model: HapticModel, loudest: Iterable[LoudestMoment | None]) -> list[float]:
-    """The `drive_level` of each stimulus, see `stimulus_numbers`."""
+    """Return the `drive_level` of each stimulus, see `stimulus_numbers`."""
     moments = [moment for moment in loudest if moment is not None]
     parts = [stimulus.transducers for stimulus in model.stimuli]
     return [max((float(np.abs(moment.drive[own]).max()) for moment in moments), default=0.0) for own in parts]
@@ -179,9 +179,9 @@ def drive_levels(model: HapticModel, loudest: Iterable[LoudestMoment | None]) ->
 def scene_numbers(
     simulation: Simulation, loudest: Iterable[LoudestMoment | None], peak_drive: Float | None = None
 ) -> dict[str, Any]:
-    """For the whole scene: the device of its fields, the board that plays it, and the highest level of its drive.
+    """Return for the whole scene: device of the fields, board, and highest level of the drive.
 
-    loudest: of each skin; peak_drive: as of `stimulus_numbers`
+    loudest: of each skin; peak_drive: as in `stimulus_numbers`
     """
     model = simulation.runtime.model
     levels = [one["drive_level"] for one in stimulus_numbers(simulation, loudest, peak_drive).values()]
@@ -189,20 +189,20 @@ def scene_numbers(
 
 
 def _radiation(runtime: SceneRuntime) -> Radiation:
-    """Fields of the model of a scene, with the boundary-element solutions of its run."""
+    """Return the fields of the model of a scene, with the boundary-element solutions of its run."""
     radiation = Radiation(runtime.model)
     radiation.continue_from(runtime.work.radiation)
     return radiation
 
 
 def _left_small_model(runtime: SceneRuntime, skin: int) -> bool:
-    """Whether a run that began with a small model of a skin went on with its whole layer."""
+    """Return whether a run changed from a reduced model of a skin to the full wedge model."""
     begun = runtime.model.begin[skin].value.adds_error is not None
     return begun and bool(runtime.state.skins[skin][0, 0] == WHOLE)
 
 
 def _why(model: HapticModel, skin: int) -> str:
-    """Why that stepped it."""
+    """Return why this solver stepped a skin."""
     choice = model.skins[skin].choice
     if choice.name != model.begin[skin].value.name:
         return f"{choice.why}; but no reduced model reached its accuracy, so the full wedge model was used"

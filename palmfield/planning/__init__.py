@@ -1,6 +1,6 @@
 """Plan a scene before the run: modelled and ignored effects, expected error and time.
 
-`palmfield.plan` is public there.
+Public: `palmfield.plan`.
 """
 
 import lazy_loader

@@ -1,4 +1,4 @@
-"""Advice for a user before the run, in words."""
+"""Give warnings for the user before the run, in words."""
 
 import math
 from dataclasses import replace
@@ -18,7 +18,7 @@ from palmfield.planning.costs import scatterings
 from palmfield.planning.facts import first_drive, turn_times, where_it_arrives
 from palmfield.planning.obstructions import obstructions
 from palmfield.planning.pins import coarse_pins
-from palmfield.planning.visibility import out_of_sight
+from palmfield.planning.visibility import hidden_patches
 from palmfield.session.duration import step_count
 from palmfield.session.preview import Preview
 from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
@@ -33,14 +33,14 @@ COURSE, POSES = 64, 16
 SOUNDS, NODES = 16, 2000
 """Largest number of points of a path, and of a skin, for the sound of a distant focus."""
 HARDLY = 0.05
-"""Share of the |p|^2 of a focus on it: skin with less hardly moves."""
+"""Smallest |p|^2 on a skin, relative to that of a focus there, at which it moves noticeably."""
 ROUNDED = 0.01
-"""Share of its duration by which MuJoCo's steps may change a run without a warning."""
+"""Largest relative change of the duration due to MuJoCo's steps without a warning."""
 DENSITIES_kg_m3 = 500.0, 3000.0
 SHEAR_Pa = 50.0, 1e9
-"""Range of skin and phantoms, from the softest gels to dry stratum corneum."""
+"""Range of the shear modulus of skin and phantoms, from the softest gels to dry stratum corneum."""
 LEAST_POISSON = 0.3
-"""Soft tissue, gels and rubbers keep their volume: 0.45 to 0.5."""
+"""Poisson's ratio below which a warning is given; soft tissue, gels and rubbers have 0.45 to 0.5."""
 
 
 def material_advice(model: HapticModel) -> list[str]:
@@ -71,10 +71,10 @@ def _doubts(material: Material) -> list[str]:
 
 
 def advice(view: Preview) -> list[str]:
-    """Warnings, each once."""
+    """Return all warnings, each once."""
     model = view.runtime.model
     result = [text for number in range(len(model.skins)) for text in _far_focus(view, number)]
-    result += out_of_sight(view)
+    result += hidden_patches(view)
     result += obstructions(view)
     result += _rounded_duration(view)
     result += _disabled_sensors(view)
@@ -112,7 +112,7 @@ def advice(view: Preview) -> list[str]:
 
 
 def _coarse(model: HapticModel, number: int) -> list[str]:
-    """Whether keys make a skin coarser than its accuracy needs."""
+    """Warn if keys make a skin coarser than its accuracy needs."""
     skin, pinned = model.skins[number].spec, coarse_pins(model, number)
     if not pinned:
         return []
@@ -123,7 +123,7 @@ def _coarse(model: HapticModel, number: int) -> list[str]:
 
 
 def _dropped_response(model: HapticModel, number: int) -> list[str]:
-    """Whether ring-up or flight time are switched off by key, with an effect larger than the accuracy."""
+    """Warn if a key switches off ring-up or flight time, and the effect is larger than the accuracy."""
     skin, stimulus = model.skins[number], model.stimuli[stimulus_of(model, number)]
     wanted = skin.spec.config.accuracy
     return [
@@ -136,7 +136,7 @@ def _dropped_response(model: HapticModel, number: int) -> list[str]:
 
 
 def _held_too_long(stimulus: StimulusModel) -> list[str]:
-    """Whether control_rate_Hz holds a modulation so long that another one is played; rectangles get frames at jumps."""
+    """Warn if control_rate_Hz is too low for a modulation. Rectangles are not affected: they get frames at jumps."""
     config = stimulus.config
     rate, frequency = config.control_rate_Hz, config.am_frequency_Hz
     if config.modulation != "am" or config.am_waveform == "rectangle" or not config.am_depth or frequency is None:
@@ -153,7 +153,7 @@ def _held_too_long(stimulus: StimulusModel) -> list[str]:
 
 
 def _far_focus(view: Preview, number: int) -> list[str]:
-    """Whether no focus comes close to a skin, now or during scripted motion."""
+    """Warn if no focus comes close to a skin, now or during scripted motion."""
     model = view.runtime.model
     skin = model.skins[number]
     numbers = range(len(model.stimuli))
@@ -185,10 +185,10 @@ def _far_focus(view: Preview, number: int) -> list[str]:
 
 
 def _share_of_focus(model: HapticModel, skin: int, stimulus: int, posed: PosedScene) -> float:
-    """The highest |p|^2 on a skin, in free air, over that of a focus at the same place, for the points of a path.
+    """Return the highest |p|^2 on a skin, in free air, over that of a focus at the same point, for points of a path.
 
-    Both at full drive of the same transducers, for any level of the stimulus and its board: a level that is right for
-    the focus may be out of reach at the skin.
+    Both are for full drive of the same transducers, independent of the level: a level that is possible at
+    the focus may be impossible at the skin.
     """
     nodes = posed.skins[skin].nodes[0]
     nodes = nodes[:: -(-len(nodes) // NODES)]
@@ -207,7 +207,7 @@ def _share_of_focus(model: HapticModel, skin: int, stimulus: int, posed: PosedSc
 
 
 def _silence(view: Preview, stimulus: StimulusModel) -> list[str]:
-    """Whether a stimulus is silent in the run, by its level or by its times."""
+    """Warn if a stimulus is silent in the run because of its level or its times."""
     config, name = stimulus.config, stimulus.spec.name
     begin, end = float(view.data.time), float(view.data.time) + view.duration_s
     if stimulus.silent:
@@ -227,7 +227,7 @@ def _silence(view: Preview, stimulus: StimulusModel) -> list[str]:
 
 
 def _rounded_duration(view: Preview) -> list[str]:
-    """Whether MuJoCo's steps make the run longer or shorter than intended."""
+    """Warn if MuJoCo's steps make the run longer or shorter than intended."""
     step_s = view.runtime.model.spec.timestep_s
     steps = step_count(view.duration_s, step_s)
     if abs(steps * step_s - view.duration_s) <= ROUNDED * view.duration_s:
@@ -240,7 +240,7 @@ def _rounded_duration(view: Preview) -> list[str]:
 
 
 def _disabled_sensors(view: Preview) -> list[str]:
-    """Whether MuJoCo leaves the sensors of skins at 0."""
+    """Warn if MuJoCo leaves the sensors of skins at 0."""
     if not view.data.model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_SENSOR:
         return []
     own = view.data.model.sensor_plugin >= 0
@@ -253,20 +253,20 @@ def _course(stimulus: StimulusModel) -> Float:
 
 
 def _keys_without_effect(stimulus: StimulusModel) -> list[str]:
-    """Return keys of a modulation that is off."""
+    """Warn of keys of a modulation that is off."""
     config = stimulus.spec.config
-    given = [key for key in AM_KEYS if key in config.model_fields_set and getattr(config, key) is not None]
-    if config.modulation != "none" or not given:
+    present = [key for key in AM_KEYS if key in config.model_fields_set and getattr(config, key) is not None]
+    if config.modulation != "none" or not present:
         return []
-    which, have = ("key", "has") if len(given) == 1 else ("keys", "have")
+    which, have = ("key", "has") if len(present) == 1 else ("keys", "have")
     return [
-        f"{which} {', '.join(given)} of stimulus '{stimulus.spec.name}' {have} no effect, because its modulation is "
+        f"{which} {', '.join(present)} of stimulus '{stimulus.spec.name}' {have} no effect, because its modulation is "
         "'none': set modulation to am, or remove them"
     ]
 
 
 def _hardly_begun(stimulus: StimulusModel, duration_s: float) -> list[str]:
-    """Whether the run ends while the sound still grows. duration_s: of the run, from MuJoCo's time 0"""
+    """Warn if the run ends while the sound still grows. duration_s: of the run, from MuJoCo's time 0"""
     config = stimulus.config
     lasts_s = duration_s - config.start_s
     if not 0.0 < lasts_s < config.ramp_s:
@@ -280,7 +280,7 @@ def _hardly_begun(stimulus: StimulusModel, duration_s: float) -> list[str]:
 
 
 def _path_off_the_skin(model: HapticModel, stimulus: StimulusModel) -> list[str]:
-    """Whether a path on the skin leaves the layers on its body."""
+    """Warn if a path on the skin leaves the layers on its body."""
     if stimulus.path is None or stimulus.spec.on_skin is None:
         return []
     body = model.skins[stimulus.spec.on_skin].body

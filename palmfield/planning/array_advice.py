@@ -1,4 +1,4 @@
-"""Advice on the arrays of a scene before the run: numbers that seem to be in another unit."""
+"""Warn of values of arrays that seem to be in another unit."""
 
 import numpy as np
 
@@ -8,29 +8,29 @@ from palmfield.simulation.model import HapticModel, array_instances
 from palmfield.simulation.validate import pitch_m
 
 TOUCHING = 0.99
-"""Share of two pistons' radii below which the distance of their centres is doubtful."""
+"""Distance of two transducers, relative to the piston diameter, below which they overlap."""
 DRY_PERCENT = 1.0
-"""No room is drier: a lower humidity was probably given as a share."""
+"""Lowest plausible humidity; a lower one was probably given as a fraction."""
 MEDIAN_GAIN = 2.0
-"""Factor of the median transducer's level relative to p0 beyond which the level is in the wrong key."""
+"""Median gain of transducers above which the level was probably put into gains instead of p0."""
 FAR_OFF_M = 0.05
-"""A calibration that moves a board farther was measured in another frame, or in another unit."""
+"""Largest plausible displacement of a board by a calibration; beyond it frame or unit are probably wrong [m]."""
 WIDE = 10.0
-"""Ratio of a range's ends beyond which it is not a measurement."""
+"""Ratio of the ends of a range above which it is not a useful measurement."""
 UNLIKELY = 3.0
-"""Factor beyond the values of real transducers from which a p0 is doubtful."""
+"""Factor outside the values of real transducers from which p0 is implausible."""
 
 
 def array_advice(model: HapticModel) -> list[str]:
-    """Warnings of arrays."""
+    """Return warnings on arrays."""
     return _unlikely_p0(model) + _crowded(model) + _dry(model) + _calibrations(model)
 
 
 def _unlikely_p0(model: HapticModel) -> list[str]:
-    """Whether p0 is far from that of any real transducer: most likely it is in another unit."""
+    """Warn if p0 is far from that of any real transducer, probably because of the unit."""
     result = []
-    known = [ANY_P0, *(layout.p0 for layout in LAYOUTS.values())]
-    least, most = min(one.low for one in known), max(one.high for one in known)
+    typical = [ANY_P0, *(layout.p0 for layout in LAYOUTS.values())]
+    least, most = min(one.low for one in typical), max(one.high for one in typical)
     for array, instance in zip(model.spec.arrays, array_instances(model.spec), strict=True):
         p0, whence = instance.p0.value, instance.p0.source
         if least / UNLIKELY <= p0 <= UNLIKELY * most:
@@ -43,7 +43,7 @@ def _unlikely_p0(model: HapticModel) -> list[str]:
 
 
 def _crowded(model: HapticModel) -> list[str]:
-    """Whether transducers of an array overlap: places in another unit, or pistons of another size."""
+    """Warn if transducers of an array overlap, because of the unit of positions or the piston radius."""
     result = []
     for array, part in zip(model.spec.arrays, model.arrays.parts, strict=True):
         apart, wide = pitch_m(part.positions), 2.0 * part.piston_radius_m
@@ -56,7 +56,7 @@ def _crowded(model: HapticModel) -> list[str]:
 
 
 def _dry(model: HapticModel) -> list[str]:
-    """Whether the air is drier than any room: most likely its humidity is a share."""
+    """Warn if the air is drier than any room, probably because the humidity is a fraction."""
     return [
         f"humidity_percent of array '{array.name}' is {array.config.humidity_percent:g}, drier than any room: "
         "check the unit (percent)"
@@ -66,26 +66,26 @@ def _dry(model: HapticModel) -> list[str]:
 
 
 def _calibrations(model: HapticModel) -> list[str]:
-    """Whether a laboratory's calibration has values unlike any board: levels and places in another unit."""
+    """Warn if a calibration has implausible values, probably because of the unit of levels or positions."""
     result = []
     for array, instance in zip(model.spec.arrays, array_instances(model.spec), strict=True):
-        known = instance.calibration
-        if known is None:
+        one = instance.calibration
+        if one is None:
             continue
         says = f"the calibration of array '{array.name}'"
-        if known.elements is not None:
-            middle = float(np.median(np.array(known.elements.gain)[np.array(known.elements.enabled)]))
+        if one.elements is not None:
+            middle = float(np.median(np.array(one.elements.gain)[np.array(one.elements.enabled)]))
             if not 1.0 / MEDIAN_GAIN <= middle <= MEDIAN_GAIN:
                 result.append(
                     f"{says} has gains of about {middle:.3g}; gains are relative to p0: put the level into p0, and "
                     "keep gains near 1"
                 )
-        off_m = float(np.linalg.norm(known.pose.offset_m))
+        off_m = float(np.linalg.norm(one.pose.offset_m))
         if off_m > FAR_OFF_M:
             result.append(f"{says} displaces the board by {off_m:.3g} m: check the unit (metres) and the frame")
-        if known.p0 is not None and known.p0.high > WIDE * known.p0.low:
+        if one.p0 is not None and one.p0.high > WIDE * one.p0.low:
             result.append(
-                f"{says} has a p0 of {known.p0.low:g} to {known.p0.high:g} Pa m, which is too wide to be useful: "
+                f"{says} has a p0 of {one.p0.low:g} to {one.p0.high:g} Pa m, which is too wide to be useful: "
                 "measure it again"
             )
     return result

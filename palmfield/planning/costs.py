@@ -1,4 +1,4 @@
-"""Cost of a run: points of the field, boundary elements, the error estimate."""
+"""Estimate the cost of a run: field points, boundary elements, error estimate."""
 
 from typing import NamedTuple
 
@@ -11,15 +11,15 @@ from palmfield.simulation.posed_scene import reference_scene
 from palmfield.stimulus.schedule import frame_rates
 
 PAIRS_PER_S = 5e8
-"""Pairs of transducer and point a second, with gradient, measured on two cores of a server CPU (docs/bench/)."""
+"""Pairs of transducer and point per second, with gradient, measured on two cores of a server CPU (docs/bench/)."""
 START_AND_PICTURES_S = 12.0
 SCATTER_PAIR_S = 2e-8
 SCATTER_ELEMENT_S = 1e-4
-"""One solution of the boundary elements, docs/bench/scattering.md: 20 iterations of all pairs, and set-up."""
+"""Time of a boundary-element solution per element [s]: 20 iterations and set-up (docs/bench/scattering.md)."""
 
 
 def run_s(view: Preview) -> float:
-    """Expected wall time of `palmfield run` on two CPU cores [s], pictures included."""
+    """Return the expected wall time of `palmfield run` on two CPU cores [s], pictures included."""
     model = view.runtime.model
     pairs = points_a_step(model) * len(model.arrays) * view.duration_s / model.spec.timestep_s
     seconds = START_AND_PICTURES_S + pairs / PAIRS_PER_S
@@ -28,7 +28,7 @@ def run_s(view: Preview) -> float:
 
 
 class Scattering(NamedTuple):
-    """Boundary elements on one skin's body: whether it can move, solutions in a run, and seconds of each."""
+    """Boundary elements on the body of a skin: whether it can move, number of solutions in a run, time of each [s]."""
 
     body: str
     moves: bool
@@ -48,7 +48,7 @@ def scatterings(view: Preview) -> list[Scattering]:
     for number in asking:
         skin, moves = model.skins[number], _can_move(view, number)
         poses = round(view.duration_s / model.spec.timestep_s) + 1 if moves else 1
-        # A disc's other mesh, in the error estimate, is another body.
+        # The other mesh of a disc in the error estimate needs its own solution.
         solutions = poses + (skin.spec.config.shape == "disc")
         body = reference_scene(model).bodies[skin.body]
         wavelength_m = sound_speed(model.arrays.air) / model.arrays.array.frequency_Hz
@@ -59,7 +59,7 @@ def scatterings(view: Preview) -> list[Scattering]:
 
 
 def _can_move(view: Preview, skin: int) -> bool:
-    """Whether body or arrays have degrees of freedom or are moved as mocap bodies, or are part of such a body."""
+    """Return whether body or arrays have degrees of freedom, are mocap bodies, or are part of such a body."""
     scene, binding = view.runtime.view.model, view.runtime.binding
     sites = [*binding.array_sites, *(site for own in binding.transducer_sites for site in own)]
     bodies = {binding.skins[skin].body, *(scene.site_body(site) for site in sites)}

@@ -10,7 +10,7 @@ from palmfield.skin.materials.material import Material
 
 
 def expected_errors(model: HapticModel) -> list[Row]:
-    """Rows of each source of error: of each skin, then of each stimulus."""
+    """Return rows of the sources of error, first for each skin, then for each stimulus."""
     rows = []
     for number, skin in enumerate(model.skins):
         name = skin.spec.name
@@ -23,7 +23,7 @@ def expected_errors(model: HapticModel) -> list[Row]:
 
 
 def _mesh_row(skin: SkinModel, pinned: list[str]) -> Row:
-    """Return the row of the error due to elements or particles. pinned: as of `coarse_pins`"""
+    """Return the row of the error due to elements or particles. pinned: see `coarse_pins`"""
     wanted = f"target {100 * skin.spec.config.accuracy:g} %"
     if pinned:
         why = f"keys make it coarser than this target needs: {', '.join(pinned)}; the run estimates the error"
@@ -36,15 +36,15 @@ def _mesh_row(skin: SkinModel, pinned: list[str]) -> Row:
 
 
 def _material_row(material: Material, ranges: bool, skin: str) -> Row:
-    """Return the row of a material's uncertainties; the run solves for the ends of the ranges."""
+    """Return the row of the uncertainty of a material; the run solves for the ends of its ranges."""
     entry = CATALOGUE.get(material.name)
     if not ranges or entry is None or not entry.ranges:
         return Row("material", "range unknown", f"{material.name}: {material.source}", skin)
     size = ", ".join(
-        f"{'moduli x ' if known.parameter == 'shear' else known.parameter + ' '}{known.low:g} to {known.high:g}"
-        for known in entry.ranges
+        f"{'moduli x ' if one.parameter == 'shear' else one.parameter + ' '}{one.low:g} to {one.high:g}"
+        for one in entry.ranges
     )
-    sources = "; ".join(known.source for known in entry.ranges)
+    sources = "; ".join(one.source for one in entry.ranges)
     why = (
         f"the run solves with all ranges at their lower and at their upper ends; {sources}. {material.name}: "
         f"{material.source}"
@@ -54,15 +54,15 @@ def _material_row(material: Material, ranges: bool, skin: str) -> Row:
 
 def _p0_row(model: HapticModel, number: int, stimulus: StimulusModel) -> list[Row]:
     name, band = stimulus.spec.name, p0_band(model, number)
-    known = "; ".join(
+    described = "; ".join(
         f"{'' if p0.kind == 'measured' else 'uncalibrated, '}{p0.kind}: {p0.value:g} Pa m ({p0.low:g} to {p0.high:g}), "
         f"{p0.source}"
         for p0 in p0_known(model, number)
     )
     if stimulus.config.arp_peak_Pa is not None:
-        why = f"arp_peak_Pa sets the level; p0 decides whether the array reaches it, {known}"
+        why = f"arp_peak_Pa sets the level; p0 decides whether the array reaches it, {described}"
         return [Row("p0", "none", why, name)]
     if band is None:
         return []
-    why = f"ARP and displacement are proportional to p0 squared; {known}"
+    why = f"ARP and displacement are proportional to p0 squared; {described}"
     return [Row("p0", f"x {band[0]:.2f} to x {band[1]:.2f}", why, name)]

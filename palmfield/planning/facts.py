@@ -1,4 +1,4 @@
-"""Properties of a model for several parts of a plan."""
+"""Compute properties of a model that several parts of a plan need."""
 
 import numpy as np
 
@@ -10,16 +10,16 @@ from palmfield.types import Complex, Float
 
 
 def first_drive(model: HapticModel, stimulus: int) -> Complex:
-    """Return the commanded drive of all transducers for a stimulus's first focus at the loudest moment, shape (N,)."""
+    """Return the drive of all transducers for the first focus of a stimulus at the loudest moment, shape (N,)."""
     drive = array_drives(model, model.arrays)[stimulus]
     return drive.unit_drive(model.stimuli[stimulus].first_focus).amplitudes
 
 
 def where_it_arrives(posed: PosedScene, skin: int, drive: Complex) -> tuple[Float, Float, float]:
-    """Return the loudest place, in free air, of a drive of all transducers (N,) on a skin that faces them.
+    """Return the point of highest free-field pressure on the side of a skin that faces the transducers.
 
-    A node and its outward normal, array frame, shapes (3,) [m], with the peak pressure there [Pa]: 0 if no node faces
-    the transducers. Shadows and scattering are not solved here; the run includes them.
+    The results are a node and its outward normal, array frame, shapes (3,) [m], and the peak pressure there [Pa], 0 if
+    no node faces the transducers. drive: of all transducers (N,). Shadows and scattering are not included.
     """
     nodes, outwards = posed.skins[skin].nodes
     loud = np.abs(drive)
@@ -31,12 +31,12 @@ def where_it_arrives(posed: PosedScene, skin: int, drive: Complex) -> tuple[Floa
 
 
 def turn_times(stimulus: StimulusModel, count: int) -> Float:
-    """Return times on one turn of the path of a stimulus [s], shape (count,); without turns its start, shape (1,)."""
+    """Return times on one turn of the path of a stimulus [s], shape (count,); its start, shape (1,), without turns."""
     rate = turn_rate_Hz(stimulus.config)
     count = count if rate else 1
     return np.asarray(stimulus.config.start_s + np.arange(count) / (count * (rate or 1.0)))
 
 
 def force_samples(model: HapticModel) -> int:
-    """About how many samples give the force on bodies; none for a disc, whose skin gives it."""
+    """Return the approximate number of force samples on bodies; 0 for a disc, whose skin is used."""
     return sum(0 if body.surface is None else body.sample_count for body in model.bodies)

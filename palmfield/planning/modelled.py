@@ -1,4 +1,4 @@
-"""Effects that a plan models, and how."""
+"""List the effects that a run models, and how."""
 
 from palmfield import cache
 from palmfield.acoustics.directivities import form_of
@@ -22,10 +22,10 @@ BODY_SOUNDS = {
 }
 
 
-def modelled(model: HapticModel, duration_s: float, felt: str) -> list[Row]:
+def modelled(model: HapticModel, duration_s: float, feedback: str) -> list[Row]:
     """Return rows of modelled effects in a run of this length [s], in the order of the pipeline.
 
-    felt: what prevents `Simulation.step` from taking several steps together, or ""
+    feedback: reason why `Simulation.step` cannot take several steps together, or ""
     """
     skin_points = sum(6 * len(skin.layer.mesh.surface_triangles6) for skin in model.skins)
     surface = f"{skin_points} skin points"
@@ -77,14 +77,14 @@ def modelled(model: HapticModel, duration_s: float, felt: str) -> list[Row]:
             "time",
             f"{substeps} steps of {1e3 * model.step_s:.3g} ms in MuJoCo steps of {1e3 * model.spec.timestep_s:.3g} ms",
             "dynamic, because the sound or the pose changes; Simulation.step takes the MuJoCo steps "
-            + (f"one at a time: {felt}" if felt else "several at a time, because the sound moves no body"),
+            + (f"one at a time: {feedback}" if feedback else "several at a time, because the sound moves no body"),
         )
     )
     return rows + [_solver(skin, model.still_m[skin.body]) for skin in model.skins]
 
 
 def _modulation(stimulus: StimulusModel, level: float) -> list[Row]:
-    """Describe the ARP of a modulated stimulus; level: largest amplitude of its transducers, of full drive"""
+    """Describe the ARP of a modulated stimulus; level: largest amplitude of its transducers relative to full drive"""
     config, lines = stimulus.config, arp_lines(stimulus.config)
     if lines is None:
         return []
@@ -144,7 +144,7 @@ def _layer(skin: SkinModel) -> list[Row]:
 
 
 def _solver(skin: SkinModel, still_m: float) -> Row:
-    """Return the stepper of a skin, and why; still_m: largest motion of its body that counts as still [m]."""
+    """Return the row of the stepper of a skin; still_m: largest displacement of its body that counts as none [m]."""
     choice, solver, config = skin.choice, skin.solver, skin.spec.config
     size, why = f"about {choice.seconds:.0f} s", f"{choice.why}; {solver.steps}"
     if not solver.factorises:

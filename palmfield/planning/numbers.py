@@ -1,4 +1,4 @@
-"""A plan's numbers for other programs, with units in the names."""
+"""Give the numbers of a plan for other programs, with units in the names."""
 
 from dataclasses import asdict
 from typing import Any
@@ -14,10 +14,10 @@ from palmfield.stimulus.modulation import arp_lines
 def plan_numbers(view: Preview) -> dict[str, Any]:
     """Return numbers of the run, and of each stimulus and skin by name.
 
-    duration_s, steps (MuJoCo's), timestep_s, skin_step_s, transducers, device, board
-    sending: of a board with bytes, as `palmfield.estimate.sending.Sending`
+    duration_s, steps (of MuJoCo), timestep_s, skin_step_s, transducers, device, board
+    sending: for a board that takes bytes, as in `palmfield.estimate.sending.Sending`
     stimuli: name, drive_level (of full, at the loudest moment) and pressure_Pa at the first focus, focus_m in the frame
-        of the first array, modulation: None, or am_frequency_Hz (None for a file's course) and the ARP over that at the
+        of the first array, modulation: None, or am_frequency_Hz (None for a file) and the ARP relative to that at the
         loudest moment, arp_mean and the peak amplitudes arp_first and arp_second of its lines at f and 2 f
     skins: name, solver, expected_solver_s, unknowns, edge_fine_m, edge_coarse_m, radius_m, depth_min_m, depth_max_m,
         spot_fwhm_m, max_frequency_Hz, accuracy_wanted_relative

@@ -1,4 +1,4 @@
-"""Detect MuJoCo geoms between array and skin that no skin names: the simulated sound passes through them."""
+"""Warn of MuJoCo geoms between array and skin that are not obstacles: the simulated sound passes through them."""
 
 from collections.abc import Iterable
 
@@ -10,22 +10,22 @@ from palmfield.session.preview import Preview
 from palmfield.types import Float
 
 POINTS, TRANSDUCERS = 8, 32
-"""Numbers of points of the skin nearest to the focus, and of the array, for the test rays."""
+"""Numbers of skin points nearest to the focus, and of transducers, for the test rays."""
 BEGIN_M, END_M = 1e-3, 5e-3
-"""Distances of the rays' ends above the skin and before the transducers, whose board may have a geom."""
+"""Distances of the ends of rays from skin and transducers [m], since the board may have a geom."""
 SHARE = 0.05
-"""Share of the rays from which a warning is given."""
+"""Fraction of blocked rays above which a warning is given."""
 MOST_HITS = 64
 """Largest number of geoms that one ray may hit."""
 
 
 def obstructions(view: Preview) -> list[str]:
-    """Return a sentence for each skin and each body whose geoms the sound passes through, in the present pose.
+    """Return a sentence for each skin and each body with geoms in the path of its sound, in the present pose.
 
-    Bodies with skins or arrays, their descendants, and those in key `obstacles` are left out.
+    Bodies with skins or arrays, their descendants, and those in key `obstacles` are ignored.
     """
     model, data, runtime = view.data.model, view.data, view.runtime
-    known = _known(view)
+    expected = _expected(view)
     posed, result = runtime.posed, []
     for number, skin in enumerate(runtime.model.skins):
         stimulus = stimulus_of(runtime.model, number)
@@ -37,7 +37,7 @@ def obstructions(view: Preview) -> list[str]:
         sources = posed.arrays.array.positions[part.transducers]
         sources = posed.array_frame.points(sources[:: -(-len(sources) // TRANSDUCERS)])
         begins = posed.array_frame.points(points[near] + BEGIN_M * normals[near])
-        met = [body for begin in begins for end in sources for body in _met(model, data, begin, end, known)]
+        met = [body for begin in begins for end in sources for body in _met(model, data, begin, end, expected)]
         for body in dict.fromkeys(met):
             share = met.count(body) / (len(begins) * len(sources))
             if share >= SHARE:
@@ -50,8 +50,8 @@ def obstructions(view: Preview) -> list[str]:
     return result
 
 
-def _known(view: Preview) -> set[int]:
-    """Return bodies that the skins account for: their own, the arrays', named obstacles, and their descendants."""
+def _expected(view: Preview) -> set[int]:
+    """Return bodies of skins and arrays, named obstacles, and the descendants of all these."""
     model, binding = view.data.model, view.runtime.binding
     sites = [*binding.array_sites, *(site for own in binding.transducer_sites for site in own)]
     named = {name for skin in view.runtime.spec.skins for name in skin.config.obstacles}
@@ -73,8 +73,8 @@ def _ancestors(model: mujoco.MjModel, body: int) -> set[int]:
     return found
 
 
-def _met(model: mujoco.MjModel, data: mujoco.MjData, begin: Float, end: Float, known: set[int]) -> Iterable[int]:
-    """Return other bodies whose geoms a ray hits, each once; places in the world [m], shape (3,)."""
+def _met(model: mujoco.MjModel, data: mujoco.MjData, begin: Float, end: Float, expected: set[int]) -> Iterable[int]:
+    """Yield other bodies whose geoms a ray hits, each once. begin, end: of the ray in the world [m], shape (3,)."""
     length = float(np.linalg.norm(end - begin)) - END_M
     way, gone, found = (end - begin) / np.linalg.norm(end - begin), 0.0, set()
     geom = np.zeros(1, np.int32)
@@ -84,6 +84,6 @@ def _met(model: mujoco.MjModel, data: mujoco.MjData, begin: Float, end: Float, k
         if step < 0.0 or gone > length:
             break
         body = int(model.geom_bodyid[geom[0]])
-        if body not in known:
+        if body not in expected:
             found.add(body)
     return found

@@ -1,4 +1,4 @@
-"""Keys of a skin that override choices of the plan, and make it coarser than the target accuracy needs."""
+"""Find keys of a skin that make it coarser than the target accuracy needs."""
 
 from palmfield.estimate.array_inputs import stimulus_of
 from palmfield.simulation.model import HapticModel
@@ -7,13 +7,13 @@ from palmfield.skin.scene_layer import layer_sizes
 from palmfield.stimulus.schedule import main_frequencies
 
 SLACK = 1.05
-"""Factor up to which given sizes count as equal to the chosen ones."""
+"""Largest ratio of a size set by a key to the chosen size that is accepted."""
 
 
 def coarse_pins(model: HapticModel, number: int) -> list[str]:
     """Describe keys element_m, step_s and max_frequency_Hz of a skin that are coarser than its accuracy needs.
 
-    Elements and steps of explicit solvers follow rules of their own and are left out.
+    Elements and steps of explicit solvers follow other rules and are not checked.
     """
     skin, stimulus = model.skins[number], model.stimuli[stimulus_of(model, number)]
     config, demand, result = skin.spec.config, skin.layer.demand, []

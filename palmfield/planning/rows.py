@@ -9,7 +9,7 @@ class Row:
     """One decision.
 
     size: resolution, error bound or cost; why: the reason, in words
-    instance: of the skin, stimulus or array, several with commas between; empty for the whole scene
+    instance: name of the skin, stimulus or array, several separated by commas; empty for the whole scene
     """
 
     what: str
@@ -23,9 +23,9 @@ def merged(rows: Sequence[Row]) -> tuple[Row, ...]:
     result: dict[tuple[str, str, str], Row] = {}
     for row in rows:
         key = row.what, row.size, row.why
-        known = result.get(key)
-        if known is None:
+        present = result.get(key)
+        if present is None:
             result[key] = row
-        elif row.instance not in known.instance.split(", "):
-            result[key] = replace(known, instance=f"{known.instance}, {row.instance}")
+        elif row.instance not in present.instance.split(", "):
+            result[key] = replace(present, instance=f"{present.instance}, {row.instance}")
     return tuple(result.values())

@@ -1,4 +1,4 @@
-"""Decide before a run which effects of a scene are modelled or ignored and why, and the cost."""
+"""Report before a run which effects of a scene are modelled or ignored and why, and the cost."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -24,9 +24,9 @@ WIDTH = 130
 
 
 def as_text(scene: str, parts: Mapping[str, Sequence[Row]], warnings: Sequence[str], seconds: float) -> str:
-    """Return the expected wall time [s], a table for each part, by its title, and the warnings."""
+    """Return a text with expected wall time [s], a table for each part, by title, and the warnings."""
     every = [row for rows in parts.values() for row in rows]
-    # One of each kind needs no names.
+    # If there is one of each kind, names are not needed
     named = any("," in row.instance for row in every) or (
         len({(row.what, row.instance) for row in every}) > len({row.what for row in every})
     )
@@ -43,7 +43,8 @@ def as_text(scene: str, parts: Mapping[str, Sequence[Row]], warnings: Sequence[s
 class Plan:
     """Decisions for a scene.
 
-    left_out: ignored effects, with their influence on the displacement of the skin under the focus, besides: others
+    left_out: ignored effects, with their bias of the displacement of the skin under the focus; besides: other ignored
+        effects
     error: expected error of that displacement; seconds: expected wall time of `palmfield run` on two CPU cores,
         pictures included
     """
@@ -58,7 +59,7 @@ class Plan:
     numbers: Mapping[str, Any]
 
     def as_dict(self) -> dict[str, Any]:
-        """Return all of it as for JSON, with units in the names; rows are texts, `numbers` as `planning.numbers`."""
+        """Return the plan for JSON, with units in the names; rows are texts, `numbers` as in `planning.numbers`."""
         rows = {"modelled": self.modelled, "left_out": self.left_out, "besides": self.besides}
         rows["expected_error"] = self.error
         return {
@@ -94,9 +95,9 @@ def plan(
 ) -> Plan:
     """Decide what to model, from the scene's stimuli, surfaces and accuracy, without simulation.
 
-    scene: a path, an MjSpec, a compiled model or a Simulation; duration_s: of the run [s], the scene's own by
-        default; the other arguments as `palmfield.load`
-    Raises SceneError as `palmfield.load`, if a skin layer cannot be made, and for a duration that is not > 0.
+    scene: a path, an MjSpec, a compiled model or a Simulation; duration_s: of the run [s], default that of the scene;
+        for the other arguments see `palmfield.load`
+    Raises SceneError as `palmfield.load` does, if a skin layer cannot be built, and for a duration that is not > 0.
     """
     if duration_s is not None:
         check_duration(duration_s)
@@ -117,6 +118,6 @@ def plan(
 
 
 def warnings(scene: Source | Simulation, duration_s: float | None = None) -> list[str]:
-    """Return warnings before the run, in words; duration_s: of the run [s], the scene's own by default."""
+    """Return warnings before the run, in words; duration_s: of the run [s], default that of the scene."""
     view = preview(scene)
     return advice(view if duration_s is None else replace(view, duration_s=duration_s))

@@ -1,4 +1,4 @@
-"""Effects that a plan ignores, and their cost in error."""
+"""List the effects that a run ignores, and their bias."""
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from palmfield.skin.from_config import cutoff_Hz
 
 
 def effects_on_skin(model: HapticModel) -> list[Row]:
-    """Return rows of ignored effects, and their influence on the displacement of each skin under the focus."""
+    """Return rows of ignored effects, with their bias of the displacement of each skin under the focus."""
     rows, posed = [], reference_scene(model)
     for number, skin in enumerate(model.skins):
         stimulus = stimulus_of(model, number)
@@ -27,7 +27,7 @@ def effects_on_skin(model: HapticModel) -> list[Row]:
 
 
 def other_effects(model: HapticModel) -> list[Row]:
-    """Return rows of further ignored effects, without a figure for the displacement of a skin."""
+    """Return rows of other ignored effects, without an estimated bias."""
     rows = []
     for skin in model.skins:
         name = skin.spec.name
@@ -51,14 +51,14 @@ def other_effects(model: HapticModel) -> list[Row]:
 
 
 def _inertia(skin: SkinModel) -> str:
-    """Shear on the base of this layer for an acceleration of 1 m/s^2."""
+    """Describe the shear stress at the base of a layer for an acceleration of 1 m/s^2."""
     sheets, depth = skin.layer.sheets, float(np.median(skin.layer.patch.depth))
     density = sum(sheet.material.density_kg_m3 * sheet.thickness_m for sheet in sheets)
     return f"shear rho a h at the base: {density * depth:.2g} Pa for 1 m/s^2 and {1e3 * depth:.2g} mm"
 
 
 def _common_flight(model: HapticModel, stimulus: StimulusModel) -> Row:
-    """Common flight time of all sound, by which results are early."""
+    """Return the row of the common flight time of all sound, which results omit."""
     arrays, focus = model.arrays, stimulus.first_focus
     distances = np.linalg.norm(arrays.array.positions[stimulus.transducers] - focus, axis=1)
     middle_s = 0.5 * (distances.min() + distances.max()) / sound_speed(arrays.air)

@@ -1,6 +1,6 @@
-"""Check whether sound reaches the skins over the whole motion: patches that are hidden, turned away, edge-on, too far.
+"""Warn of skin patches that the sound does not reach during the motion: hidden, turned away, edge-on, too far.
 
-Uses straight rays from the transducers at some moments, as a cheap check before the run.
+The check before the run is cheap: it uses straight rays from the transducers at some moments.
 """
 
 import math
@@ -23,27 +23,27 @@ MOMENTS, COURSE = 32, 16
 POINTS = 48
 """Largest number of points of a patch."""
 EDGE_ON = math.sin(math.radians(15.0))
-"""Mean cosine between the skin's normal and the rays to the transducers below which a patch is edge-on."""
+"""Mean cosine between skin normal and rays to the transducers below which a patch is edge-on."""
 HIDDEN = 0.75
-"""Visible share of the part facing the array below which it counts as hidden: the ARP is about half or less."""
+"""Visible fraction of the part that faces the array below which a patch is hidden; its ARP is about half or less."""
 CLEARANCE_M = 1e-3
-"""Height above the skin at which rays begin: smooth patches lie that far below the meshes of their bodies."""
+"""Height above the skin at which rays begin [m], since smooth patches may lie below the meshes of their bodies."""
 KINDS = {
     "turned away": "skin '{skin}' faces away from the array at the focus of stimulus '{stimulus}'",
     "edge-on": "skin '{skin}' is edge-on to the array at the focus of stimulus '{stimulus}'",
     "hidden": "the focus of stimulus '{stimulus}' on skin '{skin}' is hidden from the array by a body or an obstacle",
     "too far": "the focus of stimulus '{stimulus}' is too far from skin '{skin}'",
 }
-"""Messages for each kind of patch; `Sight.kind` selects one."""
+"""Message for each kind of patch, see `Visibility.kind`."""
 
 
-class Sight(NamedTuple):
-    """Visibility of a skin around its focus for a stimulus's transducers, or of all its layer if the focus is far away.
+class Visibility(NamedTuple):
+    """Visibility of a skin around its focus for the transducers of a stimulus; of the whole layer if the focus is far.
 
-    For arrays on several sides of a body it is the best one's: the others send no sound round the body.
-    time_s: [s]; near: whether the focus comes close to the skin; facing: share of the rays from its points to the
-    transducers that leave on the outer side; incidence: mean cosine of these rays to the normal, negative from behind
-    lit: visible share of the patch's area, with equal transducers
+    With arrays on several sides of a body it is that of the array with the best view.
+    time_s: [s]; near: whether the focus is close to the skin; facing: fraction of rays to the transducers that leave on
+    the outer side; incidence: mean cosine of these rays to the normal, negative from behind
+    lit: visible fraction of the area of the patch, with equal transducers
     """
 
     time_s: float
@@ -54,7 +54,7 @@ class Sight(NamedTuple):
 
     @property
     def kind(self) -> str | None:
-        """Return its kind among KINDS, if any."""
+        """The key of KINDS that applies, or None."""
         if not self.near:
             return "too far"
         if self.facing < 0.5:
@@ -64,15 +64,15 @@ class Sight(NamedTuple):
         return "hidden" if self.lit < HIDDEN * self.facing else None
 
 
-def out_of_sight(view: Preview) -> list[str]:
+def hidden_patches(view: Preview) -> list[str]:
     """Return a sentence for each skin and each of KINDS that occurs, with its frequency and the visible share.
 
-    A skin without a close focus is left out; a skin far from it is reported beyond half of the moments.
+    A skin without a close focus is ignored. "Too far" is reported only if it holds at more than half of the moments.
     """
     result = []
-    for skin, sights in enumerate(_sights(view)):
-        stimulus = max(range(len(sights)), key=lambda number: sum(one.near for one in sights[number]))
-        seen, model = sights[stimulus], view.runtime.model
+    for skin, results in enumerate(_over_motion(view)):
+        stimulus = max(range(len(results)), key=lambda number: sum(one.near for one in results[number]))
+        seen, model = results[stimulus], view.runtime.model
         if not any(one.near for one in seen):
             continue
         for kind, words in KINDS.items():
@@ -88,13 +88,13 @@ def out_of_sight(view: Preview) -> list[str]:
     return result
 
 
-def _sights(view: Preview) -> list[list[list[Sight]]]:
-    """Visibility by skin and stimulus, at each moment of a motion between its start and stop.
+def _over_motion(view: Preview) -> list[list[list[Visibility]]]:
+    """Return visibility by skin and stimulus, at times between start and stop of the stimulus.
 
-    Without motion, at points of a turn of its path.
+    Without motion the times are on one turn of its path.
     """
     model = view.runtime.model
-    result: list[list[list[Sight]]] = [[[] for _ in model.stimuli] for _ in model.skins]
+    result: list[list[list[Visibility]]] = [[[] for _ in model.stimuli] for _ in model.skins]
     moments = list(view.moments(MOMENTS))
     for now_s, posed in moments:
         mesh = shadow_mesh(_everything(posed), "cpu")
@@ -106,19 +106,19 @@ def _sights(view: Preview) -> list[list[list[Sight]]]:
             for time_s, focus in zip(times, frames_at(stimulus.config, times)[0], strict=True):
                 foci = np.atleast_2d(places.at(focus))
                 for skin in range(len(model.skins)):
-                    result[skin][number].append(_sight(model, posed, skin, stimulus, foci, mesh, float(time_s)))
+                    result[skin][number].append(_visibility(model, posed, skin, stimulus, foci, mesh, float(time_s)))
     return result
 
 
 def _sounding(stimulus: StimulusModel, time_s: float) -> Float:
-    """Return the time [s] if it is between a stimulus's start and stop, shape (1,) or (0,)."""
+    """Return the time [s] if it is between start and stop of a stimulus, shape (1,) or (0,)."""
     config = stimulus.config
     on = config.start_s <= time_s < (math.inf if config.stop_s is None else config.stop_s)
     return np.full(int(on), time_s)
 
 
 def _everything(posed: PosedScene) -> Surface:
-    """Return all objects that can hide something, in one mesh in the array frame."""
+    """Return all objects that can block sound, as one mesh in the array frame."""
     parts = [(body.vertices_in_array, body.faces) for body in posed.bodies]
     parts += [skin.obstacles for skin in posed.skins if skin.obstacles is not None]
     firsts = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
@@ -127,21 +127,21 @@ def _everything(posed: PosedScene) -> Surface:
     return Surface(vertices, triangles, vertex_normals(vertices, triangles))
 
 
-def _sight(
+def _visibility(
     model: HapticModel, posed: PosedScene, skin: int, stimulus: StimulusModel, foci: Float, mesh: wp.Mesh, time_s: float
-) -> Sight:
+) -> Visibility:
     layer = model.skins[skin].layer
     points, normals = posed.skins[skin].quadrature
     areas = layer.quadrature.weights
     reach_m = max(layer.demand.spot_fwhm_m, 2.0 * layer.sizes.edge_coarse_m)
     distance = np.linalg.norm(points[:, None] - foci[None], axis=2).min(axis=1)
     near = bool(distance.min() <= reach_m)
-    # Elements may be larger than the spot: then the nearest one is used
+    # Elements may be larger than the spot; then use the nearest one
     spot_m = max(layer.demand.spot_fwhm_m, float(np.partition(distance, 5)[5]))
     patch = np.flatnonzero(distance <= spot_m) if near else np.arange(len(points))
     patch = patch[:: -(-len(patch) // POINTS)]
     points, normals, areas = points[patch], normals[patch], areas[patch] / areas[patch].sum()
-    sights = []
+    results = []
     for side in posed.arrays.sides:
         sources = posed.arrays.array.positions[np.intersect1d(side, stimulus.transducers)]
         if len(sources) == 0:
@@ -150,5 +150,5 @@ def _sight(
         cosines = np.einsum("pst,pt->ps", ways / np.linalg.norm(ways, axis=2)[..., None], normals)
         facing, incidence = float(areas @ (cosines > 0.0).mean(axis=1)), float(areas @ cosines.mean(axis=1))
         lit = visibility(points, normals, mesh, sources, clearance_m=CLEARANCE_M)
-        sights.append(Sight(time_s, near, facing, incidence, float(areas @ lit)))
-    return max(sights, key=lambda sight: (sight.kind is None, sight.incidence))
+        results.append(Visibility(time_s, near, facing, incidence, float(areas @ lit)))
+    return max(results, key=lambda one: (one.kind is None, one.incidence))

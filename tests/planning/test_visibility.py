@@ -11,7 +11,7 @@ from refusals import changed
 import palmfield
 from palmfield.outputs.summary_table import format_summary
 from palmfield.planning.scene_plan import warnings
-from palmfield.planning.visibility import KINDS, MOMENTS, out_of_sight
+from palmfield.planning.visibility import KINDS, MOMENTS, hidden_patches
 from palmfield.session.preview import preview
 
 pytestmark = pytest.mark.usefixtures("kept_operators")
@@ -83,7 +83,7 @@ def test_what_stands_between_hides(small_scene, add_skin):
 def test_a_whole_motion_is_looked_at():
     """Another hand comes between the first and its array for a while."""
     view = preview(SCENES / "two_hands.xml", accuracy=0.5)
-    (text,) = out_of_sight(view)
+    (text,) = hidden_patches(view)
     so, of, first_s = re.search(r"is hidden .* at (\d+) of (\d+) moments, first at ([\d.]+) s", text).groups()
     assert int(of) == MOMENTS + 1 and 3 <= int(so) <= 12
     assert 0.0 < float(first_s) < view.duration_s and lit(text) < 50.0
@@ -91,13 +91,13 @@ def test_a_whole_motion_is_looked_at():
 
 def test_a_hand_that_leaves_is_out_of_reach():
     view = preview(SCENES / "approach_withdraw.xml", accuracy=0.5)
-    (text,) = out_of_sight(view)
+    (text,) = hidden_patches(view)
     assert re.search(r"the focus of stimulus 'stimulus' is too far from skin 'skin' at \d+ of 33 moments", text)
 
 
 @pytest.mark.parametrize("name", ["palm_am200", "phantom_stm70", "hover_explore"])
 def test_what_is_in_sight_is_not_told_of(name):
-    assert out_of_sight(preview(SCENES / f"{name}.xml", accuracy=0.5)) == []
+    assert hidden_patches(preview(SCENES / f"{name}.xml", accuracy=0.5)) == []
 
 
 @pytest.mark.parametrize(
@@ -118,7 +118,7 @@ def test_looking_costs_less_than_opening(small_scene):
     view = preview(SCENES / "hover_explore.xml", accuracy=0.3)
     palmfield.plan(SCENES / "hover_explore.xml", accuracy=0.3)
     opened = time.perf_counter()
-    assert out_of_sight(view) == []
+    assert hidden_patches(view) == []
     assert time.perf_counter() - opened < opened - start
 
 

@@ -1,1 +1,1 @@
-"""Comparisons for the error estimate of a finished run: meshes, cut faces, materials, courses of time."""
+"""Comparisons for the error estimate of a finished run: meshes, cut faces, materials, and motion over time."""

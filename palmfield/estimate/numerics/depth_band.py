@@ -1,6 +1,6 @@
-"""The uncertainty of the displacement of a skin from the depth to the bone, which is not measured on any hand.
+"""Uncertainty of the displacement of a skin from the depth to the bone, which is not measured.
 
-Uses the exact response of an endless flat layer to the same spot, at rest and at the main frequency, without a mesh.
+It uses the exact static and harmonic response of an infinite flat layer to the same spot, without a mesh.
 """
 
 from typing import NamedTuple
@@ -14,17 +14,17 @@ from palmfield.skin.scene_layer import SceneLayer
 from palmfield.types import Float
 
 DEPTHS_M = ((8e-3, 20e-3), (4e-3, 6e-3))
-"""From skin to bone on palms, and on the palmar side of fingers [m], over people and places: docs/hands.md."""
+"""Depth to the bone on palms, and on the palmar side of fingers [m]: range over people and points (docs/hands.md)."""
 DEPTHS = 5
-"""Number of depths of a range: waves reflected by bones make the response rise and fall with depth."""
+"""Number of depths in a range: waves reflected by bone make the response vary with depth."""
 GIVEN = 0.9
-"""Share of key depth_m above which a layer has the depth of the scene; near rims it may be somewhat thinner."""
+"""Fraction of key depth_m above which the depth of a layer counts as that of the scene; near rims it may be thinner."""
 SETTLED = 1e-3
 """Relative error of the exact response."""
 
 
 class DepthBand(NamedTuple):
-    """own_m: depth of the layer at a place; least_m, most_m: of such places; low, high: factors on the displacement"""
+    """own_m: depth of the layer at a point; least_m, most_m: range at such points; low, high: displacement factors"""
 
     own_m: float
     least_m: float
@@ -36,8 +36,8 @@ class DepthBand(NamedTuple):
 def depth_band(layer: SceneLayer, point: Float) -> DepthBand | None:
     """Return the band of a layer at a point, body frame [m], shape (3,), for the nearer of DEPTHS_M.
 
-    None of a disc or cylinder, where key depth_m sets the depth, and on other bases than bone. With several sheets the
-    response is that of the material of the thickest one.
+    None for a disc or cylinder, if key depth_m sets the depth, and for bases other than bone. With several sheets the
+    response is that of the material of the thickest sheet.
     """
     config, patch = layer.config, layer.patch
     shapes = (*OF_SHAPES["hand"], *OF_SHAPES["mesh"])
@@ -58,6 +58,6 @@ def depth_band(layer: SceneLayer, point: Float) -> DepthBand | None:
             )
             for depth in (own, *np.geomspace(least, most, DEPTHS))
         ]
-    except SceneError:  # of a layer without losses
+    except SceneError:  # raised for a layer without losses
         return None
     return DepthBand(own, least, most, float(min(moved) / moved[0]), float(max(moved) / moved[0]))

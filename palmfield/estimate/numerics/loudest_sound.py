@@ -1,4 +1,4 @@
-"""The sound of the loudest moment of a run, on any mesh of the layer of a skin."""
+"""Compute the sound of the loudest moment of a run on any mesh of a skin layer."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -24,7 +24,7 @@ class LoudestSound:
         self.on_own: Float = self._arp(radiation, loudest.posed)
 
     def on(self, layer: SceneLayer) -> Float:
-        """ARP [Pa] at the quadrature points of a layer, shape (q,)."""
+        """Return the ARP [Pa] at the quadrature points of a layer, shape (q,)."""
         model, skin, posed = self.model, self.skin, self.loudest.posed
         part = model.skins[skin]
         if layer is part.layer:
@@ -33,7 +33,7 @@ class LoudestSound:
         place, body = posed.skins[skin], posed.bodies[part.body]
         disc = part.carrier.surface is None
         if disc:
-            # The boundary of a disc is the mesh of its skin; any other body has its own.
+            # The boundary mesh of a disc is its skin mesh; other bodies have their own.
             body = PosedSurface(part.carrier, other, body.frame, (body.bone_positions, body.bone_rotations))
         obstacles = place.obstacle_positions, place.obstacle_rotations
         varied_model = replace(model, skins=_exchanged(model.skins, skin, other))
@@ -50,5 +50,5 @@ class LoudestSound:
 
 
 def _exchanged(parts: Sequence[T], number: int, other: T) -> tuple[T, ...]:
-    """The parts, with one of them replaced."""
+    """Return the parts with one of them replaced."""
     return (*parts[:number], other, *parts[number + 1 :])

@@ -10,11 +10,11 @@ from palmfield.skin.scene_layer import SceneLayer
 from palmfield.types import Float
 
 Ends: TypeAlias = tuple[tuple[Sheet, ...], tuple[Sheet, ...]]
-"""The sheets of a layer with the ranges of their materials at the low ends, and at the high ends."""
+"""Sheets of a layer with all material ranges at the low ends, and at the high ends."""
 
 
 def other_sides(layer: SceneLayer, sound: LoudestSound, point: Float) -> list[Response]:
-    """The layer with other cut faces; None for a disc, which has no cut face."""
+    """Return responses of the layer with other cut faces; empty for a disc, which has no cut face."""
     if layer.config.shape == "disc":
         return []
     other = layer.resized(layer.resizing, side="free" if layer.config.side == "fixed" else "fixed")
@@ -22,30 +22,30 @@ def other_sides(layer: SceneLayer, sound: LoudestSound, point: Float) -> list[Re
 
 
 def held_anywhere(cut: Sequence[Response]) -> list[Response]:
-    """The layers with a rest position: without base or side a layer flies away under a steady load."""
+    """Return the layers with a rest position: without base or side support a steady load moves a layer away."""
     return [other for other in cut if other.layer.config.base != "free" or other.layer.config.side == "fixed"]
 
 
 def edge_error(own: Response, cut: Sequence[Response]) -> float:
-    """Return half the change of the displacement at rest or of the harmonic one with other cut faces, the larger.
+    """Return half the change of the displacement with other cut faces, static or harmonic, the larger.
 
-    All of it where only the cut faces hold the layer at rest.
+    The result is 1 if only the cut faces support the layer.
     """
-    held = held_anywhere(cut)
-    if len(held) < len(cut):
+    supported = held_anywhere(cut)
+    if len(supported) < len(cut):
         return 1.0
     changes = [abs(other.harmonic - own.harmonic) / abs(own.harmonic) for other in cut]
-    changes += [abs(other.static - own.static) / abs(own.static) for other in held]
+    changes += [abs(other.static - own.static) / abs(own.static) for other in supported]
     return 0.5 * max(changes, default=0.0)
 
 
 def other_materials(own: Response, ends: Ends | None) -> list[Response]:
-    """Return a response with the material ranges at the soft and at the stiff ends; empty without any."""
+    """Return responses with all material ranges at the soft and at the stiff ends; empty without ranges."""
     return [own.of(own.layer.resized(own.layer.resizing, sheets=sheets)) for sheets in ends or ()]
 
 
 def material_band(own: Response, ends: Sequence[Response]) -> dict[str, float]:
-    """Factors by which softer and stiffer materials change the displacement, static and harmonic together."""
+    """Return the range of factors of the displacement, static and harmonic, for softer and stiffer materials."""
     if not ends:
         return {}
     factors = [(abs(other.static) + abs(other.harmonic)) / (abs(own.static) + abs(own.harmonic)) for other in ends]

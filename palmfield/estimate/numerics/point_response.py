@@ -1,4 +1,4 @@
-"""Response of one point of a skin to one sound: at rest, at the main frequency, and over any course of time."""
+"""Response of one point of a skin to one sound: static, at the main frequency, and over time."""
 
 from collections.abc import Callable
 
@@ -12,17 +12,17 @@ from palmfield.threads import cores, share
 from palmfield.types import Float
 
 MOST_AT_ONCE = 2
-"""Matrices that are factorised side by side: each factor of a palm takes a third of a gigabyte."""
+"""Largest number of parallel factorisations: each factor of a palm takes a third of a gigabyte."""
 
 
 class Response:
-    """Displacement at a point of one mesh of a skin under one sound, from the response of that point to pressure.
+    """Displacement at one point of one mesh of a skin under one sound.
 
     pressure: ARP at the quadrature points at the factor 1 [Pa], shape (q,).
-    static, harmonic, scheme: of the point [m]; the first is 0 for a body without support at rest; `rest` finds the
-        first, `swing` the others, exact in time and by the scheme of the whole layer.
-    scheme_too: whether the last is needed.
-    small: for any course of time; `begin` finds it, together with the first of the others.
+    static, harmonic, scheme: displacement of the point [m]: static (0 for a body without support), harmonic, and
+        harmonic by the time scheme of the wedge model; `rest` computes the first, `swing` the others.
+    scheme_too: whether `scheme` is needed.
+    small: reduced model for any time course; `begin` builds it and computes `static`.
     """
 
     small: PointModel
@@ -33,7 +33,7 @@ class Response:
         self.static, self.harmonic, self.scheme = 0.0, 0j, 0j
 
     def of(self, layer: SceneLayer) -> "Response":
-        """The response of another layer on the same mesh."""
+        """Return the response of another layer on the same mesh."""
         return Response(layer, self.pressure, self.point)
 
     def rest(self) -> None:
@@ -62,18 +62,18 @@ def side_by_side(*solutions: Callable[[], None]) -> None:
 
 
 def changes(one: Response, other: Response, moved: dict[Response, Float]) -> tuple[float, float]:
-    """Relative difference of the responses of two meshes at rest and at the main frequency, the larger, and over time.
+    """Return the relative difference of two meshes, static or harmonic, the larger, and over time.
 
-    Raises SceneError where the second doesn't move.
+    Raises SceneError if the second response is zero.
     """
-    held = other.layer.system.supported
+    fixed = other.layer.system.supported
     mine, theirs = (
-        np.array([response.static, response.harmonic] if held else [response.harmonic]) for response in (one, other)
+        np.array([response.static, response.harmonic] if fixed else [response.harmonic]) for response in (one, other)
     )
     return largest_change(mine, theirs), course_change(moved[one], moved[other])
 
 
 def course_change(course: Float, reference: Float) -> float:
-    """Difference of two courses over the size of the second, L2 over time; 0 where the second doesn't move."""
+    """Return the relative difference of two time series, L2 over time; 0 if the second is zero."""
     size = float(np.linalg.norm(reference))
     return float(np.linalg.norm(course - reference)) / size if size > 0.0 else 0.0
