@@ -1,4 +1,4 @@
-"""Hands and other bodies: presets and meshes, checked and repaired; skin layers of them; bones that move them.
+"""Hands and other bodies: presets, checked and repaired meshes, their skin layers, and bones that move them.
 
 from palmfield.hand import hand_surface, load_preset
 hand = hand_surface(load_preset("open_men_p50"))

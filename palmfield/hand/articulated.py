@@ -32,7 +32,7 @@ THUMB_ABDUCTION_deg = 60.0
 
 @dataclass(frozen=True)
 class HandBone:
-    """A moving part. parent: its index among the bones, -1 for the root; origin: of its frame in the rest pose [m]."""
+    """A moving part. parent: index of the parent bone, -1 for the root; origin: origin of the frame at rest [m]."""
 
     name: str
     parent: int
@@ -58,9 +58,9 @@ class HandJoint:
 
 @dataclass(frozen=True)
 class ArticulatedHand:
-    """Bones from root to tips, every parent before its children, and their joints, the outer one of two first.
+    """Bones and joints of a hand. Parents precede their children; of two joints of a bone the outer one is first.
 
-    In the rest pose, which is the preset's own, all bone frames are parallel to the hand frame.
+    In the rest pose, which is the pose of the preset, all bone frames are parallel to the hand frame.
     """
 
     preset: HandPreset
@@ -69,7 +69,7 @@ class ArticulatedHand:
     joints: list[HandJoint]
 
     def bone(self, name: str) -> int:
-        """Index of a bone."""
+        """Return the index of a bone."""
         return [bone.name for bone in self.bones].index(name)
 
     @cached_property
@@ -94,7 +94,7 @@ class ArticulatedHand:
 
     @cached_property
     def turns_from(self) -> list[tuple[int, int]]:
-        """For each joint its bone, and the bone of its reference frame: the bone itself for the second of two."""
+        """Bone and reference bone of each joint; the second of two joints at a bone refers to the bone itself."""
         seen: set[int] = set()
         pairs = []
         for joint in self.joints:
@@ -104,12 +104,13 @@ class ArticulatedHand:
 
 
 def articulate(preset: HandPreset) -> ArticulatedHand:
-    """Bones and joints of a preset: forearm, hand, and three bones to each digit; 2 wrist and 20 finger joints.
+    """Return bones and joints of a preset: forearm, hand, three bones per digit; 2 wrist and 20 finger joints.
 
-    Angles are anatomical: 0 is the flat hand with straight fingers, flexion is positive to the palm. Fingers' abduction
-    is relative to the preset's own direction, positive away from the middle finger, the middle one's to the little
-    finger. So are both angles of the thumb's saddle joint, whose abduction is positive out of the palm. Wrist deviation
-    is positive to the little finger. Two joints of one place act as a universal joint, abduction outside.
+    Angles are anatomical: 0 is the flat hand with straight fingers. Flexion is positive to the palm. Abduction of a
+    finger is relative to its direction in the preset and positive away from the middle finger; that of the middle
+    finger is positive to the little finger. Both angles of the thumb's saddle joint are relative to the preset, and its
+    abduction is positive out of the palm. Wrist deviation is positive to the little finger. Two joints at one point act
+    as a universal joint with abduction outside.
     """
     skeleton = centred_skeleton(preset)
     ulnar = np.array([1.0 if preset.side == "right" else -1.0, 0.0, 0.0])
@@ -135,7 +136,7 @@ def articulate(preset: HandPreset) -> ArticulatedHand:
             bone = len(bones) - 1
             turn = unit(np.cross(part.dorsal, axis))
             if level == 0:
-                # The outer joint belongs to the straight digit: undo the rest pose's flexion.
+                # The outer joint belongs to the straight digit: undo the flexion of the rest pose
                 straight = Rotation.from_rotvec(-np.deg2rad(bend) * turn).apply(axis)
                 joints.append(_abduction(preset, digit, bone, part.start, straight, turn, ulnar))
             kind = f"{place}_flexion"
@@ -147,7 +148,7 @@ def articulate(preset: HandPreset) -> ArticulatedHand:
 def _abduction(
     preset: HandPreset, digit: str, bone: int, pivot: Float, along: Float, flexion_axis: Float, ulnar: Float
 ) -> HandJoint:
-    """Joint about the digit's own dorsal direction."""
+    """Return the joint about the dorsal direction of the digit."""
     palmar = np.array([0.0, 0.0, -1.0])
     if digit == "thumb":
         aside, place = palmar, "cmc"
@@ -165,11 +166,11 @@ def checked_angles(hand: ArticulatedHand, angles_deg: Mapping[str, float]) -> Fl
 
     Raises SceneError for an unknown joint and for an angle that is not a number or outside its range.
     """
-    known = {joint.name: joint for joint in hand.joints}
+    joints = {joint.name: joint for joint in hand.joints}
     for name, angle in angles_deg.items():
-        if name not in known:
-            raise SceneError(f"hand pose: joint '{name}' is unknown; use some of: {', '.join(known)}")
-        joint = known[name]
+        if name not in joints:
+            raise SceneError(f"hand pose: joint '{name}' is unknown; use some of: {', '.join(joints)}")
+        joint = joints[name]
         # Rounding in interpolation and servo models may exceed a range slightly.
         if not joint.low_deg - 1e-6 <= angle <= joint.high_deg + 1e-6:
             raise SceneError(
@@ -181,18 +182,18 @@ def checked_angles(hand: ArticulatedHand, angles_deg: Mapping[str, float]) -> Fl
 def bone_poses(hand: ArticulatedHand, angles_deg: Mapping[str, float]) -> tuple[Float, Float]:
     """Return origins [m], shape (bones, 3), and rotations, shape (bones, 3, 3), of all bones in the root's frame.
 
-    The root, the forearm, is as in the rest pose. Raises SceneError as `checked_angles`.
+    The root (forearm) does not move. Raises SceneError as `checked_angles`.
     """
     return poses_at(hand, checked_angles(hand, angles_deg))
 
 
 def poses_at(hand: ArticulatedHand, angles_deg: Float) -> tuple[Float, Float]:
-    """`bone_poses` for angles [deg] in the order of the joints, shape (joints,), without range checks."""
+    """Return `bone_poses` for angles [deg] in the order of the joints, shape (joints,), without range checks."""
     turns = np.zeros((len(hand.joints), 4, 4))
     turns[:, :3, :3] = Rotation.from_rotvec(np.deg2rad(angles_deg - hand.rest_deg)[:, None] * hand.axes).as_matrix()
     turns[:, :3, 3] = hand.pivots - np.einsum("jab,jb->ja", turns[:, :3, :3], hand.pivots)
     turns[:, 3, 3] = 1.0
-    # A point x of the rest pose moves to moved[b] @ (x, 1)
+    # A point x of bone b in the rest pose moves to moved[b] @ (x, 1)
     moved = np.tile(np.eye(4), (len(hand.bones), 1, 1))
     for (bone, before), turn in zip(hand.turns_from, turns, strict=True):
         moved[bone] = moved[before] @ turn
@@ -201,12 +202,12 @@ def poses_at(hand: ArticulatedHand, angles_deg: Float) -> tuple[Float, Float]:
 
 
 def posed_landmark(hand: ArticulatedHand, name: str, positions: Float, rotations: Float) -> Float:
-    """Return the place of a landmark of the skeleton with the bones at `positions` and `rotations` [m], shape (3,)."""
+    """Return the position of a skeleton landmark [m], shape (3,), with the bones at `positions` and `rotations`."""
     bone = bone_of_landmark(hand, name)
     return positions[bone] + rotations[bone] @ (hand.skeleton.landmarks[name] - hand.bones[bone].origin)
 
 
 def bone_of_landmark(hand: ArticulatedHand, name: str) -> int:
-    """Index of the bone that carries a landmark of the skeleton."""
+    """Return the index of the bone that carries a landmark of the skeleton."""
     digit, _, place = name.partition("_")
     return hand.bone(f"{digit}_distal") if place in ("tip", "pad") else hand.bone("hand")

@@ -16,13 +16,13 @@ from palmfield.hand.surface import hand_surface
 from palmfield.hand.visual_skin import EDGE_m, SkinBone, add_skin
 
 STIFFNESS_N_m = {"wrist": 10.0, "cmc": 0.8, "mcp": 0.5, "mp": 0.5, "pip": 0.3, "ip": 0.3, "dip": 0.2}
-"""Stiffness of the position servos by joint [N m / rad]: 10 mN on a fingertip, the force of an array, bends a finger by
-less than 0.3 mm, and no single joint oscillates faster than 30 Hz."""
+"""Stiffness of the position servos by joint [N m / rad]. The force of an array on a fingertip (10 mN) bends a finger by
+less than 0.3 mm, and each joint alone oscillates at 30 Hz or less."""
 ARMATURE_kg_m2 = 1e-5
-"""Added to each joint's inertia, about that of a whole finger: end joints of 5 g would oscillate within a step."""
+"""Inertia added to each joint, about that of a finger; without it, end joints of 5 g oscillate faster than the step."""
 WELD_TIME_s = 0.01
 DIGITS_IN_FILE = 9
-"""Rounding accumulates along a chain of bodies: with nanometres, errors of fingertips are a few nanometres."""
+"""Decimals of positions [m]: 1 nm, as rounding accumulates along a chain of bodies to a few nm at the fingertips."""
 _text = partial(numbers_text, digits=DIGITS_IN_FILE)
 CONTACT_PARTS = ("forearm", "thenar", "hypothenar")
 
@@ -30,14 +30,14 @@ CONTACT_PARTS = ("forearm", "thenar", "hypothenar")
 def articulated_mjcf(preset: HandPreset, skin: bool = True) -> str:
     """Return MJCF text of the articulated hand, for `<include file=.../>` or to open directly.
 
-    Body `hand_target` is a mocap body at the hand frame's origin; a weld holds the free body `forearm` to it, so a
-    script may place the hand anywhere in any orientation. The weld is soft and solved with the constraints, has no
-    gimbal lock, yields to forces, and transmits the motion to the fingers, unlike a hand attached to the mocap body
-    itself. Steps of up to 2 ms are stable. `hand` is the palm, in the hand frame. Joints as in `articulate` (angles in
-    degrees in the file, so no `<compiler angle="radian">` in what includes it), with servos of the same names whose
-    controls are angles [rad]; control 0 is the flat hand. Gravity is compensated. Capsules, in group 3, collide with
-    other objects and each other, except neighbours that overlap. Viewers show the skin, of triangles of 4 mm, with the
-    weights of `palmfield.hand.skinning.skin_weights`, unless it is left out.
+    A soft weld attaches the free body `forearm` to the mocap body `hand_target` at the origin of the hand frame, so a
+    script may place the hand in any position and orientation. Unlike a child of the mocap body, the welded hand yields
+    to forces and transmits the motion to the fingers. Steps of up to 2 ms are stable. `hand` is the palm, in the hand
+    frame. Joints are those of `articulate`; their angles are in degrees in the file, so a file that includes it must
+    not have `<compiler angle="radian">`. Servos have the names of the joints; their controls are angles [rad], and
+    control 0 is the flat hand. Gravity is compensated. Capsules, in group 3, collide with other objects and each other,
+    except overlapping neighbours. skin: whether to add the visual skin, of triangles of 4 mm with the weights of
+    `palmfield.hand.skinning.skin_weights`.
     """
     hand = articulate(preset)
     root = ET.Element("mujoco", model=f"articulated_{preset.name}")
@@ -94,7 +94,7 @@ def _geom(hand: ArticulatedHand, segment: SkinSegment, elements: list[ET.Element
 
 
 def _excluded(hand: ArticulatedHand) -> list[tuple[str, str]]:
-    """Return pairs of bodies whose capsules overlap in every pose: at the webs and about the thumb's root."""
+    """Return pairs of bodies whose capsules overlap in every pose: at the webs and the root of the thumb."""
     first = [f"{digit}_proximal" for digit in DIGITS]
     pairs = [("hand", name) for name in first]
     pairs += list(pairwise(first))[1:]

@@ -9,22 +9,22 @@ from palmfield.hand.holes import plane_axes
 from palmfield.hand.triangles import edge_lengths, vertex_areas
 from palmfield.types import Float, Int
 
-# A tip is farther from the wrist than all skin within this share of the longest way; two tips are as far apart.
+# Radius about a tip without farther skin, and smallest distance of two tips, as a share of the longest distance.
 TIP_REACH_SHARE = 0.15
-# Shares of the fingers' length beyond their webs. A thumb this far out of the palm's middle plane is certain; straight
-# fingers are up to STRAIGHT out of it on either side, bent ones CLEAR_LIFT more; a thumb starts this much nearer to the
-# wrist than the next digit, and ends this much nearer.
+# Shares of the finger length beyond the webs. CLEAR_LIFT: distance from the middle plane of the palm at which a thumb
+# is certain; straight fingers are within STRAIGHT of this plane, bent fingers CLEAR_LIFT farther out. CLEAR_WEB,
+# CLEAR_TIP: how much nearer to the wrist the web and the tip of a thumb are than those of the next digit.
 CLEAR_LIFT, STRAIGHT, CLEAR_WEB, CLEAR_TIP = 0.15, 0.08, 0.3, 0.15
 LEAST_SURENESS = 0.5
-# Fingers are separate within this share of the end of the length: of a forearm with its hand, of a hand.
+# Share of the length, from the end, in which fingers are separate: for a forearm with its hand, and for a hand.
 PIECE_SHARES = (0.1, 0.25)
 
 
 @dataclass(frozen=True)
 class Chirality:
-    """side: "right", "left" or "unknown"; sureness: 0 to 1; palm: unit outward direction of the palm, an estimate if
-    the side is unknown, shape (3,); tips: of the digits, thumb first, then from its neighbour on, shape (k, 3); middle:
-    of the skin between wrist and webs, shape (3,); reason: in words
+    """Side of a hand. side: "right", "left" or "unknown"; sureness: 0 to 1; palm: unit outward direction, shape (3,),
+    an estimate if the side is unknown; tips: digit tips, shape (k, 3), from the thumb on; middle: centre of the skin
+    between wrist and webs, shape (3,); reason: in words
     """
 
     side: str
@@ -38,13 +38,14 @@ class Chirality:
 def chirality(vertices: Float, faces: Int, named: str = "unknown") -> Chirality:
     """Return the side of a closed hand's mesh, in any unit and position; unknown if the sureness is below 0.5.
 
-    vertices: shape (n, 3); faces: shape (m, 3); named: "right" or "left" if the file gives it, for instance by joint
-    names: it is used if the shape determines the thumb but not the palm
-    The distance from the wrist along the skin hardly depends on the pose. Its five maxima are the tips, its saddles
-    between them the webs; the thumb is the digit whose web and whose tip are nearest to the wrist. The palm is on the
-    side of the thumb, and of the tips of bent fingers, relative to the middle plane of the skin between wrist and webs.
-    Sureness is the clearness of thumb and palm; thumb and fingers on different sides of that plane contradict each
-    other. A right hand has its thumb to the right, fingers up, seen on the palm.
+    vertices: shape (n, 3); faces: shape (m, 3); named: side by the file, for instance by joint names, which is used if
+    the shape determines the thumb but not the palm
+
+    The distance from the wrist along the skin hardly depends on the pose. Its five maxima are the tips, and its saddles
+    between them are the webs. The thumb is the digit whose web and tip are nearest to the wrist. The thumb and the tips
+    of bent fingers are on the palmar side of the middle plane of the skin between wrist and webs. Sureness is reduced
+    if thumb and fingers are on different sides of this plane. Seen on the palm with the fingers up, a right hand has
+    its thumb to the right.
     """
     links = _links(vertices, faces)
     wrist = _wrist(vertices, links, plane_axes(vertices)[0])
@@ -65,7 +66,7 @@ def chirality(vertices: Float, faces: Int, named: str = "unknown") -> Chirality:
     digits = [_beyond(links, way, tip, reach) for tip, reach in zip(tips, web, strict=True)]
     on_palm = (way > low - length) & (way < low)
     on_palm[digits[thumb]] = False
-    weight = vertex_areas(vertices, faces)  # so that finer meshed sides have no more weight
+    weight = vertex_areas(vertices, faces)  # so that the weight does not depend on the mesh density
     middle = np.average(vertices[on_palm], axis=0, weights=weight[on_palm])
     across, normal = _frame(
         vertices, on_palm, weight, vertices[passes[np.ix_(fingers, fingers)]].mean(axis=(0, 1)) - middle
@@ -79,7 +80,7 @@ def chirality(vertices: Float, faces: Int, named: str = "unknown") -> Chirality:
     evidence = float(np.clip(of_thumb / CLEAR_LIFT, -1.0, 1.0) + np.clip(bent / CLEAR_LIFT, -1.0, 1.0))
     web_offset = float(web[fingers].min() - web[thumb]) / length
     nearer = float(way[tips[fingers]].min() - way[tips[thumb]]) / length
-    # Low webs of a hand like a mitten, or a bent thumb's tip, are weak evidence of the thumb: together they are strong.
+    # Web and tip alone are weak evidence of the thumb (mitten, bent thumb); together they are strong evidence
     of_web, nearest = np.clip([web_offset / CLEAR_WEB, nearer / CLEAR_TIP], -1.0, 1.0)
     thumb_known = float(np.clip(of_web + nearest, 0.0, 1.0))
     sureness = min(1.0, abs(evidence)) * thumb_known
@@ -102,15 +103,15 @@ def chirality(vertices: Float, faces: Int, named: str = "unknown") -> Chirality:
 
 
 def way_from_wrist(vertices: Float, faces: Int) -> Float:
-    """Return the distance of each vertex along the edges from the wrist's end, in the unit of the mesh, shape (n,)."""
+    """Return the distance of each vertex along the edges from the wrist, in the unit of the mesh, shape (n,)."""
     links = _links(vertices, faces)
     return _distance(links, _wrist(vertices, links, plane_axes(vertices)[0]))
 
 
 def fingertips(vertices: Float, faces: Int) -> Float:
-    """Return tips of a mesh's digits, shape (k, 3), also with holes: five for a hand, other numbers for other objects.
+    """Return the digit tips of a mesh, which may have holes, shape (k, 3); a hand has five.
 
-    Of several bodies the one with the most vertices is used.
+    Of several bodies, the body with the most vertices is used.
     """
     links = _links(vertices, faces)
     label = sparse.csgraph.connected_components(links, directed=False)[1]
@@ -121,14 +122,14 @@ def fingertips(vertices: Float, faces: Int) -> Float:
 
 
 def fingers_direction(vertices: Float, faces: Int) -> Float:
-    """Unit direction from the wrist along the length, shape (3,), for meshes with holes as well."""
+    """Return the unit direction from the wrist along the length, shape (3,); the mesh may have holes."""
     along = plane_axes(vertices)[0]
     wrist = _wrist(vertices, _links(vertices, faces), along)
     return along if (vertices.mean(axis=0) - vertices[wrist].mean(axis=0)) @ along > 0.0 else -along
 
 
 def _frame(vertices: Float, chosen: np.ndarray, weight: Float, up: Float) -> tuple[Float, Float]:
-    """Unit vectors across the chosen skin, sign unknown, and out of it: across x up."""
+    """Return unit vectors across the chosen skin (sign unknown) and normal to it (across x up)."""
     up = up / np.linalg.norm(up)
     points = vertices[chosen] - np.average(vertices[chosen], axis=0, weights=weight[chosen])
     points = points - np.outer(points @ up, up)
@@ -137,7 +138,7 @@ def _frame(vertices: Float, chosen: np.ndarray, weight: Float, up: Float) -> tup
 
 
 def _webs(links: sparse.csr_array, way: Float, tips: Int) -> tuple[Float, Int]:
-    """Highest saddle between each two tips: its distance, shape (k, k), -1 on the diagonal, and its vertex."""
+    """Return distance and vertex of the highest saddle between each two tips, shape (k, k); -1 on the diagonal."""
     pairs = links.tocoo()
     depth = way.max() - np.minimum(way[pairs.row], way[pairs.col])
     # On a minimum spanning tree by depth the only path between two tips is the one with the highest minimum.
@@ -159,7 +160,7 @@ def _webs(links: sparse.csr_array, way: Float, tips: Int) -> tuple[Float, Int]:
 
 
 def _beyond(links: sparse.csr_array, way: Float, tip: int, level: float) -> Int:
-    """Vertices farther from the wrist than `level` that are connected to a tip."""
+    """Return the vertices farther from the wrist than `level` that are connected to a tip."""
     far = np.flatnonzero(way > level)
     label = sparse.csgraph.connected_components(links[far][:, far], directed=False)[1]
     return far[label == label[np.searchsorted(far, tip)]]
@@ -172,12 +173,12 @@ def _links(vertices: Float, faces: Int) -> sparse.csr_array:
 
 
 def _distance(links: sparse.csr_array, sources: Int) -> Float:
-    """Distance along the edges to the nearest of `sources` [m], shape (n,)."""
+    """Return the distance along the edges to the nearest of `sources` [m], shape (n,)."""
     return sparse.csgraph.dijkstra(links, directed=False, indices=sources, min_only=True)
 
 
 def _wrist(vertices: Float, links: sparse.csr_array, along: Float) -> Int:
-    """Return vertices of the end of the length that is one piece while the other is several, or else is thicker."""
+    """Return the vertices of the wrist: the end of the length that is one piece, or the thicker end."""
     height = vertices @ along
     low, high = height.min(), height.max()
     depth = 0.04 * (high - low)
@@ -195,7 +196,7 @@ def _wrist(vertices: Float, links: sparse.csr_array, along: Float) -> Int:
 
 
 def _tips(links: sparse.csr_array, way: Float) -> Int:
-    """Return vertices farther from the wrist than all around them, the farthest first."""
+    """Return the local maxima of the distance from the wrist, the farthest first."""
     reach = TIP_REACH_SHARE * float(way.max())
     neighbours = links.indices
     highest = np.maximum.reduceat(way[neighbours], links.indptr[:-1])

@@ -13,15 +13,15 @@ if TYPE_CHECKING:
 class Obstacle(NamedTuple):
     """Geoms of a body that cast shadows, in that body's frame.
 
-    geoms: kind, size [m] as in MJCF, position [m] and quaternion (w, x, y, z) of each; of a mesh, kind "mesh", its
-        vertices [m] and faces in place of the size
+    geoms: kind, size [m] as in MJCF, position [m] and quaternion (w, x, y, z) of each geom. Kind "mesh" has vertices
+        [m] and faces instead of the size.
     """
 
     geoms: tuple[tuple[str, tuple[Any, ...], tuple[float, ...], tuple[float, ...]], ...]
 
     def mesh(self) -> tuple[Float, Int]:
-        """Return vertices [m], shape (n, 3), and faces, shape (m, 3), of all its geoms together."""
-        # Imported here: MuJoCo registers the plugins in every process, and most do not need it.
+        """Return vertices [m], shape (n, 3), and faces, shape (m, 3), of all geoms together."""
+        # Imported here, because every process that loads the plugins imports this module and few need trimesh
         from trimesh.transformations import quaternion_matrix
         from trimesh.util import append_faces
 
@@ -32,7 +32,7 @@ class Obstacle(NamedTuple):
             part.apply_translation(position)
             parts.append(part)
         vertices, faces = append_faces([part.vertices for part in parts], [part.faces for part in parts])
-        # Plain arrays: a step that reads trimesh's own runs Python for each view
+        # Plain arrays, because each view of trimesh's array class runs Python code in every step
         return np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int32)
 
 

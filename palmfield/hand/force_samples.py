@@ -1,4 +1,4 @@
-"""Triangles whose centroids are the samples for the force on a body, in the number that an accuracy needs."""
+"""Triangles whose centroids are the samples for the force on a body; their number follows from the target accuracy."""
 
 from typing import NamedTuple
 
@@ -13,24 +13,24 @@ from palmfield.types import Float, Int
 
 A_FACE, BY_DEFAULT = 0.004, 0.006
 CELLS_m = {BY_DEFAULT: 4.2e-3, 0.012: 6e-3}
-"""Below A_FACE faces are cut in four (0.0015), from it on each face is a sample, and from these on each cell of faces,
-by the spacing of cells. Values are errors of the force, root mean square over foci on the lit side of a shipped hand,
-and of the torque over the force times the mean arm: scripts/bench/force_samples.py measures them,
-docs/bench/force_samples.md has the figures."""
-ROUNDS = 24  # of Lloyd's iteration: errors of cells average out if their sizes are about equal
+"""Accuracies at which the samples get coarser: below A_FACE four per face (error 0.0015), from A_FACE one per face, and
+from the keys of CELLS_m one per cell of this spacing. The errors are those of the force, rms over foci on the lit side
+of a shipped hand, and of the torque over force times mean arm (scripts/bench/force_samples.py,
+docs/bench/force_samples.md)."""
+ROUNDS = 24  # of Lloyd's iteration, which makes the cells about equal so that their errors average out
 NEIGHBOURS, KERNEL_m, KERNEL_TURN, ROUGH, SIDE_m = 32, 6e-3, 1.0, 0.01, 8e-3
-"""Interpolation of the ARP between samples: how many serve a face, the length of the Gaussian kernel along the surface
-and between unit normals, the share of the variance that differs from face to face, and the distance as which a
-difference of 1 between normals counts in the search for samples."""
-MOST_KNOWN = 32
-_known: dict[str, "SampleMesh"] = {}
+"""Interpolation of the ARP between samples: number of samples per face, length of the Gaussian kernel along the surface
+and between unit normals, share of the variance that differs from face to face, and distance equivalent to a difference
+of 1 between normals in the search for samples."""
+MOST_STORED = 32
+_stored: dict[str, "SampleMesh"] = {}
 
 
 class SampleMesh(NamedTuple):
-    """Triangles, of which each is a sample: points [m], shape (v, 3), and corners, shape (n, 3).
+    """Sample triangles: points [m], shape (v, 3), and corners, shape (n, 3).
 
-    faces, samples, areas: the ARP of a face is a mean of that of samples; which go together, and the area of the face
-        for which each counts [m2], all of shape (k,)
+    faces, samples, areas: the ARP of a face is a weighted mean over samples; face, sample and weighted face area [m2]
+        of each pair, shape (k,)
     """
 
     points: Float
@@ -41,7 +41,7 @@ class SampleMesh(NamedTuple):
 
 
 def sample_count(areas: Float, accuracy: float) -> int:
-    """About how many samples `sample_mesh` gives for faces of these areas [m2], shape (m,)."""
+    """Estimate the number of samples that `sample_mesh` returns for faces of these areas [m2], shape (m,)."""
     if accuracy < A_FACE:
         return 4 * len(areas)
     spacing_m = _spacing_m(accuracy)
@@ -49,7 +49,7 @@ def sample_count(areas: Float, accuracy: float) -> int:
 
 
 def _spacing_m(accuracy: float) -> float:
-    """Spacing of cells [m], 0 where each face is a sample."""
+    """Return the spacing of cells [m]; 0 if each face is a sample."""
     return max((spacing for least, spacing in CELLS_m.items() if accuracy >= least), default=0.0)
 
 
@@ -58,9 +58,9 @@ def _cell_count(areas: Float, spacing_m: float) -> int:
 
 
 def sample_mesh(vertices: Float, faces: Int, accuracy: float) -> SampleMesh:
-    """Return samples for the force on a surface of short edges (`palmfield.hand.subdivide.EDGE_m`) to a relative error.
+    """Return the samples for the force on a surface with edges up to `palmfield.hand.subdivide.EDGE_m`.
 
-    vertices: [m], shape (v, 3); faces: shape (m, 3)
+    vertices: [m], shape (v, 3); faces: shape (m, 3); accuracy: target relative error of the force
     """
     spacing_m = _spacing_m(accuracy)
     if spacing_m == 0.0:
@@ -73,23 +73,23 @@ def sample_mesh(vertices: Float, faces: Int, accuracy: float) -> SampleMesh:
         return SampleMesh(points, corners, numbers // parts, numbers, np.repeat(areas / parts, parts))
     of = vertices, faces, spacing_m
     key = cache.digest(*of)
-    known = _known.get(key)
-    if known is None:
-        if len(_known) >= MOST_KNOWN:
-            _known.clear()
+    samples = _stored.get(key)
+    if samples is None:
+        if len(_stored) >= MOST_STORED:
+            _stored.clear()
         made = cache.kept("force-samples", of, lambda: _sparse(*of))
-        known = _known[key] = SampleMesh(*(made[name] for name in SampleMesh._fields))
-    return known
+        samples = _stored[key] = SampleMesh(*(made[name] for name in SampleMesh._fields))
+    return samples
 
 
 def _sparse(vertices: Float, faces: Int, spacing_m: float) -> cache.Arrays:
-    """Samples in cells of a spacing [m]; each pushes by its weight in the interpolated ARP over the whole surface."""
+    """Return one sample per cell of a spacing [m], weighted by its share in the ARP interpolated over the surface."""
     normals, areas = face_normals(vertices, faces)
     places = vertices[faces].mean(axis=1)
-    # Cells must not depend on the last digits of a processor
+    # Rounded, so that cells do not depend on the rounding errors of a processor
     owner = _cells(np.round(places, 9), np.round(normals, 6), areas, spacing_m)
     middles, outward, _ = _means(owner, areas, places, normals)
-    # The middle of a cell is below a curved surface, where the faces of the body would shade it
+    # The mean of a cell is below a convex surface, so it is moved onto the surface, where no face shades it
     corners = vertices[np.sort(faces[closest_faces(build_mesh(vertices, faces), middles, 1.0)], axis=1)]
     middles = np.einsum("nk,nkd->nd", barycentric(corners, middles), corners)
     away = corners - middles[:, None]
@@ -99,15 +99,15 @@ def _sparse(vertices: Float, faces: Int, spacing_m: float) -> cache.Arrays:
     pushes: Float = shares.T @ (areas[:, None] * normals)
     points, triangles = _triangles(middles, pushes, away[np.arange(len(away)), farthest])
     of = shares.tocoo()
-    whose: Int = of.row.astype(np.int32)
-    numbers = whose, of.col.astype(np.int32), of.data * areas[whose]
+    face: Int = of.row.astype(np.int32)
+    numbers = face, of.col.astype(np.int32), of.data * areas[face]
     return dict(zip(SampleMesh._fields, (points, triangles, *numbers), strict=True))
 
 
 def _interpolation(samples: Float, outward: Float, places: Float, normals: Float) -> sparse.csr_array:
-    """Shares by which values at samples give values at places, of sum 1 for each place, shape (places, samples).
+    """Return the weights that interpolate values from samples to places, shape (places, samples), rows of sum 1.
 
-    By a Gaussian process of unknown mean over points [m] and their unit normals, all of shape (n, 3).
+    The interpolation is a Gaussian process of unknown mean over points [m] and unit normals, all of shape (n, 3).
     """
     count = min(NEIGHBOURS, len(samples))
     tree = scipy.spatial.cKDTree(np.concatenate([samples, SIDE_m * outward], axis=1))
@@ -122,15 +122,15 @@ def _interpolation(samples: Float, outward: Float, places: Float, normals: Float
     between = products - 0.5 * (squares[:, :, None] + squares[:, None])
     system[:, :-1, :-1] = np.exp(between) + ROUGH * np.eye(count)
     system[:, -1, -1] = 0.0
-    wanted = np.ones((len(places), count + 1, 1))
-    wanted[:, :-1, 0] = np.exp(-0.5 * squares)
-    shares = np.linalg.solve(system, wanted)[:, :-1, 0]
+    right = np.ones((len(places), count + 1, 1))
+    right[:, :-1, 0] = np.exp(-0.5 * squares)
+    shares = np.linalg.solve(system, right)[:, :-1, 0]
     starts = np.arange(0, shares.size + 1, count)
     return sparse.csr_array((shares.ravel(), near.ravel(), starts), shape=(len(places), len(samples)))
 
 
 def _cells(points: Float, normals: Float, areas: Float, spacing_m: float) -> Int:
-    """Return the cell of each face, shape (n,): centres form a honeycomb, on one side of a thin web each."""
+    """Return the cell of each face, shape (n,). Centres form a honeycomb; both sides of a thin web have own cells."""
     places = np.concatenate([points, spacing_m * normals], axis=1)
     seeds, gap = [int(np.argmax(areas))], np.full(len(points), np.inf)
     for _ in range(_cell_count(areas, spacing_m) - 1):
@@ -144,16 +144,16 @@ def _cells(points: Float, normals: Float, areas: Float, spacing_m: float) -> Int
 
 
 def _means(owner: Int, areas: Float, *values: Float) -> list[Float]:
-    """Return means of values over the area of each owner's faces, shapes (c, k), and these areas, shape (c, 1)."""
+    """Return area-weighted means of values over the faces of each owner, shapes (c, k), and the areas, shape (c, 1)."""
     sizes: Float = np.bincount(owner, areas).astype(np.float64)[:, None]
     sums = [np.stack([np.bincount(owner, areas * row) for row in value.T], axis=1) for value in values]
     return [*(one / np.maximum(sizes, 1e-30) for one in sums), sizes]
 
 
 def _triangles(middles: Float, areas: Float, towards: Float) -> tuple[Float, Int]:
-    """Equilateral triangles round points [m] with areas as vectors along their normals [m2], all of shape (n, 3).
+    """Return equilateral triangles about points [m] with given area vectors [m2], all of shape (n, 3).
 
-    towards: direction of the first corner, so that the mirror image of a surface has the mirror images of the triangles
+    towards: direction of the first corner; it makes the triangles of a mirrored surface mirror images
     """
     size = np.linalg.norm(areas, axis=1)[:, None]
     normals = areas / np.maximum(size, 1e-30)

@@ -1,9 +1,9 @@
-"""Shortest path between two places of a triangle mesh.
+"""Shortest path between two points on a triangle mesh.
 
-A graph with points on the edges finds the edges that it crosses (M. Lanthier, A. Maheshwari, J.-R. Sack, Algorithmica
-30, 527 (2001)). From vertices of those, flips of edges shorten a path until it is straight (N. Sharp, K. Crane, You Can
-Find Geodesic Paths in Triangle Meshes by Just Flipping Edges, ACM Trans. Graph. 39, 249 (2020)), by potpourri3d. From
-the shortest path along the edges, flips would find one that goes round a body's other side: 6 % longer on a tube.
+The edges that the path crosses are found in a graph with points on the edges (M. Lanthier, A. Maheshwari, J.-R. Sack,
+Algorithmica 30, 527 (2001)). A path along vertices of these edges is straightened by edge flips with potpourri3d (N.
+Sharp, K. Crane, You Can Find Geodesic Paths in Triangle Meshes by Just Flipping Edges, ACM Trans. Graph. 39, 249
+(2020)). Flips from the shortest path along edges may give a path round the other side of a body: 6 % longer on a tube.
 """
 
 import math
@@ -19,26 +19,26 @@ from palmfield.hand.triangles import edge_lengths, numbered_edges
 from palmfield.types import Float, Int, Surface
 
 EDGE_POINTS = 5
-"""Points of the graph on each edge."""
+"""Number of points of the graph on each edge."""
 
 DETOUR = 1.25
-"""Corridor of the search: along edges a path is at most about 1.16 times as long as straight across the triangles."""
+"""Width of the search corridor: a path along edges is at most about 1.16 times as long as one across the triangles."""
 
 NEAR = 1e-6
-"""Least barycentric weight of a place that becomes a vertex: closer to an edge it is moved off, by some nanometres."""
+"""Smallest barycentric weight of a point that becomes a vertex; points closer to an edge are moved by some nm."""
 
 CORNER = 1e-12
-"""Closer to a corner a place is the corner."""
+"""A point closer to a corner than this is replaced by the corner."""
 
-# A piece of path: the face of each straight segment, and the points, one more than segments.
+# A piece of path: the face of each straight segment, and the end points of the segments.
 Piece = tuple[list[int], list[Float]]
 
 
 def shortest_way(surface: Surface, start: tuple[int, Float], end: tuple[int, Float], number: int) -> Piece:
-    """Return the shortest path between two places (face and position) of a surface.
+    """Return the shortest path between two points (face and position) of a surface.
 
-    number: of the first place, for messages. Raises SceneError for places on parts that don't hang together, and for a
-    mesh with an edge of more than two faces or neighbours of opposite winding.
+    number: number of the first point, for messages. Raises SceneError for points on unconnected parts, and for a mesh
+    with an edge of more than two faces or neighbours of opposite winding.
     """
     from potpourri3d import EdgeFlipGeodesicSolver
 
@@ -52,7 +52,7 @@ def shortest_way(surface: Surface, start: tuple[int, Float], end: tuple[int, Flo
             break
         if way[-1] not in edge:
             nearest = int(edge[np.argmin(np.linalg.norm(vertices[edge] - vertices[way[-1]], axis=1))])
-            # Without loops: flips end where a path meets itself
+            # Loops are cut off, because flips stop where a path meets itself
             del way[way.index(nearest) if nearest in way else len(way) :]
             way.append(nearest)
     used, own = np.unique(faces, return_inverse=True)
@@ -63,8 +63,8 @@ def shortest_way(surface: Surface, start: tuple[int, Float], end: tuple[int, Flo
             "no path is found on a mesh with an edge of more than two faces, or neighbours of opposite winding; repair "
             "it first"
         ) from None
-    found = flips.find_geodesic_path_poly(np.searchsorted(used, [*way, last]))
-    points = [start[1], *found[1:-1], end[1]]
+    line = flips.find_geodesic_path_poly(np.searchsorted(used, [*way, last]))
+    points = [start[1], *line[1:-1], end[1]]
     passed = _faces_at(surface, nearby, 0.5 * (np.array(points[1:]) + np.array(points[:-1])))
     for at, vertex, face in ((0, first, start[0]), (-1, last, end[0])):
         if vertex >= len(surface.vertices):
@@ -73,7 +73,7 @@ def shortest_way(surface: Surface, start: tuple[int, Float], end: tuple[int, Flo
 
 
 def _corridor(surface: Surface, start: tuple[int, Float], end: tuple[int, Float], number: int) -> NDArray[np.int64]:
-    """Return faces that the shortest path can cross, by distances along the edges."""
+    """Return the faces that the shortest path can cross, from distances along the edges."""
     vertices, faces = surface.vertices, surface.faces
     edges, length = edge_lengths(vertices, faces)
     count = len(vertices)
@@ -90,13 +90,13 @@ def _corridor(surface: Surface, start: tuple[int, Float], end: tuple[int, Float]
             f"waypoints {number} and {number + 1} lie on unconnected parts of the mesh; connect the parts, or "
             "choose other waypoints"
         )
-    # Two edges more, since the ends lie within faces
+    # Two edge lengths are added, because the ends are inside faces
     within = both <= DETOUR * direct + 2.0 * float(length.max())
     return np.flatnonzero(within[faces].any(axis=1))
 
 
 def _crossed(surface: Surface, nearby: NDArray[np.int64], start: tuple[int, Float], end: tuple[int, Float]) -> Int:
-    """Edges that the shortest path over points of the edges crosses, shape (n, 2)."""
+    """Return the edges that the shortest path through points on edges crosses, shape (n, 2)."""
     faces = surface.faces[nearby]
     edges, which, _ = numbered_edges(faces)
     sides = which.reshape(3, -1).T
@@ -105,18 +105,18 @@ def _crossed(surface: Surface, nearby: NDArray[np.int64], start: tuple[int, Floa
     tails, heads = surface.vertices[edges[:, 0]], surface.vertices[edges[:, 1]]
     points = (tails[:, None] + share * (heads - tails)[:, None]).reshape(-1, 3)
     on_side = count * sides[:, :, None] + np.arange(count)
-    # Between each two sides of each face, every point with every point
+    # In each face, every point of a side is linked with every point of the other sides
     shape = (len(faces), count, count)
     links = [
         np.stack([np.broadcast_to(on_side[:, i, :, None], shape), np.broadcast_to(on_side[:, j, None, :], shape)])
         for i, j in ((0, 1), (1, 2), (2, 0))
     ]
     for node, (face, position) in enumerate((start, end), start=len(points)):
-        sight = on_side[np.flatnonzero(nearby == face)[0]].ravel()
-        links.append(np.stack([np.full_like(sight, node), sight]))
+        visible = on_side[np.flatnonzero(nearby == face)[0]].ravel()
+        links.append(np.stack([np.full_like(visible, node), visible]))
         points = np.vstack([points, position])
     a, b = np.concatenate([link.reshape(2, -1) for link in links], axis=1)
-    # A start on an edge point is at distance zero, which a sparse graph would treat as no link
+    # A length of zero would mean no link in a sparse graph
     length = np.maximum(np.linalg.norm(points[a] - points[b], axis=1), 1e-12)
     graph = sparse.csr_array((length, (a, b)), shape=(len(points), len(points)))
     first, last = len(points) - 2, len(points) - 1
@@ -128,7 +128,7 @@ def _crossed(surface: Surface, nearby: NDArray[np.int64], start: tuple[int, Floa
 
 
 def _with_places(surface: Surface, places: tuple[tuple[int, Float], ...]) -> tuple[Float, Int, list[int]]:
-    """Vertices and faces with a vertex at each place, each in a face of its own, and the numbers of these vertices."""
+    """Return vertices and faces with a new vertex at each place (in different faces), and the numbers of these."""
     from trimesh.triangles import points_to_barycentric
 
     vertices, faces, numbers = surface.vertices, surface.faces, []
@@ -149,7 +149,7 @@ def _with_places(surface: Surface, places: tuple[tuple[int, Float], ...]) -> tup
 
 
 def _faces_at(surface: Surface, nearby: NDArray[np.int64], points: Float) -> list[int]:
-    """The nearest of some faces to each point, shape (n, 3)."""
+    """Return for each point, shape (n, 3), the nearest of some faces."""
     from trimesh.triangles import closest_point
 
     corners = surface.vertices[surface.faces[nearby]]
@@ -158,7 +158,7 @@ def _faces_at(surface: Surface, nearby: NDArray[np.int64], points: Float) -> lis
     hits = cKDTree(centres).query_ball_point(points, reach)
     which = np.repeat(np.arange(len(points)), [len(hit) for hit in hits])
     tried = np.concatenate(hits).astype(np.int64)
-    # In millimetres: trimesh's tolerance is absolute
+    # In millimetres, because the tolerance of trimesh is absolute
     distance = np.linalg.norm(closest_point(1e3 * corners[tried], 1e3 * points[which]) - 1e3 * points[which], axis=1)
     order = np.lexsort((distance, which))
     return nearby[tried[order[np.unique(which[order], return_index=True)[1]]]].tolist()

@@ -1,4 +1,4 @@
-"""glTF and GLB with joints and weights, which trimesh drops (Khronos glTF 2.0 specification, sections 3.6 and 3.7)."""
+"""Read glTF and GLB with joints and weights, which trimesh ignores (Khronos glTF 2.0, sections 3.6 and 3.7)."""
 
 import json
 from collections.abc import Callable
@@ -19,16 +19,15 @@ TYPES = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: n
 COLUMNS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 TRIANGLES = 4
 MOST_VALUES = 10_000_000
-"""Largest number of values in an accessor: 3 corners for each of the faces that `palmfield.hand.meshfile` reads."""
+"""Largest number of values in an accessor: 3 corners for each face that `palmfield.hand.meshfile` allows."""
 
 
 def read_gltf(file: Path, check: Callable[[int], None]) -> tuple[Float, Int, SkinRig | None]:
     """Read vertices in the frame of the scene [m], shape (n, 3), faces, and the rig if the file has a skin.
 
-    check: called with the number of faces before any is read, and may refuse them
-    All meshes of the scene are joined. Skinned vertices are placed by their joints, as section 3.7.3.3 requires: in the
-    file's pose, if that differs from its bind pose.
-    Raises SceneError for a file that is damaged, empty, compressed (Draco, meshopt), of lines or strips, or that has
+    check: called with the number of faces before they are read; it may raise an error
+    All meshes of the scene are joined. Skinned vertices are in the pose of the joints in the file (section 3.7.3.3).
+    Raises SceneError for a file that is damaged, empty or compressed (Draco, meshopt), has lines or strips, or has
     several skins.
     """
     try:
@@ -37,13 +36,13 @@ def read_gltf(file: Path, check: Callable[[int], None]) -> tuple[Float, Int, Ski
         text = data[20 : 20 + int.from_bytes(data[12:16], "little")] if packed else data
         nodes = plain(json.loads, text).get("nodes", [])
         scene = GLTF2.load_from_bytes(data) if packed else GLTF2.gltf_from_json(data.decode())
-        # pygltflib drops the weights of nodes
+        # pygltflib does not read the weights of nodes
         reader = _Reader(scene, file, [node.get("weights") for node in nodes])
         check(reader.triangles())
         return reader.read()
     except SceneError:
         raise
-    # pygltflib and NumPy pass on every kind of exception for damaged files.
+    # pygltflib and NumPy raise many kinds of exceptions for damaged files.
     except Exception as error:
         reason = reason_of(error, 120)
         raise SceneError(f"mesh {file} cannot be read as glTF ({reason}); export it again") from error
@@ -64,7 +63,7 @@ class _Reader:
         self.world: dict[int, Float] = {}
 
     def _buffer(self, uri: str | None) -> bytes:
-        """Return a buffer's bytes: from the file itself, an embedded text, or a file of the same folder or below."""
+        """Return the bytes of a buffer: from the file, an embedded text, or a file in the same folder or below."""
         if uri is None or uri.startswith("data:"):
             data: bytes | None = self.scene.get_data_from_buffer_uri(uri)
             return data or b""
@@ -78,7 +77,7 @@ class _Reader:
         return read_bytes(place)
 
     def triangles(self) -> int:
-        """Return the number of faces of the scene's meshes, by the counts of their accessors."""
+        """Return the number of faces of the scene's meshes, from the counts of the accessors."""
         number = 0
         for i in self._in_scene():
             if self.scene.nodes[i].mesh is not None:
@@ -147,7 +146,7 @@ class _Reader:
         return placed, corners.reshape(-1, 3).astype(np.int32), weight
 
     def _morphed(self, primitive: Primitive, node: int, points: Float) -> Float:
-        """Vertices with the default weights of their morph targets, the node's before the mesh's (section 3.7.2.2)."""
+        """Return vertices after morphing with the weights of the node, or else of the mesh (section 3.7.2.2)."""
         targets = primitive.targets or []
         mesh = self.scene.meshes[self.scene.nodes[node].mesh]
         weights = self.weights[node] or mesh.weights or [0.0] * len(targets)
@@ -163,7 +162,7 @@ class _Reader:
         return points
 
     def _weights(self, primitive: Primitive, number: int, joints: int) -> Float:
-        """Weight of each joint at each vertex, shape (number, joints); rows add up to 1."""
+        """Return the weight of each joint at each vertex, shape (number, joints); rows add up to 1."""
         out = np.zeros((number, joints))
         names = vars(primitive.attributes)
         for i in range(8):
@@ -194,7 +193,7 @@ class _Reader:
         return Joints(names, np.array(parents, dtype=np.int32), np.stack([self._world(node) for node in nodes]))
 
     def _in_scene(self) -> list[int]:
-        """Nodes of the default scene, parents first."""
+        """Return the nodes of the default scene, parents first."""
         if not self.scene.scenes:
             return list(range(len(self.scene.nodes)))
         todo = list(self.scene.scenes[self.scene.scene or 0].nodes or [])
@@ -209,7 +208,7 @@ class _Reader:
 
     def _world(self, index: int) -> Float:
         if index not in self.world:
-            # A temporary root, so that a cycle of nodes ends here.
+            # A temporary value, so that the recursion ends in a cycle of nodes
             self.world[index] = np.eye(4)
             node = self.scene.nodes[index]
             if node.matrix:
@@ -224,7 +223,7 @@ class _Reader:
         return self.world[index]
 
     def _accessor(self, index: int) -> np.ndarray:
-        """Values of an accessor, shape (count, columns); normalised integers become floats."""
+        """Return the values of an accessor, shape (count, columns); normalised integers become floats."""
         accessor = self.scene.accessors[index]
         kind, columns = np.dtype(TYPES[accessor.componentType]).newbyteorder("<"), COLUMNS[accessor.type]
         if not 0 < accessor.count <= MOST_VALUES:
@@ -232,7 +231,7 @@ class _Reader:
         out = np.zeros((accessor.count, columns), dtype=kind)
         if accessor.bufferView is not None:
             out = self._view(accessor.bufferView, accessor.byteOffset or 0, accessor.count, columns, kind)
-        # An accessor without sparse values has none, or an empty record of them.
+        # An accessor without sparse values has None or an empty record
         if accessor.sparse is not None and accessor.sparse.count:
             few = accessor.sparse
             at_kind = np.dtype(TYPES[few.indices.componentType]).newbyteorder("<")

@@ -19,9 +19,9 @@ MIDDLE = (0.0, 0.0)
 def graded_size(
     fine_m: float, coarse_m: float, fine_radius_m: float, radius_m: float, centre_m: tuple[float, float] = MIDDLE
 ) -> Size:
-    """Edge length as a function of the plane position: fine about a place, growing linearly to coarse at the radius.
+    """Return the target edge length as a function of the position in the plane.
 
-    centre_m: the place; the radius is that about the origin, and correspondingly farther about the place
+    Edges are fine around `centre_m` and grow linearly to coarse at the radius about the origin.
     """
     centre = np.array(centre_m)
     radius_m += float(np.linalg.norm(centre))
@@ -35,11 +35,11 @@ def graded_size(
 
 
 def triangulate(shape: Shape, size: Size, radius_m: float, centre_m: tuple[float, float] = MIDDLE) -> tuple[Float, Int]:
-    """Points in the plane [m], shape (n, 2), and counter-clockwise faces, shape (m, 3).
+    """Return points in the plane [m], shape (n, 2), and counter-clockwise faces, shape (m, 3).
 
-    radius_m: largest one of the shape about the origin; centre_m: of the first rings of points. Points on the boundary
-    loops are fixed; the others move to the density-weighted centroid of their triangles (Chen & Holst 2011, doi
-    10.1016/j.cma.2010.11.007) with a fresh Delaunay triangulation each round.
+    radius_m: largest distance of the shape from the origin; centre_m: centre of the initial rings of points
+    Points on the boundary loops are fixed. The others move to the density-weighted centroid of their triangles (Chen &
+    Holst 2011, doi 10.1016/j.cma.2010.11.007), with a new Delaunay triangulation in each round.
     """
     boundary = np.concatenate([_resample(loop, size) for loop in shape.loops])
     inner = _rings(size, radius_m, centre_m)
@@ -62,7 +62,7 @@ def triangulate(shape: Shape, size: Size, radius_m: float, centre_m: tuple[float
 
 
 def _rings(size: Size, radius_m: float, centre_m: tuple[float, float]) -> Float:
-    """Concentric rings around a place with the target spacing, a whole number of steps up to the radius."""
+    """Return points on concentric rings with the target spacing, a whole number of rings up to the radius."""
     centre = np.array(centre_m)
     r = np.linspace(0.0, radius_m + float(np.linalg.norm(centre)), 2000)
     step = size(centre + np.column_stack([r, np.zeros_like(r)]))
@@ -78,7 +78,7 @@ def _rings(size: Size, radius_m: float, centre_m: tuple[float, float]) -> Float:
 
 
 def _resample(loop: Float, size: Size) -> Float:
-    """Points along a closed polygon at the target spacing, from its first point on."""
+    """Return points along a closed polygon at the target spacing, from its first point on."""
     closed = np.concatenate([loop, loop[:1]])
     length = np.linalg.norm(np.diff(closed, axis=0), axis=1)
     count = np.concatenate([[0.0], np.cumsum(length / size(0.5 * (closed[1:] + closed[:-1])))])

@@ -11,7 +11,7 @@ from palmfield.hand.triangles import adjacency, face_normals, neighbour_mean, un
 from palmfield.types import Float, Int
 
 MOST_JAGGED = 600
-"""The triangulation of least area takes time by the cube of the loop's edges: some seconds for this number."""
+"""Most edges of a jagged loop; the time for its triangulation grows with their cube, to some seconds here."""
 ROUNDS, HANGING_ROUNDS, LONGEST_SHARE, SLIVER_SHARE = 12, 20, 1.4, 0.2
 
 Pair = tuple[int, int]
@@ -19,9 +19,9 @@ Corners = tuple[int, int, int]
 
 
 def boundary_loops(faces: Int) -> list[Int]:
-    """Return vertices of each boundary loop in order, for any winding of the faces.
+    """Return the vertices of each boundary loop in order, for any winding of the faces.
 
-    Holes that touch in a vertex are loops of their own. Each edge must have one or two faces.
+    Holes that touch in a vertex give separate loops. Each edge must have one or two faces.
     """
     edges, count = unique_edges(faces)
     onward: dict[int, set[int]] = {}
@@ -31,7 +31,7 @@ def boundary_loops(faces: Int) -> list[Int]:
     loops = []
     for start in onward:
         path = [start]
-        # Each vertex has an even number of open edges, so that a walk ends only at its start.
+        # Each vertex has an even number of open edges, so a path ends only at its start
         while onward[path[-1]]:
             here, following = path[-1], min(onward[path[-1]])
             onward[here].remove(following)
@@ -47,11 +47,11 @@ def boundary_loops(faces: Int) -> list[Int]:
 def least_area_faces(points: Float, barred: Collection[Pair] = ()) -> Int:
     """Return faces over a closed polygon in space with the least area of all triangulations, shape (k - 2, 3).
 
-    points: of the polygon in order, shape (k, 3); barred: pairs of numbers, the lower first, that must not be edges
-    Empty if the barred pairs allow no triangulation.
-    G. Barequet, M. Sharir, "Filling gaps in the boundary of a polyhedron", CAGD 12, 207 (1995), from short spans of the
-    polygon to long ones. Triangulations of plane polygons (Earcut, ISC; GEOS, LGPL) fail on the projection of a polygon
-    in space, which may cross itself.
+    points: corners of the polygon in order, shape (k, 3); barred: pairs of corner numbers, the lower first, that must
+    not become edges. The result is empty if the barred pairs allow no triangulation.
+    Dynamic programming from short to long spans of the polygon: G. Barequet, M. Sharir, "Filling gaps in the boundary
+    of a polyhedron", CAGD 12, 207 (1995). Triangulations of plane polygons (Earcut, GEOS) fail, because the projection
+    of a polygon in space may cross itself.
     """
     number = len(points)
     cost, via = np.zeros((number, number)), np.zeros((number, number), dtype=np.int32)
@@ -64,7 +64,7 @@ def least_area_faces(points: Float, barred: Collection[Pair] = ()) -> Int:
         rows = first[:, 0]
         cost[rows, rows + gap], via[rows, rows + gap] = total[rows, best], middle[rows, best]
         for i in rows.tolist():
-            # The last span is an edge of the polygon itself.
+            # The last span is an edge of the polygon
             if gap < number - 1 and (i, i + gap) in barred:
                 cost[i, i + gap] = np.inf
     if not np.isfinite(cost[0, number - 1]):
@@ -80,17 +80,17 @@ def least_area_faces(points: Float, barred: Collection[Pair] = ()) -> Int:
 
 
 def plane_axes(points: Float) -> Float:
-    """Rows: two axes of the best plane through points, and its normal, shape (3, 3)."""
+    """Return two axes and the normal of the best plane through points, as rows, shape (3, 3)."""
     return np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
 
 
 def cap(points: Float, barred: Collection[Pair] = ()) -> tuple[Float, Int] | None:
-    """Inner points, shape (k, 3), and faces that close a loop of n points in space, with edges about as long as its.
+    """Return inner points, shape (k, 3), and faces that close a loop of n points, with edges about as long as its own.
 
-    points: the loop in order, shape (n, 3); barred: pairs of its numbers, the lower first, that are to be no edge Faces
-    name its points 0 ... n - 1 and the inner ones from n on. A loop that is smooth along the normal of its best plane
-    is filled there; any other one by the triangulation of least area, refined. None if the barred pairs allow no
-    triangulation, and for a loop of more than MOST_JAGGED edges that is not smooth.
+    points: points of the loop in order, shape (n, 3); barred: pairs as for `least_area_faces`
+    Faces number the points of the loop 0 ... n - 1 and the inner points from n on. A loop that is smooth along the
+    normal of its best plane is filled by a grid in that plane, any other loop by the refined triangulation of least
+    area. The result is None if a jagged loop has more than MOST_JAGGED edges or no allowed triangulation.
     """
     flat = _flat_cap(points)
     if flat is not None and not any((a, b) in barred for a, b in unique_edges(flat[1])[0].tolist()):
@@ -102,7 +102,7 @@ def cap(points: Float, barred: Collection[Pair] = ()) -> tuple[Float, Int] | Non
 
 
 def _flat_cap(points: Float) -> tuple[Float, Int] | None:
-    """Points of a grid in the loop's best plane, fitted to the loop; None if an edge of the loop is lost."""
+    """Return a grid in the best plane of the loop, fitted to the loop; None if an edge of the loop is lost."""
     number, axes = len(points), plane_axes(points)
     flat = (points - points.mean(axis=0)) @ axes[:2].T
     step = float(np.linalg.norm(points - np.roll(points, -1, axis=0), axis=1).mean())
@@ -122,7 +122,7 @@ def _flat_cap(points: Float) -> tuple[Float, Int] | None:
 
 
 def _finer(points: Float, faces: Int, barred: Collection[Pair]) -> tuple[Float, Int]:
-    """A triangulation of a loop with inner edges cut to the loop's mean length, and its points fitted to it."""
+    """Refine a triangulation to the mean edge length of its loop, and fit the new points to the loop."""
     step = float(np.linalg.norm(points - np.roll(points, -1, axis=0), axis=1).mean())
     patch = _Patch(points, faces, barred)
     for _ in range(ROUNDS):
@@ -146,7 +146,7 @@ class _Patch:
         return [(a, b) for a, b in self.across if a < b and (b, a) in self.across]
 
     def cut(self, longest: float) -> None:
-        """Halve longer inner edges, the longest first and each face once."""
+        """Halve inner edges longer than `longest`, the longest first, each face at most once."""
         edges = np.array(self.inner_edges()).reshape(-1, 2)
         length = np.linalg.norm(self.points[edges[:, 0]] - self.points[edges[:, 1]], axis=1)
         done: set[Pair] = set()
@@ -166,7 +166,7 @@ class _Patch:
         self.points = np.concatenate([self.points, np.reshape(added, (-1, 3))])
 
     def flip(self) -> None:
-        """Flip inner edges until none has opposite angles with a sum of more than two right ones (Delaunay)."""
+        """Flip inner edges until the opposite angles of each add up to at most 180 degrees (Delaunay)."""
         for _ in range(ROUNDS):
             turned = False
             for a, b in self.inner_edges():
@@ -181,7 +181,7 @@ class _Patch:
                 return
 
     def hang(self) -> None:
-        """Move inner points towards the mean of their neighbours; only slivers may flip their orientation."""
+        """Move inner points towards the mean of their neighbours; only slivers may change orientation."""
         faces = self.faces()
         links = adjacency(faces, len(self.points))
         for _ in range(HANGING_ROUNDS):
@@ -209,7 +209,7 @@ class _Patch:
 
 
 def _spanned(points: Float, inner: int, edges: Int) -> Float:
-    """Return inner points of a membrane over the loop: each at the mean of its neighbours."""
+    """Return the inner points of a membrane over the loop: each point is the mean of its neighbours."""
     number = len(points) + inner
     if inner == 0:
         return np.zeros((0, 3))

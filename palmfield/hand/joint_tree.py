@@ -1,4 +1,4 @@
-"""Build a tree of joints from a flat list, as in WebXR and OpenXR: by their names, else by their skin."""
+"""Build a joint tree from a flat list of joints, as in WebXR and OpenXR, by joint names or by the skin."""
 
 import re
 from dataclasses import replace
@@ -19,36 +19,35 @@ RANK_WORDS = {
     "tip": 1000, "end": 1000, "nub": 1000,
 }  # fmt: skip
 HUB_WORDS = ("wrist", "hand", "palm")
-"""Words for the parent of the fingers; the first in a joint's name is used."""
+"""Names of the parent of the fingers, in order of preference."""
 SIDE_WORDS = {"left": "left", "l": "left", "right": "right", "r": "right"}
 MOST_SIBLINGS = 6
-"""Largest number of siblings: a wrist has five digits and a palm; more joints with one parent are no tree of a hand."""
+"""Largest number of joints with one parent in the tree of a hand: five digits and a palm at the wrist."""
 SKIN_POINTS, WRIST_SHARE = 8, 0.05
 
 
 def words(name: str) -> list[str]:
     """Split a joint's name into words and numbers in lower case: "RightHandIndex1" gives right, hand, index, 1."""
-    apart = re.sub(r"([a-z])([A-Z])|([A-Z])([A-Z][a-z])", r"\1\3 \2\4", name)
-    return re.findall(r"[a-z]+|\d+", apart.lower())
+    separated = re.sub(r"([a-z])([A-Z])|([A-Z])([A-Z][a-z])", r"\1\3 \2\4", name)
+    return re.findall(r"[a-z]+|\d+", separated.lower())
 
 
 def named_side(names: tuple[str, ...]) -> str:
-    """ "left" or "right" where most joints' names have that word (or l, r) and none the other, else "unknown"."""
-    found = [{SIDE_WORDS[word] for word in words(name) if word in SIDE_WORDS} for name in names]
+    """Return "left" or "right" if most joint names contain it (or l, r) and none the other side, else "unknown"."""
+    sides = [{SIDE_WORDS[word] for word in words(name) if word in SIDE_WORDS} for name in names]
     for side, other in (("left", "right"), ("right", "left")):
-        if 2 * sum(side in each for each in found) > len(names) and not any(other in each for each in found):
+        if 2 * sum(side in each for each in sides) > len(names) and not any(other in each for each in sides):
             return side
     return "unknown"
 
 
 def joined(rig: SkinRig, vertices: Float, way: Float) -> tuple[SkinRig, Int, str]:
-    """The rig with its joints in a tree, which of them got another parent, and how: by "names", "skin", or "" for none.
+    """Return the rig with its joints in a tree, the joints with a new parent, and the method: "names", "skin" or "".
 
-    Names are used if they contain digit and rank, in the words of WebXR, OpenXR and most modelling programs. Without
-    them each joint is attached to its neighbour in the skin, towards the wrist. A connected tree is not changed.
+    Names are used if they contain digit and rank in the words of WebXR, OpenXR and most modelling programs. Otherwise
+    each joint is attached to its neighbour in the skin towards the wrist. A connected tree is not changed.
 
-    vertices: of the skin, shape (n, 3), in the unit of the joints; way: of each along the skin from the wrist, shape
-        (n,)
+    vertices: skin, shape (n, 3), in the unit of the joints; way: distances along the skin from the wrist, shape (n,)
     """
     joints = rig.joints
     chains = _chains(joints.names)
@@ -64,7 +63,7 @@ def joined(rig: SkinRig, vertices: Float, way: Float) -> tuple[SkinRig, Int, str
 
 
 def _rank(name: str) -> tuple[str, int] | None:
-    """Return digit and rank along it of a joint, the metacarpal first; None if the name has no digit or no rank."""
+    """Return the digit of a joint and its rank from the metacarpal on; None if the name lacks one of them."""
     parts = words(name)
     at = next((i for i, word in enumerate(parts) if word in DIGIT_WORDS), None)
     if at is None:
@@ -77,21 +76,21 @@ def _rank(name: str) -> tuple[str, int] | None:
 
 
 def _chains(names: tuple[str, ...]) -> list[list[int]]:
-    """Return joints of each digit from the wrist on; without digits in which two joints have the same rank."""
+    """Return the joints of each digit from the wrist on, without digits in which two joints have the same rank."""
     ranked: dict[str, list[tuple[int, int]]] = {}
     for joint, name in enumerate(names):
-        if (found := _rank(name)) is not None:
-            ranked.setdefault(found[0], []).append((found[1], joint))
+        if (rank := _rank(name)) is not None:
+            ranked.setdefault(rank[0], []).append((rank[1], joint))
     return [[joint for _, joint in sorted(digit)] for digit in ranked.values() if len(dict(digit)) == len(digit)]
 
 
 def _related(parents: Int, a: int, b: int) -> bool:
-    """Whether one of two joints is an ancestor of the other."""
+    """Return whether one of two joints is an ancestor of the other."""
     return a in ancestors(parents, b) or b in ancestors(parents, a)
 
 
 def ancestors(parents: Int, joint: int) -> list[int]:
-    """Joints above one, the nearest first."""
+    """Return the ancestors of a joint, the nearest first."""
     above: list[int] = []
     while parents[joint] >= 0 and parents[joint] not in above:
         joint = int(parents[joint])
@@ -100,7 +99,7 @@ def ancestors(parents: Int, joint: int) -> list[int]:
 
 
 def _by_name(joints: Joints, chains: list[list[int]]) -> Int | None:
-    """Parents with each digit a chain from the wrist; None if no joint is the wrist's or ranks are inconsistent."""
+    """Return parents that make each digit a chain from the wrist; None without a wrist or with inconsistent ranks."""
     in_digit = {joint for chain in chains for joint in chain}
     others = [joint for joint in range(len(joints.names)) if joint not in in_digit]
     hubs = [joint for word in HUB_WORDS for joint in others if word in words(joints.names[joint])]
@@ -121,17 +120,17 @@ def _by_name(joints: Joints, chains: list[list[int]]) -> Int | None:
 
 
 def _crowded(parents: Int) -> bool:
-    """Whether more joints than a hand has digits have the same parent, or none."""
+    """Return whether more joints than MOST_SIBLINGS have the same parent, or none."""
     ends = np.setdiff1d(np.arange(len(parents)), parents)
     return bool(len(ends)) and int(np.unique(parents[ends], return_counts=True)[1].max()) > MOST_SIBLINGS
 
 
 def _by_skin(rig: SkinRig, vertices: Float, way: Float) -> Int:
-    """Choose parents by the skin: among joints nearer to the wrist the one that shares most skin with a joint.
+    """Choose as parent of each joint the joint nearer to the wrist with which it shares most skin.
 
-    The distance from the wrist along the skin rises along a digit, however bent that is, and hardly from one digit to
-    the next. So shared skin is weighted by the square of that slope, between the middles of both joints' skins. A joint
-    without skin is attached to the joint that carries the skin about it. The root is the joint that has the wrist.
+    Shared skin is weighted by the squared slope of the distance from the wrist between the centres of both joints'
+    skins: this distance rises along a digit, also if it is bent, but hardly from one digit to the next. A joint without
+    skin is attached to the joint of the skin around it. The root is the joint at the wrist.
     """
     weights = rig.weights.toarray()
     total = weights.sum(axis=0)
@@ -140,8 +139,8 @@ def _by_skin(rig: SkinRig, vertices: Float, way: Float) -> Int:
     share = weights / np.where(bare, 1.0, total)
     middle, height = share.T @ vertices, share.T @ way
     height[root] = 0.0
-    apart = np.linalg.norm(middle[:, None] - middle, axis=2)
-    slope = np.clip((height[:, None] - height) / np.where(apart > 0.0, apart, np.inf), 0.0, 1.0)
+    gap = np.linalg.norm(middle[:, None] - middle, axis=2)
+    slope = np.clip((height[:, None] - height) / np.where(gap > 0.0, gap, np.inf), 0.0, 1.0)
     shared = np.stack([np.minimum(weights, weights[:, [j]]).sum(axis=0) for j in range(len(middle))])
     links = np.where(bare[:, None] | bare, 0.0, shared * slope**2)
     parents = np.where(links.max(axis=1) > 0.0, np.argmax(links, axis=1), root)

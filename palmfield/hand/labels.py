@@ -1,4 +1,4 @@
-"""Regions of the skin: one label a vertex, by parts of the hand."""
+"""Regions of the skin: one label per vertex, by parts of the hand."""
 
 from itertools import pairwise
 
@@ -20,7 +20,7 @@ PADS = tuple(f"{a}_{b}_pad" for a, b in pairwise(DIGITS[1:]))
 PALM_AREAS = ("thenar", "hypothenar", *PADS, "palm_centre")
 
 WEB_REACH, FACING_TIPS = 1.0, 0.5
-"""Distance of a web from two fingers, in their half-breadths, and least y of its normals: sides face no tips."""
+"""Largest distance of a web from both fingers over their half-breadth; smallest y of its normals, without the sides."""
 
 
 def _of_digit(digit: str) -> tuple[str, ...]:
@@ -33,17 +33,17 @@ def _phalanges(digit: str) -> tuple[str, ...]:
 
 
 REGIONS = (*(name for digit in DIGITS for name in _of_digit(digit)), *PALM_AREAS, *WEBS, "dorsum", "forearm")
-"""Each phalanx on its palmar side and its back, the pulp being the palmar side of the last; areas of the palm, with
-pads below the roots of two fingers each; webs; the back of the hand; all beyond the wrist's crease."""
+"""Palmar side and back of each phalanx (the pulp is the palmar side of the last one); areas of the palm, with pads each
+below the roots of two fingers; webs; back of the hand; forearm beyond the wrist crease."""
 
 
 def region_labels(hand: ArticulatedHand, surface: Surface) -> tuple[tuple[str, ...], Int]:
-    """Return names of the regions, REGIONS, and the number of its region for each vertex, shape (n,).
+    """Return the names of the regions, REGIONS, and the region number of each vertex, shape (n,).
 
-    surface: skin of the hand in its rest pose, of any edge length
-    Joints separate the phalanges like the bones that own the vertices, see `skinning`. A finger begins at its crease,
-    at a distance from the knuckle given by the preset's palm length at the middle finger, the thumb at its second
-    joint. Vertices separated from their region by noise on a border get the region around them, so each is connected.
+    surface: skin of the hand in its rest pose, with any edge length
+    Phalanges are separated by the bones with the largest weights, see `skinning`. A finger begins at its crease, whose
+    distance from the knuckle follows from the palm length of the preset; the thumb begins at its second joint.
+    Regions are connected: vertices cut off from their region at a border get the region around them.
     """
     number = {name: n for n, name in enumerate(REGIONS)}
     points = surface.vertices
@@ -54,7 +54,7 @@ def region_labels(hand: ArticulatedHand, surface: Surface) -> tuple[tuple[str, .
     labels = np.full(len(points), number["palm_centre"], dtype=np.int32)
     for area in ("thenar", "hypothenar"):
         part = parts[area]
-        # The edge of the palm next to an area is its own.
+        # The edge of the palm next to an area belongs to the area
         edge = (np.abs(points[:, 0]) > np.abs(part.start[0])) & (points[:, 0] * part.start[0] > 0.0)
         edge &= points[:, 1] < part.end[1]
         labels[(_outline(part, points) < 0.0) | edge] = number[area]
@@ -82,7 +82,7 @@ def region_labels(hand: ArticulatedHand, surface: Surface) -> tuple[tuple[str, .
 
 
 def depth_by_region(hand: ArticulatedHand, skin: HandSurface) -> dict[str, tuple[float, float, float]]:
-    """Depth from skin to bone by region [m]: least, 10th percentile and median over the region's vertices."""
+    """Return minimum, 10th percentile and median depth from skin to bone of each region [m]."""
     names, labels = region_labels(hand, skin.surface)
     result = {}
     for n, name in enumerate(names):
@@ -92,7 +92,7 @@ def depth_by_region(hand: ArticulatedHand, skin: HandSurface) -> dict[str, tuple
 
 
 def _outline(part: SkinSegment, points: Float) -> Float:
-    """Distance from points to the outline of a part, seen from the palm, negative inside [m], shape (n,)."""
+    """Return the distance from points to the outline of a part seen from the palm, negative inside [m], shape (n,)."""
     axis = (part.end - part.start)[:2]
     share = np.clip((points[:, :2] - part.start[:2]) @ axis / (axis @ axis), 0.0, 1.0)
     half = part.semi_start[0] + share * (part.semi_end[0] - part.semi_start[0])
@@ -100,7 +100,7 @@ def _outline(part: SkinSegment, points: Float) -> Float:
 
 
 def _between(hand: ArticulatedHand, fingers: tuple[str, str], surface: Surface) -> Mask:
-    """Whether vertices are near both fingers' roots and face their tips, shape (n,)."""
+    """Return whether vertices are near the roots of both fingers and face the tips, shape (n,)."""
     near = surface.normals[:, 1] > FACING_TIPS
     for part in hand.skeleton.skin:
         if part.name in [f"{finger}_proximal" for finger in fingers]:
@@ -109,7 +109,7 @@ def _between(hand: ArticulatedHand, fingers: tuple[str, str], surface: Surface) 
 
 
 def _behind(part: SkinSegment, points: Float) -> Mask:
-    """Whether points lie on the dorsal side of a part's axis, shape (n,)."""
+    """Return whether points are on the dorsal side of the axis of a part, shape (n,)."""
     return (points - part.start) @ part.dorsal > 0.0
 
 
@@ -122,7 +122,7 @@ def _beyond_crease(hand: ArticulatedHand, digit: str, proximal: SkinSegment, poi
 
 
 def _connected(labels: Int, surface: Surface) -> Int:
-    """Return labels in which all but the largest piece of each region have the labels of the regions around them."""
+    """Return labels in which each region is its largest piece; other pieces get the labels around them."""
     links = adjacency(surface.faces, len(labels)).tocoo()
     same = labels[links.row] == labels[links.col]
     inside = sparse.coo_array((links.data[same], (links.row[same], links.col[same])), shape=links.shape)
@@ -135,8 +135,8 @@ def _connected(labels: Int, surface: Surface) -> Int:
     labels, lost = labels.copy(), ~kept[piece]
     while lost.any():
         votes = np.zeros((len(labels), len(REGIONS)))
-        known = ~lost[links.col] & lost[links.row]
-        np.add.at(votes, (links.row[known], labels[links.col[known]]), 1.0)
+        settled = ~lost[links.col] & lost[links.row]
+        np.add.at(votes, (links.row[settled], labels[links.col[settled]]), 1.0)
         reached = lost & (votes.sum(axis=1) > 0.0)
         labels[reached] = np.argmax(votes[reached], axis=1)
         lost &= ~reached

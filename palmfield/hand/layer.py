@@ -19,12 +19,12 @@ from palmfield.types import Float, Int
 
 LEAST_QUALITY = 0.05
 LEAST_RATIO = 0.05
-# Scaled Jacobian of a triangle whose least angle is 12.5 degrees.
+# Scaled Jacobian of a triangle with a smallest angle of 12.5 degrees.
 SOUND_TRIANGLE = 0.25
-# A thickness that rises by this along the surface makes the base rise at 35 degrees.
+# Largest rise of thickness per distance along the surface: the base then rises at 35 degrees.
 STEEPEST_RISE = 0.7
 KEPT_COSINE = 0.9
-# A direction at 84 degrees to a face's normal still gives a sound, if slanted, wedge there.
+# Smallest cosine between direction and face normal: a wedge slanted by 84 degrees is still valid.
 LEAST_VISIBLE = 0.1
 MOST_MOVES = 20
 # Share of the median edge below which all distances count equally when directions are smoothed.
@@ -34,7 +34,7 @@ CORNER_SCALE = 2.0 / np.sqrt(3.0)
 
 
 def depth_by_vertex(depth: ArrayLike | float, count: int) -> Float:
-    """Thickness [m], shape (count,). Raises SceneError for another shape, and for values not finite and above 0."""
+    """Return the thickness [m], shape (count,). Raises SceneError for another shape and for values not above 0."""
     value = np.asarray(depth, dtype=np.float64)
     if value.ndim == 0:
         value = np.full(count, float(value))
@@ -42,15 +42,15 @@ def depth_by_vertex(depth: ArrayLike | float, count: int) -> Float:
         raise SceneError(f"skin depth has shape {value.shape}; give one number, or one per vertex ({count})")
     wrong = ~(np.isfinite(value) & (value > 0.0))
     if wrong.any():
-        raise SceneError(f"skin depth is {value[wrong][0]:g} m at vertex {np.argmax(wrong)}; give finite ones above 0")
+        raise SceneError(f"skin depth is {value[wrong][0]:g} m at vertex {np.argmax(wrong)}; allowed: above 0")
     return value
 
 
 def most_visible_normals(vertices: Float, faces: Int) -> tuple[Float, Float]:
-    """Unit normals, shape (n, 3), that maximise their smallest cosine to the faces around, and that cosine, shape (n,).
+    """Return unit normals that maximise their smallest cosine to the faces around, and that cosine; (n, 3), (n,).
 
-    Aubry & Lohner 2008, "On the most normal normal", doi 10.1002/cnm.1056; by steps towards the worst face from the
-    mean by angle. If the cosine is not above 0, no direction sees all faces from outside.
+    The angle-weighted mean is moved step by step towards the worst face (Aubry & Lohner 2008, "On the most normal
+    normal", doi 10.1002/cnm.1056). If the cosine is 0 or less, no direction is outside of all faces.
     """
     unit, _ = face_normals(vertices, faces)
     normal = vertex_normals(vertices, faces)
@@ -68,12 +68,12 @@ def most_visible_normals(vertices: Float, faces: Int) -> tuple[Float, Float]:
 
 
 def inward_directions(vertices: Float, faces: Int, smoothing_rounds: int = 5) -> Float:
-    """Unit directions into the body, shape (n, 3): minus the most visible normals, smoothed where that stays visible.
+    """Return unit directions into the body, shape (n, 3): the negative most visible normals, smoothed.
 
-    Smoothing leaves at least KEPT_COSINE of the smallest cosine to the faces. It is done `smoothing_rounds` times with
-    the plain mean of the neighbours, which makes directions on creases and facets radial. It is done twice as often
-    with weights by the inverse squares of their distances: vertices that nearly coincide, as on raw marching cubes,
-    then get nearly the same direction and their wedges no twist.
+    Smoothing keeps at least KEPT_COSINE of the smallest cosine to the faces. It takes `smoothing_rounds` rounds with
+    the mean of the neighbours, which makes directions on creases and facets radial. Twice as many rounds follow with
+    weights of inverse squared distance: vertices that nearly coincide, as after marching cubes, then have nearly equal
+    directions, and their wedges are not twisted.
     """
     unit, _ = face_normals(vertices, faces)
     normal, best = most_visible_normals(vertices, faces)
@@ -92,10 +92,10 @@ def inward_directions(vertices: Float, faces: Int, smoothing_rounds: int = 5) ->
 
 
 def unfolded(vertices: Float, faces: Int) -> Float:
-    """Return positions [m], shape (n, 3), for which every vertex has a direction that sees all its faces from outside.
+    """Return positions [m], shape (n, 3), at which every vertex has a direction that is outside of all its faces.
 
-    If the best cosine is below LEAST_VISIBLE, as where a coarse mesh folds over at a finger web, it and its neighbours
-    move half way to the mean of their own neighbours, at most MOST_MOVES times; the other vertices are fixed.
+    If the best cosine of a vertex is below LEAST_VISIBLE, as at folds of a coarse mesh in finger webs, the vertex and
+    its neighbours move half way to the mean of their neighbours, at most MOST_MOVES times. Others are fixed.
     """
     links = adjacency(faces, len(vertices))
     points = vertices.copy()
@@ -109,11 +109,11 @@ def unfolded(vertices: Float, faces: Int) -> Float:
 
 
 def wedge_quality(vertices: Float, faces: Int, inward: Float, depth: Float) -> Float:
-    """Smallest scaled Jacobian of each extruded wedge, shape (m,): 1 is best, above 0 there is no fold.
+    """Return the smallest scaled Jacobian of each extruded wedge, shape (m,): 1 is best, above 0 there is no fold.
 
-    Down the edge at a corner the Jacobian is quadratic; its three Bernstein coefficients (top, mixed, bottom) bound it
-    (Johnen et al. 2013, doi 10.1016/j.jcp.2012.08.051). Top and bottom alone miss a wedge that has passed through a
-    point: its bottom is rotated by 180 degrees and its area is positive again.
+    Along the edge at a corner the Jacobian is quadratic and bounded by its three Bernstein coefficients (top, mixed,
+    bottom; Johnen et al. 2013, doi 10.1016/j.jcp.2012.08.051). Top and bottom alone do not detect a wedge that has
+    passed through a point: its bottom is rotated by 180 degrees, and its area is positive again.
     """
     bottom = vertices + depth[:, None] * inward
     quality = np.full(len(faces), np.inf)
@@ -136,7 +136,7 @@ def wedge_quality(vertices: Float, faces: Int, inward: Float, depth: Float) -> F
 
 
 def mesh_report(vertices: Float, faces: Int, area: Float, quality: Float) -> dict[str, float]:
-    """Return numbers on the triangles and wedges of a patch for its report; area: of its parts [m2]."""
+    """Return the report entries on the triangles and wedges of a patch; area: areas of its faces [m2]."""
     return {
         "vertices": float(len(vertices)),
         "triangles": float(len(faces)),
@@ -148,14 +148,14 @@ def mesh_report(vertices: Float, faces: Int, area: Float, quality: Float) -> dic
 
 
 def fit_thickness(vertices: Float, faces: Int, inward: Float, requested: Float, limit: Float) -> tuple[Float, Float]:
-    """Thickness [m], shape (n,), no more than `requested` and `limit`, and the wedges' quality, shape (m,).
+    """Return the thickness [m], shape (n,), at most `requested` and `limit`, and the wedge quality, shape (m,).
 
     The ratio of limit to request is min-filtered over neighbours. At an inverted or poor wedge the thickness is
-    multiplied by 0.9, repeatedly. Around this wedge it rises by at most STEEPEST_RISE of the distance along the
-    surface. A wedge is poor below LEAST_QUALITY. Under a triangle whose own quality is below SOUND_TRIANGLE this limit
-    is proportionally lower.
+    multiplied by 0.9, repeatedly, and around it the thickness rises by at most STEEPEST_RISE of the distance along the
+    surface. A wedge is poor below LEAST_QUALITY; this limit is proportionally lower for triangles with a quality below
+    SOUND_TRIANGLE.
 
-    Raises SceneError with the place if no thickness above 5 % of the requested one gives sound wedges.
+    Raises SceneError with the position if wedges are poor even at 5 % of the requested thickness.
     """
     edges, length = edge_lengths(vertices, faces)
     flat = wedge_quality(vertices, faces, inward, np.zeros(len(vertices)))
@@ -180,8 +180,7 @@ def fit_thickness(vertices: Float, faces: Int, inward: Float, requested: Float, 
 
 
 def layer_volume(vertices: Float, faces: Int, inward: Float, depth: Float) -> float:
-    """Return the volume of the wedges [m3]; each is cut into three tetrahedra by its vertices' numbers, and folded
-    parts are negative."""
+    """Return the volume of the wedges [m3], each of three tetrahedra; folded parts are negative."""
     order = np.argsort(faces, axis=1)
     odd = (order[:, [0, 1]] > order[:, [1, 2]]).sum(axis=1) + (order[:, 0] > order[:, 2])
     ordered = np.take_along_axis(faces, order, axis=1)
@@ -196,12 +195,12 @@ def layer_volume(vertices: Float, faces: Int, inward: Float, depth: Float) -> fl
 
 
 def curvature_integrals(vertices: Float, faces: Int) -> tuple[Float, Float]:
-    """Integrals of mean curvature H [m] and of Gaussian curvature K [1] over each face, shape (m,) each.
+    """Return the integrals of mean curvature H [m] and Gaussian curvature K [1] over each face, shape (m,) each.
 
-    H, half the sum of the principal curvatures, is above 0 on a ball. An edge of length l whose faces turn by an angle
-    a carries H of l a / 2, half for each face; a vertex carries the missing part of 2 pi as K, shared by its corners'
-    angles (Steiner's formula for polyhedra; Cohen-Steiner & Morvan 2003, doi 10.1145/777792.777839). Edges and
-    vertices of a rim carry none.
+    H is half the sum of the principal curvatures, positive on a ball. An edge of length l and turning angle a
+    contributes l a / 2 to H, half to each face. A vertex contributes its angle deficit to K, shared by corner angle.
+    Edges and vertices of a rim contribute nothing (Steiner's formula for polyhedra; Cohen-Steiner & Morvan 2003, doi
+    10.1145/777792.777839).
     """
     unit, _ = face_normals(vertices, faces)
     directed = directed_edges(faces)
@@ -227,9 +226,9 @@ def curvature_integrals(vertices: Float, faces: Int) -> tuple[Float, Float]:
 
 
 def thickness_integral(vertices: Float, faces: Int, depth: Float, chosen: Int | None = None) -> float:
-    """Volume that a layer `depth` thick along the inward normals should have [m3].
+    """Return the exact volume of a layer of thickness `depth` along the inward normals [m3].
 
-    Normals carry an area dA at depth s over into (1 - 2 s H + s^2 K) dA, so a layer t thick has
+    At depth s an area dA becomes (1 - 2 s H + s^2 K) dA, so a layer of thickness t has the volume
     dV = (t - t^2 H + t^3 K / 3) dA, with the curvatures of `curvature_integrals`.
 
     chosen: numbers of the faces that carry the layer, default all
@@ -238,14 +237,14 @@ def thickness_integral(vertices: Float, faces: Int, depth: Float, chosen: Int | 
     area = face_normals(vertices, faces)[1]
     use = slice(None) if chosen is None else chosen
     t = depth[faces[use]]
-    # Means of t, t^2 and t^3 over a triangle on which t is linear.
+    # Means of t, t^2 and t^3 over a triangle with linear t
     s1, s2, s3 = t.sum(axis=1), (t**2).sum(axis=1), (t**3).sum(axis=1)
     one, two, three = s1 / 3.0, (s1**2 + s2) / 12.0, (s1**3 + 3.0 * s1 * s2 + 2.0 * s3) / 60.0
     return float((area[use] * one - mean[use] * two + gauss[use] * three / 3.0).sum())
 
 
 def _least_cosine(direction: Float, faces: Int, unit: Float) -> Float:
-    """Smallest cosine of each vertex's direction to the normals of the faces around it, shape (n,)."""
+    """Return the smallest cosine of each vertex's direction to the normals of the faces around it, shape (n,)."""
     worst = np.full(len(direction), np.inf)
     np.minimum.at(worst, faces.ravel(), np.einsum("ijk,ik->ij", direction[faces], unit).ravel())
     return worst
@@ -258,7 +257,7 @@ def _neighbour_min(values: Float, faces: Int) -> Float:
 
 
 def _rising_gently(values: Float, edges: Int, rise: Float) -> Float:
-    """Return the largest values not above the given ones that differ by at most `rise` along each edge."""
+    """Return the largest values that are at most `values` and differ by at most `rise` along each edge."""
     while True:
         out = values.copy()
         np.minimum.at(out, edges[:, 0], values[edges[:, 1]] + rise)

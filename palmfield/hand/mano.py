@@ -1,4 +1,4 @@
-"""Read a MANO model file by an unpickler that cannot run code named in the file."""
+"""Read a MANO model file with an unpickler that cannot run code named in the file."""
 
 import pickle
 from pathlib import Path
@@ -11,7 +11,7 @@ from palmfield.errors import SceneError, reason_of
 from palmfield.hand.rigged import Joints, SkinRig
 from palmfield.types import Float, Int
 
-# Romero et al. 2017, "Embodied Hands": 16 joints in this order.
+# Order of the 16 joints: Romero et al. 2017, "Embodied Hands".
 JOINT_NAMES = (
     "wrist",
     *(f"{digit}_{i}" for digit in ("index", "middle", "little", "ring", "thumb") for i in (1, 2, 3)),
@@ -20,23 +20,23 @@ NEEDED = ("v_template", "f", "weights", "kintree_table")
 
 
 class Record:
-    """Replaces an object of a foreign class: keeps its stored data and does nothing."""
+    """Stored data of an object of a foreign class, without its code."""
 
 
 class SparseRecord(Record):
-    """Replaces a sparse matrix or array of SciPy's; those stored in another form have records of their own."""
+    """Stored data of a SciPy sparse matrix or array; row and coordinate forms have their own classes."""
 
     made = sparse.csc_array
 
 
 class RowRecord(SparseRecord):
-    """Replaces a csr_matrix or csr_array."""
+    """Stored data of a csr_matrix or csr_array."""
 
     made = sparse.csr_array
 
 
 class PlacesRecord(SparseRecord):
-    """Replaces a coo_matrix or coo_array."""
+    """Stored data of a coo_matrix or coo_array."""
 
     made = sparse.coo_array
 
@@ -44,15 +44,15 @@ class PlacesRecord(SparseRecord):
 def read_mano(file: Path) -> tuple[Float, Int, SkinRig]:
     """Read template vertices [m], shape (n, 3), faces and rig (16 joints) of a MANO .pkl file.
 
-    Raises SceneError for a file that is no such pickle, that names anything but arrays of NumPy and Chumpy and sparse
-    ones of SciPy (each refused by name before it is loaded), or that lacks a part.
+    Raises SceneError for another file, for a missing part, and for classes other than arrays of NumPy, Chumpy and SciPy
+    (refused by name before they are loaded).
     """
     try:
         with file.open("rb") as stream:
             model = _Unpickler(stream, encoding="latin1").load()
     except SceneError:
         raise
-    # A damaged pickle causes nearly any exception of the unpickler and of NumPy.
+    # A damaged pickle causes many kinds of exceptions in the unpickler and NumPy
     except Exception as error:
         reason = reason_of(error, 120)
         raise SceneError(f"mesh {file} cannot be read as a MANO pickle ({reason}); download it again") from error
@@ -85,14 +85,14 @@ def _model(model: dict[str, Any]) -> tuple[Float, Int, SkinRig]:
         raise ValueError("weights must be positive")
     rest = np.tile(np.eye(4), (number, 1, 1))
     rest[:, :3, 3] = positions
-    # The root's parent is -1 written as an unsigned number.
+    # The parent of the root is -1, stored as an unsigned number
     parents[(parents < 0) | (parents >= number)] = -1
     names = JOINT_NAMES if number == len(JOINT_NAMES) else tuple(f"joint_{i}" for i in range(number))
     return vertices, faces, SkinRig(Joints(names, parents.astype(np.int32), rest), sparse.csr_array(weights))
 
 
 def _array(value: Any) -> np.ndarray:
-    """Plain array from an array, a sparse matrix or Chumpy data: an array `x`, or a selection `idxs` of `a`."""
+    """Return a plain array from an array, a sparse matrix or Chumpy data (array `x`, or selection `idxs` of `a`)."""
     if isinstance(value, SparseRecord):
         parts = vars(value)
         shape = parts.get("_shape", parts.get("shape"))
@@ -100,7 +100,7 @@ def _array(value: Any) -> np.ndarray:
             places = parts["coords"] if "coords" in parts else (parts["row"], parts["col"])
             return value.made((parts["data"], places), shape=shape).toarray()
         matrix = value.made((parts["data"], parts["indices"], parts["indptr"]), shape=shape)
-        matrix.check_format(full_check=True)  # SciPy would write to any index without a check
+        matrix.check_format(full_check=True)  # without it, SciPy would write to any index
         return matrix.toarray()
     if isinstance(value, Record):
         parts = vars(value)

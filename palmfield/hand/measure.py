@@ -1,4 +1,4 @@
-"""Measures of a hand's mesh, as by a tape measure."""
+"""Lengths and circumferences of a hand mesh, as measured with a tape."""
 
 import numpy as np
 import trimesh
@@ -11,16 +11,15 @@ from palmfield.hand.surface import HandSurface
 from palmfield.types import Float
 
 SAME_m = 1e-7
-"""Ends of a cut's pieces closer than this are one."""
+"""Ends of pieces of a section that are closer than this are joined."""
 
 
 def measures(hand: HandSurface) -> dict[str, float]:
-    """Lengths [m] by name, as ANSUR II takes them (Gordon et al. 2014).
+    """Return lengths [m] by name, defined as in ANSUR II (Gordon et al. 2014).
 
-    length: wrist crease to the tip of the middle finger; breadth: across the hand at the heads of the metacarpals of
-    index and little finger; hand_circumference: of a tape around these, thumb aside; wrist_circumference: around the
-    wrist
-    Raises SceneError if a tape finds no closed line.
+    length: wrist crease to the tip of the middle finger; breadth: across the hand at the metacarpal heads of index and
+    little finger; hand_circumference: around these heads without the thumb; wrist_circumference: around the wrist
+    Raises SceneError if a section is not closed.
     """
     vertices, faces, marks = hand.surface.vertices, hand.surface.faces, hand.landmarks
     index, little = marks["index_knuckle"], marks["little_knuckle"]
@@ -37,7 +36,7 @@ def measures(hand: HandSurface) -> dict[str, float]:
 
 
 def tape(hand: HandSurface, point: Float, normal: Float) -> float:
-    """Length [m] of a tight tape in a plane around the part of the hand that contains the point: it bridges hollows."""
+    """Return the length of a tight tape [m] in a plane around the part of the hand at the point; it bridges hollows."""
     mesh = trimesh.Trimesh(hand.surface.vertices, hand.surface.faces, process=False)
     cut = trimesh.intersections.mesh_plane(mesh, normal, point)
     helper = np.eye(3)[int(np.argmin(np.abs(normal)))]
@@ -50,7 +49,7 @@ def tape(hand: HandSurface, point: Float, normal: Float) -> float:
     graph = sparse.coo_array((np.ones(len(links)), links.T), shape=(count, count))
     label = sparse.csgraph.connected_components(graph, directed=False)[1][links[:, 0]]
     hulls = [ConvexHull(ends.reshape(-1, 2, 2)[label == part].reshape(-1, 2)) for part in np.unique(label)]
-    # An offset below 0 on all sides: the point lies inside
+    # The point is inside a hull if the offsets of all sides are below 0
     around = [hull for hull in hulls if hull.equations[:, 2].max() < 0.0]
     if not around:
         place = ", ".join(f"{1e3 * c:.1f}" for c in point)
@@ -58,5 +57,5 @@ def tape(hand: HandSurface, point: Float, normal: Float) -> float:
             f"hand: the section around ({place}) mm with normal {normal.round(2).tolist()} is not "
             "closed; close the mesh there"
         )
-    # In a plane a hull's "area" is its perimeter
+    # The "area" of a hull in the plane is its perimeter
     return float(min(hull.area for hull in around))

@@ -1,4 +1,4 @@
-"""Read a user's mesh of a hand from its file, and repair or refuse it before any computation."""
+"""Read a user's hand mesh from a file, and repair or refuse it before any computation."""
 
 import io
 import re
@@ -31,8 +31,8 @@ MOST_FACES, ENOUGH_FACES = 1_000_000, 50_000
 class Examined:
     """A mesh after repair, in metres; it may be used if no finding is refused.
 
-    vertices: shape (n, 3); faces: shape (m, 3); unit: of the file's numbers; findings: places in metres;
-    rig: with weights at these vertices and joints in metres, or None; file_vertices, file_faces: numbers in the file
+    vertices: shape (n, 3); faces: shape (m, 3); unit: unit of the file; findings: with places in metres;
+    rig: weights at these vertices and joints in metres, or None; file_vertices, file_faces: counts in the file
     """
 
     vertices: Float
@@ -47,21 +47,21 @@ class Examined:
 def load_mesh(path: str | Path, unit: str) -> Surface:
     """Read a closed surface from an OBJ, PLY, STL, glTF, GLB or MANO .pkl file, in metres, with outward normals.
 
-    unit: of the file: "m", "dm", "cm", "mm" or "in"; "auto" takes metres for glTF and MANO, and otherwise the only unit
-    in which a mesh with five fingertips has the size of a hand or forearm
+    unit: unit of the file, "m", "dm", "cm", "mm" or "in"; "auto" is metres for glTF and MANO, and otherwise the only
+    unit in which a mesh with five fingertips has the size of a hand or forearm
     Faults are repaired as in `palmfield.hand.repair.repair`.
 
-    Raises SceneError for an unknown unit or format; a file that is missing, unreadable or empty; and for a mesh that
-    cannot be repaired: no size, coordinates that are not finite, holes, several bodies, or not 20 to 600 mm long.
+    Raises SceneError for an unknown unit or format; for a file that is missing, unreadable or empty; and for a mesh
+    that cannot be repaired: without size, not finite, with holes, with several bodies, or not 20 to 600 mm long.
     """
     return _surface(_accepted(path, unit))
 
 
 def load_rigged(path: str | Path, unit: str = "auto", longest_edge_m: float | None = None) -> RiggedMesh:
-    """Closed surface with joints and weights from a glTF, GLB or MANO .pkl file; as `load_mesh` otherwise.
+    """Read a closed surface with joints and weights from a glTF, GLB or MANO .pkl file; otherwise as `load_mesh`.
 
-    Edges longer than longest_edge_m [m] are halved, weights with them.
-    Raises SceneError as well for a file without joints.
+    Edges longer than longest_edge_m [m] are halved, and weights are interpolated.
+    Raises SceneError as `load_mesh`, and for a file without joints.
     """
     examined = _accepted(path, unit, longest_edge_m)
     if examined.rig is None:
@@ -74,7 +74,7 @@ def examine(path: str | Path, unit: str = "auto", longest_edge_m: float | None =
     """Read and repair a mesh, and report the findings; edges longer than longest_edge_m [m] are halved.
 
     Raises SceneError if there is no usable mesh: unknown unit or format, a missing, unreadable or empty file, more than
-    MOST_FACES faces, a size that no hand has.
+    MOST_FACES faces, or a size outside that of hands.
     """
     file = Path(path)
     vertices, faces, by_format, rig = _read(file)
@@ -83,7 +83,7 @@ def examine(path: str | Path, unit: str = "auto", longest_edge_m: float | None =
     if extent == 0.0:
         raise SceneError(f"mesh {file}: all {len(vertices)} vertices lie in one point; export it again")
     mended = repair(vertices, faces)
-    # Without dropped parts: a fragment at a fingertip does not count for the length of the hand
+    # After dropping parts, because a separate fragment would change the length of the hand
     used = mended.vertices[np.unique(mended.faces)] if len(mended.faces) else finite
     length, breadth, _ = np.ptp(used @ plane_axes(used).T, axis=0)
     tips = DIGITS
@@ -110,7 +110,7 @@ def examine(path: str | Path, unit: str = "auto", longest_edge_m: float | None =
 
 
 def _in_a_tree(rig: SkinRig, mended: Repair) -> SkinRig:
-    """Return the rig with joints of a flat list in a tree, which is noted."""
+    """Return the rig with its joints in a tree; a change is added to the findings."""
     rig, moved, how = joined(rig, mended.vertices, way_from_wrist(mended.vertices, mended.faces))
     places, children = (
         rig.joints.rest[moved, :3, 3],
@@ -144,7 +144,7 @@ def _surface(examined: Examined) -> Surface:
 
 
 def _read(file: Path) -> tuple[Float, Int, str | None, SkinRig | None]:
-    """Read vertices, faces, the unit that the format prescribes, and the rig."""
+    """Read vertices, faces, the unit that the format defines, and the rig."""
     suffix = file.suffix.lower()
     if suffix not in SUFFIXES:
         raise SceneError(
@@ -186,19 +186,19 @@ def _check_count(file: Path, count: int) -> None:
 
 
 def announced_faces(file: Path) -> int:
-    """Declared or estimated number of faces of a file, without reading them; 0 if only its reader can count."""
+    """Return the declared or estimated number of faces of a file without reading them; 0 if only the reader counts."""
     suffix, size = file.suffix.lower(), file.stat().st_size
     with file.open("rb") as stream:
         head = stream.read(4096)
         if suffix == ".ply":
-            found = re.search(rb"element face (\d+)", head)
-            return int(found[1]) if found else 0
+            match = re.search(rb"element face (\d+)", head)
+            return int(match[1]) if match else 0
         if suffix == ".stl" and len(head) >= 84:
             count = int.from_bytes(head[80:84], "little")
             if size == 84 + 50 * count:
                 return count
         if suffix in (".stl", ".obj"):
-            # A line a face; blocks are cut at any byte, so that a few faces in a million may be missed.
+            # One line per face; blocks end at any byte, so a few faces in a million may be missed
             mark = b"endfacet" if suffix == ".stl" else b"\nf "
             stream.seek(0)
             return sum(block.count(mark) for block in iter(partial(stream.read, 1 << 24), b""))
@@ -208,11 +208,11 @@ def announced_faces(file: Path) -> int:
 def _read_plain(file: Path) -> tuple[Float, Int]:
     try:
         mesh = trimesh.load_mesh(io.BytesIO(read_bytes(file)), file_type=file.suffix[1:].lower(), process=False)
-    # trimesh passes on every kind of exception of its parsers (ValueError, IndexError, struct.error, ...).
+    # The parsers of trimesh raise many kinds of exceptions (ValueError, IndexError, struct.error, ...).
     except Exception as error:
         reason = reason_of(error, 120)
         if isinstance(error, ImportError):
-            # trimesh uses another package to guess the encoding of an unknown text
+            # trimesh guesses the encoding of other texts by a package that may be missing
             reason = f"it is not a {file.suffix[1:].upper()} file, or its text is not UTF-8"
         raise SceneError(f"mesh {file} cannot be read ({reason}); export it again") from error
     vertices = np.asarray(getattr(mesh, "vertices", np.zeros((0, 3))), dtype=np.float64)

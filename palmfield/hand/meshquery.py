@@ -1,4 +1,4 @@
-"""Point and ray queries on triangle meshes: Warp finds the face, double precision gives the answer on it."""
+"""Point and ray queries on triangle meshes: Warp finds the face, the position on it is in double precision."""
 
 import numpy as np
 import warp as wp
@@ -11,7 +11,7 @@ GRAZING_COSINE = 0.05
 
 
 def build_mesh(vertices: Float, faces: Int) -> wp.Mesh:
-    """Bounding volume hierarchy of a mesh, on the CPU."""
+    """Build the bounding volume hierarchy of a mesh, on the CPU."""
     return wp.Mesh(
         wp.array(vertices.astype(np.float32), dtype=wp.vec3, device=resolve("cpu")),
         wp.array(faces.astype(np.int32).ravel(), dtype=wp.int32, device="cpu"),
@@ -19,7 +19,7 @@ def build_mesh(vertices: Float, faces: Int) -> wp.Mesh:
 
 
 def closest_faces(mesh: wp.Mesh, points: Float, reach_m: float) -> Int:
-    """Nearest face of each point, shape (n,); -1 where none lies within `reach_m`."""
+    """Return the nearest face of each point, shape (n,); -1 if none is within `reach_m`."""
     out = wp.empty(len(points), dtype=wp.int32, device="cpu")
     at: wp.array = wp.array(points.astype(np.float32), dtype=wp.vec3, device="cpu")
     wp.launch(kernels.closest_face, dim=len(points), inputs=[mesh.id, at, reach_m], outputs=[out], device="cpu")
@@ -27,7 +27,7 @@ def closest_faces(mesh: wp.Mesh, points: Float, reach_m: float) -> Int:
 
 
 def barycentric(corners: Float, points: Float) -> Float:
-    """Weights of the corners at the foot of each point, clipped to the triangle; corners (n, 3, d) -> (n, 3)."""
+    """Return corner weights at the projection of each point, clipped to the triangle; corners (n, 3, d) -> (n, 3)."""
     a, u, v = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     w = points - a
     uu, uv, vv = (np.einsum("ij,ij->i", *pair) for pair in ((u, u), (u, v), (v, v)))
@@ -39,10 +39,10 @@ def barycentric(corners: Float, points: Float) -> Float:
 
 
 def over_plane(plane: Float, faces: Int, places: Float) -> tuple[Int, Float]:
-    """Return corners of the triangle over each place of a plane, shape (n, 3), and their weights there, shape (n, 3).
+    """Return the corners of the triangle over each point of a plane and their weights, both of shape (n, 3).
 
-    plane: positions of the vertices in that plane [m], shape (v, 2); places: shape (n, 2)
-    A place outside all triangles gets the nearest one.
+    plane: positions of the vertices in the plane [m], shape (v, 2); places: points of the plane, shape (n, 2)
+    A point outside all triangles gets the nearest triangle.
     """
     flat, queries = (np.column_stack([xy, np.zeros(len(xy))]) for xy in (plane, places))
     reach = 4.0 * float(np.abs(flat).max() + np.abs(queries).max()) + 1e-6
@@ -51,7 +51,7 @@ def over_plane(plane: Float, faces: Int, places: Float) -> tuple[Int, Float]:
 
 
 def exit_distances(vertices: Float, faces: Int, origins: Float, directions: Float, reach_m: float) -> Float:
-    """Distance along unit `directions` to where each ray leaves the closed mesh [m], shape (n,); inf if it does not."""
+    """Return the distance along unit `directions` at which each ray leaves a closed mesh [m], shape (n,), or inf."""
     mesh = build_mesh(vertices, faces)
     out = wp.empty(len(origins), dtype=wp.int32, device="cpu")
     at: wp.array = wp.array(origins.astype(np.float32), dtype=wp.vec3, device="cpu")

@@ -12,26 +12,26 @@ from palmfield.hand.surface import centred_skeleton, hand_surface
 from palmfield.hand.visual_skin import EDGE_m, SkinBone, add_skin
 from palmfield.types import Float
 
-# 50 mN moves the hand by 0.05 / 2000 m = 25 um.
+# A force of 50 mN moves the hand by 0.05 / 2000 m = 25 um.
 STIFFNESS_N_m = 2000.0
 DENSITY_kg_m3 = 1100.0
 HEIGHT_m = 0.2
-# Smooth unions enlarge the palm by up to a quarter of their radius of 11 mm; plain geoms have no unions.
+# Smooth unions of the skin enlarge the palm by up to a quarter of their radius (11 mm); geoms have no unions.
 PALM_SWELL_m = 0.002
 PARTS_OF_ONE_MASS = ("forearm", "carpus", "palm_body")
 DIGITS_IN_FILE = 6
 _text = partial(numbers_text, digits=DIGITS_IN_FILE)
 VIEW_GROUP = "3"
-"""Group of geoms and sites that viewers hide by default: the skin is shown in their place."""
+"""Group of geoms and sites that viewers hide by default and replace by the skin."""
 
 
 def hand_mjcf(preset: HandPreset) -> str:
     """Return MJCF text with one body `hand`, in the hand frame, for `<include file=.../>` or to open directly.
 
-    Viewers show its skin, of triangles of 4 mm; geoms and sites are in group 3. Geoms are capsules on bones with the
-    skin's mean radius (the palm's body: ellipsoids), without contacts. MuJoCo computes mass and inertia from them at
-    1100 kg/m3; parts inside others have no mass. Slide joints hand_x, hand_y, hand_z carry position servos of the same
-    names (2 kN/m, critically damped); gravity is compensated.
+    Viewers show the skin, of triangles of 4 mm; geoms and sites are in group 3. Geoms are capsules on the bones with
+    the mean radius of the skin (ellipsoids for the palm), without contacts. MuJoCo computes mass and inertia from them
+    at 1100 kg/m3; parts inside others have no mass. Slide joints hand_x, hand_y, hand_z have position servos of the
+    same names (2 kN/m, critically damped). Gravity is compensated.
     """
     skeleton = centred_skeleton(preset)
     root = ET.Element("mujoco", model=preset.name)
@@ -58,9 +58,9 @@ def hand_mjcf(preset: HandPreset) -> str:
 
 
 def skin_geom(segment: SkinSegment, origin: Float, digits: int, touches: bool) -> dict[str, str]:
-    """Return attributes of the geom for a part of the skin, in a frame at `origin` [m], shape (3,).
+    """Return the attributes of the geom for a part of the skin, in a frame at `origin` [m], shape (3,).
 
-    A capsule, or an ellipsoid for the palm's body. `digits`: as `numbers_text`; touches: whether it has contacts
+    The geom is a capsule, or an ellipsoid for the palm. digits: as for `numbers_text`; touches: whether it has contacts
     """
     semi = 0.5 * (segment.semi_start + segment.semi_end) + (0.0 if segment.group else PALM_SWELL_m)
     # The axis of the skin is nearer to the back; the capsule is centred between back and palmar side.

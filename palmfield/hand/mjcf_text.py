@@ -11,11 +11,11 @@ SKIN_RGBA = "0.87 0.68 0.58 1"
 
 
 def numbers_text(numbers: Float | Sequence[float], digits: int) -> str:
-    """Return numbers as in MJCF, rounded to this number of decimals."""
+    """Return numbers as MJCF text, rounded to `digits` decimals."""
     return " ".join(f"{number + 0.0:.{digits}g}" for number in np.round(numbers, digits))
 
 
 def file_text(root: ET.Element, note: str) -> str:
-    """Return the text of a file, indented, with a note in its first line."""
+    """Return the indented text of a file with a note in the first line."""
     ET.indent(root)
     return f"<!-- {note} -->\n{ET.tostring(root, encoding='unicode')}\n"

@@ -1,4 +1,4 @@
-"""Cut the simulated patch of skin out of a closed surface: remeshed to given edge lengths, with sound thickness."""
+"""Cut the simulated patch of skin out of a closed surface, remesh it to given edge lengths, and fit its thickness."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,7 +14,7 @@ from palmfield.types import Float, Patch, Surface
 
 CENTRE_TOLERANCE_m = 0.005
 MADE = ("vertices", "faces", "inward", "depth", "rim")
-"""The arrays of a patch that `palmfield.cache` keeps."""
+"""Arrays of a patch in the cache."""
 
 
 def surface_patch(
@@ -32,24 +32,24 @@ def surface_patch(
     max_fraction: float = 0.45,
     fine_at: ArrayLike | None = None,
 ) -> Patch:
-    """Patch of a closed surface around `centre`, with a graded triangulation of its own and a layer under it.
+    """Return the patch of a closed surface around `centre`, with a new graded triangulation and a layer under it.
 
-    The patch is a height field over the plane across `facing`: it takes what is connected to the centre, within
-    `radius_m` in that plane, and no steeper than 75 degrees to it. If the region ends before the radius, the rim
-    follows its end; spikes and necks narrower than 1.5 `coarse_m` are cut off. Positions lie on the given triangles.
+    The patch is a height field over the plane normal to `facing`. It contains the faces that are connected to the
+    centre, within `radius_m` in that plane, and inclined by at most 75 degrees to it. If they end before the radius,
+    the rim is their boundary, without spikes and necks narrower than 1.5 `coarse_m`. Vertices are on the surface.
 
     surface: closed mesh [m]; depth: skin thickness at its vertices [m], shape (n,), or one number
     centre: [m], shape (3,), at most 5 mm off the surface; moved to the nearest point of the surface
     fine_m, coarse_m: edge lengths within `fine_radius_m` and at the radius [m]; linear between
-    fine_at: place of the fine edges [m], shape (3,), seen along `facing`; default the centre
+    fine_at: centre of the fine edges [m], shape (3,), projected along `facing`; default the centre
     max_depth_m: largest thickness [m]
-    axis: passed on to the patch; facing: outward direction, shape (3,), default the normal at the centre
-    max_fraction: largest thickness as a share of the distance through the body along the inward direction. 0.45
-        leaves room for a layer on the far side; use 1 if the far side is the rigid base itself.
+    axis: stored in the patch; facing: outward direction, shape (3,), default the normal at the centre
+    max_fraction: largest thickness as a share of the distance through the body along the inward direction. Use 0.45 to
+        leave room for a layer on the far side, and 1 if the far side is the rigid base.
 
     Patch.report: vertices, triangles, area_m2, angle_min_deg, edge_mean_m, quality_min (scaled Jacobian of the wedges),
-    share_thinned (of vertices, by more than 0.1 %), depth_asked_{min,p10,mean}_m, depth_got_{min,p10,mean}_m, through_m
-    (the way through the body along the inward directions, the median).
+    share_thinned (share of vertices thinned by more than 0.1 %), depth_asked_{min,p10,mean}_m,
+    depth_got_{min,p10,mean}_m, through_m (median distance through the body along the inward directions).
 
     Raises SceneError for numbers out of range, a centre off the surface or facing away, and a layer that folds.
     """
@@ -74,7 +74,7 @@ def _made(
     facing: Float | None,
     fine_at: Float | None,
 ) -> cache.Arrays:
-    """The arrays of `surface_patch`, by the names MADE, and its report."""
+    """Return the arrays of `surface_patch` by the names MADE, and the report."""
     radius_m, fine_m, coarse_m, fine_radius_m, max_depth_m, max_fraction = lengths
     origin, seed = _closest(surface, middle)
     outward = _outward(surface, seed, origin) if facing is None else facing
@@ -133,7 +133,7 @@ def _check_numbers(
 
 
 def _closest(surface: Surface, centre: Float) -> tuple[Float, int]:
-    """Nearest point of the surface and its face."""
+    """Return the nearest point of the surface and its face."""
     mesh = build_mesh(surface.vertices, surface.faces)
     reach = float(np.linalg.norm(surface.vertices - centre, axis=1).min()) * 1.01 + 1e-6
     face = int(closest_faces(mesh, centre[None], reach)[0])
@@ -163,7 +163,7 @@ def _unit_vector(vector: ArrayLike, name: str) -> Float:
 
 
 def _lift(region: Region, plane: Float, thickness: Float) -> tuple[Float, Float]:
-    """Positions on the surface under points of the plane, and the depth there."""
+    """Return positions on the surface under points of the plane, and the depths there."""
     corners, weights = over_plane(region.shadow, region.faces, plane)
     lifted = np.einsum("ij,ijk->ik", weights, region.vertices[corners])
     return lifted, np.einsum("ij,ij->i", weights, thickness[region.index][corners])

@@ -1,4 +1,4 @@
-"""Points and faces of a skin moved by its bones, for each step of a simulation."""
+"""Points and faces of a skin that is moved by bones, for each step of a simulation."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -18,14 +18,14 @@ from palmfield.hand.triangles import FaceSamples
 from palmfield.types import Float, Int
 
 REACH_M = 0.05
-"""Largest distance of a point of the skin from the resting skin."""
+"""Largest distance of a bound point from the skin at rest."""
 
 
 @dataclass(frozen=True)
 class SkinBinding:
-    """Points of a resting skin with the bones that carry them.
+    """Points of a skin at rest with the bones that carry them.
 
-    bones: numbers, shape (n, 4); shares: of each, shape (n, 4), rows of sum 1; count: number of bones of the skin
+    bones: bone numbers, shape (n, 4); shares: their weights, shape (n, 4), rows of sum 1; count: bones of the skin
     """
 
     bones: Int
@@ -34,9 +34,9 @@ class SkinBinding:
 
     @staticmethod
     def to(hand: SkinnedSurface, points: Float) -> "SkinBinding":
-        """Bind points on or near the resting hand's skin [m], shape (n, 3), to the face nearest to each.
+        """Bind points on or near the skin at rest [m], shape (n, 3), each to the nearest face.
 
-        Raises SceneError for a point that is farther than REACH_M from the skin.
+        Raises SceneError for a point farther than REACH_M from the skin.
         """
         surface = hand.surface
         face = closest_faces(build_mesh(surface.vertices, surface.faces), points, REACH_M)
@@ -53,7 +53,7 @@ class SkinBinding:
 
     @cached_property
     def weights(self) -> Float:
-        """Share of every bone in every point, by bone, shape (count, n)."""
+        """Return the weight of each bone at each point, shape (count, n)."""
         result = np.zeros((self.count, len(self.bones)))
         np.add.at(result, (self.bones, np.arange(len(self.bones))[:, None]), self.shares)
         return result
@@ -61,18 +61,18 @@ class SkinBinding:
     def blend(
         self, hand: SkinnedSurface, bone_positions: Float, bone_rotations: Float, points: Float, normals: Float
     ) -> tuple[Float, Float]:
-        """Return present points of the skin [m] and their unit normals, both of shape (n, 3).
+        """Return the posed points of the skin [m] and their unit normals, both of shape (n, 3).
 
-        Linear blend skinning in float64, for points; `SkinnedSurface.posed` computes the whole skin by a kernel.
+        Linear blend skinning in float64 for the bound points; `SkinnedSurface.posed` computes the whole skin.
 
-        bone_positions: of the bones' frames [m], shape (b, 3); bone_rotations: shape (b, 3, 3), in any common frame
-        points, normals: at rest, in the order of the binding, both of shape (n, 3)
+        bone_positions: origins of the bones' frames [m], shape (b, 3); bone_rotations: shape (b, 3, 3), in any frame
+        points, normals: points and normals at rest, in the order of the binding, both of shape (n, 3)
         """
         count = len(hand.origins)
         motions = np.empty((12, count))
         motions[:9] = bone_rotations.reshape(count, 9).T
         motions[9:] = bone_shifts(hand.origins, bone_positions, bone_rotations).T
-        # Points along the rows: a matrix product blends all bones, and the rest runs over long rows
+        # Points are along the rows: one matrix product blends all bones, and later operations use long rows
         of_points = motions @ self.weights
         turns = of_points[:9].reshape(3, 3, -1)
         moved, turned = np.empty(points.shape), np.empty(normals.shape)
@@ -83,11 +83,9 @@ class SkinBinding:
 
 
 class FaceSampler:
-    """`face_samples` of one mesh whose vertices move, in fixed buffers, in float64.
+    """Computes `face_samples` of a mesh with moving vertices in fixed buffers, in float64; not thread-safe.
 
-    It belongs to one simulation's state and is used by one thread at a time.
-
-    faces: shape (m, 3); count: of vertices; device: "auto", "cpu" or "cuda:N"
+    faces: shape (m, 3); count: number of vertices; device: "auto", "cpu" or "cuda:N"
     """
 
     def __init__(self, faces: Int, count: int, device: str = "cpu") -> None:
@@ -101,7 +99,7 @@ class FaceSampler:
         self._samples = FaceSamples(*(result.host for result in self._results))
 
     def at(self, vertices: Float) -> FaceSamples:
-        """The faces with the vertices there [m], shape (count, 3): views of buffers that the next call overwrites."""
+        """Return the samples for vertices [m], shape (count, 3), as views of buffers that the next call overwrites."""
         self._vertices.put(vertices)
         self._sample()
         if self._device != "cpu":

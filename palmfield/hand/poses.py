@@ -18,20 +18,20 @@ from palmfield.types import Float, Int, Surface
 POSE_NAMES = ("flat", "relaxed", "splay", "point", "pinch")
 SPLAY_deg = {"index_mcp_abduction": 10.0, "ring_mcp_abduction": 7.0, "little_mcp_abduction": 12.0}
 CURL_deg = {"mcp_flexion": 48.0, "pip_flexion": 75.0, "dip_flexion": 25.0}
-"""Flexion of fingers that do not point: the largest without self-intersection of the palm's skin at the knuckles."""
+"""Flexion of curled fingers: the largest without self-intersection of the palmar skin at the knuckles."""
 PINCH_GAP_m = 0.002
-"""Gap between the pulps of thumb and index finger: skins in contact would intersect."""
+"""Gap between the pulps of thumb and index finger, because skins in contact would intersect."""
 REPAIR_ROUNDS = 40
 MOST_REPAIR_m = 0.005
 
 
 def named_pose(hand: ArticulatedHand, name: str) -> dict[str, float]:
-    """Return angles of every joint [deg] for one of POSE_NAMES.
+    """Return the angles of all joints [deg] for one of POSE_NAMES.
 
-    flat: straight fingers; relaxed: the preset's own pose; splay: flat with fingers spread; point: the index finger
-    straight, the others curled; pinch: pulps of thumb and index finger towards each other, about PINCH_GAP_m apart. No
-    preset's skin crosses itself in any of them, except the large ones' webs in `point`, which can be repaired.
-    Raises SceneError for an unknown name.
+    flat: straight fingers; relaxed: pose of the preset; splay: flat with fingers spread; point: index finger straight,
+    others curled; pinch: pulps of thumb and index finger opposite at a gap of about PINCH_GAP_m. The skins of the
+    presets do not intersect themselves in these poses, except the webs of large hands in `point`, which can be
+    repaired. Raises SceneError for an unknown name.
     """
     rest = {joint.name: joint.rest_deg for joint in hand.joints}
     flat = dict.fromkeys(rest, 0.0)
@@ -51,7 +51,7 @@ def named_pose(hand: ArticulatedHand, name: str) -> dict[str, float]:
 
 
 def _pinch(hand: ArticulatedHand, rest: dict[str, float]) -> dict[str, float]:
-    """Find angles that bring the pulps together with the least bending."""
+    """Return the angles that bring the pulps together with the least bending."""
     moving = [
         n
         for n, joint in enumerate(hand.joints)
@@ -88,18 +88,18 @@ def _pinch(hand: ArticulatedHand, rest: dict[str, float]) -> dict[str, float]:
             for line_a, a in lines["thumb"]
             for line_b, b in lines["index"]
         ]
-        # 1 mm off counts as half a millimetre of overlap, a third of a radian between the pulps, 50 degrees of bending.
+        # An error of 1 mm has the weight of 0.5 mm of overlap, 1/3 rad between the pulps and 50 degrees of bending.
         return np.concatenate(
             [[1e3 * to_index], 2e3 * np.array(overlaps), 3.0 * (out_thumb + out_index), 0.02 * (x - start)]
         )
 
-    # Half-way in is away from the bounds, as the method needs.
+    # The start is in the middle of the ranges, because the method needs a start inside the bounds.
     solution = scipy.optimize.least_squares(misses, 0.7 * start + 0.15 * (low + high), bounds=(low, high)).x
     return rest | {hand.joints[n].name: float(a) for n, a in zip(moving, solution, strict=True)}
 
 
 def _line(hand: ArticulatedHand, bone: int, part: SkinSegment, positions: Float, rotations: Float) -> Float:
-    """Points along the posed axis of a part [m], shape (n, 3)."""
+    """Return points along the posed axis of a part [m], shape (n, 3)."""
     share = np.linspace(0.0, 1.0, 9)[:, None]
     rest = part.start + share * (part.end - part.start) - hand.bones[bone].origin
     return rest @ rotations[bone].T + positions[bone]
@@ -111,10 +111,10 @@ def _nearest(a: Float, b: Float) -> float:
 
 @dataclass(frozen=True)
 class Repair:
-    """Repair of a posed skin that crossed itself.
+    """Report on the repair of a posed skin that intersected itself.
 
-    crossings: pairs of faces that crossed; places: the pairs of parts, with how many; moved: vertices that were moved;
-    largest_m: by how much at most [m]
+    crossings: number of intersecting pairs of faces; places: number of them for each pair of parts
+    moved: number of moved vertices; largest_m: largest displacement [m]
     """
 
     crossings: int
@@ -126,8 +126,8 @@ class Repair:
 def posed_surface(hand: SkinnedHand, angles_deg: Mapping[str, float], repair_m: float = 0.0) -> Surface:
     """Return the skin in a pose, in the frame of the hand at rest; the forearm is fixed.
 
-    Raises SceneError as `checked_angles`, and if the skin crosses itself, naming parts and places, unless moving
-    vertices by no more than `repair_m` [m] there repairs it; `posed_and_repaired` reports the moved vertices.
+    repair_m: largest displacement of vertices [m] to remove self-intersections; `posed_and_repaired` reports it
+    Raises SceneError as `checked_angles`, and with parts and places if the skin still intersects itself.
     """
     return posed_and_repaired(hand, angles_deg, repair_m)[0]
 
@@ -135,7 +135,7 @@ def posed_surface(hand: SkinnedHand, angles_deg: Mapping[str, float], repair_m: 
 def posed_and_repaired(
     hand: SkinnedHand, angles_deg: Mapping[str, float], repair_m: float
 ) -> tuple[Surface, Repair | None]:
-    """As `posed_surface`, with a report of the repair, None if none was needed."""
+    """Return the skin as `posed_surface`, and a report of the repair, None if no repair was needed."""
     if not 0.0 <= repair_m <= MOST_REPAIR_m:
         raise SceneError(
             f"hand pose: repair_m is {repair_m:g}; allowed: 0 to {MOST_REPAIR_m:g} m, because larger values change "
@@ -160,7 +160,7 @@ def posed_and_repaired(
 
 
 def _pushed_apart(surface: Surface, pairs: Int, repair_m: float) -> Float:
-    """Move and smooth vertices about crossing faces inwards, by at most `repair_m`, until none crosses."""
+    """Move vertices around intersecting faces inwards and smooth them, by at most `repair_m`, until none intersect."""
     start = surface.vertices
     links = adjacency(surface.faces, len(start))
     vertices = start.copy()
@@ -182,7 +182,7 @@ def _pushed_apart(surface: Surface, pairs: Int, repair_m: float) -> Float:
 
 
 def _places(hand: SkinnedHand, pairs: Int) -> dict[str, list[int]]:
-    """Numbers of crossing pairs by the parts of the hand that they belong to, the most first."""
+    """Return the numbers of intersecting pairs by parts of the hand, the parts with most pairs first."""
     owner = hand.dominant_bone()[hand.surface.faces[:, 0]]
     names = [bone.name for bone in hand.hand.bones]
     places: dict[str, list[int]] = {}

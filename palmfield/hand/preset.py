@@ -1,4 +1,4 @@
-"""Measures of a hand, read from a TOML file."""
+"""Dimensions of a hand, read from a TOML file."""
 
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -12,7 +12,7 @@ from palmfield.given_files import read_toml
 DIGITS = ("thumb", "index", "middle", "ring", "little")
 Length = Annotated[float, Field(gt=0.0, lt=1.0)]
 LENGTHS_m, BREADTHS_m = (0.12, 0.26), (0.05, 0.12)
-"""Range of a hand's length and breadth for `sized`: children of five to beyond the 99th percentile of men (ANSUR II:
+"""Allowed hand length and breadth for `sized`: from children of five to above the 99th percentile of men (ANSUR II:
 193.3 +- 9.9 and 88.3 +- 4.4 mm)."""
 
 
@@ -23,10 +23,10 @@ class Digit(BaseModel):
     tip_m: soft tip beyond the last bone [m]
     breadth_m: skin breadth at the base of the first phalanx, at each further joint and at the tip [m]
     base_y_m: metacarpal base along y, relative to that of the middle finger [m]
-    arch_m: offset of the knuckle (thumb: the metacarpal base) towards the palm, relative to the middle one [m]
-    spread_deg: direction in the plane of the palm, positive to the little finger's side
+    arch_m: offset of the knuckle (thumb: metacarpal base) towards the palm, relative to the middle finger [m]
+    spread_deg: direction in the plane of the palm, positive to the side of the little finger
     palmar_deg: direction out of that plane, positive to the palmar side
-    twist_deg: rotation about the digit's own axis; positive rotates the nail to the thumb's side
+    twist_deg: rotation about the axis of the digit; positive rotates the nail to the side of the thumb
     flexion_deg: flexion at each joint from the knuckle on
     """
 
@@ -53,7 +53,7 @@ class Digit(BaseModel):
 
 
 class HandPreset(BaseModel):
-    """Measures and pose of a right hand in metres and degrees; a left one is the mirror image.
+    """Dimensions and pose of a right hand in metres and degrees; a left hand is the mirror image.
 
     length_m: wrist crease to the tip of the middle finger; palm_length_m: wrist crease to the base of that finger
     breadth_m: across the knuckles of index and little finger; thickness_m: palm to back at the metacarpals
@@ -86,10 +86,10 @@ def sized(
     palm_length_m: float | None = None,
     wrist_circumference_m: float | None = None,
 ) -> HandPreset:
-    """Return a hand of other measures [m] in the same pose.
+    """Return a hand of other dimensions [m] in the same pose.
 
-    Bones, tips and the palm scale with the length; breadths, the arch, thickness and wrist with the breadth: the two
-    are only weakly correlated between people (0.57 in ANSUR II). A given palm or wrist is not scaled.
+    Bones, tips and palm scale with the length; breadths, arch, thickness and wrist scale with the breadth. Length and
+    breadth of hands are only weakly correlated (0.57 in ANSUR II). Palm and wrist are not scaled if they are passed.
     Raises SceneError for a length outside LENGTHS_m and a breadth outside BREADTHS_m.
     """
     requested = {"length_m": (length_m, LENGTHS_m), "breadth_m": (breadth_m, BREADTHS_m)}
@@ -125,12 +125,12 @@ def sized(
 
 
 def mirrored(preset: HandPreset) -> HandPreset:
-    """The other hand of the same person."""
+    """Return the mirror image of a hand."""
     return preset.model_copy(update={"side": "left" if preset.side == "right" else "right"})
 
 
 class _Resized(BaseModel):
-    """A preset file with another hand's measures; see `sized`."""
+    """A preset file that changes dimensions of another preset; see `sized`."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
     name: str
@@ -143,14 +143,14 @@ class _Resized(BaseModel):
 
 
 def preset_names() -> list[str]:
-    """Names of the presets that ship with palmfield, sorted."""
+    """Return the sorted names of the presets in palmfield."""
     return sorted(path.stem for path in folder("hand_models").glob("*.toml"))
 
 
 def load_preset(name_or_path: str | Path) -> HandPreset:
-    """Load a preset by its name, or from a user's TOML file (a path that ends in .toml).
+    """Load a preset by name, or from a user's TOML file (a path that ends in .toml).
 
-    A file with `based_on` names another preset and contains only different measures, see `sized`.
+    A file with `based_on` names another preset and contains only the dimensions that differ, see `sized`.
     Raises SceneError for an unknown name, a missing or malformed file, and values out of range.
     """
     if str(name_or_path).endswith(".toml"):

@@ -13,16 +13,16 @@ from palmfield.types import Float, Int, Surface
 FACING_COSINE = float(np.cos(np.deg2rad(75.0)))
 LEAST_COSINE = 0.05
 BLOCK = 256
-"""Number of points whose distances to all of an outline are computed together."""
+"""Number of points whose distances to an outline are computed together."""
 
 
 @dataclass(frozen=True)
 class Region:
     """Faces visible along `facing`, with their projection to the plane through `origin`.
 
-    frame: rows are the plane's two axes and the facing direction, shape (3, 3)
-    vertices, faces: the faces kept, unclipped; index: their vertices' numbers in the whole surface
-    shadow: vertices in the plane [m], shape (n, 2)
+    frame: rows are the two axes of the plane and the facing direction, shape (3, 3)
+    vertices, faces: the whole faces; index: numbers of the vertices in the surface
+    shadow: projected vertices [m], shape (n, 2)
     outline: boundary of the facing part, segments in the plane [m], shape (s, 2, 2)
     """
 
@@ -45,16 +45,16 @@ class Shape:
     loops: list[Float]
 
     def at(self, points: Float) -> Float:
-        """Distance by linear interpolation [m], shape (n,)."""
+        """Return the linearly interpolated distance [m], shape (n,)."""
         step = self.x[1] - self.x[0]
         where = (points - self.x[0]) / step
         return scipy.ndimage.map_coordinates(self.distance, where.T[::-1], order=1, mode="nearest")
 
 
 def facing_region(surface: Surface, origin: Float, seed: int, facing: Float, radius_m: float) -> Region:
-    """Faces within `radius_m` of `origin` (across `facing`), connected to face `seed`, no steeper than 75 degrees.
+    """Return the faces within `radius_m` of `origin` (across `facing`), connected to `seed`, up to 75 degrees steep.
 
-    Raises SceneError if the seed itself is steeper.
+    Raises SceneError if the seed face is steeper.
     """
     helper = np.eye(3)[np.argmin(np.abs(facing))]
     right = np.cross(helper, facing)
@@ -83,7 +83,7 @@ def facing_region(surface: Surface, origin: Float, seed: int, facing: Float, rad
 
 
 def _outline(plane: Float, faces: Int, value: Float) -> Float:
-    """Boundary of the part where `value`, linear over each face, is positive; segments, shape (s, 2, 2)."""
+    """Return the boundary of the part where `value`, linear over each face, is positive; segments, shape (s, 2, 2)."""
     segments = []
     signs = value[faces] > 0.0
     for face in faces[signs.any(axis=1) & ~signs.all(axis=1)]:
@@ -106,7 +106,7 @@ def _outline(plane: Float, faces: Int, value: Float) -> Float:
 
 
 def region_distance(region: Region, points: Float) -> Float:
-    """Signed distance to the region's boundary in the plane [m], shape (n,); negative inside."""
+    """Return the signed distance to the boundary of the region in the plane [m], shape (n,); negative inside."""
     circle = np.linalg.norm(points, axis=1) - region.radius_m
     return np.maximum(_outline_distance(region.outline, points), circle)
 
@@ -117,7 +117,7 @@ def _outline_distance(outline: Float, points: Float) -> Float:
     squared = np.maximum(np.einsum("ij,ij->i", along, along), 1e-30)
     slope = along[:, 0] / np.where(along[:, 1] == 0.0, np.inf, along[:, 1])
     out = np.empty(len(points))
-    # Coordinate by coordinate and in blocks that fit a core's own cache
+    # By coordinate and in blocks that fit the cache of a core
     for start in range(0, len(points), BLOCK):
         block = points[start : start + BLOCK]
         right, up = block[:, :1] - a[:, 0], block[:, 1:] - a[:, 1]
@@ -132,10 +132,10 @@ def _outline_distance(outline: Float, points: Float) -> Float:
 
 
 def trace_shape(region: Region, step_m: float, spike_m: float) -> Shape:
-    """Boundary loops of the region, without spikes and necks narrower than 2 `spike_m`.
+    """Return the boundary loops of the region without spikes and necks narrower than 2 `spike_m`.
 
-    The first loop is the outer one, around the origin; others are holes in it. Loop points are on the boundary to
-    within rounding, except at a cut spike.
+    The first loop is the outer one, around the origin; the others are holes. Loop points are on the boundary within
+    rounding, except where a spike was cut.
 
     Raises SceneError if the part around the centre is narrower than 2 `spike_m`.
     """
@@ -151,7 +151,7 @@ def trace_shape(region: Region, step_m: float, spike_m: float) -> Shape:
             f"the facing part of the surface around the patch centre is narrower than {2e3 * spike_m:.1f} mm; move "
             "the centre inward, use a smaller coarse_m, or change `facing`"
         )
-    # An opening (erode, then dilate) by spike_m; the slack of the grid keeps smooth boundaries as they are.
+    # Morphological opening (erode, then dilate) by spike_m; the slack of the grid keeps smooth boundaries unchanged
     opened = step_m * scipy.ndimage.distance_transform_edt(core != home) - spike_m - step_m
     distance = np.maximum(distance, opened)
     from contourpy import contour_generator
@@ -168,7 +168,7 @@ def trace_shape(region: Region, step_m: float, spike_m: float) -> Shape:
 
 
 def _snap(region: Region, opened: Shape, points: Float) -> Float:
-    """Newton steps along the gradient onto the zero level."""
+    """Move points onto the zero level by Newton steps along the gradient."""
     tiny = 1e-7
 
     def level(at: Float) -> Float:
@@ -182,11 +182,11 @@ def _snap(region: Region, opened: Shape, points: Float) -> Float:
 
 
 def loop_area(loop: Float) -> float:
-    """Signed area of a closed polygon [m2]."""
+    """Return the signed area of a closed polygon [m2]."""
     nxt = np.roll(loop, -1, axis=0)
     return 0.5 * float((loop[:, 0] * nxt[:, 1] - loop[:, 1] * nxt[:, 0]).sum())
 
 
 def contains(loop: Float, points: Float) -> NDArray[np.bool_]:
-    """Whether points, shape (n, 2), lie in a closed polygon, shape (k, 2)."""
+    """Return whether points, shape (n, 2), are in a closed polygon, shape (k, 2)."""
     return _outline_distance(np.stack([loop, np.roll(loop, -1, axis=0)], axis=1), points) < 0.0

@@ -1,4 +1,4 @@
-"""A patch with coarser triangles, for solvers that need no finer ones."""
+"""Remesh a patch with coarser triangles, for solvers that allow them."""
 
 from dataclasses import replace
 
@@ -12,23 +12,23 @@ from palmfield.types import Float, Patch, Surface
 
 
 def is_height_field(patch: Patch) -> bool:
-    """Whether every vertex is visible from outside along the mean outward direction, no steeper than 75 degrees."""
+    """Return whether all vertices are visible along the mean outward direction, inclined by at most 75 degrees."""
     return bool((-patch.inward @ outward(patch)).min() > FACING_COSINE)
 
 
 def outward(patch: Patch) -> Float:
-    """Mean outward direction, a unit vector, shape (3,)."""
+    """Return the mean outward direction, a unit vector, shape (3,)."""
     mean = -patch.inward.mean(axis=0)
     return mean / np.linalg.norm(mean)
 
 
 def remeshed(patch: Patch, centre: Float, fine_m: float, coarse_m: float, fine_radius_m: float) -> Patch:
-    """The patch with edges of fine_m within fine_radius_m of a place, growing to coarse_m at its far end [m].
+    """Return the patch with edges of fine_m within fine_radius_m of `centre`, growing to coarse_m at the far end [m].
 
-    centre: x and y of that place in the patch's frame [m], shape (2,)
-    Vertices are on the patch's triangles, with depth and inward direction interpolated; its outline is kept except for
-    spikes narrower than coarse_m.
-    Raises SceneError if the patch is narrower than about 1.5 coarse_m at that place, or steep there.
+    centre: x and y in the frame of the patch [m], shape (2,)
+    Vertices are on the triangles of the patch, with interpolated depth and inward direction. The outline is kept except
+    for spikes narrower than coarse_m.
+    Raises SceneError if the patch is narrower than about 1.5 coarse_m at `centre`, or steep there.
     """
     facing = outward(patch)
     middles = patch.vertices[patch.faces].mean(axis=1)

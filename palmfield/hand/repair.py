@@ -1,4 +1,4 @@
-"""Faults of a mesh: repaired if that is safe, otherwise reported with their places."""
+"""Repair the faults of a mesh that can be repaired safely, and report the others with their positions."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -20,14 +20,14 @@ from palmfield.hand.triangles import (
 )
 from palmfield.types import Float, Int
 
-# Vertices closer than this share of the extent are one: UV seams and STL repeat positions, exactly or rounded.
+# Vertices closer than this share of the extent are merged: UV seams and STL repeat positions, exactly or rounded.
 MERGE_SHARE = 1e-6
 # A face is degenerate if its height is below this share of its longest side.
 FLAT_SHARE = 1e-6
 SMALL_HOLE_EDGES = 6
 CRUMB_SHARE = FIN_SHARE = 0.01
-# A wrist is in the last sixth of the length, is cut across it and has a long perimeter (ANSUR II: 0.85 of the length of
-# the hand; an elbow about half of that of the forearm with its hand).
+# A wrist opening is in the last sixth of the length, is cut across it and has a long perimeter (ANSUR II: 0.85 of the
+# hand length; an elbow about half of the length of forearm and hand).
 WRIST_END_SHARE, WRIST_COSINE, WRIST_AROUND_SHARE = 1.0 / 6.0, 0.6, 0.4
 MOST_PLACES, WITHIN_POINTS = 50, 100
 Outcome = Literal["repaired", "refused", "noted"]
@@ -36,7 +36,7 @@ NO_VOLUME = "it encloses no volume; give a closed hand, not a flat sheet"
 
 @dataclass(frozen=True)
 class Finding:
-    """One kind of fault: its name, count, outcome, places (in the mesh's unit, shape (k, 3)), and description."""
+    """One kind of fault: name, count, outcome, positions in the unit of the mesh, shape (k, 3), and description."""
 
     name: str
     count: int
@@ -46,10 +46,10 @@ class Finding:
 
 
 class Repair:
-    """A mesh during repair, step by step; faults that cannot be repaired are refused and unchanged.
+    """A mesh during repair; faults that cannot be repaired are reported as refused, and the mesh is not changed there.
 
-    vertices: shape (n, 3); faces: shape (m, 3); carry: makes values at `vertices` from values at the file's vertices,
-    shape (n, n_file); findings: in the order of the steps
+    vertices: shape (n, 3); faces: shape (m, 3); findings: in the order of the steps
+    carry: matrix from values at the vertices of the file to values at `vertices`, shape (n, n_file)
     """
 
     def __init__(self, vertices: Float, faces: Int) -> None:
@@ -66,20 +66,20 @@ class Repair:
             self.findings.append(Finding(name, count, outcome, np.reshape(places, (-1, 3))[:MOST_PLACES], text))
 
     def keep(self, vertices: Int) -> None:
-        """Keep these vertices, which must include all that faces use, in this order."""
+        """Keep these vertices, in this order; they must include all vertices of faces."""
         new = np.full(len(self.vertices), -1, dtype=np.int32)
         new[vertices] = np.arange(len(vertices))
         self.vertices, self.carry, self.faces = self.vertices[vertices], self.carry[vertices], new[self.faces]
 
     def add(self, rows: sparse.csr_array, points: Float, faces: Int) -> None:
-        """Add vertices, whose values are computed from present ones by `rows`, and faces."""
+        """Add faces and vertices; `rows` computes the values at new vertices from those at present ones."""
         self.carry = sparse.csr_array(sparse.vstack([self.carry, rows @ self.carry]))
         self.vertices = np.concatenate([self.vertices, points])
         self.faces = np.concatenate([self.faces, faces]).astype(np.int32)
 
 
 def repair(vertices: Float, faces: Int) -> Repair:
-    """Repair a hand's mesh, as from a file; see `Repair`. It is valid if no fault was refused.
+    """Repair the mesh of a hand; the result is valid if it has no refused finding.
 
     vertices: any unit, shape (n, 3); faces: shape (m, 3), int32, of existing vertices, m > 0
     """
@@ -145,7 +145,7 @@ def _merge(mesh: Repair) -> None:
 
 
 def _drop_degenerate(mesh: Repair) -> None:
-    """Drop faces without area if two corners coincide, else flip them over their long side's neighbour."""
+    """Remove faces without area if two corners coincide; otherwise flip the edge of their longest side."""
     faces = mesh.faces
     alike = (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2]) | (faces[:, 2] == faces[:, 0])
     places = [mesh.vertices[faces[alike]].mean(axis=1)]
@@ -213,7 +213,7 @@ def _drop_fins(mesh: Repair) -> None:
 
 
 def _split_pinched(mesh: Repair) -> None:
-    """Split a vertex without open edges at which fans of faces without a common edge meet, one for each fan."""
+    """Split a vertex without open edges at which several fans of faces meet, into one vertex per fan."""
     faces = mesh.faces
     start, end = directed_edges(np.arange(3 * len(faces), dtype=np.int32).reshape(-1, 3)).T
     flat = faces.ravel()
@@ -228,7 +228,7 @@ def _split_pinched(mesh: Repair) -> None:
     number, fan = sparse.csgraph.connected_components(links, directed=False)
     edges, count = unique_edges(faces)
     opened = np.isin(flat, edges[count == 1])
-    # At an open vertex all fans remain one: the faces that close its holes may join them.
+    # A vertex with open edges is not split, because the faces that close its holes may join the fans
     label = np.where(opened, flat + number, fan)
     _, first, part = np.unique(label, return_index=True, return_inverse=True)
     origin = flat[first]
@@ -262,14 +262,14 @@ def _drop_crumbs(mesh: Repair) -> None:
 
 
 def _within(vertices: Float, outer: Int, inner: Int) -> bool:
-    """Whether all of some of a body's vertices are inside another one, which may have holes and any winding."""
+    """Return whether a sample of vertices of body `inner` is inside body `outer`, which may have holes."""
     used = np.unique(inner)
     some = vertices[used[:: max(1, len(used) // WITHIN_POINTS)]]
     return bool((np.abs(winding_numbers(vertices, outer, some)) > 0.5).all())
 
 
 def _close(mesh: Repair) -> None:
-    """Close small holes and the wrist; refuse the others."""
+    """Close small holes and the wrist; refuse other holes."""
     loops = boundary_loops(mesh.faces)
     small = [loop for loop in loops if len(loop) <= SMALL_HOLE_EDGES]
     large = [loop for loop in loops if len(loop) > SMALL_HOLE_EDGES]
@@ -302,7 +302,7 @@ def _close(mesh: Repair) -> None:
 
 
 def _edges_between(faces: Int, loop: Int) -> set[tuple[int, int]]:
-    """Pairs of a loop's numbers, the lower first, already joined by an edge of the mesh, except the loop's own."""
+    """Return pairs of loop numbers, the lower first, that an edge of the mesh outside the loop already joins."""
     place = {vertex: number for number, vertex in enumerate(loop.tolist())}
     edges, count = unique_edges(faces)
     both = edges[np.isin(edges, loop).all(axis=1) & (count > 1)].tolist()
@@ -311,7 +311,7 @@ def _edges_between(faces: Int, loop: Int) -> set[tuple[int, int]]:
 
 
 def _check_closed(mesh: Repair) -> None:
-    """Refuse faces that close a hole along an edge that already has two faces."""
+    """Refuse a mesh in which filling a hole gave an edge three faces."""
     edges, count = unique_edges(mesh.faces)
     places = mesh.vertices[edges[count > 2]].mean(axis=1)
     text = "filling the holes would give edges with more than two faces; fill them in the modelling program"
@@ -319,7 +319,7 @@ def _check_closed(mesh: Repair) -> None:
 
 
 def _is_wrist(vertices: Float, loop: Int) -> bool:
-    """Whether a loop goes around one end of the mesh, across its length."""
+    """Return whether a loop goes around one end of the mesh, across its length."""
     along = plane_axes(vertices)[0]
     height = (vertices - vertices.mean(axis=0)) @ along
     place = (vertices[loop].mean(axis=0) - vertices.mean(axis=0)) @ along
@@ -331,7 +331,7 @@ def _is_wrist(vertices: Float, loop: Int) -> bool:
 
 
 def _turn_outward(mesh: Repair, own: int) -> None:
-    """Make the winding consistent and outward; of flipped faces only the first `own`, its own, are reported."""
+    """Make the winding consistent and outward; report flips among the first `own` faces, those of the file."""
     before = mesh.faces
     faces = consistent_winding(before)
     if len(np.unique(directed_edges(faces), axis=0)) < 3 * len(faces):
@@ -343,7 +343,7 @@ def _turn_outward(mesh: Repair, own: int) -> None:
         return
     if size < 0.0:
         faces = np.ascontiguousarray(faces[:, ::-1])
-    # Flipping changes the order of the corners but not the set of three directed edges.
+    # A flipped face differs in the order of its corners
     turned = (_orientation(before) != _orientation(faces))[:own]
     places = mesh.vertices[faces[:own][turned]].mean(axis=1)
     if turned.mean() > 0.5:
@@ -355,7 +355,7 @@ def _turn_outward(mesh: Repair, own: int) -> None:
 
 
 def _orientation(faces: Int) -> np.ndarray:
-    """True if the corners, from the lowest number on, are ascending."""
+    """Return True for faces whose corners, from the lowest number on, are ascending."""
     first = np.argmin(faces, axis=1)
     row = np.arange(len(faces))
     return faces[row, (first + 1) % 3] < faces[row, (first + 2) % 3]

@@ -10,13 +10,13 @@ from scipy.spatial import cKDTree
 
 from palmfield.errors import SceneError
 from palmfield.hand.chirality import Chirality, chirality
-from palmfield.hand.foretold import foretold_layers
 from palmfield.hand.holes import plane_axes
 from palmfield.hand.joint_tree import named_side
 from palmfield.hand.layer import inward_directions, unfolded
 from palmfield.hand.meshfile import Examined, examine, refusal
 from palmfield.hand.meshquery import exit_distances
 from palmfield.hand.repair import MOST_PLACES, Finding
+from palmfield.hand.scene_layers import scene_layers
 from palmfield.hand.selfcross import crossings
 from palmfield.hand.subdivide import EDGE_m
 from palmfield.hand.triangles import (
@@ -36,7 +36,7 @@ from palmfield.whole_files import write_text
 VERDICTS = ("accepted", "accepted with doubts", "refused")
 HAND_SIZES = "hands are 130 to 260 mm long, forearms with a hand 360 to 560"
 THIN_SHARE, THIN_FACES = 0.025, 2000
-"""Half of the skin of a hand has more than this share of its length below it; approximate number of sampled faces."""
+"""Smallest median thickness of a hand as a share of its length; approximate number of faces at which it is sampled."""
 LAYERS_m = (0.001, 0.002, 0.003, 0.005)
 LAYER_FACTS = {
     "p10_share": "p10_share",
@@ -44,14 +44,14 @@ LAYER_FACTS = {
     "least_quality": "quality_min",
     "volume_share": "volume_share",
 }
-"""Names of a layer's facts in the card, and in the report of `hand_layer`."""
+"""Names of a layer's values in the card -> names in the report of `hand_layer`."""
 PALMAR_COSINE = 0.3
 
 
 @dataclass(frozen=True)
 class ReportCard:
-    """facts: as in the JSON file; mesh: as read and repaired; refusal: why it cannot be used, or None; doubts: why it
-    may be no hand, or has errors in places
+    """Report on a mesh. facts: as in the JSON file; mesh: after repair; refusal: reason, or None if it is accepted;
+    doubts: reasons why the mesh may not be a hand or may have local errors
     """
 
     facts: dict[str, Any]
@@ -63,11 +63,11 @@ class ReportCard:
 def report_card(path: str | Path, unit: str = "auto") -> ReportCard:
     """Examine a mesh as `palmfield hand` does; see `palmfield.hand.meshfile.examine` for repairs and errors.
 
-    facts: file, verdict (of VERDICTS), accepted (not refused), refusal, doubts (texts), unit, unit_source, size_mm,
-    vertices, faces, joints, edges_mm (least, mean, most), least_angle_deg, self_intersections, findings (name, count,
-    outcome, places_mm, text); and of what is closed side, side_sureness, side_reason, volume_cm3, area_cm2, layers
-    (asked_mm, p10_share, thinned_share, least_quality, volume_share, or error), and scene_layers (see
-    `palmfield.hand.foretold.foretold_layers`)
+    facts: file, verdict (of VERDICTS), accepted, refusal, doubts (texts), unit, unit_source, size_mm, vertices, faces,
+    joints, edges_mm (smallest, mean, largest), least_angle_deg, self_intersections, findings (name, count, outcome,
+    places_mm, text); for closed meshes also side, side_sureness, side_reason, volume_cm3, area_cm2, layers (asked_mm,
+    p10_share, thinned_share, least_quality, volume_share, or error), and scene_layers (see
+    `palmfield.hand.scene_layers.scene_layers`)
     """
     mesh = examine(path, unit, EDGE_m)
     findings = list(mesh.findings)
@@ -98,11 +98,11 @@ def report_card(path: str | Path, unit: str = "auto") -> ReportCard:
         facts["volume_cm3"] = round(1e6 * volume(mesh.vertices, mesh.faces), 2)
         named = "unknown" if mesh.rig is None else named_side(mesh.rig.joints.names)
         hand = chirality(mesh.vertices, mesh.faces, named)
-        doubts += _doubts(mesh, hand, named)
+        doubts += _hand_doubts(mesh, hand, named)
         facts |= {"side": hand.side, "side_sureness": round(hand.sureness, 2), "side_reason": hand.reason}
         facts["layers"] = palmar_layers(mesh.vertices, mesh.faces, hand)
         surface = Surface(mesh.vertices, mesh.faces, vertex_normals(mesh.vertices, mesh.faces))
-        facts["scene_layers"] = foretold_layers(surface, hand)
+        facts["scene_layers"] = scene_layers(surface, hand)
         findings += _folds(facts["layers"], len(pairs))
         no = refusal(path, findings) if any(f.outcome == "refused" for f in findings) else None
     verdict = VERDICTS[2 if no is not None else bool(doubts)]
@@ -111,8 +111,8 @@ def report_card(path: str | Path, unit: str = "auto") -> ReportCard:
     return ReportCard(facts, mesh, no, tuple(doubts))
 
 
-def _doubts(mesh: Examined, hand: Chirality, named: str) -> list[str]:
-    """Return why a closed mesh may be no hand, or another one than declared."""
+def _hand_doubts(mesh: Examined, hand: Chirality, named: str) -> list[str]:
+    """Return reasons why a closed mesh may not be a hand, or not the declared one."""
     doubts = []
     if len(hand.tips) != DIGITS:
         doubts.append(f"fingertips: {len(hand.tips)}, not {DIGITS}")
@@ -136,7 +136,7 @@ def _doubts(mesh: Examined, hand: Chirality, named: str) -> list[str]:
 
 
 def _thickness(vertices: Float, faces: Int) -> float:
-    """Thickness of the body that half of its skin, by area, does not exceed, straight in from the faces [m]."""
+    """Return the median thickness of the body, weighted by area, along the inward face normals [m]."""
     unit, area = face_normals(vertices, faces)
     chosen = np.arange(0, len(faces), -(-len(faces) // THIN_FACES))
     middle = vertices[faces[chosen]].mean(axis=1)
@@ -147,16 +147,16 @@ def _thickness(vertices: Float, faces: Int) -> float:
 def _folds(layers: list[dict[str, Any]], crossing: int) -> list[Finding]:
     """Return a finding that refuses a mesh under which layers fold."""
     errors = [layer["error"] for layer in layers if "error" in layer]
-    mend = "separate fingers that intersect or touch in the modelling program" if crossing else "smooth the skin there"
-    text = f"{mend}: {errors[0]}" if errors else ""
+    hint = "separate fingers that intersect or touch in the modelling program" if crossing else "smooth the skin there"
+    text = f"{hint}: {errors[0]}" if errors else ""
     return [Finding("layers that fold", len(errors), "refused", np.zeros((0, 3)), text)] if errors else []
 
 
 def refused_facts(path: str | Path, unit: str, error: SceneError) -> dict[str, Any]:
-    """Facts of a mesh that `report_card` could not examine, for `as_text` and `write_card`; error: what it raised.
+    """Return the facts of a mesh for which `report_card` raised `error`, for `as_text` and `write_card`.
 
-    file, verdict ("refused"), accepted (False), refusal, doubts (none), unit_asked, findings (one, "not examined":
-    wrong unit, or no mesh in the file)
+    facts: file, verdict ("refused"), accepted (False), refusal, doubts (empty), unit_asked, findings (one, "not
+    examined": wrong unit, or no mesh in the file)
     """
     finding = Finding("not examined", 1, "refused", np.zeros((0, 3)), str(error))
     return {
@@ -171,18 +171,18 @@ def refused_facts(path: str | Path, unit: str, error: SceneError) -> dict[str, A
 
 
 def palmar_faces(vertices: Float, faces: Int, palm: Float) -> Int:
-    """Return the largest connected part of the faces that face the palm's side, shape (k,)."""
+    """Return the largest connected part of the faces on the side of the palm, shape (k,)."""
     unit, area = face_normals(vertices, faces)
     chosen = np.flatnonzero(unit @ palm > PALMAR_COSINE)
     return chosen[largest_part(faces[chosen], area[chosen])].astype(np.int32)
 
 
 def palmar_layers(vertices: Float, faces: Int, hand: Chirality) -> list[dict[str, Any]]:
-    """Return skin layers of 1, 2, 3 and 5 mm under the palmar side: their thickness and quality.
+    """Return thickness and quality of skin layers of 1, 2, 3 and 5 mm under the palmar side.
 
-    Each with asked_mm, p10_share (10th percentile of thickness over requested), thinned_share (of the area, by more
-    than 0.1 %), least_quality (scaled Jacobian of the wedges) and volume_share (of the wedges over the thickness
-    integral with the surface's curvature), see `palmfield.hand.wholelayer.hand_layer`; or asked_mm and error.
+    Each has asked_mm (requested thickness), p10_share (10th percentile of obtained over requested thickness),
+    thinned_share (share of the area thinned by more than 0.1 %), least_quality (scaled Jacobian of the wedges) and
+    volume_share (wedges over exact volume), see `palmfield.hand.wholelayer.hand_layer`; or asked_mm and error.
     """
     vertices = unfolded(vertices, faces)
     surface, inward = Surface(vertices, faces, vertex_normals(vertices, faces)), inward_directions(vertices, faces)
@@ -200,7 +200,7 @@ def palmar_layers(vertices: Float, faces: Int, hand: Chirality) -> list[dict[str
 
 
 def as_text(facts: dict[str, Any]) -> str:
-    """The card as lines of plain text; facts: of `report_card` or `refused_facts`."""
+    """Return the card as lines of plain text; facts: from `report_card` or `refused_facts`."""
     rows = _shape_rows(facts) if "size_mm" in facts else [("file", facts["file"]), ("unit", facts["unit_asked"])]
     for finding in facts["findings"]:
         at = "".join(f" ({x:.1f}, {y:.1f}, {z:.1f})" for x, y, z in finding["places_mm"][:3])
@@ -235,7 +235,7 @@ def write_card(path: Path, facts: dict[str, Any]) -> None:
 
 
 def fault_faces(vertices: Float, faces: Int, places: Float, reach_m: float) -> np.ndarray:
-    """True on faces whose middle lies within reach_m of a place, or is the nearest to one, shape (m,)."""
+    """Return True for faces whose centre is within reach_m of a place or nearest to one, shape (m,)."""
     middle = vertices[faces].mean(axis=1)
     marked = cKDTree(places).query(middle)[0] < reach_m
     marked[cKDTree(middle).query(places)[1]] = True

@@ -1,4 +1,4 @@
-"""A user's rigged mesh as an MJCF tree of bodies on ball joints, which moves the skin of shape `rigged`."""
+"""Write a user's rigged mesh as an MJCF tree of bodies on ball joints, which moves the skin of shape `rigged`."""
 
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
@@ -21,10 +21,10 @@ from palmfield.hand.visual_skin import SkinBone, add_skin
 from palmfield.types import Float, Int
 
 SWING_Hz = 25.0
-"""Natural frequency of each single joint with all bodies beyond it; damping is critical. 10 mN on a fingertip, the
-force of an array, then move it by less than 0.5 mm, including the weld."""
+"""Natural frequency of each joint alone with all bodies beyond it; damping is critical. The force of an array on a
+fingertip (10 mN) then moves it by less than 0.5 mm, including the weld."""
 WELD_TIME_s = 0.02
-"""At half of it, a wrist bone that is lighter than the hand oscillates in steps of 2 ms."""
+"""Time constant of the weld; with half of it, a wrist bone lighter than the hand oscillates in steps of 2 ms."""
 AXIS_SAMPLES, LEAST_RADIUS_m = 9, 1e-3
 _text = partial(numbers_text, digits=DIGITS_IN_FILE)
 TAKEN = ("world", "hand_target")
@@ -32,7 +32,7 @@ TAKEN = ("world", "hand_target")
 
 @dataclass(frozen=True)
 class _Capsule:
-    """start, end: of its axis [m], shape (3,)"""
+    """A capsule. start, end: ends of the axis [m], shape (3,)"""
 
     start: Float
     end: Float
@@ -47,19 +47,19 @@ class _Capsule:
 def rigged_mjcf(mesh: RiggedMesh, name: str) -> str:
     """Return MJCF text of a rigged mesh, for `<include file=.../>` or to open in any MuJoCo.
 
-    A body for every joint, of its name, at its place and parallel to the file's axes; further joints without a parent
-    are attached to the first one. That one is free, and a soft weld holds it to the mocap body `hand_target`, as in
-    `palmfield.hand.articulated_mjcf.articulated_mjcf`. A joint rotates (a ball joint of its name, with a spring to the
-    file's pose of natural frequency SWING_Hz and critical damping) if it carries skin and so does one above it. All
-    others are rigid, since they have no mass. Capsules along the bones, to the next joints that carry skin, have the
-    distance of the skin from the bone as radius, the median along it; all together have the mesh's volume times 1100
-    kg/m3 as mass. They collide with other objects and each other, except pairs that touch in the file's pose. Gravity
-    is compensated. Viewers show the mesh as skin, and on request the capsules and sites, group 3.
+    Each joint has a body of its name, at its position and parallel to the axes of the file; further joints without a
+    parent are attached to the first one. The first body is free, and a soft weld attaches it to the mocap body
+    `hand_target`, as in `palmfield.hand.articulated_mjcf.articulated_mjcf`. A joint is a ball joint of its name if it
+    and one of its ancestors carry skin; its spring pulls to the pose of the file with natural frequency SWING_Hz and
+    critical damping. Other joints are rigid, because their bodies have no mass. Capsules along the bones go to the next
+    joints that carry skin; their radius is the median distance of the skin from the bone. Their total mass is the
+    volume of the mesh times 1100 kg/m3. They collide with other objects and each other, except pairs that touch in the
+    pose of the file. Gravity is compensated. Viewers show the mesh as skin; capsules and sites are in group 3.
 
-    Sites: JOINT_tip, the farthest skin of each last joint; and, if `palmfield.hand.chirality` is certain of the palm's
-    side, JOINT_pad, the skin of each joint on that side. In that case, the first joint and hand_target are rotated so
-    that palm and fingers point along -z and y, else they keep the file's axes. The lowest skin is 0.2 m up, the mesh's
-    middle over the origin.
+    Sites: JOINT_tip is the farthest skin of each last joint. If `palmfield.hand.chirality` determines the side,
+    JOINT_pad is the palmar skin of each joint, and the first joint and hand_target are rotated so that palm and fingers
+    point along -z and y; otherwise they keep the axes of the file. The lowest skin is at a height of 0.2 m, and the
+    centre of the mesh is over the origin.
 
     Raises SceneError for two joints of one name, and for names reserved by MuJoCo or this file.
     """
@@ -122,7 +122,7 @@ def rigged_mjcf(mesh: RiggedMesh, name: str) -> str:
 
 
 def _one_root(parents: Int) -> Int:
-    """Return parents in which every root but the first is attached to the first."""
+    """Return parents in which all further roots are attached to the first root."""
     roots = np.flatnonzero(parents < 0)
     joined = parents.copy()
     joined[roots[1:]] = roots[0]
@@ -130,7 +130,7 @@ def _one_root(parents: Int) -> Int:
 
 
 def _next_carrying(joint: int, parents: Int, carries: np.ndarray) -> list[int]:
-    """The nearest joints beyond one that carry skin."""
+    """Return the nearest descendants of a joint that carry skin."""
     carrying: list[int] = []
     for child in np.flatnonzero(parents == joint):
         carrying += [int(child)] if carries[child] else _next_carrying(int(child), parents, carries)
@@ -138,7 +138,7 @@ def _next_carrying(joint: int, parents: Int, carries: np.ndarray) -> list[int]:
 
 
 def _turn(mesh: RiggedMesh, side: Chirality) -> Float:
-    """Rotation from the file's axes to those of the hand frame, the identity if the palm's side is unknown."""
+    """Return the rotation from the axes of the file to the hand frame; the identity if the side is unknown."""
     if side.side == "unknown":
         return np.eye(3)
     z = -side.palm
@@ -149,10 +149,10 @@ def _turn(mesh: RiggedMesh, side: Chirality) -> Float:
 
 
 def _capsules(skin: Float, whole: cKDTree, origin: Float, beyond: Float) -> list[_Capsule]:
-    """One capsule from a joint to each of the next ones, within the skin [m], shape (n, 3), that the joint carries.
+    """Return a capsule from a joint to each of the next joints, within the skin of the joint [m], shape (n, 3).
 
-    whole: vertices of all skin; beyond: the next joints, shape (k, 3); if none is farther than a millimetre, the axis
-    goes to the farthest skin
+    whole: vertices of all skin; beyond: next joints, shape (k, 3); if all are within a millimetre, the axis ends at the
+    farthest skin
     """
     ends = beyond[np.linalg.norm(beyond - origin, axis=1) > 1e-3]
     last = not len(ends)
@@ -165,13 +165,13 @@ def _capsules(skin: Float, whole: cKDTree, origin: Float, beyond: Float) -> list
     nearest = np.argmin(np.linalg.norm(off, axis=2), axis=1)
     capsules = []
     for k in np.unique(nearest):
-        held = along[nearest == k, k]
-        # Between the joints, as far as the skin reaches; then beyond, if it reaches farther by more than the radius.
-        low, high = np.clip([held.min(), held.max()], 0.0, lengths[k])
+        own = along[nearest == k, k]
+        # The axis covers the skin between the joints, and skin beyond them that is farther than the radius
+        low, high = np.clip([own.min(), own.max()], 0.0, lengths[k])
         steps = np.linspace(low, high, AXIS_SAMPLES)[:, None] * axes[k]
         radius = max(float(np.median(whole.query(origin + steps)[0])), LEAST_RADIUS_m)
-        low = min(low, held.min() + radius)
-        high = held.max() - radius if last else max(high, held.max() - radius)
+        low = min(low, own.min() + radius)
+        high = own.max() - radius if last else max(high, own.max() - radius)
         if high - low < 1e-3:
             low, high = 0.5 * (low + high) - 5e-4, 0.5 * (low + high) + 5e-4
         capsules.append(_Capsule(origin + low * axes[k], origin + high * axes[k], radius))
@@ -188,7 +188,7 @@ def _add_geoms(body: ET.Element, origin: Float, capsules: list[_Capsule], densit
 
 
 def _sites(skin: Float, origin: Float, capsules: list[_Capsule], side: Chirality, last: bool) -> dict[str, Float]:
-    """Points of the skin [m], shape (n, 3), that a joint carries."""
+    """Return the sites on the skin of a joint [m], shape (n, 3), by name."""
     sites = {}
     middle = np.mean([0.5 * (capsule.start + capsule.end) for capsule in capsules], axis=0)
     if last:
@@ -203,7 +203,7 @@ def _sites(skin: Float, origin: Float, capsules: list[_Capsule], side: Chirality
 
 
 def _add_springs_and_excludes(root: ET.Element) -> None:
-    """Set stiffness and damping of all ball joints by the inertia beyond each; exclude pairs that touch at rest."""
+    """Set stiffness and damping of all ball joints from the inertia beyond each; exclude pairs that touch at rest."""
     model = mujoco.MjModel.from_xml_string(ET.tostring(root, encoding="unicode"))
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -221,7 +221,7 @@ def _add_springs_and_excludes(root: ET.Element) -> None:
 
 
 def _subtrees(parents: Int) -> np.ndarray:
-    """Whether body j is body i or a descendant of it, shape (bodies, bodies)."""
+    """Return whether body j is body i or one of its descendants, shape (bodies, bodies)."""
     below = np.eye(len(parents), dtype=bool)
     for body in range(len(parents) - 1, 0, -1):
         below[parents[body]] |= below[body]
@@ -229,7 +229,7 @@ def _subtrees(parents: Int) -> np.ndarray:
 
 
 def _largest_inertia(model: mujoco.MjModel, data: mujoco.MjData, bodies: list[int], about: Float) -> float:
-    """Largest moment of inertia of some bodies together about axes through a point [kg m^2]."""
+    """Return the largest moment of inertia of a group of bodies about an axis through a point [kg m^2]."""
     total = np.zeros((3, 3))
     for body in bodies:
         turn = data.ximat[body].reshape(3, 3)

@@ -1,4 +1,4 @@
-"""Find where a mesh crosses itself."""
+"""Find self-intersections of a mesh."""
 
 import numpy as np
 import warp as wp
@@ -9,11 +9,11 @@ from palmfield.types import Float, Int
 
 
 def crossings(vertices: Float, faces: Int) -> Int:
-    """Return pairs of faces that cross each other, shape (k, 2), sorted; empty if there are none.
+    """Return the sorted pairs of faces that intersect each other, shape (k, 2).
 
     vertices: [m], shape (n, 3); faces: shape (m, 3)
-    Faces with an edge in common are neighbours and never count, so a strip folded flat onto itself along one edge is
-    not detected. Faces in one plane that overlap are detected if an edge of one leaves the other's plane.
+    Faces with a common edge are not tested, so a strip folded flat onto itself along one edge is not detected.
+    Overlapping faces in one plane are detected if an edge of one leaves the plane of the other.
     """
     if len(faces) == 0:
         return np.zeros((0, 2), dtype=np.int32)

@@ -12,7 +12,7 @@ from palmfield.types import Float
 
 Palm = Callable[[str, ArrayLike, ArrayLike, ArrayLike, ArrayLike], None]
 MIRROR = np.array([-1.0, 1.0, 1.0])
-"""From a right hand to a left one."""
+"""Mirror from a right hand to a left one."""
 PALM, THUMB = 0, 1
 PALM_BLEND_m, JOINT_BLEND_m = 0.011, 0.003
 THUMB_BLEND_m, FINGER_BLEND_m, BETWEEN_FINGERS_BLEND_m = 0.012, 0.008, 0.0025
@@ -50,7 +50,7 @@ class Bone:
 
 @dataclass(frozen=True)
 class Skeleton:
-    """Input of the surface, the depth to bone and the MJCF model."""
+    """Bones, skin capsules and landmarks: the input of the surface, the depth to bone and the MJCF model."""
 
     skin: list[SkinSegment]
     bones: list[Bone]
@@ -58,10 +58,10 @@ class Skeleton:
 
 
 def build_skeleton(preset: HandPreset) -> Skeleton:
-    """Posed bones, skin capsules and landmarks of a preset.
+    """Return the posed bones, skin capsules and landmarks of a preset.
 
-    Axes as in the hand frame; the origin's height is still the axis of the middle metacarpal, and the surface code
-    moves everything along z until the palmar skin passes through the origin.
+    Axes are those of the hand frame. The height of the origin is that of the middle metacarpal; `centred_skeleton`
+    moves everything along z so that the palmar skin passes through the origin.
     """
     wrist_y = -0.5 * preset.palm_length_m
     wide = preset.breadth_m / 0.0883
@@ -86,7 +86,7 @@ def build_skeleton(preset: HandPreset) -> Skeleton:
     def mm(lateral: float, dorsal: float, palmar: float, along: float = wide) -> Float:
         return 1e-3 * np.array([lateral * along, dorsal * thick, palmar * thick])
 
-    # A rounded stump instead of a cut wrist: a flat cut on a grid plane gives degenerate triangles.
+    # The wrist ends in a rounded stump, because a flat cut on a grid plane gives degenerate triangles.
     half_wrist = preset.wrist_circumference_m / 5.65
     stump = np.array([half_wrist, 0.68 * half_wrist, 0.82 * half_wrist])
     palm("forearm", from_wrist(0, -2, -3), from_wrist(0, 12, -3), stump, stump)
@@ -113,7 +113,7 @@ def build_skeleton(preset: HandPreset) -> Skeleton:
 
 
 def _reflected(skeleton: Skeleton) -> Skeleton:
-    """The other hand: x reversed."""
+    """Return the other hand, with x reversed."""
     return Skeleton(
         [replace(s, start=MIRROR * s.start, end=MIRROR * s.end, dorsal=MIRROR * s.dorsal) for s in skeleton.skin],
         [replace(b, start=MIRROR * b.start, end=MIRROR * b.end) for b in skeleton.bones],
@@ -122,7 +122,7 @@ def _reflected(skeleton: Skeleton) -> Skeleton:
 
 
 def _knuckles(preset: HandPreset, wrist_y: float) -> tuple[dict[str, Float], dict[str, Float]]:
-    """Metacarpal heads and bases. Breadth fixes the heads across the hand, length fixes the middle one along it."""
+    """Return metacarpal heads and bases; breadth sets the heads across the hand, length the middle one along it."""
     digits = preset.digits
     index, little = digits["index"], digits["little"]
     # Between two equal parts, a smooth union of radius k adds k / 4 to either side; the palm adds slightly more.
@@ -156,14 +156,14 @@ def _pads(
     mm: Callable[..., Float],
     long: float,
 ) -> None:
-    """Thenar, hypothenar and distal pads, and the webs between the fingers."""
+    """Add the thenar, hypothenar and distal pads, and the webs between the fingers."""
     palm("thenar", from_wrist(-17, 17, -10), from_wrist(-31, 45, -11), mm(13, 10, 15.5), mm(13.5, 10, 15))
     palm("hypothenar", from_wrist(24, 15, -9), from_wrist(29, 62, -8), mm(13, 10, 13.5), mm(12.5, 10, 13.5))
     for a, b in pairwise(DIGITS[1:]):
         ends = [knuckles[d] + np.array([0.0, -0.001, -0.0088 * preset.thickness_m / 0.033]) for d in (a, b)]
         inset = 0.15 * (ends[1] - ends[0])
         palm(f"{a}_{b}_pad", ends[0] + inset, ends[1] - inset, mm(11.5, 8, 7.2, long), mm(11.5, 8, 7.2, long))
-    # Webs: their free edge lies where the palm ends.
+    # The free edges of the webs are at the end of the palm.
     web_y = 0.5 * preset.palm_length_m - 0.006 * long
     for a, b in pairwise(DIGITS[1:]):
         ends = []
@@ -198,7 +198,7 @@ def _digit(
     bones: list[Bone],
     landmarks: dict[str, Float],
 ) -> None:
-    """Chain of one digit; a finger starts at its knuckle, the thumb at its metacarpal base."""
+    """Add the chain of one digit; a finger starts at its knuckle, the thumb at its metacarpal base."""
     digit: Digit = preset.digits[name]
     spread, palmar, twist = np.deg2rad([digit.spread_deg, digit.palmar_deg, digit.twist_deg])
     along = np.array([np.cos(palmar) * np.sin(spread), np.cos(palmar) * np.cos(spread), -np.sin(palmar)])
@@ -227,14 +227,14 @@ def _digit(
             landmarks[f"{name}_tip"] = end + digit.tip_m * along
             landmarks[f"{name}_pad"] = skin_end - 0.25 * length * along - semi_end[2] * dorsal
         skin.append(SkinSegment(label, start, skin_end, semi_start, semi_end, dorsal, group, JOINT_BLEND_m))
-        # The last bone's round end, and not the axis of its capsule, ends where the soft tip begins.
+        # The round end of the last bone, not the end of its axis, is where the soft tip begins.
         bone_end = end - radii[-1] * size * along if i == len(phalanges) - 1 else end
         bones.append(Bone(label, start, bone_end, radii[i] * size, radii[i + 1] * size))
         start = end
 
 
 def _semi(preset: HandPreset, breadth: float) -> Float:
-    """Half-widths of a digit: the back is flatter than the palmar side."""
+    """Return the half-widths of a digit; the back is flatter than the palmar side."""
     depth = preset.finger_depth_ratio * breadth
     return np.array([0.5 * breadth, 0.46 * depth, 0.54 * depth])
 
@@ -247,11 +247,11 @@ def _carpal_bones(from_wrist: Callable[[float, float, float], Float], wide: floa
 
 
 def _across(vector: Float, axis: Float) -> Float:
-    """`vector` without its part along `axis`, at unit length."""
+    """Return the component of `vector` normal to `axis`, at unit length."""
     along = unit(axis)
     return unit(vector - (vector @ along) * along)
 
 
 def unit(vector: Float) -> Float:
-    """The vector at length 1, shape (3,)."""
+    """Return the vector at length 1, shape (3,)."""
     return vector / np.linalg.norm(vector)

@@ -1,4 +1,4 @@
-"""A skin that follows its bones: of the articulated hand, and of a user's rigged mesh."""
+"""Skin that follows bones: of the articulated hand, and of a user's rigged mesh."""
 
 import threading
 from collections.abc import Callable, Sequence
@@ -25,20 +25,20 @@ from palmfield.hand.triangles import adjacency, unique_edges
 from palmfield.types import Float, Int, Surface
 
 KNUCKLE_BLEND, JOINT_BLEND = 1.5, 0.8
-"""Length of the transition from one bone's motion to the next one's, in breadths of the digit at the joint. At the
-knuckles the palm is thick: its skin would fold into itself over a shorter length."""
+"""Length of the transition between the motions of two bones, in breadths of the digit at the joint. It is longer at the
+knuckles, where the skin of the thick palm would otherwise fold into itself."""
 WRIST_BLEND_m, THUMB_ROOT_BLEND_m, THENAR_BLEND_m = 0.050, 0.030, 0.040
 SMOOTHING_m = 0.004
-"""Length of smoothing of weights along the skin, not through the air; it rounds the webs between fingers."""
+"""Length over which weights are smoothed along the skin; it rounds the webs between fingers."""
 BONES_PER_VERTEX = 4
 
 
 def skin_weights(hand: ArticulatedHand, surface: Surface) -> Float:
-    """Return the share of each bone in each vertex, shape (n, bones), at most four a vertex, rows of sum 1.
+    """Return the weight of each bone at each vertex, shape (n, bones), at most four per vertex, rows of sum 1.
 
-    A vertex belongs to the digit whose skin is nearest. Along a digit the share changes from bone to bone by a linear
-    ramp (KNUCKLE_BLEND, JOINT_BLEND), at the wrist and the thumb's root over their own lengths; then all is diffused
-    along the mesh. Every other vertex belongs to the root or the hand, so none is without a bone.
+    A vertex belongs to the digit with the nearest skin. Along a digit the weight changes from bone to bone by a linear
+    ramp (KNUCKLE_BLEND, JOINT_BLEND); wrist and root of the thumb have own ramp lengths. The weights are then diffused
+    along the mesh. All other vertices belong to the root or the hand.
     """
     points = surface.vertices
     names = [bone.name for bone in hand.bones]
@@ -61,7 +61,7 @@ def skin_weights(hand: ArticulatedHand, surface: Surface) -> Float:
 
 
 def _gap(hand: ArticulatedHand, digit: str, points: Float) -> Float:
-    """Distance from points to the capsules of a digit and its metacarpal [m], shape (n,)."""
+    """Return the distance from points to the capsules of a digit and its metacarpal [m], shape (n,)."""
     parts = [
         part
         for part in hand.skeleton.skin
@@ -86,7 +86,7 @@ def _along_digit(
         flexion = next(j for j in hand.joints if j.bone == chain[level + 1] and j.name.endswith("_flexion"))
         part = next(s for s in hand.skeleton.skin if s.name == bone.name)
         along = (part.end - part.start) / np.linalg.norm(part.end - part.start)
-        # Across the joint: half-way between the directions of the two bones.
+        # The ramp runs along the mean direction of the two bones
         if level > 0 or digit != "thumb":
             half = -0.5 * np.deg2rad(flexion.rest_deg) * flexion.axis
             along = along + np.cross(half, along)
@@ -97,7 +97,7 @@ def _along_digit(
 
 
 def _diffused(weights: Float, surface: Surface) -> Float:
-    """One implicit step of diffusion over SMOOTHING_m along the mesh; keeps sums of rows and signs."""
+    """Diffuse weights over SMOOTHING_m along the mesh by one implicit step, which keeps row sums and signs."""
     links = adjacency(surface.faces, len(surface.vertices))
     edges, _ = unique_edges(surface.faces)
     squared = float(np.mean(np.sum((surface.vertices[edges[:, 0]] - surface.vertices[edges[:, 1]]) ** 2, axis=1)))
@@ -109,12 +109,12 @@ def _diffused(weights: Float, surface: Surface) -> Float:
 
 
 class SkinnedSurface:
-    """A skin that follows its bones, whose frames are parallel to the surface's in the rest pose.
+    """A skin that follows bones, whose frames are parallel to that of the surface in the rest pose.
 
-    bones: names and rest origins; surface: the skin in the rest pose; weights: share of each bone in each vertex, shape
-    (n, bones), at most four a vertex, rows of sum 1; origins: of the bones at rest [m], shape (bones, 3) Several
-    threads may compute poses: each waits for the others. After `pose` the arrays `vertices` and `normals` contain the
-    posed skin on the device (Warp, vec3), until the next pose of any thread.
+    bones: names and rest origins; surface: skin in the rest pose; origins: of the bones at rest [m], shape (bones, 3)
+    weights: weight of each bone at each vertex, shape (n, bones), at most four per vertex, rows of sum 1
+    The methods are thread-safe; threads wait for each other. After `pose` the arrays `vertices` and `normals` contain
+    the posed skin on the device (Warp, vec3), until the next pose of any thread.
     """
 
     def __init__(self, bones: Sequence[HandBone], surface: Surface, weights: Float, device: str = "cpu") -> None:
@@ -132,10 +132,10 @@ class SkinnedSurface:
         self.vertices, self.normals = self._vertices.array, self._normals.array
 
     def posed(self, bone_positions: Float, bone_rotations: Float) -> Float:
-        """Return vertices [m], shape (n, 3), for the bones' frames at `bone_positions` [m], shape (bones, 3), and
-        `bone_rotations`, shape (bones, 3, 3), in the order of `bones` and in any common frame.
+        """Return the posed vertices [m], shape (n, 3), by linear blend skinning in float32.
 
-        Linear blend skinning in float32. Raises SceneError for other shapes.
+        bone_positions, bone_rotations: of the frames of `bones` in any common frame, shapes (bones, 3) [m] and
+        (bones, 3, 3). Raises SceneError for other shapes.
         """
         with self._lock:
             self._blend_to(bone_positions, bone_rotations)
@@ -143,7 +143,7 @@ class SkinnedSurface:
             return self._vertices.host.astype(np.float64)
 
     def posed_surface(self, bone_positions: Float, bone_rotations: Float) -> Surface:
-        """As `posed`, with faces and angle-weighted normals."""
+        """Return the surface of `posed`, with faces and angle-weighted normals."""
         with self._lock:
             self._blend_to(bone_positions, bone_rotations)
             self._make_normals()
@@ -152,13 +152,13 @@ class SkinnedSurface:
         return Surface(vertices, self.surface.faces, normals)
 
     def pose(self, bone_positions: Float, bone_rotations: Float) -> None:
-        """Fill `vertices` and `normals` on the device, without waiting for it. Raises SceneError as `posed`."""
+        """Compute `vertices` and `normals` on the device asynchronously. Raises SceneError as `posed`."""
         with self._lock:
             self._blend_to(bone_positions, bone_rotations)
             self._make_normals()
 
     def _blend_to(self, bone_positions: Float, bone_rotations: Float) -> None:
-        """Fill `vertices`."""
+        """Compute `vertices` on the device."""
         if (bone_positions.shape, bone_rotations.shape) != self._shapes:
             number = len(self.bones)
             raise SceneError(
@@ -170,7 +170,7 @@ class SkinnedSurface:
         self._blend()
 
     def _fetch(self, *arrays: SharedArray) -> None:
-        """Copy results of kernels to NumPy's memory."""
+        """Copy results of kernels to NumPy arrays."""
         if self._device != "cpu":
             for array in arrays:
                 array.download()
@@ -195,7 +195,7 @@ class SkinnedSurface:
         return recorded(kernels.normals_by_angle, number, [*inputs, self.normals], self._device)
 
     def dominant_bone(self) -> Int:
-        """Index of the bone with the largest share in each vertex, shape (n,)."""
+        """Return the index of the bone with the largest weight at each vertex, shape (n,)."""
         return np.argmax(self.weights, axis=1).astype(np.int32)
 
     def _put(self, values: ArrayLike, dtype: Any) -> wp.array:
@@ -217,7 +217,7 @@ class SkinnedHand(SkinnedSurface):
 
 @lru_cache(maxsize=4)
 def _hand_with_weights(preset: str, edge_m: float) -> tuple[ArticulatedHand, Surface, Float]:
-    """Bones and skin of a preset, given as JSON, with their weights: half a second, once for all that have it."""
+    """Return bones, skin and weights of a preset in JSON; cached, since it takes half a second."""
     read = HandPreset.model_validate_json(preset)
     hand, surface = articulate(read), hand_surface(read, edge_m).surface
     return hand, surface, skin_weights(hand, surface)
@@ -225,14 +225,14 @@ def _hand_with_weights(preset: str, edge_m: float) -> tuple[ArticulatedHand, Sur
 
 @lru_cache(maxsize=2)
 def rigged_file(path: str, unit: str) -> RiggedMesh:
-    """A user's rigged mesh with edges up to EDGE_m, cached for the next call; raises SceneError as `load_rigged`."""
+    """Return a user's rigged mesh with edges up to EDGE_m, cached. Raises SceneError as `load_rigged`."""
     from palmfield.hand.meshfile import load_rigged
 
     return load_rigged(path, unit, EDGE_m)
 
 
 def skinned_mesh(mesh: RiggedMesh, origin: Float, device: str = "cpu") -> SkinnedSurface:
-    """A user's skin and bones in a frame parallel to the file's, at `origin` of it [m], shape (3,)."""
+    """Return a user's skin and bones in a frame parallel to that of the file, with its origin at `origin` [m], (3,)."""
     weights = np.zeros((len(mesh.weights), len(mesh.joints.names)))
     np.add.at(weights, (np.arange(len(weights))[:, None], mesh.indices), mesh.weights)
     surface = Surface(mesh.surface.vertices - origin, mesh.surface.faces, mesh.surface.normals)
@@ -240,7 +240,7 @@ def skinned_mesh(mesh: RiggedMesh, origin: Float, device: str = "cpu") -> Skinne
 
 
 def bones_of_mesh(mesh: RiggedMesh, origin: Float) -> list[HandBone]:
-    """Joints of a user's mesh as bones in a frame parallel to the file's, at `origin` of it [m], shape (3,)."""
+    """Return the joints of a user's mesh as bones in the frame of `skinned_mesh`; origin: [m], shape (3,)."""
     joints = mesh.joints
     places = joints.rest[:, :3, 3] - origin
     return [HandBone(*bone) for bone in zip(joints.names, joints.parents.tolist(), places, strict=True)]

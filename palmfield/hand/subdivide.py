@@ -1,4 +1,4 @@
-"""Halve long edges without gaps to uncut faces: each face is cut according to its cut edges."""
+"""Halve long edges of a mesh without gaps: each face is divided according to its halved edges."""
 
 import numpy as np
 from scipy import sparse
@@ -8,15 +8,15 @@ from palmfield.hand.triangles import numbered_edges
 from palmfield.types import Float, Int
 
 CUT = ("vertices", "faces", "parents")
-"""The arrays of `sampling_surface`, as the cache names them."""
+"""Names of the arrays of `sampling_surface` in the cache."""
 MOST_ROUNDS = 6
 EDGE_m = 4.3e-3
-"""Longest edge for one sound sample a face: half of the wavelength of 40 kHz in air at 20 C, which resolves ARP,
-quadratic in the pressure; on longer ones its phase changes by more than pi."""
+"""Longest edge for one sound sample per face: half the wavelength of 40 kHz in air at 20 C. The ARP is quadratic in the
+pressure; on longer edges its phase changes by more than pi."""
 
 
 def with_short_edges(vertices: Float, faces: Int, longest_m: float) -> tuple[Float, Int, Int]:
-    """Vertices [m] and faces of a surface cut until no edge is longer, and the original face of each, shape (m,)."""
+    """Halve edges longer than longest_m; return vertices [m], faces, and the original face of each, shape (m,)."""
     from trimesh.remesh import subdivide_to_size
 
     points, corners, parents = subdivide_to_size(vertices, faces, longest_m, max_iter=20, return_index=True)
@@ -24,7 +24,7 @@ def with_short_edges(vertices: Float, faces: Int, longest_m: float) -> tuple[Flo
 
 
 def sampling_surface(vertices: Float, faces: Int) -> tuple[Float, Int, Int]:
-    """`with_short_edges` for one sound sample a face, kept in the cache."""
+    """Return `with_short_edges` for one sound sample per face, from the cache."""
 
     def cut() -> cache.Arrays:
         return dict(zip(CUT, with_short_edges(vertices, faces, EDGE_m), strict=True))
@@ -34,15 +34,15 @@ def sampling_surface(vertices: Float, faces: Int) -> tuple[Float, Int, Int]:
 
 
 def split_long_edges(vertices: Float, faces: Int, longest_m: float) -> tuple[sparse.csr_array, Int]:
-    """Matrix that makes the new vertices (and any value at them) from the old, shape (n_new, n), and the new faces.
+    """Halve edges longer than longest_m repeatedly; return the matrix from old to new vertices, (n_new, n), and faces.
 
-    Edges longer than longest_m are halved repeatedly; positions are on the old triangles, so the shape is unchanged.
+    The matrix also interpolates values at vertices. New vertices are on the old triangles, so the shape is unchanged.
     """
     carry = sparse.csr_array(sparse.eye_array(len(vertices)))
     for _ in range(MOST_ROUNDS):
         points = carry @ vertices
         edges, inverse, _ = numbered_edges(faces)
-        # Edge i of a face runs from its corner i to the next.
+        # Edge i of a face goes from corner i to the next.
         of_face = inverse.reshape(3, len(faces)).T
         long = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1) > longest_m
         if not long.any():

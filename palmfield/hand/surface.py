@@ -1,4 +1,4 @@
-"""Closed skin surface of a hand preset: signed distance, marching cubes, relaxation; cached on disk."""
+"""Closed skin surface of a hand preset, by signed distance, marching cubes and relaxation; cached on disk."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -38,7 +38,7 @@ SEGMENT_RECORD = np.dtype(
 # Relaxed marching-cubes triangles have edges of about this many voxels.
 EDGE_PER_VOXEL = 0.87
 _palmar_skins: dict[str, float] = {}
-"""Height of the palmar skin by the text of a preset [m]: a scene that is opened asks for it several times."""
+"""Height of the palmar skin [m] by the text of a preset; opening a scene needs it several times."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class HandSurface:
 
     surface: closed triangle mesh
     depth_to_bone: distance from each vertex to the nearest bone surface [m], shape (n,), float64
-    landmarks: named positions [m], shape (3,) each: palm_centre, wrist, <digit>_tip, <digit>_pad, <digit>_knuckle
+    landmarks: positions [m], shape (3,), by name: palm_centre, wrist, <digit>_tip, <digit>_pad, <digit>_knuckle
     """
 
     surface: Surface
@@ -56,10 +56,10 @@ class HandSurface:
 
 
 def hand_surface(preset: HandPreset, edge_m: float = 0.003) -> HandSurface:
-    """Watertight skin mesh of a preset, with mean edge length close to `edge_m` [m].
+    """Return the watertight skin mesh of a preset, with mean edge length close to `edge_m` [m].
 
-    The mesh is kept in the user's cache folder (`palmfield.cache`), for this preset, edge length and generating code,
-    whatever the environment names: a hand takes seconds.
+    The mesh is stored in the user's cache folder (`palmfield.cache`) by preset, edge length and generating code,
+    because it takes seconds.
 
     Raises SceneError for an edge length outside 1 to 4 mm (a coarser grid closes the gaps between fingers), and if
     digits of the preset touch.
@@ -68,7 +68,7 @@ def hand_surface(preset: HandPreset, edge_m: float = 0.003) -> HandSurface:
         raise SceneError(f"hand surface edge length {edge_m:g} m is out of range; use 0.001 to 0.004 m")
     skeleton = centred_skeleton(preset)
     _check_gaps(skeleton)
-    # A left hand's mesh is the right one's mirror image, vertex by vertex
+    # The mesh of a left hand is the mirror image of the right one, vertex by vertex
     right = preset.model_copy(update={"side": "right"})
     sources = (__file__, preset_module.__file__, skeleton_module.__file__, kernels.__file__)
     mesh = cache.kept(
@@ -92,7 +92,7 @@ def mirrored_surface(surface: Surface) -> Surface:
 
 
 def centred_skeleton(preset: HandPreset) -> Skeleton:
-    """Skeleton in the hand frame: its palmar skin passes through the origin."""
+    """Return the skeleton in the hand frame, in which the palmar skin passes through the origin."""
     skeleton = build_skeleton(preset)
     key = preset.model_dump_json()
     if key not in _palmar_skins:
@@ -107,7 +107,7 @@ def centred_skeleton(preset: HandPreset) -> Skeleton:
 
 
 def _palmar_skin(segments: wp.array) -> float:
-    """Height of the palmar skin on the z axis [m], by bisection."""
+    """Return the height of the palmar skin on the z axis [m], by bisection."""
     low, high = -0.08, 0.0
     while high - low > 1e-7:
         middle = 0.5 * (low + high)
@@ -117,17 +117,17 @@ def _palmar_skin(segments: wp.array) -> float:
 
 
 def skin_distance(skeleton: Skeleton, points: Float) -> Float:
-    """Signed distance to the skin, negative inside [m], shape (n,); first order, exact at the surface of one part."""
+    """Return the first-order signed distance to the skin, negative inside [m], shape (n,)."""
     return _distance_and_gradient(_segments(skeleton), points)[0]
 
 
 def bone_distance(points: Float, bones: list[Bone]) -> Float:
-    """Distance to the nearest bone surface [m], shape (n,); negative inside a bone."""
+    """Return the distance to the nearest bone surface [m], shape (n,); negative inside a bone."""
     return capsule_distance(points, [(b.start, b.end, b.radius_start_m, b.radius_end_m) for b in bones])
 
 
 def capsule_distance(points: Float, capsules: Iterable[tuple[Float, Float, float, float]]) -> Float:
-    """Distance to the nearest of some tapered capsules [m], shape (n,); negative inside.
+    """Return the distance to the nearest of some tapered capsules [m], shape (n,); negative inside.
 
     capsules: start and end of the axis [m], shape (3,), and the radius at each [m]
     """
@@ -164,7 +164,7 @@ def _distance_and_gradient(segments: wp.array, points: Float) -> tuple[Float, Fl
 
 
 def _check_gaps(skeleton: Skeleton) -> None:
-    """Beyond the webs, the skins of digits must not overlap: the smooth union would fuse them."""
+    """Raise SceneError if skins of digits overlap beyond the webs, where the smooth union would fuse them."""
     free = [s for s in skeleton.skin if s.name.endswith(("_middle", "_distal"))]
     share = np.linspace(0.0, 1.0, 21)[:, None]
     for a, b in combinations(free, 2):
@@ -181,7 +181,7 @@ def _check_gaps(skeleton: Skeleton) -> None:
 
 
 def _generate(skeleton: Skeleton, edge_m: float) -> cache.Arrays:
-    """Vertices and faces of the relaxed mesh."""
+    """Return vertices and faces of the relaxed mesh."""
     import trimesh
     from warp.geometry import IsoSurfaceMarchingCubes
 
@@ -218,7 +218,7 @@ def _generate(skeleton: Skeleton, edge_m: float) -> cache.Arrays:
 
 
 def _relax(segments: wp.array, vertices: Float, faces: Int, rounds: int) -> Float:
-    """Tangential smoothing, each round followed by a projection back onto the zero level."""
+    """Smooth vertices tangentially, and project them back onto the zero level after each round."""
     links = adjacency(faces, len(vertices))
     for _ in range(rounds):
         move = neighbour_mean(vertices, links) - vertices

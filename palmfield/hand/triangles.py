@@ -11,11 +11,11 @@ from palmfield.types import Float, Int
 
 ONES = np.ones(3)
 REACHED = 1e-13
-"""Products of lengths [mm2] below which a corner or an edge counts as reached."""
+"""Products of lengths [mm2] below which a point is at a corner or an edge."""
 
 
 def checked_mesh(vertices: ArrayLike, faces: ArrayLike) -> tuple[Float, Int]:
-    """Vertices [m], shape (n, 3), and faces, shape (m, 3). Raises PalmfieldError for other shapes and NaN."""
+    """Return vertices [m], shape (n, 3), and faces, shape (m, 3). Raises PalmfieldError for other shapes and NaN."""
     places, triangles = np.asarray(vertices, dtype=float), np.asarray(faces)
     for name, one in (("vertices", places), ("faces", triangles)):
         if one.ndim != 2 or one.shape[1] != 3 or len(one) == 0:
@@ -31,7 +31,7 @@ def checked_mesh(vertices: ArrayLike, faces: ArrayLike) -> tuple[Float, Int]:
 
 
 def face_normals(vertices: Float, faces: Int) -> tuple[Float, Float]:
-    """Unit normals, shape (m, 3), and areas [m2], shape (m,); the normal of a face without area is zero."""
+    """Return unit normals, shape (m, 3), and areas [m2], shape (m,); the normal of a face without area is zero."""
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     cross = np.cross(b - a, c - a)
     twice = np.linalg.norm(cross, axis=1)
@@ -51,10 +51,10 @@ class FaceSamples(NamedTuple):
 
 
 def face_samples(vertices: Float, faces: Int) -> FaceSamples:
-    """Centroid, normal and area of each face; for repeated calls use `posed_surface.FaceSampler`.
+    """Return centroid, normal and area of each face; for repeated calls use `posed_surface.FaceSampler`.
 
     vertices: [m], shape (n, 3); faces: shape (m, 3)
-    Raises PalmfieldError for other shapes, NaN, and faces of no vertex.
+    Raises PalmfieldError for other shapes, NaN, and invalid vertex numbers.
     """
     vertices, faces = checked_mesh(vertices, faces)
     normals, areas = face_normals(vertices, faces)
@@ -62,18 +62,18 @@ def face_samples(vertices: Float, faces: Int) -> FaceSamples:
 
 
 def signed_areas(points: Float, faces: Int) -> Float:
-    """Areas of faces on points of the plane, (n, 2), below 0 for clockwise ones [m2], shape (m,)."""
+    """Return the areas of faces in the plane [m2], shape (m,), negative if clockwise; points: shape (n, 2)."""
     a, b, c = (points[faces[:, i]] for i in range(3))
     return 0.5 * ((b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0]))
 
 
 def closest_on_each(triangles: Float, points: Float) -> Float:
-    """The point of each triangle that is closest to a point of its own [mm], shape (n, 3).
+    """Return the point of triangle i that is closest to point i [mm], shape (n, 3).
 
-    Ericson 2005, Real-Time Collision Detection, 5.1.5, with the bits of `trimesh.triangles.closest_point`, which takes
-    longer to import than a scene to load. For triangles without area use that.
+    Ericson 2005, Real-Time Collision Detection, 5.1.5. The result is bitwise that of `trimesh.triangles.closest_point`,
+    whose import takes longer than to load a scene. For triangles without area use the function of trimesh.
 
-    triangles: corners [mm], shape (n, 3, 3): an edge is reached within an absolute tolerance; points: shape (n, 3)
+    triangles: corners [mm], shape (n, 3, 3), as the tolerance at edges is absolute; points: [mm], shape (n, 3)
     """
     a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
     ab, ac = b - a, c - a
@@ -98,7 +98,7 @@ def closest_on_each(triangles: Float, points: Float) -> Float:
 
 
 def in_triangles(triangles: Float, points: Float) -> Float:
-    """Weights of the second and third corner of each triangle, shape (n, 3, 3), at a point of its own, shape (n, 2)."""
+    """Return weights of the second and third corner of triangle i, shape (n, 3, 3), at point i; shape (n, 2)."""
     u, v = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
     w = points - triangles[:, 0]
     uu, uv, uw, vv, vw = ((p * q) @ ONES for p, q in ((u, u), (u, v), (u, w), (v, v), (v, w)))
@@ -107,19 +107,19 @@ def in_triangles(triangles: Float, points: Float) -> Float:
 
 
 def volume(vertices: Float, faces: Int) -> float:
-    """Volume of a closed surface [m3]."""
+    """Return the volume of a closed surface [m3]."""
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum()) / 6.0
 
 
 def vertex_areas(vertices: Float, faces: Int) -> Float:
-    """A third of the areas of the faces around each vertex [m2], shape (n,)."""
+    """Return a third of the area of the faces around each vertex [m2], shape (n,)."""
     thirds = np.repeat(face_normals(vertices, faces)[1] / 3.0, 3)
     return np.bincount(faces.ravel(), thirds, minlength=len(vertices)).astype(np.float64)
 
 
 def vertex_normals(vertices: Float, faces: Int) -> Float:
-    """Unit normals by vertex, faces weighted by their angle there, shape (n, 3)."""
+    """Return unit normals at vertices, with faces weighted by corner angle, shape (n, 3)."""
     unit, _ = face_normals(vertices, faces)
     angles = corner_angles(vertices, faces)
     total = np.zeros_like(vertices)
@@ -130,7 +130,7 @@ def vertex_normals(vertices: Float, faces: Int) -> Float:
 
 
 def corner_angles(vertices: Float, faces: Int) -> Float:
-    """Angle at each corner of each face [rad], shape (m, 3)."""
+    """Return the angle at each corner of each face [rad], shape (m, 3)."""
     corners = vertices[faces]
     out = np.empty(faces.shape)
     for i in range(3):
@@ -141,24 +141,24 @@ def corner_angles(vertices: Float, faces: Int) -> Float:
 
 
 def directed_edges(faces: Int) -> Int:
-    """The three directed edges of each face, shape (3 m, 2), face by face within each third."""
+    """Return the directed edges of all faces, shape (3 m, 2): first edges of all faces, then second, then third."""
     return np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
 
 
 def unique_edges(faces: Int) -> tuple[Int, NDArray[np.int64]]:
-    """Undirected edges, shape (e, 2), and the number of faces of each, shape (e,)."""
+    """Return undirected edges, shape (e, 2), and the number of faces at each, shape (e,)."""
     key, count = np.unique(_edge_keys(faces), return_counts=True)
     return _edges_of_keys(key, faces), count
 
 
 def numbered_edges(faces: Int) -> tuple[Int, NDArray[np.int64], NDArray[np.int64]]:
-    """As `unique_edges`, with the number of the edge that each directed one is between them, shape (3 m,)."""
+    """Return the edges of `unique_edges`, the edge number of each directed edge, shape (3 m,), and the face counts."""
     key, which, count = np.unique(_edge_keys(faces), return_inverse=True, return_counts=True)
     return _edges_of_keys(key, faces), which, count
 
 
 def _edge_keys(faces: Int) -> NDArray[np.int64]:
-    """A number for each directed edge, in the order of undirected ones: numpy sorts rows 20 times as slowly."""
+    """Return a sort key of each directed edge, in the order of undirected edges; sorting rows is 20 times slower."""
     directed = directed_edges(faces).astype(np.int64)
     return np.asarray(directed.min(axis=1) * (int(faces.max(initial=0)) + 1) + directed.max(axis=1))
 
@@ -168,13 +168,13 @@ def _edges_of_keys(key: NDArray[np.int64], faces: Int) -> Int:
 
 
 def edge_lengths(vertices: Float, faces: Int) -> tuple[Int, Float]:
-    """Undirected edges, shape (e, 2), and their lengths [m], shape (e,)."""
+    """Return undirected edges, shape (e, 2), and their lengths [m], shape (e,)."""
     edges, _ = unique_edges(faces)
     return edges, np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
 
 
 def on_rim(faces: Int, number: int) -> NDArray[np.bool_]:
-    """True at the vertices of edges that have only one face, shape (number,)."""
+    """Return True for vertices of edges with only one face, shape (number,)."""
     edges, count = unique_edges(faces)
     rim = np.zeros(number, dtype=np.bool_)
     rim[edges[count == 1]] = True
@@ -182,7 +182,7 @@ def on_rim(faces: Int, number: int) -> NDArray[np.bool_]:
 
 
 def adjacency(faces: Int, number: int) -> sparse.csr_array:
-    """Vertex adjacency as a symmetric 0/1 matrix, shape (number, number)."""
+    """Return the vertex adjacency as a symmetric 0/1 matrix, shape (number, number)."""
     edges, _ = unique_edges(faces)
     ones = np.ones(len(edges))
     half = sparse.coo_array((ones, (edges[:, 0], edges[:, 1])), shape=(number, number))
@@ -190,15 +190,15 @@ def adjacency(faces: Int, number: int) -> sparse.csr_array:
 
 
 def neighbour_mean(values: Float, links: sparse.csr_array) -> Float:
-    """Mean over each vertex's neighbours; shape of `values`."""
+    """Return the mean over the neighbours of each vertex, in the shape of `values`."""
     count = np.asarray(links.sum(axis=1)).reshape((-1,) + (1,) * (values.ndim - 1))
     return (links @ values) / np.maximum(count, 1.0)
 
 
 def face_components(faces: Int, cut: Int | None = None) -> Int:
-    """Label of the edge-connected part that each face belongs to, shape (m,).
+    """Return the label of the edge-connected part of each face, shape (m,).
 
-    cut: edges that connect nothing, shape (k, 2), the lower vertex first
+    cut: edges that do not connect their faces, shape (k, 2), the lower vertex first
     """
     edges, count = np.sort(directed_edges(faces), axis=1).astype(np.int64), int(faces.max(initial=0)) + 1
     key, owner = edges[:, 0] * count + edges[:, 1], np.tile(np.arange(len(faces)), 3)
@@ -213,7 +213,7 @@ def face_components(faces: Int, cut: Int | None = None) -> Int:
 
 
 def largest_part(faces: Int, area: Float) -> NDArray[np.bool_]:
-    """True on the faces of the edge-connected part with the largest area, shape (m,); area: of each face."""
+    """Return True for faces of the edge-connected part with the largest area, shape (m,); area: of each face."""
     label = face_components(faces)
     return label == np.argmax(np.bincount(label, weights=area))
 
@@ -221,7 +221,7 @@ def largest_part(faces: Int, area: Float) -> NDArray[np.bool_]:
 def consistent_winding(faces: Int) -> Int:
     """Flip faces so that neighbours run along their common edge in opposite directions.
 
-    The first face of each part is unchanged. Meant for meshes whose every edge has two faces.
+    The first face of each part is unchanged. Every edge must have two faces.
     """
     directed, number = directed_edges(faces), len(faces)
     order = np.lexsort(np.sort(directed, axis=1).T[::-1])
@@ -238,8 +238,8 @@ def consistent_winding(faces: Int) -> Int:
 
 
 def winding_numbers(vertices: Float, faces: Int, points: Float) -> Float:
-    """Winding number of a surface about each point, shape (k,): 1 or -1 inside a closed one, 0 outside, between for
-    surfaces with holes (van Oosterom & Strackee 1983; Jacobson et al. 2013, doi 10.1145/2461912.2461916).
+    """Return the winding number of a surface about each point, shape (k,): 1 or -1 inside a closed surface, 0 outside,
+    between for surfaces with holes (van Oosterom & Strackee 1983; Jacobson et al. 2013, doi 10.1145/2461912.2461916).
 
     points: shape (k, 3)
     """

@@ -7,15 +7,15 @@ from palmfield.errors import SceneError
 METRES = {"m": 1.0, "dm": 0.1, "cm": 1e-2, "mm": 1e-3, "in": 0.0254}
 DIGITS = 5
 LEAST_EXTENT_m, GREATEST_EXTENT_m = 0.02, 0.6
-# From a child's hand to a large one with its wrist; forearm with hand: elbow to fingertip.
+# Lengths of a hand, from a child's to a large one with its wrist, and of a forearm with hand, from elbow to fingertip.
 HAND_m, FOREARM_m = (0.13, 0.26), (0.36, 0.56)
-# Breadth over length: a hand is at least 0.3 broad, a forearm with its hand at most 0.4.
+# Breadth over length: at least 0.3 for a hand, at most 0.4 for a forearm with its hand.
 LEAST_HAND_BREADTH, GREATEST_FOREARM_BREADTH = 0.3, 0.4
 
 
 @dataclass(frozen=True)
 class Unit:
-    """name: key of METRES; metres: its length [m]; source: of the choice, for the report."""
+    """A unit of length. name: key of METRES; metres: its length [m]; source: reason of the choice, for the report."""
 
     name: str
     metres: float
@@ -27,13 +27,14 @@ def choose_unit(
 ) -> Unit:
     """Choose the unit of a file.
 
-    requested: a key of METRES, or "auto"; by_format: unit prescribed by the file's format, or None
-    length, breadth: longest and middle extent, in the file's unit; what: the file, for messages; tips: of digits found
-    With "auto" the format's unit is used. Otherwise, for a mesh with five fingertips, the only unit in which these are
-    a hand (0.13 to 0.26 m long, broader than 0.3 of that) or a forearm with its hand (0.36 to 0.56 m, narrower than
-    0.4).
-    Raises SceneError for an unknown unit, if none or several fit or the tips are not five, and for a size outside 20 to
-    600 mm.
+    requested: a key of METRES, or "auto"; by_format: unit defined by the file format, or None
+    length, breadth: longest and middle extent, in the unit of the file; what: name of the file, for messages
+    tips: number of detected digit tips
+    With "auto", the unit of the format is used. If the format has none and the mesh has five fingertips, the result is
+    the only unit in which the mesh has the size of a hand (0.13 to 0.26 m long, broader than 0.3 of the length) or of a
+    forearm with its hand (0.36 to 0.56 m long, narrower than 0.4).
+    Raises SceneError for an unknown unit, if none or several units fit, if there are not five tips, and for a size
+    outside 20 to 600 mm.
     """
     if requested != "auto" and requested not in METRES:
         raise SceneError(f"{what}: unit {requested!r} is unknown; use one of {', '.join(METRES)} or auto")
@@ -61,7 +62,7 @@ def choose_unit(
 
 
 def size_of_a_hand(length_m: float, breadth_m: float) -> bool:
-    """Whether a mesh is as long and broad as a hand, or a forearm with its hand, see `choose_unit`."""
+    """Return whether a mesh has the size of a hand or of a forearm with its hand, see `choose_unit`."""
     return bool(_parts(length_m, breadth_m / length_m))
 
 

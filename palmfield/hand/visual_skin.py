@@ -1,4 +1,4 @@
-"""A surface on bones as MuJoCo's <skin>, which viewers show instead of capsules; the physics ignores it."""
+"""Write a surface on bones as a <skin> of MuJoCo, which viewers show instead of capsules; the physics ignores it."""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
@@ -10,15 +10,15 @@ from palmfield.hand.mjcf_text import SKIN_RGBA, numbers_text
 from palmfield.types import Float, Surface
 
 EDGE_m = 0.004
-"""Edge length of the triangles of the shipped hands' skins."""
+"""Edge length of the triangles of the skins of the hand presets."""
 DIGITS_OF_PLACE, DIGITS_OF_SHARE = 5, 3
-"""Places are rounded to 10 um, less than the error of 4 mm triangles."""
+"""Decimals of positions [m]: 10 um, less than the error of triangles of 4 mm."""
 
 
 class SkinBone(NamedTuple):
     """A body that moves skin.
 
-    place: of its origin with the skin at rest [m], shape (3,); shares: by vertex, shape (n,)
+    place: origin with the skin at rest [m], shape (3,); shares: weight at each vertex, shape (n,)
     """
 
     body: str
@@ -29,7 +29,7 @@ class SkinBone(NamedTuple):
 def add_skin(root: ET.Element, name: str, surface: Surface, bones: Sequence[SkinBone]) -> None:
     """Add a surface to a model as its skin `name`.
 
-    surface: where the bones' bodies have no rotation; bones without a share are left out
+    surface: skin in the pose in which the bodies have no rotation; bones without weight are omitted
     """
     attributes = {
         "name": name,

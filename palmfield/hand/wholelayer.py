@@ -1,4 +1,4 @@
-"""A skin layer under a whole closed surface, or under some of its faces, on the surface's own triangles."""
+"""Skin layer under a whole closed surface or some of its faces, on the triangles of the surface."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -22,9 +22,9 @@ from palmfield.hand.triangles import face_normals, largest_part, on_rim, unique_
 from palmfield.types import Float, Int, Patch, Surface
 
 THINNED = 0.999
-"""A vertex with less than this share of the requested thickness counts as thinned."""
+"""A vertex is thinned if it has less than this share of the requested thickness."""
 LEAST_UPRIGHT = 0.5
-"""The length correction of a column is limited to this cosine: 60 degrees."""
+"""Smallest cosine in the length correction of a slanted column: 60 degrees."""
 PALMAR = (0.0, 0.0, -1.0)
 """Direction of the palmar skin of a hand, in the hand frame."""
 
@@ -38,29 +38,28 @@ def hand_layer(
     max_fraction: float = 0.45,
     inward: Float | None = None,
 ) -> Patch:
-    """Layer of wedges under a closed surface, or under some of its faces, one wedge column a triangle.
+    """Return the layer of wedges under a closed surface or some of its faces, one column of wedges per triangle.
 
-    surface: closed mesh [m]; depth: skin thickness across the skin at its vertices [m], shape (n,), or one number; a
-        slanted column, as at creases, is longer by the mean cosine to the faces around
-    faces: numbers of the faces that get a layer, shape (k,), as of `facing_faces`; None is all: the patch has no rim
-    sheets: thicknesses of sub-layers as shares of the depth, in any unit, the first at the skin; for the report. The
-        solvers take the same numbers as sheets of a `palmfield.skin.problem.Layer`
-    max_fraction: largest thickness as a share of the distance through the body along the inward direction. At half of
-        it layers from both sides meet; 0.45 leaves a tenth of it between them
+    surface: closed mesh [m]; depth: thickness normal to the skin at its vertices [m], shape (n,), or one number; a
+        slanted column, as at creases, is longer by the inverse of its mean cosine to the faces
+    faces: numbers of the faces with a layer, shape (k,), for example by `facing_faces`; None is all faces, without rim
+    sheets: relative thicknesses of sub-layers in any unit, the first at the skin, for the report only; the solvers use
+        the same numbers as sheets of a `palmfield.skin.problem.Layer`
+    max_fraction: largest thickness as a share of the distance through the body along the inward direction. At 0.5
+        layers of both sides meet; 0.45 leaves a tenth of the distance between them
 
-    inward: unit directions into the body, shape (n, 3). None uses `layer.inward_directions` of the whole surface, so
-        that the layer at a rim is as inside it; if a coarse mesh folds over, as at some finger webs, a few vertices are
-        moved first (`layer.unfolded`)
+    inward: unit directions into the body, shape (n, 3). None computes `layer.inward_directions` of the whole surface,
+        so that columns at a rim are like those inside; if a coarse mesh folds over, as at some finger webs, a few
+        vertices are moved first (`layer.unfolded`)
 
-    Patch.report:
-    vertices, triangles, area_m2, angle_min_deg, edge_mean_m; quality_min (scaled Jacobian of the wedges, a bound)
-    depth_asked_{min,p10,mean}_m, depth_got_{min,p10,mean}_m, p10_share (10th percentile of got over asked)
-    area_thinned (share that got less than 0.999 of what was asked), area_limited (share where max_fraction alone
-    allows less than that)
-    volume_m3, thickness_integral_m3 (see `layer.thickness_integral`), volume_share (the first over the second)
+    Patch.report (percentiles, means and shares are weighted by area):
+    vertices, triangles, area_m2, angle_min_deg, edge_mean_m; quality_min (lower bound of the wedges' scaled Jacobian)
+    depth_asked_{min,p10,mean}_m (requested), depth_got_{min,p10,mean}_m, p10_share (10th percentile of their ratio)
+    area_thinned (share with less than 0.999 of the requested thickness), area_limited (share of these where
+    max_fraction alone is the reason)
+    volume_m3, thickness_integral_m3 (see `layer.thickness_integral`), volume_share (their ratio)
     vertices_moved, moved_most_m
     sheet_1_p10_m, sheet_1_volume_m3, sheet_1_quality_min, and so on for each of `sheets`
-    Percentiles, means and shares are by area.
 
     Raises SceneError for numbers out of range, a surface that is not closed, and a layer that folds, with its place.
     """
@@ -81,8 +80,8 @@ def hand_layer(
         )
     moved = np.zeros(len(vertices))
     if inward is None:
-        given, vertices = vertices, unfolded(vertices, everything)
-        moved = np.linalg.norm(vertices - given, axis=1)
+        original, vertices = vertices, unfolded(vertices, everything)
+        moved = np.linalg.norm(vertices - original, axis=1)
         inward = inward_directions(vertices, everything)
     used, local = np.unique(everything[chosen], return_inverse=True)
     points, corners, down = vertices[used], local.reshape(-1, 3).astype(np.int32), inward[used]
@@ -102,11 +101,11 @@ def hand_layer(
 
 
 def facing_faces(surface: Surface, direction: ArrayLike = PALMAR, least_cosine: float = 0.3) -> Int:
-    """Return the faces that face a unit direction, shape (k,): their largest connected part, holes filled.
+    """Return the largest connected part of the faces on one side of a surface, with holes filled, shape (k,).
 
-    direction: by default that of the palmar side in the hand frame; least_cosine: of the vertices' normals to it.
-    Vertices' normals give a smoother rim than those of faces.
-    Raises SceneError if no face does.
+    direction: unit direction of the side, default palmar in the hand frame
+    least_cosine: smallest cosine of vertex normals to it; vertex normals give a smoother rim than face normals
+    Raises SceneError if there is no such face.
     """
     cosine = surface.normals @ np.asarray(direction, dtype=np.float64)
     seen = cosine[surface.faces].mean(axis=1) > least_cosine
@@ -137,17 +136,17 @@ def _face_numbers(faces: ArrayLike | None, count: int) -> Int:
 
 
 def _shares(sheets: ArrayLike | None) -> Float:
-    """Depths of the sheets' boundaries as shares, 0 first, 1 last; empty without sheets."""
+    """Return the boundaries of the sheets as shares of the depth, from 0 to 1; empty without sheets."""
     if sheets is None:
         return np.zeros(0)
     parts = np.asarray(sheets, dtype=np.float64)
     if parts.ndim != 1 or len(parts) == 0 or not (np.isfinite(parts) & (parts > 0.0)).all():
-        raise SceneError(f"skin layer: sheets are {parts.tolist()}; give shares of the depth above 0, the skin's first")
+        raise SceneError(f"skin layer: sheets are {parts.tolist()}; give shares of the depth above 0, skin first")
     return np.concatenate([[0.0], np.cumsum(parts) / parts.sum()])
 
 
 def upright_cosine(vertices: Float, faces: Int, inward: Float) -> Float:
-    """Mean cosine by area of each vertex's direction to its faces, shape (n,), at least LEAST_UPRIGHT."""
+    """Return the area-weighted mean cosine of each vertex's direction to its faces, shape (n,), >= LEAST_UPRIGHT."""
     unit, area = face_normals(vertices, faces)
     cosine = -np.einsum("ijk,ik->ij", inward[faces], unit) * area[:, None]
     total = np.bincount(faces.ravel(), cosine.ravel(), len(vertices))
@@ -155,7 +154,7 @@ def upright_cosine(vertices: Float, faces: Int, inward: Float) -> Float:
 
 
 def percentile(values: Float, weights: Float, percent: float) -> float:
-    """Least value that at least `percent` of the weight does not exceed."""
+    """Return the weighted percentile: the smallest value with at least `percent` of the weight at or below it."""
     order = np.argsort(values)
     heaped = np.cumsum(weights[order])
     return float(values[order][np.searchsorted(heaped, 0.01 * percent * heaped[-1])])

@@ -13,10 +13,10 @@ from palmfield.cli.app import app
 from palmfield.config.skin import SkinConfig
 from palmfield.errors import OutputError, SceneError
 from palmfield.hand.chirality import chirality
-from palmfield.hand.foretold import foretold_layers
 from palmfield.hand.meshfile import load_mesh
 from palmfield.hand.preset import load_preset
 from palmfield.hand.reportcard import as_text, fault_faces, palmar_layers, refused_facts, report_card, write_card
+from palmfield.hand.scene_layers import scene_layers
 from palmfield.hand.surface import hand_surface
 from palmfield.skin.scene_layer import LayerDemand, SceneLayer
 
@@ -181,13 +181,13 @@ def plain():
 def test_a_scene_gets_the_layers_that_the_card_foretells(tmp_path, depth_m):
     path = written(tmp_path / "hand.ply", *plain())
     surface = load_mesh(path, "mm")
-    foretold = foretold_layers(surface, chirality(surface.vertices, surface.faces), depth_m)
-    assert [layer["place"].split()[0] for layer in foretold] == ["palm", "thumb", "index", "middle", "ring", "little"]
+    layers = scene_layers(surface, chirality(surface.vertices, surface.faces), depth_m)
+    assert [layer["place"].split()[0] for layer in layers] == ["palm", "thumb", "index", "middle", "ring", "little"]
     keys = {"shape": "mesh", "mesh": str(path), "mesh_unit": "mm", "patch_site": "site"}
     # The default may be deeper than a finger is thick; who asks for that is refused
     keys |= {} if depth_m == SkinConfig.model_fields["depth_m"].default else {"depth_m": depth_m}
     demand = LayerDemand(0.0103, 200.0, 200.0, (0.0, 0.0), 1e-3)
-    for told in foretold:
+    for told in layers:
         config = SkinConfig(**keys, patch_radius_m=1e-3 * told["radius_mm"])
         got = SceneLayer(config, surface, depth_m, 1e-3 * np.array(told["centre_mm"]), demand).patch.report
         # Under the palm the scene's elements are a little finer
@@ -196,10 +196,10 @@ def test_a_scene_gets_the_layers_that_the_card_foretells(tmp_path, depth_m):
         assert told["least_mm"] == pytest.approx(1e3 * got["depth_got_min_m"], rel=0.05)
 
 
-def test_foretold_places_are_the_palm_and_the_pads():
+def test_scene_layer_places_are_the_palm_and_the_pads():
     hand = hand_surface(load_preset("open_men_p50"), 0.004)
     side = chirality(hand.surface.vertices, hand.surface.faces)
-    for layer in foretold_layers(hand.surface, side):
+    for layer in scene_layers(hand.surface, side):
         digit, at = layer["place"].split()[0], 1e-3 * np.array(layer["centre_mm"])
         assert np.abs(hand.surface.vertices - at).max(axis=1).min() < 0.004
         if digit in ("index", "middle", "ring", "little"):

@@ -233,7 +233,7 @@ def test_names_that_cannot_be_bodies(mesh, name, reason):
 def test_bodies_and_joints_by_name(mesh):
     assert joint_of_body("hand", mesh.joints) == (1, "")
     assert joint_of_body("left_forearm", mesh.joints) == (0, "left_")
-    with pytest.raises(SceneError, match=r"^'paw' ends with .*; allowed with shape 'rigged': \[prefix\]"):
+    with pytest.raises(SceneError, match=r"^'paw' does not end with .*; allowed with shape 'rigged': \[prefix\]"):
         joint_of_body("paw", mesh.joints)
 
 

@@ -257,8 +257,8 @@ def test_bodies_that_are_missing_or_misplaced_are_named(rest):
     text = (rest / "hand.xml").read_text()
     (rest / "lost.xml").write_text(text.replace('"ring_middle"', '"ring_center"'))
     refused(rest, "shape' has value 'rigged': the scene has no body 'ring_middle' .*; it has: ", hand="lost.xml")
-    allowed = r"allowed with shape 'rigged': \[prefix\] and a joint of the mesh: forearm, hand, "
-    refused(rest, f"key 'body': 'hand_target' ends with the name of no joint; {allowed}", body="hand_target")
+    allowed = r"allowed with shape 'rigged': \[prefix\] and joint: forearm, hand, "
+    refused(rest, f"key 'body': 'hand_target' does not end with the name of a joint; {allowed}", body="hand_target")
     prefixed = re.sub('(name|body|body1|body2)="', r'\1="left_', text)
     (rest / "left_hand.xml").write_text(prefixed)
     left = dict(hand="left_hand.xml", body="left_hand", patch_site="left_index_distal_pad")

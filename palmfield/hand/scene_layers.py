@@ -1,4 +1,4 @@
-"""Predict the skin layers of a scene at the palm and the fingertips of a user's mesh."""
+"""Compute the skin layers that a scene would have at the palm and the fingertips of a user's mesh."""
 
 from typing import Any
 
@@ -15,21 +15,21 @@ from palmfield.hand.triangles import adjacency
 from palmfield.types import Float, Surface
 
 DEPTH_m = 0.02
-"""Default of a skin's key depth_m."""
+"""Default of key depth_m of a skin."""
 OF_A_MESH = 0.45
-"""Largest depth of the layer of a scene as a share of the distance through the body, as a mesh has no bones."""
+"""Largest layer depth in a scene as a share of the distance through the body, for meshes, which have no bones."""
 PALM_RADIUS_m, TIP_RADIUS_m = 0.02, 0.008
 EDGE_SHARE = 0.25
-"""Edge length of the elements of small patches in scenes, as a share of their radius, at any accuracy."""
+"""Edge length of the elements of small patches in scenes, as a share of their radius."""
 TIP_PIECE_m, PAD_FROM_TIP_m = 0.015, 0.009
 
 
-def foretold_layers(surface: Surface, hand: Chirality, depth_m: float = DEPTH_m) -> list[dict[str, Any]]:
-    """Layers under the middle of the palm and the pads of the digits' tips, as of a scene of shape mesh or rigged.
+def scene_layers(surface: Surface, hand: Chirality, depth_m: float = DEPTH_m) -> list[dict[str, Any]]:
+    """Return the layers under the palm and the pads of the digit tips that a scene of shape mesh or rigged would have.
 
-    surface: closed mesh [m]; hand: its `chirality`; depth_m: the key of the scene [m]
-    Each with place ("palm", "thumb tip", ...), centre_mm, radius_mm, and least_mm, p10_mm and mean_mm of the layer's
-    depth, or error if it folds. Digits have names if there are five tips, else numbers.
+    surface: closed mesh [m]; hand: its `chirality`; depth_m: key of the scene [m]
+    Each layer has place ("palm", "thumb tip", ...), centre_mm, radius_mm, and the depths least_mm, p10_mm and mean_mm,
+    or error if it folds. Digits have names if there are five tips, otherwise numbers.
     """
     places = [("palm", _out_of(surface, hand.middle, hand.palm), PALM_RADIUS_m)]
     names = DIGITS if len(hand.tips) == len(DIGITS) else [f"digit {n}" for n in range(1, len(hand.tips) + 1)]
@@ -56,7 +56,7 @@ def _layer(surface: Surface, place: str, centre: Float, radius_m: float, depth_m
 
 
 def _out_of(surface: Surface, point: Float, out: Float) -> Float:
-    """Return where a ray from a point within the body leaves it, shape (3,); else the nearest vertex."""
+    """Return the point where a ray from inside leaves the body, shape (3,), or the vertex nearest to its origin."""
     reach = float(np.ptp(surface.vertices, axis=0).sum())
     way = float(exit_distances(surface.vertices, surface.faces, point[None], out[None], reach)[0])
     if np.isfinite(way):
@@ -65,7 +65,7 @@ def _out_of(surface: Surface, point: Float, out: Float) -> Float:
 
 
 def _pad(surface: Surface, hand: Chirality, tip: Float) -> Float:
-    """Return the middle of the pad behind a fingertip, shape (3,): on the palm's side, rotated with the bent finger."""
+    """Return the centre of the pad behind a fingertip, shape (3,): on the palmar side of the finger, also if bent."""
     near = np.flatnonzero(np.linalg.norm(surface.vertices - tip, axis=1) < TIP_PIECE_m)
     links = adjacency(surface.faces, len(surface.vertices))[near][:, near]
     label = sparse.csgraph.connected_components(links, directed=False)[1]
