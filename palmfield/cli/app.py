@@ -1,6 +1,6 @@
-"""The command line: the program, its groups of commands, and its door for errors and Ctrl-C.
+"""The command line: the program, its groups of commands, and its handling of errors and Ctrl-C.
 
-A command's options stand in its own file, which loads what it needs inside functions, so that --help is quick.
+Each command has its own file with its options. It imports other modules inside functions, so that --help is quick.
 """
 
 import gc
@@ -52,36 +52,36 @@ GROUPS: dict[str, tuple[Callable[..., None] | typer.Typer, ...]] = {
     "Study": (sweep, compare, experiment),
     "Maintain": (migrate, cache, bench),
 }
-"""What `palmfield --help` lists: a function is a command of its name, a Typer has commands of its own."""
+"""Commands by heading of `palmfield --help`: a function is a command with its name, a Typer has subcommands."""
 OF_OTHERS = "From other distributions"
 INTERRUPTED_CODE = 130
 """Exit code after Ctrl-C."""
 USUAL_THRESHOLDS = gc.get_threshold()
 OBJECTS_AT_START = 300_000
-"""Slightly more objects than imports and a scene make. They all stay: looking through them for garbage takes a fifth of
-the time to start."""
+"""Number of new objects before the first garbage collection, slightly more than imports and a scene make. They all
+remain in use, and searching them would take a fifth of the start-up time."""
 ANYWHERE = {"-v": 0, "--verbose": 0, "-q": 0, "--quiet": 0, "--log-level": 1}
-"""Options of the whole program, which may also stand after a command, and how many values follow each."""
+"""Options of the whole program, which may also follow a command, with the number of values of each."""
 
 
-class _Door(TyperGroup):
-    """The whole program: what it is given is read as on this system, and other distributions bring commands."""
+class _Program(TyperGroup):
+    """The whole program: it expands arguments as this system does, and adds commands of other distributions."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        return super().parse_args(ctx, [_of_this_system(argument) for argument in args])
+        return super().parse_args(ctx, [_expanded(argument) for argument in args])
 
     def list_commands(self, ctx: Any) -> list[str]:
-        """In the order of GROUPS, then those of others."""
-        self._take_in()
+        """Return names in the order of GROUPS, then those of other distributions."""
+        self._add_others()
         return list(dict.fromkeys((*GROUP_OF, *self.commands)))
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         if cmd_name not in self.commands:
-            self._take_in()
+            self._add_others()
         return super().get_command(ctx, cmd_name)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """A section of help for each group, all with columns of one width."""
+        """Write a section of help for each group, with equal column widths."""
         rows: dict[str, list[tuple[str, str]]] = {group: [] for group in (*GROUPS, OF_OTHERS)}
         names = self.list_commands(ctx)
         width = max(map(len, names))
@@ -93,14 +93,14 @@ class _Door(TyperGroup):
                 with formatter.section(group):
                     formatter.write_dl(listed)
 
-    def _take_in(self) -> None:
-        """Take commands in that other distributions bring: only when asked for, as each loads a module."""
+    def _add_others(self) -> None:
+        """Add commands of other distributions; only when needed, since each loads a module."""
         for name, command in brought.commands().items():
             self.commands.setdefault(name, command)
 
 
-def _of_this_system(argument: str) -> str:
-    """An argument with its home folder, which shells leave alone behind `=` and in quotes.
+def _expanded(argument: str) -> str:
+    """Expand `~` in an argument, which shells do not do after `=` and in quotes.
 
     Raises SceneError for a path of Windows on another system.
     """
@@ -116,7 +116,7 @@ def _of_this_system(argument: str) -> str:
 
 
 app = typer.Typer(
-    cls=_Door,
+    cls=_Program,
     no_args_is_help=True,
     rich_markup_mode=None,
     help="Ultrasonic mid-air haptics: from the drive of an array to radiation pressure on a hand, skin waves and "
@@ -124,7 +124,7 @@ app = typer.Typer(
     "lets the shell complete commands, options, plugins and keys after TAB.",
 )
 GROUP_OF: dict[str, str] = {}
-"""The group of each own command, by the command's name."""
+"""Group of each command of palmfield, by name."""
 for _group, _members in GROUPS.items():
     for _member in _members:
         if isinstance(_member, typer.Typer):
@@ -162,14 +162,14 @@ def program(
 
 
 def main() -> None:
-    """The command line: users' errors become one line on standard error and exit code 2."""
+    """Run the command line: errors of the user become one line on standard error and exit code 2."""
     try:
         app(_anywhere(sys.argv[1:]), standalone_mode=True)
     except PalmfieldError as error:
         complain(str(error))
         sys.exit(2)
     except (KeyboardInterrupt, SystemExit, Exception) as error:
-        if isinstance(error, SystemExit) and not _unsaid(error):
+        if isinstance(error, SystemExit) and not _silent(error):
             raise
         if not _from_ctrl_c(error):
             raise
@@ -178,33 +178,33 @@ def main() -> None:
 
 
 def start() -> None:
-    """Entry point: `main` in a process of its own, which looks for garbage only after the start."""
+    """Entry point: run `main` with garbage collection delayed until after the start."""
     gc.callbacks.append(_before_garbage)
     gc.set_threshold(OBJECTS_AT_START)
     main()
 
 
 def _before_garbage(phase: str, info: dict[str, int]) -> None:
-    """Before Python looks for garbage for the first time: leave out all objects so far, then go on as usual."""
+    """Before the first garbage collection exclude all objects so far; later collections are as usual."""
     gc.callbacks.remove(_before_garbage)
     gc.freeze()
     gc.set_threshold(*USUAL_THRESHOLDS)
 
 
-def _unsaid(error: SystemExit) -> bool:
-    """Whether Typer ended the program for Ctrl-C, of which it says nothing; commands that do raise Exit from None."""
+def _silent(error: SystemExit) -> bool:
+    """Return whether Typer ended the program after Ctrl-C without a message; commands raise Exit from None."""
     ended = error.__context__
     return error.code == INTERRUPTED_CODE and ended is not None and isinstance(ended.__cause__, KeyboardInterrupt)
 
 
 def _from_ctrl_c(error: BaseException) -> bool:
-    """Whether an error stands for Ctrl-C: libraries that it meets while they are loaded raise errors of their own."""
+    """Return whether an error was caused by Ctrl-C: libraries raise their own errors if it interrupts an import."""
     causes = (error.__cause__, error.__context__)
     return isinstance(error, KeyboardInterrupt) or any(_from_ctrl_c(cause) for cause in causes if cause is not None)
 
 
 def _anywhere(arguments: list[str]) -> list[str]:
-    """Arguments with the options of the whole program before the command."""
+    """Return the arguments with options of the whole program moved before the command."""
     first, rest, waiting = [], [], 0
     for argument in arguments:
         name, equals, _ = argument.partition("=")

@@ -1,4 +1,4 @@
-"""`palmfield bench`: how fast palmfield is on this machine, and how exact."""
+"""`palmfield bench`: measure speed and accuracy of palmfield on this machine."""
 
 from pathlib import Path
 from typing import Annotated
@@ -22,12 +22,12 @@ def field(
     only: Annotated[str, typer.Option(help="run only methods whose names contain this text")] = "",
     commit: Annotated[str, typer.Option(help="commit named in the head of the report [default: from git]")] = "",
 ) -> None:
-    """Speed and error of the pressure field, as a markdown table.
+    """Measure speed and error of the pressure field, as a Markdown table.
 
-    996 transducers, two ranges of distances. Every method computes the same problem in a process of its own, in turns
-    with the others, so that what else the machine does meets all alike. Errors are against float64. A yardstick in the
-    head says how fast the machine was: compare speeds within one table, not between tables. In a clone of palmfield
-    scripts/bench/compare_field.py puts other programs beside it.
+    The problem has 996 transducers and two ranges of distances. Each method runs in a separate process, in turns with
+    the others, so that other load affects all of them equally. Errors are relative to float64. The head of the report
+    states the speed of the machine; compare speeds only within one table. In a clone of palmfield,
+    scripts/bench/compare_field.py also measures other programs.
 
     Examples: palmfield bench field --only gradient
 
@@ -47,10 +47,11 @@ def skin(
     only: Annotated[str, typer.Option(help="run only methods whose names contain this text")] = "",
     commit: Annotated[str, typer.Option(help="commit named in the head of the report [default: from git]")] = "",
 ) -> None:
-    """Time and error of the skin solvers on one slab, as a markdown table.
+    """Measure time and error of the skin solvers on one slab, as a Markdown table.
 
-    Each at several wanted accuracies. Errors are against plane waves in depth, which are exact. It takes some minutes.
-    In a clone of palmfield scripts/bench/compare_skin.py puts scikit-fem, warp.fem and MuJoCo's flexes beside them.
+    Each solver runs at several target accuracies. Errors are relative to the exact solution by plane waves in depth.
+    This takes some minutes. In a clone of palmfield, scripts/bench/compare_skin.py also measures scikit-fem, warp.fem
+    and MuJoCo's flexes.
 
     Examples: palmfield bench skin --only lateral_waves
 
@@ -75,12 +76,12 @@ def scene(
     seed: Annotated[int, typer.Option(help="seed of the random numbers")] = 0,
     commit: Annotated[str, typer.Option(help="commit named in the head of the report [default: from git]")] = "",
 ) -> None:
-    """Speed of whole scenes, and with --error their error beside it, as a markdown table.
+    """Measure the speed of whole scenes, and with --error their error, as a Markdown table.
 
-    Wall milliseconds for a simulated one, in plain mj_step over whole runs. Path, level and pose are drawn after the
-    model is built, so that skins move by modes that serve every load; --known measures the scenes as they are. Each
-    scene runs in processes of its own: once with an empty cache, once with what that left there. --error takes
-    minutes a scene.
+    Speed is wall time per simulated time in plain mj_step over whole runs. Path, level and pose are drawn at random
+    after the model is built, so that skins use modes for every load; --known measures unchanged scenes. Each scene runs
+    in two separate processes, with an empty cache and with the cache of the first. --error takes minutes for each
+    scene.
 
     Examples: palmfield bench scene palm_am200 palm_circle
 

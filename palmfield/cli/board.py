@@ -1,4 +1,4 @@
-"""`palmfield board`: one board, or a virtual one in its place."""
+"""`palmfield board`: facts of a board, or a virtual board."""
 
 import time
 from pathlib import Path
@@ -26,7 +26,7 @@ def board(
     unplug: Annotated[float | None, typer.Option(help="remove the port at this time [s]")] = None,
     received: Annotated[Path | None, typer.Option(help="write the received bytes to this file")] = None,
 ) -> None:
-    """A virtual board: takes bytes at the pace of the real one's line, and says what sounded and what it noticed.
+    """Start a virtual board, which reads bytes at the rate of the real line and reports its sound and errors.
 
     Example: palmfield board sonicsurface --virtual
     """
@@ -42,7 +42,7 @@ def board(
     kind: Literal["pty", "tcp"] = "pty" if by == "pty" else "tcp"
     with VirtualBoard(played, by=kind, tcp_port=tcp_port, faults=Faults(drop, flip)) as made:
         print(made.port)
-        # A focus is played by boards of one array
+        # Only boards with one array play a focus
         what = "--focus 0 0 0.15" if played.arrays[0] == 1 else "SCENE.xml"
         print(f"next, in another terminal: palmfield drive {what} --board {played.name} --port {made.port}", flush=True)
         try:

@@ -1,4 +1,4 @@
-"""`palmfield boards`: the boards that play a drive, and what is known of each."""
+"""`palmfield boards`: list the boards and their properties."""
 
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,7 +16,7 @@ def boards(
     markdown: Annotated[bool, typer.Option(help="print the page docs/boards.md")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """List the boards that play a drive, with their limits; all of one, with what it can't guarantee.
+    """List the boards with their limits, or all properties of one board and what it cannot guarantee.
 
     Example: palmfield boards sonicsurface
     """
@@ -29,7 +29,7 @@ def boards(
 
 
 def facts(board: "Board") -> dict[str, Any]:
-    """What is known of a board, with units in the names."""
+    """Return the properties of a board, with units in the names."""
     steps = 1 if board.amplitude == "on_off" else board.amplitude_steps
     return {
         "board": board.name,
@@ -54,7 +54,7 @@ def facts(board: "Board") -> dict[str, Any]:
 
 
 def as_text() -> str:
-    """All boards, each with its description."""
+    """Return all boards with their descriptions."""
     from palmfield.drive.boards import BOARDS
 
     width = max(len(name) for name in BOARDS)
@@ -62,7 +62,7 @@ def as_text() -> str:
 
 
 def as_markdown() -> str:
-    """The page docs/boards.md's table and its sections."""
+    """Return the table and the sections of the page docs/boards.md."""
     from palmfield.drive.boards import BOARDS
 
     lines = [
@@ -94,7 +94,7 @@ def as_markdown() -> str:
 
 
 def _bytes(data: bytes) -> str:
-    """Bytes in decimals, runs of one byte as N x BYTE."""
+    """Return bytes as decimals; repeated bytes as N x BYTE."""
     runs: list[tuple[int, int]] = []
     for byte in data:
         if runs and runs[-1][1] == byte:
@@ -110,7 +110,7 @@ def _bytes(data: bytes) -> str:
 
 
 def describe(board: str | None, markdown: bool) -> None:
-    """Print one board's facts, all boards, or the page's part."""
+    """Print the properties of one board, all boards, or the part of the page."""
     from palmfield.drive.boards import playable_board
 
     if markdown:
@@ -118,12 +118,12 @@ def describe(board: str | None, markdown: bool) -> None:
     elif board is None:
         print(as_text(), end="")
     else:
-        known = playable_board(board)
-        # Of hundreds of bytes people read what they are, runs as N x BYTE; `--json` has each
-        sequences = {"start_hex": ("start", known.start), "stop_hex": ("stop", known.stop)}
-        for key, value in facts(known).items():
+        chosen = playable_board(board)
+        # Long sequences are abbreviated as N x BYTE; `--json` prints every byte
+        sequences = {"start_hex": ("start", chosen.start), "stop_hex": ("stop", chosen.stop)}
+        for key, value in facts(chosen).items():
             if key == "max_frame_rate_Hz":
-                value = known.frame_rate
+                value = chosen.frame_rate
             if key in sequences:
                 key, data = sequences[key]
                 value = f"{_bytes(data)} ({len(data)} bytes, in decimals)"

@@ -1,7 +1,7 @@
-"""Commands that other distributions bring, by entry points of group `palmfield.commands`.
+"""Load commands of other distributions, by entry points of group `palmfield.commands`.
 
-An entry point has the command's name and leads to a function with Typer's annotations and a docstring, its help. In it
-`context.obj` is True where only warnings, errors and JSON are to be printed.
+The name of an entry point is that of the command. It refers to a function with Typer's annotations, whose docstring is
+the help. `context.obj` is True if only warnings, errors and JSON are to be printed.
 """
 
 from collections.abc import Callable
@@ -15,31 +15,31 @@ import typer.main
 from palmfield.errors import PalmfieldError
 
 GROUP = "palmfield.commands"
-APART = {"papers": ("palmfield-papers", "Reproduce four papers, and print each number next to the published one")}
-"""Commands in folders of palmfield's repository that are distributions of their own: which, and what they do."""
+SEPARATE = {"papers": ("palmfield-papers", "Reproduce four papers, and print each number next to the published one")}
+"""Commands of separate distributions in the repository of palmfield: distribution and description."""
 CLONE = Path(__file__).resolve().parents[2]
 
 
 def commands() -> dict[str, Any]:
-    """Typer's commands by name.
+    """Return Typer's commands by name.
 
-    One that is not installed or can't be loaded takes any arguments and says so.
+    A command that is not installed or cannot be loaded accepts any arguments and reports this.
     """
-    absent = {name: _absent(name) for name in APART}
+    absent = {name: _absent(name) for name in SEPARATE}
     return absent | {entry.name: _loaded(entry) for entry in entry_points(group=GROUP)}
 
 
 def _loaded(entry: EntryPoint) -> Any:
     try:
         return _made(entry.name, entry.load())
-    except Exception as error:  # another's fault must not cost `palmfield --help`
+    except Exception as error:  # an error in another distribution must not affect `palmfield --help`
         where = f" of {entry.dist.name}" if entry.dist is not None else ""
         said = f"`palmfield {entry.name}`{where} cannot be loaded: {type(error).__name__}: {error}"
         return _refused(entry.name, "Cannot be loaded", said)
 
 
 def _absent(name: str) -> Any:
-    distribution, does = APART[name]
+    distribution, does = SEPARATE[name]
     there = (CLONE / name / "pyproject.toml").is_file()
     install = f"pip install -e {CLONE / name}" if there else f"pip install {distribution}"
     said = f"`palmfield {name}` belongs to a separate distribution, which is not installed; install it: {install}"

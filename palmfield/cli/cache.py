@@ -1,4 +1,4 @@
-"""`palmfield cache`: what is kept on disk between runs."""
+"""`palmfield cache`: list and clear data stored on disk between runs."""
 
 import time
 from pathlib import Path
@@ -20,13 +20,13 @@ cache = group(
 
 @cache.command("list")
 def show() -> None:
-    """Say what is kept, how large it is and when it was last used.
+    """List the entries of the cache, with size and time of last use.
 
     Example: palmfield cache list
     """
     from palmfield import cache as disk
 
-    where, kept = _held()
+    where, kept = _entries()
     for entry in kept:
         print(f"{entry.size_bytes / 1e6:8.1f} MB  used {_ago(time.time() - entry.used):>9} ago  {entry.path.name}")
     total = sum(entry.size_bytes for entry in kept)
@@ -36,19 +36,19 @@ def show() -> None:
 
 @cache.command("clear")
 def clear() -> None:
-    """Remove all that is kept: the next runs compute it again.
+    """Remove all entries of the cache; later runs compute them again.
 
     Example: palmfield cache clear
     """
     from palmfield import cache as disk
 
-    where, kept = _held()
+    where, kept = _entries()
     total = sum(entry.size_bytes for entry in kept)
     print(f"removed {disk.clear()} from {where}: {total / 1e6:.1f} MB")
 
 
-def _held() -> tuple[Path, list["Entry"]]:
-    """The folder and what it holds; typer.Exit, once it is said, where nothing is kept."""
+def _entries() -> tuple[Path, list["Entry"]]:
+    """Return the folder and its entries. If the cache is off or empty, print this and raise typer.Exit."""
     from palmfield import cache as disk
 
     where = disk.folder()

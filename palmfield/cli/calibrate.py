@@ -1,4 +1,4 @@
-"""`palmfield calibrate`: from a laboratory's readings to a calibration file."""
+"""`palmfield calibrate`: make a calibration file from readings of a laboratory."""
 
 from pathlib import Path
 from typing import Annotated
@@ -20,7 +20,7 @@ Layout = Annotated[str | None, typer.Option(help="layout of the array, for a new
 
 @calibrate.command("kinds")
 def kinds() -> None:
-    """List the kinds of measurements: what is done, and the columns of their CSV files.
+    """List the kinds of measurements, with their procedure and the columns of their CSV files.
 
     Example: palmfield calibrate kinds
     """
@@ -57,7 +57,7 @@ def add(
     ] = 1e-3,
     temperature_sd: Annotated[float, typer.Option(help="standard deviation of the air temperature [K]")] = 1.0,
 ) -> None:
-    """Put what readings say into a calibration, and print it with its uncertainty.
+    """Evaluate readings, add the result to a calibration, and print it with its uncertainty.
 
     Examples: palmfield calibrate add elements elements.csv board.json --layout sonicsurface --source "our lab"
 
@@ -83,7 +83,7 @@ def import_(
     file: Annotated[Path, typer.Argument(help="vendor's file of an OpenMPD board", metavar="BOARD_N.pat")],
     board: Annotated[Path, typer.Argument(help="the new calibration", metavar="BOARD.json")],
 ) -> None:
-    """Write a vendor's file of one OpenMPD board (pins, phases, polarities) as a calibration.
+    """Convert the vendor's file of one OpenMPD board (pins, phases, polarities) to a calibration.
 
     Example: palmfield calibrate import board_10.pat board.json
     """
@@ -110,7 +110,7 @@ def sound(
     ),
     log: Annotated[Path | None, typer.Option(help="log file of the frames sent and their times")] = None,
 ) -> None:
-    """Sound one transducer after the other at full drive, as they are wired: what kind `elements` is measured on.
+    """Sound one transducer after the other at full drive, as wired, for measurements of kind `elements`.
 
     Examples: palmfield calibrate sound sonicsurface --port /dev/ttyUSB0
 
@@ -133,7 +133,7 @@ def show(
         Path | None, typer.Option(help="plot phase, polarity and gain over the board", metavar="FILE")
     ] = None,
 ) -> None:
-    """Say what a calibration holds and what is missing, and draw it.
+    """Print the parts of a calibration and those that are missing, and draw it.
 
     Example: palmfield calibrate show board.json --png board.png
     """
@@ -149,7 +149,7 @@ def rehearse(
     layout: Annotated[str, typer.Option(help="layout of the array (docs/arrays.md)")] = "sonicsurface",
     seed: Annotated[int, typer.Option(help="seed of the random numbers")] = 0,
 ) -> None:
-    """Write readings of an imaginary board, and truth.json, what it is like, to try a calibration without an array.
+    """Write readings of an imaginary board and its true values (truth.json), to practise without an array.
 
     Example: palmfield calibrate rehearse trial
     """

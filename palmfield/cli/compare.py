@@ -1,4 +1,4 @@
-"""`palmfield compare`: a scan held against a run."""
+"""`palmfield compare`: compare a measured scan with a run."""
 
 from pathlib import Path
 from typing import Annotated
@@ -45,9 +45,9 @@ def compare(
     overwrite: Annotated[bool, typer.Option("--overwrite", help="replace another comparison in the folder")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Hold a vibrometer's scan against a run: gain, delay, difference and coherence at each point, and wavenumbers.
+    """Compare a vibrometer scan with a run: gain, delay, difference and coherence at each point, and wavenumbers.
 
-    The scan is moved onto the skin, and ours passes the same instrument.
+    The scan is moved onto the skin, and the computed motion passes through a model of the same instrument.
 
     Example: palmfield compare out/palm scan.csv --instrument head.toml
     """

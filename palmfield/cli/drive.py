@@ -1,4 +1,4 @@
-"""`palmfield drive`: a scene, one focus, or foci that come in, played on a board."""
+"""`palmfield drive`: play a scene, one focus, or received foci on a board."""
 
 import sys
 from pathlib import Path
@@ -7,20 +7,20 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from palmfield.cli.messages import complain
-from palmfield.cli.options import BoardName, Keys, check_duration, given_keys
+from palmfield.cli.options import BoardName, Keys, check_duration, parsed_keys
 from palmfield.errors import SceneError
 
 if TYPE_CHECKING:
     from palmfield.hardware.play import Performance
 
 UNSENT_CODE = 4
-"""Exit code where more frames were due than could be sent."""
+"""Exit code if more frames were due than could be sent."""
 OF_A_FOCUS = {
     "level": "stimulus.drive_amplitude", "am_frequency": "stimulus.am_frequency_Hz", "layout": "array.layout",
     "p0": "array.p0_Pa_m", "calibration": "array.calibration", "temperature": "array.temperature_C",
     "humidity": "array.humidity_percent", "air_pressure": "array.pressure_Pa",
 }  # fmt: skip
-"""Options of `drive` that say what a scene's keys say."""
+"""Options of `drive` for a focus, and the corresponding keys of a scene."""
 
 
 def drive(
@@ -69,13 +69,13 @@ def drive(
     humidity: Annotated[float, typer.Option(help="with --focus: relative humidity [%]")] = 50.0,
     air_pressure: Annotated[float, typer.Option(help="with --focus: static pressure of the air [Pa]")] = 101325.0,
 ) -> None:
-    """Play a scene, or one focus, on a real board; or record the bytes that it would get.
+    """Play a scene or one focus on a real board, or record the bytes for it.
 
-    What is sent is what `palmfield run` simulates, with hands and arrays where they are when each frame is emitted. A
-    board that can't play the scene is refused with exit code 2; where more than 1 % of the frames that were due could
-    not be sent, the exit code is 4. A process of its own sends them. The board is switched off at the end, on Ctrl-C,
-    on Ctrl-Z until `fg`, on errors, and when this program is killed. An uncalibrated board does not focus: about half
-    of its transducers are wired with inverted polarity.
+    The frames are those that `palmfield run` simulates, with hands and arrays at their positions when each frame is
+    emitted. A separate process sends them. If the board cannot play the scene, the exit code is 2; if more than 1 % of
+    the due frames could not be sent, it is 4. The board is switched off at the end, on Ctrl-C, on Ctrl-Z until `fg`, on
+    errors, and if this program is killed. An uncalibrated board does not focus: about half of its transducers are wired
+    with inverted polarity.
 
     Examples: palmfield drive --focus 0 0 0.15 --port /dev/ttyUSB0 --duration 5
 
@@ -107,7 +107,7 @@ def drive(
     check_duration(duration)
     target = Target(port, record, log)
     sound = FocusSound(level, am_frequency, p0, Air(temperature, humidity, air_pressure), layout, calibration)
-    own = {name.removeprefix("driver."): value for name, value in given_keys(keys).items()}
+    own = {name.removeprefix("driver."): value for name, value in parsed_keys(keys).items()}
     if live is not None:
         from palmfield.hardware.live_focus import LiveInput, play_live
         from palmfield.motion.replaying import address_by
@@ -117,19 +117,19 @@ def drive(
         def listening(host: str, number: int) -> None:
             print(f"listening for foci at {host}:{number} by {by}; press Ctrl-C to end", file=sys.stderr, flush=True)
 
-        given = LiveInput(host, number, by, focus or (0.0, 0.0, 0.0), on_listening=listening)
-        done = play_live(given, board or "sonicsurface", target, duration, sound=sound, keys=own)
+        source = LiveInput(host, number, by, focus or (0.0, 0.0, 0.0), on_listening=listening)
+        done = play_live(source, board or "sonicsurface", target, duration, sound=sound, keys=own)
     elif focus is not None:
         lasts = 10.0 if duration is None else duration
         done = play_focus(focus, board or "sonicsurface", target, lasts, sound=sound, keys=own, progress=True)
     else:
         assert scene is not None
-        done = play_scene(scene, board, target, duration, keys=given_keys(keys), progress=True)
+        done = play_scene(scene, board, target, duration, keys=parsed_keys(keys), progress=True)
     show_performance(done)
 
 
 def _refuse_focus_options(context: typer.Context) -> None:
-    """Raises SceneError for an option that belongs to --focus, beside a scene."""
+    """Raise SceneError for an option of --focus that is used with a scene."""
     for name, key in OF_A_FOCUS.items():
         source = context.get_parameter_source(name)
         if source is not None and source.name == "COMMANDLINE":
@@ -137,7 +137,7 @@ def _refuse_focus_options(context: typer.Context) -> None:
 
 
 def show_performance(done: "Performance") -> None:
-    """Print how playing went. Raises typer.Exit where frames were left out."""
+    """Print the report of a play. Raises typer.Exit if frames were skipped."""
     print(done)
     if done.warning:
         complain(f"warning: {done.warning}")

@@ -1,4 +1,4 @@
-"""`palmfield experiment`: trials on a board, with a person or a simulated observer, and what their log says."""
+"""`palmfield experiment`: run trials on a board with a person or a simulated observer, and evaluate the log."""
 
 from pathlib import Path
 from typing import Annotated
@@ -37,11 +37,11 @@ def run_command(
         str | None, typer.Option(help="board to use in place of that of the experiment or scene", metavar="BOARD")
     ] = None,
 ) -> None:
-    """Run an experiment's trials, from the first or from where its log ends.
+    """Run the trials of an experiment, from the first, or from the end of its log.
 
-    Each trial is on the disk before the next begins, with the moments at which its frames sounded: Ctrl-C, or q at the
-    keyboard, loses none, and the same command goes on. A log of another design, scene, participant, observer or board
-    is refused. Without --port and --virtual nothing is played, which is enough for simulated observers.
+    Each trial is on the disk before the next begins, with the times at which its frames sounded. Ctrl-C, or q at the
+    keyboard, loses no trial, and the same command continues. A log of another design, scene, participant, observer or
+    board is not accepted. Without --port and --virtual nothing is played, which suffices for simulated observers.
 
     Examples: palmfield experiment run threshold.toml --log p01.jsonl --participant p01 --port /dev/ttyUSB0
 
@@ -91,7 +91,7 @@ def report_command(
     confidence: Annotated[float, typer.Option(help="confidence level of the intervals, between 0 and 1")] = 0.95,
     as_json: Annotated[bool, typer.Option("--json", help="print JSON only, for other programs")] = False,
 ) -> None:
-    """Print thresholds by condition with their intervals, of a log that is finished or not, and draw them.
+    """Print and draw thresholds by condition, with intervals, from a complete or incomplete log.
 
     Example: palmfield experiment report p01.jsonl --png p01.png
     """

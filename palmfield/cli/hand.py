@@ -1,4 +1,4 @@
-"""`palmfield hand`: a mesh's report card, printed and written, and its MJCF."""
+"""`palmfield hand`: check a hand mesh, write its report card, and convert it to MJCF."""
 
 from pathlib import Path
 from typing import Annotated
@@ -20,7 +20,7 @@ def hand(
         Path | None, typer.Option(help="MJCF file of bodies for the joints of the mesh", metavar="FILE")
     ] = None,
 ) -> None:
-    """Report card of a hand's mesh: unit, size, side, faults mended or refused, and the skin layers that it bears.
+    """Check a hand mesh: unit, size, side, repaired and fatal faults, and skin layers that fit on it.
 
     Exit code 0: accepted; 3: accepted with doubts, for example whether it is a hand; 2: refused.
 

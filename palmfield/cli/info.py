@@ -1,10 +1,10 @@
-"""`palmfield info`: what a scene contains, in words and as JSON has it."""
+"""`palmfield info`: show the contents of a scene, as text or JSON."""
 
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from palmfield.cli.as_json import print_json
-from palmfield.cli.options import Accuracy, AsJson, Device, Keys, SceneFile, given_keys
+from palmfield.cli.options import Accuracy, AsJson, Device, Keys, SceneFile, parsed_keys
 
 if TYPE_CHECKING:
     from palmfield.session.preview import Preview
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 Rows = list[tuple[str, str]]
 SOFTNESS_Hz = 200.0
-"""At which a material's modulus is told."""
+"""Frequency at which the modulus of a material is given."""
 
 
 def info(
@@ -25,7 +25,7 @@ def info(
     """
     from palmfield.session.preview import preview
 
-    view = preview(scene, device=device, accuracy=accuracy, keys=given_keys(keys))
+    view = preview(scene, device=device, accuracy=accuracy, keys=parsed_keys(keys))
     if as_json:
         print_json(scene_facts(view))
     else:
@@ -33,11 +33,10 @@ def info(
 
 
 def scene_facts(view: "Preview") -> dict[str, Any]:
-    """What a scene contains, as `palmfield info` tells it. Keys of plugins have the names that scenes set.
+    """Return the contents of a scene for `palmfield info`. Keys of plugins have the same names as in scenes.
 
-    Of each array p0 [Pa m] and quality, with range and kind, as they count, whether its keys set them or not.
-
-    Moduli are storage and loss at 200 Hz.
+    p0 [Pa m] and quality of each array are the values in effect, with range and kind, from keys or defaults. Moduli are
+    storage and loss at 200 Hz.
     """
     from palmfield.acoustics.air import absorption_Np_m, density, sound_speed
     from palmfield.estimate.summary import array_numbers
@@ -45,14 +44,14 @@ def scene_facts(view: "Preview") -> dict[str, Any]:
 
     model = view.runtime.model
     spec, air, carrier_Hz = model.spec, model.arrays.air, model.arrays.array.frequency_Hz
-    known = array_numbers(model)
+    estimates = array_numbers(model)
     arrays = [
         {
             "name": array.name,
             "layout": part.name,
             "transducers": len(part),
             "carrier_Hz": part.frequency_Hz,
-            **known[array.name],
+            **estimates[array.name],
             "keys": array.config.model_dump(),
         }
         for array, part in zip(spec.arrays, model.arrays.parts, strict=True)
@@ -108,7 +107,7 @@ def scene_facts(view: "Preview") -> dict[str, Any]:
 
 
 def describe(scene: "Preview") -> str:
-    """Arrays, air, stimuli, skins, materials, laws and conventions of a scene, as a table."""
+    """Return arrays, air, stimuli, skins, materials, laws and conventions of a scene, as a table."""
     from palmfield.terminal import printed, table
 
     model = scene.runtime.model
@@ -125,7 +124,7 @@ def describe(scene: "Preview") -> str:
 
 
 def _named(name: str, count: int, rows: Rows) -> Rows:
-    """The rows with the instance's name, where there are several of its kind."""
+    """Add the name of the instance to rows if there are several of its kind."""
     return rows if count == 1 else [(f"{what} ({name})", text) for what, text in rows]
 
 
@@ -139,8 +138,8 @@ def _arrays(model: "HapticModel") -> Rows:
         about = f"{part.name}: {len(part)} transducers, {part.frequency_Hz / 1e3:g} kHz"
         rows += _named(array.name, count, [("array", about)])
     for array, instance in zip(model.spec.arrays, array_instances(model.spec), strict=True):
-        known = [("p0", instance.p0, " Pa m"), ("quality", instance.quality, "")]
-        estimates = [(what, _estimate(one, unit)) for what, one, unit in known]
+        uncertain = [("p0", instance.p0, " Pa m"), ("quality", instance.quality, "")]
+        estimates = [(what, _estimate(one, unit)) for what, one, unit in uncertain]
         if instance.calibration is None:
             estimates[0] = estimates[0][0], f"uncalibrated: {estimates[0][1]}"
         rows += _named(array.name, count, estimates)
@@ -154,7 +153,7 @@ def _arrays(model: "HapticModel") -> Rows:
 
 
 def _estimate(one: "Estimate", unit: str) -> str:
-    """A number with its range, and how it is known."""
+    """Return a number with range, kind and source."""
     return f"{one.value:g}{unit} ({one.low:g} to {one.high:g}), {one.kind}: {one.source}"
 
 
@@ -178,9 +177,9 @@ def _skin(skin: "SkinModel") -> Rows:
     for sheet in skin.layer.sheets:
         material, modulus = sheet.material, complex_shear(sheet.material, SOFTNESS_Hz)
         share = "" if len(skin.layer.sheets) == 1 else f", {100 * sheet.thickness_m:.3g} % of the layer"
-        told = f"{material.name}: rho {material.density_kg_m3:g} kg/m3, G*({SOFTNESS_Hz:g} Hz) "
-        told += f"{modulus.real:.0f}{modulus.imag:+.0f}i Pa{share}"
-        rows += [("material", told), ("material source", material.source)]
+        described = f"{material.name}: rho {material.density_kg_m3:g} kg/m3, G*({SOFTNESS_Hz:g} Hz) "
+        described += f"{modulus.real:.0f}{modulus.imag:+.0f}i Pa{share}"
+        rows += [("material", described), ("material source", material.source)]
     return [
         *rows,
         ("solver", f"{skin.choice.name}: {skin.choice.why}"),

@@ -1,4 +1,4 @@
-"""`palmfield keys`: the scene's keys as text and print the page docs/keys.md, from the configuration models."""
+"""`palmfield keys`: list the keys of scenes, and print the page docs/keys.md, from the configuration models."""
 
 import re
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ SCENE_KEYS = (
     ("palmfield_duration_s", "s", "numeric, finite number > 0", "0.1", "duration of `palmfield run`"),
     ("palmfield_device", "", "text, auto | cpu | cuda:N", "auto", "compute device of the fields; auto: the first GPU"),
 )
-"""What a scene says outside its plugins; read by palmfield.simulation.scene_reader."""
+"""Keys of a scene outside its plugins; read by palmfield.simulation.scene_reader."""
 
 
 def keys(
@@ -47,7 +47,7 @@ def keys(
 
 
 def as_text(plugin: str | None = None) -> str:
-    """Tables for the terminal, of one module or of all.
+    """Return tables for the terminal, of one plugin or of all.
 
     plugin: its name, with or without `palmfield.`. Raises SceneError for an unknown one.
     """
@@ -68,7 +68,7 @@ def as_text(plugin: str | None = None) -> str:
 
 
 def as_dict(plugin: str | None = None) -> dict[str, Any]:
-    """The keys of one plugin or of all, as JSON has them; units are texts. Errors as `as_text`."""
+    """Return the keys of one plugin or of all for JSON; units are texts. Errors as in `as_text`."""
     from palmfield.config import renamed_table, table
 
     chosen = chosen_configs(plugin)
@@ -87,7 +87,7 @@ def as_dict(plugin: str | None = None) -> dict[str, Any]:
 
 
 def chosen_configs(plugin: str | None) -> list[type["Config"]]:
-    """The keys' models of one plugin, by its name with or without `palmfield.`, or of all.
+    """Return the configuration model of one plugin, named with or without `palmfield.`, or of all.
 
     Raises SceneError for an unknown one.
     """
@@ -103,7 +103,7 @@ def chosen_configs(plugin: str | None) -> list[type["Config"]]:
 
 
 def as_markdown() -> str:
-    """The page docs/keys.md."""
+    """Return the page docs/keys.md."""
     from palmfield.config import CONFIGS, table
 
     lines = ["# Keys of a scene", "", "Made by `palmfield keys --markdown`; do not edit.", ""]
@@ -131,7 +131,7 @@ def _section(title: str, about: str, rows: Sequence[tuple[str, ...]]) -> list[st
 
 
 def _limits(takes: str) -> str:
-    """What a key takes, shortened for the page: `> 0, <= 20` for `finite number > 0 and <= 20`."""
+    """Return the allowed values of a key, shortened for the page: `> 0, <= 20` for `finite number > 0 and <= 20`."""
     return SHORT.sub(r"\1", takes).replace(" and <", ", <").replace(" | ", ", ")
 
 

@@ -1,4 +1,4 @@
-"""What the command line says on standard error: the library's log, and errors."""
+"""Write the log of the library, and errors, to standard error."""
 
 import logging
 import sys
@@ -9,7 +9,7 @@ LEVELS = ("debug", "info", "warning", "error")
 
 
 class _Lines(logging.Formatter):
-    """`palmfield: text`, with the level's name before warnings."""
+    """Formats `palmfield: text`, with the name of the level before warnings and errors."""
 
     def format(self, record: logging.LogRecord) -> str:
         level = "" if record.levelno == logging.INFO else f"{record.levelname.lower()}: "
@@ -17,14 +17,14 @@ class _Lines(logging.Formatter):
 
 
 class _StandardError(logging.Handler):
-    """Lines on whatever sys.stderr is at the time."""
+    """Writes lines to the present sys.stderr."""
 
     def emit(self, record: logging.LogRecord) -> None:
         print(self.format(record), file=sys.stderr)
 
 
 def show_log(level: str) -> None:
-    """Show the log of logger `palmfield` from a level on. Raises SceneError for an unknown level."""
+    """Show messages of logger `palmfield` from a level on. Raises SceneError for an unknown level."""
     refuse_unknown(SceneError, "--log-level has value {}", level, LEVELS)
     logger = logging.getLogger("palmfield")
     for handler in [handler for handler in logger.handlers if isinstance(handler, _StandardError)]:
@@ -33,10 +33,10 @@ def show_log(level: str) -> None:
     handler.setFormatter(_Lines())
     logger.addHandler(handler)
     logger.setLevel(level.upper())
-    # A program that calls the command line may log by itself
+    # A program that calls the command line may have its own log
     logger.propagate = False
 
 
 def complain(text: str) -> None:
-    """One line on standard error."""
+    """Print one line on standard error."""
     print(f"palmfield: {' '.join(text.split())}", file=sys.stderr)

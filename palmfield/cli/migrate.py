@@ -1,4 +1,4 @@
-"""`palmfield migrate`: a scene of the last version with today's names."""
+"""`palmfield migrate`: rewrite a scene of the last version with the present names."""
 
 from pathlib import Path
 from typing import Annotated
@@ -13,9 +13,9 @@ def migrate(
     out: Annotated[Path | None, typer.Option(help="file to write [default: the scene's own]")] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="replace an existing file")] = False,
 ) -> None:
-    """Rewrite a scene of the last version: keys and values that are renamed get their new names.
+    """Rewrite a scene of the last version with the new names of keys and values.
 
-    Comments and layout stay; what was changed is printed. A file that is there is kept, unless you ask for --overwrite.
+    Comments and layout are preserved; changes are printed. An existing file is replaced only with --overwrite.
 
     Examples: palmfield migrate old.xml --out new.xml
 

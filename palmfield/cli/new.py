@@ -1,4 +1,4 @@
-"""`palmfield new`: a scene that runs."""
+"""`palmfield new`: write a scene that runs."""
 
 import textwrap
 from pathlib import Path
@@ -95,8 +95,8 @@ def new(
 ) -> None:
     """Write a commented scene that runs: a hand over an array and a 200 Hz focus on the palm, or another stimulus.
 
-    NAME/NAME_plain.xml opens in any MuJoCo; NAME/NAME.xml adds the haptics and opens where palmfield is installed. The
-    folder has all that they refer to, so that it can be moved and sent.
+    NAME/NAME_plain.xml opens in any MuJoCo; NAME/NAME.xml adds the haptics and needs palmfield. The
+    folder contains all files that they refer to, so that it can be moved and sent.
 
     Examples: palmfield new first && palmfield run first/first.xml
 
@@ -108,12 +108,12 @@ def new(
 
 
 def write_scene(name: str, where: Path = Path(), stimulus: str | None = None) -> list[Path]:
-    """Write the folder NAME with NAME.xml, NAME_plain.xml and the array and hand that they include; returns the paths.
+    """Write the folder NAME with NAME.xml, NAME_plain.xml and the included array and hand; return the paths.
 
-    stimulus: a standard one (`palmfield.stimulus.standard`), for as long as it is worth playing; AM at 200 Hz without
-    The folder can be moved and sent: its files name each other, and nothing outside.
-    Raises SceneError for a name that is no file name and an unknown stimulus, OutputError where the folder exists or
-    can't be written.
+    stimulus: a standard one (`palmfield.stimulus.standard`), with its duration; None: AM at 200 Hz
+    The folder can be moved and sent, because its files refer only to each other.
+    Raises SceneError for an invalid name and an unknown stimulus, OutputError if the folder exists or cannot be
+    written.
     """
     from palmfield.acoustics.layouts import LAYOUTS
     from palmfield.stimulus.standard import standard

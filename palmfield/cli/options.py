@@ -1,4 +1,4 @@
-"""Options that several commands share, and what is made of them."""
+"""Options that several commands share, and their evaluation."""
 
 import logging
 from pathlib import Path
@@ -10,16 +10,16 @@ from palmfield.errors import SceneError
 
 LOG = logging.getLogger("palmfield.cli")
 UNSET = "unset"
-"""A value that takes the scene's own out, so that the key's default counts."""
+"""Value that removes a key of the scene, so that its default applies."""
 
 
 def group(name: str, about: str) -> typer.Typer:
-    """Commands of one name, and what their help begins with."""
+    """Return a group of subcommands. about: first part of its help"""
     return typer.Typer(name=name, no_args_is_help=True, rich_markup_mode=None, help=about)
 
 
 def offered_plugins(incomplete: str) -> list[str]:
-    """Short names of the plugins that begin so."""
+    """Return the short names of plugins that begin with `incomplete`."""
     from palmfield.config import CONFIGS
 
     short = (config.plugin.removeprefix("palmfield.") for config in CONFIGS)
@@ -27,7 +27,7 @@ def offered_plugins(incomplete: str) -> list[str]:
 
 
 def offered_settings(incomplete: str) -> list[str]:
-    """Keys, as `--set` takes them, that begin so; after a whole key its values, where they are words."""
+    """Return keys for `--set` that begin with `incomplete`; after a complete key its values, if they are words."""
     from palmfield.config import CONFIGS, allowed
 
     name, equals, _ = incomplete.partition("=")
@@ -80,16 +80,16 @@ BoardOfBytes = Annotated[str | None, typer.Option("--board", help="for raw bytes
 
 
 def check_duration(duration: float | None) -> None:
-    """Raises SceneError for a --duration that is none."""
+    """Raise SceneError for an invalid --duration."""
     if duration is not None and not 0 < duration < 3600:
         raise SceneError(f"--duration has value {duration:g}; allowed: seconds > 0 and < 3600")
 
 
-def given_keys(keys: list[str] | None) -> dict[str, str]:
-    """Keys as `palmfield.load` takes them; a file that is in the current folder is taken from there, and told.
+def parsed_keys(keys: list[str] | None) -> dict[str, str]:
+    """Return keys for `palmfield.load`. Files are first looked up in the current folder, which is then logged.
 
-    Other files are relative to the scene. Empty for a key that is taken out, by the word `unset`.
-    Raises SceneError for a key without a value, and for one given twice.
+    Other files are relative to the scene. The value of a removed key (`unset`) is empty.
+    Raises SceneError for a key without a value, and for a repeated key.
     """
     result: dict[str, str] = {}
     for text in keys or ():
@@ -108,7 +108,7 @@ def given_keys(keys: list[str] | None) -> dict[str, str]:
 
 
 def _file(name: str, value: str) -> str:
-    """The value of a key, a file's whole path where it names one in the current folder."""
+    """Return the value of a key, with the full path if it names a file in the current folder."""
     from palmfield.config import FILE_KEYS
 
     if name.rpartition(".")[2] not in FILE_KEYS:
@@ -116,5 +116,5 @@ def _file(name: str, value: str) -> str:
     here = Path(value).expanduser()
     if here.is_absolute() or not here.is_file():
         return value
-    LOG.info(f"--set {name}: {here.resolve()}, of the current folder")
+    LOG.info(f"--set {name}: {here.resolve()}, from the current folder")
     return str(here.resolve())

@@ -1,4 +1,4 @@
-"""`palmfield plan`: what would be modelled."""
+"""`palmfield plan`: report what a run would model."""
 
 from palmfield.cli import options
 from palmfield.cli.as_json import print_json
@@ -13,7 +13,7 @@ def plan(
     keys: options.Keys = None,
     as_json: options.AsJson = False,
 ) -> None:
-    """Say what would be modelled and what left out, why, and at what cost and error. Simulates nothing.
+    """Report modelled and ignored effects, with reasons, expected time and error, without simulation.
 
     Example: palmfield plan mjcf/scenes/palm_am200.xml --accuracy 0.02 --duration 0.5
     """
@@ -21,7 +21,7 @@ def plan(
 
     options.check_duration(duration)
     made = palmfield.plan(
-        scene, device=device, accuracy=accuracy, board=board, keys=options.given_keys(keys), duration_s=duration
+        scene, device=device, accuracy=accuracy, board=board, keys=options.parsed_keys(keys), duration_s=duration
     )  # fmt: skip
     if as_json:
         print_json(made.as_dict())

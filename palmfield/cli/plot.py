@@ -1,4 +1,4 @@
-"""`palmfield plot`: pictures of a run."""
+"""`palmfield plot`: draw pictures of a run."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 SHEET = "kinds.png"
 SPEED = "speed"
-"""The kind that is no run's: drawn of a report that a benchmark wrote."""
+"""Kind of picture that is drawn from the report of a benchmark, not from a run."""
 ABOUT_SPEED = "speed against error, from a table of palmfield bench skin or field (TABLE.md)"
 
 
@@ -57,9 +57,9 @@ def plot(
     ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Draw pictures of a run for a paper: field, drives, maps of motion and of levels, courses, spectra, wavefronts.
+    """Draw pictures of a run for a paper: field, drives, maps of motion and levels, time courses, spectra, wavefronts.
 
-    PNG at 300 dpi, SVG or PDF. What a run doesn't hold is left out and said, or refused where it was named.
+    Formats are PNG at 300 dpi, SVG and PDF. Kinds that a run does not allow are reported; named ones give an error.
 
     Examples: palmfield plot out/palm
 
@@ -94,7 +94,7 @@ def plot(
 
 
 def list_kinds(run: Path | None, out: Path | None, as_json: bool) -> None:
-    """Print the kinds with a line about each; of a run, draw small pictures of all into one, kinds.png."""
+    """Print the kinds with a description; for a run, also draw an overview of all of them, kinds.png."""
     from palmfield.outputs.pictures.kinds import KINDS
     from palmfield.outputs.pictures.sheet import draw_sheet
     from palmfield.outputs.store import open_result
@@ -114,12 +114,12 @@ def list_kinds(run: Path | None, out: Path | None, as_json: bool) -> None:
 
 
 def _plots(run: Path) -> Path:
-    """The folder of a run's plots, from that of the run or from a file in it."""
+    """Return the folder of the plots of a run, from its folder or a file in it."""
     return (run if run.is_dir() else run.parent) / "plots"
 
 
 def _plot_speed(run: Path, kinds: Sequence[str], asked: "Asked", out: Path | None, suffix: str, as_json: bool) -> None:
-    """Draw speed against error of a benchmark's report, beside it or into a folder."""
+    """Draw speed against error from the report of a benchmark, next to it or into a folder."""
     from palmfield.outputs.pictures.asked import Asked
     from palmfield.outputs.pictures.draw import DPI
     from palmfield.outputs.style import FORMATS, save, style

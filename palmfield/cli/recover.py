@@ -1,4 +1,4 @@
-"""`palmfield recover`: the results of a run that was cut off."""
+"""`palmfield recover`: assemble the results of an interrupted run."""
 
 from pathlib import Path
 from typing import Annotated
@@ -7,7 +7,7 @@ import typer
 
 
 def recover(out: Annotated[Path, typer.Argument(help="folder of an interrupted run", metavar="DIR")]) -> None:
-    """Assemble the results of a run that was cut off into DIR/result.nc, marked incomplete, and draw its pictures.
+    """Assemble the results of an interrupted run into DIR/result.nc, marked incomplete, and draw its pictures.
 
     Example: palmfield recover out/palm
     """

@@ -1,4 +1,4 @@
-"""`palmfield render`: a film of a run."""
+"""`palmfield render`: make a film of a run."""
 
 from pathlib import Path
 from typing import Annotated
@@ -32,8 +32,8 @@ def render(
 ) -> None:
     """Make a film of a run: the hand with the motion or the ARP on its skin, slowed down and magnified.
 
-    Takes half a second of one core a frame, shared out among all; Ctrl-C keeps what is drawn by then. Needs the extra
-    `video`.
+    One frame takes half a second of one core; all cores share the frames. Ctrl-C keeps the frames drawn so far. This
+    needs the extra `video`.
 
     Example: palmfield render out/palm --video palm.mp4 --from 20 --to 40
     """
@@ -57,7 +57,7 @@ def render(
 
 
 def _size_of(text: str) -> tuple[int, int]:
-    """ "960x720" as numbers. Raises OutputError for another text."""
+    """Parse a size such as 960x720. Raises OutputError for another text."""
     width, _, height = text.partition("x")
     if not (width.isdigit() and height.isdigit()):
         raise OutputError(f"--size has value '{text}'; allowed: WIDTHxHEIGHT, for example 960x720")

@@ -1,11 +1,11 @@
-"""`palmfield replay`: recorded bytes, sent again."""
+"""`palmfield replay`: send recorded bytes again."""
 
 from typing import Annotated
 
 import typer
 
 from palmfield.cli.drive import show_performance
-from palmfield.cli.options import BoardOfBytes, Keys, SentFile, given_keys
+from palmfield.cli.options import BoardOfBytes, Keys, SentFile, parsed_keys
 
 
 def replay(
@@ -16,8 +16,8 @@ def replay(
 ) -> None:
     """Send recorded bytes to a port again, at their times; the board is off at the end.
 
-    How long they may sound and how loud at a head, as a log has it of its scene or --set driver.KEY=VALUE says, is
-    checked before: what isn't allowed is refused with exit code 2.
+    The duration of sound and the level at a head are checked before, against the limits in the log or in --set
+    driver.KEY=VALUE. If they are exceeded, the exit code is 2.
 
     Examples: palmfield replay sent.jsonl --port /dev/ttyUSB0
 
@@ -25,4 +25,4 @@ def replay(
     """
     from palmfield.hardware.replay import replay as replay_file
 
-    show_performance(replay_file(file, port, board, keys=given_keys(keys), progress=True))
+    show_performance(replay_file(file, port, board, keys=parsed_keys(keys), progress=True))

@@ -1,4 +1,4 @@
-"""`palmfield run`: a scene simulated, with what is said before and after."""
+"""`palmfield run`: simulate a scene, with messages before and after."""
 
 import logging
 from pathlib import Path
@@ -43,16 +43,15 @@ def run(
 ) -> None:
     """Simulate a scene and write result.nc, summary.json, pictures and scene.usdc.
 
-    Interrupting with Ctrl-C keeps what was computed (marked incomplete). After a crash of the machine,
-    `palmfield recover DIR` assembles what had reached the disk. A folder that holds results is refused, unless you ask
-    for --overwrite.
+    Ctrl-C keeps the results so far (marked incomplete). After a crash of the machine, `palmfield recover DIR` assembles
+    the data on the disk. A folder with results is overwritten only with --overwrite.
 
     Example: palmfield run mjcf/scenes/palm_am200.xml --out out/palm --set stimulus.am_frequency_Hz=100
     """
     from rich.console import Console
 
     quiet = context.obj
-    # The imports take seconds of their own
+    # The imports take seconds
     with Console(stderr=True, quiet=quiet).status("loading palmfield"):
         import palmfield
         from palmfield.outputs.summary_table import format_summary
@@ -62,9 +61,9 @@ def run(
     if plots is not None and no_plots:
         raise SceneError("--plots and --no-plots exclude each other; give one of them")
     kinds = [] if no_plots else None if plots is None else [kind for kind in plots.split(",") if kind]
-    given, out = options.given_keys(keys), out or Path("out") / scene.stem
+    changed, out = options.parsed_keys(keys), out or Path("out") / scene.stem
     with Console(stderr=True, quiet=quiet).status(f"loading {scene}"):
-        simulation = palmfield.Simulation(scene, device=device, accuracy=accuracy, board=board, keys=given)
+        simulation = palmfield.Simulation(scene, device=device, accuracy=accuracy, board=board, keys=changed)
         messages = warnings(simulation, duration)
     for warning in messages:
         LOG.warning(warning)

@@ -1,4 +1,4 @@
-"""`palmfield safety`: the page for an ethics board."""
+"""`palmfield safety`: write a safety page for an ethics board."""
 
 from pathlib import Path
 from typing import Annotated
@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from palmfield.cli.as_json import print_json
-from palmfield.cli.options import AsJson, BoardName, Keys, SceneFile, check_duration, given_keys
+from palmfield.cli.options import AsJson, BoardName, Keys, SceneFile, check_duration, parsed_keys
 from palmfield.errors import OutputError
 from palmfield.whole_files import made_folder, write_text
 
@@ -20,9 +20,9 @@ def safety(
     overwrite: Annotated[bool, typer.Option("--overwrite", help="replace an existing file")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """One page for an ethics board: levels at head and hand, what is audible, limits, what the board can't promise.
+    """Write a page for an ethics board: levels at head and hand, audible sound, limits, and limits of the board.
 
-    Levels have the band that p0's range makes of them. Say where a head may be by driver keys head_m and head_radius_m.
+    Levels have a band due to the range of p0. Set the position of a head by driver keys head_m and head_radius_m.
 
     Example: palmfield safety mjcf/scenes/palm_circle_sonicsurface.xml --set driver.head_m="0 -0.3 0.5" --out sheet.md
     """
@@ -32,12 +32,12 @@ def safety(
     from palmfield.session.preview import preview
 
     check_duration(duration)
-    given = given_keys(keys)
+    changed = parsed_keys(keys)
     picture = None if out is None else out.with_suffix(".png")
     for file in (out, picture):
         if file is not None and file.exists() and not overwrite:
             raise OutputError(f"--out {file}: the file already exists; give another file, or --overwrite")
-    view = preview(scene, board=board, keys=given)
+    view = preview(scene, board=board, keys=changed)
     sheet = safety_sheet(view, view.duration_s if duration is None else duration)
     if out is not None and picture is not None:
         made_folder(out.parent)

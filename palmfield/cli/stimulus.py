@@ -1,4 +1,4 @@
-"""`palmfield stimulus`: tables of foci, and STMs of AUTD3 units, into scenes and out of them."""
+"""`palmfield stimulus`: import and export tables of foci and STMs of AUTD3 units."""
 
 from pathlib import Path
 from typing import Annotated, cast
@@ -6,7 +6,7 @@ from typing import Annotated, cast
 import typer
 
 from palmfield.cli.as_json import print_json
-from palmfield.cli.options import SceneFile, given_keys, group
+from palmfield.cli.options import SceneFile, group, parsed_keys
 
 stimulus = group(
     "stimulus",
@@ -41,11 +41,11 @@ def import_command(
     repeat: Annotated[bool, typer.Option("--repeat", help="repeat the table from its beginning when it ends")] = False,
     overwrite: Overwrite = False,
 ) -> None:
-    """Write a scene that plays the foci of FILE, and beside it the table that it reads.
+    """Write a scene that plays the foci of FILE, and next to it the table that the scene reads.
 
-    Path, focus, modulation and bursts of the scene's stimulus go, as the table says where the foci are and how loud.
-    Its level (drive_amplitude or arp_peak_Pa: what intensity 1 is), start and end stay. The new scene works in plan,
-    run and drive as any other. A bad table is refused with line and column.
+    Path, focus, modulation and bursts of the stimulus in the scene are removed, because the table gives positions and
+    intensities of the foci. Level (drive_amplitude or arp_peak_Pa, for intensity 1), start and end are kept. The new
+    scene works in plan, run and drive. An invalid table gives an error with line and column.
 
     Example: palmfield stimulus import circle.csv --scene first/first.xml --repeat
     """
@@ -83,10 +83,10 @@ def export_command(
     keys: SetKeys = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Write what a scene's stimulus does over time: where its foci are and how loud.
+    """Write positions and intensities of the foci of a scene's stimulus over time.
 
-    Each row is held for a sample; rows that repeat the last are left out. In the array's frame places follow hands and
-    arrays that move. AUTD3 units take rates of 40 kHz over a whole number.
+    Each row applies for one sample; rows equal to the row before are omitted. Positions in the frame of the array
+    follow moving hands and arrays. Rates of AUTD3 units are 40 kHz divided by a whole number.
 
     Examples: palmfield stimulus export mjcf/scenes/palm_circle.xml circle.csv --rate 2000
 
@@ -103,7 +103,7 @@ def export_command(
     refuse_unknown(SceneError, "--frame has value {}", frame, ("array", "skin"))
     result = exported(
         scene, stimulus=which, rate_Hz=rate, quantity=cast(Quantity | None, quantity), frame=cast(TableFrame, frame),
-        duration_s=duration, keys=given_keys(keys),
+        duration_s=duration, keys=parsed_keys(keys),
     )  # fmt: skip
     export_stimulus(result, file, again=repeat, overwrite=overwrite)
     table = result.table
@@ -118,7 +118,7 @@ def standard_command(
     name: Annotated[str | None, typer.Argument(help="name of one stimulus [default: list all]", metavar="NAME")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="for other programs")] = False,
 ) -> None:
-    """Show the standard stimuli: what experiments have used, with source, published outcome and keys.
+    """Show the standard stimuli, which experiments have used, with source, published result and keys.
 
     `palmfield new SCENE --stimulus NAME` writes a scene with one of them.
 

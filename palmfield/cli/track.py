@@ -1,4 +1,4 @@
-"""`palmfield track`: live hands: replay a recording, listen and record, align a tracker, measure the latency."""
+"""`palmfield track`: replay and record tracker samples, align a tracker, measure the latency."""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -21,7 +21,7 @@ By = Annotated[str, typer.Option(help="protocol: udp (one sample per datagram) o
 @track.command("replay")
 def replay(
     file: Annotated[Path, typer.Argument(help="recorded stream, CSV or NPZ (docs/motion.md)", metavar="FILE")],
-    to: Annotated[str, typer.Option(help="who listens", metavar="HOST:PORT")],
+    to: Annotated[str, typer.Option(help="address of the receiver", metavar="HOST:PORT")],
     by: By = "udp",
     convention: Annotated[str, typer.Option(help="names, units and frames of the samples: openxr or leapc")] = "openxr",
     speed: Annotated[float, typer.Option(help="playback speed; 2 is twice as fast")] = 1.0,
@@ -30,7 +30,7 @@ def replay(
         bool, typer.Option("--stamp", help="time-stamp samples when they are sent, by this machine's monotonic clock")
     ] = False,
 ) -> None:
-    """Send a recorded hand in real time to what listens for a tracker.
+    """Send a recorded hand in real time to a program that receives tracker samples.
 
     Example: palmfield track replay seen.npz --to 127.0.0.1:9100 --convention leapc
     """
@@ -54,7 +54,7 @@ def record(
     duration: Annotated[float, typer.Option(help="duration from the first sample [s]; Ctrl-C ends it earlier")] = 10.0,
     wait: Annotated[float, typer.Option(help="longest wait for the first sample [s]")] = 30.0,
 ) -> None:
-    """Listen for a tracker, and write what it tells; bad samples are told and left out.
+    """Receive tracker samples and write them to a file; invalid samples are reported and skipped.
 
     Example: palmfield track record seen.npz --at 9100 --duration 20
     """
@@ -94,12 +94,12 @@ def align(
     ],
     out: Annotated[Path, typer.Argument(help="JSON file to write", metavar="OUT.json")],
 ) -> None:
-    """Where a tracker stands to an array, from three touched points or more.
+    """Determine the pose of a tracker relative to an array from three or more touched points.
 
-    Touch known places of the array with the index fingertip: three that are not in a line, better five at its corners
-    and middle and one on something that stands on it, 20 mm high or more. The table has a row for each: where the place
-    is in the array's frame, and where the tracker has the fingertip (joint index_tip), in metres. Key
-    `tracking_alignment` of palmfield.motion and `palmfield trial --align` take the file.
+    Touch known points of the array with the tip of the index finger: three that are not on a line, better five at its
+    corners and centre, and one on an object at least 20 mm high. The table has a row for each point: its position in
+    the frame of the array, and the position of joint index_tip from the tracker, in metres. Key `tracking_alignment` of
+    palmfield.motion and `palmfield trial --align` read the result.
 
     Example: palmfield track align touches.csv tracker.json
     """
@@ -118,15 +118,15 @@ def latency(
         Path | None, typer.Argument(help="scene with a moving hand [default: follow_fingertip, unmodulated]")
     ] = None,
     board: Annotated[str | None, typer.Option(help="board to use in place of the scene's", metavar="BOARD")] = None,
-    seconds: Annotated[float, typer.Option(help="how long [s]")] = 5.0,
-    rate: Annotated[float, typer.Option(help="samples a second")] = 90.0,
+    seconds: Annotated[float, typer.Option(help="duration [s]")] = 5.0,
+    rate: Annotated[float, typer.Option(help="samples per second")] = 90.0,
     by: By = "udp",
     as_json: Annotated[bool, typer.Option("--json", help="print JSON only")] = False,
 ) -> None:
-    """Measure from a tracker's sample to the sound that follows from it: a loop through a virtual board.
+    """Measure the delay from a tracker sample to the resulting sound, by a loop through a virtual board.
 
-    Another process replays the scene's hand over a socket; samples are fitted, frames made, sent through a port and
-    emitted by a virtual board at its line's pace. A tracker's own delay comes on top.
+    Another process replays the hand of the scene over a socket. Samples are fitted, frames are made, sent through a
+    port, and emitted by a virtual board at the rate of its line. The latency of the tracker itself is not included.
 
     Example: palmfield track latency --board sonicsurface --seconds 10
     """

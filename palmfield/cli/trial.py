@@ -1,4 +1,4 @@
-"""`palmfield trial`: the loop from a tracker to the sound at the hand."""
+"""`palmfield trial`: simulate or run the loop from a tracker to the sound at the hand."""
 
 import sys
 from pathlib import Path
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from palmfield.cli.as_json import print_json
-from palmfield.cli.options import AsJson, BoardName, Keys, SceneFile, check_duration, given_keys
+from palmfield.cli.options import AsJson, BoardName, Keys, SceneFile, check_duration, parsed_keys
 from palmfield.errors import SceneError
 from palmfield.given_files import reading, regular
 
@@ -74,12 +74,12 @@ def trial(
     ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Close the loop: tracker, focus, bytes, board, and the sound where the hand really is by then.
+    """Run the closed loop: tracker, focus, bytes, board, and the sound at the true position of the hand.
 
-    Says how far the focus is from the hand, what of the pressure is lost to latency, to what the board rounds, and to
-    transducers that are not as the scene says (--truth), and which frames were dropped; writes sent.jsonl (for decode
-    and replay), course.csv, trial.json and trial.png. Ctrl-C keeps what there is by then. A scene that its board can't
-    play is refused with exit code 2.
+    The report gives the distance of the focus from the hand, the pressure lost by latency, by rounding of the board,
+    and by transducers that differ from the scene (--truth), and the dropped frames. The files are sent.jsonl (for
+    decode and replay), course.csv, trial.json and trial.png. Ctrl-C keeps the results so far. If the board cannot play
+    the scene, the exit code is 2.
 
     Examples: palmfield trial mjcf/scenes/follow_fingertip.xml --board autd2018
 
@@ -89,9 +89,9 @@ def trial(
     from palmfield.studies.trial import trial as play_trial
 
     check_duration(duration)
-    given: dict[str, object] = dict(given_keys(keys))
+    changed: dict[str, object] = dict(parsed_keys(keys))
     if motion is not None:
-        given |= motion_keys(motion)
+        changed |= motion_keys(motion)
     tracker = Tracker(tracker_rate, 1e-3 * tracker_latency, 1e-3 * tracker_noise, ahead_s=_ahead_s(ahead))
     heard = None if recording is None else read_recording(recording)
     if align is not None and live is None:
@@ -99,7 +99,7 @@ def trial(
     if motion is not None and live is not None:
         raise SceneError("--motion and --live both move the hand; give one")
     result = play_trial(
-        scene, board=board, port=port, tracker=tracker, keys=given, duration_s=duration, truth=truth,
+        scene, board=board, port=port, tracker=tracker, keys=changed, duration_s=duration, truth=truth,
         recording=heard, skin=skin, out=out or Path("out") / f"{scene.stem}_trial", overwrite=overwrite,
         live=None if live is None else listening_at(live, align), progress=not context.obj,
     )  # fmt: skip
@@ -116,7 +116,7 @@ def trial(
 
 
 def listening_at(text: str, align: Path | None) -> "Live":
-    """Where `--live` says that samples come in."""
+    """Return the source of samples that `--live` names."""
     from palmfield.motion.replaying import address_by
     from palmfield.studies.trial import Live
 
@@ -129,12 +129,12 @@ def listening_at(text: str, align: Path | None) -> "Live":
 
 
 def motion_keys(path: Path) -> dict[str, object]:
-    """Keys that give a scene's only palmfield.motion a recorded motion. Raises SceneError for a file that is none."""
+    """Return keys that set a recorded motion for the only palmfield.motion. Raises SceneError for an invalid file."""
     from palmfield.motion.tracking import column_names
 
     with reading(f"--motion {path}", SceneError, "a CSV or NPZ table"), regular(path).open("rb") as file:
         begin = file.read(4096)
-    # A tracker's stream has columns of its joints, a table of poses those of the hand and its angles
+    # A tracker stream has columns of joints; a table of poses has columns of the hand and its angles
     kind = "tracking" if column_names()[1].encode() in begin else "trajectory"
     sources = dict.fromkeys(("motion.keyframes", "motion.trajectory", "motion.tracking", "motion.function"))
     return {**sources, f"motion.{kind}": str(path.resolve())}

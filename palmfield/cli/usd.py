@@ -1,4 +1,4 @@
-"""`palmfield usd`: a run as a USD scene."""
+"""`palmfield usd`: write a run as a USD scene."""
 
 from pathlib import Path
 from typing import Annotated
@@ -59,8 +59,8 @@ def usd(
 ) -> None:
     """Write a run as a USD scene for usdview, Blender or Omniverse: hands, skins, arrays, foci, field, rigid bodies.
 
-    Every skin has what the run recorded of it as primvars over time, and colours that any viewer shows. Exit code 4
-    where --check finds something. What is in the file: docs/usd.md.
+    Every skin has its recorded quantities as primvars over time, and colours for any viewer. The exit code is 4 if
+    --check finds errors. docs/usd.md describes the file.
 
     Examples: palmfield usd out/palm --colour arp --out palm.usdz
 
@@ -103,7 +103,7 @@ def usd(
 
 
 def _list_quantities(as_json: bool) -> None:
-    """Print what skins can be coloured by."""
+    """Print the quantities for the colours of skins."""
     from palmfield.outputs.usd.quantities import QUANTITIES
 
     if as_json:

@@ -1,4 +1,4 @@
-"""`palmfield view`: a scene in the browser."""
+"""`palmfield view`: show a running scene in the browser."""
 
 import math
 from pathlib import Path
@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from palmfield.cli.options import Accuracy, BoardName, Device, Keys, SceneFile, given_keys
+from palmfield.cli.options import Accuracy, BoardName, Device, Keys, SceneFile, parsed_keys
 from palmfield.errors import SceneError
 
 
@@ -40,8 +40,8 @@ def view(
 ) -> None:
     """Run a scene and watch it in the browser: hand, array, sound and motion on the skin, level above threshold.
 
-    Sliders turn focus, modulation, path, level and the hand's pose; a recording is a result folder, as of
-    `palmfield run`. Ctrl-C ends it. Needs the extra `view`.
+    Sliders change focus, modulation, path, level and the pose of the hand. A recording is a result folder like that of
+    `palmfield run`. Ctrl-C ends the view. This needs the extra `view`.
 
     Example: palmfield view mjcf/scenes/palm_am200.xml
     """
@@ -51,7 +51,7 @@ def view(
 
     from palmfield.studies.view import view as show
 
-    given = given_keys(keys)
+    changed = parsed_keys(keys)
     status = Console(stderr=True, quiet=context.obj).status(
         f"preparing {scene} (building the skin model may take a minute)"
     )
@@ -65,7 +65,7 @@ def view(
 
     try:
         show(
-            scene, out, device=device, accuracy=accuracy, board=board, keys=given, modes=modes, host=host,
+            scene, out, device=device, accuracy=accuracy, board=board, keys=changed, modes=modes, host=host,
             port=port, rate_Hz=rate, pace=_pace_of(pace), on_ready=ready,
         )  # fmt: skip
     finally:
@@ -73,7 +73,7 @@ def view(
 
 
 def _pace_of(text: str) -> float:
-    """`--pace`, a number or max. Raises SceneError for another text."""
+    """Parse `--pace`, a number or max. Raises SceneError for another text."""
     if text == "max":
         return math.inf
     try:

@@ -94,12 +94,8 @@ def _level(model: HapticModel, nearest: int, loudest: LoudestMoment, point: Floa
     if band is None:
         why = "arp_peak_Pa sets the level"
         return [{"what": "p0", "low": 1.0, "high": 1.0, "kind": kinds, "why": why}]
-    scaled = [model.stimuli[number].config.arp_peak_Pa is not None for number in sounding]
-    law = (
-        "at the highest ARP, for all active stimuli; stimuli with arp_peak_Pa do not depend on p0"
-        if any(scaled)
-        else ""
-    )
+    scaled = any(model.stimuli[number].config.arp_peak_Pa is not None for number in sounding)
+    law = "at the highest ARP, for all active stimuli; stimuli with arp_peak_Pa do not depend on p0" if scaled else ""
     why = "; ".join(f"{p0.value:g} Pa m ({p0.low:g} to {p0.high:g}): {p0.source}" for p0 in p0_values)
     why = f"{law or 'exactly its square'}; {why}"
     return [{"what": "p0", "low": band[0], "high": band[1], "kind": kinds, "why": why}]

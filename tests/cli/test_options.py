@@ -4,7 +4,7 @@ import logging
 
 import pytest
 
-from palmfield.cli.options import given_keys
+from palmfield.cli.options import parsed_keys
 from palmfield.errors import SceneError
 
 
@@ -12,9 +12,9 @@ def test_a_file_of_the_current_folder_is_taken_from_there_and_told(tmp_path, mon
     (tmp_path / "course.csv").write_text("t,x\n")
     monkeypatch.chdir(tmp_path)
     with caplog.at_level(logging.INFO, "palmfield.cli"):
-        given = given_keys(["motion.trajectory=course.csv", "palmfield.motion.keyframes=other.csv"])
+        given = parsed_keys(["motion.trajectory=course.csv", "palmfield.motion.keyframes=other.csv"])
     assert given["motion.trajectory"] == str((tmp_path / "course.csv").resolve())
-    assert f"--set motion.trajectory: {(tmp_path / 'course.csv').resolve()}, of the current folder" in caplog.text
+    assert f"--set motion.trajectory: {(tmp_path / 'course.csv').resolve()}, from the current folder" in caplog.text
     # What is not there is relative to the scene, as its own keys are
     assert given["palmfield.motion.keyframes"] == "other.csv" and "other.csv" not in caplog.text
 
@@ -23,10 +23,10 @@ def test_what_names_no_file_and_what_is_whole_already_stays(tmp_path, monkeypatc
     (tmp_path / "palm").write_text("")
     monkeypatch.chdir(tmp_path)
     whole = str(tmp_path / "palm")
-    assert given_keys(["skin.material=palm", f"skin.mesh={whole}"]) == {"skin.material": "palm", "skin.mesh": whole}
+    assert parsed_keys(["skin.material=palm", f"skin.mesh={whole}"]) == {"skin.material": "palm", "skin.mesh": whole}
 
 
 def test_unset_takes_a_key_out(tmp_path, monkeypatch):
-    assert given_keys(["stimulus.am_depth=unset", "skin.mesh=unset"]) == {"stimulus.am_depth": "", "skin.mesh": ""}
+    assert parsed_keys(["stimulus.am_depth=unset", "skin.mesh=unset"]) == {"stimulus.am_depth": "", "skin.mesh": ""}
     with pytest.raises(SceneError, match="KEY=unset to remove"):
-        given_keys(["stimulus.am_depth="])
+        parsed_keys(["stimulus.am_depth="])

@@ -99,7 +99,7 @@ class ShownScene:
     def _watch_soon(self) -> None:
         """Discard earlier periods."""
         self._unwatched: float = math.inf
-        self._held_up = False
+        self._waited = False
 
     def _begin_clock(self) -> None:
         """Set the start of real time to now."""
@@ -200,7 +200,7 @@ class ShownScene:
         wait_s = IDLE_s
         if self.playing:
             wait_s = self._ahead_s()
-            self._held_up = self._held_up or wait_s > 0.0
+            self._waited = self._waited or wait_s > 0.0
             if wait_s <= 0.0:
                 self.playing = self._guarded(self._step)
         if self._asked:
@@ -243,7 +243,7 @@ class ShownScene:
             self.send(seen)
 
     def _seen(self) -> None:
-        self._unwatched, self._held_up = 0, False
+        self._unwatched, self._waited = 0, False
         self._asked.discard("replay")
 
     @property
@@ -253,7 +253,7 @@ class ShownScene:
 
     def _may_watch(self) -> bool:
         """Whether steps may be recorded: time is left, enough steps were not recorded, or there is no replay yet."""
-        return self._held_up or self._unwatched >= UNWATCHED * steps_watched(self.sim)
+        return self._waited or self._unwatched >= UNWATCHED * steps_watched(self.sim)
 
     def _answer(self) -> None:
         moment = self._asked & {"moment", "full moment"}
