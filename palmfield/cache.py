@@ -28,6 +28,7 @@ from scipy import sparse
 
 from palmfield.errors import PalmfieldError, reason_of
 from palmfield.given_files import regular
+from palmfield.phases import phase
 
 LIMIT_MB = 2048
 WAIT_S = 600.0
@@ -84,9 +85,11 @@ def kept(
     where: a folder that the environment does not change; code: digest of the code that makes it, None for `code_mark`
     """
     where = where or folder()
+    work = phase(kind.replace("-", " "))(make)
     if where is None:
-        return make()
-    key = digest(code or code_mark(), kind, *depends_on)
+        return work()
+    with phase("cache"):
+        key = digest(code or code_mark(), kind, *depends_on)
     path = where / f"{kind}-{key}.npz"
     try:
         where.mkdir(parents=True, exist_ok=True)
@@ -94,12 +97,14 @@ def kept(
         lock.acquire()
     except (OSError, NotImplementedError, filelock.Timeout) as error:
         _say(f"cache folder {where}: {reason_of(error)}; continuing without a cache")
-        return make()
+        return work()
     try:
-        answer = _read(path, key)
+        with phase("cache"):
+            answer = _read(path, key)
         if answer is None:
-            answer = make()
-            _write(path, key, answer)
+            answer = work()
+            with phase("cache"):
+                _write(path, key, answer)
         return answer
     finally:
         lock.release()

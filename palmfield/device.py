@@ -20,6 +20,7 @@ import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
 from palmfield.errors import DeviceError, PalmfieldError, reason_of
+from palmfield.phases import phase
 from warp_kernels import products
 
 KERNELS = "WARP_CACHE_PATH"
@@ -187,7 +188,7 @@ the other has unloaded."""
 
 def load_kernels(module: Any, device: str) -> None:
     """Load a module of kernels, or the one of `kernel.module`, before several threads launch from it."""
-    with _loading:
+    with _loading, phase("kernels"):
         wp.load_module(module, device=device)
 
 
@@ -201,7 +202,7 @@ THREADS = 128
 
 
 def _command(kernel: Any, dim: int | tuple[int, ...], inputs: Sequence[Any], device: str) -> Any:
-    with _loading:
+    with _loading, phase("kernels"):
         return wp.launch(kernel, dim=dim, inputs=inputs, device=device, block_dim=THREADS, record_cmd=True)
 
 

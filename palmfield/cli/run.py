@@ -1,6 +1,10 @@
 """`palmfield run`: simulate a scene, with messages before and after."""
 
 import logging
+import platform
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
@@ -10,6 +14,8 @@ from palmfield.cli import options
 from palmfield.cli.as_json import print_json
 from palmfield.cli.messages import complain
 from palmfield.errors import SceneError
+from palmfield.phases import phase
+from palmfield.threads import cores
 
 LOG = logging.getLogger("palmfield.cli")
 
@@ -32,12 +38,19 @@ def run(
             help="kinds of plots in place of the usual three (see `palmfield plot --list`)", metavar="KIND,..."
         ),
     ] = None,
-    no_plots: Annotated[bool, typer.Option("--no-plots", help="draw none")] = False,
+    no_plots: Annotated[bool, typer.Option("--no-plots", help="draw no pictures")] = False,
+    no_usd: Annotated[bool, typer.Option("--no-usd", help="write no scene.usdc")] = False,
     details: Annotated[
         bool, typer.Option("--details", help="print all numbers, observers and parts of the error")
     ] = False,
     strict: Annotated[
         bool, typer.Option("--strict", help="exit with code 3 if the target accuracy is not reached")
+    ] = False,
+    profile: Annotated[
+        bool,
+        typer.Option(
+            "--profile", help="print time and memory of each phase to standard error at the end (for bug reports)"
+        ),
     ] = False,
     as_json: options.AsJson = False,
 ) -> None:
@@ -51,11 +64,15 @@ def run(
     from rich.console import Console
 
     quiet = context.obj
+    if profile:
+        context.with_resource(_printed_profile())
     # The imports take seconds
-    with Console(stderr=True, quiet=quiet).status("loading palmfield"):
+    with Console(stderr=True, quiet=quiet).status("loading palmfield"), phase("imports"):
         import palmfield
         from palmfield.outputs.summary_table import format_summary
         from palmfield.planning.scene_plan import warnings
+
+        run_scene = palmfield.run
 
     options.check_duration(duration)
     if plots is not None and no_plots:
@@ -63,13 +80,15 @@ def run(
     kinds = [] if no_plots else None if plots is None else [kind for kind in plots.split(",") if kind]
     changed, out = options.parsed_keys(keys), out or Path("out") / scene.stem
     with Console(stderr=True, quiet=quiet).status(f"loading {scene}"):
-        simulation = palmfield.Simulation(scene, device=device, accuracy=accuracy, board=board, keys=changed)
-        messages = warnings(simulation, duration)
+        with phase("reading and building the scene"):
+            simulation = palmfield.Simulation(scene, device=device, accuracy=accuracy, board=board, keys=changed)
+        with phase("warnings"):
+            messages = warnings(simulation, duration)
     for warning in messages:
         LOG.warning(warning)
     try:
-        result = palmfield.run(
-            simulation, out, duration_s=duration, overwrite=overwrite, progress=not quiet, plots=kinds
+        result = run_scene(
+            simulation, out, duration_s=duration, overwrite=overwrite, progress=not quiet, plots=kinds, usd=not no_usd
         )
     except KeyboardInterrupt as error:
         if hasattr(error, "result"):
@@ -89,3 +108,15 @@ def run(
             print(f"wrote {path}")
     if strict and not all(skin.get("accuracy_reached", True) for skin in result.summary["skins"]):
         raise typer.Exit(3)
+
+
+@contextmanager
+def _printed_profile() -> Iterator[None]:
+    from palmfield.profile import measured
+
+    with measured() as profile:
+        yield
+    import palmfield
+
+    system = f"Python {platform.python_version()}, {platform.platform()}, {cores()} cores"
+    print(f"palmfield {palmfield.__version__}, {system}\n{profile}", end="", file=sys.stderr)

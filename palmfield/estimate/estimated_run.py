@@ -32,6 +32,7 @@ def run(
     progress: bool = False,
     overwrite: bool = False,
     plots: Sequence[str] | None = None,
+    usd: bool = True,
 ) -> Result:
     """Simulate a scene from its present state and write result.nc, summary.json, pictures and scene.usdc.
 
@@ -39,7 +40,7 @@ def run(
     duration_s: simulated time [s], default that of the scene. progress: whether to show bars on a terminal's standard
         error. overwrite: whether the folder may contain the results of another run.
     plots: kinds of pictures (`palmfield.outputs.pictures.kinds.KINDS`) to draw in OUT/plots instead of the usual ones;
-        an empty list draws none.
+        an empty list draws none. usd: whether to write scene.usdc.
     Ctrl-C, a full disk or an error in a module end the run early. The results so far are then written and marked
     incomplete, and the error (or KeyboardInterrupt) is raised. It has the Result as attribute `result`, so that a
     result in memory is not lost (in an interactive session: `sys.last_value.result`).
@@ -47,7 +48,7 @@ def run(
     """
     estimates = Estimates(_budgets, _whole_summary)
     return run_recorded(
-        scene, out, estimates, duration_s=duration_s, progress=progress, overwrite=overwrite, plots=plots
+        scene, out, estimates, duration_s=duration_s, progress=progress, overwrite=overwrite, plots=plots, usd=usd
     )
 
 

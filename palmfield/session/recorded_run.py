@@ -3,7 +3,6 @@
 import json
 import logging
 import platform
-import resource
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -24,6 +23,8 @@ from palmfield.outputs.schema import MUJOCO_SCENE, group
 from palmfield.outputs.store import MemoryStore, Store, open_result, refuse_occupied, write_json
 from palmfield.outputs.store import recover as assemble
 from palmfield.outputs.summary import summary
+from palmfield.phases import holds, phase
+from palmfield.profile import peak_bytes
 from palmfield.session.duration import check_duration, step_count
 from palmfield.session.mujoco_scene import body_poses
 from palmfield.session.open_scene import Source
@@ -98,6 +99,7 @@ def run_recorded(
     progress: bool,
     overwrite: bool,
     plots: Sequence[str] | None,
+    usd: bool,
 ) -> Result:
     """`palmfield.run`, with a function that estimates its errors."""
     started = time.perf_counter()
@@ -116,14 +118,16 @@ def run_recorded(
         store, recorder = _prepare(sim, None if out is None else Path(out), overwrite, bar)
         stopped = _simulate(sim, recorder, duration, bar)
         try:
-            store.append(recorder.surfaces())
+            with phase("recording"):
+                store.append(recorder.surfaces())
         except (KeyboardInterrupt, Exception) as error:
             stopped = stopped or error
         budgets: dict[str, Any] = {}
         cut: KeyboardInterrupt | None = None
         if stopped is None:
             try:
-                budgets = estimates.budgets(sim, recorder, bar)
+                with phase("error estimate"):
+                    budgets = estimates.budgets(sim, recorder, bar)
             except KeyboardInterrupt as error:
                 cut = error  # only the estimate is missing: the result is complete
         reason = "completed" if stopped is None else f"{type(stopped).__name__}: {stopped}".rstrip(": ")
@@ -132,15 +136,16 @@ def run_recorded(
             held = opened.enter_context(ExitStack())
             held.enter_context(interrupts_held())
             about = {"reason": reason} | ({"error_budget": json.dumps(budgets)} if budgets else {})
-            finished = store.finish(about, complete=stopped is None)
+            with phase("result file"):
+                finished = store.finish(about, complete=stopped is None)
             if isinstance(finished, xr.DataTree):
                 tree, files = finished, dict[str, Path]()
-                result = Result(None, files, summary(tree, ending(tree)), tree)
+                result = Result(None, files, _numbers(tree), tree)
             else:
                 assert out is not None
                 tree, files = opened.enter_context(open_result(finished)), {"result.nc": finished}
                 files["summary.json"] = Path(out) / "summary.json"
-                result = Result(Path(out), files, summary(tree, ending(tree)))
+                result = Result(Path(out), files, _numbers(tree))
             with _carried_by_errors(result):
                 if stopped is None and not tree.attrs["complete"]:
                     stopped = store.lost or OutputError(f"{out} is incomplete: {tree.attrs['reason']}")
@@ -153,12 +158,20 @@ def run_recorded(
                 held.close()
                 if ended := stopped or cut:
                     raise ended
-                whole = estimates.summary(sim, recorder, budgets, tree, ending(tree) | _spent(started))
+                with phase("summary"):
+                    whole = estimates.summary(sim, recorder, budgets, tree, ending(tree) | _spent(started))
                 if out is not None:
-                    files |= draw(tree, Path(out), bar, plots)
+                    # Whole before the pictures, whatever becomes of these
+                    write_json(files["summary.json"], whole)
+                    files |= draw(tree, Path(out), bar, plots, usd)
                     whole |= _spent(started)
                     write_json(files["summary.json"], whole)
     return replace(result, summary=whole)
+
+
+@phase("summary")
+def _numbers(tree: xr.DataTree) -> dict[str, Any]:
+    return summary(tree, ending(tree))
 
 
 def ending(tree: xr.DataTree) -> dict[str, Any]:
@@ -208,8 +221,10 @@ def _recovered(out: Path, progress: bool) -> dict[str, Path]:
             return {"result.nc": path, "summary.json": target} | draw(tree, out, bar)
 
 
-def draw(tree: xr.DataTree, out: Path, bar: Progress, plots: Sequence[str] | None = None) -> dict[str, Path]:
-    """Write the requested pictures, or the default ones, and the USD scene, as far as the data allow.
+def draw(
+    tree: xr.DataTree, out: Path, bar: Progress, plots: Sequence[str] | None = None, usd: bool = True
+) -> dict[str, Path]:
+    """Write the requested pictures, or the default ones, and perhaps the USD scene, as far as the data allow.
 
     Pictures that cannot be drawn are reported and left out.
     """
@@ -220,16 +235,18 @@ def draw(tree: xr.DataTree, out: Path, bar: Progress, plots: Sequence[str] | Non
         try:
             from palmfield.outputs.pictures.draw import draw_pictures
 
-            drawn, _ = draw_pictures(tree, out / "plots", [kind])
+            with phase("plots"):
+                drawn, _ = draw_pictures(tree, out / "plots", [kind])
             files |= {f"plots/{path.name}": path for path in drawn.values()}
         except (OutputError, MeasurementError) as error:
             LOG.warning("no picture %s: %s", kind, error)
     for name, make in PICTURES:
-        if plots is not None and name.endswith(".png"):
+        if (plots is not None and name.endswith(".png")) or (not usd and name.endswith(".usdc")):
             continue
         bar.update(task, description=f"writing {name}")
         try:
-            make(tree, out / name)
+            with phase("plots" if name.endswith(".png") else "USD"), phase(name):
+                make(tree, out / name)
             files[name] = out / name
         except OutputError as error:
             LOG.warning("no %s: %s", name, error)
@@ -237,6 +254,7 @@ def draw(tree: xr.DataTree, out: Path, bar: Progress, plots: Sequence[str] | Non
     return files
 
 
+@phase("preparing")
 def _prepare(sim: Simulation, out: Path | None, overwrite: bool, bar: Progress) -> tuple[Store | MemoryStore, Recorder]:
     """Do everything that can fail before the first step."""
     started = time.perf_counter()
@@ -260,6 +278,7 @@ def known_before(sim: Simulation) -> Block:
     return static_arrays(sim.runtime.model, world_with(sim.data), sim.runtime, sim.model)
 
 
+@phase("stepping")
 def _simulate(sim: Simulation, recorder: Recorder, duration_s: float, bar: Progress) -> BaseException | None:
     """Step to the end; returns the error that ended it early, or None."""
     started = time.perf_counter()
@@ -271,11 +290,14 @@ def _simulate(sim: Simulation, recorder: Recorder, duration_s: float, bar: Progr
                 recorder.start()
                 for _ in range(steps):
                     sim.step()
-                    recorder.step()
+                    with phase("recording"):
+                        recorder.step()
                     bar.advance(task)
                     check()
             finally:
-                recorder.stop()
+                with phase("recording"):
+                    recorder.stop()
+                holds("fields and loads", sim.runtime.work)
     except (KeyboardInterrupt, Exception) as error:
         return error
     LOG.debug("%d steps took %.2f s", steps, time.perf_counter() - started)
@@ -283,9 +305,7 @@ def _simulate(sim: Simulation, recorder: Recorder, duration_s: float, bar: Progr
 
 
 def _spent(started: float) -> dict[str, Any]:
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    memory = peak / 2**20 if platform.system() == "Darwin" else peak / 2**10
-    return {"wall_time_s": time.perf_counter() - started, "peak_memory_MiB": memory}
+    return {"wall_time_s": time.perf_counter() - started, "peak_memory_MiB": peak_bytes() / 2**20}
 
 
 def _shown_better(sim: Simulation) -> list[str]:

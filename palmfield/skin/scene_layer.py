@@ -16,6 +16,7 @@ from palmfield.hand.preset import load_preset
 from palmfield.hand.skeleton import MIRROR
 from palmfield.hand.surface import mirrored_surface
 from palmfield.locked import locked_cached_property
+from palmfield.phases import phase
 from palmfield.skin.approximation.estimate import choose_sizes
 from palmfield.skin.fem.assembly import SkinSystem, assemble
 from palmfield.skin.fem.load import SurfaceQuadrature
@@ -224,7 +225,7 @@ class SceneLayer:
         """The elements of the layer."""
         patch = self.patch
         with self.meshing():
-            return extrude(patch, self.sizes.depth_fractions)
+            return phase("elements")(extrude)(patch, self.sizes.depth_fractions)
 
     @contextmanager
     def meshing(self) -> Iterator[None]:

@@ -233,3 +233,18 @@ def test_no_old_picture_stays_beside_new_data(end, small_scene, tmp_path, monkey
     assert {"result.nc", "summary.json"} <= set(there)
     assert not [name for name, data in there.items() if data == b"of an older run"]
     assert not [name for name in there if name.startswith(".") or name.endswith(".tmp")]
+
+
+def test_a_picture_that_fails_leaves_a_whole_result(small_scene, tmp_path, monkeypatch):
+    def failing(tree, path):
+        raise RuntimeError("a library's own words")
+
+    pictures = tuple((name, failing if name == "displacement.png" else make) for name, make in recorded_run.PICTURES)
+    monkeypatch.setattr(recorded_run, "PICTURES", pictures)
+    with pytest.raises(RuntimeError, match="own words"):
+        palmfield.run(small_scene(), tmp_path, progress=False)
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["complete"] and summary["wall_time_s"] > 0.0 and "verdict" in summary["skins"][0]
+    with store.open_result(tmp_path) as tree:
+        assert tree.attrs["complete"] == 1 and len(tree["skin/skin"]["displacement"]) == 31
+    assert (tmp_path / "pressure.png").exists() and not (tmp_path / "scene.usdc").exists()

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 from palmfield.drive.response import Pole
 from palmfield.errors import SceneError
+from palmfield.phases import phase
 from palmfield.simulation.model import HapticModel, StimulusModel
 from palmfield.simulation.small_models import known_load, mode_estimate
 from palmfield.simulation.spec import SceneSpec, SkinSpec
@@ -64,6 +65,7 @@ def common_choice(
     return StepperChoice(first.name, why, first.seconds, wedges_s(layer.dofs, substeps))
 
 
+@phase("reduced model, modes or whole layer")
 def first_stepper(model: HapticModel, skin: int) -> SkinStepper:
     """Return the first stepper of a skin: that of key `solver`, a reduced model for the predicted load in the
     reference pose, or the whole layer.

@@ -12,6 +12,7 @@ from scipy import sparse
 from palmfield.device import resolve
 from palmfield.errors import SceneError
 from palmfield.locked import Lazy
+from palmfield.phases import phase
 from palmfield.skin.base import BASES, NEEDS_AXIS, SIDES, BaseKind, Foundation, SideKind, Springs
 from palmfield.skin.fem.linear_body import Matrices, Part
 from palmfield.skin.materials.material import Material
@@ -126,6 +127,7 @@ def assemble(
     surface_node = ((columns.indices[columns.indptr[:-1]] // 3) % mesh.surface_nodes).astype(np.int32)
     held = replace(springs, tangential_Pa_m=springs.tangential_Pa_m + shear_spring)
 
+    @phase("matrices")
     def matrices() -> Matrices:
         reduce = directions.T.tocsr()
 

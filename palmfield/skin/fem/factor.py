@@ -8,6 +8,7 @@ import numpy as np
 from scipy.sparse.linalg import SuperLU, splu
 
 from palmfield.blas import one_blas_thread
+from palmfield.phases import phase
 from palmfield.skin.fem.cholesky import Cholesky
 from palmfield.skin.fem.complex_factor import ComplexFactor
 from palmfield.skin.fem.pardiso import PardisoFactor, library, switched_on
@@ -54,6 +55,7 @@ class Factor:
 AnyFactor: TypeAlias = Factor | Cholesky | ComplexFactor | PardisoFactor
 
 
+@phase("factors")
 def factorise(matrix: Any, order: Int | None = None) -> AnyFactor:
     """The solver of a symmetric matrix whose real part, perhaps after a turn of phase, is positive definite.
 

@@ -177,9 +177,9 @@ class SweepStore:
             made[key] = (dim, _column(values), {"long_name": f"key {key}"} | _unit(key))
         if self.design.kind != "grid":
             made["point"] = ("point", np.arange(self.design.count), {"long_name": "number of the point; first 0"})
-        for name, values in labels.items():
+        for name, known in labels.items():
             about = {"units": "s", "long_name": "from the run's start"} if name in COURSES else {}
-            made[name] = (name, values.astype(object) if values.dtype.kind == "U" else values, about)
+            made[name] = (name, known.astype(object) if known.dtype.kind == "U" else known, about)
         names, what = LABELS["xyz"]
         made["xyz"] = ("xyz", np.array(names, dtype=object), {"long_name": what})
         return made

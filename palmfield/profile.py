@@ -1,0 +1,201 @@
+"""Processor time, wall time and memory of the phases of a run (`palmfield.phases`).
+
+from palmfield.profile import measured
+with measured() as profile:
+    palmfield.run("mjcf/scenes/palm_am200.xml", "out/palm")
+print(profile)
+"""
+
+import gc
+import resource
+import sys
+import threading
+import time
+import weakref
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from types import FunctionType, ModuleType
+from typing import Any
+
+from numpy import ndarray
+
+from palmfield.phases import running
+from palmfield.terminal import printed, table
+
+LEAST_BYTES, LEAST_S = 2**16, 0.005
+"""Smaller arrays are not counted, and shorter phases are not printed."""
+BEFORE = "Python and its command line"
+"""The row of the time before the measurement."""
+ELSEWHERE = "elsewhere"
+"""The row of the time in no phase."""
+
+
+@dataclass
+class Times:
+    """Times of a phase, with all phases inside it.
+
+    cpu_s: user and system time of its thread and of helper threads without a phase of their own [s].
+    wall_s: of the thread that is measured [s]. beside_s: of other threads, at the same time as other phases [s].
+    calls: number of times that it began. peak_bytes: highest resident memory of the process until its last end.
+    """
+
+    cpu_s: float = 0.0
+    wall_s: float = 0.0
+    beside_s: float = 0.0
+    calls: int = 0
+    peak_bytes: int = 0
+
+
+@dataclass
+class Held:
+    """Arrays of one kind [bytes]: present size, largest size at any time; and how many were made."""
+
+    now_bytes: int = 0
+    most_bytes: int = 0
+    count: int = 0
+
+
+class Profile:
+    """Measured times and memory; its text is a table.
+
+    phases: Times by the names of a phase and of those around it, the outermost first. A phase in another thread
+    stands under the outermost phase of the measured thread.
+    held: Held by kind of arrays.
+    """
+
+    def __init__(self) -> None:
+        self.phases: dict[tuple[str, ...], Times] = {(BEFORE,): Times(time.process_time(), 0.0, 0.0, 1, peak_bytes())}
+        self.held: dict[str, Held] = {}
+        # A finalizer may run while this thread has the lock
+        self._lock = threading.RLock()
+        self._main = threading.get_ident()
+        self._open: dict[int, list[str]] = {self._main: []}
+        self._clocks: dict[int, float] = {}
+        self._begun = self._wall = time.perf_counter()
+        self._cpu = time.process_time()
+        self._known: set[int] = set()
+
+    @property
+    def total(self) -> Times:
+        """CPU time of the process, wall time since the beginning, and peak memory, up to the last event."""
+        return Times(self._cpu, self._wall - self._begun, 0.0, 1, peak_bytes())
+
+    def begin(self, name: str) -> None:
+        """A phase of this thread begins."""
+        with self._lock:
+            self.update()
+            thread = threading.get_ident()
+            if thread not in self._open:
+                self._open[thread] = self._open[self._main][:1]
+                self._clocks[thread] = _clock(thread)
+            self._open[thread].append(name)
+            self.phases.setdefault(tuple(self._open[thread]), Times()).calls += 1
+
+    def end(self) -> None:
+        """The last phase of this thread ends."""
+        with self._lock:
+            self.update()
+            thread = threading.get_ident()
+            path = self._open[thread]
+            self.phases[tuple(path)].peak_bytes = peak_bytes()
+            path.pop()
+            if thread != self._main and len(path) <= 1:
+                del self._open[thread], self._clocks[thread]
+
+    def update(self) -> None:
+        """Add the time since the last event to the phases that are open."""
+        with self._lock:
+            wall, cpu = time.perf_counter(), time.process_time()
+            took, used = wall - self._wall, cpu - self._cpu
+            self._wall, self._cpu = wall, cpu
+            for thread, last in self._clocks.items():
+                self._clocks[thread] = _clock(thread)
+                own, path = self._clocks[thread] - last, self._open[thread]
+                used -= own
+                for depth in range(1, len(path) + 1):
+                    self.phases[tuple(path[:depth])].cpu_s += own
+                self.phases[tuple(path)].beside_s += took
+            path = self._open[self._main]
+            for depth in range(1, len(path) + 1):
+                times = self.phases[tuple(path[:depth])]
+                times.cpu_s, times.wall_s = times.cpu_s + used, times.wall_s + took
+
+    def count(self, kind: str, thing: object) -> None:
+        """Count the arrays of an object, each once, until they are freed."""
+        with self._lock:
+            held = self.held.setdefault(kind, Held())
+            held.count += 1
+            for array in arrays_of(thing):
+                if id(array) not in self._known:
+                    self._known.add(id(array))
+                    held.now_bytes += array.nbytes
+                    weakref.finalize(array, self._freed, held, id(array), array.nbytes).atexit = False
+            held.most_bytes = max(held.most_bytes, held.now_bytes)
+
+    def _freed(self, held: Held, number: int, size: int) -> None:
+        with self._lock:
+            self._known.discard(number)
+            held.now_bytes -= size
+
+    def __str__(self) -> str:
+        self.update()
+        total, mebi = self.total, 2.0**20
+        outer = [times for path, times in self.phases.items() if len(path) == 1]
+        rest = Times(total.cpu_s - sum(one.cpu_s for one in outer), total.wall_s - sum(one.wall_s for one in outer))
+        begun = list(self.phases)
+        order = sorted(begun, key=lambda path: [begun.index(path[: depth + 1]) for depth in range(len(path))])
+        listed = [("  " * (len(path) - 1) + path[-1], self.phases[path]) for path in order]
+        rows = [
+            (name, *(f"{number:.2f}" if number else "" for number in (one.cpu_s, one.wall_s, one.beside_s)),
+             *(f"{number:.0f}" if number else "" for number in (one.calls, one.peak_bytes / mebi)))
+            for name, one in [*listed, (ELSEWHERE, rest), ("all", total)]
+            if max(one.cpu_s, one.wall_s + one.beside_s) >= LEAST_S
+        ]  # fmt: skip
+        arrays = [
+            (kind, f"{one.most_bytes / mebi:.1f}", f"{one.now_bytes / mebi:.1f}", f"{one.count}")
+            for kind, one in self.held.items()
+        ]
+        heads = ("phase", "CPU [s]", "wall [s]", "beside others [s]", "calls", "peak RSS [MiB]")
+        tables = [table(rows, heads), table(arrays, ("arrays", "at most [MiB]", "now [MiB]", "made"))]
+        return printed(*tables, most=120)
+
+
+@contextmanager
+def measured() -> Iterator[Profile]:
+    """Measure the phases of the block in this thread, and those of other threads meanwhile."""
+    profile = Profile()
+    running.append(profile)
+    try:
+        yield profile
+    finally:
+        running.remove(profile)
+        profile.update()
+
+
+def peak_bytes() -> int:
+    """Highest resident memory of the process so far."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+
+
+def arrays_of(thing: object) -> list[Any]:
+    """NumPy arrays that own their memory and that an object leads to, from LEAST_BYTES on."""
+    found, todo, seen = [], [thing], set[int]()
+    while todo:
+        one = todo.pop()
+        if id(one) in seen or isinstance(one, type | ModuleType):
+            continue
+        seen.add(id(one))
+        if isinstance(one, ndarray) and isinstance(one.base, ndarray):
+            todo.append(one.base)
+        elif isinstance(one, ndarray):
+            found += [one] if one.nbytes >= LEAST_BYTES else []
+        else:
+            todo += one.__closure__ or () if isinstance(one, FunctionType) else gc.get_referents(one)
+    return found
+
+
+def _clock(thread: int) -> float:
+    """CPU time of a running thread [s]; 0 where the system does not give it: the measured thread then gets it."""
+    number = getattr(time, "pthread_getcpuclockid", None)
+    return time.clock_gettime(number(thread)) if number else 0.0
