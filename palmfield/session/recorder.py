@@ -1,6 +1,7 @@
 """Data written by a running simulation: blocks of arrays, each of one or more MuJoCo steps, for a store."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple, Protocol
 
 import mujoco
@@ -8,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palmfield.acoustics.arp import SurfaceSound
+from palmfield.blas import one_blas_thread
 from palmfield.drive.transducer_response import EmittedCourse, rows
 from palmfield.engine.host import World, world_of
 from palmfield.engine.scene_runtime import SceneRuntime
@@ -24,6 +26,7 @@ from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.sensors import CHANNELS, UNITS
 from palmfield.simulation.skin_sound import Role
 from palmfield.stimulus.schedule import frames_at
+from palmfield.threads import cores, share
 from palmfield.transforms import quaternion
 from palmfield.types import Array, Complex, Float, Float32, Int
 
@@ -33,6 +36,8 @@ TOGETHER = 64
 """Largest number of MuJoCo steps whose data are computed together."""
 WAITING_BYTES = 8_000_000
 """Largest size of the motion of the skins in them."""
+ROWS = 64
+"""Number of substeps whose motion is computed in one product."""
 FEW = 112
 """Largest number of drives whose fields are computed together; more would change the formula and so the rounding."""
 
@@ -58,7 +63,8 @@ class Recorded(NamedTuple):
     """One step whose data have not been written yet.
 
     times: ends of its substeps [s], shape (s,). posed: its pose. emitted: emission at `times`.
-    motions: of each skin after each substep, displacement [m] and velocity [m/s], float32, shape (s, 2, S, 3).
+    motions: of each skin, after each substep, displacement [m] and velocity [m/s], shape (s, 2, 3 S), or coordinates
+        of these, shape (s, 2, r), and the matrix (r, 3 S).
     pressed: of each skin, numbers of force samples and the mean ARP there [Pa], None in silence.
     step: arrays along `step_time`.
     """
@@ -66,13 +72,14 @@ class Recorded(NamedTuple):
     times: Float
     posed: PosedScene
     emitted: Emitted
-    motions: list[Float32]
+    motions: list[tuple[Float | Float32, Float | None]]
     pressed: "list[tuple[Int, Float] | None]"
     step: Block
 
     def goes_on(self, last: "Recorded") -> bool:
-        """Whether pose and kind of emission are those of the last step."""
-        return self.posed is last.posed and self.emitted.serial == last.emitted.serial
+        """Whether pose, kind of emission and coordinates are those of the last step."""
+        same = all(one[1] is other[1] for one, other in zip(self.motions, last.motions, strict=True))
+        return same and self.posed is last.posed and self.emitted.serial == last.emitted.serial
 
 
 def emitted_at(course: EmittedCourse, moments: NDArray[np.int_]) -> Emitted:
@@ -135,7 +142,8 @@ class Recorder:
         for number, (stepper, numbers) in enumerate(self.runtime.skin_states()):
             reader = work.reader(number, stepper)
             assert reader is not None
-            motions.append(stepper.read(numbers, reader).reshape(1, 2, -1, 3).astype(np.float32))
+            motions.append(_motion([(stepper.read(numbers, reader), None)]))
+        work.in_coordinates = True
         course = work.emission.now(posed, self.runtime.amplitudes, now_s)
         block = self._block(np.array([now_s]), posed, emitted_at(course, np.array([0])), motions)
         self.sink.append(block)
@@ -144,7 +152,7 @@ class Recorder:
     def stop(self) -> None:
         """Write the last steps, and watch no longer."""
         self.runtime.steps.observer = None
-        self.runtime.work.observe = (None,) * len(self.model.skins)
+        self.runtime.work.observe, self.runtime.work.in_coordinates = (None,) * len(self.model.skins), False
         self._write()
 
     def _observe(self, trace: StepTrace) -> None:
@@ -156,10 +164,11 @@ class Recorder:
         if trace is None:
             return
         [posed] = trace.posed
-        motions = []
-        for skin, watched in zip(self.model.skins, trace.motion, strict=True):
-            for _, [seen] in watched:
-                motions.append(seen.reshape(len(trace.times), 2, len(skin.nodes[0]), 3).astype(np.float32))
+        motions: list[tuple[Float | Float32, Float | None]] = []
+        for number, (stepper, _) in enumerate(self.runtime.skin_states()):
+            [(_, [seen])] = trace.motion[number]
+            matrix = self.runtime.work.coordinates(number, stepper)
+            motions.append((seen.astype(np.float32) if matrix is None else seen.copy(), matrix))
         emitted = emitted_at_ends(self.runtime.work.emission, trace, self.model.step_s)
         step: Block = {"/": {"step_time": np.array([self.world.time - self.model.spec.timestep_s - self.begun_s])}}
         frame = posed.array_frame
@@ -174,7 +183,7 @@ class Recorder:
         for name, data in self._sensors:
             step[group("sensors", name)] = {"value": data[None].copy()}
         self._waiting.append(Recorded(trace.times, posed, emitted, motions, self._pressed(posed), step))
-        self._waiting_bytes += sum(motion.nbytes for motion in motions)
+        self._waiting_bytes += sum(24 * len(trace.times) * len(skin.nodes[0]) for skin in self.model.skins)
         if len(self._waiting) >= self._together or self._waiting_bytes >= WAITING_BYTES:
             self._write()
 
@@ -214,7 +223,7 @@ class Recorder:
     def _in_one_pose(self, steps: Sequence[Recorded]) -> Block:
         """Return the data along `time` of steps in one pose with the same kind of emission."""
         times = np.concatenate([one.times for one in steps])
-        motions = [np.concatenate(parts) for parts in zip(*[one.motions for one in steps], strict=True)]
+        motions = [_motion(parts) for parts in zip(*[one.motions for one in steps], strict=True)]
         drives, factors, serial = steps[0].emitted
         if serial == 0:
             drives = np.concatenate([one.emitted.drives for one in steps])
@@ -245,9 +254,9 @@ class Recorder:
         for number, skin in enumerate(self.model.skins):
             motion = motions[number]
             sound = self._sound(posed, number, emitted, times)
-            normal = np.einsum("tsk,sk->ts", motion[:, 0], skin.nodes[1].astype(np.float32))
+            normal = np.einsum("tsk,sk->ts", motion[0], skin.nodes[1].astype(np.float32))
             block[group("skin", skin.spec.name)] = {
-                "displacement": motion[:, 0], "normal_displacement": normal, "velocity": motion[:, 1],
+                "displacement": motion[0], "normal_displacement": normal, "velocity": motion[1],
                 "arp": sound.arp, "pressure": sound.amplitude,
             }  # fmt: skip
         self._add_stimuli(block, times, posed)
@@ -339,6 +348,24 @@ class Recorder:
                     "obstacle_position": posed.array_frame.points(obstacles[0]), "obstacle_face": obstacles[1],
                 }  # fmt: skip
         return block
+
+
+def _motion(parts: Sequence[tuple[Float | Float32, Float | None]]) -> Float32:
+    """Return the motion of a skin after the substeps of some steps, shape (2, t, S, 3); parts: as of Recorded."""
+    numbers, matrix = np.concatenate([seen for seen, _ in parts]).swapaxes(0, 1), parts[0][1]
+    times, count = numbers.shape[1], numbers.shape[2] if matrix is None else matrix.shape[1]
+    result = np.empty((2, times, count), np.float32)
+    if matrix is None:
+        result[:] = numbers
+        return result.reshape(2, times, -1, 3)
+
+    def read(kind: int, own: slice) -> None:
+        result[kind, own] = numbers[kind, own] @ matrix
+
+    blocks = [(partial(read, kind, slice(i, i + ROWS)),) for kind in range(2) for i in range(0, times, ROWS)]
+    with one_blas_thread:
+        share(blocks, cores())
+    return result.reshape(2, times, -1, 3)
 
 
 def static_arrays(model: HapticModel, world: World, runtime: SceneRuntime, compiled: mujoco.MjModel) -> Block:

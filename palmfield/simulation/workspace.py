@@ -22,6 +22,7 @@ class Workspace:
 
     outside: for each skin, the part of its load outside the class of its modes.
     observe: the operator (m, unknowns) of each skin that gives the watched values, or None.
+    in_coordinates: whether steps return coordinates of these values, see `coordinates`.
     """
 
     def __init__(self, model: HapticModel, beside: "Workspace | None" = None):
@@ -35,9 +36,10 @@ class Workspace:
         )
         self.outside = [OutsideClass() for _ in model.skins]
         self.observe: tuple[sparse.csr_matrix | None, ...] = (None,) * len(model.skins)
+        self.in_coordinates = False
         self._may_look_ahead = looks_ahead(model)
         # Shared with the other worlds, because a reader of many vectors is as large as the vectors
-        self._readers: dict[tuple[int, SkinStepper], tuple[sparse.csr_matrix, Reader]]
+        self._readers: dict[tuple[int, SkinStepper], tuple[sparse.csr_matrix, Reader, tuple[Reader, Float] | None]]
         self._readers = {} if beside is None else beside._readers
 
     def begin_run(self) -> None:
@@ -96,5 +98,12 @@ class Workspace:
             return None
         known = self._readers.get((skin, stepper))
         if known is None or known[0] is not operator:
-            known = self._readers[skin, stepper] = operator, stepper.reader(operator)
-        return known[1]
+            reader = stepper.reader(operator)
+            known = self._readers[skin, stepper] = operator, reader, stepper.coordinates(reader)
+        return known[1] if known[2] is None or not self.in_coordinates else known[2][0]
+
+    def coordinates(self, skin: int, stepper: SkinStepper) -> Float | None:
+        """Return the matrix (r, m) that gives the watched values from the r coordinates that steps of this stepper
+        return; None if steps return the values."""
+        known = self._readers[skin, stepper][2] if self.in_coordinates else None
+        return None if known is None else known[1]

@@ -138,6 +138,13 @@ class SkinStepper(Protocol):
         """Prepare an operator (m, ndof) on the layer's unknowns. Raises SceneError for another number of columns."""
         ...
 
+    def coordinates(self, reader: Reader) -> tuple[Reader, Float] | None:
+        """Return a reader of r numbers, fewer than m, and the matrix (r, m) that gives from these what `reader` reads.
+
+        For `step`, so that the product is computed for many steps together. None for steppers without coordinates.
+        """
+        return None
+
     def read(self, state: Float, reader: Reader) -> Float:
         """Displacement [m] and velocity [m/s] through a reader, shape (w, 2, m)."""
         ...

@@ -188,6 +188,9 @@ class ReducedStepper(SkinStepper):
         matrix = checked_operator(operator, self.unknowns)
         return Reader(matrix.shape[0], np.ascontiguousarray((matrix @ self.vectors).T))
 
+    def coordinates(self, reader: Reader) -> tuple[Reader, Float] | None:
+        return (Reader(self.order, None), reader.matrix) if reader.count > self.order else None
+
     def read(self, state: Float, reader: Reader) -> Float:
         with one_blas_thread:
             return self._read(state, reader)
@@ -200,6 +203,9 @@ class ReducedStepper(SkinStepper):
         return result
 
     def _read(self, states: Float, reader: Reader) -> Float:
+        """See `read`; a reader without a matrix is that of `coordinates`."""
+        if reader.matrix is None:
+            return self.motion(states)
         if len(states) <= self.order:
             seen = self.motion(states).reshape(-1, self.order) @ reader.matrix
             return seen.reshape(-1, 2, reader.count)
