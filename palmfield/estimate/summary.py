@@ -15,7 +15,7 @@ from palmfield.estimate.error_budget import error_budget
 from palmfield.estimate.numerical_error import SteppedRun, error_estimate
 from palmfield.estimate.sensation_levels import felt_levels
 from palmfield.outputs.budget_text import combined, input_parts
-from palmfield.outputs.felt import verdict
+from palmfield.outputs.verdict import verdict
 from palmfield.session.loudest_moment import LoudestMoment, loudest_place
 from palmfield.session.phase_turns import PhaseTurns
 from palmfield.session.simulation import Simulation
@@ -46,7 +46,7 @@ def skin_numbers(
     arp_peaks: highest ARP on the skin at these times [Pa], shape (t,); begun_s: MuJoCo time at the start of the run
     [s]. `reduction_velocity_error_relative` is the velocity error of modes; other solvers have none.
     input_band_low, _high: factors of the motion over all inputs with a known range (`combined`); input_band_parts: of
-    each input; peak_displacement_low_m, _high_m: with that band; verdict: of `palmfield.outputs.felt.verdict`.
+    each input; peak_displacement_low_m, _high_m: with that band; verdict: of `palmfield.outputs.verdict.verdict`.
     accuracy_reached: whether the error is within the target accuracy, None if there is no estimate.
     If the error estimate fails, `displacement_error_missing` gives the reason; the results remain valid without it.
     """

@@ -1,4 +1,4 @@
-"""A skin's error budget (`palmfield.estimate.error_budget.error_budget`) in words."""
+"""Describe the error budget of a skin (`palmfield.estimate.error_budget.error_budget`) in words."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -7,17 +7,17 @@ from typing import Any
 TextRow = tuple[str, str]
 """Row of a table: quantity and size."""
 Part = tuple[str, float, float]
-"""Part of a band: an input, and the factors at the low and high ends of its range."""
+"""Part of a band: an input, and the displacement factors at the low and high ends of its range."""
 PARTS = {"mesh": "mesh", "step": "time step", "reduction": "reduction", "edge": "cut edge", "field": "field in float32"}
-"""Parts of the numerical error, by the beginning of their keys in the numbers of a skin."""
+"""Parts of the numerical error, by the first word of their keys in the numbers of a skin."""
 COARSE = 0.05
-"""Relative band above which a number is shown with two digits."""
+"""Relative band above which a number has two digits."""
 SHOWN = 5e-4
 """Relative bias below which ignored effects are not reported."""
 
 
 def budget_rows(skin: Mapping[str, Any]) -> list[TextRow]:
-    """Uncertainty of the motion of a skin: of its response under the focus, in three kinds that are not added up."""
+    """Return the uncertainty of the response of a skin under the focus, in three kinds that are not added."""
     velocity = skin.get("reduction_velocity_error_relative")
     of_velocity = "" if velocity is None else f" ({100 * velocity:.2g} % of the velocity)"
     parts = [
@@ -30,12 +30,12 @@ def budget_rows(skin: Mapping[str, Any]) -> list[TextRow]:
     if budget is None:
         return rows
     silent = [one["what"] for one in budget["left_out"] if one["low"] is None]
-    texts = [f"{one['what']} {bias_text(one['low'], one['high'])}" for one in _told(budget)]
+    texts = [f"{one['what']} {bias_text(one['low'], one['high'])}" for one in _significant(budget)]
     rows.append(("error, left out", "; ".join([*texts, f"not estimated: {', '.join(silent)}"])))
-    known = [f"{one['what']} x {one['low']:.2g} to x {one['high']:.2g}" for one in _ranges(budget)]
+    ranges = [f"{one['what']} x {one['low']:.2g} to x {one['high']:.2g}" for one in _ranges(budget)]
     unknown = [one["what"] for one in budget["inputs"] if one["low"] is None]
     rest = [f"not propagated: {', '.join(unknown)}"] if unknown else []
-    rows.append(("error, inputs", "; ".join([*known, *rest])))
+    rows.append(("error, inputs", "; ".join([*ranges, *rest])))
     return rows
 
 
@@ -47,12 +47,12 @@ def figures(value: float, band: float) -> str:
 
 
 def widest(budget: Mapping[str, Any] | None) -> float:
-    """Return the widest bias of the effects that a budget ignores, its larger end, relative; 0 if none is estimated."""
+    """Return the largest magnitude of the relative biases in a budget; 0 if none is estimated."""
     return max((_largest(one) for one in (budget or {}).get("left_out", ()) if one["low"] is not None), default=0.0)
 
 
 def input_parts(skin: Mapping[str, Any], without: Sequence[str] = ()) -> list[Part]:
-    """Return the inputs of a skin's motion that have a given range, with the factors on it. without: inputs by name"""
+    """Return the inputs with a known range, and their displacement factors. without: excluded inputs"""
     parts = {one["what"]: (one["low"], one["high"]) for one in _ranges(skin.get("error_budget") or {"inputs": ()})}
     if "p0_band_low" in skin:
         parts = {"p0": (skin["p0_band_low"], skin["p0_band_high"])} | parts
@@ -62,7 +62,7 @@ def input_parts(skin: Mapping[str, Any], without: Sequence[str] = ()) -> list[Pa
 def combined(parts: Sequence[Part]) -> tuple[float, float]:
     """Combine inputs into one band, as factors: root sum of squares of their logarithms, for each side separately.
 
-    It holds for independent inputs, of which the motion is a product.
+    This holds for independent inputs with multiplicative effects.
     """
     lows, highs = [low for _, low, _ in parts], [high for _, _, high in parts]
     low = 0.0 if min(lows, default=1.0) <= 0.0 else math.exp(-math.hypot(*(math.log(min(one, 1.0)) for one in lows)))
@@ -70,7 +70,7 @@ def combined(parts: Sequence[Part]) -> tuple[float, float]:
 
 
 def parts_text(parts: Sequence[Part], ends: Callable[[float, float], str] | None = None) -> str:
-    """List the parts of a band by name. ends: their two factors in words"""
+    """List the parts of a band by name. ends: function that describes the two factors"""
     said = ends or (lambda low, high: f"x {low:.2g} to {high:.2g}")
     return ", ".join(f"{what} {said(low, high)}" for what, low, high in parts)
 
@@ -81,25 +81,25 @@ def _largest(bias: Mapping[str, Any]) -> float:
 
 def largest_left_out(budget: Mapping[str, Any] | None) -> str:
     """Return the largest bias of ignored effects, as text after a semicolon; empty if none is significant."""
-    told = _told(budget) if budget else []
-    if not told:
+    significant = _significant(budget) if budget else []
+    if not significant:
         return ""
-    one = max(told, key=_largest)
+    one = max(significant, key=_largest)
     return f"; largest effect not modelled: {one['what']} {bias_text(one['low'], one['high'])}"
 
 
-def _told(budget: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+def _significant(budget: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     """Return the significant ignored effects."""
     return [one for one in budget["left_out"] if one["low"] is not None and _largest(one) > SHOWN]
 
 
 def _ranges(budget: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """Return the inputs with a given range."""
+    """Return the inputs with a known range."""
     return [one for one in budget["inputs"] if one["low"] is not None and one["low"] < one["high"]]
 
 
 def bias_text(low: float, high: float) -> str:
-    """Relative difference of the true value from the computed one, in words."""
+    """Describe a relative bias (true minus computed)."""
     if low == high == 0.0:
         return "0 %"
     if low == -high:
@@ -109,16 +109,16 @@ def bias_text(low: float, high: float) -> str:
 
 
 def in_a_line(budget: Mapping[str, Any] | str | None) -> str:
-    """Return a budget's largest parts in one line, for pictures; empty without a budget."""
+    """Return the largest parts of a budget in one line, for pictures; empty without a budget."""
     if not isinstance(budget, Mapping):
         return ""
     parts = [f"numerical {figures(100 * budget['numerical']['displacement_error_relative'], 1.0)} %"]
-    largest = sorted(_told(budget), key=_largest, reverse=True)[:2]
+    largest = sorted(_significant(budget), key=_largest, reverse=True)[:2]
     parts += [f"{one['what']} (not modelled): {bias_text(one['low'], one['high'])}" for one in largest]
     parts += [f"{one['what']} x {one['low']:.2g} to {one['high']:.2g}" for one in _ranges(budget)]
     return "Error of the skin response under the focus: " + "; ".join(parts)
 
 
 def of_full(level: float) -> str:
-    """Return a drive relative to full, in words."""
+    """Describe a drive level relative to full drive."""
     return f"{level:.3f} of full" if level == 0.0 or level >= 1e-3 else f"{level:.2g} of full"

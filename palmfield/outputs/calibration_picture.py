@@ -1,4 +1,4 @@
-"""The picture of a calibration: each transducer with phase, polarity and gain."""
+"""Draw a calibration: each transducer with phase, polarity and gain."""
 
 import math
 from pathlib import Path
@@ -13,9 +13,9 @@ from palmfield.types import Array, Float
 
 
 def draw_calibration(calibration: Calibration, array: Array, path: Path) -> Path:
-    """Draw a PNG of two maps of the board, seen from its front; returns its path.
+    """Draw a PNG of two maps of the board, seen from its front; return its path.
 
-    array: the calibration's layout. Raises OutputError if the picture cannot be written.
+    array: layout of the calibration. Raises OutputError if the picture cannot be written.
     """
     elements = calibration.elements
     with style():

@@ -1,4 +1,4 @@
-"""Camera of the picture of a scene."""
+"""Choose the camera of the picture of a scene."""
 
 from typing import NamedTuple
 
@@ -27,7 +27,7 @@ class Camera(NamedTuple):
     centre: Float
 
     def project(self, points: Float) -> Float:
-        """Column and row [pixels] of world points [m], shape (n, 3) -> (n, 2)."""
+        """Return column and row [pixels] of world points [m], shape (n, 3) -> (n, 2)."""
         local = points - self.eye
         plane = np.column_stack([local @ self.right, -(local @ self.up)])
         return self.centre + self.focal * plane / (local @ self.forward)[:, None]
@@ -36,16 +36,16 @@ class Camera(NamedTuple):
 def look_along_emission(
     points: Float, array_pose: Float, window: tuple[float, float, float, float], azimuth_deg: float = AZIMUTH_DEG
 ) -> Camera:
-    """Return a camera that faces the sides reached by the array's sound, with all points in a window of the picture.
+    """Return a camera that looks at the insonified sides, with all points in a window of the picture.
 
     points: [m] in the world, shape (n, 3); array_pose: shape (7,); window: left, top, width, height [pixels]
-    azimuth_deg: of the view, round the z of the array
-    It looks along the array's +z, slanted, so that array and target are next to each other. The world's z points up.
+    azimuth_deg: of the view, about the z axis of the array
+    The view is obliquely along +z of the array, so that array and target are side by side. The world's z points up.
     """
     x, y, z = axes(array_pose)
     azimuth, slant = np.radians(azimuth_deg), np.radians(SLANT_DEG)
     forward = np.cos(slant) * (np.cos(azimuth) * x + np.sin(azimuth) * y) + np.sin(slant) * z
-    # If the camera looks straight up or down, the world's z has no direction in the picture; use the y of the board.
+    # If the camera looks straight up or down, the y axis of the board replaces the world's z as the upward direction
     vertical = np.array([0.0, 0.0, 1.0]) if abs(forward[2]) < 0.95 else y
     right = np.cross(forward, vertical)
     right /= np.linalg.norm(right)
@@ -54,7 +54,7 @@ def look_along_emission(
     focal = 0.5 * height / np.tan(np.radians(FIELD_OF_VIEW_DEG) / 2)
     limits = (0.5 - MARGIN) * np.array([width, height]) / focal
     middle, distance = points.mean(axis=0), 1.0
-    # Each round backs off until the widest point touches the margin, then centres the visible points.
+    # Each iteration moves back until the widest point touches the margin, then centres the visible points
     for _ in range(20):
         local = points - middle
         across, depth = np.column_stack([local @ right, local @ up]), local @ forward

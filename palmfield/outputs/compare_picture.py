@@ -1,4 +1,4 @@
-"""Pictures of a measured and a computed scan: maps of gain, delay and coherence; frequency and wavenumber."""
+"""Draw a measured and a computed scan: maps of gain, delay and coherence; frequency and wavenumber."""
 
 from pathlib import Path
 from typing import Any
@@ -13,12 +13,12 @@ from palmfield.instruments.scan import Scan
 from palmfield.outputs.style import COLOURS, LINES, save, style
 
 DEPTH = 1e-2
-"""Amplitudes down to this share of the largest are drawn."""
+"""Smallest drawn amplitude relative to the largest."""
 SHOWN = {"displacement": (1e6, "displacement [um]"), "velocity": (1e3, "velocity [mm/s]")}
 
 
 def draw_agreement(measured: Scan, computed: Scan, numbers: Agreement, path: Path) -> Path:
-    """Draw a PNG of the loudest point's record and maps of level, gain, delay and coherence; returns its path."""
+    """Draw a PNG of the signal at the point of largest motion and maps of the agreement; return its path."""
     flat = 1e3 * on_plane(measured.points)
     loud = numbers.level >= 0.1
     with style():
@@ -56,7 +56,7 @@ def draw_agreement(measured: Scan, computed: Scan, numbers: Agreement, path: Pat
 
 
 def draw_wavenumbers(measured: FrequencyWavenumber, computed: FrequencyWavenumber, path: Path) -> Path:
-    """Draw a PNG of amplitude over frequency and wavenumber, a panel for each; returns its path."""
+    """Draw a PNG of amplitude over frequency and wavenumber, a panel for each scan; return its path."""
     with style():
         figure = Figure(figsize=(9.6, 4.2), dpi=150, layout="constrained")
         axes = figure.subplots(1, 2, sharex=True, sharey=True)

@@ -13,19 +13,19 @@ from palmfield.hand.triangles import on_rim
 from palmfield.types import Float, Int
 
 COVERED_M = 4e-3
-"""Distance within which a skin covers a body's vertex on its inner side: coarse skins cut corners."""
+"""Largest distance of a body vertex below a skin that the skin covers [m]; coarse skins are not exactly on the body."""
 EDGE_M = 2e-3
-"""Spacing of the points of the skin to which distances are computed."""
+"""Spacing of skin points to which distances are computed [m]."""
 SUNK_M = 4e-3
-"""Depth of a covered vertex below the skin: more than the largest magnified push. It decreases to the skin's rim."""
+"""Depth of a covered vertex below the skin [m], more than the largest magnified motion. It decreases to the rim."""
 SLOPE = 0.3
 
 
 class Under(NamedTuple):
-    """Vertices of a body that skins cover. All of shape (c,).
+    """Vertices of a body that skins cover; all arrays of shape (c,).
 
-    vertex: their numbers; skin, node: the skin and its node nearest to each
-    depth_m: how far each is moved against that node's outward normal [m]
+    vertex: their numbers; skin, node: nearest skin and its nearest node
+    depth_m: displacement of each against the outward normal of this node [m]
     """
 
     vertex: Int
@@ -37,15 +37,16 @@ class Under(NamedTuple):
 def under(points: Float, skins: list[tuple[Float, Int, Float]]) -> Under:
     """Return the vertices of a body that its skins cover, and the depths at which they are drawn.
 
-    points: the body's at rest [m], (n, 3); skins: nodes [m] (s, 3), triangles (f, 3) and outward normals (s, 3) of each
-    Depth grows from 0 at a skin's rim by SLOPE of the distance to it, up to SUNK_M, so that body and skin meet there.
+    points: of the body at rest [m], (n, 3); skins: nodes [m] (s, 3), triangles (f, 3) and outward normals (s, 3) of
+    each The depth is SLOPE times the distance to the rim of the skin, at most SUNK_M, so that body and skin meet at the
+    rim.
     """
     found = [Under(*(np.zeros(0, np.int32),) * 3, np.zeros(0))]
     free: NDArray[np.bool_] = np.ones(len(points), np.bool_)
     for number, (nodes, faces, normals) in enumerate(skins):
         over, rim = _dense(nodes, faces)
         away, nearest = cKDTree(over).query(points)
-        # A vertex nearest to the rim is outside the skin
+        # A vertex whose nearest point is on the rim is outside the skin
         vertex = np.flatnonzero(free & (away < COVERED_M) & ~rim[nearest]).astype(np.int32)
         free[vertex] = False
         node = cKDTree(nodes).query(over[nearest[vertex]])[1].astype(np.int32)
@@ -57,7 +58,7 @@ def under(points: Float, skins: list[tuple[Float, Int, Float]]) -> Under:
 
 
 def sunk(surface: xr.Dataset, skins: list[xr.Dataset]) -> xr.Dataset:
-    """Return a body's surface with rest positions lowered where skins cover it.
+    """Return the surface of a body with rest positions lowered below skins.
 
     surface: of `instances(result, "surface")`; skins: of `instances(result, "skin")`, on the same body
     """
@@ -71,12 +72,12 @@ def sunk(surface: xr.Dataset, skins: list[xr.Dataset]) -> xr.Dataset:
 
 
 def smooth_normals(points: Float, faces: Int) -> Float:
-    """Unit normals of vertices, shape (n, 3): the mean of adjacent triangles' normals, weighted by angle."""
+    """Return unit normals of vertices, shape (n, 3): angle-weighted means of the normals of adjacent triangles."""
     return np.asarray(trimesh.Trimesh(points, faces, process=False).vertex_normals)
 
 
 def _dense(vertices: Float, faces: Int) -> tuple[Float, NDArray[np.bool_]]:
-    """Return points all over a mesh, and which of them are on its rim."""
+    """Return points that cover a mesh densely, and which of them are on its rim."""
     points, corners = subdivide_to_size(vertices, faces, EDGE_M)
     points, which = np.unique(points.round(9), axis=0, return_inverse=True)
     corners = which.ravel()[corners]

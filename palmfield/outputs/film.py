@@ -1,4 +1,4 @@
-"""A film of a run: the skin with its motion or its ARP in colour, slowed down and magnified, without a window."""
+"""Make a film of a run: the skin with its motion or ARP in colour, slowed down and magnified."""
 
 import contextlib
 import importlib
@@ -31,23 +31,23 @@ from palmfield.types import Float
 SHOWN = ("displacement", "velocity", "arp")
 FPS = 25
 SLOW = 200.0
-"""A second of film shows 5 ms."""
+"""Default slow-motion factor: a second of film shows 5 ms."""
 SEEN_M = 2e-3
-"""Size to which the largest motion is magnified by default."""
+"""Displayed size of the largest motion at the default magnification [m]."""
 QUALITY = (1, 3)
 DPI, DRAWN_FOR = 100, (800, 600)
-"""Pixels per inch of text at this width and height of the picture; text scales with the picture."""
+"""Resolution of text [pixels per inch] for a picture of this size; text scales with the picture."""
 POSES = 16
-"""Number of moments whose poses the camera must see."""
+"""Number of times at which the camera must see all skins."""
 
 
 @dataclass(frozen=True)
 class Cut:
-    """Contents of a film. start_s, end_s: of the run [s], None for its ends; slow: factor of slow motion
+    """Contents of a film. start_s, end_s: of the run [s], None for its ends; slow: slow-motion factor
 
-    magnify: factor on the motion along the normal, None to show the largest motion as SEEN_M
+    magnify: factor of the motion along the normal; None shows the largest motion as SEEN_M
     shown: quantity of the colours, one of SHOWN
-    limits: of the colours, in the unit of `shown`; size: width and height [pixels], even
+    limits: of the colour scale, in the unit of `shown`; size: width and height [pixels], even
     """
 
     start_s: float | None = None
@@ -60,7 +60,7 @@ class Cut:
 
 
 class _Look(NamedTuple):
-    """Data that all frames share. around: by one skin of each body, its surface, lowered below its skins"""
+    """Data that all frames share. around: surface of each body, lowered below its skins, by the name of one skin"""
 
     skins: dict[str, xr.Dataset]
     around: dict[str, xr.Dataset]
@@ -74,22 +74,22 @@ class _Look(NamedTuple):
 def film(
     result: xr.DataTree, path: str | Path, cut: Cut | None = None, on_frame: Callable[[int, int], None] | None = None
 ) -> int:
-    """Write an MP4 (H.264) of the skins of a run; returns its number of frames.
+    """Write an MP4 (H.264) of the skins of a run; return its number of frames.
 
-    result: of `open_result`, with displacement of at least one skin; on_frame: called with the numbers done and in all
-    The camera is placed to see all skins all the time. Ctrl-C ends the film early; the finished part can be played.
+    result: of `open_result`, with displacement of at least one skin; on_frame: called with the numbers of completed and
+    of all frames The camera sees all skins at all times. Ctrl-C ends the film early; the finished part can be played.
     Raises OutputError for times outside the run, invalid numbers, a result without motion, if PyAV is missing (extra
     `video`), and if `path` cannot be written.
     """
-    told = cut or Cut()
+    settings = cut or Cut()
     file = Path(path)
     if file.suffix.lower() != ".mp4":
         raise OutputError(f"cannot write {file}: a film is an MP4; give a file name that ends in .mp4")
-    times = _times(result, told)
-    look = _look(result, told, times)
+    times = _times(result, settings)
+    look = _look(result, settings, times)
     done = 0
-    with _encoder(file, told.size) as add, contextlib.suppress(KeyboardInterrupt), style():
-        frame = _Frame(look, told)
+    with _encoder(file, settings.size) as add, contextlib.suppress(KeyboardInterrupt), style():
+        frame = _Frame(look, settings)
         for number, time_s in enumerate(times, 1):
             add(frame.image(result, float(time_s)))
             done = number
@@ -147,7 +147,7 @@ def _look(result: xr.DataTree, cut: Cut, times: Float) -> _Look:
     camera = look_along_emission(points, pose_at(first, moments[0]), window)
     limits = cut.limits or (low, max(top, low + 1e-12))
     if cut.shown != "arp":
-        colours = signed_colours(*limits, left_out=0.02)
+        colours = signed_colours(*limits, cut_off=0.02)
     around: dict[str, xr.Dataset] = {}
     for on_body in bodies(result).values():
         own = [name for name in on_body if name in skins]
@@ -159,16 +159,16 @@ def _look(result: xr.DataTree, cut: Cut, times: Float) -> _Look:
 
 
 class _Frame:
-    """The canvas that is redrawn for each frame."""
+    """Canvas that is redrawn for each frame."""
 
     def __init__(self, look: _Look, cut: Cut) -> None:
         self._look, self._cut = look, cut
         width, height = cut.size
         dpi = DPI * min(width / DRAWN_FOR[0], height / DRAWN_FOR[1])
-        # A canvas has whole pixels, truncated and not rounded
+        # The size of a canvas is truncated, not rounded, to whole pixels
         self._figure = Figure(figsize=((width + 0.01) / dpi, (height + 0.01) / dpi), dpi=dpi)
         self._canvas = FigureCanvasAgg(self._figure)
-        # The canvas contains only text: to draw an image through Matplotlib takes longer than to compose it
+        # The canvas contains only text, because drawing an image in Matplotlib is slower than composing it
         self._figure.patch.set_alpha(0.0)
         axes = self._figure.add_axes((0.0, 0.0, 1.0, 1.0), xlim=(0, width), ylim=(height, 0))
         axes.set_axis_off()
@@ -183,7 +183,7 @@ class _Frame:
         self._scale_bar: list[Any] = []
 
     def image(self, result: xr.DataTree, time_s: float) -> Any:
-        """Return the picture of a time, uint8, shape (height, width, 3)."""
+        """Return the picture at a time, uint8, shape (height, width, 3)."""
         look, cut = self._look, self._cut
         meshes, levels, parts = [], [], []
         groups, surfaces = instances(result, "body"), instances(result, "surface")
@@ -204,7 +204,7 @@ class _Frame:
             levels.append(np.clip((shown - low) / (high - low), 0.0, 1.0))
             if name in look.around:
                 faces = surfaces[name]["face"].values
-                # Shaded as at its true place: the lowered part's edge would darken the body next to the skin
+                # Shaded with normals of the true surface: the edge of the lowered part would darken the body beside
                 normals = smooth_normals(in_world(surfaces[name], groups.get(name), time_s), faces)[faces.ravel()]
                 corners = in_world(look.around[name], groups.get(name), time_s)[faces.ravel()]
                 triangles = np.arange(len(corners)).reshape(-1, 3)
@@ -225,7 +225,7 @@ class _Frame:
         return (mixed + 0.5).astype(np.uint8)
 
     def _draw_scale(self, points: Float) -> None:
-        """Draw a bar of a round length at the distance of the skin's middle."""
+        """Draw a bar of a round length at the distance of the centre of the skin."""
         camera, middle = self._look.camera, points.mean(axis=0)
         ends = camera.project(np.stack([middle, middle + 0.01 * camera.right]))
         pixels_a_cm = float(np.linalg.norm(ends[1] - ends[0]))
@@ -247,7 +247,7 @@ def _encoder(path: Path, size: tuple[int, int]) -> Iterator[Callable[[Any], None
     temporary = path.with_name(f".{path.stem}.tmp.mp4")
     try:
         temporary.touch()
-        # Fragments, so that a file is readable wherever it ends
+        # Fragments, so that an incomplete file is readable
         container = av.open(str(temporary), "w", options={"movflags": "frag_keyframe+empty_moov+default_base_moof"})
         stream = container.add_stream("libx264", rate=FPS)
         stream.width, stream.height = size

@@ -1,4 +1,4 @@
-"""Poses of a result's objects in the world: seven numbers, position [m] and unit quaternion (w, x, y, z)."""
+"""Read poses of objects of a result in the world: position [m] and unit quaternion (w, x, y, z), seven numbers."""
 
 import json
 from typing import NamedTuple
@@ -27,7 +27,7 @@ def to_local(points: Float, pose: Float) -> Float:
 
 
 def axes(pose: Float) -> Float:
-    """Rows x, y, z: the frame's unit axes in the world, shape (3, 3)."""
+    """Return the unit axes of a frame in the world as rows x, y, z, shape (3, 3)."""
     return _rotation(pose).as_matrix().T
 
 
@@ -37,26 +37,26 @@ def nearest(times_s: Float, time_s: float) -> int:
 
 
 def drive_frames(starts_s: Float, times_s: Float) -> Int:
-    """Return indices of the drive frames that hold at times [s]: the last begun; the first before all."""
+    """Return the indices of the drive frames at times [s]: the last one that has begun, or else the first."""
     return np.maximum(0, np.searchsorted(starts_s, times_s + 1e-9, "right") - 1).astype(np.int32)
 
 
 def drive_frame(array: xr.Dataset, time_s: float) -> int:
-    """Return the index along `frame_time` of the drive of an array that holds at a time [s]."""
+    """Return the index along `frame_time` of the drive of an array at a time [s]."""
     return int(drive_frames(array["frame_time"].values, np.array([time_s]))[0])
 
 
 def check_time(option: str, time_s: float, first_s: float, last_s: float) -> None:
-    """Raises OutputError for a time in an option outside the record, with its ends [s]."""
+    """Raise OutputError if the time of an option is not between first_s and last_s [s]."""
     if not first_s <= time_s <= last_s:
         raise OutputError(f"{option} has value {1e3 * time_s:g} ms; allowed: {1e3 * first_s:g} to {1e3 * last_s:g} ms")
 
 
 def poses_at(group: xr.Dataset | None, times_s: Float) -> Float:
-    """Poses of an array or a body at the MuJoCo steps nearest to times [s], shape (n,) -> (n, 7).
+    """Return poses of an array or a body at the MuJoCo steps nearest to times [s], shape (n,) -> (n, 7).
 
-    group: one of `instances(result, "array")` or `instances(result, "body")`; the identity if it is None (not in the
-    result) or has no steps
+    group: one of `instances(result, "array")` or `instances(result, "body")`. Poses are the identity if it is None (not
+    in the result) or has no steps
     """
     if group is None or not has_records(group, "pose"):
         return np.tile(IDENTITY, (len(times_s), 1))
@@ -65,15 +65,15 @@ def poses_at(group: xr.Dataset | None, times_s: Float) -> Float:
 
 
 def pose_at(group: xr.Dataset | None, time_s: float) -> Float:
-    """As `poses_at`, for one time, shape (7,)."""
+    """Return `poses_at` for one time, shape (7,)."""
     return poses_at(group, np.array([time_s]))[0]
 
 
 def posed(mesh: xr.Dataset, body: xr.Dataset | None, time_s: float) -> Float:
-    """Vertices of a skin or a surface [m], shape (n, 3), in the body frame at the step nearest to a time [s].
+    """Return vertices of a skin or a surface [m], shape (n, 3), in the body frame at the step nearest to a time [s].
 
-    mesh: one of `instances(result, "skin")` or `instances(result, "surface")`; body: of the same name. An articulated
-    hand's vertices are blended linearly from its bones; those of any other body are as at rest.
+    mesh: one of `instances(result, "skin")` or `instances(result, "surface")`; body: of the same name. Vertices of an
+    articulated hand are blended linearly from its bones; those of other bodies are as at rest.
     """
     rest: Float = mesh["rest_position"].values
     if body is None or not has_records(body, "bone_pose") or "bone_index" not in mesh:
@@ -87,7 +87,7 @@ def posed(mesh: xr.Dataset, body: xr.Dataset | None, time_s: float) -> Float:
 
 
 def in_world(mesh: xr.Dataset, body: xr.Dataset | None, time_s: float) -> Float:
-    """As `posed`, in the world."""
+    """Return `posed` in the world."""
     return to_world(posed(mesh, body, time_s), pose_at(body, time_s))
 
 
@@ -118,7 +118,7 @@ def loudest(skin: xr.Dataset) -> Loudest:
 def bodies(result: xr.DataTree) -> dict[str, list[str]]:
     """Group skins by body, in the order of the scene.
 
-    A body is named by the attribute `body` of its skins' groups /body; a skin without one has a body of its own.
+    The attribute `body` of group /body of a skin names the body; a skin without it has a separate body.
     """
     skins: dict[str, list[str]] = {}
     groups = instances(result, "body")
@@ -129,9 +129,9 @@ def bodies(result: xr.DataTree) -> dict[str, list[str]]:
 
 
 def arrays_of(stimulus: xr.Dataset, arrays: list[str]) -> list[str]:
-    """Return names of the arrays that a stimulus drives: those of its attribute `arrays`, else all."""
-    given = stimulus.attrs.get("arrays")
-    chosen = json.loads(given) if isinstance(given, str) else given
+    """Return the names of the arrays of a stimulus, from its attribute `arrays`, or else of all arrays."""
+    stored = stimulus.attrs.get("arrays")
+    chosen = json.loads(stored) if isinstance(stored, str) else stored
     return arrays if chosen is None else [name for name in chosen if name in arrays]
 
 
@@ -143,5 +143,5 @@ def foci_at(stimulus: xr.Dataset, index: int) -> Float:
 
 
 def _rotation(pose: Float) -> Rotation:
-    # SciPy before 1.14 has the scalar last only
+    # SciPy before 1.14 requires the scalar last
     return Rotation.from_quat(np.roll(pose[..., 3:], -1, axis=-1))

@@ -1,4 +1,4 @@
-"""Maps of the perceived level: levels above threshold at each vertex of a skin, from the result of a run.
+"""Compute maps of the sensation level: levels above threshold at each vertex of a skin, from a result.
 
 from palmfield.outputs import open_result
 from palmfield.outputs.levels import level_maps
@@ -24,12 +24,12 @@ def level_maps(result: xr.DataTree, skin: str | None = None, stimulus: str | Non
     """Return levels above threshold of each contact observer at each vertex, in the steady part of a run.
 
     result: of `open_result` or `tree`, of a run that began at 0 s; skin, stimulus: instances, the only ones by default.
-    The level is of all lines (`palmfield.perception.maps.felt_lines`), whose frequencies are an attribute. Returns
+    The level includes all lines (`palmfield.perception.maps.felt_lines`), whose frequencies are an attribute. Returns
     `level` [dB SL], dimensions (observer, vertex), NaN if an observer's table has none of the lines, -inf for a vertex
     at rest; attributes skin, stimulus and frequencies_Hz. Each vertex is treated separately, without summation over
-    area. The observer based on force has no map: it does not depend on the motion of the skin.
-    Raises OutputError for an unknown instance, several without a name given, a result without displacement, and one
-    shorter than two periods of the main frequency.
+    area. The force observer has no map, because it does not depend on the motion of the skin.
+    Raises OutputError for an unknown instance, several instances without a name, a result without displacement, and a
+    result shorter than two periods of the main frequency.
     """
     chosen, sounding = _one(result, "skin", skin), _one(result, "stimulus", stimulus)
     data = instances(result, "skin")[chosen]
@@ -42,8 +42,8 @@ def level_maps(result: xr.DataTree, skin: str | None = None, stimulus: str | Non
     frequencies = felt_lines(times[steady], config)
     if not frequencies:
         wanted = main_frequencies(config)
-        told = f"{wanted_s(config)[1]} with 3 samples in each" if wanted else "a stimulus that repeats"
-        raise OutputError(f"the record of skin '{chosen}' has no line; a map needs {told}: run for longer")
+        needed = f"{wanted_s(config)[1]} with 3 samples in each" if wanted else "a stimulus that repeats"
+        raise OutputError(f"the record of skin '{chosen}' has no line; a map needs {needed}: run for longer")
     normal = np.asarray(normal_component(data))[steady]
     levels = np.stack([level_map(one, times[steady], normal, frequencies) for one in OBSERVERS.values()])
     return xr.Dataset(
@@ -54,15 +54,15 @@ def level_maps(result: xr.DataTree, skin: str | None = None, stimulus: str | Non
 
 
 FLOOR_DB = -40.0
-"""Lower limit of levels over time: lower ones, and rest, are set to this [dB SL]."""
+"""Lower limit of levels over time [dB SL]; lower values, and rest, are set to it."""
 WINDOW_PERIODS = 2
 
 
 class LevelCourse:
     """Level above threshold at each vertex of a skin, by one observer, in successive windows of a run.
 
-    frequencies_Hz: lines that count; window_s: length of each window, WINDOW_PERIODS of the lowest of them. Each window
-    is assumed to repeat, and each vertex is treated separately. A run is read one window at a time.
+    frequencies_Hz: evaluated lines; window_s: length of a window, WINDOW_PERIODS periods of the lowest line. Each
+    window is assumed to be periodic, and each vertex is treated separately. Only one window is in memory.
     """
 
     def __init__(self, skin: xr.Dataset, observer: str, frequencies_Hz: list[float]):
@@ -80,12 +80,12 @@ class LevelCourse:
         self._ends = np.searchsorted(times, begins + self.window_s - 0.5 * step)
 
     def window_at(self, time_s: float) -> int:
-        """Return the window that contains a time [s]; the last whole one for the rest at the end."""
+        """Return the window that contains a time [s]; the last complete window for the rest at the end."""
         begin = float(self._skin["time"].values[0])
         return min(self.count - 1, max(0, int((time_s - begin) / self.window_s + 1e-9)))
 
     def levels(self, window: int) -> Float32:
-        """Levels [dB SL] in a window, shape (vertices,), FLOOR_DB at least."""
+        """Return levels [dB SL] in a window, shape (vertices,), at least FLOOR_DB."""
         chosen = slice(int(self._starts[window]), int(self._ends[window]))
         normal = normal_component(self._skin, times=chosen)
         times = self._skin["time"].values[chosen].astype(float)
@@ -94,7 +94,7 @@ class LevelCourse:
 
 
 def level_course(result: xr.DataTree, skin: str, observer: str) -> LevelCourse:
-    """Return the course of the level on a skin, by the lines of all stimuli.
+    """Return the level on a skin over time, for the lines of all stimuli.
 
     Raises OutputError for an unknown observer, and for a run without usable lines of its stimuli or record.
     """
@@ -105,17 +105,17 @@ def level_course(result: xr.DataTree, skin: str, observer: str) -> LevelCourse:
     lines, times = set[float](), data["time"].values.astype(float)
     for name, stimulus in instances(result, "stimulus").items():
         config = keys_of(ResolvedStimulus, name, stimulus)
-        felt = felt_lines(times, config)
-        # A path with varying level has lines that a short record cannot separate: none of them is used
-        lines |= {*felt, *(main_frequencies(config) if felt or repeat_rate_Hz(config) == turn_rate_Hz(config) else ())}
+        own = felt_lines(times, config)
+        # A path with varying level has lines that a short record cannot separate; they are not used
+        lines |= {*own, *(main_frequencies(config) if own or repeat_rate_Hz(config) == turn_rate_Hz(config) else ())}
     return LevelCourse(data, observer, sorted(lines))
 
 
 def _one(result: xr.DataTree, kind: str, name: str | None) -> str:
-    known = list(instances(result, kind))
-    if name is None and len(known) == 1:
-        return known[0]
+    names = list(instances(result, kind))
+    if name is None and len(names) == 1:
+        return names[0]
     if name is None:
-        raise OutputError(f"the result holds {len(known)} instances of {kind}: {', '.join(known)}; name one of them")
-    refuse_unknown(OutputError, f"{kind} {{}} is unknown", name, known)
+        raise OutputError(f"the result holds {len(names)} instances of {kind}: {', '.join(names)}; name one of them")
+    refuse_unknown(OutputError, f"{kind} {{}} is unknown", name, names)
     return name

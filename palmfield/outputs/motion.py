@@ -1,4 +1,4 @@
-"""The skin's motion of a result, read piece by piece: components along the normal, extremes over time."""
+"""Read the motion of skins in a result piece by piece: components along the normal, extremes over time."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -28,17 +28,17 @@ def pieces(skin: xr.Dataset, name: str, times: slice = slice(None)) -> Iterator[
 def normal_pieces(
     skin: xr.Dataset, name: str = "displacement", times: slice = slice(None)
 ) -> Iterator[tuple[slice, Float32]]:
-    """As `pieces`, of the component along the outward normal at rest, shape (times, vertices)."""
+    """Yield `pieces` of the component along the outward normal at rest, shape (times, vertices)."""
     normals = skin["rest_normal"].values.astype(np.float32)
     for place, values in pieces(skin, name, times):
         yield place, np.einsum("tvi,vi->tv", values, normals)
 
 
 def normal_component(skin: xr.Dataset, name: str = "displacement", times: slice = slice(None)) -> xr.DataArray:
-    """Displacement [m] or velocity [m/s] along the outward normal at rest, shape (time, vertex), float32.
+    """Return displacement [m] or velocity [m/s] along the outward normal at rest, shape (time, vertex), float32.
 
-    skin: one of `instances(result, "skin")`; name: `displacement` or `velocity`; times: slice, all by default A push is
-    negative. The vectors are read in pieces, so that only the component is in memory.
+    skin: one of `instances(result, "skin")`; name: `displacement` or `velocity`; times: slice, all by default
+    Motion into the skin is negative. Vectors are read in pieces, so that only the component is in memory.
     """
     chosen = skin["time"].isel(time=times)
     out = np.empty((len(chosen), skin.sizes["vertex"]), np.float32)
@@ -62,7 +62,7 @@ class Extremes(NamedTuple):
 
 
 def extremes(skin: xr.Dataset, name: str = "displacement") -> Extremes:
-    """The extremes of `normal_component`, in one pass."""
+    """Return the extremes of `normal_component`, in one pass."""
     count = skin.sizes["vertex"]
     peak, when = np.full(count, -1.0), np.zeros(count, np.int32)
     total, squares = np.zeros(count), np.zeros(count)
@@ -80,6 +80,6 @@ def extremes(skin: xr.Dataset, name: str = "displacement") -> Extremes:
 
 
 def at_vertices(skin: xr.Dataset, vertices: list[int], name: str = "displacement") -> Float32:
-    """The normal component over time at a few vertices, shape (times, len(vertices))."""
+    """Return the normal component over time at a few vertices, shape (times, len(vertices))."""
     few = skin.isel(vertex=vertices)
     return np.asarray(np.einsum("tvi,vi->tv", few[name].values, few["rest_normal"].values), dtype=np.float32)

@@ -1,7 +1,7 @@
 """Write results as netCDF files without letting HDF5 write to a disk.
 
-HDF5 crashes the interpreter when its disk fills up. Small files are made in memory; large ones use a file object that
-keeps data it cannot write, so that HDF5 sees no error and this module can raise afterwards.
+HDF5 crashes the interpreter if the disk is full. Small files are made in memory. Large ones use a file object that
+keeps data that it cannot write, so that HDF5 gets no error and this module can raise one afterwards.
 """
 
 import io
@@ -21,15 +21,15 @@ from palmfield.outputs.schema import LABELS, PLACES, RECORDS, ROOT, Attributes, 
 from palmfield.types import json_value
 
 CHUNK_BYTES = 1_000_000
-"""Size of a compressed chunk in the result. HDF5 keeps 1 MiB a variable: a chunk is filled before it is packed."""
+"""Size of a compressed chunk. It fits the HDF5 cache of 1 MiB for each variable, so it is filled before compression."""
 COMPRESSION: dict[str, Any] = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
 UNREADABLE = (OSError, ValueError, KeyError, RuntimeError, TypeError)
 
 
 class SpillingFile(io.RawIOBase):
-    """A file on disk whose writing never fails: data without room stay in memory, and `lost` gives the reason.
+    """A file on disk whose writing never fails: if the disk is full, data stay in memory, and `lost` gives the reason.
 
-    Few data may follow a failure: the writer must check `lost` and stop.
+    The writer must check `lost` and stop soon after a failure.
     """
 
     def __init__(self, path: Path) -> None:
@@ -81,7 +81,7 @@ class SpillingFile(io.RawIOBase):
         return self._length
 
     def flush(self) -> None:
-        """Nothing waits here."""
+        """Do nothing: no data are buffered."""
 
     def readable(self) -> bool:
         return True
@@ -108,9 +108,9 @@ class ResultWriter:
     """Writes groups, static variables, and the parts of record variables in succession."""
 
     def __init__(self, file: h5netcdf.File, lengths: dict[str, int], *, packed: bool) -> None:
-        """lengths: of the record dimensions
+        """lengths: number of records along each record dimension
 
-        packed: a result, whose records are compressed, and whose groups contain the root's coordinates
+        packed: whether records are compressed and groups contain the coordinates of the root, as in a result
         """
         self._file, self._lengths, self._packed = file, lengths, packed
         for dim, length in lengths.items():
@@ -118,13 +118,13 @@ class ResultWriter:
                 file.dimensions[dim] = length
 
     def groups(self, paths: Iterable[str], attributes: Attributes) -> None:
-        """Make groups in the schema's order, with their attributes; values that netCDF cannot hold become JSON text."""
+        """Make groups in the order of the schema, with attributes; values that netCDF cannot store become JSON text."""
         for path in ordered([*paths, *attributes]):
             pairs = attributes.get(path, {})
             self._group(path).attrs.update({name: storable(value) for name, value in pairs.items()})
 
     def labels(self) -> None:
-        """The names of components, in the root."""
+        """Write the names of components, in the root."""
         for name in LABELS:
             self._label(self._file, name)
 
@@ -136,21 +136,21 @@ class ResultWriter:
         made.attrs["long_name"] = what
 
     def put(self, arrays: Checked, start: dict[str, int]) -> None:
-        """Write variables; of those along a record dimension, the part that begins at `start`."""
+        """Write variables; along a record dimension, write the part that begins at `start`."""
         for path, variables in arrays.items():
-            known = variables_of(path)
+            schema = variables_of(path)
             group = self._group(path)
             for name, array in variables.items():
                 made = group.variables.get(name)
-                made = self._create(group, name, known[name], array.shape) if made is None else made
-                self._fill(made, record_of(known[name]), array, start)
+                made = self._create(group, name, schema[name], array.shape) if made is None else made
+                self._fill(made, record_of(schema[name]), array, start)
             if self._packed and path != "/":
-                self._put_times(group, {record_of(known[name]) for name in variables}, arrays.get("/", {}), start)
+                self._put_times(group, {record_of(schema[name]) for name in variables}, arrays.get("/", {}), start)
 
     def _put_times(
         self, group: Any, dims: set[str | None], times: dict[str, NDArray[Any]], start: dict[str, int]
     ) -> None:
-        """The times of a group's records, so that it can be opened without the root."""
+        """Write the times of the records of a group, so that it can be opened without the root."""
         for dim in RECORDS:
             if dim in dims and dim in times:
                 made = group.variables.get(dim)
@@ -207,15 +207,15 @@ def image(arrays: Checked, attributes: Attributes) -> bytes:
 
 
 def read_image(data: bytes, *, static: bool = True, records: bool = True) -> tuple[Checked, dict[str, dict[str, Any]]]:
-    """Read arrays and attributes of a file made by `image`, with or without those along a record dimension.
+    """Read arrays and attributes of a file made by `image`; static, records: which arrays.
 
-    Read with h5py: a netCDF file is an HDF5 file, and h5netcdf takes ten times as long to open one.
+    This uses h5py, because h5netcdf takes ten times as long to open a file.
     """
     arrays: Checked = {}
     attributes: dict[str, dict[str, Any]] = {}
     with h5py.File(io.BytesIO(data), "r") as file:
         for path, group in _groups(file, "/"):
-            known = variables_of(path)
+            schema = variables_of(path)
             # netCDF stores a number as an array of one
             attributes[path] = {
                 name: value.item() if isinstance(value, np.ndarray) and value.size == 1 else value
@@ -223,11 +223,11 @@ def read_image(data: bytes, *, static: bool = True, records: bool = True) -> tup
                 if not name.startswith("_")
             }
             arrays[path] = {}
-            for name in [name for name in known if name in group]:
-                requested = static if record_of(known[name]) is None else records
+            for name in [name for name in schema if name in group]:
+                requested = static if record_of(schema[name]) is None else records
                 if requested and not _without_values(group[name]):
-                    held, kind = group[name], known[name].dtype
-                    arrays[path][name] = np.asarray(held.asstr()[...] if kind == "str" else held[...]).astype(kind)
+                    node, kind = group[name], schema[name].dtype
+                    arrays[path][name] = np.asarray(node.asstr()[...] if kind == "str" else node[...]).astype(kind)
     return arrays, attributes
 
 
@@ -239,7 +239,7 @@ def read_lengths(data: bytes) -> dict[str, int]:
 
 @contextmanager
 def result_file(path: Path, lengths: dict[str, int]) -> Iterator[tuple[ResultWriter, SpillingFile]]:
-    """Yield a new result file, and its writer. Raises OSError afterwards if the disk was full."""
+    """Yield the writer of a new result file, and the file. Raises OSError afterwards if the disk was full."""
     disk = SpillingFile(path)
     try:
         with h5netcdf.File(disk, "w") as file:
@@ -251,7 +251,7 @@ def result_file(path: Path, lengths: dict[str, int]) -> Iterator[tuple[ResultWri
 
 
 def read_attributes(path: Path) -> dict[str, Any] | None:
-    """Return attributes of a file's root; None if it is damaged, incomplete, missing or no netCDF."""
+    """Return the attributes of the root of a file; None if it is damaged, incomplete, missing or not netCDF."""
     try:
         with h5netcdf.File(path, "r", decode_vlen_strings=True) as file:
             return dict(file.attrs) | {"_variables": tuple(file.variables)}
@@ -271,14 +271,14 @@ def lengths_of(arrays: Checked) -> dict[str, int]:
 
 
 def joined(blocks: list[Checked]) -> Checked:
-    """Join many blocks along each variable's record dimension; of other variables the last is kept."""
+    """Join blocks along the record dimension of each variable; of other variables keep the last."""
     parts: dict[str, dict[str, list[NDArray[Any]]]] = {}
     for block in blocks:
         for path, variables in block.items():
-            known = variables_of(path)
+            schema = variables_of(path)
             into = parts.setdefault(path, {})
             for name, array in variables.items():
-                if record_of(known[name]) is None:
+                if record_of(schema[name]) is None:
                     into[name] = [array]
                 elif len(array):
                     into.setdefault(name, []).append(array)
@@ -289,7 +289,7 @@ def joined(blocks: list[Checked]) -> Checked:
 
 
 def storable(value: object) -> object:
-    """Return a value that netCDF can hold as an attribute; others become JSON text."""
+    """Return a value that netCDF can store as an attribute; other values become JSON text."""
     if isinstance(value, bool | np.bool_) or not isinstance(value, str | int | float | np.number):
         return json.dumps(value, default=json_value)
     return value
@@ -305,7 +305,7 @@ def _groups(file: Any, path: str) -> Iterator[tuple[str, Any]]:
 
 
 def _without_values(dataset: Any) -> bool:
-    """Whether a netCDF entry is only the length of a dimension, without a variable."""
+    """Return whether a netCDF entry is only the length of a dimension, without a variable."""
     return bytes(dataset.attrs.get("NAME", b"")).startswith(b"This is a netCDF dimension but not a netCDF variable")
 
 

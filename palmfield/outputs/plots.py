@@ -1,4 +1,4 @@
-"""Figures of a run: pressure on each skin, and its motion in time and frequency."""
+"""Draw the figures of a run: pressure on each skin, and its motion in time and frequency."""
 
 import json
 import textwrap
@@ -22,20 +22,20 @@ from palmfield.types import Float
 DPI = 150
 NARROW = 1.5
 SIDE_LOBES = 0.5
-"""Exponent of the pressures' colours: a side lobe of -13 dB is 0.22 of the peak, and its ARP 0.05."""
+"""Exponent of the colours of pressure: a side lobe of -13 dB is 0.22 of the peak, and its ARP 0.05."""
 
 
 def plot_pressure(result: xr.DataTree, path: Path) -> None:
-    """`pressure_picture` as a PNG. Raises OutputError as it does, and if `path` cannot be written."""
+    """Write `pressure_picture` as a PNG. Raises its OutputError, and OutputError if `path` cannot be written."""
     with style():
         save(pressure_picture(result), path, DPI)
 
 
 def pressure_picture(result: xr.DataTree, names: list[str] | None = None, time_s: float | None = None) -> Figure:
-    """Draw peak pressure amplitude and ARP on each skin at its loudest instant, looking onto the array that it faces.
+    """Draw peak pressure amplitude and ARP on each skin at its loudest moment, with view onto the array that it faces.
 
-    result: of `open_result` or `tree`, with a skin and loudest_pressure or arp, and an array. One row a skin.
-    names: of skins, None for all; time_s: another instant [s], of results with pressure or arp over time
+    result: of `open_result` or `tree`, with a skin and loudest_pressure or arp, and an array. Each skin has a row.
+    names: of skins, None for all; time_s: another time [s], for results with pressure or arp over time
     Raises OutputError if none of these exists, and for a time outside the run.
     """
     shown = {name: skin for name, skin in instances(result, "skin").items() if names is None or name in names}
@@ -66,9 +66,9 @@ def pressure_picture(result: xr.DataTree, names: list[str] | None = None, time_s
 
 
 def plot_displacement(result: xr.DataTree, path: Path) -> None:
-    """Draw a PNG of each skin's normal displacement at the vertex of largest motion and two more, and its spectrum.
+    """Draw a PNG of normal displacement and spectrum of each skin at the vertex of largest motion and two more.
 
-    result: of `open_result` or `tree`, with displacement; one column a skin
+    result: of `open_result` or `tree`, with displacement; each skin has a column
     Raises OutputError if there is no displacement, and if `path` cannot be written.
     """
     skins = {name: skin for name, skin in instances(result, "skin").items() if has_records(skin, "displacement")}
@@ -86,7 +86,7 @@ def plot_displacement(result: xr.DataTree, path: Path) -> None:
 
 
 def _instant(skin: xr.Dataset, time_s: float) -> Loudest:
-    """Return a time of the record of a skin [s]. Raises OutputError for one outside it."""
+    """Return a time in the record of a skin [s]. Raises OutputError for a time outside the record."""
     times: Float = skin["time"].values
     if not len(times):
         raise OutputError(
@@ -98,7 +98,7 @@ def _instant(skin: xr.Dataset, time_s: float) -> Loudest:
 
 
 def _pressures(skin: xr.Dataset, when: Loudest, over_time: bool) -> list[tuple[str, str, Float]]:
-    """Return title, colours and values [Pa] of each panel of a skin; over_time: of its record, at the instant."""
+    """Return title, colours and values [Pa] of each panel of a skin; over_time: from the record, at the time `when`."""
     panels: list[tuple[str, str, Float]] = []
     for name, title, colours in ("pressure", "Peak pressure", "magma"), ("arp", "Radiation pressure (ARP)", "viridis"):
         if not over_time and has_records(skin, f"loudest_{name}"):
@@ -112,7 +112,7 @@ def _pressures(skin: xr.Dataset, when: Loudest, over_time: bool) -> list[tuple[s
 
 
 def _foci_of_skins(result: xr.DataTree) -> dict[str, dict[str, list[int]]]:
-    """Return for each skin and stimulus the numbers of the focal points that are nearest to this skin."""
+    """Return for each skin and stimulus the numbers of the focal points closest to this skin."""
     by_skin: dict[str, dict[str, list[int]]] = {name: {} for name in instances(result, "skin")}
     for key, stimulus in instances(result, "stimulus").items():
         if not has_records(stimulus, "foci"):
@@ -135,7 +135,7 @@ def _draw_skin(
     panels: list[tuple[str, str, Float]],
     stimuli: list[tuple[xr.Dataset, list[int]]],
 ) -> None:
-    """stimuli: with the numbers of their focal points that are drawn here"""
+    """stimuli: with the numbers of the focal points to draw"""
     columns = figure.subplots(1, len(panels), squeeze=False)[0]
     for axes, (title, colours, values) in zip(columns, panels, strict=True):
         faces, shown, limits = skin["face"].values, np.nan_to_num(values), (0.0, max(float(np.nanmax(values)), 1e-9))
@@ -145,13 +145,13 @@ def _draw_skin(
         if axes.get_legend_handles_labels()[0]:
             axes.legend(loc="upper right", labelcolor="white", facecolor="#333333", frameon=True, framealpha=0.6)
         span = np.ptp(view.vertices[:, :2], axis=0)
-        # A panel of a narrow patch has no room for the title in one line.
+        # The title needs two lines for a narrow patch
         gap = ",\n" if span[1] > NARROW * span[0] else ", "
         axes.set_title(f"{title}{gap}max {_number(np.nanmax(values))} Pa")
 
 
 def _draw_foci(axes: Any, stimulus: xr.Dataset, view: SkinView, numbers: list[int]) -> None:
-    """Draw the path of some focal points while they sound, and their places when loudest."""
+    """Draw the path of some focal points while active, and their positions at the loudest moment."""
     foci = stimulus["foci"].values[:, numbers]
     way: Float = to_local(foci.reshape(-1, 3), view.pose).reshape(foci.shape)
     way[~stimulus["sounding"].values.astype(bool)] = np.nan
@@ -195,7 +195,7 @@ def _draw_spectra(axes: Any, time_s: Float, motion: Any) -> None:
     before = -np.inf
     lifted = False
     for at, height in sorted(peaks):
-        # Two labels in one line need a tenth of the axis.
+        # Two labels in one line need a tenth of the axis
         lifted = not lifted and at - before < 0.1 * last
         before = at
         text, above = f"{at:.4g} Hz\n{_number(height * 1e6)} µm", (0, 30 if lifted else 6)

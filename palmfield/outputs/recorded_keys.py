@@ -1,4 +1,4 @@
-"""The keys of the instances of a scene in a result."""
+"""Read the keys of the instances of a scene from a result."""
 
 from typing import TypeVar
 
@@ -11,7 +11,7 @@ T = TypeVar("T", bound=Config)
 
 
 def keys_of(model: type[T], name: str, group: xr.Dataset) -> T:
-    """Return the keys of an instance in a result. Raises OutputError if it has none that can be read."""
+    """Return the keys of an instance in a result. Raises OutputError if they are missing or cannot be read."""
     try:
         return recorded(model, str(group.attrs.get("config", "")))
     except SceneError as error:

@@ -1,4 +1,4 @@
-"""A picture of the scene, ray-cast with Warp: no window, no OpenGL."""
+"""Draw a picture of the scene by ray casting with Warp, without a window or OpenGL."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -33,7 +33,7 @@ SAME_INSTANT_S = 1e-9
 BAND_ROWS = 16
 AZIMUTHS_DEG = (0, 30, -30, 60, -60, 90, -90, 120, -120, 150, -150, 180)
 BOARD_RIM_M = 0.008
-# magma from pale to dark, without black: a silent palm has the colour of skin and shading is visible everywhere.
+# magma from pale to dark, without black, so that silence has the colour of skin and shading is always visible
 COLOURS = ListedColormap(colormaps["magma_r"](np.linspace(0.07, 0.82, 256)))
 
 
@@ -47,7 +47,7 @@ class Part(NamedTuple):
 
 
 class Scene(NamedTuple):
-    """Objects to be shown. time_s: instant whose poses are shown; peak_Pa: end of the colour map
+    """Objects to draw. time_s: time of their poses; peak_Pa: end of the colour map
 
     bodies: meshes in the world with the pressure by vertex [Pa]; arrays: pose, shape (7,), and transducers in the frame
     of the array [m], shape (n, 3), by name; others: meshes in the world without pressure
@@ -61,14 +61,14 @@ class Scene(NamedTuple):
 
 
 def render_scene(result: xr.DataTree, path: Path, size: tuple[int, int] = (960, 720)) -> None:
-    """Draw a PNG of the arrays and the bodies above them, coloured by peak pressure amplitude at the loudest instants.
+    """Draw a PNG of arrays and bodies, coloured by peak pressure amplitude at the loudest moments.
 
     result: of `open_result` or `tree`, with arrays and a surface that has loudest_pressure
     size: width and height [pixels]
-    Poses are those of the loudest instant of all skins. The camera looks along the emission of the first array at a
-    slant, so that the side which the sound reaches faces it and the array is seen from behind, through its board. With
-    several arrays, the direction is that in which they hide least of the sound. Raises OutputError if there is no data
-    to show and if `path` cannot be written.
+    Poses are those of the loudest moment of all skins. The camera looks obliquely along the emission of the first
+    array: it sees the insonified side of the body, and the array from behind, through its board. With several arrays,
+    the direction is that in which they hide least of the sound. Raises OutputError without data to show and if `path`
+    cannot be written.
     """
     scene = _scene(result)
     parts = [part for pose, positions in scene.arrays.values() for part in array_parts(positions, pose)]
@@ -111,7 +111,7 @@ def _scene(result: xr.DataTree) -> Scene:
         own = {name: surfaces[name] for name in names if name in surfaces}
         if not own:
             continue
-        # Skins on one body share its surface; each brings the pressure of its own loudest instant.
+        # Skins on one body share its surface; each has the pressure of its own loudest moment
         name, surface = next(iter(own.items()))
         vertices = in_world(surface, groups.get(name), time_s)
         mesh = trimesh.Trimesh(vertices, surface["face"].values, process=False)
@@ -132,7 +132,7 @@ def _scene(result: xr.DataTree) -> Scene:
 
 
 def _pressure(surface: xr.Dataset) -> Float:
-    """Return the pressure of a surface at its loudest instant [Pa]; 0 if an interrupted run has none."""
+    """Return the pressure of a surface at its loudest moment [Pa]; 0 if an interrupted run has none."""
     if not has_records(surface, "loudest_pressure"):
         return np.zeros(surface.sizes["vertex"])
     return np.nan_to_num(surface["loudest_pressure"].values.astype(float))
@@ -141,14 +141,14 @@ def _pressure(surface: xr.Dataset) -> Float:
 def _camera(
     scene: Scene, painted: trimesh.Trimesh, level: Float, solids: Float, window: tuple[float, float, float, float]
 ) -> Camera:
-    """Return a camera on the emission of the first array; with several arrays, from the azimuth that shows most sound.
+    """Return a camera along the emission of the first array; with several arrays, at the azimuth that shows most sound.
 
     painted: meshes with a pressure, level: of each vertex, from 0 to 1; solids: all points to be visible [m]
     """
     first = next(iter(scene.arrays.values()))[0]
     if len(scene.arrays) == 1:
         return look_along_emission(solids, first, window)
-    # Its corners fill as much of the picture as the whole, in a hundredth of the time.
+    # Corners need the same camera as the whole mesh, in a hundredth of the time
     corners = solids[ConvexHull(solids).vertices]
     cameras = [look_along_emission(corners, first, window, AZIMUTH_DEG + turn) for turn in AZIMUTHS_DEG]
     loud = level > 0.3 * level.max(initial=0.0)
@@ -158,12 +158,12 @@ def _camera(
         facing = np.einsum("ni,ni->n", normals, camera.eye - points) > 0.0
         free = np.logical_and.reduce([~_behind(points, camera.eye, *array) for array in scene.arrays.values()])
         seen.append(float(weights[facing & free].sum()))
-    # A slightly better view is not worth a direction that differs from all other pictures.
+    # For a slightly better view the usual direction is not changed
     return cameras[next(k for k, much in enumerate(seen) if much >= 0.9 * max(seen))]
 
 
 def _behind(points: Float, eye: Float, pose: Float, positions: Float) -> NDArray[np.bool_]:
-    """Return which points [m], shape (n, 3), an array's board hides from an eye."""
+    """Return which points [m], shape (n, 3), are hidden from an eye by the board of an array."""
     here, there = to_local(points, pose), to_local(eye[None], pose)[0]
     way = there - here
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -246,7 +246,7 @@ def cast(
 ) -> Float:
     """Return an sRGB image, shape (height, width, 3), in [0, 1].
 
-    level: place in the colour map by vertex of painted meshes, 0 to 1; quality: samples a pixel's side, rays of shade
+    level: position in the colour map by vertex of painted meshes, 0 to 1; quality: samples per pixel side, shading rays
     """
     meshes = [painted, *(part.mesh for part in parts)]
     points, faces = trimesh.util.append_faces([m.vertices for m in meshes], [m.faces for m in meshes])
@@ -257,12 +257,12 @@ def cast(
     gloss = np.repeat([0.06, *(part.gloss for part in parts)], [len(level), *counts])
     opacity = np.repeat([1.0, *(part.opacity for part in parts)], [len(m.faces) for m in meshes])
     levels = np.concatenate([level, np.full(sum(counts), -1.0)])
-    # A ray's direction is (pixel - centre) / focal on the plane one unit ahead of the eye.
+    # Ray directions are (pixel - centre) / focal on the plane at unit distance from the eye
     right, down = camera.right / camera.focal, -camera.up / camera.focal
     corner = camera.forward - camera.centre[0] * right - camera.centre[1] * down
     key = _unit(-camera.forward + 1.0 * camera.right + 0.15 * camera.up)
     fill = _unit(-camera.forward - 1.3 * camera.right - 0.2 * camera.up)
-    # Always the CPU: a picture takes about two seconds there, and is the same on all machines.
+    # Always on the CPU, where a picture takes about two seconds and is the same on all machines
     device = resolve("cpu")
     vectors: list[wp.array] = [wp.array(a, dtype=wp.vec3, device=device) for a in (points, normals, albedo)]
     corners: wp.array = wp.array(faces.ravel(), dtype=wp.int32, device=device)
@@ -282,7 +282,7 @@ def cast(
         *size,
         *quality,
     ]
-    # A launch on the CPU takes one thread: bands of rows are shared out among all
+    # A launch on the CPU uses one thread, so bands of rows are distributed to all threads
     bands = []
     for row in range(0, size[1], BAND_ROWS):
         pixels = size[0] * min(BAND_ROWS, size[1] - row)
@@ -298,6 +298,6 @@ def _unit(vector: Float) -> Float:
 
 
 def _srgb(linear: Float) -> Float:
-    """sRGB of linear RGB (IEC 61966-2-1), clipped to [0, 1]."""
+    """Return sRGB of linear RGB (IEC 61966-2-1), clipped to [0, 1]."""
     clipped = np.clip(linear, 0.0, 1.0)
     return np.where(clipped <= 0.0031308, 12.92 * clipped, 1.055 * clipped ** (1 / 2.4) - 0.055)

@@ -1,4 +1,4 @@
-"""The picture of a report card: the mesh from the palm and the back, faults in colour."""
+"""Draw a report card: the mesh from the palm and the back, with faults in colour."""
 
 from pathlib import Path
 from typing import Any
@@ -22,12 +22,12 @@ from palmfield.types import Float
 COLOURS = {"refused": "#dc2626", "noted": "#d97706", "repaired": "#2563eb"}
 SKIN = np.array([0.87, 0.80, 0.74])
 MARK_REACH_m = 0.002
-# Up to this number of places get a ring each, in the view that best shows their skin.
+# Up to this number of places are marked by rings, in a view that shows them
 FEW, GRAZING = 5, 0.2
 
 
 def draw_card(card: ReportCard, path: Path) -> Path:
-    """PNG with two views; returns its path. Raises OutputError if it cannot be written."""
+    """Draw a PNG with two views; return its path. Raises OutputError if it cannot be written."""
     up, palm = directions(card)
     with style():
         figure = Figure(figsize=(9.0, 6.2), dpi=120, layout="constrained")
@@ -46,7 +46,7 @@ def draw_card(card: ReportCard, path: Path) -> Path:
 
 
 def _swatch(finding: dict[str, Any]) -> Swatch:
-    """Return the key of a finding: filled if it is marked in the picture, with the number if not all have a place."""
+    """Return the legend entry of a finding: filled if marked in the picture, with the number if not all are marked."""
     marked = len(finding["places_mm"])
     text = f"{finding['count']} x {finding['name']}, {finding['outcome']}"
     if marked == MOST_PLACES < finding["count"]:
@@ -60,7 +60,7 @@ def _known(card: ReportCard) -> bool:
 
 
 def directions(card: ReportCard) -> tuple[Float, Float]:
-    """Return unit vectors to the fingers and out of the palm; the mesh's own axes if it was refused."""
+    """Return unit vectors to the fingers and out of the palm; the axes of the file if the mesh was refused."""
     vertices = card.mesh.vertices
     along = fingers_direction(vertices, card.mesh.faces)
     if "side" not in card.facts:
@@ -72,11 +72,11 @@ def directions(card: ReportCard) -> tuple[Float, Float]:
 
 
 def draw_view(axes: Axes, card: ReportCard, up: Float, to_eye: Float, title: str) -> None:
-    """Draw a card's mesh [mm] seen from direction to_eye, with `up` upwards, faults in colour."""
+    """Draw the mesh of a card [mm] from direction to_eye, with `up` upwards and faults in colour."""
     vertices, faces = card.mesh.vertices, card.mesh.faces
     right = np.cross(up, to_eye)
     unit, _ = face_normals(vertices, faces)
-    # Light from the eye, slightly from above and the left; both sides of a face are lit, as some face inwards.
+    # Light from the eye, slightly from above and left; both sides of faces are lit, because some face inwards
     light = to_eye + 0.4 * up - 0.4 * right
     shade = 0.35 + 0.65 * np.abs(unit @ light) / np.linalg.norm(light)
     colour = shade[:, None] * SKIN
@@ -93,7 +93,7 @@ def draw_view(axes: Axes, card: ReportCard, up: Float, to_eye: Float, title: str
         PolyCollection(list(flat[faces[back_to_front]]), facecolors=shown, edgecolors=shown, linewidths=0.3)
     )
     edges, count = unique_edges(faces)
-    # The rim of a hole is visible where its own faces are, not through the body.
+    # The rim of a hole is visible only if its own faces are visible
     rim = edges[(count == 1) & np.isin(edges, faces[unit @ to_eye > -GRAZING]).all(axis=1)]
     axes.add_collection(LineCollection(flat[rim], colors=COLOURS["refused"], linewidths=1.5))
     for finding in card.facts["findings"]:

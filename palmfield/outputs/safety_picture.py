@@ -1,4 +1,4 @@
-"""A picture of a safety sheet: levels over a sphere for the head and over the skins, with limits, and over time."""
+"""Draw a safety sheet: levels in the sphere of the head and on the skins, with limits, and over time."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,17 +13,17 @@ if TYPE_CHECKING:
     from matplotlib.tri import Triangulation
 
 SHOWN_DB = 40.0
-"""Range below the loudest place: lower levels have the colour of its end."""
+"""Range of the colour scale below the highest level [dB]."""
 FAR = 4.0
-"""Factor of the median: longer edges join places across a gap."""
+"""Ratio to the median edge above which an edge crosses a gap."""
 
 
 @dataclass(frozen=True)
 class LevelMap:
-    """The highest level of a play at each place of a region, projected to a plane.
+    """Highest level of a play at each point of a region, projected to a plane.
 
-    places_m: in the plane [m], shape (n, 2); levels_dB: shape (n,); loudest_m: the loudest place, shape (2,)
-    loudest_dB: the level there; limits_dB: by name; axes: names of the plane's two directions
+    places_m: points in the plane [m], shape (n, 2); levels_dB: shape (n,); loudest_m: loudest point, shape (2,)
+    loudest_dB: level there; limits_dB: by name; axes: names of the two directions of the plane
     """
 
     name: str
@@ -37,14 +37,14 @@ class LevelMap:
 
 @dataclass(frozen=True)
 class LevelCourse:
-    """The level at the loudest place of each region at moments of a play. levels_dB: by region, shapes (k,)"""
+    """Highest level in each region at moments of a play. levels_dB: by region, shapes (k,)"""
 
     times_s: Float
     levels_dB: Mapping[str, Float]
 
 
 def draw_levels(title: str, maps: Sequence[LevelMap], course: LevelCourse, path: Path) -> None:
-    """Draw maps next to each other, and the course below them, into a PNG. Raises OutputError if that fails."""
+    """Draw maps next to each other, and levels over time below them, into a PNG. Raises OutputError if that fails."""
     from matplotlib.figure import Figure
 
     from palmfield.outputs.style import LINES, save
@@ -77,10 +77,10 @@ def draw_levels(title: str, maps: Sequence[LevelMap], course: LevelCourse, path:
         place: dict[str, Any] = {"xycoords": ("axes fraction", "data"), "ha": "right", "va": "bottom"}
         over.axhline(limit, color="C3", lw=0.9, ls="--")
         over.annotate(f"head: {what}", (1.0, limit), fontsize=7, color="C3", **place)
-    known = np.concatenate([*course.levels_dB.values(), [limit for one in maps for limit in one.limits_dB.values()]])
-    known = known[np.isfinite(known)]
-    if len(known):
-        over.set_ylim(max(known.min(), known.max() - 2.0 * SHOWN_DB) - 3.0, known.max() + 5.0)
+    finite = np.concatenate([*course.levels_dB.values(), [limit for one in maps for limit in one.limits_dB.values()]])
+    finite = finite[np.isfinite(finite)]
+    if len(finite):
+        over.set_ylim(max(finite.min(), finite.max() - 2.0 * SHOWN_DB) - 3.0, finite.max() + 5.0)
     over.set(xlabel="time of the play [s]", ylabel="dB SPL")
     over.legend(loc="lower left", fontsize=8)
     figure.suptitle(title, fontsize=11)
@@ -88,7 +88,7 @@ def draw_levels(title: str, maps: Sequence[LevelMap], course: LevelCourse, path:
 
 
 def _meshed(places: Float) -> "Triangulation":
-    """Return triangles between places, shape (n, 2), none of them across a gap in the region."""
+    """Return triangles between points, shape (n, 2), without triangles across gaps in the region."""
     from matplotlib.tri import Triangulation
 
     mesh = Triangulation(*places.T)

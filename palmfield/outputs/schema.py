@@ -1,7 +1,7 @@
 """Schema 2 of a result: its groups and variables, with dimensions, types, units, signs and frames.
 
-A result is a tree. Its root has the three time axes, and every instance of the scene has groups of its own, named
-KIND/INSTANCE: `/skin/palm`, `/array/left`. Later versions add variables; existing ones do not change.
+A result is a tree. Its root contains the three time axes. Every instance of the scene has its own groups, named
+KIND/INSTANCE: `/skin/palm`, `/array/left`. Later versions add variables and do not change existing ones.
 """
 
 import re
@@ -21,7 +21,7 @@ CONVENTIONS = "CF-1.11"
 Arrays: TypeAlias = Mapping[str, Mapping[str, ArrayLike]]
 """Plain arrays by group ("/" or the path returned by `group`) and variable."""
 Checked: TypeAlias = dict[str, dict[str, NDArray[Any]]]
-"""The same as arrays of the schema's types."""
+"""Arrays by group and variable, with the types of the schema."""
 Attributes: TypeAlias = Mapping[str, Mapping[str, Any]]
 """Attributes of groups, by group."""
 
@@ -29,7 +29,7 @@ Attributes: TypeAlias = Mapping[str, Mapping[str, Any]]
 class Variable(NamedTuple):
     """Required properties of one variable of a result.
 
-    dims: dimensions; units: UDUNITS, empty for names; about: a name of a few words, and more behind ", ", ";" or ":"
+    dims: dimensions; units: UDUNITS, empty for names; about: a short name, and details after ",", ";" or ":"
     frame: the frame in which a vector, position or pose is given; sign: what a positive value means
     """
 
@@ -42,19 +42,19 @@ class Variable(NamedTuple):
 
     @property
     def words(self) -> tuple[str, str]:
-        """Return the name and the rest of `about`."""
+        """Return the short name and the details of `about`."""
         parts = re.split(r"[,;:] (?![^(]*\))", self.about, maxsplit=1)
         return parts[0], parts[1] if len(parts) > 1 else ""
 
     @property
     def attributes(self) -> dict[str, str]:
-        """Attributes of the netCDF variable: long_name is short enough for an axis of a plot, comment has the rest."""
+        """Return attributes of the netCDF variable: long_name is the short name, for plots; comment has the details."""
         long_name, comment = self.words
         pairs = {
             "units": self.units, "long_name": long_name, "comment": comment, "frame": self.frame, "sign": self.sign,
         }  # fmt: skip
         filled = {name: text for name, text in pairs.items() if text}
-        # Positions and quaternions have no common unit, so generic readers get none that they could convert.
+        # Positions and quaternions have no common unit, so `component_units` gives one for each component
         return filled | ({"component_units": "m m m 1 1 1 1"} if self.dims[-1:] == ("pose7",) else {})
 
 
@@ -65,7 +65,7 @@ _POSE = "maps the frame's own points to the outer frame: x_outer = R x + positio
 
 
 def _mesh(what: str) -> dict[str, Variable]:
-    """Variables that a skin and the surface of its body share."""
+    """Return the variables that a skin and the surface of its body share."""
     return {
         "rest_position": Variable(("vertex", "xyz"), "float64", "m", f"vertices at rest, of the {what}", _BODY),
         "face": Variable(
@@ -140,7 +140,7 @@ GROUPS: dict[str, dict[str, Variable]] = {
         ),
         "transducer_p0": Variable(
             ("transducer",), "float64", "Pa m",
-            "peak pressure at 1 m, on the axis of each at full drive, without absorption; 0 where it is dead",
+            "peak pressure at 1 m, on the axis of each at full drive, without absorption; 0 for a dead transducer",
         ),
         "transducer_phase": Variable(
             ("transducer",), "float64", "rad", "phase of the sound, of each against its drive",
@@ -148,7 +148,7 @@ GROUPS: dict[str, dict[str, Variable]] = {
         ),
         "piston_radius": Variable((), "float64", "m", "piston radius, of the directivity; 0 is a point"),
         "off_axis_angle": Variable(
-            ("off_axis",), "float64", "degree", "angles of a measured directivity, which goes before the piston's"
+            ("off_axis",), "float64", "degree", "angles of a measured directivity, which replaces that of the piston"
         ),
         "off_axis_level": Variable(("off_axis",), "float64", "1", "measured directivity, relative to the axis"),
         "drive_amplitude": Variable(
@@ -205,7 +205,7 @@ GROUPS: dict[str, dict[str, Variable]] = {
         "channel": Variable(("channel",), "str", "", "names of the sensor's channels"),
         "channel_units": Variable(("channel",), "str", "", "units of the sensor's channels"),
         "value": Variable(
-            ("step_time", "channel"), "float64", "1", "what the sensor reads, each channel in its unit of channel_units"
+            ("step_time", "channel"), "float64", "1", "values of the sensor, each channel in its unit of channel_units"
         ),
     },
     "mujoco": {
@@ -214,7 +214,7 @@ GROUPS: dict[str, dict[str, Variable]] = {
             "all of MuJoCo's bodies: position, then unit quaternion (w, x, y, z)", _WORLD, _POSE,
         ),
         "body_name": Variable(("mujoco_body",), "str", "", "names of the bodies; the first is the world"),
-        "body_parent": Variable(("mujoco_body",), "int32", "1", "what each body hangs on; first 0"),
+        "body_parent": Variable(("mujoco_body",), "int32", "1", "parent of each body; first 0"),
         "body_frame": Variable(
             ("mujoco_body", "pose7"), "float64", "1", "body frames, while all joints are at joint_reference",
             "parent body", _POSE,
@@ -227,15 +227,15 @@ GROUPS: dict[str, dict[str, Variable]] = {
         "body_inertial_frame": Variable(
             ("mujoco_body", "pose7"), "float64", "1", "centre of mass and principal axes", "body", _POSE
         ),
-        "body_held": Variable(("mujoco_body",), "bool", "1", "whether nothing lets a body move"),
-        "body_placed": Variable(("mujoco_body",), "bool", "1", "whether a body is mocap, placed from outside"),
+        "body_held": Variable(("mujoco_body",), "bool", "1", "whether a body is fixed in the world"),
+        "body_placed": Variable(("mujoco_body",), "bool", "1", "whether a body is mocap, positioned from outside"),
         "geom_name": Variable(("geom",), "str", "", "names of the geoms"),
         "geom_body": Variable(("geom",), "int32", "1", "the body of each; first 0"),
         "geom_type": Variable(("geom",), "str", "", "sphere, capsule, box and so on"),
         "geom_size": Variable(("geom", "xyz"), "float64", "m", "half lengths, as MuJoCo has them by type", "geom"),
-        "geom_frame": Variable(("geom", "pose7"), "float64", "1", "where each geom is", "body", _POSE),
+        "geom_frame": Variable(("geom", "pose7"), "float64", "1", "pose of each geom", "body", _POSE),
         "geom_rgba": Variable(("geom", "channel"), "float64", "1", "colour and opacity"),
-        "geom_collides": Variable(("geom",), "bool", "1", "whether anything can touch it"),
+        "geom_collides": Variable(("geom",), "bool", "1", "whether the geom can be in contact"),
         "geom_friction": Variable(("geom",), "float64", "1", "coefficient of sliding friction"),
         "geom_mesh": Variable(("geom",), "int32", "1", "the mesh of each, -1 for none; first 0"),
         "mesh_vertex": Variable(("mesh_vertex_number", "xyz"), "float64", "m", "vertices of all meshes", "geom"),
@@ -248,32 +248,32 @@ GROUPS: dict[str, dict[str, Variable]] = {
         "joint_position": Variable(("joint", "xyz"), "float64", "m", "anchors", "body"),
         "joint_axis": Variable(("joint", "xyz"), "float64", "1", "unit axes of slides and hinges", "body"),
         "joint_range": Variable(("joint", "end"), "float64", "1", "ends of the range: m of a slide, rad of others"),
-        "joint_limited": Variable(("joint",), "bool", "1", "whether the range holds"),
+        "joint_limited": Variable(("joint",), "bool", "1", "whether the range is enforced"),
         "joint_reference": Variable(("joint",), "float64", "1", "position of the joint in body_frame: m or rad"),
     },
 }  # fmt: skip
-"""Variables by kind of group. Variables of /mujoco that would be empty are left out.
+"""Variables by kind of group. Empty variables of /mujoco are omitted.
 
-Variables along `bone` and `influence` exist for bodies with bones only, obstacles
-if there are some; an interrupted run lacks those of the loudest instant."""
+Variables along `bone` and `influence` exist only for bodies with bones, and obstacles only if there are any. An
+interrupted run lacks the variables of the loudest moment."""
 LABELS: dict[str, tuple[tuple[str, ...], str]] = {
     "xyz": (("x", "y", "z"), "Cartesian component"),
     "corner": (("0", "1", "2"), "corner of a triangle"),
     "pose7": (("x", "y", "z", "qw", "qx", "qy", "qz"), "component of a pose"),
 }
-"""Coordinates of the root that name components."""
+"""Coordinates of the root: names of components."""
 MUJOCO_SCENE = "scene"
-"""The name of the only instance of the group /mujoco."""
+"""Name of the only instance of group /mujoco."""
 PLACES = "rest_position"
-"""The coordinate of vertices."""
+"""Coordinate of vertices."""
 RECORDS = ("time", "step_time", "frame_time")
 """Dimensions that grow during a run."""
 
 
 def group(kind: str, instance: str) -> str:
-    """Return the path of an instance's group, such as /skin/palm; characters that are not allowed are percent-encoded.
+    """Return the path of the group of an instance, such as /skin/palm; forbidden characters are percent-encoded.
 
-    Raises OutputError for a kind that is not in GROUPS and for an instance without a name.
+    Raises OutputError for a kind that is not in GROUPS and for an empty name.
     """
     if kind not in GROUPS or not instance:
         raise OutputError(f"there is no group for '{kind}' '{instance}'; give a name and one of {', '.join(GROUPS)}")
@@ -282,7 +282,7 @@ def group(kind: str, instance: str) -> str:
 
 
 def kind_and_instance(path: str) -> tuple[str, str]:
-    """The kind and the instance's name of a group's path. Raises OutputError for a path that `group` cannot return."""
+    """Return kind and instance of the path of a group. Raises OutputError for a path that `group` cannot return."""
     parts = path.split("/")
     if len(parts) != 3 or parts[0] or parts[1] not in GROUPS or not parts[2]:
         allowed = ", ".join(f"/{kind}/NAME" for kind in GROUPS)
@@ -302,22 +302,22 @@ def variables_of(path: str) -> dict[str, Variable]:
 
 
 def check(arrays: Arrays, sizes: dict[tuple[str, str], int]) -> Checked:
-    """Check arrays against the schema; returns them as arrays, copied only if necessary.
+    """Check data against the schema; return them as arrays, copied only if necessary.
 
-    arrays: by group and variable. Arrays along `time`, `step_time` or `frame_time` need that time in the root ("/")
-    sizes: lengths by (group, dimension) of earlier arrays; new ones are added, except those along records
-    Raises OutputError for unknown groups and variables, other types, and shapes that do not fit each other.
+    arrays: by group and variable. Arrays along `time`, `step_time` or `frame_time` need these times in the root ("/")
+    sizes: lengths by (group, dimension) of earlier arrays; new lengths are added, except of record dimensions
+    Raises OutputError for unknown groups and variables, wrong types, and inconsistent shapes.
     """
     records = {name: len(np.atleast_1d(array)) for name, array in arrays.get("/", {}).items()}
     checked: Checked = {}
     for path, variables in arrays.items():
-        known = variables_of(path)
+        schema = variables_of(path)
         checked[path] = {}
-        for name, given in variables.items():
-            if name not in known:
-                raise OutputError(f"variable '{name}' of group '{path}' is unknown; known are {', '.join(known)}")
-            array = np.asarray(given)
-            _check_one(f"{path.rstrip('/')}/{name}", path, known[name], array, sizes, records)
+        for name, values in variables.items():
+            if name not in schema:
+                raise OutputError(f"variable '{name}' of group '{path}' is unknown; known are {', '.join(schema)}")
+            array = np.asarray(values)
+            _check_one(f"{path.rstrip('/')}/{name}", path, schema[name], array, sizes, records)
             checked[path][name] = array
     return checked
 
@@ -353,17 +353,17 @@ def _check_one(
 
 
 def tree(arrays: Arrays, attributes: Attributes | None = None) -> xr.DataTree:
-    """Return a result in memory. Raises OutputError as `check` does.
+    """Return a result in memory. Raises the OutputError of `check`.
 
-    arrays: by group and variable; attributes: of groups, "/" are the result's own
+    arrays: by group and variable; attributes: of groups; those of "/" are of the whole result
     """
     checked = check(arrays, {})
     root = {name: xr.Variable((name,), np.array(names), {"long_name": what}) for name, (names, what) in LABELS.items()}
     datasets = {}
     paths = ordered(["/", *checked, *(attributes or {})])
     for path in paths:
-        known = variables_of(path)
-        made = {name: xr.Variable(known[name].dims, array, known[name].attributes) for name, array in
+        schema = variables_of(path)
+        made = {name: xr.Variable(schema[name].dims, array, schema[name].attributes) for name, array in
                 checked.get(path, {}).items()}  # fmt: skip
         one = xr.Dataset(made | root if path == "/" else made, attrs=dict((attributes or {}).get(path, {})))
         datasets[path] = one.set_coords(PLACES) if PLACES in one else one
@@ -372,7 +372,7 @@ def tree(arrays: Arrays, attributes: Attributes | None = None) -> xr.DataTree:
 
 
 def root_attributes() -> dict[str, Any]:
-    """Attributes that every result has."""
+    """Return the attributes that every result has."""
     return {
         "Conventions": CONVENTIONS,
         "schema_version": SCHEMA_VERSION,
@@ -381,14 +381,14 @@ def root_attributes() -> dict[str, Any]:
 
 
 def instances(result: xr.DataTree, kind: str) -> dict[str, xr.Dataset]:
-    """Return the groups of one kind by instance name, in the scene's order, each with the root's coordinates."""
+    """Return the groups of one kind by instance, in the order of the scene, each with the coordinates of the root."""
     if kind not in result.children:
         return {}
     return {unquote(name): node.to_dataset() for name, node in result.children[kind].children.items()}
 
 
 def has_records(ds: xr.Dataset | xr.DataTree, *names: str) -> bool:
-    """Whether a group has at least one value of each of these variables (an interrupted run may lack them)."""
+    """Return whether a group has at least one value of each variable; an interrupted run may lack them."""
     return all(name in ds and ds[name].size > 0 for name in names)
 
 

@@ -1,4 +1,4 @@
-"""A skin seen by a viewer who looks onto the array that it faces: flat, with values in colour."""
+"""Draw a skin in a plane, with values in colour and with view onto the array that it faces."""
 
 from typing import Any, NamedTuple
 
@@ -28,7 +28,7 @@ class SkinView(NamedTuple):
 
 
 def view_of_skin(result: xr.DataTree, name: str, skin: xr.Dataset, when: Loudest | None = None) -> SkinView:
-    """Return a skin relative to the array that its normals face most; when: another instant than the loudest"""
+    """Return a skin relative to the array that it faces most; when: a moment instead of the loudest"""
     when, body = when or loudest(skin), instances(result, "body").get(name)
     vertices = in_world(skin, body, when.time_s)
     corners = vertices[skin["face"].values]
@@ -50,11 +50,11 @@ def draw_patch(
     unit: str,
     gamma: float = 1.0,
 ) -> None:
-    """Draw the patch in the array's x (to the right) and y (up) with a colour bar, looking onto the array.
+    """Draw the patch in x (to the right) and y (up) of the array with a colour bar, with view onto the array.
 
-    It is drawn as transparent: triangles nearer to the array, which the sound reaches first, cover the others.
+    Triangles closer to the array, which the sound reaches first, are drawn over the others.
     seen: vertices in the frame of the array [m], shape (n, 3); values: shape (n,), in `unit`
-    gamma: exponent of the colours over the value's range; below 1 it enhances small values
+    gamma: exponent of the colour scale; below 1 it enhances small values
     """
     order = np.argsort(-seen[faces].mean(axis=1)[:, 2])
     triangles = Triangulation(seen[:, 0] * 1e3, seen[:, 1] * 1e3, faces[order])
@@ -67,7 +67,7 @@ def draw_patch(
 
 
 def probe_vertices(rest: Float, peak: Float) -> list[tuple[int, float]]:
-    """(vertex, distance [m]) of the largest |u| and of those nearest to 10 and 20 mm from it (small patch: less)."""
+    """Return vertex and distance [m] of the largest |u|, and of points 10 and 20 mm away (less on a small patch)."""
     first = int(peak.argmax())
     distance = np.linalg.norm(rest - rest[first], axis=1)
     scale = min(1.0, 0.9 * float(distance.max()) / DISTANCES_M[-1])

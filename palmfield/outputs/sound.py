@@ -1,4 +1,4 @@
-"""The sound of a result's arrays in free air, recomputed from its drives."""
+"""Compute the sound of the arrays of a result in free air, from its drives."""
 
 import numpy as np
 import xarray as xr
@@ -35,11 +35,11 @@ def sounding_foci(result: xr.DataTree, time_s: float) -> Float:
 
 
 def sound_at(arrays: dict[str, xr.Dataset], points: Float, time_s: float) -> Complex:
-    """Complex amplitude [Pa] of the arrays' sound at points of the world [m], shape (n, 3) -> (n,), at a time [s].
+    """Return the complex amplitude [Pa] of all arrays at points in the world [m], shape (n, 3) -> (n,), at a time [s].
 
-    arrays: of `driven_arrays`. Without obstacles; amplitudes and phases are those of the drive, so that ring-up is not
-    included. Transducers are those of the result: calibrated, tilted or one by one. Raises OutputError for a result of
-    an earlier version with layout sites or csv, or a calibration, which it does not contain in full.
+    arrays: of `driven_arrays`. Obstacles are ignored; amplitudes and phases are those of the drive, so ring-up is not
+    included. Transducers are read from the result, with calibration and tilt. Raises OutputError for a result of
+    an earlier version with layout sites or csv, or with a calibration, which it does not store completely.
     """
     total: Complex = np.zeros(len(points), complex)
     for name, array in arrays.items():
@@ -50,7 +50,7 @@ def sound_at(arrays: dict[str, xr.Dataset], points: Float, time_s: float) -> Com
 
 
 def _sound(name: str, array: xr.Dataset, points: Float, time_s: float, index: int) -> Complex:
-    """Complex amplitude [Pa] of one array at points of the world [m], shape (n, 3) -> (n,)."""
+    """Return the complex amplitude [Pa] of one array at points in the world [m], shape (n, 3) -> (n,)."""
     config = keys_of(ArrayConfig, name, array)
     pose = pose_at(array, time_s)
     here = placed(_transducers(name, array, config), pose[:3], axes(pose).T)
@@ -60,7 +60,7 @@ def _sound(name: str, array: xr.Dataset, points: Float, time_s: float, index: in
 
 
 def _transducers(name: str, group: xr.Dataset, config: ArrayConfig) -> Array:
-    """Return the transducers of an array in its own frame, from the result; from its keys for an earlier version."""
+    """Return the transducers of an array in its own frame, from the result; for an earlier version from its keys."""
     if "transducer_p0" in group:
         gain = group["transducer_p0"].values * np.exp(1j * group["transducer_phase"].values)
         table, radius_m = None, float(group["piston_radius"].item())

@@ -1,8 +1,8 @@
 """Results on disk that survive Ctrl-C, kill -9 and a full disk.
 
-A run writes self-contained chunks into `.partial`; `finish` (or, after a kill, `recover`) joins them into `result.nc`.
+A run writes complete chunks into `.partial`; `finish` (or, after a kill, `recover`) joins them into `result.nc`.
 Each file in `.partial` is a netCDF file followed by the SHA-256 of its content (which netCDF readers ignore), so that
-damage of any kind is detected. `netcdf.py` describes how files are made without letting HDF5 write to the disk.
+damage is detected. See `netcdf.py` for the way in which files are written without HDF5.
 """
 
 import hashlib
@@ -46,7 +46,7 @@ from palmfield.whole_files import writing
 
 RESULT = "result.nc"
 DERIVED = ("summary.json", "pressure.png", "displacement.png", "scene.png", "scene.usdc", "scene.partial.usdc")
-"""Files that a run derives from its result."""
+"""Files that are made from the result of a run."""
 FLUSH_BYTES = 8_000_000
 FLUSH_SECONDS = 2.0
 SEAL_BYTES = hashlib.sha256().digest_size
@@ -54,14 +54,14 @@ ENGINE: Any = "h5netcdf"
 
 
 class _Waiting(NamedTuple):
-    """Blocks that are not on the disk yet. chunks: files written before them"""
+    """Blocks that are not on the disk yet. chunks: number of files written before"""
 
     chunks: int
     blocks: list[Checked]
 
 
 class _Blocks:
-    """Checks that all stores apply to blocks."""
+    """Checks of blocks in all stores."""
 
     def __init__(self, static: Arrays) -> None:
         self._sizes: dict[tuple[str, str], int] = {}
@@ -70,7 +70,7 @@ class _Blocks:
         self.static = check(static, self._sizes)
 
     def taken(self, block: Arrays) -> Checked:
-        """Return a copy of a block that fits earlier blocks; see `Store.append` for errors."""
+        """Return a copy of a block after a check against earlier blocks; see `Store.append` for errors."""
         sizes, last, known_names = dict(self._sizes), dict(self._last), dict(self._names)
         checked = check(block, sizes)
         for dim in RECORDS:
@@ -84,9 +84,9 @@ class _Blocks:
                 )
             last[dim] = float(times[-1])
         for path, variables in checked.items():
-            known = variables_of(path)
+            schema = variables_of(path)
             for dim in RECORDS if path != "/" else ():
-                names = {name for name in variables if record_of(known[name]) == dim}
+                names = {name for name in variables if record_of(schema[name]) == dim}
                 expected = known_names.setdefault((path, dim), names) if names else names
                 if names != expected:
                     raise OutputError(
@@ -98,28 +98,28 @@ class _Blocks:
 
 
 def refuse_occupied(out: Path, overwrite: bool) -> None:
-    """Raise OutputError for a folder with an unfinished run or, without `overwrite`, with another run's results."""
+    """Raise OutputError for a folder with an unfinished run or, without `overwrite`, with results of another run."""
     if (out / ".partial").is_dir():
         raise OutputError(
             f"{out} holds an unfinished run, or one that is still running; use `palmfield recover {out}` first, or "
             "choose another folder"
         )
-    held = [name for name in (RESULT, *DERIVED) if (out / name).exists()]
-    if held and not overwrite:
+    present = [name for name in (RESULT, *DERIVED) if (out / name).exists()]
+    if present and not overwrite:
         raise OutputError(
-            f"{out} holds {', '.join(held)} of another run; choose another folder, or replace the files with "
+            f"{out} holds {', '.join(present)} of another run; choose another folder, or replace the files with "
             "--overwrite (overwrite=True)"
         )
 
 
 class Store:
-    """Files of one run: `static` at once, blocks along `time`, `step_time` and `frame_time` as they come.
+    """Files of one run: `static` data first, then blocks along `time`, `step_time` and `frame_time`.
 
-    out: folder of the result, made if missing
-    static: arrays by group and variable available before the first step (outputs/schema.py)
-    attributes: of groups; those of "/" are the result's own: settings, versions
-    overwrite: whether another run's results in the folder may be replaced, by `finish`, not before
-    lost: why blocks are missing from the result of `finish`, or None
+    out: folder of the result, created if missing
+    static: arrays by group and variable from before the first step (outputs/schema.py)
+    attributes: of groups; those of "/" are of the whole result: settings, versions
+    overwrite: whether `finish` may replace results of another run in the folder
+    lost: reason why blocks are missing from the result of `finish`, or None
     Raises OutputError if `out` cannot be written, and if it contains an unfinished run or, without `overwrite`, another
     run's results.
     """
@@ -153,9 +153,9 @@ class Store:
     def append(self, block: Arrays) -> None:
         """Append a block, which is copied; it is flushed to disk after 8 MB or 2 s.
 
-        block: plain arrays by group and variable; those along `time`, `step_time` or `frame_time` come with these times
+        block: plain arrays by group and variable; those along `time`, `step_time` or `frame_time` need these times
             in the root ("/"). Other variables (such as loudest_arp) replace earlier ones
-        All blocks must have the same variables along a dimension, other dimensions keep their lengths, and times rise.
+        All blocks must have the same variables along a dimension, equal lengths of other dimensions, and rising times.
         Raises OutputError otherwise, and if a flush fails.
         """
         taken = self._blocks.taken(block)
@@ -165,12 +165,12 @@ class Store:
             self._flush()
 
     def finish(self, attributes: Mapping[str, Any], complete: bool) -> Path:
-        """Join all blocks into out/result.nc and remove .partial; returns the result's path.
+        """Join all blocks into out/result.nc and remove .partial; return the path of the result.
 
-        attributes: more of the result; `reason` describes why the run ended; `complete` becomes 1 or 0. If the last
-        blocks cannot be flushed they are left out: the result reports it, is incomplete, and `lost` is set. Files that
-        an earlier run derived from its own result are removed. Raises OutputError if the disk is full; .partial then
-        remains for `palmfield recover`.
+        attributes: additional attributes of the result; `reason` describes why the run ended; `complete` becomes 1 or
+        0. If the last blocks cannot be flushed they are lost: the result reports this, is incomplete, and `lost` is
+        set. Files that were made from the result of an earlier run are removed. Raises OutputError if the disk is full;
+        .partial then remains for `palmfield recover`.
         """
         try:
             self._flush()
@@ -199,14 +199,14 @@ class Store:
                 f"cannot write {path}: {reason_of(error)}; {count} earlier chunks are safe, "
                 f"free some space and run `palmfield recover {self.out}`"
             ) from error
-        # One assignment: Ctrl-C must not fall between counting a chunk and releasing its blocks.
+        # One assignment, so that Ctrl-C cannot occur between counting a chunk and releasing its blocks
         self._waiting = _Waiting(count + 1, [])
         self._waiting_bytes = 0
         self._flushed_at = time.monotonic()
 
 
 class MemoryStore:
-    """As `Store`, for a run whose results stay in memory: `lost` is always None."""
+    """A `Store` for results in memory. lost: always None"""
 
     lost: OutputError | None = None
 
@@ -216,19 +216,19 @@ class MemoryStore:
         self._held: list[Checked] = []
 
     def append(self, block: Arrays) -> None:
-        """As `Store.append`, without a flush."""
+        """Append a block as in `Store.append`, without a flush."""
         self._held.append(self._blocks.taken(block))
 
     def finish(self, attributes: Mapping[str, Any], complete: bool) -> xr.DataTree:
-        """Return the result like `open_result`, all of it in memory."""
+        """Return the result as `open_result` does, completely in memory."""
         own = dict(self._attributes.get("/", {})) | dict(attributes) | {"complete": int(complete)}
         return tree(joined([self._blocks.static, *self._held]), self._attributes | {"/": own})
 
 
 def recover(out: Path) -> Path:
-    """Join the data of a killed run in out/.partial into out/result.nc, marked as incomplete; returns its path.
+    """Join the data of a killed run in out/.partial into out/result.nc, marked as incomplete; return its path.
 
-    Chunks that cannot be read are left out; the attributes `reason` and `unreadable_chunks` give their number.
+    Chunks that cannot be read are skipped; the attributes `reason` and `unreadable_chunks` give their number.
     Raises OutputError if there is no data to recover or the disk is full.
     """
     out = Path(out)
@@ -244,9 +244,9 @@ def recover(out: Path) -> Path:
 
 
 def open_result(path: str | Path) -> xr.DataTree:
-    """Open a result file, or that of a run's folder, lazily: arrays are read on use.
+    """Open a result file, or that in the folder of a run; arrays are read on use.
 
-    `tree["skin/palm"]["displacement"].isel(time=-1).values` reads one instant; times are plain seconds. Close it with
+    `tree["skin/palm"]["displacement"].isel(time=-1).values` reads one time; times are in seconds. Close it with
     `.close()`, or use it in a `with`. Raises OutputError for a file that cannot be read or has another schema.
     """
     path = Path(path)
@@ -276,7 +276,7 @@ def open_result(path: str | Path) -> xr.DataTree:
 def write_json(path: Path, obj: object) -> None:
     """Write JSON in one atomic step; NumPy scalars and arrays become numbers and lists.
 
-    Raises OutputError for values that JSON cannot hold (NaN included) and if the file cannot be written.
+    Raises OutputError for values that JSON cannot store (such as NaN) and if the file cannot be written.
     """
     try:
         text = json.dumps(obj, indent=2, default=json_value, allow_nan=False)
@@ -321,7 +321,7 @@ def _sealed(path: Path) -> bytes | None:
 
 
 def _static(partial: Path) -> tuple[Checked, dict[str, dict[str, Any]]]:
-    """Return data from before the first step. Raises OutputError if they are missing, damaged or of another schema."""
+    """Return data from before the first step. Raises OutputError if missing, damaged or of another schema."""
     content = _sealed(partial / "static.nc")
     if content is None:
         raise OutputError(

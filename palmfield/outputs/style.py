@@ -1,4 +1,4 @@
-"""Look of the figures, and how they are saved."""
+"""Style of the figures, and saving of figures."""
 
 from pathlib import Path
 from typing import Any
@@ -34,44 +34,44 @@ RC: Any = {
 }
 COLOURS = ("#c2410c", "#0f766e", "#4338ca")
 LINES = ("-", "--", ":", "-.")
-"""Lines differ in grey too."""
+"""Line styles, which differ without colour too."""
 LEAST_MM = 10.0
-"""Least range of axes of places: a fixed focus or hand has no extent."""
+"""Smallest range of spatial axes [mm]: a fixed focus or hand has no extent."""
 
 
 def style() -> Any:
-    """Context in which figures get palmfield's look; other figures of the process are not affected."""
+    """Return a context with the style of palmfield, which does not affect other figures of the process."""
     return mpl.rc_context(RC)
 
 
 def same_scale(axes: Any, x: Float, y: Float) -> None:
-    """Return limits of equal length on both axes about points [mm], NaN for none."""
-    known = np.isfinite(x) & np.isfinite(y)
-    pairs = np.stack([x[known], y[known]]) if known.any() else np.zeros((2, 1))
+    """Set limits of equal length on both axes around points [mm]; NaN is ignored."""
+    finite = np.isfinite(x) & np.isfinite(y)
+    pairs = np.stack([x[finite], y[finite]]) if finite.any() else np.zeros((2, 1))
     middle = 0.5 * (pairs.min(axis=1) + pairs.max(axis=1))
     half = 0.55 * max(LEAST_MM, float(np.ptp(pairs, axis=1).max()))
     axes.set(xlim=(middle[0] - half, middle[0] + half), ylim=(middle[1] - half, middle[1] + half))
     axes.set_aspect("equal", adjustable="box")
 
 
-def signed_colours(low: float, high: float, left_out: float = 0.0) -> Float:
-    """Colours from blue by white to red, shape (256, 4), with white at 0 for any ends.
+def signed_colours(low: float, high: float, cut_off: float = 0.0) -> Float:
+    """Return colours from blue through white to red, shape (256, 4), with white at 0 for any limits.
 
-    left_out: part of the map at each end that is too dark to use
+    cut_off: fraction of the map at each end that is too dark to use
     """
     most = max(abs(low), abs(high))
-    return np.asarray(mpl.colormaps["RdBu_r"](0.5 + (0.5 - left_out) * np.linspace(low, high, 256) / most))
+    return np.asarray(mpl.colormaps["RdBu_r"](0.5 + (0.5 - cut_off) * np.linspace(low, high, 256) / most))
 
 
 def beyond(values: Float, low: float, high: float) -> Any:
-    """Return at which ends a colour bar gets a point for values beyond them: "min", "max", "both" or "neither"."""
+    """Return the ends of a colour bar beyond which there are values: "min", "max", "both" or "neither"."""
     slack = 1e-6 * (high - low)
     below, above = bool((values < low - slack).any()), bool((values > high + slack).any())
     return "both" if below and above else "min" if below else "max" if above else "neither"
 
 
 def rounded_down(value: float) -> float:
-    """The last of 1, 2, 5, 10, 20, ... that is not above a value."""
+    """Return the largest of 1, 2, 5, 10, 20, ... that is not above a value."""
     ten = 10.0 ** np.floor(np.log10(value))
     return float(ten * max(step for step in (1.0, 2.0, 5.0) if step * ten <= value * (1.0 + 1e-9)))
 
@@ -80,10 +80,10 @@ FORMATS = ("png", "svg", "pdf")
 
 
 def save(figure: Figure, path: Path, dpi: int = 150) -> None:
-    """Write a picture in one atomic step, in the format of its suffix (FORMATS); text of SVG and PDF stays text.
+    """Write a picture in one atomic step, in the format of its suffix (FORMATS); text in SVG and PDF remains text.
 
-    dpi: resolution stored in a PNG; its pixels are those of the figure's own dpi
-    Raises OutputError for another format, and if it cannot be written.
+    dpi: resolution of a PNG [pixels per inch]
+    Raises OutputError for an unknown format, and if it cannot be written.
     """
     path = Path(path)
     kind = path.suffix[1:].lower()
@@ -99,5 +99,5 @@ def save(figure: Figure, path: Path, dpi: int = 150) -> None:
 
 
 def linear_rgb(srgb: Float) -> Float:
-    """Linear RGB of sRGB (IEC 61966-2-1)."""
+    """Return linear RGB of sRGB (IEC 61966-2-1)."""
     return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)

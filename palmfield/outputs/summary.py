@@ -1,4 +1,4 @@
-"""The numbers of a run as plain JSON: lists of skins, of arrays and of stimuli, and common numbers."""
+"""Compute the numbers of a run as plain JSON: lists of skins, arrays and stimuli, and common numbers."""
 
 import math
 from collections.abc import Mapping
@@ -14,7 +14,7 @@ REFERENCE_PA = 20e-6
 PEAKS = ("peak_pressure_Pa", "peak_arp_Pa", "peak_displacement_m", "peak_velocity_m_s", "total_force_peak_N")
 
 More = Mapping[str, Mapping[str, Any]]
-"""Further numbers by instance."""
+"""Additional numbers by instance."""
 
 
 def summary(
@@ -24,13 +24,13 @@ def summary(
     stimuli: More | None = None,
     arrays: More | None = None,
 ) -> dict[str, Any]:
-    """Return numbers of a result, units in the names; numbers that an interrupted run lacks are left out.
+    """Return numbers of a result, units in the names; numbers that an interrupted run lacks are omitted.
 
-    result: of `open_result` or `tree`; extra: further entries, which come last
-    skins, stimuli, arrays: further entries of their elements in the lists, by instance name
+    result: of `open_result` or `tree`; extra: additional entries, placed last
+    skins, stimuli, arrays: additional entries of the elements of the lists, by instance
 
-    `skins` is a list, one element a skin (`skin_numbers`); so are `arrays` and `stimuli`. The largest of PEAKS over all
-    skins and the sound level of the largest pressure are next to the lists.
+    `skins`, `arrays` and `stimuli` are lists with an element for each (`skin_numbers`). The largest of PEAKS over all
+    skins and the sound level of the largest pressure are entries of the top level.
     """
     more_skins, more_stimuli, more_arrays = skins or {}, stimuli or {}, arrays or {}
     surfaces, forces = instances(result, "surface"), instances(result, "forces")
@@ -68,13 +68,13 @@ def summary(
 
 
 def skin_numbers(skin: xr.Dataset, surface: xr.Dataset | None, forces: xr.Dataset | None) -> dict[str, Any]:
-    """Numbers of one skin.
+    """Return the numbers of one skin.
 
-    skin, surface, forces: the groups of its name. peak_pressure_Pa is the largest pressure amplitude (peak, not rms) on
-    its body's surface or on the skin at the loudest instant; peak_pressure_dB_SPL is its rms level over 20 µPa, None in
-    silence. Displacement and velocity are those along the outward normal; rms_displacement_m (and ..._without_dc_m) are
-    over time at the vertex of largest motion; displacement_per_arp_m_Pa is the ratio of the maxima of displacement and
-    ARP, independent of the sound level. total_force_mean_N is the mean vector in the world.
+    skin, surface, forces: groups of the skin. peak_pressure_Pa is the largest pressure amplitude (peak, not rms) on
+    the surface of its body or on the skin at the loudest moment; peak_pressure_dB_SPL is its rms level over 20 µPa,
+    None in silence. Displacement and velocity are those along the outward normal; rms_displacement_m (and
+    ..._without_dc_m) are over time at the vertex of largest motion; displacement_per_arp_m_Pa is the ratio of the
+    maxima of displacement and ARP, independent of the sound level. total_force_mean_N is the mean vector in the world.
     """
     out: dict[str, Any] = {"vertices": int(skin.sizes.get("vertex", 0))}
     meshes = [mesh for mesh in (surface, skin) if mesh is not None]
@@ -108,5 +108,5 @@ def skin_numbers(skin: xr.Dataset, surface: xr.Dataset | None, forces: xr.Datase
 
 
 def level_dB_SPL(peak_Pa: float) -> float | None:
-    """Sound pressure level of a sine of this amplitude: rms over 20 µPa; None in silence."""
+    """Return the sound pressure level of a sine with this amplitude (rms re 20 µPa); None in silence."""
     return 20.0 * math.log10(peak_Pa / math.sqrt(2.0) / REFERENCE_PA) if peak_Pa > 0 else None

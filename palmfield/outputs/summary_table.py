@@ -1,4 +1,4 @@
-"""The short table that `palmfield run` prints at its end."""
+"""Format the short table that `palmfield run` prints at its end."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -16,7 +16,7 @@ from palmfield.outputs.budget_text import (
     parts_text,
     widest,
 )
-from palmfield.outputs.felt import RULE, band_text, chosen_observer, first_line, level_text, shown_level, strongest_line
+from palmfield.outputs.verdict import RULE, band_text, chosen_observer, first_line, level_text, shown_level, top_line
 from palmfield.perception.registry import ALL_OBSERVERS
 from palmfield.terminal import printed, table
 
@@ -28,7 +28,7 @@ def format_summary(summary: Mapping[str, Any], details: bool = False) -> str:
     """Return the verdict of a run in one line, and a table of its numbers.
 
     summary: of `palmfield.outputs.summary.summary`, with the additions of `palmfield.estimate.summary` if any
-    details: whether the table is complete: drive, p0, solver, all observers and all parts of the error. Else 14 lines
+    details: whether to add drive, p0, solver, all observers and all parts of the error. Else the table has 14 lines
     for one skin: pressure, ARP, force, displacement, one level, error and time.
     """
     skins = summary["skins"]
@@ -41,7 +41,7 @@ def format_summary(summary: Mapping[str, Any], details: bool = False) -> str:
     grid = table(())
     for number, skin in enumerate(skins):
         sound, motion = _sound(skin, level), _motion(skin) if details else _short(skin)
-        # With one skin, sound, drive and motion are in causal order.
+        # With one skin the order is sound, drive, motion
         rows = sound + drives + motion if len(skins) == 1 else [("SKIN", skin["name"]), *sound, *motion]
         if number == 0 and len(skins) > 1:
             rows = [*drives, *rows]
@@ -81,7 +81,7 @@ def _no_estimate(skin: Mapping[str, Any]) -> list[TextRow]:
 
 
 def _peak(skin: Mapping[str, Any]) -> str:
-    """Return the peak displacement with its band over all inputs with a range, whose parts are named."""
+    """Describe the peak displacement with its band over all inputs with a known range, and the parts of the band."""
     parts = input_parts(skin)
     (low, high), peak = combined(parts), 1e6 * skin["peak_displacement_m"]
     band = max((high - low) / 2.0, response_band(skin))
@@ -93,7 +93,7 @@ def _peak(skin: Mapping[str, Any]) -> str:
 
 
 def _sound(skin: Mapping[str, Any], drive_level: float) -> list[TextRow]:
-    """drive_level: highest of all stimuli, relative to full"""
+    """drive_level: highest level of all stimuli relative to full drive"""
     rows: list[TextRow] = []
     band = sound_band(skin)
     if "peak_pressure_Pa" in skin and skin["peak_pressure_dB_SPL"] is not None:
@@ -110,43 +110,43 @@ def _sound(skin: Mapping[str, Any], drive_level: float) -> list[TextRow]:
 
 
 def unknown_or(band: float, skin: Mapping[str, Any]) -> float:
-    """Return a band, or inf for a skin without an error budget, if other uncertainties are unknown."""
+    """Return a band, or inf for a skin without an error budget, whose other uncertainties are unknown."""
     return band if "error_budget" in skin else math.inf
 
 
 def sound_band(skin: Mapping[str, Any]) -> float:
-    """Widest relative band of a skin's ARP: of p0, and of ignored effects on the sound."""
+    """Return the largest relative band of the ARP on a skin: from p0, and from ignored effects on the sound."""
     return unknown_or(max(level_band(skin), widest(skin.get("error_budget"))), skin)
 
 
 def response_band(skin: Mapping[str, Any]) -> float:
-    """Widest relative band of a skin's motion per pascal of ARP: of all inputs but p0."""
+    """Return the largest relative band of the motion of a skin per ARP: from all inputs except p0."""
     low, high = combined(input_parts(skin, ("p0",)))
     error = skin.get("displacement_error_relative", 0.0)
     return unknown_or(max(error, widest(skin.get("error_budget")), (high - low) / 2.0), skin)
 
 
 def level_band(skin: Mapping[str, Any]) -> float:
-    """Relative uncertainty of a skin's ARP and motion due to p0: half of the range; 0 if the scene sets the level."""
+    """Return the relative uncertainty of ARP and motion due to p0: half of the range; 0 if the scene sets the level."""
     if "p0_band_low" not in skin:
         return 0.0
     return float(skin["p0_band_high"] - skin["p0_band_low"]) / 2.0
 
 
 def array_rows(arrays: Sequence[Mapping[str, Any]]) -> list[TextRow]:
-    """Return the level data of the arrays' transducers: one row for each number that they have."""
+    """Return a row for each different p0 of the arrays."""
     rows: dict[str, list[str]] = {}
     for array in arrays:
         if "p0_Pa_m" in array:
             low, high = array["p0_low_Pa_m"], array["p0_high_Pa_m"]
-            known = f"{array['p0_kind']}, {array['p0_Pa_m']:g} Pa m ({low:g} to {high:g})"
-            text = f"calibrated: {known}" if array["calibrated"] else f"uncalibrated: {known}"
+            described = f"{array['p0_kind']}, {array['p0_Pa_m']:g} Pa m ({low:g} to {high:g})"
+            text = f"calibrated: {described}" if array["calibrated"] else f"uncalibrated: {described}"
             rows.setdefault(text, []).append(array["name"])
     return [("p0" if len(rows) == 1 else f"p0, {', '.join(names)}", text) for text, names in rows.items()]
 
 
 def _motion(skin: Mapping[str, Any]) -> list[TextRow]:
-    """Return the motion of a skin with all details."""
+    """Return the rows of the motion of a skin with all details."""
     error = skin.get("displacement_error_relative")
     numerical = "" if error is None else f" (numerical {figures(100 * error, 1.0)} %)"
     response = response_band(skin)
@@ -181,14 +181,14 @@ def _levels(skin: Mapping[str, Any]) -> list[TextRow]:
         if f"level_{name}_dB_SL" not in skin:
             continue
         (level, lines), why = shown_level(skin, name), skin.get(f"level_{name}_why", "")
-        told = [why.partition(": ")[2]] if why else []
+        details = [why.partition(": ")[2]] if why else []
         if level is None:
-            felt = "refused" if why.startswith("refused") else "none"
+            value = "refused" if why.startswith("refused") else "none"
         else:
-            felt = level_text(skin, name, level)
-            told += [text for text in (strongest_line(skin, name), band_text(skin, name)) if text]
-            told += _spread(skin, name)
-        text = f"{felt}, observer {number} ({name}{': ' if told else ''}{'; '.join(told)})"
+            value = level_text(skin, name, level)
+            details += [text for text in (top_line(skin, name), band_text(skin, name)) if text]
+            details += _spread(skin, name)
+        text = f"{value}, observer {number} ({name}{': ' if details else ''}{'; '.join(details)})"
         rows.append((f"level, {lines}" if lines else "level", text))
         summed = skin.get(f"level_area_{name}_dB_SL")
         if summed is not None:
@@ -199,7 +199,7 @@ def _levels(skin: Mapping[str, Any]) -> list[TextRow]:
 
 
 def _spread(skin: Mapping[str, Any], name: str) -> list[str]:
-    """Describe the source of an observer's own spread; empty if none is given."""
+    """Describe the spread of an observer and its source; empty if there is none."""
     spread, half = (skin.get(f"level_{name}_spread_{key}") for key in ("of", "dB"))
     if spread is None:
         return []

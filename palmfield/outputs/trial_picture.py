@@ -1,4 +1,4 @@
-"""A picture of a trial: distance of the sound from the hand, remaining share of its pressure, and top view."""
+"""Draw a trial: distance of the focus from the hand, remaining fraction of its pressure, and top view."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -17,7 +17,7 @@ LOSSES = (
 
 
 def draw_trial(names: Sequence[str], rows: Float, numbers: Mapping[str, Any], path: Path) -> None:
-    """Draw the course of a trial into a PNG.
+    """Draw a trial over time into a PNG.
 
     names, rows: columns and their values, shape (k, columns), as in course.csv; numbers: as in trial.json
     Raises OutputError if it cannot be written.

@@ -3,11 +3,11 @@ import json
 import numpy as np
 import pytest
 
-from palmfield.outputs.felt import verdict
 from palmfield.outputs.schema import tree
 from palmfield.outputs.store import Store, open_result
 from palmfield.outputs.summary import summary
 from palmfield.outputs.summary_table import format_summary
+from palmfield.outputs.verdict import verdict
 
 
 @pytest.fixture

@@ -1,1 +1,1 @@
-"""Pictures of a result, one kind a function: `palmfield plot` takes their names from the registry."""
+"""Pictures of a result, one function for each kind. `palmfield plot` reads their names from the registry."""

@@ -1,4 +1,4 @@
-"""Options of a picture, and the data of a result that they select."""
+"""Options of a picture, and selection of data of a result by them."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
@@ -18,21 +18,21 @@ from palmfield.types import Float
 Quantity = Literal["displacement", "velocity"]
 IN_MICRO = 1e6
 UNITS: dict[Quantity, str] = {"displacement": "µm", "velocity": "µm/s"}
-"""Units of a millionth of the quantity's SI unit."""
+"""Units equal to 1e-6 of the SI unit of the quantity."""
 FAR_M = 0.01
-"""A place farther than this from the skin is not on it."""
+"""Largest distance of a place from the skin [m]."""
 TOLD_M = 5e-4
-"""Distance from which a picture shows how far its vertex is from the place."""
+"""Distance between place and vertex above which a picture shows it [m]."""
 
 
 @dataclass(frozen=True)
 class Asked:
     """Options of a picture.
 
-    time_s: None for the default moment of the kind; places: points in the world as the run begins [m], whose nearest
+    time_s: None for the default time of the kind; places: points in the world as the run begins [m], whose nearest
         vertex is used; limits: of the colours or the axis, in the unit of the picture
     skin: name, if there are several; quantity: of the motion of the skin along its outward normal
-    observer: of levels, by name; None for each that has a value
+    observer: of levels, by name; None for all with a value
     """
 
     time_s: float | None = None
@@ -48,10 +48,10 @@ Draw = Callable[[xr.DataTree, Asked], Figure]
 
 
 class Kind(NamedTuple):
-    """draw: raises OutputError or MeasurementError if the result lacks data for it; about: a sentence
+    """A kind of picture. draw: raises OutputError or MeasurementError if the result lacks data; about: a sentence
 
-    heeds: options of `Asked` that change the picture, by default all; unit: of its limits
-    place: in lists, from sound (1 to 9) over maps of the skin (10 to 19) to courses in time (20 to 29)
+    heeds: options of `Asked` that change the picture, default all; unit: of its limits
+    place: order in lists: sound (1 to 9), maps of the skin (10 to 19), motion over time (20 to 29)
     """
 
     draw: Draw
@@ -62,7 +62,7 @@ class Kind(NamedTuple):
 
     @classmethod
     def of_motion(cls, draw: Draw, about: str, *more: str, place: int, unit: str = "µm or µm/s") -> "Kind":
-        """A picture of the motion of a skin; more: further options that it uses."""
+        """Return a picture of the motion of a skin; more: further options that it uses."""
         return cls(draw, about, frozenset({"places", "limits", "skin", "quantity", *more}), unit, place)
 
 
@@ -76,7 +76,7 @@ def asked_for(
 ) -> Asked:
     """Parse options of a command line: times in ms, places "X,Y,Z" in mm, limits "LOW,HIGH".
 
-    Raises OutputError for another quantity, and for texts that are not that many finite numbers.
+    Raises OutputError for an unknown quantity, and for texts with another number of finite numbers.
     """
     refuse_unknown(OutputError, "--quantity has value {}", quantity, UNITS)
     in_mm = [_numbers("--place", text, 3) for text in places_mm]
@@ -111,9 +111,9 @@ def chosen_names(result: xr.DataTree, asked: Asked) -> list[str]:
 
 
 def chosen_skin(result: xr.DataTree, asked: Asked, variable: str) -> tuple[str, xr.Dataset]:
-    """Return name and group of the requested skin, which has a variable over time.
+    """Return name and group of the requested skin, which must have a variable over time.
 
-    Raises OutputError if there is none, if there are several and none is named, and for an unknown name.
+    Raises OutputError if there is none, if there are several and none is requested, and for an unknown name.
     """
     skins = instances(result, "skin")
     held = {name: skins[name] for name in chosen_names(result, asked) if has_records(skins[name], variable)}
@@ -132,7 +132,7 @@ def chosen_time(skin: xr.Dataset, asked: Asked, otherwise: int) -> int:
 
 
 def chosen_frame(result: xr.DataTree, array: xr.Dataset, asked: Asked) -> tuple[int, float]:
-    """Return the index along `frame_time` of the drive at the requested time, by default the loudest, and the time.
+    """Return the index along `frame_time` of the drive at the requested time, default the loudest drive, and the time.
 
     Raises OutputError for a time outside the run.
     """
@@ -174,7 +174,7 @@ def chosen_vertices(result: xr.DataTree, name: str, skin: xr.Dataset, asked: Ask
 
 
 def limits_of(asked: Asked, low: float, high: float) -> tuple[float, float]:
-    """Return the requested limits, or the given ones, never empty."""
+    """Return the requested limits, or else `low` and `high`, widened if they are equal."""
     if asked.limits is not None:
         return asked.limits
     return low, high if high > low else low + 1e-9

@@ -15,7 +15,7 @@ DPI = 300
 
 
 def checked_kinds(kinds: Sequence[str]) -> tuple[str, ...]:
-    """Return the kinds in order, each once; all for none. Raises OutputError for an unknown one."""
+    """Return the kinds without repeats; all kinds if none is given. Raises OutputError for an unknown one."""
     for kind in kinds:
         refuse_unknown(OutputError, "picture {} is unknown", kind, KINDS)
     return tuple(dict.fromkeys(kinds)) or tuple(KINDS)
@@ -26,9 +26,9 @@ def draw_pictures(
 ) -> tuple[dict[str, Path], dict[str, str]]:
     """Draw kinds of pictures of a result, each to OUT/KIND.SUFFIX at 300 dpi.
 
-    kinds: of KINDS; none for all; suffix: one of FORMATS
-    Returns the files by kind, and why others could not be drawn. If all kinds are drawn, those without data are left
-    out; of named kinds the first that cannot be drawn raises its OutputError or MeasurementError.
+    kinds: of KINDS, all if empty; suffix: one of FORMATS
+    Returns the files by kind, and reasons why others could not be drawn. If all kinds are drawn, those without data are
+    skipped; the first named kind that cannot be drawn raises its OutputError or MeasurementError.
     Raises OutputError for an unknown kind or format, for options that no kind uses, and if a file cannot be written.
     """
     folder = Path(out)

@@ -1,4 +1,4 @@
-"""One picture with a small one of each kind available for a run."""
+"""Draw one overview with a small picture of each kind available for a run."""
 
 import textwrap
 from pathlib import Path
@@ -21,8 +21,8 @@ SMALL_DPI, DPI = 110, 150
 def draw_sheet(result: xr.DataTree, path: Path) -> dict[str, str]:
     """Draw a small picture of every kind, with its name and description, into one PNG.
 
-    Returns why some could not be drawn, by kind; the sheet shows the reason in their places. Raises OutputError if the
-    file cannot be written.
+    Returns reasons why kinds could not be drawn, by kind; the overview shows them instead of the pictures. Raises
+    OutputError if the file cannot be written.
     """
     missing: dict[str, str] = {}
     made_folder(path.parent)

@@ -1,6 +1,6 @@
-"""Files of measured scans: read and write `palmfield.instruments.scan.Scan`.
+"""Read and write files of measured scans, `palmfield.instruments.scan.Scan`.
 
-The format follows from the suffix; a folder of Polytec's text files can only be read.
+The suffix determines the format. A folder of Polytec's text files can only be read.
 """
 
 from pathlib import Path
@@ -16,14 +16,14 @@ from palmfield.outputs.scan_files.wide_csv import read_csv, write_csv
 
 READERS = {".csv": read_csv, ".uff": read_uff, ".unv": read_uff, ".mat": read_mat}
 LARGEST_M = 2.0
-"""Largest extent of a skin."""
+"""Largest extent of a scan [m]."""
 WRITERS = {".csv": write_csv, ".uff": write_uff, ".unv": write_uff, ".mat": write_mat}
 
 
 def read_scan(path: str | Path) -> Scan:
     """Read a scan from a file, or a folder of Polytec's text files.
 
-    Raises MeasurementError for a missing one, another kind, or faults in it.
+    Raises MeasurementError for a missing file, an unknown format, or errors in it.
     """
     file = Path(path)
     if file.is_dir():
@@ -48,7 +48,7 @@ def read_scan(path: str | Path) -> Scan:
 
 
 def write_scan(path: str | Path, scan: Scan) -> None:
-    """Write a scan. Raises OutputError for another kind of file, and if writing fails."""
+    """Write a scan. Raises OutputError for an unknown format, and if writing fails."""
     file = Path(path)
     writer = WRITERS.get(file.suffix.lower())
     if writer is None:

@@ -1,7 +1,7 @@
-"""Scans as MATLAB files.
+"""Read and write scans as MATLAB files.
 
 Variables: `time_s` (t), `points_m` (n by 3), `velocity_m_s` or `displacement_m` (t by n), and `sights` (n by 3), which
-may be missing. Files up to version 7 are read by SciPy, and 7.3, which is HDF5, by h5py; written is version 5.
+may be missing. SciPy reads files up to version 7, h5py version 7.3, which is HDF5. Version 5 is written.
 """
 
 from pathlib import Path
@@ -22,11 +22,11 @@ KNOWN = ("time_s", "points_m", "sights", *VALUES)
 
 
 def read_mat(file: Path) -> Scan:
-    """Read a scan from a MATLAB file. Raises MeasurementError for missing variables and other shapes."""
+    """Read a scan from a MATLAB file. Raises MeasurementError for missing variables and wrong shapes."""
     try:
         found = _variables(file)
     except Exception as error:
-        # SciPy passes on errors of a broken file, from ValueError to zlib's own errors
+        # SciPy raises various errors for damaged files, from ValueError to errors of zlib
         raise MeasurementError(f"{file}: cannot be read: {error}; give a MATLAB file") from None
     there = [name for name in VALUES if name in found]
     if len(there) != 1:
@@ -54,7 +54,7 @@ def _variables(file: Path) -> dict[str, Any]:
 
 
 def write_mat(file: Path, scan: Scan) -> None:
-    """Write a scan so that `read_mat` reads it back unchanged. Raises OutputError if that fails."""
+    """Write a scan that `read_mat` reads unchanged. Raises OutputError if that fails."""
     variables = {"time_s": scan.times_s[:, None], "points_m": scan.points, NAMES[scan.quantity]: scan.values}
     with writing(file):
         savemat(file, variables | ({} if scan.sights is None else {"sights": scan.sights}), appendmat=False)

@@ -1,4 +1,4 @@
-"""Scans in the text format of Polytec's software (PSV, VibSoft) for time signals: a file for each point, in one folder.
+"""Read scans in the text format of Polytec's software (PSV, VibSoft): a file for each point, in one folder.
 
 Source File Name:   palm
 Point Index:        12
@@ -10,9 +10,9 @@ Time    Time Signal
 0       -0.000201617
 ...
 
-Tabs separate names, values and columns. Polytec has published no description; the format is that of public programs
-that read such files, and all else is refused. None of them gives the unit of a point's place, so places come from
-`places.csv` in the same folder: columns point, x_m, y_m, z_m and, if the lines of sight are available, sight_x,
+Names, values and columns are separated by tabs. Polytec has not published the format. It is taken from public programs
+that read such files, and deviations give an error. The files do not give the unit of positions, so positions are read
+from `places.csv` in the same folder: columns point, x_m, y_m, z_m and, if the lines of sight are available, sight_x,
 sight_y, sight_z.
 """
 
@@ -46,10 +46,10 @@ class _Point(NamedTuple):
 
 
 def read_polytec(folder: Path) -> Scan:
-    """Read a scan from a folder of text files and its table of places.
+    """Read a scan from a folder of text files and its table of positions.
 
-    Raises MeasurementError for unrecognised parts of a file, for files without a place, and for signals of different
-    kinds or times.
+    Raises MeasurementError for unrecognised parts of a file, for points without a position, and for signals of
+    different kinds or times.
     """
     files = sorted(folder.glob("*.txt"))
     if not files:
@@ -84,8 +84,8 @@ def _places(file: Path) -> tuple[dict[int, Float], dict[int, Float] | None]:
         raise MeasurementError(
             f"{error} (positions of the points: columns {', '.join(COLUMNS)} and, if known, {', '.join(SIGHTS)})"
         ) from None
-    known = any(name in columns for name in SIGHTS)
-    for name in (*COLUMNS, *(SIGHTS if known else ())):
+    with_sights = any(name in columns for name in SIGHTS)
+    for name in (*COLUMNS, *(SIGHTS if with_sights else ())):
         if name not in columns:
             raise MeasurementError(f"{file}: has no column '{name}'{did_you_mean(name, columns)}")
     numbers = columns["point"]
@@ -96,7 +96,7 @@ def _places(file: Path) -> tuple[dict[int, Float], dict[int, Float] | None]:
         table = np.column_stack([columns[name] for name in names])
         return {int(number): row for number, row in zip(numbers, table, strict=True)}
 
-    return by_number(COLUMNS[1:]), by_number(SIGHTS) if known else None
+    return by_number(COLUMNS[1:]), by_number(SIGHTS) if with_sights else None
 
 
 def _point(file: Path) -> _Point:
@@ -147,7 +147,7 @@ def _quantity(file: Path, signal: str) -> Quantity:
 
 
 def _table(file: Path, lines: list[str], first: int, quantity: Quantity) -> Float:
-    """Return times [s] and values [m or m/s], shape (t, 2). first: number of the first of these lines in the file"""
+    """Return times [s] and values [m or m/s], shape (t, 2). first: line number in the file of the first line"""
     names, units = ([cell.strip() for cell in line.split("\t")] for line in (*lines[:2], "", "")[:2])
     if len(names) != 2 or names[0] != "Time" or len(units) != 2:
         raise MeasurementError(

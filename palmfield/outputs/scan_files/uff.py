@@ -1,7 +1,7 @@
-"""Scans as Universal File Format, used by vibrometer software, by pyuff (extra [uff]).
+"""Read and write scans in Universal File Format (vibrometer software) with pyuff (extra [uff]).
 
-Reads nodes (data sets 15 and 2411), units (164), and functions at nodes (58, and 58b in binary).
-Writes 164, 2411, trace lines (82), and 58 or 58b. A function's fourth line holds the beam: `sight x y z`.
+It reads nodes (data sets 15 and 2411), units (164), and functions at nodes (58, and 58b in binary).
+It writes 164, 2411, trace lines (82), and 58 or 58b. The fourth line of a function is the beam: `sight x y z`.
 """
 
 import math
@@ -23,9 +23,9 @@ SIGHT = "sight "
 ALONG_BEAM = (0, 3)
 LONGEST_LINE = 250
 DELIMITER, TAIL = b"    -1", 4096
-"""Length of the line that ends a data set; largest number of bytes of blank lines after the last one."""
+"""Line that ends a data set; largest number of bytes after the last one."""
 LONGEST_PATH = 80
-"""Length to which pyuff's messages are cut, since they contain paths."""
+"""Largest length of messages of pyuff, which contain paths."""
 
 
 def _pyuff() -> Any:
@@ -43,21 +43,21 @@ def _sets(file: Path) -> list[dict[str, Any]]:
     try:
         opened = pyuff.UFF(str(file))
         wanted = {15, 2411, 164, 58}
-        # pyuff raises plain Exceptions, and ignores data that it cannot read
+        # pyuff raises plain Exceptions and ignores unreadable data
         found = [opened.read_sets(n) for n, kind in enumerate(opened.get_set_types()) if int(kind) in wanted]
     except Exception as error:
         text = reason_of(error, LONGEST_PATH)
         raise MeasurementError(f"{file}: cannot be read as UFF: {text}; give a UFF file") from None
     if not found:
         raise MeasurementError(f"{file}: holds no data sets 15, 2411 or 58; give a UFF file of a scan")
-    # pyuff drops a set without an end, so that a point would be missing without a message
+    # pyuff ignores an incomplete set, so a point would be missing without a message
     if not file.read_bytes()[-TAIL:].rstrip().endswith(DELIMITER):
         raise MeasurementError(f"{file}: ends within a data set; give the complete file")
     return [one for one in found if one]
 
 
 def _nodes(file: Path, sets: list[dict[str, Any]]) -> tuple[dict[int, Float], float]:
-    """Return places of nodes [m] by number, and the file's unit of length [m]."""
+    """Return positions of nodes [m] by number, and the unit of length of the file [m]."""
     factors = [float(one["length"]) for one in sets if one["type"] == 164]
     metre = 1.0 / factors[-1] if factors else 1.0
     places: dict[int, Float] = {}
@@ -75,7 +75,8 @@ def _nodes(file: Path, sets: list[dict[str, Any]]) -> tuple[dict[int, Float], fl
 def read_uff(file: Path) -> Scan:
     """Read the time responses of displacement or velocity in a file, as one scan.
 
-    Raises MeasurementError for files without them, with several quantities, different times or nodes without a place.
+    Raises MeasurementError for files without time responses, with several quantities, different times, or nodes without
+    a position.
     """
     sets = _sets(file)
     places, metre = _nodes(file, sets)
@@ -109,19 +110,19 @@ def read_uff(file: Path) -> Scan:
             raise MeasurementError(
                 f"{file}: the times of node {node} differ from those of node {int(first['rsp_node'])}"
             )
-        # A direction of the node's axes; -3 means motion away along z
+        # Direction along an axis of the node; -3 is opposite to z
         unit = _unit(file, one, KINDS[int(one["ordinate_spec_data_type"])], metre if scaled else None)
         values.append((-unit if direction < 0 else unit) * record.real)
         points.append(places[node])
         sights.append(_sight(str(one.get("id4", ""))))
-    known = all(sight is not None for sight in sights)
+    aimed = all(sight is not None for sight in sights)
     return Scan(
-        KINDS[kinds.pop()], times, np.array(points), np.array(values).T, np.array(sights) if known else None, file.name
+        KINDS[kinds.pop()], times, np.array(points), np.array(values).T, np.array(sights) if aimed else None, file.name
     )
 
 
 def _unit(file: Path, function: dict[str, Any], quantity: Quantity, by_set: float | None) -> float:
-    """Return the unit of values [m or m/s]: from its label if it has one, which data set 164 must not contradict."""
+    """Return the unit of values [m or m/s] from its label, if any, which must agree with data set 164."""
     time = str(function.get("abscissa_axis_units_lab") or "").strip()
     if time.lower() not in ("", "none", "s", "sec", "seconds"):
         raise MeasurementError(f"{file}: times have the unit label '{time[:20]}'; allowed: s; export in seconds")
@@ -170,9 +171,9 @@ def _geometry(points: Float) -> list[dict[str, Any]]:
 
 
 def write_uff(file: Path, scan: Scan, *, binary: bool = True) -> None:
-    """Write a scan: units, nodes, trace lines, and a time response for each point, as 58b or, not binary, as 58.
+    """Write a scan: units, nodes, trace lines, and a time response for each point, as 58b, or as 58 if not binary.
 
-    Times are single precision in a header, which is 1e-6 of the step. Raises OutputError if that fails.
+    Times in headers have single precision, an error of 1e-6 of the step. Raises OutputError if that fails.
     """
     step = 1.0 / scan.rate_Hz
     number = NUMBERS[scan.quantity]
@@ -196,7 +197,7 @@ def write_uff(file: Path, scan: Scan, *, binary: bool = True) -> None:
 def _write(file: Path, sets: list[dict[str, Any]]) -> None:
     pyuff = _pyuff()
     with writing(file):
-        # Checked before pyuff appends to the file, set by set
+        # Check first, because pyuff appends to the file set by set
         file.write_bytes(b"")
         try:
             pyuff.UFF(str(file)).write_sets(sets, mode="overwrite")

@@ -1,4 +1,4 @@
-"""Scans as CSV: a column of times, and one for each point.
+"""Read and write scans as CSV: a column of times, and a column for each point.
 
 # quantity: velocity
 # unit: mm/s
@@ -6,7 +6,7 @@ time_s,P1,P2,P3
 x_m,0,0.005,0.01
 y_m,0,0,0
 z_m,0,0,0
-sight_x,0.7071,0.7071,0.7071      (the three lines of sight_x, sight_y, sight_z may be left out)
+sight_x,0.7071,0.7071,0.7071      (the three lines sight_x, sight_y, sight_z are optional)
 ...
 0,0.013,0.012,-0.001
 7.8125e-06,0.013,0.011,-0.001
@@ -94,7 +94,7 @@ def _quantity(file: Path, head: dict[str, str]) -> tuple[Quantity, float]:
 
 
 def write_csv(file: Path, scan: Scan) -> None:
-    """Write a scan so that `read_csv` reads it back unchanged. Raises OutputError if that fails."""
+    """Write a scan that `read_csv` reads unchanged. Raises OutputError if that fails."""
     unit = "m/s" if scan.quantity == "velocity" else "m"
     with writing(file), file.open("w", newline="", encoding="utf-8") as text:
         text.write(f"# quantity: {scan.quantity}\n# unit: {unit}\n")

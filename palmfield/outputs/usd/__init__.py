@@ -1,4 +1,4 @@
-"""A run as a USD scene: hands, skins, arrays, foci and field over time, for usdview, Blender, Omniverse and the like.
+"""Write a run as a USD scene: hands, skins, arrays, foci and field over time, for usdview, Blender, Omniverse etc.
 
 from palmfield.outputs import open_result
 from palmfield.outputs.usd import Shown, write_usd

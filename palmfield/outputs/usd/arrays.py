@@ -1,4 +1,4 @@
-"""Arrays of a run in USD: transducers at their places, with amplitude and phase of each over time."""
+"""Write the arrays of a run to USD: transducers with amplitude and phase over time."""
 
 import numpy as np
 import trimesh
@@ -21,14 +21,14 @@ CASE_COLOUR = (0.35, 0.37, 0.40)
 CORNERS = 16
 TURN = 2.0 * np.pi
 SILENT = 1e-3
-"""A transducer below this amplitude has the case's colour."""
+"""Amplitude below which a transducer is drawn as silent."""
 
 
 class ArrayWriter:
-    """Writes changes of one array, frame by frame.
+    """Writes one array, frame by frame.
 
-    The prim holds Transducers, a point instancer whose primvars drive_amplitude and drive_phase have a value for each,
-    and Drive, discs before and behind each of them (first all before), coloured by its phase while it sounds.
+    The prim contains Transducers, a point instancer with primvars drive_amplitude and drive_phase for each,
+    and Drive, discs in front of and behind each transducer (all front discs first), coloured by phase while active.
     """
 
     def __init__(self, stage: Usd.Stage, path: str, array: xr.Dataset):
@@ -51,7 +51,7 @@ class ArrayWriter:
             instancer.CreateOrientationsAttr(Vt.QuathArray([Gf.Quath(*one) for one in turns.tolist()]))
         instancer.CreateExtentAttr(instancer.ComputeExtentAtTime(Usd.TimeCode.Default(), Usd.TimeCode.Default()))
         palette = cyclic_palette(TURN)
-        self._palette = palette._replace(colours=np.vstack([palette.colours, CASE_COLOUR]))  # with one for silence
+        self._palette = palette._replace(colours=np.vstack([palette.colours, CASE_COLOUR]))  # with a colour for silence
         discs = np.concatenate([_discs(positions, turns, 0.36 * gap, above) for above in (0.02 * gap, -0.72 * gap)])
         faces = np.arange(len(discs)).reshape(-1, CORNERS)
         self._drive: tuple[Samples, Samples, Samples] | None = None
@@ -70,13 +70,13 @@ class ArrayWriter:
         for name, unit, sign, rounded in zip(
             ("drive_amplitude", "drive_phase"), ("1", "rad"), signs, self._roundings, strict=True
         ):
-            told = rounding_told(rounded)
-            primvar = add_primvar(instancer.GetPrim(), name, unit, sign, told)
+            details = rounding_told(rounded)
+            primvar = add_primvar(instancer.GetPrim(), name, unit, sign, details)
             made.append(Samples(primvar.GetAttr(), floats))
         self._drive = made[0], made[1], Samples(indices_of(colour), integers)
 
     def write(self, clock: Clock, frames: slice) -> None:
-        """Write some frames, later than those before."""
+        """Write frames, which must be later than earlier ones."""
         codes, times = clock.codes[frames].tolist(), clock.times_s[frames]
         if self._poses is not None:
             for code, time_s in zip(codes, times.tolist(), strict=True):
@@ -99,7 +99,7 @@ def _numbers(palette: Palette, size: Float, phase: Float) -> Int:
 
 
 def _turns(array: xr.Dataset) -> Float | None:
-    """Return quaternions (w, x, y, z) that turn z to the directions of transducers, (n, 4); None if all are z."""
+    """Return quaternions (w, x, y, z) that rotate z to the directions of transducers, (n, 4); None if all are z."""
     directions = array.get("transducer_direction")
     if directions is None or np.abs(directions.values - [0.0, 0.0, 1.0]).max() < 1e-9:
         return None
@@ -107,7 +107,7 @@ def _turns(array: xr.Dataset) -> Float | None:
 
 
 def _discs(positions: Float, turns: Float | None, radius: float, above: float) -> Float:
-    """Corners of a disc at each transducer, at this height above its face, shape (n * CORNERS, 3)."""
+    """Return the corners of a disc at each transducer, at a height above its face, shape (n * CORNERS, 3)."""
     angle = TURN * np.arange(CORNERS) / CORNERS
     ring = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), np.full(CORNERS, above)])
     if turns is None:

@@ -1,4 +1,4 @@
-"""Bodies of a run in USD: their poses, their surface, their bones, and the force of the sound on them."""
+"""Write the bodies of a run to USD: poses, surface, bones, and the force of the sound on them."""
 
 from typing import Any
 
@@ -22,11 +22,11 @@ SKIN_COLOUR = (0.70, 0.47, 0.36)
 """Colour of bodies and their skins without a coloured quantity."""
 FORCE_ROUNDING = "up or down to 1/1000 of the moment's range, so that the sum over areas stays"
 FORCE_PART = 1000
-"""Rounding of the pressure on faces as a part of its range: the sum must equal the force, even a small one."""
+"""Range of the pressure on faces divided by its rounding: the sum must equal the force, even if it is small."""
 
 
 class BodyWriter:
-    """Writes changes of one body, frame by frame.
+    """Writes one body, frame by frame.
 
     skins: writers of its skins, by their names in the result
     """
@@ -41,9 +41,9 @@ class BodyWriter:
         skins: dict[str, xr.Dataset],
         colour: tuple[float, ...],
     ):
-        """Add the body's prims.
+        """Add the prims of the body.
 
-        body, forces: groups of any of its skins; surfaces: of skins that have one; skins: by name
+        body, forces: groups of any of its skins; surfaces: of skins with a surface; skins: by name
         colour: of the body, and of its skins without colours over time
         """
         boned = body is not None and has_records(body, "bone_pose")
@@ -83,26 +83,26 @@ class BodyWriter:
         skins: list[xr.Dataset],
         colour: tuple[float, ...],
     ) -> list[tuple[UsdGeom.Mesh, xr.Dataset, slice]]:
-        """The body's closed surface with the ARP on it, and the same as drawn, below its skins."""
+        """Add the closed surface of the body with the ARP, and the same surface lowered below its skins for drawing."""
         first, everything = surfaces[0], slice(None)
         points, faces = first["rest_position"].values, first["face"].values
         mesh = add_mesh(stage, f"{path}/Surface", points, faces, colour)
         holds = "surface of the body in the computation; Drawn is the same surface, lowered below its skins"
         about(mesh.GetPrim(), holds=holds)
         for name, sign in LOUDEST.items():
-            # Skins on one body share its surface; each brings its own loudest instant
+            # Skins on one body share its surface; each has its own loudest moment
             values = [surface[name].values for surface in surfaces if has_records(surface, name)]
             if values:
                 add_primvar(mesh.GetPrim(), name, "Pa", sign, {}).Set(floats(np.maximum.reduce(values)))
         if has_records(first, "face_arp"):
             low, high = float(first["face_arp"].min()), float(first["face_arp"].max())
             rounded = rounding(low, high, face_normals(points, faces)[1], FORCE_PART)
-            told = rounding_told(rounded) | {"quantisation": FORCE_ROUNDING}
+            details = rounding_told(rounded) | {"quantisation": FORCE_ROUNDING}
             sign = "mean over the step; positive values push into the surface"
-            primvar = add_primvar(mesh.GetPrim(), "arp", "Pa", sign, told, "uniform")
+            primvar = add_primvar(mesh.GetPrim(), "arp", "Pa", sign, details, "uniform")
             self._pressed = first, rounded, Samples(primvar.GetAttr(), floats)
         mesh.CreatePurposeAttr(UsdGeom.Tokens.guide)
-        # Normals are those at the true place: the lowered part's edge would darken the body next to the skin
+        # Normals of the true surface, because the edge of the lowered part would darken the body next to the skin
         normals = smooth_normals(points, faces)
         drawn = add_mesh(stage, f"{path}/Drawn", sunk(first, skins)["rest_position"].values, faces, colour, normals)
         return [(mesh, first, everything), (drawn, first, everything)]
@@ -121,7 +121,7 @@ class BodyWriter:
         return added
 
     def write(self, clock: Clock, frames: slice) -> None:
-        """Write some frames, later than those before; skins are written separately."""
+        """Write frames, which must be later than earlier ones; skins are written separately."""
         codes, times = clock.codes[frames].tolist(), clock.times_s[frames]
         for code, time_s in zip(codes, times.tolist(), strict=True):
             now = nearest(self._step_times, time_s) if len(self._poses) > 1 else 0
@@ -139,7 +139,7 @@ class BodyWriter:
             pressed, last = rows_at(surface["face_arp"], "step_time", steps), -1
             for code, step, row in zip(codes, steps.tolist(), pressed, strict=True):
                 if step != last:
-                    # To a part of the moment's own range, so that small forces are as accurate as large ones
+                    # Rounding relative to the range at this time, so that small forces are as accurate as large ones
                     own = rounding(float(row.min()), float(row.max()), rounded.weights, FORCE_PART)
                     self._arp, last = own.of(row), step
                 samples.add(code, self._arp)
@@ -150,5 +150,5 @@ class BodyWriter:
 
 
 def steps_of(step_times: Float, times_s: Float) -> Int:
-    """Return the MuJoCo steps that contain times [s], shape (n,), or end at them; the first for the run's beginning."""
+    """Return the MuJoCo steps that contain times [s], shape (n,), or end at them; the first at the start of the run."""
     return np.maximum(0, np.searchsorted(step_times, times_s - 1e-9) - 1).astype(np.int32)

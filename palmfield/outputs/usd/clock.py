@@ -1,4 +1,4 @@
-"""Times of a run in a USD scene, and their time codes: a time code over codes per second is seconds."""
+"""Times of a run in a USD scene, and their time codes: time [s] = time code / codes per second."""
 
 from typing import Any, NamedTuple
 
@@ -11,13 +11,13 @@ from palmfield.outputs.usd.shown import Shown
 from palmfield.types import Float, Int
 
 DECIMALS = 6
-"""Decimals of time codes: a millionth of a frame is far below the precision of the times of the run."""
+"""Decimals of time codes: a millionth of a frame is far finer than the times of the run."""
 
 
 class Clock(NamedTuple):
-    """places: indices of the included times of the run; times_s: those [s], shape (n,); codes: theirs, shape (n,)
+    """places: indices of included times of the run; times_s: these times [s], shape (n,); codes: time codes, shape (n,)
 
-    per_second: time codes a second of the run
+    per_second: time codes per second of the run
     """
 
     places: slice
@@ -31,7 +31,7 @@ class Clock(NamedTuple):
 
 
 def rows_at(variable: xr.DataArray, dim: str, numbers: Int) -> NDArray[Any]:
-    """Return rows of a variable along its dimension of records by rising numbers; read together."""
+    """Return rows of a variable along its record dimension, by rising numbers, in one read."""
     first = int(numbers[0])
     return np.asarray(variable.isel({dim: slice(first, int(numbers[-1]) + 1)}).values)[numbers - first]
 
@@ -39,7 +39,7 @@ def rows_at(variable: xr.DataArray, dim: str, numbers: Int) -> NDArray[Any]:
 def clock_of(result: xr.DataTree, shown: Shown) -> Clock:
     """Return the clock of a result; without times if it has none.
 
-    Raises OutputError for times that are not within the run.
+    Raises OutputError for times outside the run.
     """
     times: Float = np.asarray(result.coords["time"].values, float) if "time" in result.coords else np.zeros(0)
     if len(times) == 0:

@@ -1,4 +1,4 @@
-"""The sound field of a run in USD: a slice through the focus, points of high pressure, or isosurfaces."""
+"""Write the sound field of a run to USD: a slice through the focus, points of high pressure, or isosurfaces."""
 
 from typing import Any, NamedTuple
 
@@ -20,16 +20,16 @@ from palmfield.outputs.usd.shown import Shown
 from palmfield.types import Float, Int
 
 SLICE_STEP_M = 1.5e-3
-"""A sixth of a wavelength."""
+"""Spacing of points of the slice [m], a sixth of a wavelength."""
 BESIDE_M = 0.05
-"""Distance of the slice's ends beyond the foci on either side."""
+"""Distance by which the slice extends beyond the foci on both sides [m]."""
 BEGINS_M, BEYOND_M = 0.01, 0.04
-"""Distances of the slice's ends before the array and beyond the focus."""
+"""Distances of the ends of the slice from the array and beyond the focus [m]."""
 ROUND_M = 0.025
-"""Margin round the foci of the box in which points and surfaces are computed."""
+"""Margin around the foci of the box in which points and surfaces are computed [m]."""
 MOST_IN_BOX = 100_000
 REACH_M = 0.2
-"""Distance before the array assumed for a drive without a focus."""
+"""Assumed distance from the array of the focus of a drive without one [m]."""
 POINT_M = 1.2e-3
 
 
@@ -51,9 +51,9 @@ class _Grid(NamedTuple):
 
 
 def add_field(stage: Usd.Stage, result: xr.DataTree, shown: Shown, clock: Clock) -> Palette:
-    """Add the requested shapes of the field at their times; returns their common palette.
+    """Add the requested shapes of the field at their times; return their common palette.
 
-    Peak amplitude of the incident sound, in free air, as of `palmfield.outputs.sound.sound_at`. Raises as that does,
+    The field is the peak amplitude of `palmfield.outputs.sound.sound_at` (incident, free air). Raises its errors,
     and OutputError for a result without drives and for times outside the run.
     """
     arrays = driven_arrays(result)
@@ -142,8 +142,8 @@ def _add_points(
 
 def _pressure_of(prim: UsdGeom.Gprim, palette: Palette, rounded: Rounding) -> tuple[Samples, Samples]:
     quantity = QUANTITIES["pressure"]
-    told = rounding_told(rounded)
-    primvar = add_primvar(prim.GetPrim(), "pressure", quantity.unit, quantity.sign, told)
+    details = rounding_told(rounded)
+    primvar = add_primvar(prim.GetPrim(), "pressure", quantity.unit, quantity.sign, details)
     colour = paint(prim, palette, "vertex", quantity="pressure", units=quantity.unit)
     return Samples(primvar.GetAttr(), floats), Samples(indices_of(colour), integers)
 
@@ -170,9 +170,9 @@ def _add_surface(
 
 
 def isosurface(values: Float, level: float) -> tuple[Float, Int]:
-    """Surface of a level of values on a grid (a, b, c): points in steps of the grid, (p, 3), and triangles, (m, 3).
+    """Return the surface of a level of values on a grid: points in grid steps, (p, 3), and triangles, (m, 3).
 
-    Triangles are counter-clockwise as seen from lower values.
+    Triangles are counter-clockwise seen from lower values.
     """
     if not values.min() < level < values.max():
         return np.zeros((0, 3)), np.zeros((0, 3), np.int32)
@@ -183,7 +183,7 @@ def isosurface(values: Float, level: float) -> tuple[Float, Int]:
 
 
 def _between(grid: _Grid, points: Float) -> Float:
-    """Convert points in steps of the box's grid to the world [m]."""
+    """Convert points in steps of the grid of the box to the world [m]."""
     box = grid.box.reshape(*grid.sides, 3)
     origin = box[0, 0, 0]
     steps = np.stack([box[1, 0, 0] - origin, box[0, 1, 0] - origin, box[0, 0, 1] - origin])

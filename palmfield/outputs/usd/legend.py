@@ -1,4 +1,4 @@
-"""The legend of the colours of a scene as geometry: a bar, ticks and their labels, next to the coloured object."""
+"""Add a legend of the colours of a scene as geometry: a bar, ticks and labels, next to the coloured object."""
 
 from itertools import pairwise
 
@@ -18,9 +18,9 @@ from palmfield.types import Float, Int
 
 INK = (0.02, 0.02, 0.02)
 TALL = 0.55
-"""The bar's share of the picture's height."""
+"""Height of the bar relative to the picture."""
 WIDE = 0.06
-"""Width of the whole legend, relative to the bar's height."""
+"""Width of the whole legend relative to the height of the bar."""
 TEXT = 0.05
 STEPS_A_LETTER = 14.0
 
@@ -28,9 +28,9 @@ STEPS_A_LETTER = 14.0
 def add_legend(
     stage: Usd.Stage, path: str, name: str, quantity: Quantity, palette: Palette, camera: Camera, depth_m: float
 ) -> None:
-    """Add the legend of a quantity in the right part of the camera's picture, at a depth [m] before it.
+    """Add the legend of a quantity in the right part of the picture, at a distance [m] from the camera.
 
-    Its customData holds the same: quantity, low and high in the primvar's unit, ticks in that and in the shown unit.
+    Its customData contains quantity, low and high in the unit of the primvar, and ticks in this and in the shown unit.
     """
     root = UsdGeom.Xform.Define(stage, path)
     pixel = depth_m / camera.focal
@@ -74,14 +74,14 @@ def _box(left: float, right: float, low: float, high: float) -> Float:
 
 
 def lettering(texts: list[tuple[float, float, str]]) -> tuple[Float, Int]:
-    """Return texts at places as flat triangles, shapes (n, 2) and (m, 3)."""
+    """Return texts at positions as flat triangles, shapes (n, 2) and (m, 3)."""
     points, faces, count = [], [], 0
     for x, y, text in texts:
         outline = TextPath((0.0, 0.0), text, size=1.0)
         rings = [ring for ring in map(np.asarray, outline.to_polygons()) if len(ring) > 3]
         dense = np.unique(np.concatenate([_dense(ring) for ring in rings]).round(6), axis=0)
         corners = dense[Delaunay(dense).simplices]
-        # A triangle is part of a letter if an odd number of outlines encloses its middle
+        # A triangle is part of a letter if an odd number of outlines encloses its centre
         inside = np.zeros(len(corners), bool)
         for ring in rings:
             inside ^= Outline(ring).contains_points(corners.mean(axis=1))
@@ -93,7 +93,7 @@ def lettering(texts: list[tuple[float, float, str]]) -> tuple[Float, Int]:
 
 
 def _dense(ring: Float) -> Float:
-    """Return a closed outline with a point spacing of at most a part of a letter."""
+    """Return a closed outline with a small point spacing relative to a letter."""
     parts = []
     for a, b in pairwise(ring):
         count = max(1, int(np.ceil(np.linalg.norm(b - a) * STEPS_A_LETTER)))

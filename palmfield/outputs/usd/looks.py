@@ -1,4 +1,4 @@
-"""Appearance of a USD scene in any viewer: a material that reads the prims' own colours, lights and a camera."""
+"""Set the appearance of a USD scene: a material that reads the colours of prims, lights and a camera."""
 
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdShade
@@ -7,9 +7,9 @@ from palmfield.outputs.camera import Camera
 from palmfield.types import Float
 
 PICTURE = (960, 720)
-"""Width and height of the camera's picture [pixels]."""
+"""Width and height of the picture of the camera [pixels]."""
 LEGEND_SHARE = 0.80
-"""Share of its width for the scene; the legend uses the rest."""
+"""Fraction of the width for the scene; the legend uses the rest."""
 APERTURE = 36.0
 
 
@@ -31,14 +31,14 @@ def add_material(stage: Usd.Stage) -> None:
 
 
 def add_lights(stage: Usd.Stage, camera: Camera) -> None:
-    """Add even light from all directions, and a lamp next to the camera."""
+    """Add uniform light from all directions, and a lamp next to the camera."""
     UsdGeom.Scope.Define(stage, "/Scene/Lights")
     dome = UsdLux.DomeLight.Define(stage, "/Scene/Lights/Dome")
     dome.CreateIntensityAttr(0.5)
-    # Blender ignores a dome without a colour
+    # Blender ignores a dome light without a colour
     dome.CreateColorAttr(Gf.Vec3f(1.0, 1.0, 1.0))
     key = UsdLux.DistantLight.Define(stage, "/Scene/Lights/Key")
-    # Normalised, the lamp's brightness does not depend on its angle: renderers treat the other kind differently
+    # Normalised, so that brightness does not depend on the angle of the lamp; without it renderers differ
     key.CreateNormalizeAttr(True)
     key.CreateIntensityAttr(0.35)
     key.CreateColorAttr(Gf.Vec3f(1.0, 1.0, 1.0))
@@ -62,7 +62,7 @@ def add_camera(stage: Usd.Stage, camera: Camera, reach_m: float) -> None:
 
 
 def _matrix(forward: Float, up: Float, place: Float) -> Gf.Matrix4d:
-    """Return the matrix of an object that looks along its own -z, its y up, like USD's cameras and lights."""
+    """Return the matrix of an object that looks along its -z with y up, like cameras and lights in USD."""
     right = np.cross(forward, up)
     right /= np.linalg.norm(right)
     rows = np.eye(4)

@@ -15,7 +15,7 @@ COLOURS = 256
 
 
 class Palette(NamedTuple):
-    """low, high: the mapped range, in the primvar's unit; colours: sRGB, shape (256, 3); map: its name"""
+    """low, high: mapped range, in the unit of the primvar; colours: sRGB, shape (256, 3); map: name of the map"""
 
     low: float
     high: float
@@ -24,25 +24,25 @@ class Palette(NamedTuple):
 
     @property
     def at_rest(self) -> tuple[float, ...]:
-        """Return the colour of zero, or of the range's end nearest to it, in USD's linear RGB."""
+        """Return the colour of zero, or of the end of the range closest to it, in linear RGB."""
         return tuple(linear_rgb(self.colours[int(self.numbers(np.zeros(1))[0])]).tolist())
 
     def numbers(self, values: NDArray[np.floating]) -> Int:
-        """Return the index of each value's colour; values outside the range have that of its nearer end."""
+        """Return the index of the colour of each value, clipped to the range."""
         share = (np.asarray(values, np.float64) - self.low) / (self.high - self.low)
         return np.rint(np.clip(share, 0.0, 1.0) * (COLOURS - 1)).astype(np.int32)
 
 
 def palette_of(low: float, high: float, two_sided: bool, limits: tuple[float, float] | None) -> Palette:
-    """The palette of a quantity whose values go from low to high.
+    """Return the palette of a quantity with values from low to high.
 
-    two_sided: blue below zero, red above, symmetric unless limits differ; else from pale to dark, from zero on
+    two_sided: blue below zero, red above, symmetric unless limits are set; else from pale to dark, beginning at zero
     """
     if limits is None:
         top = max(abs(low), abs(high)) or 1.0
         limits = (-top, top) if two_sided else (min(low, 0.0), max(high, 0.0) if high > min(low, 0.0) else 1.0)
     if two_sided:
-        return Palette(*limits, signed_colours(*limits, left_out=0.03)[:, :3], "RdBu_r")
+        return Palette(*limits, signed_colours(*limits, cut_off=0.03)[:, :3], "RdBu_r")
     return Palette(*limits, np.asarray(colormaps["magma_r"](np.linspace(0.04, 0.90, COLOURS)))[:, :3], "magma_r")
 
 
@@ -52,7 +52,7 @@ def cyclic_palette(period: float) -> Palette:
 
 
 def paint(prim: UsdGeom.Gprim, palette: Palette, interpolation: str, **said: Any) -> UsdGeom.Primvar:
-    """Give a prim a palette with its description; its numbers are the primvar's indices."""
+    """Add a palette with its description to a prim; colours are chosen by the indices of the primvar."""
     colour = prim.CreateDisplayColorPrimvar(interpolation)
     colour.Set(vectors(linear_rgb(palette.colours)))
     about(colour.GetAttr(), low=palette.low, high=palette.high, map=palette.map, **said)
@@ -60,5 +60,5 @@ def paint(prim: UsdGeom.Gprim, palette: Palette, interpolation: str, **said: Any
 
 
 def indices_of(colour: UsdGeom.Primvar) -> Any:
-    """The attribute of a painted primvar's numbers."""
+    """Return the attribute with the indices of a painted primvar."""
     return colour.CreateIndicesAttr()

@@ -1,4 +1,4 @@
-"""MuJoCo's scene in USD: bodies with recorded motion, geoms, and UsdPhysics' rigid bodies, colliders and joints."""
+"""Write the MuJoCo scene to USD: bodies with recorded motion, geoms, and rigid bodies and joints of UsdPhysics."""
 
 import json
 from typing import Any
@@ -23,7 +23,7 @@ EARTH = "[0.0, 0.0, -9.81]"
 MOTION, RECORDED, SIMULATED = "motion", "recorded", "simulated"
 """The variant set and its variants: bodies that follow the run, and bodies moved by a physics engine."""
 SQUARE = 1e-3
-"""Axes of joints on one body are perpendicular up to this cosine."""
+"""Largest cosine between axes of joints that count as perpendicular."""
 DEGREES = 180.0 / np.pi
 D6_MOVES = ("transX", "transY", "transZ")
 D6_TURNS = ("rotX", "rotY", "rotZ")
@@ -33,17 +33,17 @@ class PhysicsWriter:
     """Writes poses of MuJoCo's bodies, frame by frame.
 
     Bodies are siblings under /Scene/MuJoCo/Bodies, in world coordinates, as UsdPhysics requires for moving bodies.
-    Geoms of bodies that the scene shows better (hands with skin, arrays) have the purpose guide. Left out are equality
-    constraints, tendons, actuators, contact pairs and excludes, and joints of one body whose axes are not
-    perpendicular, which the prim's customData lists.
+    Geoms of bodies with other prims (hands with skin, arrays) have the purpose guide. Not included are equality
+    constraints, tendons, actuators, contact pairs and excludes, and joints of one body with axes that are not
+    perpendicular; customData of the prim lists them.
     """
 
     def __init__(self, stage: Usd.Stage, group: xr.Dataset):
-        """group: the result's /mujoco/scene"""
+        """group: /mujoco/scene of the result"""
         self._stage = stage
         attributes, moves = group.attrs, has_records(group, "pose")
         self._step_times: Float = group["step_time"].values if moves else np.zeros(0)
-        # All of them are small, and read thousands of times
+        # Load them, because they are small and read thousands of times
         scene: dict[str, NDArray[Any]] = {str(name): one.values for name, one in group.data_vars.items()}
         self._scene = scene
         self._poses: Float | None = scene["pose"] if moves else None
@@ -74,7 +74,7 @@ class PhysicsWriter:
         self._add_variants(root)
 
     def write(self, clock: Clock, frames: slice) -> None:
-        """Write some frames, later than those before."""
+        """Write frames, which must be later than earlier ones."""
         if self._poses is None:
             return
         for code, time_s in zip(clock.codes[frames].tolist(), clock.times_s[frames].tolist(), strict=True):
@@ -141,7 +141,7 @@ class PhysicsWriter:
             binding.Bind(self._material(friction), UsdShade.Tokens.weakerThanDescendants, "physics")
 
     def _shape(self, path: str, kind: str, size: Float, mesh: int) -> tuple[UsdGeom.Gprim, Float | None] | None:
-        """Return a geom's prim, and its scale along its axes."""
+        """Return the prim of a geom, and its scale along its axes."""
         stage = self._stage
         made: Any
         if kind == "sphere":
@@ -160,7 +160,7 @@ class PhysicsWriter:
         elif kind == "plane":
             made = UsdGeom.Plane.Define(stage, path)
             made.CreateAxisAttr(UsdGeom.Tokens.z)
-            # MuJoCo's 0 means infinite, USD's planes are finite
+            # In MuJoCo 0 means infinite; planes in USD are finite
             made.CreateWidthAttr(2.0 * float(size[0]) or 10.0)
             made.CreateLengthAttr(2.0 * float(size[1]) or 10.0)
         elif kind == "ellipsoid":
@@ -188,8 +188,8 @@ class PhysicsWriter:
     # -- joints ----------------------------------------------------------------------------------------------------
 
     def _add_joints(self) -> list[str]:
-        """Add joints of all bodies; returns those that UsdPhysics cannot represent."""
-        scene, left_out = self._scene, []
+        """Add joints of all bodies; return those that UsdPhysics cannot represent."""
+        scene, omitted = self._scene, []
         owners = scene["joint_body"] if "joint_body" in scene else np.zeros(0, np.int32)
         for body in range(1, len(scene["body_name"])):
             if bool(scene["body_held"][body]) or bool(scene["body_placed"][body]):
@@ -206,8 +206,8 @@ class PhysicsWriter:
             elif len(own) == 1:
                 self._add_single(body, own[0], kinds[0])
             elif not self._add_several(body, own, kinds):
-                left_out.append(", ".join(str(scene["joint_name"][k]) for k in own))
-        return left_out
+                omitted.append(", ".join(str(scene["joint_name"][k]) for k in own))
+        return omitted
 
     def _add_single(self, body: int, joint: int, kind: str) -> None:
         scene = self._scene
@@ -221,7 +221,7 @@ class PhysicsWriter:
             made.CreateUpperLimitAttr(ends[1])
 
     def _add_several(self, body: int, joints: list[int], kinds: list[str]) -> bool:
-        """Add one joint of six degrees of freedom for slides and hinges about perpendicular axes."""
+        """Add one joint of six degrees of freedom for slides and hinges with perpendicular axes; return its success."""
         scene = self._scene
         axes = scene["joint_axis"][joints]
         anchors = scene["joint_position"][joints]
@@ -231,7 +231,7 @@ class PhysicsWriter:
         frame: list[Float] = []
         places = []
         for axis in axes:
-            along = [abs(float(axis @ known)) for known in frame]
+            along = [abs(float(axis @ other)) for other in frame]
             same = next((k for k, cosine in enumerate(along) if cosine > 1.0 - SQUARE), None)
             if same is None and any(cosine > SQUARE for cosine in along):
                 return False
@@ -264,7 +264,7 @@ class PhysicsWriter:
         return True
 
     def _ends(self, joint: int) -> tuple[float, float] | None:
-        """Return a joint's limits relative to its reference, degrees for hinges; None if it has none."""
+        """Return the limits of a joint relative to its reference, degrees for hinges; None if it has none."""
         scene = self._scene
         if not bool(scene["joint_limited"][joint]):
             return None
@@ -274,7 +274,7 @@ class PhysicsWriter:
         return float(ends[0]), float(ends[1])
 
     def _attach(self, schema: Any, body: int, anchor: Float, turn: Rotation, joints: list[int]) -> Any:
-        """Add a joint between a body and its parent. anchor, turn: of its frame, in the body's"""
+        """Add a joint between a body and its parent. anchor, turn: position and rotation of its frame in the body"""
         scene = self._scene
         names = [str(scene["joint_name"][k]) for k in joints]
         prim_name = Sdf.Path(self._paths[body]).name
@@ -317,7 +317,7 @@ def _across(axis: Float) -> Float:
 
 
 def _onto_x(axis: Float) -> Rotation:
-    """Return the frame with an axis as x, in the frame of that axis."""
+    """Return the rotation that maps x to an axis."""
     x = axis / np.linalg.norm(axis)
     y = _across(x)
     return Rotation.from_matrix(np.column_stack([x, y, np.cross(x, y)]))

@@ -1,4 +1,4 @@
-"""Meshes, curves and primvars for all parts of a USD scene."""
+"""Add meshes, curves and primvars for all parts of a USD scene."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -46,9 +46,9 @@ def add_mesh(
     colour: tuple[float, ...] | None,
     normals: ArrayLike | None = None,
 ) -> UsdGeom.Mesh:
-    """Add a mesh of polygons of one size, faces of shape (m, corners), in one colour or without a colour.
+    """Add a mesh of polygons with equal numbers of corners, faces of shape (m, corners), in one colour or without.
 
-    normals: of vertices, for a smooth look of curved surfaces; flat faces without
+    normals: of vertices, for smooth shading; None for flat faces
     """
     mesh = UsdGeom.Mesh.Define(stage, path)
     placed, corners = vectors(points), np.asarray(faces, np.int32)

@@ -1,4 +1,4 @@
-"""Values rounded to within 1/255 of their range: few distinct ones, which USD's crate files compress well."""
+"""Round values to 1/255 of their range: few distinct values, which USD crate files compress well."""
 
 from typing import NamedTuple
 
@@ -8,15 +8,16 @@ from numpy.typing import NDArray
 from palmfield.types import Float, Float32
 
 PART = 255
-"""Largest error as a part of the range."""
+"""Range divided by the largest error."""
 
 
 class Rounding(NamedTuple):
-    """Rounding of values of a given range to multiples of a step, so that 0 stays 0.
+    """Rounding of values in a range to multiples of a step, so that 0 is unchanged.
 
-    low, high: the range; bound: the largest error; weights: of each place, for values whose weighted sum must be kept
-    To keep a sum, such as a force from pressures over areas, each moment has its own threshold above which values are
-    rounded up. Rounding to the nearest, large areas with less than half a step would lose 2 % of the force of a hand.
+    low, high: the range; bound: largest error; weights: of each value, if the weighted sum must be preserved
+    To preserve a sum, such as a force from pressures over areas, each time has its own threshold above which values are
+    rounded up. With rounding to the nearest step, large areas with small pressures would lose 2 % of the force on a
+    hand.
     """
 
     low: float
@@ -26,7 +27,7 @@ class Rounding(NamedTuple):
     weights: Float | None = None
 
     def of(self, values: NDArray[np.floating]) -> Float32:
-        """Return the rounded values of one moment, shape (n,)."""
+        """Return the rounded values of one time, shape (n,)."""
         exact: Float = np.asarray(values, np.float64)
         if self.step == 0.0:
             return exact.astype(np.float32)
@@ -43,7 +44,7 @@ class Rounding(NamedTuple):
 
 
 def rounding(low: float, high: float, weights: Float | None = None, part: int = PART) -> Rounding:
-    """Return the rounding of values from low to high, to within a part of that; an empty range is unchanged."""
+    """Return the rounding of values from low to high with error (high - low) / part; for an empty range none."""
     if not high > low:
         return Rounding(low, high, 0.0, 0.0)
     step = (high - low) / (part if weights is not None else (part + 1) // 2)

@@ -1,4 +1,4 @@
-"""Quantities of the skin of a run by vertex over time, as a USD scene shows them."""
+"""Quantities of skins by vertex over time in a USD scene."""
 
 from typing import NamedTuple
 
@@ -11,10 +11,10 @@ from palmfield.types import Float32
 class Quantity(NamedTuple):
     """A quantity of skin; the name of its primvar is its key in QUANTITIES.
 
-    variable: of the result's group /skin; "" for one derived from the displacement
+    variable: of group /skin of the result; "" for a quantity computed from the displacement
     along_normal: whether it is the component along the outward normal at rest
     unit: of the primvar, SI; sign: meaning of a positive value; title: in legends
-    shown_unit, per_unit: of the legend, and its number in one unit of the primvar
+    shown_unit, per_unit: of the legend, and number of shown units in one unit of the primvar
     two_sided: whether values have both signs; keeps_sum: whether its sum over areas must be kept
     """
 
@@ -49,7 +49,7 @@ QUANTITIES: dict[str, Quantity] = {
 
 
 def values_at(skin: xr.Dataset, quantity: Quantity, times: slice) -> Float32:
-    """Return a recorded quantity at some of the run's times, shape (t, vertices), float32."""
+    """Return a recorded quantity at some times of the run, shape (t, vertices), float32."""
     values = skin[quantity.variable].isel(time=times).values
     if not quantity.along_normal:
         return np.asarray(values, np.float32)

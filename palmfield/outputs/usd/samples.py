@@ -1,4 +1,4 @@
-"""An attribute over time: samples only at changes."""
+"""Write an attribute over time, with samples only at changes."""
 
 from collections.abc import Callable
 from typing import Any
@@ -8,14 +8,14 @@ from numpy.typing import NDArray
 from pxr import Usd
 
 Make = Callable[[NDArray[Any]], Any]
-"""A USD value of an array."""
+"""Converts an array to a USD value."""
 
 
 class Samples:
     """Writes an attribute from time code to time code.
 
-    A constant attribute has a default value and no samples. A change has a sample there and one at the code before:
-    viewers interpolate between samples, and hold the old value until then.
+    A constant attribute has a default value and no samples. A change has a sample at its time code and one at the code
+    before, because viewers interpolate between samples.
     """
 
     def __init__(self, attribute: Usd.Attribute, make: Make):
@@ -25,7 +25,7 @@ class Samples:
         self._begun = self._seen = 0.0
 
     def add(self, code: float, value: NDArray[Any]) -> None:
-        """Add the value at a time code, which is later than those before."""
+        """Add the value at a time code, which must be later than earlier ones."""
         if self._last is None:
             self._attribute.Set(self._make(value))
             self._begun = self._seen = code

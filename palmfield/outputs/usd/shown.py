@@ -14,15 +14,16 @@ MOST_FRAMES = 600
 class Shown:
     """Contents of a USD scene of a run.
 
-    colour: quantity of the skins' colours, of `palmfield.outputs.usd.quantities.QUANTITIES`, or "none"
-    limits: of the colours, in the quantity's SI unit; None for the whole range of the run, of both signs alike
-    magnify: factor of the motion in the variant "magnified": None for a largest motion of about 2 mm, if its points
-        take 8 MB or less; 0 for none at all
+    colour: quantity of the colours of skins, of `palmfield.outputs.usd.quantities.QUANTITIES`, or "none"
+    limits: of the colours, in the SI unit of the quantity; None for the range of the run, symmetric for signed
+        quantities
+    magnify: factor of the motion in the variant "magnified"; None: the largest motion appears as about 2 mm, if its
+        points take 8 MB or less; 0: no such variant
     quantities: written as primvars, None for all in the result
     start_s, end_s: of the run [s], None for its ends; frames: largest number of time codes
     field: shapes of the sound field, of FIELD_SHAPES; field_times_s: their times [s], () for the loudest
     level_Pa: of the isosurface and lower limit of points, peak amplitude [Pa];
-        None for half of the largest round the foci
+        None for half of the maximum around the foci
     observer: of the level above threshold
     """
 
@@ -40,7 +41,7 @@ class Shown:
 
 
 def check_shown(shown: Shown) -> None:
-    """Raises OutputError for options that are invalid for any run."""
+    """Raise OutputError for options that are invalid for any run."""
     refuse_unknown(OutputError, "colour has value {}", shown.colour, [*QUANTITIES, NO_COLOUR])
     for name in shown.quantities or ():
         refuse_unknown(OutputError, "quantities has value {}", name, QUANTITIES)

@@ -1,4 +1,4 @@
-"""The bones of an articulated hand in USD: a skeleton whose joints move over time, and meshes bound to it."""
+"""Write the bones of an articulated hand to USD: a skeleton with moving joints, and meshes bound to it."""
 
 from collections.abc import Iterable
 
@@ -14,7 +14,7 @@ def identifiers(names: Iterable[str]) -> dict[str, str]:
     """Return unique names that USD allows for prims and joints, by original name."""
     result: dict[str, str] = {}
     for name in names:
-        # USD itself would remove a digit at the beginning
+        # USD would remove a digit at the beginning
         base = Tf.MakeValidIdentifier(f"_{name}" if name[:1].isdigit() else name)
         taken = set(result.values())
         result[name] = next(n for k in range(len(taken) + 1) if (n := f"{base}_{k}" if k else base) not in taken)
@@ -22,9 +22,9 @@ def identifiers(names: Iterable[str]) -> dict[str, str]:
 
 
 def add_skeleton(stage: Usd.Stage, root: str, body: xr.Dataset) -> tuple[UsdSkel.Skeleton, UsdSkel.Animation]:
-    """Add skeleton and animation, still without motion, under a UsdSkel root, whose frame is the body's.
+    """Add skeleton and animation without motion under a UsdSkel root, whose frame is that of the body.
 
-    body: a result's group /body with bone_rest
+    body: group /body of a result, with bone_rest
     """
     skeleton = UsdSkel.Skeleton.Define(stage, f"{root}/Skeleton")
     count = body.sizes["bone"]
@@ -51,7 +51,7 @@ class BoneMoves:
         )
 
     def add(self, code: float, poses: Float) -> None:
-        """Poses of all bones in the body's frame, shape (bones, 7), at a time code."""
+        """Add poses of all bones in the body frame, shape (bones, 7), at a time code."""
         self._moves.add(code, poses[:, :3])
         self._turns.add(code, poses[:, 3:])
 

@@ -1,4 +1,4 @@
-"""The skins of a run in USD: quantities at each vertex over time, their colours and their magnified motion."""
+"""Write the skins of a run to USD: quantities at each vertex over time, colours and magnified motion."""
 
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -26,13 +26,13 @@ LOUDEST = {
     "loudest_arp": "at the loudest instant; positive values push into the surface",
     "loudest_pressure": "peak amplitude at the loudest instant",
 }
-"""Quantities of skins and bodies at the loudest instant [Pa], and their signs."""
+"""Quantities of skins and bodies at the loudest moment [Pa], and their signs."""
 
 
 def strip_order(points: Float) -> Int:
-    """Return numbers of points [m], shape (n, 3), strip by strip, to and fro, shape (n,).
+    """Return the order of points [m], shape (n, 3), in strips of alternating direction, shape (n,).
 
-    Strips run along the longest axis of the points, with the width of the point spacing. A wave on 71 x 71 points takes
+    Strips are along the longest axis and as wide as the point spacing. The file of a wave on 71 x 71 points takes
     6 % less space than with a Hilbert curve, and 30 % less than unordered.
     """
     local = points - points.mean(axis=0)
@@ -43,7 +43,7 @@ def strip_order(points: Float) -> Int:
 
 
 def frame_blocks(skin: xr.Dataset | None, clock: Clock, most: int) -> Iterator[slice]:
-    """Yield the frames in blocks of at most `most`, fewer where a skin's vectors would exceed a piece."""
+    """Yield the frames in blocks of at most `most`, fewer if the vectors of a skin would exceed a piece."""
     row = 12 * (1 if skin is None else skin.sizes["vertex"])
     size = max(1, min(most, PIECE_BYTES // row))
     for start in range(0, len(clock.codes), size):
@@ -51,18 +51,18 @@ def frame_blocks(skin: xr.Dataset | None, clock: Clock, most: int) -> Iterator[s
 
 
 def result_times(clock: Clock, frames: slice) -> slice:
-    """Return the indices of some frames among the result's times."""
+    """Return the indices of frames among the times of the result."""
     step = clock.places.step
     return slice(clock.places.start + frames.start * step, clock.places.start + (frames.stop - 1) * step + 1, step)
 
 
 def recorded_quantities(skin: xr.Dataset) -> dict[str, Quantity]:
-    """Return the quantities of a skin of a result over time."""
+    """Return the quantities of a skin that the result has over time."""
     return {name: q for name, q in QUANTITIES.items() if q.variable and has_records(skin, q.variable)}
 
 
 def ranges_of(skin: xr.Dataset, clock: Clock, names: list[str]) -> dict[str, tuple[float, float]]:
-    """Lowest and highest value of recorded quantities over the clock's times, in one pass."""
+    """Return lowest and highest value of recorded quantities at the times of the clock, in one pass."""
     found = {name: (np.inf, -np.inf) for name in names}
     for frames in frame_blocks(skin, clock, PIECE_BYTES):
         for name, (low, high) in found.items():
@@ -72,7 +72,7 @@ def ranges_of(skin: xr.Dataset, clock: Clock, names: list[str]) -> dict[str, tup
 
 
 class _Track(NamedTuple):
-    """One quantity during writing. colour: its palette and the target of its numbers, if it is the colour"""
+    """One quantity to write. colour: palette and target of its indices, if it is the colour"""
 
     quantity: Quantity
     rounding: Rounding
@@ -80,7 +80,7 @@ class _Track(NamedTuple):
     colour: tuple[Palette, Samples] | None
 
     def add(self, code: float, values: Float32) -> None:
-        """The values at a time code."""
+        """Add the values at a time code."""
         self.samples.add(code, self.rounding.of(values))
         if self.colour is not None:
             palette, numbers = self.colour
@@ -88,13 +88,13 @@ class _Track(NamedTuple):
 
 
 class SkinWriter:
-    """Writes changes of one skin, frame by frame.
+    """Writes one skin, frame by frame.
 
-    mesh: of the skin, its vertices strip by strip; order: the result's number of each of them
+    mesh: of the skin, with vertices in strips; order: number of each vertex in the result
     """
 
     def __init__(self, stage: Usd.Stage, path: str, skin: xr.Dataset, colour: tuple[float, ...]):
-        """colour: without colours over time"""
+        """colour: used if there are no colours over time"""
         rest = skin["rest_position"].values
         self._stage, self._skin = stage, skin
         self.order: Int = strip_order(rest)
@@ -116,11 +116,11 @@ class SkinWriter:
         self._magnify: tuple[float, Any] | None = None
 
     def take(self, name: str, low: float, high: float, palette: Palette | None, **said: Any) -> None:
-        """Add a quantity, whose values go from low to high; with a palette it also colours the skin."""
+        """Add a quantity with values from low to high; with a palette it also colours the skin."""
         quantity = QUANTITIES[name]
         rounded = rounding(low, high, self._areas if quantity.keeps_sum else None)
-        told = rounding_told(rounded) | said
-        primvar = add_primvar(self.mesh.GetPrim(), name, quantity.unit, quantity.sign, told)
+        details = rounding_told(rounded) | said
+        primvar = add_primvar(self.mesh.GetPrim(), name, quantity.unit, quantity.sign, details)
         coloured = None
         if palette is not None:
             colour = paint(self.mesh, palette, "vertex", quantity=name, units=quantity.unit)
@@ -128,14 +128,14 @@ class SkinWriter:
         self._tracks[name] = _Track(quantity, rounded, Samples(primvar.GetAttr(), floats), coloured)
 
     def take_levels(self, course: LevelCourse) -> None:
-        """Set the source of the level above threshold; `take` was called for it before."""
+        """Set the source of the level above threshold; `take` must be called for it before."""
         self._levels = course
 
     def magnify(self, factor: float) -> None:
         """Move the points by a factor in the variant "magnified"; the variant "rest" is selected."""
         about(self.mesh.GetPrim(), magnification=factor)
         variants = self.mesh.GetPrim().GetVariantSets().AddVariantSet(MOTION)
-        # A value on the prim overrides that in a variant: it is set in the variants only
+        # A value of the prim overrides those in variants, so it is set only in variants
         shape = self.mesh.GetPointsAttr(), self.mesh.GetExtentAttr(), self.mesh.GetNormalsAttr()
         kept = {attribute: attribute.Get() for attribute in shape}
         for attribute in kept:
@@ -145,13 +145,13 @@ class SkinWriter:
             variants.SetVariantSelection(name)
             with variants.GetVariantEditContext():
                 for attribute, value in kept.items():
-                    # Normals at rest are wrong for the magnified skin, whose viewer computes its own
+                    # Normals at rest are wrong for the magnified skin; viewers compute its normals
                     if name == REST or attribute.GetName() != UsdGeom.Tokens.normals:
                         attribute.Set(value)
         self._magnify = factor, variants
 
     def write(self, clock: Clock, frames: slice) -> None:
-        """Write some frames, later than those before."""
+        """Write frames, which must be later than earlier ones."""
         times = result_times(clock, frames)
         columns = {name: values_at(self._skin, track.quantity, times)[:, self.order]
                    for name, track in self._tracks.items() if track.quantity.variable}  # fmt: skip

@@ -1,4 +1,4 @@
-"""The file of a USD scene during writing: saved every few frames, readable after a kill, complete at the end."""
+"""File of a USD scene during writing: saved regularly, readable after a kill, complete at the end."""
 
 import os
 import re
@@ -11,16 +11,16 @@ from palmfield.errors import OutputError, reason_of
 
 SUFFIXES = (".usdc", ".usda", ".usdz")
 SAVE_EVERY = 50
-"""Frames between two savings."""
+"""Number of frames after which the file is saved."""
 
 
 def partial_of(path: Path) -> Path:
-    """Return where the scene so far can be read during writing, and after a kill."""
+    """Return the path of the scene so far, which can be read during writing and after a kill."""
     return path.with_name(f"{path.stem}.partial.usdc")
 
 
 def left_scenes(folder: Path) -> list[tuple[Path, str]]:
-    """Return files in a folder of an interrupted or running USD export, and their descriptions."""
+    """Return files of an interrupted or running USD export in a folder, and their descriptions."""
     readable = "content of an interrupted USD scene: it can be opened; `palmfield usd` writes the complete scene"
     broken = "part of an interrupted USD scene: remove it if no program writes there"
     hidden = [path for kind in ("tmp.usdc", "copy.usdc", "whole.usd[az]") for path in folder.glob(f".*.{kind}")]
@@ -31,14 +31,14 @@ def left_scenes(folder: Path) -> list[tuple[Path, str]]:
 
 
 class StageFile:
-    """A crate that grows and gets its final name at the end.
+    """A growing crate file that gets its final name at the end.
 
-    USD saves into the file that it reads from: a kill during saving leaves it unreadable, as one in twenty did in a
-    test. So saved data are copied, and the copy replaces the one before in one step.
+    USD saves into the file that it reads from. A kill during saving made it unreadable in one of twenty cases of a
+    test, so saved data are copied, and the copy replaces the one before in one step.
     """
 
     def __init__(self, path: Path):
-        """Raises OutputError for a name that ends in none of SUFFIXES and for a folder that cannot be written."""
+        """Raises OutputError for a suffix that is not in SUFFIXES and for a folder that cannot be written."""
         self.path = path
         if path.suffix not in SUFFIXES:
             raise OutputError(f"cannot write {path}: give a file name that ends in {', '.join(SUFFIXES)}")
@@ -54,7 +54,7 @@ class StageFile:
             raise unwritable_scene(path, error) from error
 
     def begin(self, per_second: float, fps: float) -> Usd.Prim:
-        """Set units and axes; returns the root. per_second, fps: time codes a second of the run, and of a player."""
+        """Set units and axes; return the root. per_second, fps: time codes per second of the run, and of a player."""
         stage = self.stage
         UsdGeom.SetStageMetersPerUnit(stage, 1.0)
         UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
@@ -83,7 +83,7 @@ class StageFile:
                 raise OSError("USD could not save it")
         elif self.path.suffix == ".usdz":
             whole = self._whole
-            # The package contains the layer's name, so that it needs a name of its own
+            # The package contains the name of the layer, which therefore needs its own name
             inner = self._growing.with_name(f"{self.path.stem}.inner.usdc")
             os.replace(self._growing, inner)
             try:
@@ -94,14 +94,14 @@ class StageFile:
         os.replace(whole, self.path)
 
     def clear(self) -> None:
-        """Remove all but the file itself."""
+        """Remove all files except the scene."""
         if self._growing.parent.is_dir():
             for left in (self._growing, self._copied, self._whole, partial_of(self.path)):
                 left.unlink(missing_ok=True)
 
 
 def unwritable_scene(path: Path, error: Exception) -> OutputError:
-    """Return the cause in one line; USD's own errors are pages long: function, then cause, in quotes."""
+    """Return an error with the cause in one line, taken from the long message of USD (function and cause in quotes)."""
     if isinstance(error, OSError):
         cause = reason_of(error)
     else:

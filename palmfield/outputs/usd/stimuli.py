@@ -1,4 +1,4 @@
-"""Stimuli of a run in USD: foci as moving crosses, and their paths, as curves in the world."""
+"""Write the stimuli of a run to USD: foci as moving crosses, and their paths, as curves in the world."""
 
 import numpy as np
 import xarray as xr
@@ -20,10 +20,10 @@ CROSS = ARM_M * np.stack([sign * np.eye(3)[k] for k in range(3) for sign in (-1.
 
 
 class StimulusWriter:
-    """Writes changes of one stimulus: places of its foci, and whether it sounds, as visibility.
+    """Writes one stimulus: positions of its foci, and whether it is active, as visibility.
 
-    The prim holds Foci, a cross of three lines at each focus, and Path, a line for each focus that moves. The attribute
-    palmfield:foci contains the foci [m].
+    The prim contains Foci, a cross of three lines at each focus, and Path, a line for each focus that moves. The
+    attribute palmfield:foci contains the foci [m].
     """
 
     def __init__(self, stage: Usd.Stage, path: str, stimulus: xr.Dataset, clock: Clock):
@@ -37,7 +37,7 @@ class StimulusWriter:
         foci = stimulus["foci"].isel(time=slice(whole.start, whole.stop, step)).values
         lines = [line for focus in foci[0] for line in (focus + CROSS).reshape(3, 2, 3)]
         crosses = add_lines(stage, f"{path}/Foci", lines, WIDTH_M, FOCUS_COLOUR)
-        # Of the whole path, so that viewers that do not read it over time frame all of it
+        # Extent of the whole path, for viewers that do not read it over time
         low, high = foci.min(axis=(0, 1)) - ARM_M - WIDTH_M, foci.max(axis=(0, 1)) + ARM_M + WIDTH_M
         crosses.GetExtentAttr().Set(Vt.Vec3fArray([Gf.Vec3f(*low.tolist()), Gf.Vec3f(*high.tolist())]))
         ways = [way for way in np.moveaxis(foci, 1, 0) if np.ptp(way, axis=0).max() > RESTS_M]
@@ -52,7 +52,7 @@ class StimulusWriter:
         )
 
     def write(self, clock: Clock, frames: slice) -> None:
-        """Write some frames, later than those before."""
+        """Write frames, which must be later than earlier ones."""
         if not self._live:
             return
         times = result_times(clock, frames)

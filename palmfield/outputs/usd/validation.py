@@ -1,4 +1,4 @@
-"""Validate a USD file: USD's own validators, and further checks."""
+"""Validate a USD file with the validators of USD and additional checks."""
 
 from collections.abc import Callable
 from functools import partial
@@ -11,10 +11,10 @@ from palmfield.errors import OutputError
 
 
 def validate_usd(path: Path) -> list[str]:
-    """Return errors of a USD file: findings of USD's own validators and of further checks; [] if valid.
+    """Return errors of a USD file: from the validators of USD and additional checks; [] if valid.
 
-    Every mesh must have a valid topology with indices in range. Every primvar of meshes, points and instancers needs
-    the number of values of its interpolation, at each of its time samples, and indices within its values. Contents of
+    Every mesh must have a valid topology with indices in range. Every primvar of meshes, points and instancers must
+    have the number of values of its interpolation, at each time sample, and indices within its values. Contents of
     variants are checked in each of them. Raises OutputError if the file cannot be opened.
     """
     try:
@@ -37,7 +37,7 @@ def validate_usd(path: Path) -> list[str]:
 
 
 def _variants(stage: Usd.Stage) -> list[Callable[[], None]]:
-    """Yield selections, without changing the file, of the first variant of all sets, the second of all, and so on."""
+    """Return functions that select, without changing the file, the first variant of all sets, the second, and so on."""
     sets = [
         (prim.GetPath(), name, prim.GetVariantSets().GetVariantSet(name).GetVariantNames())
         for prim in stage.TraverseAll()

@@ -35,11 +35,11 @@ from palmfield.types import Float
 
 FPS = 30.0
 FIELD_LEGEND_SHARE = 0.17
-"""Share of the picture's width for the field's legend, if skins are coloured too."""
+"""Fraction of the picture width for the legend of the field, if skins are coloured too."""
 SEEN_M = 2e-3
-"""Size to which the largest motion is magnified by default."""
+"""Displayed size of the largest motion at the default magnification [m]."""
 POINTS_BYTES = 8_000_000
-"""Largest size of magnified points that were not requested."""
+"""Largest size of magnified points that are written by default [bytes]."""
 
 
 class _Writer(Protocol):
@@ -47,7 +47,7 @@ class _Writer(Protocol):
 
 
 class _Ranges(NamedTuple):
-    """Ranges. own: range by skin and quantity; courses: of the level by skin; missing: what has no values, why"""
+    """Ranges of quantities. own: by skin and quantity; courses: level over time by skin; missing: reasons"""
 
     own: dict[str, dict[str, tuple[float, float]]]
     courses: dict[str, LevelCourse]
@@ -66,23 +66,23 @@ def write_usd(
     fps: float = FPS,
     on_frame: Callable[[int, int], None] | None = None,
 ) -> None:
-    """Write a result as a USD scene: .usdc (crate), .usda (text) or .usdz (package), by the name's ending.
+    """Write a result as a USD scene: .usdc (crate), .usda (text) or .usdz (package), by the suffix.
 
-    result: of `open_result` or `tree`; shown: contents, see `Shown`; fps: frames a second for players, independent of
-        the pace of the run [1/s]; on_frame: called with the number of time codes done and of all
-    Metres, kilograms, z up. A time code over timeCodesPerSecond is the time of the run in seconds. docs/usd.md lists
-    prims and primvars. Every 50 frames the scene so far is saved and copied to NAME.partial.usdc, which remains after a
+    result: of `open_result` or `tree`; shown: contents, see `Shown`; fps: frames per second for players, independent of
+        the time step of the run [1/s]; on_frame: called with the numbers of completed and of all time codes
+    Metres, kilograms, z up. Time code / timeCodesPerSecond is the time of the run in seconds. docs/usd.md lists
+    prims and primvars. Every 50 frames the scene is saved and copied to NAME.partial.usdc, which remains after a
     kill, and is removed when the scene is complete.
-    Raises OutputError if `path` cannot be written or has another ending, for invalid numbers, and for a colour or a
+    Raises OutputError if `path` cannot be written or has an unknown suffix, for invalid numbers, and for a colour or a
     field that the result does not contain.
     """
-    told = shown or Shown()
-    check_shown(told)
+    contents = shown or Shown()
+    check_shown(contents)
     if not fps > 0:
         raise OutputError(f"frames per second is {fps}; allowed: above 0")
-    clock = clock_of(result, told)
+    clock = clock_of(result, contents)
     with _written(StageFile(Path(path))) as file:
-        _write(result, file, told, clock, fps, on_frame)
+        _write(result, file, contents, clock, fps, on_frame)
 
 
 @contextmanager
@@ -115,7 +115,7 @@ def _write(
     ]
     ranges = _ranges(result, shown, clock)
     palette = _palette(shown, ranges)
-    # Skin at rest has its body's colour, so that no rim is visible there
+    # Skin at rest has the colour of its body, so that its rim is not visible
     standing = _add_bodies(stage, result, SKIN_COLOUR if palette is None else palette.at_rest)
     skin_writers = {name: writer for body in standing for name, writer in body.skins.items()}
     for name, skin_writer in skin_writers.items():
@@ -169,7 +169,7 @@ def _add_bodies(stage: Usd.Stage, result: xr.DataTree, colour: tuple[float, ...]
 
 
 def _ranges(result: xr.DataTree, shown: Shown, clock: Clock) -> _Ranges:
-    """Return ranges of all written quantities; missing ones are left out, and reported."""
+    """Return ranges of all written quantities; missing ones are omitted and reported."""
     ranges = _Ranges({}, {}, [])
     if len(clock.codes) == 0:
         return ranges
@@ -197,7 +197,7 @@ def _ranges(result: xr.DataTree, shown: Shown, clock: Clock) -> _Ranges:
 def _palette(shown: Shown, ranges: _Ranges) -> Palette | None:
     """Return the palette of the requested colour; None without one, and for a run without times.
 
-    Raises OutputError if skins have no such quantity; the default colour is left out then.
+    Raises OutputError if skins do not have the quantity; if it is the default colour, no colours are written instead.
     """
     whole = None if shown.colour == NO_COLOUR else ranges.whole(shown.colour)
     if whole is None:
@@ -233,7 +233,7 @@ def _take(
 
 
 def _magnification(shown: Shown, clock: Clock, ranges: _Ranges, skin: xr.Dataset) -> float:
-    """Return the magnification of a skin's motion, the same as for the others; 0 for none."""
+    """Return the magnification of the motion of a skin, equal for all skins; 0 for none."""
     if shown.magnify is not None:
         return shown.magnify if has_records(skin, "displacement") and len(clock.codes) else 0.0
     whole = ranges.whole("normal_displacement")
@@ -246,7 +246,7 @@ def _magnification(shown: Shown, clock: Clock, ranges: _Ranges, skin: xr.Dataset
 def _add_view(
     stage: Usd.Stage, result: xr.DataTree, shown: Shown, clock: Clock, palette: Palette | None, field: Palette | None
 ) -> None:
-    """Add camera and lights, and the legend of the colours: of the skins, else of the field."""
+    """Add camera, lights, and the legends of colours of skins and field."""
     times = clock.times_s if len(clock.codes) else np.zeros(1)
     points = _points(result, [float(times[0]), float(times[len(times) // 2]), float(times[-1])])
     if len(points) == 0:
@@ -270,14 +270,14 @@ def _add_legends(
     if palette is not None:
         add_legend(stage, "/Scene/Legend", shown.colour, QUANTITIES[shown.colour], palette, camera, depth_m)
     if field is not None:
-        # On the left, without the skins' legend
+        # Place the legend of the field on the left if skins have a legend too
         shift = 0.0 if palette is None else LEGEND_SHARE * PICTURE[0]
         left = camera._replace(centre=camera.centre + np.array([shift, 0.0]))
         add_legend(stage, "/Scene/FieldLegend", "pressure", QUANTITIES["pressure"], field, left, depth_m)
 
 
 def _corners(root: Usd.Prim) -> Float:
-    """Return corners of boxes round the geometry under a prim, shape (n, 3)."""
+    """Return corners of bounding boxes of the geometry under a prim, shape (n, 3)."""
     ends = np.concatenate(
         [np.array(UsdGeom.Boundable(one).GetExtentAttr().Get(), float)[None] for one in root.GetChildren()]
     )

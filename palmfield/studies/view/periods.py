@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from palmfield.estimate.sensation_levels import felt_levels
-from palmfield.outputs.felt import shown_level
 from palmfield.outputs.schema import Arrays, group
+from palmfield.outputs.verdict import shown_level
 from palmfield.perception import OBSERVERS
 from palmfield.perception.force_threshold import FORCE_OBSERVER
 from palmfield.session.recorded_run import recorder_of

@@ -1,4 +1,4 @@
-"""Pictures of `palmfield plot`. Each file here has a `KINDS`, its pictures by name."""
+"""Pictures of `palmfield plot`. Each module of this package defines `KINDS`, its pictures by name."""
 
 from collections.abc import Sequence
 from importlib import import_module
@@ -13,7 +13,7 @@ _FOUND: list[tuple[str, Kind]] = [
     for entry in import_module(f"{__name__}.{module.name}").KINDS.items()
 ]
 KINDS = dict(sorted(_FOUND, key=lambda entry: entry[1].place))
-"""All kinds by name, from sound to skin."""
+"""All kinds by name, ordered by `place`."""
 OPTIONS = {
     "time_s": "--time",
     "places": "--place",
@@ -25,7 +25,7 @@ OPTIONS = {
 
 
 def check_heeded(kinds: Sequence[str], asked: Asked) -> None:
-    """Raises OutputError for options that no kind uses, and for limits of kinds with several units."""
+    """Raise OutputError for options that no kind uses, and for limits of kinds with several units."""
     for name, option in OPTIONS.items():
         if getattr(asked, name) != getattr(Asked(), name) and not any(name in KINDS[kind].heeds for kind in kinds):
             able = [kind for kind, one in KINDS.items() if name in one.heeds]

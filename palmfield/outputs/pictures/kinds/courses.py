@@ -1,4 +1,4 @@
-"""The motion of a skin over time at a few places: courses, spectra and spectrograms."""
+"""Draw the motion of a skin at a few points: over time, spectra and spectrograms."""
 
 import numpy as np
 import xarray as xr
@@ -19,7 +19,7 @@ LEAST_Hz = 1000.0
 
 
 def _motion(result: xr.DataTree, asked: Asked) -> tuple[Float, list[tuple[str, Float]]]:
-    """Return times [s], and the name and normal motion [um or um/s] of each chosen place."""
+    """Return times [s], and description and normal motion [um or um/s] of each chosen point."""
     name, skin = chosen_skin(result, asked, asked.quantity)
     chosen = chosen_vertices(result, name, skin, asked)
     motion = IN_MICRO * at_vertices(skin, [vertex for vertex, _ in chosen], asked.quantity).astype(float)
@@ -80,7 +80,7 @@ def spectrogram(result: xr.DataTree, asked: Asked) -> Figure:
         )
     hop = max(1, count // 16)
     transform = ShortTimeFFT(hann(count, sym=False), hop, 1.0 / step_s, scale_to="magnitude")
-    # Windows that reach beyond an end would see a jump there
+    # Only whole windows, because the signal would jump at its ends
     first, last = transform.lower_border_end[1], transform.upper_border_begin(len(values))[1]
     power = transform.spectrogram(values - values.mean(), p0=first, p1=last)
     level = 10.0 * np.log10(np.maximum(power / max(float(power.max()), 1e-300), 1e-30))

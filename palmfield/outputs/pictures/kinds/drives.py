@@ -1,4 +1,4 @@
-"""Drive of the transducers: phase and amplitude of each on the face of its array."""
+"""Draw the drive: phase and amplitude of each transducer on the face of its array."""
 
 import numpy as np
 import xarray as xr
@@ -18,7 +18,7 @@ def drives(result: xr.DataTree, asked: Asked) -> Figure:
         x, y, _ = 1e3 * array["transducer_position"].values.T
         phase = np.mod(array["drive_phase"].values[index], 2.0 * np.pi)
         size = np.hypot(np.ptp(x), np.ptp(y))
-        # A transducer at full drive fills its share of the face
+        # A transducer at full drive fills its part of the face
         dots = (4.6 * 72.0 / max(size, 1e-9)) ** 2 * np.ptp(x) * np.ptp(y) / len(x) * 0.35
         areas = np.maximum(dots * amplitude[index], 0.5)
         drawn = axes.scatter(x, y, s=areas, c=phase, cmap="twilight", vmin=0.0, vmax=2.0 * np.pi)

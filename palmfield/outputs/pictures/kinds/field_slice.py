@@ -1,4 +1,4 @@
-"""The pressure in a plane through the focus and the middle of the first array."""
+"""Draw the pressure in a plane through the focus and the centre of the first array."""
 
 import numpy as np
 import xarray as xr
@@ -10,24 +10,25 @@ from palmfield.outputs.sound import driven_arrays, sound_at, sounding_foci
 from palmfield.outputs.style import beyond
 
 SIDE_M = 0.12
-"""Half the width of the slice."""
+"""Half the width of the slice [m]."""
 STEP_M = 0.0012
-"""A seventh of a wavelength."""
+"""Spacing of points [m], a seventh of a wavelength."""
 BEYOND_M = 0.08
-"""Distance of the slice's end beyond the focus."""
+"""Distance by which the slice extends beyond the focus [m]."""
 BEGINS_M = 0.01
-"""Distance of the slice's beginning before the array: closer to it the far field of a transducer is not valid."""
+"""Distance of the slice from the array [m]; closer points are not in the far field of a transducer."""
 REACH_M = 0.3
-"""Length of the slice without sound or focus."""
+"""Length of the slice if there is no sound or focus [m]."""
 
 
 def field_slice(result: xr.DataTree, asked: Asked) -> Figure:
-    """Amplitude of the incident pressure in a plane through the focus: the x-z plane of the first array that sounds.
+    """Amplitude of the incident pressure in a plane through the focus: the x-z plane of the first active array.
 
-    In free air, without obstacles; amplitudes and phases are those of the drive, so that ring-up is not included.
-    Transducers are those of the result: calibrated, tilted or one by one.
-    Raises OutputError for a result of an earlier version with layout sites or csv, or a calibration, which it does not
-    contain in full.
+    It is the field in free air, without obstacles. Ring-up is not included: amplitudes and phases are those of the
+    drive.
+    Transducers are read from the result, with calibration and tilt.
+    Raises OutputError for a result of an earlier version with layout sites or csv, or with a calibration, which it does
+    not store completely.
     """
     arrays = driven_arrays(result)
     loud = {name: array["drive_amplitude"].values.sum(axis=1) for name, array in arrays.items()}

@@ -1,5 +1,4 @@
-"""Maps of a skin, looking onto the array: its pressure, its motion at a time and as root mean square, and levels above
-threshold."""
+"""Draw maps of a skin, with view onto the array: pressure, motion at a time, rms of motion, levels above threshold."""
 
 from typing import Any
 
@@ -35,19 +34,19 @@ from palmfield.types import Float
 
 SIZES = "cividis"
 LEAST_LEVEL_DB = -20.0
-"""Lower levels are drawn as this: they are not felt, and -inf has no colour."""
+"""Lowest level in maps [dB SL]; lower levels, which are below threshold, are drawn as this."""
 MARKERS = "os^Dv"
 
 
 def pressure(result: xr.DataTree, asked: Asked) -> Figure:
-    """Peak pressure amplitude and ARP on each skin, at the loudest moment or at a given time. The view is from the
+    """Draw peak pressure amplitude and ARP on each skin, at the loudest moment or at a given time. The view is from the
     array that the skin faces.
     """
     return pressure_picture(result, chosen_names(result, asked), asked.time_s)
 
 
 def motion_map(result: xr.DataTree, asked: Asked) -> Figure:
-    """Normal displacement or velocity of the skin at a given time. The default is the moment of the largest motion."""
+    """Draw normal displacement or velocity of the skin at a time, by default that of the largest motion."""
     name, skin = chosen_skin(result, asked, asked.quantity)
     found = extremes(skin, asked.quantity)
     index = chosen_time(skin, asked, int(found.when[found.peak.argmax()]))
@@ -66,7 +65,7 @@ def motion_map(result: xr.DataTree, asked: Asked) -> Figure:
 
 
 def rms_map(result: xr.DataTree, asked: Asked) -> Figure:
-    """Root mean square of the normal displacement or velocity over the run. The mean is included."""
+    """Draw the root mean square of the normal displacement or velocity over the run. The mean is included."""
     name, skin = chosen_skin(result, asked, asked.quantity)
     values = IN_MICRO * np.sqrt(extremes(skin, asked.quantity).mean_square)
     unit = UNITS[asked.quantity]
@@ -77,9 +76,7 @@ def rms_map(result: xr.DataTree, asked: Asked) -> Figure:
 
 
 def level_map_of(result: xr.DataTree, asked: Asked) -> Figure:
-    """Level above threshold at each vertex, without summation over area. There is one panel for each observer, unless
-    the options name one observer.
-    """
+    """Draw the level above threshold at each vertex, without summation over area, for each or for one observer."""
     name, skin = chosen_skin(result, asked, "displacement")
     if asked.observer is not None:
         refuse_unknown(OutputError, "--observer has value {}", asked.observer, OBSERVERS)
@@ -92,8 +89,8 @@ def level_map_of(result: xr.DataTree, asked: Asked) -> Figure:
         if np.isfinite(levels).any():
             shown.append((key, np.maximum(levels, LEAST_LEVEL_DB)))
     if not shown:
-        told = ", ".join(f"{f:g}" for f in lines)
-        raise OutputError(f"no observer has a threshold at {told} Hz; see docs/results.md")
+        frequencies = ", ".join(f"{f:g}" for f in lines)
+        raise OutputError(f"no observer has a threshold at {frequencies} Hz; see docs/results.md")
     top = max(float(levels.max()) for _, levels in shown)
     limits = limits_of(asked, min(0.0, top), top)
     view = view_of_skin(result, name, skin)
@@ -102,16 +99,16 @@ def level_map_of(result: xr.DataTree, asked: Asked) -> Figure:
     for axes, (key, levels) in zip(figure.subplots(1, len(shown), squeeze=False)[0], shown, strict=True):
         draw_patch(figure, axes, skin["face"].values, view.vertices, levels, SIZES, limits, "dB above threshold")
         _mark(axes, view.vertices, levels, "dB SL", marks)
-        felt = f"maximum {levels.max():.0f} dB SL" if levels.max() > 0.0 else "below threshold"
+        largest = f"maximum {levels.max():.0f} dB SL" if levels.max() > 0.0 else "below threshold"
         of = f"all {len(lines)} lines" if len(lines) > 1 else f"line at {lines[0]:g} Hz"
-        axes.set_title(f"{OBSERVERS[key].name}, {of}\n{felt}")
+        axes.set_title(f"{OBSERVERS[key].name}, {of}\n{largest}")
     return figure
 
 
 def _repeating(result: xr.DataTree, skin: xr.Dataset) -> tuple[slice, list[float]]:
     """Return the records between ramp and silence, and the frequencies of most of the response to the stimuli.
 
-    Raises OutputError if the stimuli do not repeat, or not for two periods.
+    Raises OutputError if the stimuli are not periodic, or last less than two periods.
     """
     configs = [keys_of(ResolvedStimulus, name, one) for name, one in instances(result, "stimulus").items()]
     times: Float = skin["time"].values

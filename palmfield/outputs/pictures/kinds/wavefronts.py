@@ -1,4 +1,4 @@
-"""Propagation of the motion of the skin along a straight line, over space and time."""
+"""Draw the propagation of the motion of the skin along a straight line, over space and time."""
 
 import numpy as np
 import xarray as xr
@@ -13,14 +13,14 @@ from palmfield.outputs.schema import instances
 from palmfield.outputs.style import beyond, signed_colours
 
 FEWEST = 8
-"""Least number of vertices near the line."""
+"""Smallest number of vertices near the line."""
 
 
 def wavefronts(result: xr.DataTree, asked: Asked) -> Figure:
-    """Normal motion along a line on the skin, over time. A straight front is a wave with constant speed.
+    """Draw normal motion along a line on the skin, over time. A straight front is a wave with constant speed.
 
-    The line goes through the first two requested places, or along the greatest extent of the skin through the vertex of
-    largest motion. Vertices within the mesh spacing of the line are shown, by their place along it.
+    The line goes through the first two requested places, or along the largest extent of the skin through the vertex of
+    largest motion. Vertices within the mesh spacing of the line are shown, at their position along it.
     """
     name, skin = chosen_skin(result, asked, asked.quantity)
     at_rest = in_world(skin, instances(result, "body").get(name), float(skin["time"].values[0]))

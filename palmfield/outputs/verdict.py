@@ -1,6 +1,7 @@
-"""Perceived level of a skin: the level shown, its observer and band, and the verdict of a run.
+"""Choose the sensation level of a skin to show, with its observer and band, and the verdict of a run.
 
-Tables, pictures, the live view and summary.json use this module. Numbers are those of a skin in summary.json.
+Tables, pictures, the live view and summary.json use this module. The arguments `skin` are elements of `skins` in
+summary.json.
 """
 
 import math
@@ -17,9 +18,9 @@ DB = 20.0 / math.log(10.0)
 
 
 def shown_level(skin: Mapping[str, Any], name: str) -> tuple[float | None, str]:
-    """Return the level of an observer [dB SL] that every output shows, and its lines of the motion or force.
+    """Return the level of an observer [dB SL] that every output shows, and the frequency lines it includes.
 
-    All lines together; for an observer without a level for several lines, that of the main line. None where refused.
+    It includes all lines, or the main line for observers without a level of several lines. None if refused.
     """
     level, frequencies = skin.get(f"level_all_lines_{name}_dB_SL"), skin.get("line_frequencies_Hz", ())
     if level is not None and len(frequencies) > 1:
@@ -29,8 +30,8 @@ def shown_level(skin: Mapping[str, Any], name: str) -> tuple[float | None, str]:
     return level, "" if main is None else f"line at {main:g} Hz"
 
 
-def strongest_line(skin: Mapping[str, Any], name: str) -> str:
-    """Return the strongest line of an observer's level in words; empty if there is only one line."""
+def top_line(skin: Mapping[str, Any], name: str) -> str:
+    """Describe the strongest line of the level of an observer; empty if there is only one line."""
     frequency = skin.get(f"strongest_line_{name}_Hz")
     if frequency is None:
         return ""
@@ -38,12 +39,12 @@ def strongest_line(skin: Mapping[str, Any], name: str) -> str:
 
 
 def chosen_observer(skin: Mapping[str, Any]) -> str | None:
-    """Return the observer used for the skin, by RULE; None if all are refused or the run has no levels."""
+    """Return the observer shown for a skin, by RULE; None if all are refused or the run has no levels."""
     return next((name for name in ALL_OBSERVERS if shown_level(skin, name)[0] is not None), None)
 
 
 def level_parts(skin: Mapping[str, Any], name: str) -> list[Part]:
-    """Return factors of an observer's level from the ranges of inputs, and its own spread, by name.
+    """Return factors of the level of an observer from ranges of inputs and from its own spread, by name.
 
     An observer based on force depends on p0 alone.
     """
@@ -60,7 +61,7 @@ def level_band_dB(skin: Mapping[str, Any], name: str) -> tuple[float, float]:
 
 
 def level_text(skin: Mapping[str, Any], name: str, level: float) -> str:
-    """Format a level with its band; digits follow the band."""
+    """Format a level with its band, which determines the number of digits."""
     low, high = level_band_dB(skin, name)
     if low == high == 0.0:
         return f"{level:.1f} dB SL"
@@ -68,7 +69,7 @@ def level_text(skin: Mapping[str, Any], name: str, level: float) -> str:
 
 
 def band_text(skin: Mapping[str, Any], name: str) -> str:
-    """List the parts of a level's band by name [dB]."""
+    """List the parts of the band of a level by name [dB]."""
     return parts_text(level_parts(skin, name), lambda low, high: f"{_dB(low)} to {_dB(high)} dB")
 
 
@@ -77,10 +78,10 @@ def _dB(factor: float) -> str:
 
 
 def verdict(skin: Mapping[str, Any]) -> dict[str, Any]:
-    """Return whether the motion of a skin is felt: `felt` (yes, perhaps, no or not known) and `because`, in words.
+    """Return whether the motion of a skin is felt: `felt` (yes, perhaps, no or not known) and `because`, a reason.
 
-    yes: the whole band of the chosen observer's level is above threshold; no: all of it is below; perhaps: the band
-    contains the threshold, or the observer's own spread is not established.
+    yes: the whole band of the level of the chosen observer is above threshold; no: it is below; perhaps: the band
+    contains the threshold, or the spread of the observer is unknown.
     """
     name = chosen_observer(skin)
     if name is None:
@@ -90,21 +91,21 @@ def verdict(skin: Mapping[str, Any]) -> dict[str, Any]:
     level, lines = shown_level(skin, name)
     assert level is not None
     low, high = level_band_dB(skin, name)
-    known = skin.get(f"level_{name}_spread_dB") is not None
-    felt = "perhaps"
-    if known and level + low > 0.0:
-        felt = "yes"
-    elif known and level + high < 0.0:
-        felt = "no"
-    spread = "" if known else ", its spread is unknown"
+    spread_known = skin.get(f"level_{name}_spread_dB") is not None
+    answer = "perhaps"
+    if spread_known and level + low > 0.0:
+        answer = "yes"
+    elif spread_known and level + high < 0.0:
+        answer = "no"
+    spread = "" if spread_known else ", its spread is unknown"
     because = f"{level_text(skin, name, level)} by {name}, {lines}{spread}"
-    return {"felt": felt, "because": because, "observer": name, "level_dB_SL": level} | (
+    return {"felt": answer, "because": because, "observer": name, "level_dB_SL": level} | (
         {} if math.isinf(low) else {"low_dB_SL": level + low, "high_dB_SL": level + high}
     )
 
 
 def first_line(summary: Mapping[str, Any]) -> str:
-    """Return the first line of a run: whether its accuracy was reached, where it was not, and each skin's verdict."""
+    """Return the first line of a run: missed target accuracies, and the verdict of each skin."""
     texts = []
     for skin in summary["skins"]:
         said = verdict(skin)
